@@ -18,19 +18,19 @@ from rig.system.open_loop_drive import accelerations_per_level
 from rig.system.structural_model import structural_model
 
 # Frequencies of a sweep at which the acceleration is compared with gravity.
-_POINTS = 400
-# Modes that are listed at most.
-_LISTED = 5
+_N_FREQUENCIES = 400
+# Largest number of listed modes.
+_MAX_LISTED_MODES = 5
 
 
 def onset_level(scene: Scene, system: HybridSystem) -> float:
     """Return the lowest level of a tone or sweep at which a damper leaves its floor; infinite for other tests."""
-    accelerations = _at_dampers(scene, system, test_frequencies(scene.test, _POINTS))
+    accelerations = _acceleration_per_level(scene, system, test_frequencies(scene.test, _N_FREQUENCIES))
     return float(system.gravity / accelerations.max()) if accelerations.max(initial=0.0) > 0.0 else np.inf
 
 
-def _at_dampers(scene: Scene, system: HybridSystem, frequencies: Array) -> Array:
-    """Accelerations under each damper that moves, all on their floors, per unit of level; (dampers, frequencies)."""
+def _acceleration_per_level(scene: Scene, system: HybridSystem, frequencies: Array) -> Array:
+    """Return the acceleration under each moving damper per unit of level, all on floors; (dampers, frequencies)."""
     if not system.dampers or not isinstance(scene.test, Sine | SteppedSine | SweptSine):
         return np.zeros((0, 0))
     try:
@@ -43,25 +43,29 @@ def flight_lines(
     scene: Scene, system: HybridSystem, level: float, parts: Sequence[Rehearsal]
 ) -> tuple[str, ...]:
     """State for each moving damper whether it flies, and at which frequencies or time."""
-    frequencies = test_frequencies(scene.test, _POINTS)
-    above = level * _at_dampers(scene, system, frequencies) > system.gravity
-    by_place: dict[str, list[str]] = {}
+    frequencies = test_frequencies(scene.test, _N_FREQUENCIES)
+    above = level * _acceleration_per_level(scene, system, frequencies) > system.gravity
+    names_by_range: dict[str, list[str]] = {}
     for row, number in enumerate(system.damper_number.tolist()):
-        strikes = [(part, time) for part in parts for time in part.strikes[number - 1]]
-        where = ""
+        impacts = [(part, time) for part in parts for time in part.impact_times[number - 1]]
+        flight_range = ""
         if above.size:
             # By the linear response, or by an impact in the rehearsal.
-            tones = {part.frequency_at(round(time * part.rate)) for part, time in strikes} - {None}
-            near = [any(abs(f - tone) < 1e-3 * f for tone in tones if tone) for f in frequencies]
-            flags = above[row] | np.array(near)
-            where = f" at {format_frequencies(frequencies.tolist(), flags.tolist())}" if flags.any() else ""
-        elif strikes:
-            where = f" first at {min(time for _, time in strikes):.2f} s"
-        by_place.setdefault(where, []).append(f"damper {number} (body {scene.dampers[number - 1].body})")
+            impact_tones = {part.frequency_at(round(time * part.rate)) for part, time in impacts} - {None}
+            has_impact = [any(abs(f - tone) < 1e-3 * f for tone in impact_tones if tone) for f in frequencies]
+            flags = above[row] | np.array(has_impact)
+            flight_range = (
+                f" at {format_frequencies(frequencies.tolist(), flags.tolist())}" if flags.any() else ""
+            )
+        elif impacts:
+            flight_range = f" first at {min(time for _, time in impacts):.2f} s"
+        names_by_range.setdefault(flight_range, []).append(
+            f"damper {number} (body {scene.dampers[number - 1].body})"
+        )
     lines = []
-    for where, names in by_place.items():
-        verb, plural = ("flies", "fly") if where else ("stays on its floor", "stay on their floors")
-        lines.append(f"{' and '.join(names)} {verb if len(names) == 1 else plural}{where}")
+    for flight_range, names in names_by_range.items():
+        verb, plural = ("flies", "fly") if flight_range else ("stays on its floor", "stay on their floors")
+        lines.append(f"{' and '.join(names)} {verb if len(names) == 1 else plural}{flight_range}")
     return tuple(lines)
 
 
@@ -71,9 +75,9 @@ def outside_band(scene: Scene) -> tuple[str, ...]:
     if band is None or isinstance(scene.test, Sine):
         return ()
     modes = structural_model(scene).modes.frequency
-    left = [(k, mode) for k, mode in enumerate(modes.tolist(), 1) if not band[0] <= mode <= band[1]]
-    if not left:
+    outside = [(k, mode) for k, mode in enumerate(modes.tolist(), 1) if not band[0] <= mode <= band[1]]
+    if not outside:
         return ()
-    listed = ", ".join(f"{k} at {mode:.4g} Hz" for k, mode in left[:_LISTED])
-    more = f" and {len(left) - _LISTED} more" if len(left) > _LISTED else ""
-    return (f"outside {format_number(band[0])} to {format_number(band[1])} Hz: mode {listed}{more}",)
+    listed = ", ".join(f"{k} at {mode:.4g} Hz" for k, mode in outside[:_MAX_LISTED_MODES])
+    remainder = f" and {len(outside) - _MAX_LISTED_MODES} more" if len(outside) > _MAX_LISTED_MODES else ""
+    return (f"outside {format_number(band[0])} to {format_number(band[1])} Hz: mode {listed}{remainder}",)

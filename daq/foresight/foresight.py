@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.foresight.linear import LeastSignal
+from daq.foresight.linear import LowestSignalToNoise
 from daq.measurement.estimate import duration_text
 from rig.results import Result, format_number
 from rig.results.text import table_lines
@@ -54,24 +54,24 @@ class Expectation:
         return "" if self.time is None else f"{self.time:.2f} s"
 
     def __str__(self) -> str:
-        where = "" if not self.place else f" at {self.place}"
-        return f"{self.name}: {in_words(self.largest, self.unit)}{where}"
+        location = "" if not self.place else f" at {self.place}"
+        return f"{self.name}: {in_words(self.largest, self.unit)}{location}"
 
 
-def in_words(size: float, unit: str) -> str:
+def in_words(magnitude: float, unit: str) -> str:
     """Write a size with its unit: accelerations in g, small lengths in mm or µm.
 
     >>> in_words(519.8, "m/s^2"), in_words(0.00149, "m"), in_words(2.8, "N")
     ('53 g', '1.49 mm', '2.8 N')
     """
-    if not np.isfinite(size):
+    if not np.isfinite(magnitude):
         return "beyond any limit"
     if unit == "m/s^2":
-        return f"{format_number(size / STANDARD_GRAVITY)} g"
+        return f"{format_number(magnitude / STANDARD_GRAVITY)} g"
     for scale, prefix in ((1.0, ""), (1e3, "m"), (1e6, "µ")):
-        if unit in ("m", "m/s", "V", "A") and (size * scale >= 0.1 or prefix == "µ"):
-            return f"{format_number(size * scale)} {prefix}{unit}"
-    return f"{format_number(size)} {unit}"
+        if unit in ("m", "m/s", "V", "A") and (magnitude * scale >= 0.1 or prefix == "µ"):
+            return f"{format_number(magnitude * scale)} {prefix}{unit}"
+    return f"{format_number(magnitude)} {unit}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -87,7 +87,7 @@ class Foresight(Result):
     limited_by: Expectation | None
     nonlinear: bool  # dampers fly: `largest_level` is approximate
     aborts: str | None  # reason for which the test will abort
-    signals: dict[str, LeastSignal] = field(default_factory=dict)
+    signals: dict[str, LowestSignalToNoise] = field(default_factory=dict)
     unread: tuple[str, ...] = ()  # channels below the resolution of the converter
     flights: tuple[str, ...] = ()
     seconds: float = 0.0  # that the test takes
@@ -98,32 +98,35 @@ class Foresight(Result):
     @property
     def fits(self) -> bool:
         """Whether nothing is overloaded and the test does not abort."""
-        return self.aborts is None and all(each.share < 1.0 for each in self.expectations)
+        return self.aborts is None and all(entry.share < 1.0 for entry in self.expectations)
 
     def __getitem__(self, name: str) -> Expectation:
-        for each in self.expectations:
-            if each.name == name:
-                return each
+        for entry in self.expectations:
+            if entry.name == name:
+                return entry
         raise KeyError(
-            f"{name!r}: unknown name; expected one of {', '.join(each.name for each in self.expectations)}"
+            f"{name!r}: unknown name; expected one of {', '.join(entry.name for entry in self.expectations)}"
         )
 
     def summary(self) -> str:
         """State whether the test fits, and its limit."""
-        worst = max(self.expectations, key=lambda each: each.share, default=None)
+        worst = max(self.expectations, key=lambda entry: entry.share, default=None)
         if self.aborts is not None:
-            head = f"the test will abort: {self.aborts}"
+            statement = f"the test will abort: {self.aborts}"
         elif worst is None or worst.share == 0.0:
-            head = "the test fits: nothing in the scene has a limit"
+            statement = "the test fits: nothing in the scene has a limit"
         elif worst.share >= 1.0:
-            head = f"the test overloads {_against(worst)}"
+            statement = f"the test overloads {_describe_limit(worst)}"
         else:
-            head = f"the test fits; nearest to its limit is {_against(worst)} ({_percent(worst.share)})"
+            statement = (
+                f"the test fits; nearest to its limit is {_describe_limit(worst)} ({_percent(worst.share)})"
+            )
         if self.limited_by is None or not np.isfinite(self.largest_level):
-            return head
+            return statement
         about = "about " if self.nonlinear else ""
         return (
-            f"{head}\n{self.key}: at most {about}{in_words(_floored(self.largest_level), self.level_unit)} fits "
+            f"{statement}\n{self.key}: at most {about}"
+            f"{in_words(_round_down(self.largest_level), self.level_unit)} fits "
             f"({self.limited_by.name}, {self.limited_by.limited_by})"
         )
 
@@ -132,32 +135,45 @@ class Foresight(Result):
         rows = self.expectations
         # None becomes NaN.
         return {
-            "name": np.array([each.name for each in rows], dtype=np.str_),
-            "unit": np.array([each.unit for each in rows], dtype=np.str_),
-            "largest": np.array([each.largest for each in rows]),
-            "frequency_Hz": np.array([each.frequency for each in rows], dtype=np.float64),
-            "time_s": np.array([each.time for each in rows], dtype=np.float64),
-            "limit": np.array([each.limit for each in rows]),
-            "recorded": np.array([each.recorded for each in rows]),
+            "name": np.array([entry.name for entry in rows], dtype=np.str_),
+            "unit": np.array([entry.unit for entry in rows], dtype=np.str_),
+            "largest": np.array([entry.largest for entry in rows]),
+            "frequency_Hz": np.array([entry.frequency for entry in rows], dtype=np.float64),
+            "time_s": np.array([entry.time for entry in rows], dtype=np.float64),
+            "limit": np.array([entry.limit for entry in rows]),
+            "recorded": np.array([entry.recorded for entry in rows]),
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the share of each limit that is used, as bars."""
-        limited = [each for each in self.expectations if np.isfinite(each.limit)]
-        ax.barh([each.name for each in limited], [100.0 * each.share for each in limited], **style)
+        limited = [entry for entry in self.expectations if np.isfinite(entry.limit)]
+        ax.barh(
+            [entry.name for entry in limited],
+            [100.0 * entry.share for entry in limited],
+            **style,
+        )
         ax.axvline(100.0, color="black", lw=0.8)
         ax.set(xlabel="share of the limit / %")
 
     def __str__(self) -> str:
         header = ("", "largest", "at", "limit", "of limit", "lowest signal-to-noise ratio")
         rows = [header]
-        for each in self.expectations:
+        for entry in self.expectations:
             limit, share = "", ""
-            if np.isfinite(each.limit):
-                limit = f"{each.limited_by}, {in_words(each.limit, each.unit)}"
-                share = "over" if each.share >= 1.0 else _percent(each.share)
-            signal = str(self.signals[each.name]) if each.name in self.signals else ""
-            rows.append((each.name, in_words(each.largest, each.unit), each.place, limit, share, signal))
+            if np.isfinite(entry.limit):
+                limit = f"{entry.limited_by}, {in_words(entry.limit, entry.unit)}"
+                share = "over" if entry.share >= 1.0 else _percent(entry.share)
+            signal = str(self.signals[entry.name]) if entry.name in self.signals else ""
+            rows.append(
+                (
+                    entry.name,
+                    in_words(entry.largest, entry.unit),
+                    entry.place,
+                    limit,
+                    share,
+                    signal,
+                )
+            )
         about = "about " if self.rehearsed else ""
         facts = [*self.unread, *self.flights, *self.outside]
         facts.append(
@@ -168,9 +184,9 @@ class Foresight(Result):
         return "\n".join([self.summary(), *facts, "", *table_lines(rows, "<" * len(header))])
 
 
-def _against(each: Expectation) -> str:
-    return f"{each}, {each.limited_by}" + (
-        f" ends at {in_words(each.limit, each.unit)}" if each.unit not in ("V", "A") else ""
+def _describe_limit(entry: Expectation) -> str:
+    return f"{entry}, {entry.limited_by}" + (
+        f" ends at {in_words(entry.limit, entry.unit)}" if entry.unit not in ("V", "A") else ""
     )
 
 
@@ -183,11 +199,11 @@ def _percent(share: float) -> str:
     return f"{float(f'{100.0 * share:.2g}'):.10g} %"
 
 
-def _floored(level: float) -> float:
+def _round_down(level: float) -> float:
     """Round a level down to two digits.
 
-    >>> _floored(2.879), _floored(247.0)
+    >>> _round_down(2.879), _round_down(247.0)
     (2.8, 240.0)
     """
-    size = 10.0 ** (np.floor(np.log10(level)) - 1)
-    return float(f"{np.floor(level / size * (1.0 + 1e-9)) * size:.10g}")
+    magnitude = 10.0 ** (np.floor(np.log10(level)) - 1)
+    return float(f"{np.floor(level / magnitude * (1.0 + 1e-9)) * magnitude:.10g}")

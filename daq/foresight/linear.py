@@ -28,7 +28,7 @@ from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import drive_per_level, level_of, riding_response
 
 # Frequencies of a band at which the required drive and the signal-to-noise ratio are computed.
-_POINTS = 400
+_N_FREQUENCIES = 400
 
 
 def test_band(test: Test | None) -> tuple[float, float] | None:
@@ -69,30 +69,30 @@ def channel_readings(scene: Scene, channels: Sequence[ChannelInfo], frequencies:
     states, gain = states_per_level(scene, system, frequencies)
     readings = np.zeros((len(channels), frequencies.size))
     for row, info in enumerate(channels):
-        size: Array
+        amplitude: Array
         if info.at in system.points:
             order = info.derivative or 0
-            size = abs(states[system.points.index(info.at)]) * (2.0 * np.pi * frequencies) ** order
+            amplitude = abs(states[system.points.index(info.at)]) * (2.0 * np.pi * frequencies) ** order
         elif isinstance(scene.test, Impulse):
             continue
         else:
-            size = np.abs(gain)
-        readings[row] = size * abs(info.response(frequencies))
+            amplitude = np.abs(gain)
+        readings[row] = amplitude * abs(info.response(frequencies))
     return readings
 
 
-def drive_needed(scene: Scene, system: HybridSystem) -> tuple[float, float] | None:
+def required_drive(scene: Scene, system: HybridSystem) -> tuple[float, float] | None:
     """Largest drive for one unit of the test's level, and its frequency; None for tests other than tones and sweeps."""
-    frequencies = test_frequencies(scene.test, _POINTS)
+    frequencies = test_frequencies(scene.test, _N_FREQUENCIES)
     if not frequencies.size or not isinstance(scene.test, Sine | SteppedSine | SweptSine):
         return None
     gain = abs(states_per_level(scene, system, frequencies)[1])
-    place = int(np.argmax(gain))
-    return float(gain[place]), float(frequencies[place])
+    index = int(np.argmax(gain))
+    return float(gain[index]), float(frequencies[index])
 
 
 @dataclass(frozen=True)
-class LeastSignal:
+class LowestSignalToNoise:
     """Smallest ratio of a channel's amplitude to the standard deviation of its noise in a measurement."""
 
     ratio: float
@@ -102,13 +102,13 @@ class LeastSignal:
         return f"{20.0 * np.log10(max(self.ratio, 1e-30)):.0f} dB at {self.frequency:.4g} Hz"
 
 
-def least_signals(scene: Scene, channels: tuple[ChannelInfo, ...]) -> dict[str, LeastSignal]:
+def lowest_signal_to_noise(scene: Scene, channels: tuple[ChannelInfo, ...]) -> dict[str, LowestSignalToNoise]:
     """Compare the linear response with the noise of each channel that has any; by name.
 
     The noise is that of a measured tone (lock-in over its time T: sqrt(2 S / T) for a density S), or of a line of
     the spectrum. Hits and free decays have no such measurement.
     """
-    frequencies = test_frequencies(scene.test, _POINTS)
+    frequencies = test_frequencies(scene.test, _N_FREQUENCIES)
     settings = {channel.name: channel for channel in scene.channels or ()}
     if not frequencies.size or scene.driven is None:
         return {}
@@ -116,18 +116,18 @@ def least_signals(scene: Scene, channels: tuple[ChannelInfo, ...]) -> dict[str, 
         amplitudes = channel_readings(scene, channels, frequencies)
     except SceneError:
         return {}
-    scale = _measured(scene, frequencies)
-    smallest = {}
+    amplitude_to_noise = _amplitude_to_noise(scene, frequencies)
+    lowest = {}
     for info, amplitude in zip(channels, amplitudes, strict=True):
-        density = _density(scene, settings.get(info.name), info, frequencies)
+        density = _noise_density(scene, settings.get(info.name), info, frequencies)
         if density.any() and amplitude.any():
-            ratio = amplitude * scale / np.maximum(density, np.finfo(float).tiny)
-            place = int(np.argmin(ratio))
-            smallest[info.name] = LeastSignal(float(ratio[place]), float(frequencies[place]))
-    return smallest
+            ratio = amplitude * amplitude_to_noise / np.maximum(density, np.finfo(float).tiny)
+            index = int(np.argmin(ratio))
+            lowest[info.name] = LowestSignalToNoise(float(ratio[index]), float(frequencies[index]))
+    return lowest
 
 
-def _measured(scene: Scene, frequencies: Array) -> Array:
+def _amplitude_to_noise(scene: Scene, frequencies: Array) -> Array:
     """Ratio of signal to noise in one measurement, for one unit of amplitude per level and of noise density."""
     test = scene.test
     level = min(test.levels) if isinstance(test, SteppedSine) else level_of(scene)
@@ -149,20 +149,22 @@ def _measured(scene: Scene, frequencies: Array) -> Array:
     return np.asarray(level * np.sqrt(1.0 / np.sqrt(rate) / 2.0))
 
 
-def _density(scene: Scene, channel: Channel | None, info: ChannelInfo, frequencies: Array) -> Array:
+def _noise_density(scene: Scene, channel: Channel | None, info: ChannelInfo, frequencies: Array) -> Array:
     """Noise density of a channel, in its unit per root of hertz."""
-    converter, power = complete_from_preset(scene.converter), np.zeros(frequencies.size)
-    in_volts = (converter.noise or 0.0) ** 2
+    converter, noise_power = complete_from_preset(scene.converter), np.zeros(frequencies.size)
+    voltage_noise_power = (converter.noise or 0.0) ** 2
     if info.volts_per_count is not None:
-        in_volts += info.volts_per_count**2 / (6.0 * info.rate)
+        voltage_noise_power += info.volts_per_count**2 / (6.0 * info.rate)
     if channel is not None and channel.integrator is not None:
-        in_volts += (channel.integrator.noise or 0.0) ** 2
+        voltage_noise_power += (channel.integrator.noise or 0.0) ** 2
     sensor = None if channel is None else channel.accelerometer
     if sensor is not None:
-        sheet = complete_from_preset(sensor)
+        data_sheet = complete_from_preset(sensor)
         integrated = (2.0 * np.pi * frequencies) ** (2 - (info.derivative or 0))
-        flicker = 1.0 + (sheet.noise_corner or 0.0) / frequencies
-        power += ((sheet.noise or 0.0) * abs(info.response(frequencies)) / integrated) ** 2 * flicker
+        flicker = 1.0 + (data_sheet.noise_corner or 0.0) / frequencies
+        noise_power += (
+            (data_sheet.noise or 0.0) * abs(info.response(frequencies)) / integrated
+        ) ** 2 * flicker
     elif channel is not None and channel.hammer is not None:
-        power += (complete_from_preset(channel.hammer).noise or 0.0) ** 2
-    return np.asarray(np.sqrt(power + in_volts / info.sensitivity**2))
+        noise_power += (complete_from_preset(channel.hammer).noise or 0.0) ** 2
+    return np.asarray(np.sqrt(noise_power + voltage_noise_power / info.sensitivity**2))

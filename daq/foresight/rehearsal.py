@@ -21,26 +21,26 @@ from rig.arrays import Array
 from rig.scene.excitation import SweptSine
 from rig.scene.scene import Scene
 
-# Impacts of a damper within this time after another are not stored, s.
-_PAUSE = 0.5
+# Impacts of a damper within this time after a stored impact are not stored, s.
+_MIN_IMPACT_INTERVAL_S = 0.5
 # Duration of the end of a rehearsal whose blocks are stored, s.
-_STORED_S = 4.0
+_STORED_END_S = 4.0
 
 
 class Extremes:
     """Largest magnitude of each row of a quantity so far, and its sample."""
 
     def __init__(self, rows: int) -> None:
-        self.size, self.sample = np.zeros(rows), np.zeros(rows, dtype=np.int64)
+        self.magnitude, self.sample = np.zeros(rows), np.zeros(rows, dtype=np.int64)
 
     def add(self, first: int, values: Array) -> None:
-        """Take the next values (rows, samples), from the sample with the number `first` on."""
+        """Update with the next values (rows, samples), from the sample with the number `first` on."""
         if values.size:
-            sizes = np.abs(values)
-            places = sizes.argmax(axis=1)
-            largest = sizes[np.arange(len(sizes)), places]
-            rows = largest > self.size
-            self.size[rows], self.sample[rows] = largest[rows], first + places[rows]
+            magnitudes = np.abs(values)
+            samples = magnitudes.argmax(axis=1)
+            largest = magnitudes[np.arange(len(magnitudes)), samples]
+            rows = largest > self.magnitude
+            self.magnitude[rows], self.sample[rows] = largest[rows], first + samples[rows]
 
 
 @dataclass(frozen=True)
@@ -56,13 +56,13 @@ class Step:
 class Rehearsal(BenchLoop):
     """A test on the bench without a recording, with its extremes in the unit of each quantity.
 
-    The extremes exclude the first `ahead` steps.
+    The extremes exclude the first `excluded_steps` steps.
     """
 
-    def __init__(self, scene: Scene, ahead: int = 0) -> None:
+    def __init__(self, scene: Scene, excluded_steps: int = 0) -> None:
         super().__init__(scene)
         bench = self.bench
-        self.scene, self.rate, self._ahead = scene, bench.rate, ahead
+        self.scene, self.rate, self._excluded_steps = scene, bench.rate, excluded_steps
         self.readings = Extremes(len(bench.channels))
         self.overloaded = [False] * len(bench.channels)
         # Of each input of the rig, before the limits of output and amplifier.
@@ -70,14 +70,14 @@ class Rehearsal(BenchLoop):
         self.accelerations, self.displacements = Extremes(len(bench.points)), Extremes(len(bench.points))
         self.closing_speed = np.zeros(len(scene.dampers))
         # Times of the impacts of each damper, s.
-        self.strikes: list[list[float]] = [[] for _ in scene.dampers]
+        self.impact_times: list[list[float]] = [[] for _ in scene.dampers]
         self.steps: list[Step] = []
         self.sweep: tuple[int, int] | None = None
         self.seconds, self.complete = 0.0, False
         # Reason for which the test would abort.
         self.aborted: str | None = None
         self.last_blocks: deque[Block] = deque()
-        self._stored = 0
+        self._stored_samples = 0
 
     def run(self, longest: float) -> Self:
         """Run the test to its end, to an abort, or up to a duration in s."""
@@ -93,8 +93,8 @@ class Rehearsal(BenchLoop):
         """Frequency of the tone at a sample, Hz; None where the test plays no single tone."""
         test = self.scene.test
         if self.sweep is not None and isinstance(test, SweptSine) and sample >= self.sweep[0]:
-            share = (sample - self.sweep[0]) / max(1, self.sweep[1] - self.sweep[0])
-            return float(sweep_frequency(test, min(share, 1.0)))
+            fraction = (sample - self.sweep[0]) / max(1, self.sweep[1] - self.sweep[0])
+            return float(sweep_frequency(test, min(fraction, 1.0)))
         earlier = [step for step in self.steps if step.first <= sample]
         return earlier[-1].frequency if earlier else None
 
@@ -104,15 +104,15 @@ class Rehearsal(BenchLoop):
     def ending(self, readings: Array) -> BaseException | None:
         """Return the error of a limit, unless its steps are excluded."""
         error = super().ending(readings)
-        return None if self._ahead else error
+        return None if self._excluded_steps else error
 
     def on_block(self, block: Block, readings: Array) -> None:
         """Update the extremes of channels, bodies and tables, and the impacts of dampers."""
         self.last_blocks.append(block)
-        self._stored += block.samples.shape[1]
-        while self._stored - self.last_blocks[0].samples.shape[1] > _STORED_S * self.rate:
-            self._stored -= self.last_blocks.popleft().samples.shape[1]
-        if self._ahead:
+        self._stored_samples += block.samples.shape[1]
+        while self._stored_samples - self.last_blocks[0].samples.shape[1] > _STORED_END_S * self.rate:
+            self._stored_samples -= self.last_blocks.popleft().samples.shape[1]
+        if self._excluded_steps:
             return
         motion = block.motion
         self.readings.add(block.first, readings)
@@ -121,42 +121,42 @@ class Rehearsal(BenchLoop):
         for event in motion.events[motion.events["speed"] > 0.0]:
             damper = int(event["damper"]) - 1
             self.closing_speed[damper] = max(self.closing_speed[damper], event["speed"])
-            struck = self.strikes[damper]
-            if not struck or event["time"] - struck[-1] > _PAUSE:
-                struck.append(float(event["time"]))
+            times = self.impact_times[damper]
+            if not times or event["time"] - times[-1] > _MIN_IMPACT_INTERVAL_S:
+                times.append(float(event["time"]))
 
     def on_window(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
         """Update the extremes of the drives, and the overloads."""
-        if self._ahead:
+        if self._excluded_steps:
             return
         self.drives.add(first, drive)
         for row in np.flatnonzero(overload.any(axis=1)):
             self.overloaded[row] = True
 
     def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
-        """Note the tones and the sweep of the test."""
+        """Store the tones and the sweep of the test."""
         if kind == "measure" and "from" in fields:
             self.sweep = first, stop
         elif kind in ("settle", "measure") and "frequency" in fields:
             settled = bool(fields.get("settled", True))
             self.steps.append(Step(first, stop, float(fields["frequency"]), settled))
-            self._ahead -= kind == "measure" and self._ahead > 0
+            self._excluded_steps -= kind == "measure" and self._excluded_steps > 0
 
 
 def recording_size(scene: Scene, bench: Bench, blocks: Iterable[Block], seconds: float) -> float:
     """Estimate the size of the recording of a test of a duration in s from some of its blocks, bytes."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "size.mcap"
-        written = 0
+        written_samples = 0
         with Recorder(path, scene, bench.channels, bench.rate) as recorder:
-            empty = recorder.size
+            empty_size = recorder.size
             for block in blocks:
                 if not block.samples.shape[1]:
                     continue
                 if scene.recording.truth:
-                    motion = replace(block.motion, first=written, events=block.motion.events[:0])
+                    motion = replace(block.motion, first=written_samples, events=block.motion.events[:0])
                     recorder.write_truth(motion)
                 recorder.write(block.samples)
-                written += block.samples.shape[1]
-        whole = path.stat().st_size
-    return empty + (whole - empty) / max(written, 1) * seconds * bench.rate
+                written_samples += block.samples.shape[1]
+        total_size = path.stat().st_size
+    return empty_size + (total_size - empty_size) / max(written_samples, 1) * seconds * bench.rate

@@ -10,7 +10,7 @@ import pytest
 
 import daq
 import rig
-from daq.foresight import shortened
+from daq.foresight import rehearsal_plan
 from rig.errors import SceneError
 from rig.system.structural_model import receptance
 from tests.gauntlet.foresights import KINDS, compare, with_long_test
@@ -41,27 +41,27 @@ def steady(scene: rig.Scene, frequencies: np.ndarray) -> float:
 @pytest.mark.thorough
 def test_long_row_of_tones_reaches_its_steady_maximum() -> None:
     scene = one_body(STEPS, channels=accelerometer())
-    foreseen = daq.foresee(scene.replace(test={**STEPS, "points": 600, "measure": {"periods": 60}}))
-    assert foreseen.rehearsed
+    foresight = daq.foresee(scene.replace(test={**STEPS, "points": 600, "measure": {"periods": 60}}))
+    assert foresight.rehearsed
     expected = steady(scene, np.linspace(10.0, 40.0, 600))
-    assert foreseen["a1"].largest == pytest.approx(expected, rel=0.03)
-    assert foreseen["a1"].frequency == pytest.approx(20.0, abs=0.2)
+    assert foresight["a1"].largest == pytest.approx(expected, rel=0.03)
+    assert foresight["a1"].frequency == pytest.approx(20.0, abs=0.2)
 
 
 @pytest.mark.parametrize("number", [1, 2, 5, 7, 9])
 def test_random_scene_confirms_prediction(number: int, tmp_path: Path) -> None:
     kind = KINDS[number]
-    found = compare(draw(3601, number, kind), kind, tmp_path)
-    assert found.kept, found
-    assert abs(found.duration_error) < (1e-3 if found.whole else 0.1)
+    comparison = compare(draw(3601, number, kind), kind, tmp_path)
+    assert comparison.is_accurate, comparison
+    assert abs(comparison.duration_error) < (1e-3 if comparison.fully_rehearsed else 0.1)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("number", [3, 6])
 def test_long_random_scene_confirms_prediction(number: int, tmp_path: Path) -> None:
     kind = KINDS[number]
-    found = compare(with_long_test(draw(3602, number, kind)), kind, tmp_path)
-    assert found.kept, found
+    comparison = compare(with_long_test(draw(3602, number, kind)), kind, tmp_path)
+    assert comparison.is_accurate, comparison
 
 
 def test_peaks_are_ranked_in_fixed_order(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -71,7 +71,7 @@ def test_peaks_are_ranked_in_fixed_order(monkeypatch: pytest.MonkeyPatch) -> Non
         orders.append(len(scene.dampers) > 0)
         return np.ones((1, rising.size))
 
-    monkeypatch.setattr(shortened, "channel_readings", readings)
+    monkeypatch.setattr(rehearsal_plan, "channel_readings", readings)
     names = (
         "fig5-single-damper",
         "fig5-three-dampers",
@@ -81,7 +81,7 @@ def test_peaks_are_ranked_in_fixed_order(monkeypatch: pytest.MonkeyPatch) -> Non
         "fig10a",
     )
     for scene in map(rig.load, names):
-        shortened.about_peaks(scene, scene.test, (), 10.0)
+        rehearsal_plan.plan_about_peaks(scene, scene.test, (), 10.0)
     assert orders == [True, False] * len(names)
 
 
@@ -112,10 +112,10 @@ def test_sensor_limit_is_compared_with_acceleration() -> None:
     scene = one_body(TONE)
     shaken = daq.foresee(scene.replace(channels=accelerometer()))["a1"].largest
     sensor = {"sensitivity": "100 mV/g", "saturation": 2 * shaken}
-    foreseen = daq.foresee(
+    foresight = daq.foresee(
         scene.replace(channels=accelerometer(accelerometer=sensor, integrator={"order": 2, "corner": "1 Hz"}))
     )
-    assert foreseen["a1 sensor"].share == pytest.approx(0.5, rel=0.02)
+    assert foresight["a1 sensor"].share == pytest.approx(0.5, rel=0.02)
 
 
 def test_weak_amplifier_states_the_drive_it_needs() -> None:
@@ -147,9 +147,9 @@ def test_level_that_fits_holds_with_a_flying_damper() -> None:
     scene = one_body(test, dampers=[damper], channels=accelerometer(integrator={"order": 1}))
     free = daq.foresee(scene)["a1"]
     limited = scene.replace(converter={"rate": 1024, "range": 0.6 * free.largest * 0.1 / 9.80665})
-    foreseen = daq.foresee(limited)
-    assert foreseen.nonlinear
-    there = daq.foresee(scene.replace(test={**test, "force": foreseen.largest_level}))["a1"].largest
+    foresight = daq.foresee(limited)
+    assert foresight.nonlinear
+    there = daq.foresee(scene.replace(test={**test, "force": foresight.largest_level}))["a1"].largest
     assert there == pytest.approx(0.6 * free.largest, rel=0.1)
 
 
@@ -185,11 +185,11 @@ def test_scene_without_test_is_refused() -> None:
 
 
 def test_result_has_a_row_for_each_expectation() -> None:
-    foreseen = daq.foresee(one_body(TONE, channels=accelerometer()))
-    table = foreseen.columns()
+    foresight = daq.foresee(one_body(TONE, channels=accelerometer()))
+    table = foresight.columns()
     assert table["name"].tolist() == ["a1", "ao0"]
     assert {len(column) for column in table.values()} == {2}
-    assert str(foreseen).splitlines()[0] == foreseen.summary()
+    assert str(foresight).splitlines()[0] == foresight.summary()
 
 
 @pytest.mark.parametrize("truth", [False, True])

@@ -1,0 +1,278 @@
+"""The parts of a test that determine its extremes, short enough for a rehearsal.
+
+A short test is rehearsed completely. A stepped or swept sine is represented by its beginning, where sensors
+have just been switched on, and by the frequencies about the peaks of the linear response, with the dampers on their
+floors and without dampers. A long random test is represented by its beginning, equal hits by the first, and repeated
+periods by a single period.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.foresight.linear import channel_readings, test_frequencies
+from daq.measurement.estimate import estimate
+from daq.measurement.limits import controlled_places
+from daq.signal_chain.channel import ChannelInfo
+from daq.signal_chain.oversampling import oversampling
+from rig.arrays import Array
+from rig.scene.excitation import Free, Impulse, Multisine, Random, Settle, Sine, SteppedSine, SweptSine, Test
+from rig.scene.presets import complete_from_preset, input_settings
+from rig.scene.scene import Scene
+from rig.scene.shaker import ElectrodynamicShaker
+from rig.system.assembly import assemble
+from rig.system.structural_model import structural_model
+
+#: CPU time of a rehearsal, approximately, s.
+BUDGET_S = 0.7
+# A random test or multisine is rehearsed completely up to this multiple of the budget, because extremes
+# of a part scatter by 10 %.
+_RANDOM_BUDGET_RATIO = 4.0
+# CPU time of a sample, s; this and the following times were measured on one core of 2 GHz.
+_SAMPLE_S = 130e-9
+# CPU time of each state in a sample, s.
+_STATE_S = 6e-9
+# CPU time of each channel in a sample, s.
+_CHANNEL_S = 130e-9
+# CPU time of each period of a sweep with controlled force, s.
+_CONTROLLED_PERIOD_S = 1.2e-3
+# Ratio of the CPU time of a channel with a decimation filter to that of a channel without.
+_FILTER_TIME_RATIO = 2.0
+# CPU time of each element of the state matrix, s.
+_ELEMENT_S = 0.6e-9
+# Time of a step without the decay of transients, s, from the bundled scenes.
+_STEP_S = 1.4
+# Decay of transients in a step, in time constants of the slowest mode, from the bundled scenes.
+_STEP_TIME_CONSTANTS = 2.0
+# Longest wait for steady motion in a rehearsal of parts, s.
+_LONGEST_WAIT_S = 10.0
+# Peaks of the linear response below this ratio to the channel's largest peak are omitted.
+_MIN_PEAK_RATIO = 0.15
+# Groups of frequencies are joined up to this difference of their indices.
+_MAX_INDEX_GAP = 4
+# Steps before each group whose extremes are excluded: the motion is not yet that of the complete test.
+_EXCLUDED_STEPS = 2
+# Frequencies of the stepped sine that replaces a long sweep.
+_SWEEP_POINTS = 400
+
+
+@dataclass(frozen=True)
+class RehearsalPlan:
+    """The rehearsed parts of a test: scenes whose tests are run one after another."""
+
+    # Each scene with the number of steps at its beginning whose extremes are excluded.
+    parts: tuple[tuple[Scene, int], ...]
+    is_complete: bool = False
+
+
+def affordable_seconds(scene: Scene) -> float:
+    """Duration on the bench that can be rehearsed within the budget, s."""
+    system = assemble(scene)
+    channels = system.coordinates if scene.channels is None else len(scene.channels)
+    states = system.states + system.dampers
+    channel = _CHANNEL_S * (
+        1.0 if complete_from_preset(scene.converter).filter is None else _FILTER_TIME_RATIO
+    )
+    sample = _SAMPLE_S + _STATE_S * states + _ELEMENT_S * states**2 + channel * channels
+    return BUDGET_S / (scene.converter.true_rate * oversampling(scene) * sample)
+
+
+def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...]) -> RehearsalPlan:
+    """Choose the parts of a scene's test to rehearse; `channels` are those of the bench."""
+    test, seconds = scene.test, affordable_seconds(scene)
+    assert test is not None
+    if isinstance(test, Random | Multisine):
+        seconds *= _RANDOM_BUDGET_RATIO
+    control_cpu_s = 0.0
+    if isinstance(test, SweptSine) and controlled_places(scene):
+        control_cpu_s = _CONTROLLED_PERIOD_S * (test.from_ + test.to) / 2 * test.duration
+    if expected_seconds(scene) / seconds + control_cpu_s / BUDGET_S <= 1.0:
+        return RehearsalPlan(((scene, 0),), is_complete=True)
+    if isinstance(test, SteppedSine | SweptSine):
+        return plan_about_peaks(scene, test, channels, seconds)
+    if isinstance(test, Random):
+        part: Test = test.replace(duration=seconds)
+    elif isinstance(test, Sine | Free):
+        part = test.replace(duration=min(test.duration, seconds))
+    elif isinstance(test, Multisine):
+        single_period = test.replace(periods=1)
+        share = seconds / expected_seconds(scene.replace(test=single_period))
+        part = single_period.replace(
+            realisations=max(1, min(test.realisations, int(share * test.realisations)))
+        )
+    else:
+        part = _first_hits(test, seconds)
+    return RehearsalPlan(((scene.replace(test=part), 0),))
+
+
+def expected_seconds(scene: Scene) -> float:
+    """Estimate the duration of a test with its waits, s."""
+    min_duration, test = estimate(scene).seconds, scene.test
+    if isinstance(test, Multisine):
+        # A crossfade, and at least two periods until they are equal; with a held force the iterations of its shape.
+        return min_duration * (1.0 + 3.0 / test.periods) + (8.0 if controlled_places(scene) else 0.0)
+    if not isinstance(test, SteppedSine):
+        return min_duration
+    return min_duration + len(test.levels) * len(test.order) * _expected_wait(scene)
+
+
+def _expected_wait(scene: Scene) -> float:
+    """Estimate the time between the measurements of a stepped sine, s, from the slowest mode."""
+    assert isinstance(scene.test, SteppedSine)
+    modes = structural_model(scene).modes
+    longest_time_constant = float(1.0 / max(modes.decay_rate[modes.omega > 0.0].min(initial=np.inf), 1e-3))
+    return _STEP_S + min(_STEP_TIME_CONSTANTS * longest_time_constant, scene.test.settle.longest)
+
+
+def _first_hits(test: Impulse, seconds: float) -> Impulse:
+    """Return the test with its first hits only, which later hits repeat, and their bounces."""
+    double, repeats, interval = test.double_hit, max(1, int(seconds / test.interval)), test.interval
+    if test.interval >= seconds:
+        interval = max(seconds, 2.0 * (test.width + (0.0 if double is None else double.after)))
+    if double is not None and double.hits is not None:
+        hits = tuple(hit for hit in double.hits if hit <= repeats)
+        double = double.replace(hits=hits) if hits else None
+    return test.replace(repeats=repeats, interval=interval, double_hit=double)
+
+
+def plan_about_peaks(
+    scene: Scene, test: SteppedSine | SweptSine, channels: tuple[ChannelInfo, ...], seconds: float
+) -> RehearsalPlan:
+    """Plan groups of neighbouring frequencies about the peaks, at the highest level, each started from rest."""
+    if isinstance(test, SteppedSine):
+        frequencies, direction = np.unique(test.order), test.direction
+        settle, periods = test.settle, test.measure.periods
+        level = max(test.levels)
+    else:
+        frequencies, direction = (
+            test_frequencies(test, _SWEEP_POINTS),
+            "up" if test.from_ < test.to else "down",
+        )
+        settle, periods = SteppedSine.model_fields["settle"].default, 5
+        level = test.force or test.drive or 0.0
+    settings = _stepped_sine_settings(test, direction, level, settle, {"periods": periods})
+    n_directions = 2 if direction == "both" else 1
+    step_s = (
+        _expected_wait(scene.replace(test={**settings, "frequencies": frequencies.tolist()}))
+        + periods / frequencies.mean()
+    )
+    indices = _peak_indices(scene, channels, frequencies, max(2, int(seconds / step_s / n_directions)))
+    groups = np.split(indices, np.flatnonzero(np.diff(indices) > _MAX_INDEX_GAP) + 1)
+    if direction == "down":
+        groups = groups[::-1]
+    beginning = [frequencies.size - 2, frequencies.size - 1] if direction == "down" else [0, 1]
+    parts: list[tuple[Scene, int]] = []
+    for group_indices in (np.clip(beginning, 0, frequencies.size - 1), *groups):
+        first, last, is_beginning = int(group_indices[0]), int(group_indices[-1]), not parts
+        if direction != "down" and not is_beginning:
+            first = max(first - _EXCLUDED_STEPS, 0)
+        if direction != "up" and not is_beginning:
+            last = min(last + _EXCLUDED_STEPS, frequencies.size - 1)
+        group = np.unique(frequencies[first : last + 1]).tolist()
+        excluded_steps = (
+            last - int(group_indices[-1]) if direction == "down" else int(group_indices[0]) - first
+        )
+        # A part with the first tone of the test begins as the test does.
+        part = _with_settled_bias(scene) if excluded_steps else scene
+        parts.append((part.replace(test={**settings, "frequencies": group}), excluded_steps))
+    return RehearsalPlan(tuple(parts))
+
+
+def _with_settled_bias(scene: Scene) -> Scene:
+    """Return the scene long after power-on of the sensors: the bias has settled, to zero behind a high-pass."""
+    if scene.channels is None:
+        return scene
+    channels = []
+    for channel in scene.channels:
+        sensor, amplifier = channel.accelerometer, channel.integrator
+        if sensor is not None and complete_from_preset(sensor).bias is not None:
+            has_high_pass = input_settings(scene.converter, channel).coupling == "AC" or (
+                amplifier is not None and amplifier.low_cutoff is not None
+            )
+            settled = complete_from_preset(sensor).replace(preset=None, bias_settling=None)
+            channel = channel.replace(accelerometer=settled.replace(bias=0.0) if has_high_pass else settled)
+        channels.append(channel)
+    return scene.replace(channels=tuple(channels))
+
+
+def _peak_indices(
+    scene: Scene, channels: tuple[ChannelInfo, ...], frequencies: Array, max_count: int
+) -> NDArray[np.intp]:
+    """Return indices of ascending frequencies: the peaks of the linear response, then their neighbours."""
+    peak_heights: dict[int, float] = {}
+    for dampers in dict.fromkeys((scene.dampers, ())):
+        for curve in channel_readings(scene.replace(dampers=dampers), channels, frequencies):
+            largest = float(curve.max(initial=0.0))
+            padded = np.concatenate([[-1.0], curve, [-1.0]])
+            peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
+            for peak in peaks[curve[peaks] >= _MIN_PEAK_RATIO * largest].tolist():
+                peak_heights[peak] = max(
+                    peak_heights.get(peak, 0.0), curve[peak] / largest if largest else 0.0
+                )
+    ranked = sorted(peak_heights, key=lambda peak: -peak_heights[peak])[:max_count]
+    indices = set(ranked)
+    distance = 1
+    while len(indices) < min(max_count, frequencies.size) and distance < frequencies.size:
+        for peak in ranked:
+            for index in (peak - distance, peak + distance):
+                if 0 <= index < frequencies.size and len(indices) < max_count:
+                    indices.add(index)
+        distance += 1
+    return np.array(sorted(indices), dtype=np.intp)
+
+
+def level_key(scene: Scene) -> tuple[str, float, str]:
+    """Key of the test's level in the scene, the highest level, and its unit; ("", nan, "") without a level."""
+    test = scene.test
+    if isinstance(test, Impulse):
+        return "test.peak", test.peak, "N"
+    for name in ("force", "drive"):
+        levels = getattr(test, name, None)
+        if levels is not None:
+            unit = "N"
+            if name == "drive":
+                shaker = scene.driven_shaker
+                unit = "V" if isinstance(shaker, ElectrodynamicShaker) else "m"
+                unit = "N" if shaker is not None and shaker.kind == "force" else unit
+            return f"test.{name}", float(max(levels) if isinstance(levels, tuple) else levels), unit
+    return "", np.nan, ""
+
+
+def with_level(scene: Scene, level: float) -> Scene:
+    """Return the scene with another level of its test."""
+    key = level_key(scene)[0].removeprefix("test.")
+    assert scene.test is not None
+    return scene.replace(test=scene.test.replace(**{key: level}))
+
+
+def tones_up_to(scene: Scene, frequency: float | None, seconds: float) -> tuple[Scene | None, int]:
+    """Return the scene with the tones of its test just before a frequency, or unchanged if its test is short."""
+    test = scene.test
+    if isinstance(test, SteppedSine) and frequency is not None:
+        order = list(test.order)
+        index = int(np.argmin(np.abs(np.array(order) - frequency)))
+        first = max(index - 2, 0)
+        direction = "up" if len(order) < 2 or order[index] >= order[max(index - 1, 0)] else "down"
+        settings = _stepped_sine_settings(test, direction, max(test.levels), test.settle, test.measure)
+        settings["frequencies"] = sorted(set(order[first : index + 2]))
+        return scene.replace(test=settings), min(index - first, 1)
+    return (scene, 0) if estimate(scene).seconds <= seconds else (None, 0)
+
+
+def _stepped_sine_settings(
+    test: SteppedSine | SweptSine, direction: str, level: float, settle: Settle, measure: object
+) -> dict[str, Any]:
+    """Return the settings of a stepped sine that replaces a test, without its frequencies."""
+    return {
+        "kind": "stepped_sine",
+        "start": test.start,
+        "direction": direction,
+        "shaker": test.shaker,
+        "settle": settle.replace(longest=min(settle.longest, _LONGEST_WAIT_S)),
+        "measure": measure,
+        "drive" if test.force is None else "force": level,
+    }

@@ -306,14 +306,14 @@ class _OrbitSolver:
         solution = self._newton(start, setting)
         if solution is None:
             return None
-        family, x, equations, shot = solution
+        family, x, equations, shooting = solution
         sequence = start.plan.sequence
         if check:
-            orbit = family.make_orbit(setting, x, equations, shot)
+            orbit = family.make_orbit(setting, x, equations, shooting)
             if orbit.flaw or not orbit.stable:
                 return None
         instants = x[len(x) - len(sequence.kind) :]
-        harmonic = 2.0 / equations.period * evaluate_motion(equations, sequence, shot, instants)[1]
+        harmonic = 2.0 / equations.period * evaluate_motion(equations, sequence, shooting, instants)[1]
         driven = -1j * setting.force / (self.spring or 1.0)
         reference = complex(driven if self.table is None else harmonic[self.table])
         stored = replace(start, unknowns=x, drive=float(drive))
@@ -322,12 +322,12 @@ class _OrbitSolver:
     def _newton(
         self, start: StoredOrbit, setting: OperatingPoint
     ) -> tuple[OrbitFamily, Array, Any, Any] | None:
-        """Return family, unknowns, equations and shot of the refined orbit; None without convergence."""
+        """Return family, unknowns, equations and shooting result of the refined orbit; None without convergence."""
         family = OrbitFamily(self.problem, start.plan, setting, "frequency", start.unknowns)
         try:
-            equations, x, _, shot, _, count = family.correct(
+            equations, x, _, shooting, _, count = family.correct(
                 setting.frequency, start.unknowns, _MAX_CORRECTIONS
             )
         except np.linalg.LinAlgError:
             return None
-        return None if count < 0 else (family, x, equations, shot)
+        return None if count < 0 else (family, x, equations, shooting)

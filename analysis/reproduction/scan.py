@@ -14,7 +14,7 @@ from rig.arrays import Array
 from rig.damper_design.worst_peak import refined_peak, response_at_level
 from rig.orbits.problem import OrbitProblem
 from rig.scene.scene import Scene
-from rig.steady_response.motion_type import overall
+from rig.steady_response.motion_type import combined_type
 from rig.system.structural_model import receptance
 
 BODY = 2
@@ -48,7 +48,7 @@ def scan(
             cell = row, column
             peak[cell], peak_frequency[cell] = refined_peak(problem, response, body)
             i = int(np.abs(response.compliance[body - 1]).argmax())
-            type_at_peak[cell] = overall(response.damper_motion[:, i].tolist())
+            type_at_peak[cell] = combined_type(response.damper_motion[:, i].tolist())
             types[cell] = " ".join(sorted(set(response.damper_motion.ravel().tolist())))
             orbits[cell], exact[cell] = 1 - response.simulated.mean(), not response.simulated[i]
     return {

@@ -14,7 +14,7 @@ from rig.arrays import Array
 from rig.numerics.jit import cached_njit
 from rig.orbits import event_kinds as kinds
 from rig.orbits.orbit_equations import Equations, Sequence
-from rig.orbits.shooting import Shot
+from rig.orbits.shooting import ShootingResult
 from rig.orbits.track import Track, track_orbit, turning_value
 
 # In radians of the drive; for a shorter flight the peak acceleration is within 1e-5 of 1 g.
@@ -36,13 +36,13 @@ def _lowest_minimum(track: Track, s: int, j: int, offset: float, sign: float, fi
         if sign * guard[i, 1] < 0.0 and sign * guard[i + 1, 1] > 0.0:
             slopes = sign * guard[i : i + 2, 1].copy()
             curvatures = sign * guard[i : i + 2, 2].copy()
-            left, right = offset + sign * guard[i, 0], offset + sign * guard[i + 1, 0]
-            lowest = min(lowest, turning_value(left, right, slopes, curvatures, step))
+            left_value, right_value = offset + sign * guard[i, 0], offset + sign * guard[i + 1, 0]
+            lowest = min(lowest, turning_value(left_value, right_value, slopes, curvatures, step))
     return lowest
 
 
 @cached_njit
-def _lower(margins: Array, border: int, index: int, margin: float) -> None:
+def _reduce_margin(margins: Array, border: int, index: int, margin: float) -> None:
     margins[border, index] = min(margins[border, index], margin)
 
 
@@ -97,36 +97,36 @@ def _finite_contact_margins(
             if not own_end:
                 lowest_force = min(lowest_force, guard[-1, 0])
             if lap == 1:
-                _lower(distances, LEAVES_WALL, j, lowest_force / acc_unit)
+                _reduce_margin(distances, LEAVES_WALL, j, lowest_force / acc_unit)
             continue
         if own_start:
             overlapped_wall = sequence.wall[s, j]
         # The first point of the segment at which the bed does not overlap a wall.
-        free, highest_force, previous_force, is_rising = 0, -np.inf, np.inf, False
-        while overlapped_wall != 0 and free < guard.shape[0]:
+        first_free, highest_force, previous_force, is_rising = 0, -np.inf, np.inf, False
+        while overlapped_wall != 0 and first_free < guard.shape[0]:
             sign, height = (-1.0, 0.0) if overlapped_wall == kinds.ON_FLOOR else (1.0, clearance)
-            overlap, closing = sign * (guard[free, 0] - height), sign * guard[free, 1]
-            if overlap <= 0.0 and free > 0:
+            overlap, closing = sign * (guard[first_free, 0] - height), sign * guard[first_free, 1]
+            if overlap <= 0.0 and first_free > 0:
                 overlapped_wall = 0
                 break
             force = _contact_force(equations, j, overlapped_wall != kinds.ON_FLOOR, overlap, closing)
             if is_rising and force < previous_force:
                 highest_force = max(highest_force, previous_force / equations.mass[j])
             is_rising, previous_force = force > previous_force, force
-            free += 1
+            first_free += 1
         if lap == 0:
             continue
-        _lower(distances, STAYS_AT_WALL, j, -highest_force / acc_unit)
+        _reduce_margin(distances, STAYS_AT_WALL, j, -highest_force / acc_unit)
         floor_gap, ceiling_gap = np.inf, np.inf
-        if free < guard.shape[0]:
-            floor_gap = _lowest_minimum(track, s, j, 0.0, 1.0, free)
+        if first_free < guard.shape[0]:
+            floor_gap = _lowest_minimum(track, s, j, 0.0, 1.0, first_free)
             if np.isfinite(clearance):
-                ceiling_gap = _lowest_minimum(track, s, j, clearance, -1.0, free)
-            if not own_start and free == 0:
+                ceiling_gap = _lowest_minimum(track, s, j, clearance, -1.0, first_free)
+            if not own_start and first_free == 0:
                 floor_gap = min(floor_gap, guard[0, 0])
                 ceiling_gap = min(ceiling_gap, clearance - guard[0, 0])
-        _lower(distances, HITS_FLOOR, j, floor_gap / length_unit)
-        _lower(distances, HITS_CEILING, j, ceiling_gap / length_unit)
+        _reduce_margin(distances, HITS_FLOOR, j, floor_gap / length_unit)
+        _reduce_margin(distances, HITS_CEILING, j, ceiling_gap / length_unit)
 
 
 @cached_njit
@@ -158,20 +158,20 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
                 lowest = _lowest_minimum(track, s, j, 0.0, 1.0)
                 if not own_start:
                     lowest = min(lowest, guard[0, 0])
-                _lower(distances, HITS_FLOOR, j, lowest / length_unit)
+                _reduce_margin(distances, HITS_FLOOR, j, lowest / length_unit)
                 clearance = equations.clearance[j]
                 if np.isfinite(clearance):
                     lowest = _lowest_minimum(track, s, j, clearance, -1.0)
                     if not own_start:
                         lowest = min(lowest, clearance - guard[0, 0])
-                    _lower(distances, HITS_CEILING, j, lowest / length_unit)
+                    _reduce_margin(distances, HITS_CEILING, j, lowest / length_unit)
                 continue
             sign = 1.0 if wall == kinds.RIDES_FLOOR else -1.0
             lowest = _lowest_minimum(track, s, j, 0.0, sign)
             lowest = min(lowest, sign * guard[0, 0])
             if not own_end:
                 lowest = min(lowest, sign * guard[-1, 0])
-            _lower(distances, LEAVES_WALL, j, lowest / acc_unit)
+            _reduce_margin(distances, LEAVES_WALL, j, lowest / acc_unit)
     for event in range(events):
         kind, j = sequence.kind[event], sequence.damper[event]
         if equations.bed[j] >= 0:
@@ -183,13 +183,13 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
         left_ceiling = separates and sequence.wall[event, j] == kinds.RIDES_CEILING
         ceiling = kind in (kinds.CEILING, kinds.CEILING_BOUNCE) or left_ceiling
         is_bounce = kind in (kinds.CEILING_BOUNCE, kinds.FLOOR_BOUNCE)
-        away = -1.0 if ceiling else 1.0
+        away_sign = -1.0 if ceiling else 1.0
         if kind == kinds.WITH_PREVIOUS or (is_bounce and equations.restitution[j] == 0.0):
             # The gap's curvature right after the event must lead away from the wall.
-            _lower(distances, STAYS_AT_WALL, j, away * track.guards[event, 0, j, 2] / acc_unit)
+            _reduce_margin(distances, STAYS_AT_WALL, j, away_sign * track.guards[event, 0, j, 2] / acc_unit)
         if kind == kinds.SEPARATION:
             jerk = track.guards[event - 1, -1, j, 1]
-            distances[NOT_RELEASED, event] = min(1.0, -away * jerk / (acc_unit * omega))
+            distances[NOT_RELEASED, event] = min(1.0, -away_sign * jerk / (acc_unit * omega))
         elif kind != kinds.WITH_PREVIOUS:
             distances[MISSES_WALL, event] = min(1.0, closing[event] * omega / acc_unit)
             # With a full mass matrix, an impact presses riding dampers on their walls or throws them from the walls.
@@ -203,7 +203,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
                 ):
                     speed_change = track.motion[event, 0, nq + body] - track.motion[event - 1, -1, nq + body]
                     sign = 1.0 if sequence.wall[event, i] == kinds.RIDES_FLOOR else -1.0
-                    _lower(distances, THROWN_OFF, i, sign * speed_change * omega / acc_unit)
+                    _reduce_margin(distances, THROWN_OFF, i, sign * speed_change * omega / acc_unit)
         if separates:
             # At zero flight time the equations are singular, so a curve ends before.
             landing = (event + 1) % events
@@ -212,7 +212,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             next_period = equations.period if landing <= event else 0.0
             flight_time = instants[landing] - instants[event] + next_period
             if sequence.kind[landing] == (kinds.CEILING if ceiling else kinds.FLOOR):
-                _lower(distances, FLIGHT_ENDS, j, flight_time * omega - MIN_FLIGHT_RAD)
+                _reduce_margin(distances, FLIGHT_ENDS, j, flight_time * omega - MIN_FLIGHT_RAD)
     for j in range(nd):
         if equations.bed[j] >= 0:
             _finite_contact_margins(equations, sequence, track, j, length_unit, distances)
@@ -221,8 +221,12 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
 
 @cached_njit
 def evaluate_motion(
-    equations: Equations, sequence: Sequence, shot: Shot, instants: Array
+    equations: Equations, sequence: Sequence, shooting: ShootingResult, instants: Array
 ) -> tuple[Array, NDArray[np.complex128], Array]:
     """Return `extremes` and `harmonic` of a converged orbit as in `Track`, and its flattened `margins`."""
-    track = track_orbit(equations, sequence, instants, shot.states)
-    return track.extremes, track.harmonic, margins(equations, sequence, track, instants, shot.closing).ravel()
+    track = track_orbit(equations, sequence, instants, shooting.states)
+    return (
+        track.extremes,
+        track.harmonic,
+        margins(equations, sequence, track, instants, shooting.closing).ravel(),
+    )

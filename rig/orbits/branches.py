@@ -62,12 +62,12 @@ def follow_orbits(
     SceneError
         If the parameter or its range is invalid.
     """
-    ends = parameter_values(parameter, bounds)
-    if ends.size != 2 or not ends[0] < ends[1]:
+    limits = parameter_values(parameter, bounds)
+    if limits.size != 2 or not limits[0] < limits[1]:
         raise SceneError(
-            f"bounds: got {', '.join(f'{end:g}' for end in ends)}; expected two rising values above 0"
+            f"bounds: got {', '.join(f'{limit:g}' for limit in limits)}; expected two rising values above 0"
         )
-    low, high = ends.tolist()
+    low, high = limits.tolist()
     problem = OrbitProblem(scene_of(scene))
     base = problem.setting(base_frequency(parameter, frequency, low))
     explorer = _Explorer(problem, base, parameter, (low, high), progress)

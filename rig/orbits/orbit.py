@@ -19,11 +19,11 @@ from rig.orbits.event_sequence import Plan
 from rig.orbits.newton import monodromy, newton_solve
 from rig.orbits.orbit_equations import Change, Equations
 from rig.orbits.problem import OperatingPoint, OrbitProblem, Parameter, vary
-from rig.orbits.shooting import Shot, shoot
+from rig.orbits.shooting import ShootingResult, shoot
 from rig.orbits.track import track_orbit
 from rig.results import Result, complete_style
 from rig.scene.shaker import ForceShaker
-from rig.steady_response.motion_type import overall, type_of
+from rig.steady_response.motion_type import combined_type, type_of
 from rig.system.assembly import spring_force_row
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 # A margin above the negative of this value may be negative by rounding; below it an orbit is inadmissible.
-ROUNDING = 1e-9
+MARGIN_ROUNDING = 1e-9
 # Largest number of Newton corrections from an initial guess.
 MAX_CORRECTIONS = 25
 # Engine events of contact between a damper and a wall.
@@ -151,7 +151,7 @@ class Orbit(Result):
     @property
     def flaw(self) -> str:
         """Violated border of an inadmissible orbit; "" if it is admissible. A guess may converge beyond a border."""
-        return self.border if self.margin < -ROUNDING else ""
+        return self.border if self.margin < -MARGIN_ROUNDING else ""
 
 
 def solve(
@@ -168,7 +168,7 @@ def solve(
     family = OrbitFamily(problem, plan, setting, "frequency", unknowns)
     location = f"no orbit with events [{plan.label}] near {setting.frequency:.6g} Hz"
     try:
-        equations, x, _, shot, size, corrections = family.correct(
+        equations, x, _, shooting, size, corrections = family.correct(
             setting.frequency, unknowns, max_corrections
         )
     except np.linalg.LinAlgError:
@@ -177,7 +177,7 @@ def solve(
         raise RunError(
             f"{location}: Newton's method does not converge (last correction {size:.1e}). Start from a nearer orbit."
         )
-    return family.make_orbit(setting, x, equations, shot)
+    return family.make_orbit(setting, x, equations, shooting)
 
 
 class OrbitFamily:
@@ -222,7 +222,7 @@ class OrbitFamily:
 
     def correct(
         self, value: float, guess: Array, max_corrections: int
-    ) -> tuple[Equations, Array, Array, Shot, float, int]:
+    ) -> tuple[Equations, Array, Array, ShootingResult, float, int]:
         """Return the equations at a value of the parameter and their solution, as `newton_solve` returns it."""
         equations, change = self.equations(value)
         scale, sequence = self.scale[:-1], self.plan.sequence
@@ -232,39 +232,41 @@ class OrbitFamily:
 
     def __call__(self, x: Array) -> tuple[Array, Array]:
         """Return the scaled residual and Jacobian."""
-        shot = shoot(*self.equations(float(x[-1])), self.plan.sequence, x[:-1])
-        return shot.residual / self.residual_scale, shot.jacobian / self.residual_scale[:, None]
+        shooting = shoot(*self.equations(float(x[-1])), self.plan.sequence, x[:-1])
+        return shooting.residual / self.residual_scale, shooting.jacobian / self.residual_scale[:, None]
 
     def orbit(self, x: Array) -> Orbit:
         """Return the orbit at a solution."""
         equations, change = self.equations(float(x[-1]))
-        shot = shoot(equations, change, self.plan.sequence, x[:-1])
-        return self.make_orbit(self.setting_at(float(x[-1])), x[:-1], equations, shot)
+        shooting = shoot(equations, change, self.plan.sequence, x[:-1])
+        return self.make_orbit(self.setting_at(float(x[-1])), x[:-1], equations, shooting)
 
     def margins(self, x: Array) -> tuple[Array, tuple[str, ...]]:
         """Return the margin at each border and the borders' names, for `rig.numerics.continuation.trace`."""
         equations, change = self.equations(float(x[-1]))
-        shot = shoot(equations, change, self.plan.sequence, x[:-1])
-        distances = evaluate_motion(equations, self.plan.sequence, shot, self.plan.instants(x[:-1]))[2]
-        return distances + ROUNDING, self.borders
+        shooting = shoot(equations, change, self.plan.sequence, x[:-1])
+        distances = evaluate_motion(equations, self.plan.sequence, shooting, self.plan.instants(x[:-1]))[2]
+        return distances + MARGIN_ROUNDING, self.borders
 
     def multipliers(self, x: Array) -> NDArray[np.complex128]:
         """Compute the Floquet multipliers at a solution."""
         return self._multipliers(shoot(*self.equations(float(x[-1])), self.plan.sequence, x[:-1]))
 
-    def _multipliers(self, shot: Shot) -> NDArray[np.complex128]:
-        period_map = monodromy(shot, len(self.plan.sequence.kind), self.scale[:-1], self.residual_scale)
+    def _multipliers(self, shooting: ShootingResult) -> NDArray[np.complex128]:
+        period_map = monodromy(shooting, len(self.plan.sequence.kind), self.scale[:-1], self.residual_scale)
         real, imaginary, *_ = dgeev(period_map, compute_vl=0, compute_vr=0)
         return np.asarray(real + 1j * imaginary, dtype=np.complex128)
 
-    def make_orbit(self, setting: OperatingPoint, unknowns: Array, equations: Equations, shot: Shot) -> Orbit:
-        """Return the orbit of a converged shot."""
+    def make_orbit(
+        self, setting: OperatingPoint, unknowns: Array, equations: Equations, shooting: ShootingResult
+    ) -> Orbit:
+        """Return the orbit of a converged shooting result."""
         problem, plan = self.problem, self.plan
         instants = self.plan.instants(unknowns)
-        extremes, integral, distances = evaluate_motion(equations, plan.sequence, shot, instants)
-        nearest = int(distances.argmin())
+        extremes, integral, distances = evaluate_motion(equations, plan.sequence, shooting, instants)
+        nearest_border = int(distances.argmin())
         system = problem.varied_system(setting)
-        dampers, engine_kinds, times, speeds = _events(problem, plan, instants, shot.closing)
+        dampers, engine_kinds, times, speeds = _events(problem, plan, instants, shooting.closing)
         types = tuple(
             type_of(engine_kinds[is_own], times[is_own], system, j, plan.repetition, equations.period)
             for j, is_own in enumerate(dampers == np.arange(problem.system.dampers)[:, None])
@@ -279,14 +281,14 @@ class OrbitFamily:
             setting=setting,
             repetition=plan.repetition,
             events=event_table(times, dampers, engine_kinds, speeds, problem.system),
-            motion_type=overall(list(types)),
+            motion_type=combined_type(list(types)),
             damper_motion=types,
             compliance=harmonic[:bodies] / force,
             peak=0.5 * (extremes[:bodies, 1] - extremes[:bodies, 0]),
-            multipliers=self._multipliers(shot),
-            margin=float(distances[nearest]),
-            border=self.borders[nearest] if distances[nearest] < 1 else "",
-            residual=float(np.abs(shot.residual / self.residual_scale).max()),
+            multipliers=self._multipliers(shooting),
+            margin=float(distances[nearest_border]),
+            border=self.borders[nearest_border] if distances[nearest_border] < 1 else "",
+            residual=float(np.abs(shooting.residual / self.residual_scale).max()),
             unknowns=unknowns.copy(),
             plan=plan,
             problem=problem,

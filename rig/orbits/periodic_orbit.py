@@ -22,7 +22,7 @@ from rig.orbits.orbit import Orbit, solve
 from rig.orbits.problem import OperatingPoint, OrbitProblem
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positive_values
-from rig.steady_response.steady_state import LONGEST_REPETITION, settle
+from rig.steady_response.steady_state import MAX_REPETITION, settle
 
 # Number of simulated periods after which a search classifies the motion as irregular.
 MAX_PERIODS = 4000
@@ -101,7 +101,7 @@ def search_orbit(
         return orbit
     if steady.residual < MAX_ALMOST_PERIODIC_CHANGE:
         # The motion repeats, but its slow decay does not determine the number of periods.
-        for repetition in range(1, LONGEST_REPETITION + 1):
+        for repetition in range(1, MAX_REPETITION + 1):
             orbit = _nearby_orbit(problem, setting, propagator, steps, repetition)
             if orbit is not None:
                 return orbit

@@ -44,7 +44,7 @@ RELATIVE_STEP = 1e-6
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """Values of the continuation parameters."""
+    """A setting: values of the continuation parameters."""
 
     frequency: float  # Hz
     force: float  # Level of the drive, in the unit of the scene's test (N for a force)
@@ -184,9 +184,9 @@ class OrbitProblem:
             inverse_mass_change = matrices.inverse_mass_change
         if parameter == "clearance":
             change[:, nq : 2 * nq, n + 2] = matrices.clearance_input.sum(axis=2)
-        zeros, walls = np.zeros(system.dampers), np.zeros((system.dampers, 2))
+        damper_zeros, wall_zeros = np.zeros(system.dampers), np.zeros((system.dampers, 2))
         stiffness_change, damping_change = (
-            self._wall_changes(ratio) if parameter == "mass_ratio" else (walls, walls)
+            self._wall_changes(ratio) if parameter == "mass_ratio" else (wall_zeros, wall_zeros)
         )
         period = plan.repetition / setting.frequency
         return Equations(
@@ -206,8 +206,8 @@ class OrbitProblem:
         ), Change(
             generator=change,
             inverse_mass=inverse_mass_change,
-            mass=self.system.damper_mass if parameter == "mass_ratio" else zeros,
-            clearance=np.ones(system.dampers) if parameter == "clearance" else zeros,
+            mass=self.system.damper_mass if parameter == "mass_ratio" else damper_zeros,
+            clearance=np.ones(system.dampers) if parameter == "clearance" else damper_zeros,
             stiffness=stiffness_change,
             damping=damping_change,
             omega=2 * np.pi if parameter == "frequency" else 0.0,
@@ -258,11 +258,11 @@ class OrbitProblem:
         )
         inverse_mass = np.asarray(np.linalg.inv(mass), dtype=np.float64)
         inverse_mass_change = -inverse_mass @ mass_change @ inverse_mass
-        walls, clearance_force = _finite_contact_forces(system, configuration)
+        wall_force, clearance_force = _finite_contact_forces(system, configuration)
         stiffness_change, damping_change = self._wall_changes(mass_ratio)
         changes = replace(system, wall_stiffness=stiffness_change, wall_damping=damping_change)
-        walls_change, clearance_force_change = _finite_contact_forces(changes, configuration)
-        force = system.force_state + walls
+        wall_force_change, clearance_force_change = _finite_contact_forces(changes, configuration)
+        force = system.force_state + wall_force
         state_matrix, input_matrix = np.zeros((n, n)), np.zeros((n, len(system.inputs) + 1))
         state_matrix_change, input_matrix_change = np.zeros_like(state_matrix), np.zeros_like(input_matrix)
         state_matrix[:nq, nq : 2 * nq] = np.eye(nq)
@@ -271,7 +271,7 @@ class OrbitProblem:
         input_matrix[nq : 2 * nq, :-1] = inverse_mass @ system.force_drive
         input_matrix[2 * nq :, :-1] = system.rate_drive
         input_matrix[nq : 2 * nq, -1] = inverse_mass @ constant
-        state_matrix_change[nq : 2 * nq] = inverse_mass_change @ force + inverse_mass @ walls_change
+        state_matrix_change[nq : 2 * nq] = inverse_mass_change @ force + inverse_mass @ wall_force_change
         input_matrix_change[nq : 2 * nq, :-1] = inverse_mass_change @ system.force_drive
         input_matrix_change[nq : 2 * nq, -1] = inverse_mass_change @ constant + inverse_mass @ constant_change
         rate = np.array(float(np.linalg.norm(matrix_balance(state_matrix, permute=False)[0], 1)))
@@ -320,6 +320,6 @@ def _finite_contact_forces(system: HybridSystem, configuration: int) -> tuple[Ar
     """Return the forces of finite-duration contacts: rows for the state, and derivatives by clearance."""
     force, constant = replace(system, clearance=np.ones(system.dampers)).contact_forces(configuration)
     clearance_force = np.zeros((system.coordinates, system.dampers))
-    lasting = np.flatnonzero(system.finite_contact)
-    clearance_force[system.bed[lasting], lasting] = constant[system.bed[lasting]]
+    finite = np.flatnonzero(system.finite_contact)
+    clearance_force[system.bed[finite], finite] = constant[system.bed[finite]]
     return force, clearance_force

@@ -22,7 +22,7 @@ from rig.orbits.matrix_exponential import exponential, exponential_slope
 from rig.orbits.orbit_equations import Change, Equations, Sequence
 
 
-class Shot(NamedTuple):
+class ShootingResult(NamedTuple):
     """Result of a shot: residual, Jacobian and states."""
 
     residual: Array  # Periodicity, then the events' conditions; shape (unknowns,)
@@ -172,8 +172,8 @@ def _apply_impact(
         rebound += equations.restitution[j]
     inverse, inverse_change = equations.inverse_mass[config], change.inverse_mass[config]
     gain = rebound / (1.0 / equations.mass[j] + inverse[body, body])
-    lightening = change.mass[j] / equations.mass[j] ** 2
-    gain_derivative = gain * gain / rebound * (lightening - inverse_change[body, body])
+    inverse_mass_decrease = change.mass[j] / equations.mass[j] ** 2
+    gain_derivative = gain * gain / rebound * (inverse_mass_decrease - inverse_change[body, body])
     relative_speed = motion.speed[j] - x[nq + body]
     for c in range(size + 1):
         jacobian[row, c] = sh[j, c] - sx[body, c]
@@ -184,7 +184,7 @@ def _apply_impact(
             impulse += gain_derivative * relative_speed
             for i in range(nq):
                 sx[nq + i, c] += inverse_change[i, body] * gain * relative_speed
-            sv[j, c] += gain * relative_speed * lightening
+            sv[j, c] += gain * relative_speed * inverse_mass_decrease
         for i in range(nq):
             sx[nq + i, c] += inverse[i, body] * impulse
         sv[j, c] -= impulse / equations.mass[j]
@@ -255,7 +255,7 @@ def _write_periodicity(
 
 
 @cached_njit
-def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Array) -> Shot:
+def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Array) -> ShootingResult:
     """Evaluate the equations of an orbit.
 
     `change`: derivatives with respect to the parameter; `unknowns`, shape (unknowns,): state at t = 0, height and
@@ -305,4 +305,4 @@ def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Ar
                 equations, change, config, kind, j, motion, row, jacobian
             )
     _write_periodicity(sequence, unknowns, motion, residual, jacobian)
-    return Shot(residual, jacobian, states, closing)
+    return ShootingResult(residual, jacobian, states, closing)

@@ -36,8 +36,8 @@ from rig.results import Result
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.shaker import ForceShaker
 from rig.steady_response.frequency_response import compliance_response, draw_compliance
-from rig.steady_response.motion_type import motion_types, overall
-from rig.steady_response.steady_state import MARKS, one_cycle
+from rig.steady_response.motion_type import combined_type, motion_types
+from rig.steady_response.steady_state import INSTANTS_PER_PERIOD, one_cycle
 from rig.system.assembly import spring_force_row
 
 if TYPE_CHECKING:
@@ -125,12 +125,12 @@ class OrbitResponse(Result):
 
     def summary(self) -> str:
         """Return the range of the parameter, the peaks and the types of motion in words."""
-        top = np.unravel_index(int(np.argmax(abs(self.compliance))), self.compliance.shape)
+        body, k = np.unravel_index(int(np.argmax(abs(self.compliance))), self.compliance.shape)
         unit = PARAMETERS[self.parameter].si
         return (
             f"{self.value.size} steady motions, {self.parameter} {self.value.min():.4g} to {self.value.max():.4g} "
-            f"{unit}, highest {1e6 * abs(self.compliance[top]):.4g} µm/N at {self.value[top[1]]:.4g} {unit} "
-            f"({self.labels[top[0]]}), motion {', '.join(dict.fromkeys(map(str, self.motion_type)))}"
+            f"{unit}, highest {1e6 * abs(self.compliance[body, k]):.4g} µm/N at {self.value[k]:.4g} {unit} "
+            f"({self.labels[body]}), motion {', '.join(dict.fromkeys(map(str, self.motion_type)))}"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -223,7 +223,7 @@ def sweep(
         value=values,
         compliance=np.array([p.compliance for p in points]).T,
         peak=np.array([p.peak for p in points]).T,
-        motion_type=np.array([overall(list(p.damper_motion)) for p in points]),
+        motion_type=np.array([combined_type(list(p.damper_motion)) for p in points]),
         damper_motion=np.array([p.damper_motion for p in points], dtype=np.str_).reshape(len(points), -1).T,
         repetition=np.array([p.orbit.repetition if p.orbit else 0 for p in points]),
         multiplier=np.array([np.abs(p.orbit.multipliers).max() if p.orbit else np.nan for p in points]),
@@ -274,31 +274,31 @@ class _Continuation:
         self.problem, self.parameter = problem, parameter
         self.setting_at = vary(base, parameter)
         self.family: OrbitFamily | None = None
-        self.recent: list[_BranchPoint] = []
+        self.recent_points: list[_BranchPoint] = []
         self.snapshot: tuple[Array, ...] | None = None
 
     def point(self, value: float) -> _Point:
         """Compute the steady motion at a value, starting from the motion at the previous value."""
-        orbit = self._continue_orbit(value) if self.recent else None
+        orbit = self._continue_orbit(value) if self.recent_points else None
         if orbit is not None:
             return _orbit_point(orbit)
         return self._settle(value)
 
     def _continue_orbit(self, value: float) -> Orbit | None:
         """Continue the orbit to a value; return None if it ends or loses its stability before."""
-        if value == self.recent[-1].value:
-            return self.recent[-1].orbit
+        if value == self.recent_points[-1].value:
+            return self.recent_points[-1].orbit
         target = value
         for _ in range(MAX_STEPS):
             point = self._step(target)
             if point is None:
-                target = 0.5 * (self.recent[-1].value + target)
+                target = 0.5 * (self.recent_points[-1].value + target)
                 continue
             if point.orbit.flaw or not point.orbit.stable:
                 return None
             # The nodes of the extrapolation must differ, also where a sweep turns back.
-            others = [each for each in self.recent if each.value != target]
-            self.recent = [*others[1 - EXTRAPOLATION_POINTS :], point]
+            other_points = [known for known in self.recent_points if known.value != target]
+            self.recent_points = [*other_points[1 - EXTRAPOLATION_POINTS :], point]
             if target == value:
                 return point.orbit
             target = value
@@ -306,33 +306,33 @@ class _Continuation:
 
     def _step(self, value: float) -> _BranchPoint | None:
         """Predict the orbit at a value and correct it; return None if Newton diverges or reaches another orbit."""
-        family, last = self.family, self.recent[-1]
+        family, last_point = self.family, self.recent_points[-1]
         assert family is not None
         prediction, scale = self._predict(value), family.scale[:-1]
-        if not distance(prediction, last.unknowns, scale) < MAX_PREDICTION_RATIO:
+        if not distance(prediction, last_point.unknowns, scale) < MAX_PREDICTION_RATIO:
             return None
         try:
-            equations, x, slope, shot, _, corrections = family.correct(value, prediction, MAX_CORRECTIONS)
+            equations, x, slope, shooting, _, corrections = family.correct(value, prediction, MAX_CORRECTIONS)
         except np.linalg.LinAlgError:
             return None
-        max_error = MAX_PREDICTION_ERROR * max(distance(x, last.unknowns, scale), 0.01)
+        max_error = MAX_PREDICTION_ERROR * max(distance(x, last_point.unknowns, scale), 0.01)
         if corrections < 0 or distance(x, prediction, scale) > max_error:
             return None
-        orbit = family.make_orbit(self.setting_at(value), x, equations, shot)
+        orbit = family.make_orbit(self.setting_at(value), x, equations, shooting)
         return _BranchPoint(value, x, slope, orbit)
 
     def _predict(self, value: float) -> Array:
         """Predict the unknowns at a value with the Hermite polynomial through the last points."""
-        nodes = np.array([point.value for point in self.recent])
-        unknowns = np.array([point.unknowns for point in self.recent])
-        return _hermite(nodes, unknowns, np.array([point.slope for point in self.recent]), value)
+        nodes = np.array([point.value for point in self.recent_points])
+        unknowns = np.array([point.unknowns for point in self.recent_points])
+        return _hermite(nodes, unknowns, np.array([point.slope for point in self.recent_points]), value)
 
     def _settle(self, value: float) -> _Point:
         """Simulate from the previous motion until it settles to an orbit; average a motion that does not settle."""
         setting = self.setting_at(value)
         propagator, _ = start_propagator(self.problem, setting)
-        if self.recent:
-            set_to_orbit(propagator, self.recent[-1].orbit)
+        if self.recent_points:
+            set_to_orbit(propagator, self.recent_points[-1].orbit)
         elif self.snapshot is not None:
             propagator.resume(self.snapshot)
         try:
@@ -341,11 +341,11 @@ class _Continuation:
         except RunError as failure:
             reason = str(failure)
         if reason:
-            self.recent, self.snapshot = [], propagator.snapshot()
+            self.recent_points, self.snapshot = [], propagator.snapshot()
             return _average(self.problem, setting, propagator, reason)
         self.family = family = OrbitFamily(self.problem, orbit.plan, setting, self.parameter, orbit.unknowns)
         _, x, slope, *_ = family.correct(value, orbit.unknowns, 1)
-        self.recent = [_BranchPoint(value, x, slope, orbit)]
+        self.recent_points = [_BranchPoint(value, x, slope, orbit)]
         return _orbit_point(orbit)
 
 
@@ -359,9 +359,10 @@ def _average(problem: OrbitProblem, setting: OperatingPoint, propagator: Propaga
     steps = period_steps(propagator, setting)
     trajectory, begins = one_cycle(propagator, steps, 1.0, AVERAGED_PERIODS)
     # Mean over evenly spaced instants: kinks of the velocity cause a relative error of about 1e-5.
-    mean_period = begins.reshape(AVERAGED_PERIODS, MARKS, -1).mean(axis=0)
-    phase_factors: NDArray[np.complex128] = np.exp(-2j * np.pi * np.arange(MARKS) / MARKS)
-    harmonic = 2 / MARKS * (phase_factors @ mean_period)
+    mean_period = begins.reshape(AVERAGED_PERIODS, INSTANTS_PER_PERIOD, -1).mean(axis=0)
+    phase = 2 * np.pi * np.arange(INSTANTS_PER_PERIOD) / INSTANTS_PER_PERIOD
+    phase_factors: NDArray[np.complex128] = np.exp(-1j * phase)
+    harmonic = 2 / INSTANTS_PER_PERIOD * (phase_factors @ mean_period)
     if isinstance(problem.scene.driven_shaker, ForceShaker):
         force = -1j * setting.force
     else:

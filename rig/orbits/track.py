@@ -40,10 +40,17 @@ class Track(NamedTuple):
 
 
 @cached_njit
-def turning_value(left: float, right: float, slopes: Array, curves: Array, step: float) -> float:
+def turning_value(
+    left_value: float, right_value: float, slopes: Array, curvatures: Array, step: float
+) -> float:
     """Return the extreme value in an interval, from the quintic through the values and two derivatives at its ends."""
-    s0, s1, c0, c1 = slopes[0] * step, slopes[1] * step, curves[0] * step * step, curves[1] * step * step
-    d = right - left - s0 - 0.5 * c0
+    s0, s1, c0, c1 = (
+        slopes[0] * step,
+        slopes[1] * step,
+        curvatures[0] * step * step,
+        curvatures[1] * step * step,
+    )
+    d = right_value - left_value - s0 - 0.5 * c0
     e, f = s1 - s0 - c0, c1 - c0
     a3, a4, a5 = 10 * d - 4 * e + 0.5 * f, -15 * d + 7 * e - f, 6 * d - 3 * e + 0.5 * f
     t = s0 / (s0 - s1)
@@ -52,7 +59,7 @@ def turning_value(left: float, right: float, slopes: Array, curves: Array, step:
         curvature = c0 + t * (6 * a3 + t * (12 * a4 + t * 20 * a5))
         if curvature != 0.0:
             t = min(1.0, max(0.0, t - slope / curvature))
-    return left + t * (s0 + t * (0.5 * c0 + t * (a3 + t * (a4 + t * a5))))
+    return left_value + t * (s0 + t * (0.5 * c0 + t * (a3 + t * (a4 + t * a5))))
 
 
 @cached_njit
@@ -133,10 +140,10 @@ def _sample_guard(
         return
     weights, constant = np.zeros((3, n + 3)), gravity
     if wall >= kinds.ON_FLOOR:
-        sign, at = (-1.0, 0) if wall == kinds.ON_FLOOR else (1.0, 1)
-        weights[0, equations.bed[j]] = sign * equations.stiffness[j, at] / equations.mass[j]
-        weights[0, nq + equations.bed[j]] = sign * equations.damping[j, at] / equations.mass[j]
-        constant = -equations.clearance[j] * weights[0, equations.bed[j]] if at == 1 else 0.0
+        sign, wall_index = (-1.0, 0) if wall == kinds.ON_FLOOR else (1.0, 1)
+        weights[0, equations.bed[j]] = sign * equations.stiffness[j, wall_index] / equations.mass[j]
+        weights[0, nq + equations.bed[j]] = sign * equations.damping[j, wall_index] / equations.mass[j]
+        constant = -equations.clearance[j] * weights[0, equations.bed[j]] if wall_index == 1 else 0.0
     else:
         weights[0] = a[nq + body]
     weights[1] = weights[0] @ a

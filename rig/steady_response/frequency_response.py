@@ -22,8 +22,8 @@ from rig.scene.quantities import FREQUENCY, positive_values
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.simulation.energy import fourier_integral
-from rig.steady_response.motion_type import motion_types, overall
-from rig.steady_response.steady_state import MARKS, Steady, one_cycle, settle
+from rig.steady_response.motion_type import combined_type, motion_types
+from rig.steady_response.steady_state import INSTANTS_PER_PERIOD, Steady, one_cycle, settle
 from rig.system.assembly import assemble, spring_force_row
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import level_of, tone_drive
@@ -96,10 +96,10 @@ class SteadyResponse(Result):
 
     def summary(self) -> str:
         """Summarize frequency range, peak and motion types."""
-        top = np.unravel_index(int(np.argmax(abs(self.compliance))), self.compliance.shape)
+        body, k = np.unravel_index(int(np.argmax(abs(self.compliance))), self.compliance.shape)
         return (
             f"{self.frequency.size} frequencies, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest "
-            f"{1e6 * abs(self.compliance[top]):.4g} µm/N at {self.frequency[top[1]]:.4g} Hz ({self.labels[top[0]]}), "
+            f"{1e6 * abs(self.compliance[body, k]):.4g} µm/N at {self.frequency[k]:.4g} Hz ({self.labels[body]}), "
             f"motion {', '.join(dict.fromkeys(map(str, self.motion_type)))}"
         )
 
@@ -202,7 +202,7 @@ def frequency_response(
     longest : int
         Largest number of periods per point; a point that takes longer is returned as not converged.
     progress : callable, optional
-        Called with the number of points done and the total.
+        Called with the number of completed points and the total.
 
     Raises
     ------
@@ -231,14 +231,14 @@ def frequency_response(
     ascending = np.sort(requested)
     tasks = {"up": [ascending], "down": [ascending[::-1]], "both": [ascending, ascending[::-1]]}[direction]
     continuation = SteadyContinuation(scene, tolerance, longest)
-    done, total = count(1), sum(len(task) for task in tasks)
+    completed_points, total = count(1), sum(len(task) for task in tasks)
 
     def compute_section(order: Array) -> list[SteadyPoint]:
         points = []
         for point in continuation.points(order):
             points.append(point)
             if progress is not None:
-                progress(min(next(done), total), total)
+                progress(min(next(completed_points), total), total)
         return points
 
     with ThreadPoolExecutor(2) as pool:
@@ -346,7 +346,7 @@ class SteadyContinuation:
         repetition = steady.repetition or 16
         trajectory, begins = one_cycle(propagator, steps, level, repetition)
         end = propagator.snapshot()
-        durations = np.full(len(begins), steps / MARKS * propagator.tables.step)
+        durations = np.full(len(begins), steps / INSTANTS_PER_PERIOD * propagator.tables.step)
         harmonic = fourier_integral(propagator.tables, trajectory, begins, durations, omega) / (
             np.pi * repetition / omega
         )
@@ -394,7 +394,7 @@ def _response(points: list[SteadyPoint], system: HybridSystem, names: Sequence[s
         compliance=np.array([p.compliance for p in points]).T,
         peak=np.array([p.peak for p in points]).T,
         force=np.array([p.force for p in points]),
-        motion_type=np.array([overall(t) for t in types]),
+        motion_type=np.array([combined_type(t) for t in types]),
         damper_motion=np.array(types, dtype=np.str_).reshape(len(points), system.dampers).T,
         impacts=np.array([p.impacts for p in points]).reshape(len(points), system.dampers).T,
         closing_speed=np.array([p.closing_speed for p in points]).reshape(len(points), system.dampers).T,

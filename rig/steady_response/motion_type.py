@@ -61,10 +61,10 @@ def _stays_at_ceiling(
     return bool(stay > MIN_STAY_RATIO * system.duration_and_restitution(damper, CEILING)[0])
 
 
-def overall(types: list[str]) -> str:
+def combined_type(types: list[str]) -> str:
     """Combine the motion types of all dampers.
 
-    >>> overall(["I", "II", "I"])
+    >>> combined_type(["I", "II", "I"])
     'I/II'
     """
     return "/".join(sorted(set(types))) if types else "linear"

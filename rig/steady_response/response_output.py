@@ -116,12 +116,12 @@ def _peak_table(response: SteadyResponse, motion: list[str]) -> list[str]:
     """Return the lines of local maxima of each body's compliance, at least 10 % above the minima on both sides."""
     from scipy.signal import find_peaks
 
-    csv_rows = [
+    peak_lines = [
         f"{label:<12}{response.frequency[k]:>14.4f}{1e6 * row[k]:>20.4g}  {motion[k]}"
         for label, row in zip(response.labels, abs(response.compliance), strict=True)
         for k in find_peaks(np.log(row), prominence=0.1)[0].tolist() or [int(np.argmax(row))]
     ]
-    return [f"{'body':<12}{'frequency / Hz':>14}{'peak / (µm/N)':>20}  motion", *csv_rows]
+    return [f"{'body':<12}{'frequency / Hz':>14}{'peak / (µm/N)':>20}  motion", *peak_lines]
 
 
 def _frequency_table(response: SteadyResponse, motion: list[str]) -> list[str]:

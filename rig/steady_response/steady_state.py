@@ -23,7 +23,7 @@ from rig.errors import RunError
 from rig.numerics.jit import cached_njit
 
 #: Longest repetition that is detected, in periods of the drive.
-LONGEST_REPETITION = 8
+MAX_REPETITION = 8
 #: Number of periods in a comparison; more than four times the longest repetition.
 COMPARED_PERIODS = 40
 #: Largest number of periods between two comparisons.
@@ -31,11 +31,11 @@ MAX_SKIPPED_PERIODS = 400
 #: A motion whose change over a repetition is less than this many tolerances is assumed to converge to it.
 SETTLING_TOLERANCES = 1e4
 #: Relative changes below this value are rounding errors.
-ROUNDING = 2e-14
+CHANGE_ROUNDING = 2e-14
 #: Largest number of multiplications in one call, about 0.1 s: interrupts are handled between calls.
 MAX_WORK_PER_CALL = 1e8
 #: Stored states per period, for first harmonic and peak.
-MARKS = 256
+INSTANTS_PER_PERIOD = 256
 
 
 @dataclass(frozen=True)
@@ -65,14 +65,14 @@ def settle(
     `tolerance`: largest distance from the steady state, relative to the motion. `is_stopped` is called at intervals;
     `RunError` is raised if it returns true.
     """
-    completed, units = 0, _units(propagator)
+    completed, state_scales = 0, _state_scales(propagator)
     while True:
         # A comparison costs as much as many periods of motion, so the intervals grow.
         skipped = min(completed // 4, MAX_SKIPPED_PERIODS)
         count = skipped + COMPARED_PERIODS
         comparison = _integrate(propagator, steps, level, skipped, is_stopped)
         completed += count
-        changes, distances = _distances(comparison, units)
+        changes, distances = _distances(comparison, state_scales)
         steady = np.flatnonzero(distances < tolerance)
         # A motion that settles to a short repetition satisfies the tolerance for a longer repetition first.
         settling = np.flatnonzero(changes < SETTLING_TOLERANCES * tolerance)
@@ -106,15 +106,15 @@ def _integrate(
     return _Comparison(*(np.concatenate(field) for field in zip(*comparisons, strict=True)))
 
 
-def _distances(comparison: _Comparison, units: Array) -> tuple[Array, Array]:
+def _distances(comparison: _Comparison, state_scales: Array) -> tuple[Array, Array]:
     """Compute relative changes over 1, 2, ... periods, and estimated distances from motions with that repetition."""
     heights = np.where(comparison.mode == FLIGHT, comparison.height, 0.0)
-    vectors = np.concatenate([comparison.state[:, : units.size] * units, heights], axis=1)
+    vectors = np.concatenate([comparison.state[:, : state_scales.size] * state_scales, heights], axis=1)
     scale = max(float(np.abs(vectors).max()), 1e-300)
     changes, distances = [], []
     for p, (change, earlier_change) in enumerate((_changes(vectors, comparison.mode) / scale).tolist(), 1):
         changes.append(change)
-        if change < ROUNDING:
+        if change < CHANGE_ROUNDING:
             distances.append(change)
         elif not earlier_change > change:
             distances.append(np.inf)
@@ -129,9 +129,9 @@ def _distances(comparison: _Comparison, units: Array) -> tuple[Array, Array]:
 def _changes(vectors: Array, modes: NDArray[np.int8]) -> Array:
     """Compute changes over 1, 2, ... periods at the end and middle of a comparison; infinite if contacts differ."""
     # The ratio of both identifies a slow decay, which faster decays mask from period to period.
-    changes = np.zeros((LONGEST_REPETITION, 2))
+    changes = np.zeros((MAX_REPETITION, 2))
     rows = vectors.shape[0]
-    for p in range(1, LONGEST_REPETITION + 1):
+    for p in range(1, MAX_REPETITION + 1):
         for position in range(2):
             end = rows - position * (COMPARED_PERIODS // 2)
             for row in range(end - p, end):
@@ -144,29 +144,29 @@ def _changes(vectors: Array, modes: NDArray[np.int8]) -> Array:
     return changes
 
 
-def _units(propagator: Propagator) -> Array:
+def _state_scales(propagator: Propagator) -> Array:
     """Return scale factors of the states: displacements in m, velocities over the fastest rate; shape (states,)."""
     system, step = propagator.system, propagator.tables.step
-    n, units = system.coordinates, np.ones(system.states)
-    units[n : 2 * n] = step
+    n, state_scales = system.coordinates, np.ones(system.states)
+    state_scales[n : 2 * n] = step
     if system.states > 2 * n:
         # The coil current is scaled as the displacement of the armature caused by its force over a step.
         force = np.abs(system.force_state[:, 2 * n :]).max(axis=0) / np.diag(system.mass).min()
-        units[2 * n :] = force * step**2
-    return units
+        state_scales[2 * n :] = force * step**2
+    return state_scales
 
 
 def one_cycle(
     propagator: Propagator, steps: float, level: float, repetition: int
 ) -> tuple[Trajectory, Array]:
-    """Integrate one repetition of a steady motion, with states stored at `MARKS` instants per period.
+    """Integrate one repetition of a steady motion, with states stored at `INSTANTS_PER_PERIOD` instants per period.
 
     Returns `begins`, initial states of the segments.
     """
-    count = MARKS * repetition
-    starts_period = np.arange(count) % MARKS == 0
+    count = INSTANTS_PER_PERIOD * repetition
+    starts_period = np.arange(count) % INSTANTS_PER_PERIOD == 0
     initial = propagator.state.z.copy()
     trajectory = propagator.through_marks(
-        np.full(count, steps / MARKS), np.arange(count), starts_period, level
+        np.full(count, steps / INSTANTS_PER_PERIOD), np.arange(count), starts_period, level
     )
     return trajectory, np.concatenate([initial[None], trajectory.state[:-1]])

@@ -159,7 +159,12 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
     for frequency, (first, stop) in zip(sweep.lines.frequency, sweep.windows, strict=True):
         inside = (events["time"] >= first / rec.rate) & (events["time"] < stop / rec.rate)
         out.append(loss[inside].sum() / ((stop - first) / rec.rate * frequency))
-        for j in np.flatnonzero([each.moves and each.contact is not None for each in rec.scene.dampers]):
+        for j in np.flatnonzero(
+            [
+                damper_settings.moves and damper_settings.contact is not None
+                for damper_settings in rec.scene.dampers
+            ]
+        ):
             out[-1] += damper[j] * _work_of_walls(rec, int(j), float(frequency), int(first), int(stop))
     return np.array(out)
 

@@ -37,7 +37,7 @@ def search_group(
     times of the jumps, samples; `min_distance`: minimum distance between two jumps, samples; `sufficient`: residual
     sum of squares at which the search ends.
     """
-    best: list[tuple[list[Jump], float]] = []
+    best_sets: list[tuple[list[Jump], float]] = []
     sets: list[list[Jump]] = [[]]
     for _ in range(MAX_GROUP):
         larger = []
@@ -56,10 +56,10 @@ def search_group(
         for candidate in larger:
             if not any(_same_times(candidate[0], other[0]) for other in distinct):
                 distinct.append(candidate)
-        best, sets = best + distinct[:1], [jumps for jumps, _ in distinct[:_BEAM_WIDTH]]
+        best_sets, sets = best_sets + distinct[:1], [jumps for jumps, _ in distinct[:_BEAM_WIDTH]]
         if not distinct or distinct[0][1] < sufficient:
             break
-    return min(best, key=lambda candidate: cost(*candidate), default=([], np.inf))
+    return min(best_sets, key=lambda candidate: cost(*candidate), default=([], np.inf))
 
 
 def cost(jumps: list[Jump], residual_square: float) -> float:

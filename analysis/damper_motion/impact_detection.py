@@ -192,7 +192,7 @@ def impacts(
         calmer_jumps = calmer.run()
         if calmer.jump_noise < NOISE_REDUCTION * noise:
             search, jumps, noise = calmer, calmer_jumps, calmer.jump_noise
-    fitted = [(each.time, each.time_error, each.sizes[0], each.error) for each in jumps]
+    fitted = [(values.time, values.time_error, values.sizes[0], values.error) for values in jumps]
     position, position_error, jump, error = np.array(fitted).reshape(-1, 4).T
     largest = float(abs(jump).max(initial=0.0))
     threshold = search.detection_limit(noise, largest)
@@ -217,10 +217,10 @@ def impacts(
         added_error = _CONTACT_TIME_ERROR * pulse.width * rate + _CONTACT_SAMPLE_ERROR
         position_error = np.hypot(position_error, added_error * largest_nearby / abs(jump))
     position, position_error, jump, error = (
-        each[accepted] for each in (position, position_error, jump, error)
+        values[accepted] for values in (position, position_error, jump, error)
     )
     # The time of an average is that of its last sample.
-    position, unresolved = ((each + 1.0) * decimation - 1.0 for each in (position, unresolved))
+    position, unresolved = ((values + 1.0) * decimation - 1.0 for values in (position, unresolved))
     excluded = float(np.sum(unresolved[:, 1] - unresolved[:, 0])) / rec.rate
     return Impacts(
         channel=info.name,
@@ -261,12 +261,12 @@ def band(rate: float) -> tuple[float, float]:
 
 def _valid_samples(rec: Recording, name: str, samples: Array, start: int, ring: int) -> NDArray[np.bool_]:
     """Return whether each sample is valid: neither lost nor overloaded, and not ringing after an overload."""
-    good = np.isfinite(samples)
+    valid = np.isfinite(samples)
     for marker in rec.overloads:
         if marker.fields.get("channel") == name:
             # The response after an overload cannot be modelled, because the overload hides its beginning.
-            good[max(marker.first_sample - start, 0) : max(marker.end + 1 + ring - start, 0)] = False
-    return good
+            valid[max(marker.first_sample - start, 0) : max(marker.end + 1 + ring - start, 0)] = False
+    return valid
 
 
 def _acceleration(samples: Array, places: Array, info: ChannelInfo, duration: float) -> Array:

@@ -199,24 +199,24 @@ class ImpactModel:
         """
         stride = self.stride
         outputs = (self._coarse_filters @ window).reshape(-1, 3)
-        best = int(np.argmax(np.einsum("ij,ij->i", outputs, outputs))) * stride + stride // 2
-        low = max(best - stride, 0)
-        rows = self.filters[low : best + stride + 1]
+        best_row = int(np.argmax(np.einsum("ij,ij->i", outputs, outputs))) * stride + stride // 2
+        low = max(best_row - stride, 0)
+        rows = self.filters[low : best_row + stride + 1]
         outputs_nearby = (rows.reshape(-1, self.window) @ window).reshape(-1, 3)
         explained = np.einsum("ij,ij->i", outputs_nearby, outputs_nearby) / noise**2
-        best = int(np.argmax(explained))
-        row, offset = low + best, 0.0
-        if 0 < best < explained.size - 1:
-            left, middle, right = explained[best - 1 : best + 2]
+        best_row = int(np.argmax(explained))
+        row, offset = low + best_row, 0.0
+        if 0 < best_row < explained.size - 1:
+            left, middle, right = explained[best_row - 1 : best_row + 2]
             curvature = left - 2.0 * middle + right
             offset = min(max(0.5 * (left - right) / curvature, -0.5), 0.5) if curvature < 0 else 0.0
-        sizes = self._to_sizes[row] @ outputs_nearby[best]
+        sizes = self._to_sizes[row] @ outputs_nearby[best_row]
         if offset:
             direction = 1 if offset > 0 else -1
-            neighbour = self._to_sizes[row + direction] @ outputs_nearby[best + direction]
+            neighbour = self._to_sizes[row + direction] @ outputs_nearby[best_row + direction]
             sizes = (1.0 - abs(offset)) * sizes + abs(offset) * neighbour
         error = noise / abs(self.r_factors[row, 2, 2])
-        return (row + offset + 0.5) / self.instants - MAX_SHIFT, sizes, error, float(explained[best])
+        return (row + offset + 0.5) / self.instants - MAX_SHIFT, sizes, error, float(explained[best_row])
 
 
 @lru_cache(maxsize=32)

@@ -70,7 +70,7 @@ class Pulse:
 _INSTANT_PULSE = Pulse(duration=1e-9, ratio=0.0, angular=np.pi / 1e-9)
 
 
-def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
+def landing_pulse(scene: Scene, location: str, rate: float) -> Pulse | None:
     """Return the common pulse of all impacts in a location such as ``"body 2"``; None if they are instant.
 
     Raises `RecordingError` if there are grains, or impacts with different pulses.
@@ -80,13 +80,13 @@ def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
     inside = {
         number: damper
         for number, damper in enumerate(scene.dampers, 1)
-        if damper.moves and place == f"body {damper.body}"
+        if damper.moves and location == f"body {damper.body}"
     }
     dampers = inside.values()
     if any(damper.grains is not None for damper in dampers):
         raise RecordingError(
-            f"{place}: a bed of grains is not one mass, so that its impacts cannot be detected in a channel. Choose a "
-            "body without grains."
+            f"{location}: a bed of grains is not one mass, so that its impacts cannot be detected in a channel. Choose "
+            "a body without grains."
         )
     walls = [wall for damper in dampers for wall in walls_of(damper.contact)]
     # All impacts are much shorter than a sample interval.
@@ -109,8 +109,8 @@ def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
         abs(pulse.exchanged(time) - longest.exchanged(time)).max() > _MAX_PULSE_DIFFERENCE for pulse in pulses
     ):
         raise RecordingError(
-            f"{place}: contact durations or restitutions of floor, ceiling or dampers differ, so that the pulse of an "
-            "impact is not known beforehand. Choose a body where they are equal."
+            f"{location}: contact durations or restitutions of floor, ceiling or dampers differ, so that the pulse of "
+            "an impact is not known beforehand. Choose a body where they are equal."
         )
     return longest
 

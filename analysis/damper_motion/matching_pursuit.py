@@ -262,9 +262,9 @@ class MatchingPursuit:
         It is limited by noise, by model errors and, for finite-duration contact, by the prior of steps.
         """
         duration = self.model.contact_samples / self.rate
-        share = _CONTACT_MODEL_ERROR if duration else MODEL_ERROR
+        model_error = _CONTACT_MODEL_ERROR if duration else MODEL_ERROR
         sigmas = DETECTION_SIGMAS + DETECTION_MARGIN_SIGMAS
-        return max(sigmas * noise, share * largest, _MIN_JUMP_STEP_RATIO * self.prior[0] * duration)
+        return max(sigmas * noise, model_error * largest, _MIN_JUMP_STEP_RATIO * self.prior[0] * duration)
 
     def resolution(self) -> int:
         """Return the distance beyond which a second jump hardly increases the error of a jump, samples."""

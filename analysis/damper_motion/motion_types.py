@@ -156,7 +156,7 @@ def _motion_in_window(
         _least_acceleration(motion, numbers, frequency) > -gravity,
         estimate,
         repeats,
-        not ceiling.any() and any(may_reach_ceiling(motion, each) for each in dampers),
+        not ceiling.any() and any(may_reach_ceiling(motion, damper) for damper in dampers),
     )
 
 

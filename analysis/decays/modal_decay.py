@@ -205,12 +205,12 @@ def modal_decay(
     plausible = np.flatnonzero(
         np.isfinite(natural_error) & (abs(natural / frequency - 1.0) < _SAME_MODE_RATIO)
     )
-    best = frequency, float("nan")
+    frequency_estimate = frequency, float("nan")
     if plausible.size:
         k = plausible[np.argmin(natural_error[plausible])]
-        best = float(natural[k]), float(natural_error[k])
+        frequency_estimate = float(natural[k]), float(natural_error[k])
     return ModalDecay(
-        *best, frequency, time[begin:], envelope[begin:], noise,
+        *frequency_estimate, frequency, time[begin:], envelope[begin:], noise,
         amplitude[reported], damping[reported], error[reported], bias[reported], natural, natural_error,
     )  # fmt: skip
 

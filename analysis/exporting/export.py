@@ -135,18 +135,18 @@ def write_wav(stretch: Slice, path: Path, speed: float = 1.0) -> list[str]:
     peaks = np.zeros(count)
     for _, samples in stretch.pieces(stretch.channels):
         peaks = np.maximum(peaks, np.abs(samples).max(axis=1))
-    full = np.where(peaks > 0, peaks, 1.0)
+    full_scale = np.where(peaks > 0, peaks, 1.0)
     with path.open("wb") as stream, wave.open(stream, "wb") as sound:
         sound.setnchannels(count)
         sound.setsampwidth(3)
         sound.setframerate(round(rate))
         for _, samples in stretch.pieces(stretch.channels):
-            whole = np.ascontiguousarray(np.rint(samples.T / full * (2**23 - 1)), dtype="<i4")
+            integers = np.ascontiguousarray(np.rint(samples.T / full_scale * (2**23 - 1)), dtype="<i4")
             # 24-bit samples are the lower three of four bytes; the channels are interleaved.
-            sound.writeframesraw(whole.view(np.uint8).reshape(*whole.shape, 4)[..., :3].tobytes())
+            sound.writeframesraw(integers.view(np.uint8).reshape(*integers.shape, 4)[..., :3].tobytes())
     return [
         f"{info.name}: full scale is {value:.6g} {info.unit}"
-        for info, value in zip(stretch.infos, full, strict=True)
+        for info, value in zip(stretch.infos, full_scale, strict=True)
     ]
 
 
@@ -218,12 +218,12 @@ def export(
         total = (2 if kind == ".wav" else 1) * len(stretch.channels) * (stretch.stop - stretch.start)
         stretch = replace(stretch, on_read=_counter(total, progress))
     with atomic_write(path, overwrite or None) as part:
-        needed, free = expected_bytes(stretch, kind), shutil.disk_usage(part.parent).free
+        needed, free_bytes = expected_bytes(stretch, kind), shutil.disk_usage(part.parent).free
         # A table of short numbers needs only about a quarter of the expected size.
-        if needed > 4 * free:
+        if needed > 4 * free_bytes:
             raise RunError(
-                f"{path} would take about {needed / 1e6:.3g} MB, and its disk has {free / 1e6:.3g} MB left. Choose "
-                "another disk (-o), a stretch (--from, --to) or fewer channels."
+                f"{path} would take about {needed / 1e6:.3g} MB, and its disk has {free_bytes / 1e6:.3g} MB left. "
+                "Choose another disk (-o), a stretch (--from, --to) or fewer channels."
             )
         if kind == ".wav":
             return write_wav(stretch, part, speed)
@@ -232,11 +232,11 @@ def export(
 
 
 def _counter(total: int, progress: Callable[[int, int], None]) -> Callable[[int], None]:
-    done = 0
+    samples_read = 0
 
     def count_samples(samples: int) -> None:
-        nonlocal done
-        done += samples
-        progress(done, total)
+        nonlocal samples_read
+        samples_read += samples
+        progress(samples_read, total)
 
     return count_samples

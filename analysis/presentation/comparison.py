@@ -183,14 +183,14 @@ def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
 
 def _format_change(value: tuple[float, float, float], digits: int) -> tuple[str, str]:
     """Format a change and its interval; without one of the limits there is no best estimate."""
-    best, low, high = (f"{each:+.{digits}f}" for each in value)
+    estimate, low, high = (f"{number:+.{digits}f}" for number in value)
     if isinf(value[1]) and isinf(value[2]):
         return "unknown", ""
     if isinf(value[1]):
         return "", f"below {high}"
     if isinf(value[2]):
         return "", f"above {low}"
-    return best, f"{low} to {high}"
+    return estimate, f"{low} to {high}"
 
 
 def present_compare(

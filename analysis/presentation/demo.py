@@ -44,7 +44,7 @@ def demonstrate(folder: Path, say: Callable[[str], None], at: Sequence[float] | 
     `folder`: output folder for recordings, figures and tables; `say`: called with each line of text; `at`:
     frequencies of the stepped sines, Hz; default: `frequencies`. Returns all files written.
     """
-    began = time.monotonic()
+    start = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
     say("Recording two stepped sines (without and with three dampers) and two impulse tests ...")
     recordings = {name: folder / f"{name}.mcap" for name in (*SWEEPS, *IMPULSES)}
@@ -56,8 +56,10 @@ def demonstrate(folder: Path, say: Callable[[str], None], at: Sequence[float] | 
                 f"{path} exists and is not the demonstration's: it is left as it is. Choose another folder with "
                 "--output, or pass --overwrite"
             )
-    for name, seconds in _recorded(recordings, tuple(at or frequencies())):
-        say(f"  {recordings[name]} holds {seconds:.0f} s ({time.monotonic() - began:.0f} s after the start)")
+    for name, seconds in _record_all(recordings, tuple(at or frequencies())):
+        say(
+            f"  {recordings[name]} contains {seconds:.0f} s ({time.monotonic() - start:.0f} s after the start)"
+        )
     files = list(recordings.values())
     say("Reading the recordings, and nothing else, for compliance, decay and modes ...")
     sweeps, hits = [recordings[name] for name in SWEEPS], [recordings[name] for name in IMPULSES]
@@ -71,10 +73,10 @@ def demonstrate(folder: Path, say: Callable[[str], None], at: Sequence[float] | 
         for warning in result.warnings:
             say(f"  note: {warning}")
         files += result.files
-    say(f"Done in {time.monotonic() - began:.0f} s. Written:")
+    say(f"Done in {time.monotonic() - start:.0f} s. Written:")
     for path in files:
         say(f"  {path}")
-    say("What to type next:")
+    say("Next commands:")
     for command in (
         f"daq replay {recordings['fig8-three-dampers']}",
         f"daq info {recordings['fig10b-three-dampers']}",
@@ -85,7 +87,7 @@ def demonstrate(folder: Path, say: Callable[[str], None], at: Sequence[float] | 
     return files
 
 
-def _recorded(recordings: dict[str, Path], at: tuple[float, ...]) -> Iterator[tuple[str, float]]:
+def _record_all(recordings: dict[str, Path], at: tuple[float, ...]) -> Iterator[tuple[str, float]]:
     """Record on all cores; yield the name and duration (s) of each recording when it is complete."""
     # The long sweeps start first; the short impulse tests then use the cores that become free.
     jobs = [(name, path, at) for name, path in recordings.items()]

@@ -93,16 +93,16 @@ def damping_table(path: Path, decays: Sequence[Decay]) -> Path:
     return write_table(path, heading, rows)
 
 
-def modes_table(path: Path, found: Sequence[Modes]) -> Path:
+def modes_table(path: Path, sweeps: Sequence[Modes]) -> Path:
     """Write a table of natural frequencies, damping ratios and mode shapes."""
-    channels = list(dict.fromkeys(name for modes in found for name in modes.of_bodies().names))
+    channels = list(dict.fromkeys(name for modes in sweeps for name in modes.of_bodies().names))
     heading = [
         "scene", "reference", "mode", "frequency_Hz", "frequency_std_Hz", "omega_rad_s", "damping_ratio",
         "damping_ratio_std",
         *(f"shape {name}" for name in channels), *(f"shape {name} std" for name in channels), "phase_collinearity",
     ]  # fmt: skip
     rows: list[Row] = []
-    for modes in found:
+    for modes in sweeps:
         bodies = modes.of_bodies()
         for i, frequency in enumerate(modes.frequency):
             shape = dict(zip(bodies.names, bodies.shapes[:, i].real, strict=True))

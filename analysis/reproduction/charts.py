@@ -76,8 +76,8 @@ def abbreviate_types(types: np.ndarray) -> np.ndarray:
 
     def abbreviate(text: str) -> str:
         parts = text.split("/")
-        known = [p for p in parts if p in ("I", "II", "III", "riding")]
-        shown = known if len(known) == len(parts) else [*known, "other"]
+        named = [p for p in parts if p in ("I", "II", "III", "riding")]
+        shown = named if len(named) == len(parts) else [*named, "other"]
         return "/".join("r" if p == "riding" else p for p in dict.fromkeys(shown))
 
     return np.vectorize(abbreviate)(types)

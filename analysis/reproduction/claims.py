@@ -100,10 +100,10 @@ def _c2(parts: Parts) -> Claim:
                 ("scan-single", "scan-three"),
             ),
             Evidence(
-                "All of the claim, with Types I and II alone at the peak that three dampers leave, holds for "
-                f"{', '.join(settings) or 'no cell'}{trend}. Figs 5 and 6 are drawn "
-                f"{'there' if figure_cell in np.argwhere(cells).tolist() else 'elsewhere'}, at {FIGURE_5[0]:g} N with "
-                f"{1e3 * FIGURE_5[1]:g} mm.",
+                "The whole claim, with only Types I and II at the peak with three dampers, is true for "
+                f"{', '.join(settings) or 'no cell'}{trend}. Figs 5 and 6 use "
+                f"{'one of these settings' if figure_cell in np.argwhere(cells).tolist() else 'another setting'}: "
+                f"{FIGURE_5[0]:g} N with {1e3 * FIGURE_5[1]:g} mm.",
                 ("scan-single", "scan-three"),
             ),
             Evidence(
@@ -142,9 +142,9 @@ def _enhanced(single: Columns) -> str:
 
 def resonance_peaks(data: Columns, body: int = 2) -> np.ndarray:
     """Compute the largest compliance of a body around each resonance [m/N]."""
-    frequency, size = data["frequency"], np.abs(data["compliance"][body])
+    frequency, magnitude = data["frequency"], np.abs(data["compliance"][body])
     bands = ((10.5, 15.0), (30.0, 37.0), (45.0, 52.0))
-    return np.array([size[(frequency > low) & (frequency < high)].max() for low, high in bands])
+    return np.array([magnitude[(frequency > low) & (frequency < high)].max() for low, high in bands])
 
 
 def _c3(parts: Parts) -> Claim:

@@ -28,9 +28,11 @@ def fig9_claim(parts: Parts) -> Claim:
     only_type_2 = not ((exact["type"] == "III") & exact["stable"]).any()
     over_damping = parts["fig9-damping"]
     column = int(np.abs(over_damping["clearance"] - 0.98e-3).argmin())
-    free = over_damping["damping"][~over_damping["third"][:, column]]
+    free_dampings = over_damping["damping"][~over_damping["third"][:, column]]
     free_from = (
-        f"damping of {100 * free.min():g} % and more" if free.size else "none of the damping ratios tried"
+        f"damping of {100 * free_dampings.min():g} % and more"
+        if free_dampings.size
+        else "none of the damping ratios tried"
     )
     evidence = (
         Evidence(
@@ -106,9 +108,9 @@ def _free_of_third(over_damping: Columns) -> str:
     """Report the clearances without Type III, by damping ratio."""
     rows = []
     for damping, third in zip(over_damping["damping"], over_damping["third"], strict=True):
-        free = [f"{1e3 * c:g}" for c in over_damping["clearance"][~third]]
+        clearances = [f"{1e3 * c:g}" for c in over_damping["clearance"][~third]]
         rows.append(
-            f"{100 * damping:g} %: {'/'.join(free) + ' mm' if free else 'none of the clearances tried'}"
+            f"{100 * damping:g} %: {'/'.join(clearances) + ' mm' if clearances else 'none of the clearances tried'}"
         )
     return "; ".join(rows)
 

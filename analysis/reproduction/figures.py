@@ -159,10 +159,10 @@ def figure_9(parts: Parts) -> Figure:
         upper, lower = figure.subplots(2, 1, height_ratios=[1.1, 1], sharex=True)
         for name, mark, label in (("bare", "--", "no damper"), ("riding", ":", "mⱼ + mdⱼ")):
             upper.plot(approximate["line"], abs(approximate[name]), mark, color=GREY, lw=0.8, label=label)
-        size = abs(approximate["compliance"])
-        _draw_branches(upper, approximate, size, ORANGE, "approximate method", approximate["valid"])
-        size = abs(exact["compliance"][:, 1])
-        _draw_branches(upper, exact, size, BLUE, "exact orbits", np.isfinite(exact["frequency"]))
+        magnitude = abs(approximate["compliance"])
+        _draw_branches(upper, approximate, magnitude, ORANGE, "approximate method", approximate["valid"])
+        magnitude = abs(exact["compliance"][:, 1])
+        _draw_branches(upper, exact, magnitude, BLUE, "exact orbits", np.isfinite(exact["frequency"]))
         plot_body(upper, measured, 1, "o", color=BLACK, ms=2.4, label="recording")
         hollow = {"mfc": "none", "color": RED, "ms": 4.5, "mew": 0.7}
         plot_body(upper, parts["rec-fig9-down"], 1, "o", label="recording, swept down", **hollow)
@@ -178,9 +178,9 @@ def figure_9(parts: Parts) -> Figure:
                 _draw_branches(lower, data, phase, shade, "", keep)
         lower.plot(measured["impact_frequency"], measured["impact_phi"], "o", color=BLACK, ms=2.4)
         lower.plot(measured["impact_frequency"], measured["impact_tau_1"], "s", color=BLACK, ms=2.4)
-        for text, place in (("φ, force phase lag at floor impact", (46.1, 5.4)), ("τ₁, ceiling impact", (49.6, 4.35)),
+        for text, xy in (("φ, force phase lag at floor impact", (46.1, 5.4)), ("τ₁, ceiling impact", (49.6, 4.35)),
                             ("τ₀, leaves floor", (48.75, 0.6))):  # fmt: skip
-            lower.annotate(text, place, fontsize=8.5)
+            lower.annotate(text, xy, fontsize=8.5)
         lower.set_ylim(0, 2 * np.pi)
         lower.set_yticks(np.arange(5) * np.pi / 2, ["0", "π/2", "π", "3π/2", "2π"])
         lower.set_xlim(46, 54)
@@ -196,19 +196,19 @@ def figure_10a(parts: Parts) -> Figure:
         upper, lower = figure.subplots(2, 1, height_ratios=[2, 1])
         plot_body(upper, simulated, 0, color=BLUE, label="simulation")
         plot_body(upper, measured, 0, "o", color=BLACK, ms=2.2, label="recording")
-        size, error = abs(measured["compliance"][0]), np.nan_to_num(measured["error"][0])
-        low, high = np.maximum(size - 2 * error, 1e-3 * size), size + 2 * error
+        magnitude, error = abs(measured["compliance"][0]), np.nan_to_num(measured["error"][0])
+        low, high = np.maximum(magnitude - 2 * error, 1e-3 * magnitude), magnitude + 2 * error
         upper.fill_between(measured["frequency"], low, high, color=GREY, alpha=0.3, lw=0)
         log_axis(upper, [abs(simulated["compliance"][0])])
         set_log_scale(upper.yaxis, factor=1e6)
         upper.set_ylabel("compliance of body 1 |X₁/F₁| / (µm/N)")
         upper.set_title("Fig 10a: three dampers, mass ratio 10 %, no ceiling, force 2.6 N")
         upper.legend(loc="lower left")
-        true = parts["sim-noise"]
-        size = abs(true["compliance"][0])
+        exact = parts["sim-noise"]
+        magnitude = abs(exact["compliance"][0])
         for noise, shade, mark in zip(NOISES, (BLUE, GREEN, RED), "o^s", strict=True):
-            deviation = 100 * abs(abs(parts[f"rec-noise-{noise}"]["compliance"][0]) / size - 1.0)
-            lower.semilogy(true["frequency"], deviation, mark, color=shade, ms=3, label=f"{noise} µg/√Hz")
+            deviation = 100 * abs(abs(parts[f"rec-noise-{noise}"]["compliance"][0]) / magnitude - 1.0)
+            lower.semilogy(exact["frequency"], deviation, mark, color=shade, ms=3, label=f"{noise} µg/√Hz")
         lower.set_ylabel("difference / %")
         lower.set_title("Recordings less exact motion, by the noise of the accelerometers")
         # Leave space for the legend above the points.
@@ -231,8 +231,8 @@ def figure_10b(parts: Parts) -> Figure:
             )
             for side, entry in ((envelope, label), (-envelope, "")):
                 axes.plot(data["time"], side, color=shade, lw=1.4, label=entry)
-        rest: dict[str, Any] = {"color": ORANGE, "alpha": 0.2, "lw": 0, "label": "within 1 g: dampers rest"}
-        axes.axhspan(-STANDARD_GRAVITY, STANDARD_GRAVITY, **rest)
+        limits: dict[str, Any] = {"color": ORANGE, "alpha": 0.2, "lw": 0, "label": "within 1 g: dampers rest"}
+        axes.axhspan(-STANDARD_GRAVITY, STANDARD_GRAVITY, **limits)
         axes.set(xlim=(0, 2.0), xlabel="time / s", ylabel="acceleration of body 3 / (m/s²)")
         axes.set_title("Fig 10b: impulse response, mass ratio 10 %, no ceiling")
         axes.legend(loc="upper right")

@@ -49,7 +49,7 @@ def _note_monotonic_mass(optimum: Columns) -> str:
     worst_peaks = [
         f"{100 * r:.3g} % {1e6 * optimum['worst'][ratios == r].min():.0f}" for r in np.unique(ratios)
     ]
-    return f" There is no best mass ratio within: more mass is better; worst peaks in µm/N: {', '.join(worst_peaks)}."
+    return f" The worst peak falls with the mass ratio. Peaks in µm/N: {', '.join(worst_peaks)}."
 
 
 def write_pages(folder: Path, assessed: Sequence[Claim], parts: Parts) -> list[Path]:
@@ -93,7 +93,7 @@ def beyond_the_paper(parts: Parts) -> list[Evidence]:
             clearances,
         ),
         Evidence(
-            f"Clearance and mass ratio together, up to {100 * optimum['mass_ratios'].max():.0f} %: "
+            f"Best clearance and mass ratio, up to {100 * optimum['mass_ratios'].max():.0f} %: "
             f"{100 * float(optimum['mass_ratio']):.1f} % with {1e3 * float(optimum['best']):.2f} mm (worst peak "
             f"{1e6 * float(optimum['peak']):.0f} µm/N, {len(optimum['worst'])} trials).{_note_monotonic_mass(optimum)}",
             ("optimum",),
@@ -136,8 +136,8 @@ def _compare_weightings(parts: Parts) -> str:
     return (
         "Weight of the dampers in the approximate method: Eq 13 as printed is a signed sum of the shape, which is a "
         f"positive mass in {usable} of Fig 8; the energy-consistent weight (shape squared) always is. Error of the "
-        f"peak against the simulation, printed against energy-consistent: {'; '.join(rows)}. Where both exist the "
-        f"{better} one is nearer (median error {median[0]:.0f} % against {median[1]:.0f} %)."
+        f"peak against the simulation, printed against energy-consistent: {'; '.join(rows)}. Where both exist, the "
+        f"{better} weight has the smaller error (median {median[0]:.0f} % against {median[1]:.0f} %)."
     )
 
 

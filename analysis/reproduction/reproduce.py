@@ -116,19 +116,19 @@ class _Progress:
         """Report a finished part."""
         self.finished += 1
         self.done += part.effort
-        gone = time.monotonic() - self.began
-        left = gone * (self.total - self.done) / self.done
+        elapsed = time.monotonic() - self.began
+        remaining = elapsed * (self.total - self.done) / self.done
         self.say(
             f"  [{self.finished}/{self.count}] {part.title} ({part.name}): {100 * self.done / self.total:.0f} % done "
-            f"after {_format_duration(gone)}, "
-            + (f"about {_format_duration(left)} left" if self.finished < self.count else "the last part")
+            f"after {_format_duration(elapsed)}, "
+            + (f"about {_format_duration(remaining)} left" if self.finished < self.count else "the last part")
         )
 
 
 def _format_duration(seconds: float) -> str:
     """Format a duration.
 
-    >>> _span(42.3), _span(192)
+    >>> _format_duration(42.3), _format_duration(192)
     ('42 s', '3 min 12 s')
     """
     whole = round(seconds)

@@ -86,10 +86,10 @@ def _fig9_instants(orbit: Orbit) -> list[float]:
     """Return floor impact, take-off, ceiling impact and ceiling take-off of a Type I-III motion [s]."""
     if orbit.motion_type not in ("I", "II", "III"):
         return [np.nan] * 4
-    floor, ceiling, left = (
+    floor, ceiling, separations = (
         orbit.events["time"][orbit.events["kind"] == kind] for kind in ("floor", "ceiling", "separation")
     )
-    after = np.sort((left - floor[0]) % (1 / orbit.frequency)) + floor[0]
+    after = np.sort((separations - floor[0]) % (1 / orbit.frequency)) + floor[0]
     last = after[-1] if orbit.motion_type == "III" else np.nan
     return [floor[0], after[0], ceiling[0] if len(ceiling) else np.nan, last]
 

@@ -31,9 +31,11 @@ from tests.analysis.responses import synthetic
 
 def measured(frequency: np.ndarray, value: np.ndarray, error: float = 0.0) -> Response:
     """Curve as measured by a sweep, with a bounded relative error at each point."""
-    size, one = abs(value), np.ones(frequency.size)
-    off = error * size * np.exp(2j * np.pi * np.arange(frequency.size) * 0.38)
-    return Response.curve(frequency, value + off, "body1", degrees=100.0 * one, limits={"test": error * size})
+    magnitude, ones = abs(value), np.ones(frequency.size)
+    deviation = error * magnitude * np.exp(2j * np.pi * np.arange(frequency.size) * 0.38)
+    return Response.curve(
+        frequency, value + deviation, "body1", degrees=100.0 * ones, limits={"test": error * magnitude}
+    )
 
 
 def two_modes(f: np.ndarray, natural: float, ratio: float) -> np.ndarray:
@@ -52,22 +54,22 @@ def two_modes(f: np.ndarray, natural: float, ratio: float) -> np.ndarray:
 def test_measured_peak_lies_within_bounds(natural, ratio, offset, per_width, error) -> None:
     step = 2.0 * ratio * natural / per_width
     f = natural + step * (np.arange(-4, 4) + offset)
-    found = peak(measured(f, two_modes(f, natural, ratio), error), f[0], f[-1])
+    estimate = peak(measured(f, two_modes(f, natural, ratio), error), f[0], f[-1])
     dense = np.linspace(natural - step, natural + step, 4001)
     exact = abs(two_modes(dense, natural, ratio))
-    assert found is not None
-    assert abs(found.value - exact.max()) <= found.bound + 1e-5 * exact.max()
-    assert found.first - step / 200 <= dense[np.argmax(exact)] <= found.last + step / 200
+    assert estimate is not None
+    assert abs(estimate.value - exact.max()) <= estimate.bound + 1e-5 * exact.max()
+    assert estimate.first - step / 200 <= dense[np.argmax(exact)] <= estimate.last + step / 200
     # With coarse points, interpolation of a wide peak is less certain.
-    assert error > 0 or ratio > 0.02 or found.bound < 0.02 * exact.max()
+    assert error > 0 or ratio > 0.02 or estimate.bound < 0.02 * exact.max()
 
 
 def test_jump_near_peak_removes_upper_bound() -> None:
     f = np.linspace(9.0, 11.0, 41)
     value = np.where(f < 10.2, 1.0, 0.005) / (1.0 - (f / 10.6) ** 2 + 0.002j)
-    found = peak(measured(f, value), 9.0, 11.0)
-    assert found is not None and math.isinf(found.bound) and found.frequency == pytest.approx(10.15)
-    change = PeakChange("body1", 10.0, 0.01, Peak(1e-3, 0.0, 10.0, 10.0, 10.0), found)
+    estimate = peak(measured(f, value), 9.0, 11.0)
+    assert estimate is not None and math.isinf(estimate.bound) and estimate.frequency == pytest.approx(10.15)
+    change = PeakChange("body1", 10.0, 0.01, Peak(1e-3, 0.0, 10.0, 10.0, 10.0), estimate)
     assert math.isinf(change.decibel[2])
     _, row, remark = describe_changes([change])
     assert "above +81.6" in row and "the peak after may be higher" in remark
@@ -76,12 +78,12 @@ def test_jump_near_peak_removes_upper_bound() -> None:
 def test_omitted_points_near_peak_remove_upper_bound() -> None:
     f = np.linspace(9.0, 11.0, 41)
     curve = measured(f, 1.0 / (1.0 - (f / 10.03) ** 2 + 0.02j))
-    kept = abs(f - 10.1) > 0.12
-    found = peak(replace(curve.at(kept), omitted=f[~kept]), 9.0, 11.0)
-    assert found is not None and math.isinf(found.bound) and found.value < abs(curve.value).max()
+    included = abs(f - 10.1) > 0.12
+    estimate = peak(replace(curve.at(included), omitted=f[~included]), 9.0, 11.0)
+    assert estimate is not None and math.isinf(estimate.bound) and estimate.value < abs(curve.value).max()
 
 
-def beneath_dampers(f: np.ndarray) -> np.ndarray:
+def amplitude_dependent_receptance(f: np.ndarray) -> np.ndarray:
     """Receptance with amplitude-dependent damping that decreases near the peak, solved at each point."""
     stiffness, damping = 1.0 - (f / 18.6) ** 2, np.full(f.size, 0.1)
     for _ in range(200):
@@ -94,21 +96,21 @@ def beneath_dampers(f: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("offset", np.linspace(0.0, 1.0, 9).tolist())
 def test_narrow_peak_lies_within_bound(step, offset) -> None:
     f = 18.6 + step * (np.arange(-5, 5) + offset)
-    found = peak(measured(f, beneath_dampers(f)), f[0], f[-1])
-    exact = abs(beneath_dampers(np.linspace(18.2, 19.0, 4001))).max()
-    assert found is not None and found.low <= exact <= found.value + found.bound
-    assert found.low >= abs(beneath_dampers(f)).max()
-    assert step > 0.05 or found.bound < 0.02 * exact
+    estimate = peak(measured(f, amplitude_dependent_receptance(f)), f[0], f[-1])
+    exact = abs(amplitude_dependent_receptance(np.linspace(18.2, 19.0, 4001))).max()
+    assert estimate is not None and estimate.low <= exact <= estimate.value + estimate.bound
+    assert estimate.low >= abs(amplitude_dependent_receptance(f)).max()
+    assert step > 0.05 or estimate.bound < 0.02 * exact
 
 
 def test_coarse_points_name_the_needed_spacing() -> None:
-    close, wide = (Peak(1e-3, 1e-4, 18.5, 18.4, 18.6, 0.0, share * 1e-3, 0.33) for share in (0.005, 0.09))
+    close, wide = (Peak(1e-3, 1e-4, 18.5, 18.4, 18.6, 0.0, ratio * 1e-3, 0.33) for ratio in (0.005, 0.09))
     [reported] = coarse_step_warnings([(19.0, "a3", close), (19.0, "a4", wide), (44.0, "a4", close)])
     assert reported.startswith("a4, near 18.50 Hz: the points are 0.33 Hz apart")
     assert "by up to 9 %" in reported and reported.endswith("Measure every 0.1 Hz there.")
     three = np.linspace(17.0, 20.0, 3)
-    found = peak(measured(three, beneath_dampers(three)), 17.0, 20.0)
-    assert found is not None and math.isinf(found.bound)
+    estimate = peak(measured(three, amplitude_dependent_receptance(three)), 17.0, 20.0)
+    assert estimate is not None and math.isinf(estimate.bound)
 
 
 def test_bounded_changes_state_direction_and_limit() -> None:
@@ -117,7 +119,7 @@ def test_bounded_changes_state_direction_and_limit() -> None:
         Peak(2e-4, 1e-5, 9.5, 9.4, 9.8),
         Peak(1e-3, 2e-5, 10.05, 9.9, 10.2),
     ]
-    changes = [PeakChange("b1", 10.0, 0.01, peaks[0], other) for other in peaks[1:]]
+    changes = [PeakChange("b1", 10.0, 0.01, peaks[0], damped) for damped in peaks[1:]]
     _, lowered, same = (re.split(r"  +", line) for line in describe_changes(changes))
     assert lowered[2:6] == ["1000", "200", "-14.0", "-14.5 to -13.5"]
     assert lowered[6:8] == ["-0.50", "-0.70 to -0.10"]
@@ -148,13 +150,20 @@ def test_shared_sensors_cancel_in_changes() -> None:
         for curve in (measured(f, two_modes(f, 10.0, ratio)) for ratio in (0.01, 0.02))
     )
     modes = analysis.identify([bare])
-    [apart], [alike] = (peak_changes(modes, [bare], [damped], same) for same in ((), ("body1",)))
-    assert alike.bare == apart.bare and alike.bare.bound > 0.15 * alike.bare.value
-    assert apart.decibel[2] - apart.decibel[1] > 4.0
+    [different_sensors], [same_sensors] = (
+        peak_changes(modes, [bare], [damped], shared) for shared in ((), ("body1",))
+    )
+    assert (
+        same_sensors.bare == different_sensors.bare
+        and same_sensors.bare.bound > 0.15 * same_sensors.bare.value
+    )
+    assert different_sensors.decibel[2] - different_sensors.decibel[1] > 4.0
     fine = np.linspace(9.0, 11.0, 80001)
-    true = 20.0 * math.log10(abs(two_modes(fine, 10.0, 0.02)).max() / abs(two_modes(fine, 10.0, 0.01)).max())
-    assert alike.decibel[1] <= true <= alike.decibel[2]
-    assert alike.decibel[2] - alike.decibel[1] < 0.1
+    true_change = 20.0 * math.log10(
+        abs(two_modes(fine, 10.0, 0.02)).max() / abs(two_modes(fine, 10.0, 0.01)).max()
+    )
+    assert same_sensors.decibel[1] <= true_change <= same_sensors.decibel[2]
+    assert same_sensors.decibel[2] - same_sensors.decibel[1] < 0.1
 
 
 def test_same_structure_shows_no_change(tmp_path) -> None:
@@ -168,18 +177,18 @@ def test_same_structure_shows_no_change(tmp_path) -> None:
         value, low, high = change.decibel
         assert low <= value == 0.0 <= high and change.shift[0] == 0.0
         assert change.equivalent_damping == pytest.approx(0.005, rel=2e-3)
-    other = synthetic.stepped_sine(tmp_path / "b.mcap", frequencies + 0.01)
-    said = CliRunner().invoke(app, ["compare", str(path), str(other)])
-    assert said.exit_code == 0 and len(re.findall(r"^  body\d ", said.output, re.MULTILINE)) == 9
+    second_path = synthetic.stepped_sine(tmp_path / "b.mcap", frequencies + 0.01)
+    run = CliRunner().invoke(app, ["compare", str(path), str(second_path)])
+    assert run.exit_code == 0 and len(re.findall(r"^  body\d ", run.output, re.MULTILINE)) == 9
     assert (tmp_path / "a+b-compare.csv").read_text(encoding="utf-8").count("\n") == 10
     assert CliRunner().invoke(app, ["compare", str(path)]).exit_code != 0
 
 
 def test_warnings_of_modes_are_repeated(tmp_path) -> None:
     path = synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))
-    said = CliRunner().invoke(app, ["compare", str(path), str(path)])
-    assert said.exit_code == 0
-    assert "warning: a.mcap: 13.04 Hz: fewer than two measured points" in said.stderr
+    run = CliRunner().invoke(app, ["compare", str(path), str(path)])
+    assert run.exit_code == 0
+    assert "warning: a.mcap: 13.04 Hz: fewer than two measured points" in run.stderr
 
 
 def test_dominant_peak_without_mode_is_mentioned() -> None:
@@ -188,6 +197,8 @@ def test_dominant_peak_without_mode_is_mentioned() -> None:
     modes = analysis.identify([curve])
     assert modes.frequency == pytest.approx([10.0, 20.0], rel=1e-3)
     assert uncompared_highest_peaks(modes, [curve]) == []
-    one = replace(modes, frequency=modes.frequency[1:])
-    [said] = uncompared_highest_peaks(one, [curve])
-    assert said.startswith("body1: the curve is highest at 10.00 Hz, 1 times as high as the compared peaks")
+    second_mode = replace(modes, frequency=modes.frequency[1:])
+    [message] = uncompared_highest_peaks(second_mode, [curve])
+    assert message.startswith(
+        "body1: the curve is highest at 10.00 Hz, 1 times as high as the compared peaks"
+    )

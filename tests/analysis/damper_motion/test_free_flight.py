@@ -23,6 +23,6 @@ def test_restitution_lies_within_its_bounds(tmp_path, true, clearance):
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         [window] = [marker for marker in rec.markers if marker.kind == "measure"]
         first, stop = window.first_sample, window.stop
-        found = restitution(BodyMotion(rec, "body2", first, stop), scene.dampers[0])
-    assert found is not None and found.error < 0.05
-    assert abs(found.value - true) < 2.0 * found.error
+        estimate = restitution(BodyMotion(rec, "body2", first, stop), scene.dampers[0])
+    assert estimate is not None and estimate.error < 0.05
+    assert abs(estimate.value - true) < 2.0 * estimate.error

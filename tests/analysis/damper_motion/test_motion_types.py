@@ -98,12 +98,12 @@ def fig9(tmp_path_factory):
 def true_types(rec, sweep):
     """True motion types of a single damper, from its events and contacts."""
     events, contact = rec.events, rec.truth("contact")[0]
-    out = []
+    types = []
     for first, stop in sweep.windows:
         inside = (events["time"] > first / rec.rate) & (events["time"] < stop / rec.rate)
-        struck = np.any(events["kind"][inside] == "ceiling")
-        out.append(("III" if np.any(contact[first:stop] == 2) else "II") if struck else "I")
-    return out
+        hits_ceiling = np.any(events["kind"][inside] == "ceiling")
+        types.append(("III" if np.any(contact[first:stop] == 2) else "II") if hits_ceiling else "I")
+    return types
 
 
 def test_possible_flight_is_not_called_riding() -> None:
@@ -147,8 +147,8 @@ def test_riding_requires_acceleration_above_minus_g(tmp_path, first, third, tole
     """Riding depends on the peak acceleration, including harmonics and the sensor tolerance."""
     sensor = {"accelerometer.sensitivity_tolerance": str(tolerance)}
     infos = [ChannelInfo("body1", "body 1", "acceleration", 1.0, synthetic.RATE, average=True, sensor=sensor)]
-    turn = 2 * np.pi * 40.0 / synthetic.RATE * np.arange(20 * 64)
-    row = 9.80665 * (first * np.cos(turn) + third * np.cos(3 * turn))
+    phase = 2 * np.pi * 40.0 / synthetic.RATE * np.arange(20 * 64)
+    row = 9.80665 * (first * np.cos(phase) + third * np.cos(3 * phase))
     marks = [("measure", 0, row.size - 1, {"frequency": 40.0, "level": 1.0, "direction": "up"})]
     path = synthetic.write(
         tmp_path / "a.mcap", synthetic.scene().replace(gravity=9.80665), infos, row[None], marks
@@ -169,7 +169,7 @@ def test_fig_9_types_are_identified(fig9):
     with daq.open(fig9) as rec:
         [sweep] = sweeps(rec)
         motions = damper_motion(rec, sweep, "body2")
-        assert [one.name for one in motions] == true_types(rec, sweep) == ["I", "II", "III"]
+        assert [motion.name for motion in motions] == true_types(rec, sweep) == ["I", "II", "III"]
     assert describe_motions([motions])[1].split() == ["body2", "type", "I", "47.5", "Hz"]
 
 
@@ -209,7 +209,7 @@ def test_uncertain_impacts_give_no_false_type(tmp_path):
         path = daq.record(scene, tmp_path / "weak.mcap")
     with daq.open(path) as rec:
         [sweep] = sweeps(rec)
-        names = [one.name for one in damper_motion(rec, sweep, "b2")]
+        names = [motion.name for motion in damper_motion(rec, sweep, "b2")]
     assert all(name == "II" or "unsure" in name or "perhaps weak ones" in name for name in names)
 
 
@@ -217,9 +217,11 @@ def test_impact_energy_agrees_with_truth(fig9):
     with daq.open(fig9) as rec:
         [sweep] = sweeps(rec)
         energy = energy_per_cycle(rec, sweep)
-        true = impact_energy_per_cycle(rec, sweep)
-    assert np.all(abs(energy.dampers - true) <= energy.bound) and np.all(energy.bound < 0.1 * energy.supplied)
-    assert np.all(true[1:] > 0.6 * energy.supplied[1:])
+        true_energy = impact_energy_per_cycle(rec, sweep)
+    assert np.all(abs(energy.dampers - true_energy) <= energy.bound) and np.all(
+        energy.bound < 0.1 * energy.supplied
+    )
+    assert np.all(true_energy[1:] > 0.6 * energy.supplied[1:])
 
 
 def test_finite_duration_motion_and_energy_are_true(tmp_path):
@@ -231,12 +233,12 @@ def test_finite_duration_motion_and_energy_are_true(tmp_path):
     )
     with daq.open(daq.record(scene, tmp_path / "lasting.mcap")) as rec:
         [sweep] = sweeps(rec)
-        names = [one.name for one in damper_motion(rec, sweep, "body2")]
-        energy, true = energy_per_cycle(rec, sweep), impact_energy_per_cycle(rec, sweep)
+        names = [motion.name for motion in damper_motion(rec, sweep, "body2")]
+        energy, true_energy = energy_per_cycle(rec, sweep), impact_energy_per_cycle(rec, sweep)
     assert names[:2] == ["I", "I"] and names[2] in ("riding", "unseen")
     assert rig.frequency_response(scene, [46.0, 48.0]).motion_type.ravel().tolist() == ["I", "I"]
-    assert np.all(abs(energy.dampers - true) <= energy.bound)
-    assert np.all(true[:2] > 0.6 * energy.supplied[:2])
+    assert np.all(abs(energy.dampers - true_energy) <= energy.bound)
+    assert np.all(true_energy[:2] > 0.6 * energy.supplied[:2])
 
 
 def test_command_prints_motion_and_energy(fig9, tmp_path):

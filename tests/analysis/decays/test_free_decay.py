@@ -31,32 +31,34 @@ def test_linear_decay_has_damping_at_every_amplitude(tmp_path):
 
 def test_linear_decay_frequencies_lie_within_bounds():
     rng, rate, begin = np.random.default_rng(5), 1280.0, 640
-    pulls, peaks = [], []
+    normalized_errors, peak_error_ratios = [], []
     for _ in range(40):
         natural = np.array([11.0, 24.0, 50.0, 110.0]) * rng.uniform(0.9, 1.1, 4)
-        ratio, size = np.exp(rng.uniform(np.log(0.002), np.log(0.03), 4)), rng.uniform(1.0, 20.0, 4)
+        ratio, amplitude = np.exp(rng.uniform(np.log(0.002), np.log(0.03), 4)), rng.uniform(1.0, 20.0, 4)
         time = np.arange(int(rng.uniform(2.0, 8.0) * rate))[:, None] / rate
         angle = 2 * np.pi * natural * np.sqrt(1 - ratio**2) * time + rng.uniform(0, 2 * np.pi, 4)
-        decay = np.sum(size * np.exp(-2 * np.pi * natural * ratio * time) * np.cos(angle), axis=1)
-        read = np.concatenate([np.zeros(begin), decay])
-        read += np.exp(rng.uniform(np.log(1e-4), np.log(0.1))) * rng.standard_normal(read.size)
-        found = spectral_peaks(read[begin:], rate, 4, 2.0, 200.0)
-        for index, peak in enumerate(found):
-            mode = modal_decay(read, rate, peak, band_width(found, index), begin)
+        decay = np.sum(amplitude * np.exp(-2 * np.pi * natural * ratio * time) * np.cos(angle), axis=1)
+        signal = np.concatenate([np.zeros(begin), decay])
+        signal += np.exp(rng.uniform(np.log(1e-4), np.log(0.1))) * rng.standard_normal(signal.size)
+        peak_frequencies = spectral_peaks(signal[begin:], rate, 4, 2.0, 200.0)
+        for index, peak in enumerate(peak_frequencies):
+            mode = modal_decay(signal, rate, peak, band_width(peak_frequencies, index), begin)
             if np.isfinite(mode.frequency_error):
-                true = natural[np.argmin(abs(natural - peak))]
-                pulls.append((mode.frequency - true) / mode.frequency_error)
-                peaks.append(abs(peak / true - 1.0) / abs(mode.frequency / true - 1.0))
-    assert len(pulls) > 120
-    assert np.mean(np.abs(pulls) < 2.0) > 0.95 and np.max(np.abs(pulls)) < 4.0
+                true_frequency = natural[np.argmin(abs(natural - peak))]
+                normalized_errors.append((mode.frequency - true_frequency) / mode.frequency_error)
+                peak_error_ratios.append(
+                    abs(peak / true_frequency - 1.0) / abs(mode.frequency / true_frequency - 1.0)
+                )
+    assert len(normalized_errors) > 120
+    assert np.mean(np.abs(normalized_errors) < 2.0) > 0.95 and np.max(np.abs(normalized_errors)) < 4.0
     # The frequency of the spectral peak has ten times this error.
-    assert np.median(peaks) > 10.0
+    assert np.median(peak_error_ratios) > 10.0
 
 
 def test_clock_error_is_in_frequency_bound(tmp_path):
     scene = rig.loads(STIFF.format(stiffness=(2 * np.pi * 100.0) ** 2, duration=2.0))
-    late = scene.replace(converter={"rate": 25600.0, "clock_error": 1e-3})
-    with daq.open(daq.record(late, tmp_path / "a.mcap")) as rec:
+    with_clock_error = scene.replace(converter={"rate": 25600.0, "clock_error": 1e-3})
+    with daq.open(daq.record(with_clock_error, tmp_path / "a.mcap")) as rec:
         (mode,) = analysis.decay(rec).modes
     assert abs(mode.frequency - 100.0) == pytest.approx(0.1, rel=0.01)
     assert 2.0 * mode.frequency_error == pytest.approx(0.1, rel=0.01)
@@ -66,8 +68,8 @@ def test_damping_above_noise_floor_is_right(tmp_path):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap", noise=2e-3)) as rec:
         decay = analysis.decay(rec, channel="body3")
     for mode in decay.modes:
-        high = mode.amplitude > 0.05 * mode.amplitude[0]
-        np.testing.assert_allclose(mode.damping[high], 0.005, rtol=0.03)
+        above_noise = mode.amplitude > 0.05 * mode.amplitude[0]
+        np.testing.assert_allclose(mode.damping[above_noise], 0.005, rtol=0.03)
 
 
 def test_integrated_energy_falls_to_the_end(tmp_path):
@@ -100,15 +102,15 @@ LAWS = {
 @pytest.mark.parametrize("noise", [1e-3, 0.05])
 def test_changing_damping_lies_within_bounds(law, noise):
     random = np.random.default_rng(3)
-    rate, natural, amplitude, size = 1280.0, 24.0, 50.0, np.empty(5120)
-    for index in range(size.size):
-        size[index] = amplitude
+    rate, natural, amplitude, envelope = 1280.0, 24.0, 50.0, np.empty(5120)
+    for index in range(envelope.size):
+        envelope[index] = amplitude
         amplitude *= np.exp(-float(LAWS[law](amplitude)) * 2 * np.pi * natural / rate)
-    tone = size * np.cos(2 * np.pi * natural / rate * np.arange(size.size) + 1.0)
+    tone = envelope * np.cos(2 * np.pi * natural / rate * np.arange(envelope.size) + 1.0)
     signal = np.append(np.zeros(640), tone) + noise * random.standard_normal(5760)
     mode = modal_decay(signal, rate, natural, natural / 4.0, 640)
-    off = abs(mode.damping - LAWS[law](mode.amplitude))
-    assert mode.damping.size > 10 and np.mean(off <= 2.0 * mode.damping_error) >= 0.95
+    error = abs(mode.damping - LAWS[law](mode.amplitude))
+    assert mode.damping.size > 10 and np.mean(error <= 2.0 * mode.damping_error) >= 0.95
     assert np.median(mode.damping_error / mode.damping) < 0.1
 
 
@@ -116,14 +118,17 @@ def test_displacement_gives_decay_of_acceleration(tmp_path):
     force = np.zeros(640 + int(4 * synthetic.RATE))
     force[640:656] = 50.0 * np.sin(np.pi * np.arange(16) / 16)
     infos = [info for info in synthetic.channels("displacement") if info.at != "table"]
-    where = synthetic.scene("{kind: impulse, body: 1, peak: 50 N, width: 6.25 ms}")
+    scene = synthetic.scene("{kind: impulse, body: 1, peak: 50 N, width: 6.25 ms}")
     rows = synthetic.simulate(force, quantity="displacement")
-    path = synthetic.write(tmp_path / "a.mcap", where, infos, rows, [("hit", 640, 655, {})])
+    path = synthetic.write(tmp_path / "a.mcap", scene, infos, rows, [("hit", 640, 655, {})])
     with daq.open(path) as rec:
         decay = analysis.decay(rec, channel="body3")
-    true = synthetic.simulate(force)[2][656 : 656 + decay.time.size]
+    true_acceleration = synthetic.simulate(force)[2][656 : 656 + decay.time.size]
     inner = slice(200, -2000)
-    assert np.max(abs(decay.acceleration[inner] - true[inner])) < 0.01 * abs(true).max()
+    assert (
+        np.max(abs(decay.acceleration[inner] - true_acceleration[inner]))
+        < 0.01 * abs(true_acceleration).max()
+    )
 
 
 @pytest.mark.parametrize(
@@ -157,13 +162,15 @@ def test_three_dampers_have_true_damping(tmp_path):
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         decay = analysis.decay(rec, "body2")
         ideal = ChannelInfo("true", "body 2", "displacement", 1.0, rec.rate)
-        true = correct_motion(ideal, rec.truth("displacement")[1], "acceleration", 2.0, 800.0)
+        true_acceleration = correct_motion(ideal, rec.truth("displacement")[1], "acceleration", 2.0, 800.0)
         [(_, last)] = hits(rec)
     frequencies = np.array([mode.centre for mode in decay.modes])
     np.testing.assert_allclose(frequencies, [12.4, 34.7, 49.0], rtol=0.05)
     for index, mode in enumerate(decay.modes):
         width = band_width(frequencies, index)
-        expected = modal_decay(true, rec.rate, mode.centre, width, last + 1, amplitudes=mode.amplitude)
+        expected = modal_decay(
+            true_acceleration, rec.rate, mode.centre, width, last + 1, amplitudes=mode.amplitude
+        )
         assert mode.damping.size > 5 and agreement(mode, expected).mean() > 0.95
     # Above 1 g the dampers dissipate; below 1 g only the structural damping of 0.5 % remains, with the riding masses.
     assert max(mode.damping.max() for mode in decay.modes) > 0.02
@@ -184,12 +191,12 @@ def test_free_decay_agrees_with_noise_free_run(tmp_path, order):
         decay = analysis.decay(rec)
     run = rig.simulate(scene, duration=5.0, rate=5120.0)
     ideal = ChannelInfo("true", "body 3", "displacement", 1.0, 5120.0)
-    true = correct_motion(ideal, run.displacement[2], "acceleration", 2.0, 800.0)
+    true_acceleration = correct_motion(ideal, run.displacement[2], "acceleration", 2.0, 800.0)
     frequencies = np.array([mode.centre for mode in decay.modes])
     assert len(frequencies) >= 2
     for index, mode in enumerate(decay.modes):
         width = band_width(frequencies, index)
-        expected = modal_decay(true, 5120.0, mode.centre, width, 0, amplitudes=mode.amplitude)
+        expected = modal_decay(true_acceleration, 5120.0, mode.centre, width, 0, amplitudes=mode.amplitude)
         assert mode.damping.size > 5 and agreement(mode, expected).mean() > 0.95
 
 
@@ -201,8 +208,8 @@ def test_only_amplitudes_above_noise_are_reported(tmp_path):
             assert mode.amplitude.min() > 20.0 * mode.noise
             noise_part = np.sqrt(mode.damping_error**2 - (0.5 * mode.damping_smear) ** 2)
             assert np.all(noise_part <= 0.05 * mode.damping)
-            pull = (mode.damping - 0.005) / np.maximum(mode.damping_error, 0.005 * 0.01)
-            assert np.max(abs(pull)) < 4.0
+            normalized_error = (mode.damping - 0.005) / np.maximum(mode.damping_error, 0.005 * 0.01)
+            assert np.max(abs(normalized_error)) < 4.0
 
 
 def test_silent_recording_has_no_damping(tmp_path):
@@ -211,29 +218,33 @@ def test_silent_recording_has_no_damping(tmp_path):
 
 
 def test_truncated_decay_keeps_its_envelope(tmp_path):
-    cut, whole = (synthetic.impulses(tmp_path / f"{t}.mcap", interval=t) for t in (2.0, 8.0))
-    with daq.open(cut) as rec, daq.open(whole) as longer:
+    truncated, complete = (synthetic.impulses(tmp_path / f"{t}.mcap", interval=t) for t in (2.0, 8.0))
+    with daq.open(truncated) as rec, daq.open(complete) as longer:
         decay, expected = analysis.decay(rec), analysis.decay(longer)
     assert 1.8 < decay.time[-1] < 2.0
-    late = decay.time > 1.0
-    off = abs(decay.envelope - expected.envelope[: decay.time.size])[late]
-    assert off.max() < 0.1 * expected.envelope[: decay.time.size][late].max()
+    near_end = decay.time > 1.0
+    difference = abs(decay.envelope - expected.envelope[: decay.time.size])[near_end]
+    assert difference.max() < 0.1 * expected.envelope[: decay.time.size][near_end].max()
 
 
 def test_decay_ends_before_delayed_next_hit(tmp_path):
     scene = rig.load("fig10b-no-damper")
     test = scene.test.model_dump(exclude_none=True) | {"repeats": 2, "interval": 2.0}
-    for remove in (False, True):
-        converter = {"rate": 2560.0, "filter": "delta_sigma", "remove_delay": remove}
-        late = scene.replace(test=test, converter=converter, recording={"truth": True, "display": False})
-        with daq.open(daq.record(late, tmp_path / f"{remove}.mcap")) as rec:
+    for remove_delay in (False, True):
+        converter = {"rate": 2560.0, "filter": "delta_sigma", "remove_delay": remove_delay}
+        delayed = scene.replace(test=test, converter=converter, recording={"truth": True, "display": False})
+        with daq.open(daq.record(delayed, tmp_path / f"{remove_delay}.mcap")) as rec:
             decay = analysis.decay(rec, "body2")
             ideal = ChannelInfo("true", "body 2", "displacement", 1.0, rec.rate)
-            true = correct_motion(ideal, rec.truth("displacement")[1], "acceleration", 2.0, 800.0)
+            true_acceleration = correct_motion(
+                ideal, rec.truth("displacement")[1], "acceleration", 2.0, 800.0
+            )
             begin = hits(rec)[0][1] + 1
         assert 1.8 < decay.time[-1] < 2.0
-        off = abs(decay.acceleration - true[begin : begin + decay.time.size])[decay.time > 0.05]
-        assert off.max() < 0.02 * abs(decay.acceleration).max()
+        difference = abs(decay.acceleration - true_acceleration[begin : begin + decay.time.size])[
+            decay.time > 0.05
+        ]
+        assert difference.max() < 0.02 * abs(decay.acceleration).max()
 
 
 STIFF = """

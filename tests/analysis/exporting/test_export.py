@@ -95,46 +95,48 @@ def test_silent_wav_stays_silent(tmp_path):
 def test_uff_is_read_by_pyuff(recording, tmp_path):
     export(Slice.of(recording, None, 0.25, 1.25), tmp_path / "a.uff")
     sets = pyuff.UFF(str(tmp_path / "a.uff")).read_sets()
-    assert [one["type"] for one in sets] == [58, 58]
-    assert [one["func_type"] for one in sets] == [1, 1]
-    assert [one["rsp_node"] for one in sets] == [1, 2]
-    assert [one["rsp_dir"] for one in sets] == [3, 3]
-    assert [one["ordinate_spec_data_type"] for one in sets] == [8, 12]
-    assert [one["ordinate_axis_units_lab"] for one in sets] == ["m", "m/s^2"]
+    assert [data_set["type"] for data_set in sets] == [58, 58]
+    assert [data_set["func_type"] for data_set in sets] == [1, 1]
+    assert [data_set["rsp_node"] for data_set in sets] == [1, 2]
+    assert [data_set["rsp_dir"] for data_set in sets] == [3, 3]
+    assert [data_set["ordinate_spec_data_type"] for data_set in sets] == [8, 12]
+    assert [data_set["ordinate_axis_units_lab"] for data_set in sets] == ["m", "m/s^2"]
     assert sets[1]["id1"].startswith("body2: acceleration at body 2")
     assert sets[1]["id4"] == "sample rate 2560.0 Hz"
-    for one, name in zip(sets, recording.channels, strict=True):
-        assert one["data"] == pytest.approx(recording.read(name, 640, 3200), rel=1e-11)
-        assert one["x"][0] == pytest.approx(0.25)
-        assert np.diff(one["x"]) == pytest.approx(1 / RATE, rel=2e-6)
+    for data_set, name in zip(sets, recording.channels, strict=True):
+        assert data_set["data"] == pytest.approx(recording.read(name, 640, 3200), rel=1e-11)
+        assert data_set["x"][0] == pytest.approx(0.25)
+        assert np.diff(data_set["x"]) == pytest.approx(1 / RATE, rel=2e-6)
 
 
 def test_odd_name_stays_in_its_line(recording, tmp_path):
-    odd = tmp_path / os.fsdecode(b"a\nb\xff.mcap")
-    shutil.copy(recording.path, odd)
-    with daq.open(odd) as opened:
+    odd_path = tmp_path / os.fsdecode(b"a\nb\xff.mcap")
+    shutil.copy(recording.path, odd_path)
+    with daq.open(odd_path) as opened:
         export(Slice.of(opened), tmp_path / "a.uff")
-    assert {one["id2"] for one in pyuff.UFF(str(tmp_path / "a.uff")).read_sets()} == {r"from a b\udcff.mcap"}
+    assert {data_set["id2"] for data_set in pyuff.UFF(str(tmp_path / "a.uff")).read_sets()} == {
+        r"from a b\udcff.mcap"
+    }
 
 
 def test_series_follow_sep005_rules(recording):
     series = analysis.sep005(recording, to_s=1.0)
-    assert [one["name"] for one in series] == ["body1", "body2"]
-    assert [one["unit_str"] for one in series] == ["m", "m/s²"]
-    assert [one["quantity"] for one in series] == ["d", "a"]
-    for one in series:
-        assert one["data"].ndim == 1
-        assert one["fs"] == RATE
-        assert "timestamp" not in one and "start_timestamp" not in one
-        assert np.array_equal(one["data"], recording.read(one["name"], 0, 2560))
+    assert [channel["name"] for channel in series] == ["body1", "body2"]
+    assert [channel["unit_str"] for channel in series] == ["m", "m/s²"]
+    assert [channel["quantity"] for channel in series] == ["d", "a"]
+    for channel in series:
+        assert channel["data"].ndim == 1
+        assert channel["fs"] == RATE
+        assert "timestamp" not in channel and "start_timestamp" not in channel
+        assert np.array_equal(channel["data"], recording.read(channel["name"], 0, 2560))
 
 
 def test_series_pass_sep005_reference_check(recording):
     import sdypy_sep005 as reference
 
-    for one in analysis.sep005(recording):
-        checked = reference.Sep005Data.model_validate(one)
-        assert (checked.name, checked.fs) == (one["name"], RATE)
+    for channel in analysis.sep005(recording):
+        checked = reference.Sep005Data.model_validate(channel)
+        assert (checked.name, checked.fs) == (channel["name"], RATE)
 
 
 def test_series_carry_the_date(tmp_path):
@@ -204,12 +206,12 @@ def test_impossible_export_leaves_no_file(recording, tmp_path, name, options, me
 
 def test_full_disk_is_reported_before_writing(recording, tmp_path, monkeypatch):
     stretch = Slice.of(recording)
-    free = SimpleNamespace(free=int(expected_bytes(stretch, ".csv") / 4) - 1)
-    monkeypatch.setattr(shutil, "disk_usage", lambda folder: free)
+    usage = SimpleNamespace(free=int(expected_bytes(stretch, ".csv") / 4) - 1)
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage)
     with pytest.raises(RunError, match=r"would take about .* MB, and its disk has .* MB left"):
         export(stretch, tmp_path / "a.csv")
     assert list(tmp_path.iterdir()) == []
-    free.free += 1
+    usage.free += 1
     export(stretch, tmp_path / "a.csv")
 
 
@@ -281,10 +283,10 @@ def test_exported_matlab_file_imports_equal(recording, tmp_path):
     plain = recording.scene.replace(converter={"rate": RATE}, recording={}, test=None)
     with pytest.warns(daq.RunWarning, match="no signal for the channels body3, table"):
         path = daq.import_files(tmp_path / "a.mat", plain, tmp_path / "again.mcap")
-    with daq.open(path) as again:
+    with daq.open(path) as imported:
         for name in recording.channels:
-            np.testing.assert_allclose(again.read(name), recording.read(name), rtol=1e-14)
-        assert again.rate == RATE
+            np.testing.assert_allclose(imported.read(name), recording.read(name), rtol=1e-14)
+        assert imported.rate == RATE
 
 
 @pytest.mark.parametrize("form", ["csv", "npz", "mat", "wav", "uff"])
@@ -301,16 +303,18 @@ def test_exported_responses_and_modes_read_equal(tmp_path):
     modes = analysis.identify(curves)
     for what, ending in (("frfs", "uff"), ("frfs", "mat"), ("modes", "uff"), ("modes", "mat")):
         export_results(path, tmp_path / f"{what}.{ending}", what)
-    again = analysis.read_frfs(tmp_path / "frfs.uff")
+    read_back = analysis.read_frfs(tmp_path / "frfs.uff")
     order = np.argsort(curves["body3"].frequency)
-    np.testing.assert_allclose(again["body3"].value, curves["body3"].value[order], rtol=1e-10)
+    np.testing.assert_allclose(read_back["body3"].value, curves["body3"].value[order], rtol=1e-10)
     assert pyuff.UFF(str(tmp_path / "frfs.uff")).read_sets(0)["ref_node"] == 1
     sets = pyuff.UFF(str(tmp_path / "modes.uff")).read_sets()
-    np.testing.assert_allclose([abs(one["eig"]) / (2 * np.pi) for one in sets], modes.frequency, rtol=1e-5)
+    np.testing.assert_allclose(
+        [abs(data_set["eig"]) / (2 * np.pi) for data_set in sets], modes.frequency, rtol=1e-5
+    )
     np.testing.assert_allclose(sets[0]["r3"], modes.shapes[:, 0], atol=1e-5)
     assert sets[0]["node_nums"].tolist() == [1, 2, 3]
-    theirs = loadmat(tmp_path / "frfs.mat", squeeze_me=True)
-    np.testing.assert_array_equal(theirs["body3"], curves["body3"].value[order])
+    matlab = loadmat(tmp_path / "frfs.mat", squeeze_me=True)
+    np.testing.assert_array_equal(matlab["body3"], curves["body3"].value[order])
     np.testing.assert_array_equal(loadmat(tmp_path / "modes.mat")["damping_ratio"].ravel(), modes.damping)
     (tmp_path / "modes.mat").write_bytes(b"mine")
     with pytest.raises(SceneError, match="exists and was"):

@@ -8,12 +8,14 @@ from analysis.presentation.demo import demonstrate
 
 @pytest.mark.thorough
 def test_demo_makes_recordings_figures_and_commands(tmp_path):
-    said: list[str] = []
+    lines: list[str] = []
     # Half a bandwidth apart at the resonances, and the ends.
-    near = [np.linspace(0.994, 1.006, 5) * f for f in (13.037, 34.777, 49.663)]
-    files = demonstrate(tmp_path, said.append, sorted([10.0, 20.0, 42.0, 58.0, *np.concatenate(near)]))
+    around_resonances = [np.linspace(0.994, 1.006, 5) * f for f in (13.037, 34.777, 49.663)]
+    files = demonstrate(
+        tmp_path, lines.append, sorted([10.0, 20.0, 42.0, 58.0, *np.concatenate(around_resonances)])
+    )
     assert all(path.exists() and path.stat().st_size > 0 for path in files)
     assert {path.suffix for path in files} == {".mcap", ".png", ".svg", ".csv"}
-    text = "\n".join(said)
+    text = "\n".join(lines)
     assert "3 modes" in text and "13.03" in text and "49.66" in text
     assert "daq replay" in text and "analysis report" in text

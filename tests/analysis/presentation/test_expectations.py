@@ -30,13 +30,13 @@ from tests.analysis.responses import synthetic
     ],
 )
 def test_wrong_recording_names_right_command(tmp_path, test, marks, command, right):
-    free = test.startswith("{kind: free") or test.startswith("{kind: impulse")
-    where = synthetic.scene(test)
-    where = where.replace(dampers=[{"body": 1, "mass_ratio": 0.1, "clearance": 1e-3}])
-    if free:
-        where = where.replace(shaker=None)
+    undriven = test.startswith("{kind: free") or test.startswith("{kind: impulse")
+    scene = synthetic.scene(test)
+    scene = scene.replace(dampers=[{"body": 1, "mass_ratio": 0.1, "clearance": 1e-3}])
+    if undriven:
+        scene = scene.replace(shaker=None)
     path = tmp_path / "my test.mcap"
     marked = [] if marks is None else [(marks, 0, 20, {})]
-    synthetic.write(path, where, synthetic.channels(), np.zeros((4, 64)), marked)
+    synthetic.write(path, scene, synthetic.channels(), np.zeros((4, 64)), marked)
     with daq.open(path) as rec, pytest.raises(RecordingError, match=f"{right} '.*my test.mcap'"):
         expect(rec, path, command)

@@ -163,21 +163,21 @@ def test_axis_contains_wide_bounds(systematic, to_the_axis):
 
 
 def test_titles_of_five_modes_are_separate():
-    frequency, many = np.geomspace(10.0, 130.0, 200), np.full(5, 0.01)
+    frequency, ratios = np.geomspace(10.0, 130.0, 200), np.full(5, 0.01)
     natural = np.array([20.54, 51.61, 81.117, 97.837, 115.513])
     names = tuple(f"b{body}" for body in range(1, 6))
     chart = tuple(ChartPole(order, f, 0.01, True) for f in natural for order in range(5, 25))
-    nothing = np.zeros(5)
+    zeros = np.zeros(5)
     modes = Modes(
         natural,
-        nothing,
-        many,
-        nothing,
+        zeros,
+        ratios,
+        zeros,
         np.zeros((5, 5)),
         -1e-3j * np.ones((5, 5)),
         names,
         chart,
-        nothing,
+        zeros,
         np.zeros((5, 3)),
         0.0,
         "",
@@ -204,7 +204,8 @@ def test_differing_modes_are_both_in_title(folder):
     figure = decay_figure([decay, replace(decay, modes=tuple(shifted))], "Free decay")
     titles = [axes.get_title(loc="left") for axes in figure.axes[2:]]
     assert titles == [
-        f"{one.frequency:.1f}, {two.frequency:.1f} Hz" for one, two in zip(decay.modes, shifted, strict=True)
+        f"{mode.frequency:.1f}, {moved.frequency:.1f} Hz"
+        for mode, moved in zip(decay.modes, shifted, strict=True)
     ]
 
 

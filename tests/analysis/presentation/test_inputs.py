@@ -81,7 +81,8 @@ def test_a_copy_is_reported_and_never_fitted(bracket: dict[str, Path], tmp_path:
     shutil.copy(bracket["base"], copy)
     for present in (present_frf, present_compare):
         assert any(
-            "the same content as" in each for each in present([bracket["base"], copy], tmp_path).warnings
+            "the same content as" in warning
+            for warning in present([bracket["base"], copy], tmp_path).warnings
         )
     with pytest.raises(SceneError, match="count twice"):
         analysis.fit([bracket["base"], copy], str(bracket["base"].with_name("bracket.yaml")))
@@ -97,11 +98,11 @@ def test_reversed_force_is_reported(bracket: dict[str, Path], tmp_path: Path) ->
     assert CliRunner().invoke(app, ["export", str(bracket["base"]), "-o", str(table)]).exit_code == 0
     scene = rig.load(bracket["base"].with_name("bracket.yaml"))
     for sign, count in ((1, 0), (-1, 1)):
-        with warnings.catch_warnings(record=True) as said:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", daq.RunWarning)
             columns = {"force": Column("force", sign=sign)}
             path = daq.import_files(table, scene, tmp_path / f"{count}.mcap", table=columns)
-        assert sum("reversed channel" in str(each.message) for each in said) == count
+        assert sum("reversed channel" in str(warning.message) for warning in caught) == count
         for present in (present_frf, present_modes):
-            heard = [each for each in present([path], tmp_path).warnings if "reversed" in each]
-            assert len(heard) == count
+            reported = [warning for warning in present([path], tmp_path).warnings if "reversed" in warning]
+            assert len(reported) == count

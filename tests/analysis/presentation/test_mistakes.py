@@ -44,10 +44,10 @@ CASES = [
 @pytest.mark.parametrize("case", CASES, ids=[case[0] for case in CASES])
 def test_unsuitable_recording_says_what_to_change(tmp_path, case):
     name, test, channels, samples, marks, command, message = case
-    where = synthetic.scene() if test is None else synthetic.scene(test)
+    scene = synthetic.scene() if test is None else synthetic.scene(test)
     infos = synthetic.channels()[:channels]
     path = tmp_path / f"{name}.mcap"
-    synthetic.write(path, where, infos, np.tile(samples, (channels, 1)), marks)
+    synthetic.write(path, scene, infos, np.tile(samples, (channels, 1)), marks)
     run = CliRunner().invoke(app, [command, str(path), "-o", str(tmp_path)])
     assert message in str(run.exception) + run.output
     assert getattr(run.exception, "exit_code", run.exit_code) == 2

@@ -17,11 +17,11 @@ SWEEP = Path(__file__).parents[3] / "recordings" / "demo-sweep-no-damper.mcap"
 HIT = SWEEP.with_name("demo-impulse-no-damper.mcap")
 
 
-def typed(*words: object) -> Result:
+def run_command(*words: object) -> Result:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", daq.RunWarning)
-        command, *rest = map(str, words)
-        return CliRunner().invoke(import_module(f"{command}.cli").app, rest)
+        command, *arguments = map(str, words)
+        return CliRunner().invoke(import_module(f"{command}.cli").app, arguments)
 
 
 @pytest.fixture
@@ -47,36 +47,39 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 )
 def test_a_command_renews_its_own_output_only(folder: Path, words: str, output: str) -> None:
     for _ in range(2):
-        done = typed(*words.split())
-        assert done.exit_code == 0, (done.output, done.exception)
+        result = run_command(*words.split())
+        assert result.exit_code == 0, (result.output, result.exception)
     written = (folder / output).read_bytes()
     (folder / output).write_bytes(b"mine")
-    refused = typed(*words.split())
+    refused = run_command(*words.split())
     assert isinstance(refused.exception, ShotrigError) and f"{output} exists" in str(refused.exception)
     assert (folder / output).read_bytes() == b"mine"
-    assert typed(*words.split(), "--overwrite").exit_code == 0
+    assert run_command(*words.split(), "--overwrite").exit_code == 0
     assert (folder / output).read_bytes() == written
 
 
 def test_other_options_renew_an_output(folder: Path) -> None:
     for motion in ("displacement", "velocity"):
-        assert typed("analysis", "frf", SWEEP.name, "--response", "body3", "--motion", motion).exit_code == 0
+        assert (
+            run_command("analysis", "frf", SWEEP.name, "--response", "body3", "--motion", motion).exit_code
+            == 0
+        )
     assert "m/(N s)" in (folder / f"{SWEEP.stem}-frf.csv").read_text(encoding="utf-8")
 
 
 def test_another_scene_does_not_replace_a_response(folder: Path) -> None:
     words = ("--from", "20Hz", "--to", "21Hz", "--points", "2", "-o", "response.csv")
-    assert typed("rig", "response", "fig9", *words).exit_code == 0
-    refused = typed("rig", "response", "fig9", "--set", "test.force=5N", *words)
+    assert run_command("rig", "response", "fig9", *words).exit_code == 0
+    refused = run_command("rig", "response", "fig9", "--set", "test.force=5N", *words)
     assert isinstance(refused.exception, ShotrigError) and "another source" in str(refused.exception)
 
 
 def test_a_test_already_recorded_is_kept(folder: Path) -> None:
     words = ("daq", "record", "fig10b-no-damper", "--set", "test.repeats=1", "--set", "test.interval=0.3s")
-    assert typed(*words, "-o", "hit.mcap").exit_code == 0
+    assert run_command(*words, "-o", "hit.mcap").exit_code == 0
     before = (folder / "hit.mcap").stat()
-    again = typed(*words, "-o", "hit.mcap")
-    assert again.exit_code == 0 and "already contains the complete test" in again.output
+    repeated = run_command(*words, "-o", "hit.mcap")
+    assert repeated.exit_code == 0 and "already contains the complete test" in repeated.output
     assert (folder / "hit.mcap").stat().st_mtime_ns == before.st_mtime_ns
-    other = typed(*words, "--set", "seed=2", "-o", "hit.mcap")
-    assert isinstance(other.exception, ShotrigError) and "exists" in str(other.exception)
+    other_seed = run_command(*words, "--set", "seed=2", "-o", "hit.mcap")
+    assert isinstance(other_seed.exception, ShotrigError) and "exists" in str(other_seed.exception)

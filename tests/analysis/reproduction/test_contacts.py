@@ -28,14 +28,14 @@ from rig.bed_response.steady_bed import steady_mass
 
 
 def test_fit_recovers_a_finite_contact() -> None:
-    bundled_contacts, true = table(), FittedContact(0.1, 3e-3, 0.85)
+    bundled_contacts, true_contact = table(), FittedContact(0.1, 3e-3, 0.85)
     level, clearance = np.array([(3.0, 3e-4), (4.5, 6e-4), (7.0, 2e-3), (7.0, math.inf)]).T
     beds = {"level": level, "clearance": clearance}
-    beds["grains_compliance"] = compliance_on_contact(true, beds, bundled_contacts)
+    beds["grains_compliance"] = compliance_on_contact(true_contact, beds, bundled_contacts)
 
     fitted = fit_contact(beds, bundled_contacts)
 
-    assert fitted == true
+    assert fitted == true_contact
     assert deviation_on_contact(fitted, beds, bundled_contacts) == pytest.approx(np.zeros(4), abs=1e-12)
     assert cross_validated_deviation(beds, bundled_contacts) == pytest.approx(np.zeros(4), abs=1e-12)
     assert ceiling_impulse_on_contact(fitted, beds, bundled_contacts)[-1] == 0.0

@@ -78,17 +78,21 @@ def test_recorded_solved_and_approximated_fig_9_agree(tmp_path: Path) -> None:
     approximate = approximated(scene, 3, (49.7, 50.1), "printed", searches=3)
 
     for i, frequency in enumerate(measured["frequency"]):
-        near = int(np.abs(exact["frequency"] - frequency).argmin())
-        assert exact["type"][near] == "II"
-        assert abs(measured["compliance"][1, i]) == pytest.approx(abs(exact["compliance"][near, 1]), rel=0.01)
-        assert measured["impact_phi"][i] == pytest.approx(exact["phi"][near], abs=0.06)
-        assert measured["impact_tau_1"][i] == pytest.approx(exact["tau"][near, 1], abs=0.06)
-        close = int(np.abs(approximate["frequency"] - frequency).argmin())
-        assert approximate["type"][close] == "II"
-        assert approximate["phi"][close] == pytest.approx(exact["phi"][near], abs=0.1)
-        assert approximate["tau"][close, 0] == pytest.approx(exact["tau"][near, 0], abs=0.1)
-        assert abs(approximate["compliance"][close]) == pytest.approx(
-            abs(exact["compliance"][near, 1]), rel=0.05
+        exact_index = int(np.abs(exact["frequency"] - frequency).argmin())
+        assert exact["type"][exact_index] == "II"
+        assert abs(measured["compliance"][1, i]) == pytest.approx(
+            abs(exact["compliance"][exact_index, 1]), rel=0.01
+        )
+        assert measured["impact_phi"][i] == pytest.approx(exact["phi"][exact_index], abs=0.06)
+        assert measured["impact_tau_1"][i] == pytest.approx(exact["tau"][exact_index, 1], abs=0.06)
+        approximate_index = int(np.abs(approximate["frequency"] - frequency).argmin())
+        assert approximate["type"][approximate_index] == "II"
+        assert approximate["phi"][approximate_index] == pytest.approx(exact["phi"][exact_index], abs=0.1)
+        assert approximate["tau"][approximate_index, 0] == pytest.approx(
+            exact["tau"][exact_index, 0], abs=0.1
+        )
+        assert abs(approximate["compliance"][approximate_index]) == pytest.approx(
+            abs(exact["compliance"][exact_index, 1]), rel=0.05
         )
 
 
@@ -96,12 +100,12 @@ def test_existing_recording_is_reused(tmp_path: Path) -> None:
     scene = rig.load("fig9").replace(test={"kind": "stepped_sine", "frequencies": [49.8], "force": 3.3})
     path = tmp_path / "fig9.mcap"
     first = damper_sweep(scene, path, 2)
-    made = path.stat().st_mtime_ns
+    modified = path.stat().st_mtime_ns
 
-    again = damper_sweep(scene, path, 2)
+    second = damper_sweep(scene, path, 2)
 
-    assert path.stat().st_mtime_ns == made
-    np.testing.assert_array_equal(first["compliance"], again["compliance"])
+    assert path.stat().st_mtime_ns == modified
+    np.testing.assert_array_equal(first["compliance"], second["compliance"])
 
 
 def test_scan_cell_equals_direct_simulation() -> None:
@@ -116,10 +120,10 @@ def test_scan_cell_equals_direct_simulation() -> None:
     response = rig.frequency_response(
         with_ideal_force(scene), [*frequencies[:2], *cell["where"][0], frequencies[2]]
     )
-    size = np.abs(response.compliance[1])
+    magnitude = np.abs(response.compliance[1])
     # The peak is searched between the grid frequencies, so it is at least as high as any grid value.
-    assert cell["peak"][0, 0] == pytest.approx(size.max(), rel=1e-6)
-    assert cell["where"][0, 0] == response.frequency[size.argmax()]
+    assert cell["peak"][0, 0] == pytest.approx(magnitude.max(), rel=1e-6)
+    assert cell["where"][0, 0] == response.frequency[magnitude.argmax()]
     assert cell["where"][0, 0] not in frequencies
     assert cell["exact"].all()
     assert cell["type_there"][0, 0] == "III"
@@ -130,28 +134,30 @@ def test_no_trial_beats_the_optimum() -> None:
     scene = rig.load("fig9")
     frequencies = np.linspace(47.0, 50.0, 7)
 
-    found = best_damper(
+    optimum = best_damper(
         scene, 3.3, np.array([0.03, 0.06]), 1e-3 * np.array([0.6, 1.2]), frequencies, trials=6
     )
 
-    assert found["peak"] == found["worst"].min()
-    assert len(found["worst"]) > 4
-    assert found["peak"] < found["worst"][:4].min()
-    assert 0.03 <= found["mass_ratio"] <= 0.06
-    damper = {"body": 2, "mass_ratio": float(found["mass_ratio"]), "clearance": float(found["best"])}
+    assert optimum["peak"] == optimum["worst"].min()
+    assert len(optimum["worst"]) > 4
+    assert optimum["peak"] < optimum["worst"][:4].min()
+    assert 0.03 <= optimum["mass_ratio"] <= 0.06
+    damper = {"body": 2, "mass_ratio": float(optimum["mass_ratio"]), "clearance": float(optimum["best"])}
     for force in 3.3 * LEVELS:
         test = scene.test.replace(force=float(force))
         varied = with_ideal_force(scene.replace(dampers=[damper], test=test))
         response = rig.frequency_response(varied, frequencies)
-        assert np.abs(response.compliance[1]).max() < 1.001 * found["peak"]
+        assert np.abs(response.compliance[1]).max() < 1.001 * optimum["peak"]
 
 
 def test_more_damping_removes_type_iii() -> None:
     frequencies = np.array([48.8, 49.0, 49.2])
 
-    found = stays_over_damping(rig.load("fig9"), np.array([0.005, 0.01]), np.array([0.98e-3]), frequencies)
+    over_damping = stays_over_damping(
+        rig.load("fig9"), np.array([0.005, 0.01]), np.array([0.98e-3]), frequencies
+    )
 
-    assert found["third"].ravel().tolist() == [True, False]
+    assert over_damping["third"].ravel().tolist() == [True, False]
 
 
 def test_waveforms_stay_in_their_cavities() -> None:
@@ -196,17 +202,17 @@ def test_weak_and_strong_deviations_are_separated() -> None:
 
 
 def test_heavier_damping_lowers_the_dampers_share() -> None:
-    found = least_affected(
+    ratios = least_affected(
         rig.load("fig8-one-damper"), np.array([0.005, 0.05]), np.array([0.1]), np.array([2.6]), {3: (46.0, 50.5)},
         points=12,
     )  # fmt: skip
 
     # A damper hardly reduces a peak that is already well damped.
-    assert 0.0 < found["share"][0, 0, 0, 0] < 0.8 < found["share"][1, 0, 0, 0] < 1.02
+    assert 0.0 < ratios["share"][0, 0, 0, 0] < 0.8 < ratios["share"][1, 0, 0, 0] < 1.02
 
 
 def test_page_shows_verdicts_evidence_and_figures(tmp_path: Path) -> None:
-    judged = [
+    claims = [
         Claim(
             "C9",
             "Less is <more>.",
@@ -215,20 +221,20 @@ def test_page_shows_verdicts_evidence_and_figures(tmp_path: Path) -> None:
             ("fig9",),
         )
     ]
-    nothing: Arrays = {
+    orbits: Arrays = {
         "branch": np.array([0]), "type": np.array(["II"]), "special": np.array([], dtype=str),
         "special_frequency": np.array([]), "failures": np.array(["at 50 Hz: none"]),
     }  # fmt: skip
     weights = {"mode": np.array([2]), "peak": np.array([[1.0], [1.3], [0.9]])}
 
-    best: Arrays = {
+    optimum: Arrays = {
         "mass_ratio": np.array(0.1), "mass_ratios": np.array([0.1]), "best": np.array(9e-4),
         "peak": np.array(1.4e-4), "worst": np.array([1.4e-4]), "orbits": np.array(0.9),
     }  # fmt: skip
     cells: Arrays = {"exact": np.array([[True, False]])}
-    parts = {"orbit-fig9": nothing, "weights-one-damper": weights, "best-10": best, "optimum": best}
+    parts = {"orbit-fig9": orbits, "weights-one-damper": weights, "best-10": optimum, "optimum": optimum}
 
-    paths = write_pages(tmp_path, judged, {**parts, "scan-single": cells, "scan-three": cells})
+    paths = write_pages(tmp_path, claims, {**parts, "scan-single": cells, "scan-three": cells})
 
     markdown, html = (path.read_text(encoding="utf-8") for path in paths)
     for text in (markdown, html):
@@ -243,7 +249,7 @@ def test_page_shows_verdicts_evidence_and_figures(tmp_path: Path) -> None:
 
 @pytest.mark.thorough
 def test_workers_store_all_parts_longest_first(tmp_path: Path) -> None:
-    scene, done = rig.load("fig9"), []
+    scene, completed = rig.load("fig9"), []
     parts = [
         PaperPart(
             name,
@@ -256,21 +262,21 @@ def test_workers_store_all_parts_longest_first(tmp_path: Path) -> None:
         for name, value, effort in (("short", 20.0, 1.0), ("long", 30.0, 5.0), ("middle", 40.0, 3.0))
     ]
 
-    done += [part.name for part, _ in compute(parts, tmp_path)]
+    completed += [part.name for part, _ in compute(parts, tmp_path)]
 
-    assert sorted(done) == ["long", "middle", "short"]
-    assert "short" not in done[:1]
+    assert sorted(completed) == ["long", "middle", "short"]
+    assert "short" not in completed[:1]
     stored = [part.stored(tmp_path) for part in parts]
     assert [float(arrays["frequency"][0]) for arrays in stored if arrays is not None] == [20.0, 30.0, 40.0]
 
 
 def test_failing_part_raises_and_leaves_nothing(tmp_path: Path) -> None:
-    wrong = PaperPart(
+    invalid = PaperPart(
         "wrong", "wrong", exact_orbits, {"scene": rig.load("fig9"), "band": (50.0, 40.0)}, "a part"
     )
 
     with pytest.raises(SceneError, match="two rising values"):
-        list(compute([wrong], tmp_path))
+        list(compute([invalid], tmp_path))
 
     assert not multiprocessing.active_children()
     assert not list(tmp_path.rglob("*.npz"))
@@ -278,13 +284,13 @@ def test_failing_part_raises_and_leaves_nothing(tmp_path: Path) -> None:
 
 def test_half_written_files_are_removed(tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
-    whole = tmp_path / "data" / "one.npz"
-    for path in (whole, partial_name(whole)):
+    complete = tmp_path / "data" / "one.npz"
+    for path in (complete, partial_name(complete)):
         path.write_bytes(b"x")
 
     remove_partial(tmp_path)
 
-    assert list((tmp_path / "data").iterdir()) == [whole]
+    assert list((tmp_path / "data").iterdir()) == [complete]
 
 
 def test_each_figure_has_a_caption() -> None:
@@ -305,9 +311,9 @@ def test_fig_3_settings_show_their_type(kind: str) -> None:
 
 
 def test_sweep_direction_differences_are_reported() -> None:
-    frequency, size = np.array([48.0, 49.0, 50.0]), np.array([[1.0] * 3, [1.0, 2.0, 1.0]])
-    up = {"frequency": frequency, "compliance": size}
-    alike = {"frequency": frequency[::-1], "compliance": 1.01 * size[:, ::-1]}
-    other = {"frequency": frequency[::-1], "compliance": np.array([[1.0] * 3, [1.0, 1.0, 1.0]])}
-    assert "at most 1.0 %: no branch depends on the direction" in compare_directions(up, alike)
-    assert "more than 5 % at 49.00 Hz" in compare_directions(up, other)
+    frequency, magnitude = np.array([48.0, 49.0, 50.0]), np.array([[1.0] * 3, [1.0, 2.0, 1.0]])
+    up = {"frequency": frequency, "compliance": magnitude}
+    equal = {"frequency": frequency[::-1], "compliance": 1.01 * magnitude[:, ::-1]}
+    different = {"frequency": frequency[::-1], "compliance": np.array([[1.0] * 3, [1.0, 1.0, 1.0]])}
+    assert "at most 1.0 %: no branch depends on the direction" in compare_directions(up, equal)
+    assert "more than 5 % at 49.00 Hz" in compare_directions(up, different)

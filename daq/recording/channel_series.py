@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from daq.mcap_file.reader import Container
 from daq.recording.layout import CLOCK, Timebase
 from daq.recording.sample_block import SCHEMAS, SampleBlock, decode
-from daq.signal_chain.field_checks import MOST_SAMPLES, NOT_ZERO, check
+from daq.signal_chain.field_checks import MAX_SAMPLES, NOT_ZERO, check
 from rig.arrays import Array
 from rig.errors import RecordingError
 
@@ -114,9 +114,9 @@ class Series:
 
     def _check(self, block: SampleBlock, log_time: int, clock: Timebase) -> None:
         """Compare a block with the layout, on which the search for samples relies."""
-        if block.stop > MOST_SAMPLES:
+        if block.stop > MAX_SAMPLES:
             raise self._error(
-                f"a block begins at sample {block.first_sample}; expected at most {MOST_SAMPLES}."
+                f"a block begins at sample {block.first_sample}; expected at most {MAX_SAMPLES}."
             )
         begins = (block.t0_ns - clock.start_ns) * clock.rate * 1e-9 - block.first_sample
         ends = (log_time - clock.start_ns) * clock.rate * 1e-9 - block.stop

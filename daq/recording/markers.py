@@ -13,7 +13,7 @@ from daq.recording.layout import EVENTS, MARKERS
 from daq.recording.protobuf import Schema
 from daq.signal_chain.field_checks import (
     COUNT,
-    MOST_SAMPLES,
+    MAX_SAMPLES,
     NAME,
     NAMES,
     NUMBER,
@@ -133,7 +133,7 @@ class Marker:
         kind, first = content.pop("kind", None), content.pop("first_sample", None)
         last = content.pop("last_sample", None)
         ends = first if last is None else last
-        whole = type(first) is int and type(ends) is int and 0 <= first <= ends <= MOST_SAMPLES
+        whole = type(first) is int and type(ends) is int and 0 <= first <= ends <= MAX_SAMPLES
         if not isinstance(kind, str) or not whole:
             raise RecordingError(
                 f"{MARKERS}: a message has kind {kind!r:.80} and samples {first!r:.40} to {last!r:.40}; expected text "

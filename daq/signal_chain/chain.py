@@ -48,30 +48,33 @@ class Chain:
         self._oversampling = round(rate / true_rate)
         if self._oversampling < 1 or abs(rate - self._oversampling * true_rate) > 1e-9 * rate:
             raise SceneError(
-                f"motion: {rate!r} Hz is no multiple of the converter's true rate. Give {true_rate!r} Hz or a multiple."
+                f"motion: {rate!r} Hz is not a multiple of the converter's true rate. "
+                f"Give {true_rate!r} Hz or a multiple."
             )
         channels = default_channels(scene, points) if scene.channels is None else scene.channels
-        self._late = delays(converter.skew, len(channels), true_rate)
+        self._delays = delays(converter.skew, len(channels), true_rate)
         self._inputs, self._sources = tuple(inputs), [_source(channel, scene) for channel in channels]
-        self._cutters = [_cutter(channel, rate, points) for channel in channels]
+        self._interpolators = [_interpolator(channel, rate, points) for channel in channels]
         self._buffers = BlockBuffers()
         self._jitter = generator(scene.seed, "", "jitter") if converter.jitter else None
         self.latency = DELAY if converter.filter is not None and converter.remove_delay else 0
-        wired = [self._wire(row, channel) for row, channel in enumerate(channels)]
+        parts = [self._wire(row, channel) for row, channel in enumerate(channels)]
         self.wiring: tuple[Channel, ...] = tuple(channels)
         self.overload = np.zeros((len(channels), 0), dtype=bool)
-        self._paths = [path for path, _, _ in wired]
-        self.channels: tuple[ChannelInfo, ...] = tuple(info for _, info, _ in wired)
-        self.effects = {info.name: effects for _, info, effects in wired}
+        self._paths = [path for path, _, _ in parts]
+        self.channels: tuple[ChannelInfo, ...] = tuple(info for _, info, _ in parts)
+        self.effects = {info.name: effects for _, info, effects in parts}
 
     def _wire(self, row: int, channel: Channel) -> tuple[SignalPath, ChannelInfo, dict[str, int]]:
         """Set up a channel, from rest."""
-        scene, delay = self._scene, self._late[row]
+        scene, delay = self._scene, self._delays[row]
         settings, converter = input_settings(scene.converter, channel), complete_from_preset(scene.converter)
-        line = stages(channel, settings, scene.seed)
-        path = SignalPath(channel.name, line, converter, self._oversampling, delay, scene.seed, self._buffers)
-        info = channel_info(channel.name, channel.at, line, settings, converter.sample_rate, delay)
-        effects = channel_effects(line, converter, delay)
+        devices = stages(channel, settings, scene.seed)
+        path = SignalPath(
+            channel.name, devices, converter, self._oversampling, delay, scene.seed, self._buffers
+        )
+        info = channel_info(channel.name, channel.at, devices, settings, converter.sample_rate, delay)
+        effects = channel_effects(devices, converter, delay)
         if "1/f noise" in effects:
             effects["1/f noise"] = path.noise_states
         return path, info, effects
@@ -87,23 +90,23 @@ class Chain:
     def measure(self, motion: Motion, forces: Array | None = None) -> Array:
         """Measure the next block, in volts; shape (channels, samples).
 
-        Straight lines join the forces, shape (inputs, samples), for channels at the hammer, a shaker or a drive.
+        The forces, shape (inputs, samples), at the hammer, a shaker or a drive are interpolated linearly.
         """
         count = motion.displacement.shape[1]
         first, stop = (-(-k // self._oversampling) for k in (motion.first, motion.first + count))
         jitter = None if self._jitter is None else self._jitter.standard_normal(stop - first)
         volts = np.empty((len(self._paths), stop - first))
         overload = np.zeros(volts.shape, dtype=bool)
-        for row, (cutter, path) in enumerate(zip(self._cutters, self._paths, strict=True)):
-            if isinstance(cutter, MotionInterpolator):
-                pieces = cutter.cut(motion)
+        for row, (interpolator, path) in enumerate(zip(self._interpolators, self._paths, strict=True)):
+            if isinstance(interpolator, MotionInterpolator):
+                pieces = interpolator.cut(motion)
             else:
                 # The force or voltage at a channel is a factor times an input; zero of a hammer that is not used.
                 name, factor = self._sources[row]
                 external = np.zeros(count)
                 if forces is not None and name in self._inputs:
                     external = np.ascontiguousarray(factor * forces[self._inputs.index(name)], dtype=float)
-                pieces = cutter.cut(external)
+                pieces = interpolator.cut(external)
             volts[row], overload[row] = path.measure(pieces, jitter)
         self.overload = overload[:, max(self.latency - first, 0) :]
         return volts[:, max(self.latency - first, 0) :]
@@ -117,8 +120,8 @@ def default_channels(scene: Scene, points: Sequence[str]) -> tuple[Channel, ...]
         return tuple(channels)
     for number, shaker in enumerate(scene.shakers, 1):
         if shaker.kind == "force":
-            name, place = (at_shaker(what, number, len(scene.shakers)) for what in ("force", "shaker"))
-            channels.append(Channel(name=name.replace(" ", ""), at=place))
+            name, location = (at_shaker(part, number, len(scene.shakers)) for part in ("force", "shaker"))
+            channels.append(Channel(name=name.replace(" ", ""), at=location))
     return tuple(channels)
 
 
@@ -131,7 +134,9 @@ def _source(channel: Channel, scene: Scene) -> tuple[str, float]:
     return at_shaker("shaker", number, len(scene.shakers)), 1.0 / DRIVE_PER_VOLT[unit]
 
 
-def _cutter(channel: Channel, rate: float, points: Sequence[str]) -> MotionInterpolator | ForceInterpolator:
+def _interpolator(
+    channel: Channel, rate: float, points: Sequence[str]
+) -> MotionInterpolator | ForceInterpolator:
     if channel.measures_force or channel.measures_voltage:
         return ForceInterpolator()
     if channel.at not in points:

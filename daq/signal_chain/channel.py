@@ -27,7 +27,7 @@ UNITS: dict[str, str] = {
 
 @dataclass(frozen=True)
 class ChannelInfo:
-    """A channel as its data sheets describe it: its place, its quantity and its frequency response.
+    """A channel as its data sheets describe it: its location, its quantity and its frequency response.
 
     The value read is ``volts / sensitivity`` in `unit`. It differs from the true quantity by the linear response
     of sensor, amplifier and converter, which `response` gives in full; tolerances, noise, drift and clipping are
@@ -101,14 +101,14 @@ class ChannelInfo:
         return value
 
     def to_metadata(self) -> dict[str, str]:
-        """Give the channel as text fields, every number exactly, for a recording's metadata."""
-        plain: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)}
-        plain["zeros"] = [(root.real, root.imag) for root in map(complex, self.zeros)]
-        plain["poles"] = [(root.real, root.imag) for root in map(complex, self.poles)]
-        plain["filter"], plain["sensor"] = dict(self.filter), dict(self.sensor)
+        """Return the channel as text fields, every number exactly, for a recording's metadata."""
+        values: dict[str, Any] = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        values["zeros"] = [(root.real, root.imag) for root in map(complex, self.zeros)]
+        values["poles"] = [(root.real, root.imag) for root in map(complex, self.poles)]
+        values["filter"], values["sensor"] = dict(self.filter), dict(self.sensor)
         text = {
             key: value if isinstance(value, str) else json.dumps(value, allow_nan=False)
-            for key, value in plain.items()
+            for key, value in values.items()
         }
         return text | {"unit": self.unit}
 
@@ -116,22 +116,22 @@ class ChannelInfo:
     def from_metadata(cls, metadata: Mapping[str, str]) -> Self:
         """Make a channel from the result of `to_metadata`; raise `RecordingError` if a field is missing or invalid."""
         strings = {"name", "at", "quantity"}
-        given: dict[str, Any] = {}
-        for each in fields(cls):
+        values: dict[str, Any] = {}
+        for entry in fields(cls):
             try:
-                text = metadata[each.name]
-                given[each.name] = text if each.name in strings else json.loads(text)
+                text = metadata[entry.name]
+                values[entry.name] = text if entry.name in strings else json.loads(text)
             except KeyError:
                 raise RecordingError(
-                    f"channel metadata: {each.name!r} is missing (there: {', '.join(sorted(metadata)) or 'nothing'}). "
+                    f"channel metadata: {entry.name!r} is missing (there: {', '.join(sorted(metadata)) or 'nothing'}). "
                     "The recording is damaged, or another program wrote it."
                 ) from None
             except (ValueError, RecursionError):
                 raise RecordingError(
-                    f"channel metadata: {each.name} = {text[:80]!r} is not JSON. The recording is damaged, "
+                    f"channel metadata: {entry.name} = {text[:80]!r} is not JSON. The recording is damaged, "
                     "or another program wrote it."
                 ) from None
-        check(given, CHANNEL)
+        check(values, CHANNEL)
         for roots in ("zeros", "poles"):
-            given[roots] = tuple(complex(real, imag) for real, imag in given[roots])
-        return cls(**given)
+            values[roots] = tuple(complex(real, imag) for real, imag in values[roots])
+        return cls(**values)

@@ -37,10 +37,10 @@ class Quantiser:
         settings = complete_from_preset(settings)
         self._bits, self._range = settings.bits, settings.range
         self._count = volts_per_count(settings)
-        starts = [
+        dropped = [
             (round(block.at * settings.sample_rate), block.samples) for block in settings.dropped_blocks
         ]
-        self.lost = _merged((first, first + samples - 1) for first, samples in sorted(starts))
+        self.lost = _merge_blocks((first, first + samples - 1) for first, samples in sorted(dropped))
 
     def convert(self, volts: Array) -> tuple[Array | NDArray[np.int32], NDArray[np.bool_]]:
         """Return the volts, or counts where the converter has bits, and where the volts exceed the range."""
@@ -56,7 +56,7 @@ class Quantiser:
         return clipped.astype(np.int32), clipped != codes
 
 
-def _merged(blocks: Iterable[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
+def _merge_blocks(blocks: Iterable[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
     """Join blocks that overlap or touch."""
     merged: list[tuple[int, int]] = []
     for first, last in blocks:
@@ -91,13 +91,13 @@ class Outputs:
         """Return the output for a drive, shape (inputs, samples)."""
         if not self._rows:
             return drive
-        given = drive.copy()
+        output = drive.copy()
         for row, full, step in self._rows:
             if step is None:
-                np.clip(given[row], -full, full, out=given[row])
+                np.clip(output[row], -full, full, out=output[row])
             else:
-                given[row] = np.clip(np.rint(given[row] / step), -full / step, full / step - 1.0) * step
-        return given
+                output[row] = np.clip(np.rint(output[row] / step), -full / step, full / step - 1.0) * step
+        return output
 
 
 def volt_effect(scene: Scene, number: int) -> str:
@@ -111,9 +111,9 @@ def volt_effect(scene: Scene, number: int) -> str:
     if isinstance(shaker, ForceShaker):
         bodies = " and ".join(f"body {body}" for body in shaker.bodies)
         return f"force on {bodies}, {DRIVE_PER_VOLT['N']:g} N/V"
-    place = at_shaker("", number, len(scene.shakers))
+    suffix = at_shaker("", number, len(scene.shakers))
     if isinstance(shaker, ElectrodynamicShaker):
         current = shaker.amplifier.mode == "current"
-        what, unit = ("current through", "A") if current else ("voltage at", "V")
-        return f"{what} the coil{place and f' of shaker{place}'}, {shaker.amplifier.gain:g} {unit}/V"
-    return f"table{place} position, {1e3 * DRIVE_PER_VOLT['m']:g} mm/V"
+        prefix, unit = ("current through", "A") if current else ("voltage at", "V")
+        return f"{prefix} the coil{suffix and f' of shaker{suffix}'}, {shaker.amplifier.gain:g} {unit}/V"
+    return f"table{suffix} position, {1e3 * DRIVE_PER_VOLT['m']:g} mm/V"

@@ -19,11 +19,14 @@ from rig.arrays import Array
 
 # Eight moments represent any signal over a sample interval with an error of 3e-6 of the filter's output.
 MOMENTS = 8
-# Design of the filter: edges of the pass and stop band as shares of the sample rate, and the
-# delay in samples. A Kaiser window of this length falls by over 100 dB between them.
-PASS, STOP = 0.4535, 0.5465
+# Edge of the pass band, ratio to the sample rate.
+PASS = 0.4535
+# Edge of the stop band, ratio to the sample rate.
+STOP = 0.5465
+# Delay in samples. A Kaiser window of this length falls by over 100 dB between pass and stop band.
 DELAY = 38
-_ATTENUATION = 109.0
+# Design attenuation of the Kaiser window, dB.
+_ATTENUATION_DB = 109.0
 
 
 @dataclass(frozen=True)
@@ -45,8 +48,8 @@ class Decimation:
 
     @classmethod
     def standard(cls, rate: float) -> Decimation:
-        """Give the filter of this design for a sample rate in Hz."""
-        return cls(rate, float(DELAY), 0.5 * (PASS + STOP), 0.1102 * (_ATTENUATION - 8.7))
+        """Return the filter of this design for a sample rate in Hz."""
+        return cls(rate, float(DELAY), 0.5 * (PASS + STOP), 0.1102 * (_ATTENUATION_DB - 8.7))
 
     @property
     def design(self) -> dict[str, float]:
@@ -83,7 +86,7 @@ def taps_of(low_pass: Decimation, oversampling: int) -> Array:
     """
     nodes, weights = legendre.leggauss(32)
     interval = np.arange(low_pass.length * oversampling)[:, None]
-    # Time before the output, of places in each interval from -1, its start, to 1, its end.
+    # Time from the nodes of each interval (-1: start, 1: end) to the output.
     lag = (interval + 0.5 * (1.0 - nodes)) / oversampling
     values = low_pass.impulse_response(lag - low_pass.delay) * weights
     polynomials = legendre.legvander(nodes, MOMENTS - 1) * (2 * np.arange(MOMENTS) + 1)

@@ -12,17 +12,19 @@ from daq.signal_chain.stage import Stage, data_sheet
 from rig.scene.measurement_chain import Accelerometer, Channel, Converter, Hammer, Integrator
 from rig.scene.presets import complete_from_preset, needs_supply
 
-# Values of effects that a scene names without them; the corner of an AC coupling in Hz.
+# Quality factor of a mounted resonance without a given value.
 DEFAULT_Q = 30.0
-DEFAULT_LATERAL = 0.1
-DEFAULT_AC_CORNER = 0.5
+# Ratio of the lateral to the vertical acceleration without a given value.
+DEFAULT_LATERAL_RATIO = 0.1
+# Corner of an AC coupling without a given value.
+DEFAULT_AC_CORNER_HZ = 0.5
 
 
 def stages(channel: Channel, converter: Converter, seed: int) -> tuple[Stage, ...]:
     """Describe the devices of a channel: sensor, then amplifier and the coupling of the converter's input if any."""
     coupling: tuple[Stage, ...] = ()
     if converter.coupling == "AC":
-        corner = DEFAULT_AC_CORNER if converter.ac_corner is None else converter.ac_corner
+        corner = DEFAULT_AC_CORNER_HZ if converter.ac_corner is None else converter.ac_corner
         coupling = (Stage("converter", (high_pass(corner, "AC coupling"),)),)
     if channel.measures_voltage:
         return (Stage("cable"), *coupling)
@@ -43,8 +45,8 @@ def accelerometer(settings: Accelerometer, seed: int, channel: str) -> Stage:
     """Describe an accelerometer: mounted resonance and low cut-off, limit of the output, noise and offset.
 
     Tolerance, drift with temperature and transverse sensitivity act as one deviation of the sensitivity, unknown
-    to the user. The rig moves vertically: the sideways acceleration is a share of the vertical one, in phase, at
-    a random angle.
+    to the user. The rig moves vertically: the lateral acceleration is proportional to the vertical acceleration, in
+    phase, at a random angle.
 
     >>> ideal = accelerometer(Accelerometer(), 1, "body1")
     >>> ideal.nominal, ideal.effects
@@ -77,17 +79,17 @@ def accelerometer(settings: Accelerometer, seed: int, channel: str) -> Stage:
 def _deviation(settings: Accelerometer, seed: int, channel: str) -> float:
     factor = 1.0
     if settings.sensitivity_tolerance is not None:
-        factor += settings.sensitivity_tolerance * _drawn(seed, channel, "tolerance")
+        factor += settings.sensitivity_tolerance * _draw_uniform(seed, channel, "tolerance")
     if settings.temperature_drift is not None and settings.temperature_change is not None:
         factor *= 1.0 + settings.temperature_drift * settings.temperature_change
     if settings.transverse is not None:
-        lateral = DEFAULT_LATERAL if settings.lateral is None else settings.lateral
-        factor += settings.transverse * lateral * np.cos(np.pi * _drawn(seed, channel, "transverse"))
+        lateral = DEFAULT_LATERAL_RATIO if settings.lateral is None else settings.lateral
+        factor += settings.transverse * lateral * np.cos(np.pi * _draw_uniform(seed, channel, "transverse"))
     return float(factor - 1.0)
 
 
-def _drawn(seed: int, channel: str, stage: str) -> float:
-    """Draw an even number from -1 to 1."""
+def _draw_uniform(seed: int, channel: str, stage: str) -> float:
+    """Draw a uniformly distributed number from -1 to 1."""
     return float(generator(seed, channel, stage).uniform(-1.0, 1.0))
 
 
@@ -99,7 +101,7 @@ def force_sensor(settings: Hammer, seed: int, channel: str) -> Stage:
         "hammer",
         () if settings.low_cutoff is None else (high_pass(settings.low_cutoff, "low cut-off"),),
         nominal=sensitivity,
-        deviation=0.0 if tolerance is None else tolerance * _drawn(seed, channel, "tolerance"),
+        deviation=0.0 if tolerance is None else tolerance * _draw_uniform(seed, channel, "tolerance"),
         noise=None if settings.noise is None else settings.noise * sensitivity,
         limit=None if settings.saturation is None else settings.saturation * sensitivity,
         data=data_sheet("hammer", settings),
@@ -109,7 +111,7 @@ def force_sensor(settings: Hammer, seed: int, channel: str) -> Stage:
 def integrating_amplifier(settings: Integrator) -> Stage:
     """Describe an integrating amplifier of order n, ``gain / (s + w)^n`` with w = 2 pi corner, in volts and seconds.
 
-    A low cut-off adds a high pass at the input. Each integration has an equal share of the gain, and neither
+    A low cut-off adds a high pass at the input. The gain is divided equally among the integrations, and no
     output exceeds the saturation voltage. The noise is that of the output.
 
     >>> from rig.scene.measurement_chain import Integrator

@@ -1,4 +1,4 @@
-"""Checks of the fields that a file states about itself, where it is read; later code trusts them."""
+"""Checks of the metadata fields of a file when it is read; later code relies on them."""
 
 from __future__ import annotations
 
@@ -9,37 +9,38 @@ from typing import Any, NamedTuple
 from rig.errors import RecordingError
 from rig.escaping import is_single_line
 
-LONGEST_NAME = 200
-# Numbers up to this are exact as floats, which sample numbers become when times are computed from them.
-MOST_SAMPLES = 2**53
+# Largest length of a name, characters.
+MAX_NAME_LENGTH = 200
+# Sample numbers up to this value are exact as floats, to which the computation of times converts them.
+MAX_SAMPLES = 2**53
 
 
 class Check(NamedTuple):
-    """Condition on a value: a test, and in words."""
+    """Condition on a value: a test, and its description for messages."""
 
-    holds: Callable[[Any], bool]
+    is_valid: Callable[[Any], bool]
     expected: str
 
 
 def check(fields: Mapping[str, Any], checks: Mapping[str, Check]) -> None:
-    """Check the fields that are known; raise `RecordingError` at the first invalid one.
+    """Check the fields that have a check; raise `RecordingError` at the first invalid one.
 
     >>> check({"rate": 0.0}, {"rate": POSITIVE})
     Traceback (most recent call last):
     rig.errors.RecordingError: rate = 0.0; expected a positive number
     """
     for key, value in fields.items():
-        if key in checks and not checks[key].holds(value):
-            shown = (
+        if key in checks and not checks[key].is_valid(value):
+            text = (
                 repr(value)
                 if not isinstance(value, int) or abs(value) < 1e60
                 else "a number of hundreds of digits"
             )
-            raise RecordingError(f"{key} = {shown[:80]}; expected {checks[key].expected}")
+            raise RecordingError(f"{key} = {text[:80]}; expected {checks[key].expected}")
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is a finite number of ordinary size.
+    """Return whether a value is a finite number below 1e300.
 
     >>> is_number(1), is_number(True), is_number(float("nan")), is_number(10**400), is_number("1")
     (True, False, False, False, False)
@@ -48,20 +49,20 @@ def is_number(value: Any) -> bool:
 
 
 def is_name(value: Any) -> bool:
-    r"""Whether a value is a line of text that can be shown.
+    r"""Return whether a value is a single printable line of text.
 
     >>> is_name("body 1"), is_name(""), is_name("a\x1b[31m"), is_name("a" * 1000)
     (True, False, False, False)
     """
-    return isinstance(value, str) and 0 < len(value) <= LONGEST_NAME and is_single_line(value)
+    return isinstance(value, str) and 0 < len(value) <= MAX_NAME_LENGTH and is_single_line(value)
 
 
 def is_count(value: Any) -> bool:
-    """Whether a value is a whole number from 1 that floats carry exactly."""
-    return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MOST_SAMPLES
+    """Return whether a value is a whole number of at least 1 that a float represents exactly."""
+    return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MAX_SAMPLES
 
 
-def _is_place(value: Any) -> bool:
+def _is_location(value: Any) -> bool:
     if isinstance(value, str) and value.startswith("body "):
         return re.fullmatch(r"body [1-9][0-9]{0,5}", value) is not None
     return value == "" or is_name(value)
@@ -75,20 +76,20 @@ def _are_roots(value: Any) -> bool:
     )
 
 
-_FILTER = ("rate", "delay", "cutoff", "beta")
+_FILTER_FIELDS = ("rate", "delay", "cutoff", "beta")
 
 
 def _is_filter(value: Any) -> bool:
-    if not isinstance(value, dict) or (value and set(value) != set(_FILTER)):
+    if not isinstance(value, dict) or (value and set(value) != set(_FILTER_FIELDS)):
         return False
-    return all(POSITIVE.holds(number) for number in value.values()) and value.get("delay", 0) <= 10_000
+    return all(POSITIVE.is_valid(number) for number in value.values()) and value.get("delay", 0) <= 10_000
 
 
 def _optional(check: Check) -> Check:
-    return Check(lambda value: value is None or check.holds(value), f"{check.expected}, or null")
+    return Check(lambda value: value is None or check.is_valid(value), f"{check.expected}, or null")
 
 
-NAME = Check(is_name, f"a line of 1 to {LONGEST_NAME} printable characters")
+NAME = Check(is_name, f"a line of 1 to {MAX_NAME_LENGTH} printable characters")
 NUMBER = Check(is_number, "a finite number")
 POSITIVE = Check(lambda value: is_number(value) and value > 0, "a positive number")
 NOT_ZERO = Check(lambda value: is_number(value) and value != 0, "a number other than zero")
@@ -99,7 +100,7 @@ NAMES = Check(lambda value: isinstance(value, list) and all(map(is_name, value))
 
 CHANNEL = {
     "name": NAME,
-    "at": Check(_is_place, "a place such as body 1 or table"),
+    "at": Check(_is_location, "a place such as body 1 or table"),
     "sensitivity": NOT_ZERO,
     "rate": POSITIVE,
     "zeros": Check(_are_roots, "at most 100 pairs of numbers, rad/s"),
@@ -107,7 +108,7 @@ CHANNEL = {
     "gain": NUMBER,
     "average": TRUTH,
     "delay": Check(lambda value: is_number(value) and abs(value) < 1e6, "a time in seconds"),
-    "filter": Check(_is_filter, f"{', '.join(_FILTER)} as positive numbers, or nothing"),
+    "filter": Check(_is_filter, f"{', '.join(_FILTER_FIELDS)} as positive numbers, or nothing"),
     "volts_per_count": _optional(NOT_ZERO),
     "range": _optional(POSITIVE),
     "sensor": Check(

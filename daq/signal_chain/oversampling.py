@@ -15,12 +15,12 @@ from rig.scene.shaker import TableShaker
 from rig.system.assembly import assemble
 
 #: Frequency up to which the motion of every rig is resolved, Hz.
-BAND = 1000.0
-#: Motion is resolved up to this share of the oversampled rate: cubics through its samples (`daq.dsp.interpolation`)
+MIN_BAND_HZ = 1000.0
+#: Motion is resolved up to this ratio to the oversampled rate: cubics through its samples (`daq.dsp.interpolation`)
 #: are accurate to 0.0001 dB.
-RESOLVED = 0.1
+MAX_RESOLVED_RATIO = 0.1
 #: Largest oversampled rate, Hz. Faster oscillations are aliased, as in a real modulator.
-FASTEST_RATE = 1.024e6
+MAX_RATE = 1.024e6
 
 
 def oversampling(scene: Scene) -> int:
@@ -43,35 +43,37 @@ def oversampling(scene: Scene) -> int:
     filtered = complete_from_preset(scene.converter).filter is not None
     # A limit of a sensor on the rig, or of its amplifier, acts on the signal in front of any filter.
     channels = scene.channels or ()
-    limits = [
-        complete_from_preset(each.accelerometer).saturation
-        for each in channels
-        if each.accelerometer is not None
+    saturations = [
+        complete_from_preset(channel.accelerometer).saturation
+        for channel in channels
+        if channel.accelerometer is not None
     ]
-    limits += [each.integrator.saturation for each in channels if each.integrator is not None]
-    limited = any(limit is not None for limit in limits)
-    fastest = 0.0
-    if filtered or limited:
-        fastest = float(np.abs(system.poles.imag).max(initial=0.0)) / (2 * np.pi)
+    saturations += [channel.integrator.saturation for channel in channels if channel.integrator is not None]
+    has_limit = any(saturation is not None for saturation in saturations)
+    max_frequency = 0.0
+    if filtered or has_limit:
+        max_frequency = float(np.abs(system.poles.imag).max(initial=0.0)) / (2 * np.pi)
     if system.finite_contact.any():
         # A landing may end between two samples, and still acts on the sensor.
-        fastest = max(fastest, system.max_rate / (2 * np.pi))
-    needed = fastest / rate / RESOLVED
+        max_frequency = max(max_frequency, system.max_rate / (2 * np.pi))
+    required = max_frequency / rate / MAX_RESOLVED_RATIO
     for spheres in spheres_of(scene).values():
         # A contact of grains lasts half a period of their oscillation, and its force acts on the body.
-        fastest = max(fastest, 0.5 / contact_time(spheres.settings))
+        max_frequency = max(max_frequency, 0.5 / contact_time(spheres.settings))
     if filtered:
-        images = fastest / rate + STOP
-        band = max(fastest, BAND) / rate
-        needed = max(images, (band if limited else min(band, PASS)) / RESOLVED)
+        image_ratio = max_frequency / rate + STOP
+        resolved_band = max(max_frequency, MIN_BAND_HZ) / rate
+        required = max(
+            image_ratio, (resolved_band if has_limit else min(resolved_band, PASS)) / MAX_RESOLVED_RATIO
+        )
         # The drive is piecewise linear; its corners excite a table up to its bandwidth.
-        tables = (each.bandwidth for each in scene.shakers if isinstance(each, TableShaker))
-        needed = max(needed, max(tables, default=0.0) / rate / RESOLVED)
-    return max(1, min(math.ceil(needed), int(FASTEST_RATE / rate)))
+        bandwidths = (shaker.bandwidth for shaker in scene.shakers if isinstance(shaker, TableShaker))
+        required = max(required, max(bandwidths, default=0.0) / rate / MAX_RESOLVED_RATIO)
+    return max(1, min(math.ceil(required), int(MAX_RATE / rate)))
 
 
 class DriveLine:
-    """Drive samples joined by straight lines, at a multiple of their rate, block after block.
+    """Linear interpolation of the drive at a multiple of its rate, block by block.
 
     >>> line = DriveLine(1, 2)
     >>> line.through(np.array([[1.0, 2.0]])).tolist(), line.through(np.array([[4.0]])).tolist()
@@ -79,19 +81,19 @@ class DriveLine:
     """
 
     def __init__(self, inputs: int, factor: int) -> None:
-        self._share = np.arange(1, factor + 1) / factor
+        self._fractions = np.arange(1, factor + 1) / factor
         self._last = np.zeros((inputs, 0))
 
     def through(self, drive: Array) -> Array:
-        """Return the drive (inputs, intervals) at the ends of all intervals; none ends at the first sample."""
-        if self._share.size == 1:
+        """Return the drive (inputs, intervals) at the ends of all intervals; no interval ends at the first sample."""
+        if self._fractions.size == 1:
             return drive
         nodes = np.concatenate([self._last, drive], axis=1)
         if nodes.shape[1] == 0:
             return drive
-        alone = drive[:, : 1 - self._last.shape[1]]
+        first_column = drive[:, : 1 - self._last.shape[1]]
         self._last = nodes[:, -1:]
         start, end = nodes[:, :-1, None], nodes[:, 1:, None]
-        line = start + (end - start) * self._share
+        line = start + (end - start) * self._fractions
         line[:, :, -1] = nodes[:, 1:]
-        return np.concatenate([alone, line.reshape(len(drive), line.shape[1] * line.shape[2])], axis=1)
+        return np.concatenate([first_column, line.reshape(len(drive), line.shape[1] * line.shape[2])], axis=1)

@@ -16,109 +16,118 @@ from rig.numerics.simd import LANES
 
 
 class Sampler(Protocol):
-    """Takes samples."""
+    """Computes the samples of a block from the voltage at the converter's input."""
 
-    integrals: int  # required moments of the voltage over each interval
+    moments: int  # number of required moments of the voltage over each interval
     intervals: int  # intervals that affect a sample, up to the interval that ends at it
     rows: Array  # required voltages at the end of each interval, from the state; (outputs, states)
     rows_input: Array  # and from the input; (outputs,)
 
-    def place(self, intervals: int) -> Array:
-        """Return the place for moments, shape (at least intervals + SUMS_AT_ONCE or 0, LANES)."""
+    def moments_buffer(self, intervals: int) -> Array:
+        """Return the array for the moments of the next intervals, (at least intervals + SUMS_AT_ONCE or 0, LANES)."""
 
-    def read(self, points: Array, ends: slice) -> Array:
+    def read(self, points: Array, sample_ends: slice) -> Array:
         """Return the samples in V, valid until the next call, from the voltages of `rows` and the latest moments."""
 
 
 class PointSampler:
     """Reads the voltage at the instant of the sample; an impulse between two instants does not show."""
 
-    integrals = 0
+    moments = 0
 
-    def __init__(self, circuit: Circuit, gain: float, oversampling: int, late: int) -> None:
+    def __init__(self, circuit: Circuit, gain: float, oversampling: int, delay_intervals: int) -> None:
         self.rows, self.rows_input = circuit.c[None], np.array([circuit.d[0] * gain])
-        self.intervals = oversampling + late
-        self._late, self._voltage = late, History(late)
+        self.intervals = oversampling + delay_intervals
+        self._delay_intervals, self._voltage = delay_intervals, History(delay_intervals)
         self._no_moments = np.zeros((0, LANES))
 
-    def place(self, intervals: int) -> Array:
-        """Return the place for moments; see `Sampler`."""
+    def moments_buffer(self, intervals: int) -> Array:
+        """Return the array for the moments; see `Sampler`."""
         return self._no_moments
 
-    def read(self, points: Array, ends: slice) -> Array:
+    def read(self, points: Array, sample_ends: slice) -> Array:
         """Return the samples; see `Sampler`."""
-        if not self._late:
-            return np.asarray(points[0, ends])
+        if not self._delay_intervals:
+            return np.asarray(points[0, sample_ends])
         self._voltage.place(points.shape[1])[:] = points[0]
-        return self._voltage.samples[ends].copy()
+        return self._voltage.samples[sample_ends].copy()
 
 
 class AverageSampler:
-    """Averages the voltage over the interval that ends at the sample: for a signal that may hold impulses."""
+    """Averages the voltage over the interval that ends at the sample: for a signal that may contain impulses."""
 
-    integrals = 1
+    moments = 1
 
-    def __init__(self, circuit: Circuit, oversampling: int, late: int, buffers: BlockBuffers) -> None:
+    def __init__(
+        self, circuit: Circuit, oversampling: int, delay_intervals: int, buffers: BlockBuffers
+    ) -> None:
         self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
-        self._oversampling, self._past = oversampling, History(oversampling - 1 + late)
-        self.intervals = oversampling + late
+        self._oversampling, self._past = oversampling, History(oversampling - 1 + delay_intervals)
+        self.intervals = oversampling + delay_intervals
         self._buffers = buffers
         self._averages = buffers.rows(0)
 
-    def place(self, intervals: int) -> Array:
-        """Return the place for moments; see `Sampler`."""
+    def moments_buffer(self, intervals: int) -> Array:
+        """Return the array for the moments; see `Sampler`."""
         self._averages = self._buffers.rows(intervals + SUMS_AT_ONCE)
         return self._averages
 
-    def read(self, points: Array, ends: slice) -> Array:
+    def read(self, points: Array, sample_ends: slice) -> Array:
         """Return the samples; see `Sampler`."""
         self._past.place(points.shape[1])[:] = self._averages[: points.shape[1], 0]
-        samples = self._past.samples[ends].copy()
-        for later in range(1, self._oversampling):
-            samples += self._past.samples[ends.start + later : ends.stop + later : ends.step]
+        samples = self._past.samples[sample_ends].copy()
+        for offset in range(1, self._oversampling):
+            samples += self._past.samples[
+                sample_ends.start + offset : sample_ends.stop + offset : sample_ends.step
+            ]
         samples /= self._oversampling
         return samples
 
 
 class FilteredSampler:
-    """Reads behind the decimation filter of a delta-sigma converter, `late` intervals further back."""
+    """Returns the output of the decimation filter of a delta-sigma converter, delayed by `delay_intervals`."""
 
-    integrals = MOMENTS
+    moments = MOMENTS
 
     def __init__(
-        self, circuit: Circuit, low_pass: Decimation, oversampling: int, late: int, buffers: BlockBuffers
+        self,
+        circuit: Circuit,
+        low_pass: Decimation,
+        oversampling: int,
+        delay_intervals: int,
+        buffers: BlockBuffers,
     ) -> None:
         self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
-        self._filter = Decimator(taps_of(low_pass, oversampling), late, buffers)
-        self.intervals = low_pass.length * oversampling + late
+        self._filter = Decimator(taps_of(low_pass, oversampling), delay_intervals, buffers)
+        self.intervals = low_pass.length * oversampling + delay_intervals
 
-    def place(self, intervals: int) -> Array:
-        """Return the place for moments; see `Sampler`."""
+    def moments_buffer(self, intervals: int) -> Array:
+        """Return the array for the moments; see `Sampler`."""
         return self._filter.place(intervals)
 
-    def read(self, points: Array, ends: slice) -> Array:
+    def read(self, points: Array, sample_ends: slice) -> Array:
         """Return the samples; see `Sampler`."""
         return self._filter.filter(points.shape[1])
 
 
 class Jitter:
-    """Takes samples early or late, through the slope of the voltage between samples.
+    """Timing jitter: the change of each sample is the timing error times the slope between neighbouring samples.
 
-    The slope reduces the effect on fast signals by sinc(f / rate); second order and delays of whole intervals are
-    neglected.
+    The difference quotient underestimates the slope of a sinusoid by sinc(f / rate); second-order terms and delays of
+    whole intervals are neglected.
     """
 
-    def __init__(self, circuit: Circuit, gain: float, deviation: float, wait: int) -> None:
+    def __init__(self, circuit: Circuit, gain: float, standard_deviation: float, filter_delay: int) -> None:
         self.row, self.row_input = circuit.c, float(circuit.d[0] * gain)
-        self._deviation = deviation
-        self._voltage = History(wait + 1)
+        self._standard_deviation = standard_deviation  # of the sampling instant, in sample intervals
+        self._voltage = History(filter_delay + 1)
 
-    def error(self, voltage: Array, late: Array) -> Array:
-        """Return the change of each sample, V, from the nominal voltage and the lateness in standard deviations."""
+    def error(self, voltage: Array, timing_error: Array) -> Array:
+        """Return the change of each sample, V, from the nominal voltage and the timing error in standard deviations."""
         count = voltage.size
         self._voltage.place(count)[:] = voltage
-        due = self._voltage.samples
-        error = np.subtract(due[1 : count + 1], due[:count])
-        error *= late
-        error *= self._deviation
+        delayed = self._voltage.samples
+        error = np.subtract(delayed[1 : count + 1], delayed[:count])
+        error *= timing_error
+        error *= self._standard_deviation
         return error

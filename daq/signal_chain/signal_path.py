@@ -24,12 +24,12 @@ from rig.scene.measurement_chain import Converter
 
 # Polynomials per sample that noise behind a filter is made of: see `FastNoise`.
 NOISE_TERMS = 3
-# Share of the limit below which the shift of zero after an overload is negligible: the last digit of a data sheet.
-NEGLIGIBLE_ZERO_SHIFT = 1e-3
+# The zero shift after an overload is negligible below this ratio to the limit: the last digit of a data sheet.
+NEGLIGIBLE_ZERO_SHIFT_RATIO = 1e-3
 
 
 class SignalPath:
-    """Sensor, amplifier, coupling and sampling of one channel, sampled late by `delay` in s.
+    """Sensor, amplifier, coupling and sampling of one channel, sampled with a delay in s.
 
     The limits of sensor and amplifier act on the signal itself, in front of filter and samples.
     """
@@ -49,70 +49,72 @@ class SignalPath:
         sensor, sample_rate = stages[0], converter.true_rate
         rate, gain = sample_rate * oversampling, sensor.nominal * (1.0 + sensor.deviation)
         # The filter delays by whole intervals.
-        late = int(delay * rate)
+        delay_intervals = int(delay * rate)
         filtered, self._oversampling, self._interval = converter.filter is not None, oversampling, 0
-        self._reading: Sampler
+        self._sampler: Sampler
         if filtered:
             low_pass = Decimation.standard(converter.sample_rate)
-            self._reading = FilteredSampler(circuit, low_pass, oversampling, late, buffers)
+            self._sampler = FilteredSampler(circuit, low_pass, oversampling, delay_intervals, buffers)
         elif is_averaged(stages, converter):
-            self._reading = AverageSampler(circuit, oversampling, late, buffers)
+            self._sampler = AverageSampler(circuit, oversampling, delay_intervals, buffers)
         else:
-            self._reading = PointSampler(circuit, gain, oversampling, late)
+            self._sampler = PointSampler(circuit, gain, oversampling, delay_intervals)
         entries, sources = _disturbances(stages, name, sample_rate, seed, filtered)
         self.noise_states = sum(source.states for source in sources if isinstance(source, Noise))
         direct = np.array([0.0 if filtered else circuit.d[entry.section] for entry in entries])
         self._disturbances = Disturbances(sources, direct, [entry.degree for entry in entries], oversampling)
-        self._tables = _tables(circuit, gain, rate, self._reading.integrals, entries)
-        # The largest voltage of each state.
+        self._tables = _tables(circuit, gain, rate, self._sampler.moments, entries)
+        # Largest voltage of each state.
         rails: list[float] = []
         for stage in stages:
             limit = np.inf if stage.rails is None else stage.rails
             for section in stage.sections:
                 rails += [limit if section.name == INTEGRATION else np.inf] * section.states
-        limited = len(sensor.sections)
+        limited_section = len(sensor.sections)
         self._limits = limits_of(
-            sections, limited, sensor.limit, np.array(rails), gain, rate, entries, self._tables
+            sections, limited_section, sensor.limit, np.array(rails), gain, rate, entries, self._tables
         )
         self._state, self._scratch = np.zeros(circuit.c.size), scratch_for(self._tables)
-        self._overloads = Overloads(stages, rate, self._reading.intervals)
-        self._rows, self._rows_input = self._reading.rows, self._reading.rows_input
+        self._overloads = Overloads(stages, rate, self._sampler.intervals)
+        self._rows, self._rows_input = self._sampler.rows, self._sampler.rows_input
 
-        share = delay * rate - late
-        self._delay = Delay(share) if share else None
+        delay_fraction = delay * rate - delay_intervals
+        self._delay = Delay(delay_fraction) if delay_fraction else None
         self._jitter = None
         if converter.jitter:
-            wait = DELAY if filtered else 0
-            self._jitter = Jitter(circuit, gain, converter.jitter * sample_rate, wait)
+            filter_delay = DELAY if filtered else 0
+            self._jitter = Jitter(circuit, gain, converter.jitter * sample_rate, filter_delay)
             self._rows = np.concatenate([self._rows, self._jitter.row[None]])
             self._rows_input = np.append(self._rows_input, self._jitter.row_input)
-        self._rows_excess = np.full(len(self._rows), -circuit.d[limited])
+        self._rows_excess = np.full(len(self._rows), -circuit.d[limited_section])
         self._noise = None
         if converter.noise is not None:
-            random = generator(seed, name, "converter noise")
-            self._noise = Noise(converter.noise, None, sample_rate, random)
+            noise_generator = generator(seed, name, "converter noise")
+            self._noise = Noise(converter.noise, None, sample_rate, noise_generator)
 
-    def measure(self, pieces: CubicInput, late: Array | None) -> tuple[Array, NDArray[np.bool_] | bool]:
+    def measure(
+        self, pieces: CubicInput, timing_error: Array | None
+    ) -> tuple[Array, NDArray[np.bool_] | bool]:
         """Return the volts at the samples that end intervals of a block, and where a limit has affected them.
 
-        `late` is the lateness of each sample, in standard deviations of the jitter.
+        `timing_error`: delay of each sample, in standard deviations of the jitter.
         """
         if self._delay is not None:
             pieces = self._delay.shift(pieces)
         intervals = pieces.smooth.shape[1]
         ends = slice(-self._interval % self._oversampling, intervals, self._oversampling)
         self._interval += intervals
-        held = self._disturbances.draw(intervals)
+        disturbances = self._disturbances.draw(intervals)
         points = np.empty((self._rows_input.size, intervals))
         propagate(
-            pieces, self._tables, self._limits, self._state, held, self._rows, self._rows_input,
-            self._rows_excess, points, self._reading.place(intervals), self._overloads.place(intervals),
-            self._scratch,
+            pieces, self._tables, self._limits, self._state, disturbances, self._rows, self._rows_input,
+            self._rows_excess, points, self._sampler.moments_buffer(intervals),
+            self._overloads.severity_buffer(intervals), self._scratch,
         )  # fmt: skip
-        volts = self._reading.read(points, ends)
-        self._disturbances.add_direct(held[:, ends], volts)
-        if self._jitter is not None and late is not None:
-            volts += self._jitter.error(points[-1, ends], late)
+        volts = self._sampler.read(points, ends)
+        self._disturbances.add_direct(disturbances[:, ends], volts)
+        if self._jitter is not None and timing_error is not None:
+            volts += self._jitter.error(points[-1, ends], timing_error)
         if self._noise is not None:
             noise = np.empty(volts.size)
             self._noise.fill(noise)
@@ -121,19 +123,19 @@ class SignalPath:
 
 
 class Overloads:
-    """Flags samples with an interval at a limit, or with a shift of zero that is not negligible yet."""
+    """Flags samples with an interval at a limit, or with a zero shift that is not negligible yet."""
 
     def __init__(self, stages: Sequence[Stage], rate: float, intervals: int) -> None:
-        fades = [-section.a[0, 0] for section in stages[0].sections if section.name == RECOVERY]
-        self._decay_intervals = rate / fades[0] if fades else 0.0
+        recovery_rates = [-section.a[0, 0] for section in stages[0].sections if section.name == RECOVERY]
+        self._decay_intervals = rate / recovery_rates[0] if recovery_rates else 0.0
         self._intervals_per_sample = intervals
         self._severity = np.zeros(1)
         self._flagged_ahead = 0
 
-    def place(self, intervals: int) -> Array:
-        """Return the place for the severity of each interval; see `daq.dsp.propagation.propagate`."""
-        last, self._severity = self._severity[-1], np.empty(1 + intervals)
-        self._severity[0] = last
+    def severity_buffer(self, intervals: int) -> Array:
+        """Return the array for the severity of each interval; see `daq.dsp.propagation.propagate`."""
+        last_severity, self._severity = self._severity[-1], np.empty(1 + intervals)
+        self._severity[0] = last_severity
         return self._severity
 
     def flags(self, ends: slice) -> NDArray[np.bool_]:
@@ -143,7 +145,7 @@ class Overloads:
             return np.zeros(severity[ends].size, dtype=bool)
         overloaded = np.flatnonzero(severity)
         # The zero shift decays exponentially; count the intervals until it is negligible.
-        excess = np.maximum((severity[overloaded] - 1.0) / NEGLIGIBLE_ZERO_SHIFT, 1.0)
+        excess = np.maximum((severity[overloaded] - 1.0) / NEGLIGIBLE_ZERO_SHIFT_RATIO, 1.0)
         recovery = np.ceil(self._decay_intervals * np.log(excess)).astype(np.int64)
         valid_from = np.zeros(severity.size + 1, dtype=np.int64)
         valid_from[0] = self._flagged_ahead  # carried over from the previous block
@@ -153,40 +155,41 @@ class Overloads:
         return (valid_from[1:] > np.arange(severity.size))[ends]
 
 
-# Tables by the circuit's content: channels with equal data sheets, and further benches of a scene, share them.
+# Tables by the content of the circuit: channels with equal data sheets, and further benches of a scene, share them.
 _CACHE: dict[tuple[object, ...], Tables] = {}
-_MOST_TABLES = 64
+# Number of tables at which the cache is emptied.
+_MAX_TABLES = 64
 
 
-def _tables(circuit: Circuit, gain: float, rate: float, integrals: int, entries: Sequence[Entry]) -> Tables:
-    """Discretise a circuit, or take the tables of an equal one."""
-    matrices = (np.asarray(each).tobytes() for each in (circuit.a, circuit.b, circuit.c, circuit.d))
-    key = (*matrices, np.asarray(circuit.sections).tobytes(), gain, rate, integrals, tuple(entries))
+def _tables(circuit: Circuit, gain: float, rate: float, moments: int, entries: Sequence[Entry]) -> Tables:
+    """Discretise a circuit, or return the tables of an equal circuit."""
+    matrices = (np.asarray(matrix).tobytes() for matrix in (circuit.a, circuit.b, circuit.c, circuit.d))
+    key = (*matrices, np.asarray(circuit.sections).tobytes(), gain, rate, moments, tuple(entries))
     if key not in _CACHE:
-        if len(_CACHE) >= _MOST_TABLES:
+        if len(_CACHE) >= _MAX_TABLES:
             _CACHE.clear()
-        _CACHE[key] = discretise(circuit, gain, rate, integrals, entries)
+        _CACHE[key] = discretise(circuit, gain, rate, moments, entries)
     return _CACHE[key]
 
 
 def _disturbances(
     stages: Sequence[Stage], channel: str, rate: float, seed: int, filtered: bool
 ) -> tuple[list[Entry], list[Disturbance]]:
-    """List the disturbances and where each enters."""
+    """List the disturbances and the section at which each enters."""
     entries: list[Entry] = []
     sources: list[Disturbance] = []
-    behind = 0
+    section = 0
     for stage in stages:
-        behind += len(stage.sections)
+        section += len(stage.sections)
         if stage.noise is not None:
             noise, corner, name = stage.noise, stage.noise_corner, stage.name + " noise"
             sources.append(Noise(noise, corner, rate, generator(seed, channel, name)))
             terms = NOISE_TERMS if filtered else 1
             for degree in range(1, terms):
-                random = generator(seed, channel, f"{name} {degree}")
-                sources.append(FastNoise(noise, corner, rate, random, degree))
-            entries += [Entry(behind, degree, filtered) for degree in range(terms)]
+                noise_generator = generator(seed, channel, f"{name} {degree}")
+                sources.append(FastNoise(noise, corner, rate, noise_generator, degree))
+            entries += [Entry(section, degree, filtered) for degree in range(terms)]
         if stage.offset is not None:
             sources.append(Offset(stage.offset, stage.settling, rate))
-            entries.append(Entry(behind, 0, filtered))
+            entries.append(Entry(section, 0, filtered))
     return entries, sources

@@ -1,4 +1,4 @@
-"""Devices of a channel: their effects on the signal, and the description of the channel that they make."""
+"""Devices of a channel: their effects on the signal, and the resulting description of the channel."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from rig.scene.quantities import text
 from rig.scene.quantity_field import quantity_of
 from rig.scene.settings import Settings
 
-_INTEGRATED: tuple[Quantity, ...] = ("acceleration", "velocity", "displacement")
-_BY_SENSOR: dict[str, Quantity] = {"hammer": "force", "cable": "voltage"}
+_QUANTITY_BY_INTEGRATIONS: tuple[Quantity, ...] = ("acceleration", "velocity", "displacement")
+_QUANTITY_BY_SENSOR: dict[str, Quantity] = {"hammer": "force", "cable": "voltage"}
 
 
 @dataclass(frozen=True)
 class Stage:
-    """One device of a channel: its linear circuit, and its deviations from that."""
+    """One device of a channel: its linear circuit, and its deviations from linearity and from the data sheet."""
 
     name: str  # accelerometer, hammer, cable, integrator or converter
     sections: tuple[Section, ...] = ()  # its circuit
@@ -38,11 +38,11 @@ class Stage:
 
     @property
     def effects(self) -> dict[str, int]:
-        """Each effect, with the number of states it adds."""
+        """Effects of the device, with the number of states that each adds."""
         effects: dict[str, int] = {}
         for section in self.sections:
             effects[section.name] = effects.get(section.name, 0) + section.states
-        named = {
+        candidates = {
             "sensitivity deviation": (self.deviation or None, 0),
             "saturation": (self.limit or self.rails, 0),
             "noise": (self.noise, 0),
@@ -50,11 +50,11 @@ class Stage:
             "offset": (self.offset, 0),
             "offset settling": (self.settling, 1),
         }
-        return effects | {name: states for name, (there, states) in named.items() if there is not None}
+        return effects | {name: states for name, (value, states) in candidates.items() if value is not None}
 
 
 def is_averaged(stages: Sequence[Stage], converter: Converter) -> bool:
-    """Whether a sample is an average over its interval: by default where the signal may hold impulses."""
+    """Return whether a sample is an average over its interval: by default where the signal may contain impulses."""
     if converter.filter is not None or converter.sampling is not None:
         return converter.filter is None and converter.sampling == "average"
     return not any(section.name == INTEGRATION for stage in stages for section in stage.sections)
@@ -68,12 +68,12 @@ def data_sheet(device: str, settings: Settings) -> dict[str, str]:
     {'accelerometer.resonance': '30000.0 Hz'}
     """
     sheet = {}
-    for name, described in type(settings).model_fields.items():
+    for name, model_field in type(settings).model_fields.items():
         value = getattr(settings, name)
-        if value == described.default:
+        if value == model_field.default:
             continue
-        parts = (*described.metadata, described.annotation)
-        quantity = next((found for part in parts if (found := quantity_of(part)) is not None), None)
+        parts = (*model_field.metadata, model_field.annotation)
+        quantity = next((match for part in parts if (match := quantity_of(part)) is not None), None)
         if isinstance(value, float) and quantity is not None:
             value = text(value, quantity.kinds[0])
         sheet[f"{device}.{name}"] = str(value)
@@ -83,7 +83,7 @@ def data_sheet(device: str, settings: Settings) -> dict[str, str]:
 def channel_info(
     name: str, at: str, stages: Sequence[Stage], converter: Converter, rate: float, delay: float
 ) -> ChannelInfo:
-    """Describe how a channel's readings relate to the quantity at its place, at a rate in Hz, late by `delay` in s."""
+    """Describe how a channel's readings relate to the measured quantity, at a rate in Hz, with a delay in s."""
     sections = [section for stage in stages for section in stage.sections]
     order = sum(section.name == INTEGRATION for section in sections)
     zeros = [zero for section in sections for zero in section.zeros]
@@ -101,7 +101,7 @@ def channel_info(
     return ChannelInfo(
         name=name,
         at=at,
-        quantity=_BY_SENSOR.get(stages[0].name, _INTEGRATED[order]),
+        quantity=_QUANTITY_BY_SENSOR.get(stages[0].name, _QUANTITY_BY_INTEGRATIONS[order]),
         sensitivity=float(np.prod([stage.nominal for stage in stages])),
         rate=rate,
         zeros=tuple(zeros),
@@ -129,11 +129,11 @@ def channel_effects(stages: Sequence[Stage], converter: Converter, delay: float)
         effects["averaging"] = 1
     else:
         effects["point sampling"] = 0
-    named = {
+    candidates = {
         "skew": delay or None,
         "jitter": converter.jitter,
         "converter noise": converter.noise,
         "clipping": converter.range,
         "quantisation": converter.bits,
     }
-    return effects | {name: 0 for name, value in named.items() if value is not None}
+    return effects | {name: 0 for name, value in candidates.items() if value is not None}

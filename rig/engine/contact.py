@@ -66,15 +66,19 @@ def _rebound_is_negligible(model: Model, state: State, j: int, rebound: float, f
     """
     row = model.position[j]
     if model.coupled:
-        pull = model.gravity
+        approach_acceleration = model.gravity
         for c in range(model.inverse_mass.shape[0]):
-            pull += abs(model.inverse_mass[row, c] * force[c])
+            approach_acceleration += abs(model.inverse_mass[row, c] * force[c])
     else:
-        pull = _sign(state.mode[j]) * (force[row] * model.inverse_mass[row, row] + model.gravity)
-    size = 2.0 * abs(state.z[row])
+        approach_acceleration = _sign(state.mode[j]) * (
+            force[row] * model.inverse_mass[row, row] + model.gravity
+        )
+    magnitude = 2.0 * abs(state.z[row])
     if state.mode[j] == CEILING:
-        size += model.clearance[j]
-    return pull > 0.0 and rebound * rebound < 2.0 * pull * ROUNDING * size
+        magnitude += model.clearance[j]
+    return (
+        approach_acceleration > 0.0 and rebound * rebound < 2.0 * approach_acceleration * ROUNDING * magnitude
+    )
 
 
 @inlined_kernel
@@ -144,10 +148,10 @@ def _close_slow_openings(model: Model, state: State, work: ContactWork, count: i
     for a in range(count):
         if work.active[a]:
             continue
-        opening = work.opening[a]
+        opening_speed = work.opening_speed[a]
         for b in range(count):
-            opening += work.matrix[a, b] * work.pressure[b]
-        if _rebound_is_negligible(model, state, work.member[a], opening, work.force):
+            opening_speed += work.matrix[a, b] * work.pressure[b]
+        if _rebound_is_negligible(model, state, work.damper[a], opening_speed, work.force):
             work.active[a] = True
             changed = True
     if changed:
@@ -176,42 +180,44 @@ def _coupled_impact(
                 continue
             state.mode[i] = contact
         sign = _sign(state.mode[i])
-        work.member[count] = i
+        work.damper[count] = i
         work.sign[count] = sign
-        work.before[count] = state.z[model.velocity[i]]
-        work.opening[count] = sign * (state.speed[i] - work.before[count]) if work.flying[count] else 0.0
-        rebound = -model.restitution[i] * work.opening[count]
+        work.velocity_before[count] = state.z[model.velocity[i]]
+        work.opening_speed[count] = (
+            sign * (state.speed[i] - work.velocity_before[count]) if work.flying[count] else 0.0
+        )
+        rebound = -model.restitution[i] * work.opening_speed[count]
         if rebound > 0.0 and _rebound_is_negligible(model, state, i, rebound, work.force):
             rebound = 0.0
-        work.right[count] = work.opening[count] - rebound
+        work.rhs[count] = work.opening_speed[count] - rebound
         count += 1
     contact_matrix(model, work, count)
     complementarity(work, count)
     _close_slow_openings(model, state, work, count)
     for a in range(count):
-        column = model.position[work.member[a]]
+        column = model.position[work.damper[a]]
         for row in range(model.inverse_mass.shape[0]):
             change = model.inverse_mass[row, column] * work.sign[a] * work.pressure[a]
             state.z[model.first_velocity + row] -= change
     for a in range(count):
-        i = work.member[a]
-        body = state.z[model.velocity[i]]
+        i = work.damper[a]
+        body_velocity = state.z[model.velocity[i]]
         if work.flying[a]:
-            own = state.speed[i] + work.sign[a] * work.pressure[a] / model.mass[i]
-            rebound = work.sign[a] * (own - body)
-            if work.active[a] and work.right[a] == work.opening[a]:
+            damper_velocity = state.speed[i] + work.sign[a] * work.pressure[a] / model.mass[i]
+            rebound = work.sign[a] * (damper_velocity - body_velocity)
+            if work.active[a] and work.rhs[a] == work.opening_speed[a]:
                 rebound = 0.0
             # The guard of damper j is at zero and falling: unless another impact opens it, an opening is rounding.
-            if i == j and 0.0 < rebound <= work.opening[a]:
+            if i == j and 0.0 < rebound <= work.opening_speed[a]:
                 rebound = 0.0
             # Another impact may move the wall away before the damper touches it.
             if work.pressure[a] > 0.0 or rebound <= 0.0:
-                log_event(log, i, state.mode[i], -work.opening[a])
+                log_event(log, i, state.mode[i], -work.opening_speed[a])
             _land(flow, model, state, i, rebound)
         elif not work.active[a]:
-            opening = work.sign[a] * (work.before[a] - body)
-            if opening > ROUNDING * (abs(work.before[a]) + abs(body)):
-                _set_flying(flow, model, state, i, work.before[a], 1)
+            opening_speed = work.sign[a] * (work.velocity_before[a] - body_velocity)
+            if opening_speed > ROUNDING * (abs(work.velocity_before[a]) + abs(body_velocity)):
+                _set_flying(flow, model, state, i, work.velocity_before[a], 1)
                 log_event(log, i, SEPARATION, 0.0)
 
 
@@ -225,10 +231,10 @@ def _release_independent(flow: Flow, model: Model, state: State, log: Log, work:
         pressure = force[row] * model.inverse_mass[row, row] + model.gravity
         if _sign(state.mode[i]) * pressure >= 0.0:
             continue
-        size = model.gravity
+        magnitude = model.gravity
         for c in range(model.force.shape[1]):
-            size += abs(model.force[0, c, row] * state.z[c]) * model.inverse_mass[row, row]
-        if abs(pressure) > ROUNDING * size:
+            magnitude += abs(model.force[0, c, row] * state.z[c]) * model.inverse_mass[row, row]
+        if abs(pressure) > ROUNDING * magnitude:
             separate(flow, model, state, log, i, 2)
 
 
@@ -240,26 +246,26 @@ def _release_coupled(flow: Flow, model: Model, state: State, log: Log, work: Con
         if model.bed[i] >= 0 or state.mode[i] == FLIGHT:
             continue
         row = model.position[i]
-        free = 0.0
-        size = model.gravity
+        free_acceleration = 0.0
+        magnitude = model.gravity
         for c in range(model.inverse_mass.shape[0]):
-            free += model.inverse_mass[row, c] * work.force[c]
+            free_acceleration += model.inverse_mass[row, c] * work.force[c]
             for column in range(model.force.shape[1]):
-                size += abs(model.inverse_mass[row, c] * model.force[0, column, c] * state.z[column])
-        work.member[count] = i
+                magnitude += abs(model.inverse_mass[row, c] * model.force[0, column, c] * state.z[column])
+        work.damper[count] = i
         work.sign[count] = _sign(state.mode[i])
-        work.right[count] = work.sign[count] * (-model.gravity - free)
-        work.before[count] = size
+        work.rhs[count] = work.sign[count] * (-model.gravity - free_acceleration)
+        work.magnitude[count] = magnitude
         count += 1
     contact_matrix(model, work, count)
     complementarity(work, count)
     for a in range(count):
         if work.pressure[a] == 0.0:
-            acceleration = work.right[a]
+            acceleration = work.rhs[a]
             for b in range(count):
                 acceleration += work.matrix[a, b] * work.pressure[b]
-            if acceleration > ROUNDING * work.before[a]:
-                separate(flow, model, state, log, work.member[a], 2)
+            if acceleration > ROUNDING * work.magnitude[a]:
+                separate(flow, model, state, log, work.damper[a], 2)
 
 
 @inlined_kernel

@@ -121,28 +121,37 @@ def lowest_guard(model: Model, state: State, z: Array, j: int) -> float:
 
 @inlined_kernel
 def _guard_series(
-    model: Model, workspace: Workspace, j: int, length: float, on_gap: float, on_speed: float, offset: float
+    model: Model,
+    workspace: Workspace,
+    j: int,
+    length: float,
+    gap_factor: float,
+    speed_factor: float,
+    offset: float,
 ) -> float:
-    """Fill the series of on_gap (z - offset) + on_speed z' over `length` steps; return the magnitude of its terms."""
+    """Fill the series of a guard over `length` steps; return the magnitude of its terms.
+
+    The guard is gap_factor (z - offset) + speed_factor z'.
+    """
     series = workspace.series
     bed = model.bed[j]
-    size = abs(on_gap) * offset
+    magnitude = abs(gap_factor) * offset
     power = 1.0
     for k in range(LENGTH):
-        by_gap = on_gap * workspace.tableau[k, bed] * power
-        by_speed = on_speed * workspace.tableau[k, model.first_velocity + bed] * power
-        series[k] = by_gap + by_speed
-        size += abs(by_gap) + abs(by_speed)
+        gap_term = gap_factor * workspace.tableau[k, bed] * power
+        speed_term = speed_factor * workspace.tableau[k, model.first_velocity + bed] * power
+        series[k] = gap_term + speed_term
+        magnitude += abs(gap_term) + abs(speed_term)
         power *= length
-    series[0] -= on_gap * offset
-    return size
+    series[0] -= gap_factor * offset
+    return magnitude
 
 
 @inlined_kernel
-def find_crossing(workspace: Workspace, start: int, size: float) -> tuple[float, int]:
+def find_crossing(workspace: Workspace, start: int, magnitude: float) -> tuple[float, int]:
     """Find the first crossing of the guard in `workspace.series`, with terms of a magnitude: (tau, ambiguous)."""
     return first_crossing(
-        workspace.series, start, ROUNDING * size, workspace.work, workspace.spans, workspace.bernstein
+        workspace.series, start, ROUNDING * magnitude, workspace.work, workspace.spans, workspace.bernstein
     )
 
 
@@ -155,12 +164,12 @@ def first_contact_change(
     multiplicity = state.multiplicity[j]
     clearance = model.clearance[j]
     if mode == FLIGHT and wall == FLIGHT:
-        size = _guard_series(model, workspace, j, length, 1.0, 0.0, 0.0)
-        tau, ambiguous = find_crossing(workspace, max(multiplicity, 0), size)
+        magnitude = _guard_series(model, workspace, j, length, 1.0, 0.0, 0.0)
+        tau, ambiguous = find_crossing(workspace, max(multiplicity, 0), magnitude)
         change = FLOOR
         if clearance < np.inf:
-            size = _guard_series(model, workspace, j, length, -1.0, 0.0, clearance)
-            ceiling_tau, ceiling_ambiguous = find_crossing(workspace, max(-multiplicity, 0), size)
+            magnitude = _guard_series(model, workspace, j, length, -1.0, 0.0, clearance)
+            ceiling_tau, ceiling_ambiguous = find_crossing(workspace, max(-multiplicity, 0), magnitude)
             ambiguous += ceiling_ambiguous
             if ceiling_tau < tau:
                 tau, change = ceiling_tau, CEILING
@@ -170,13 +179,13 @@ def first_contact_change(
     sign = outward if mode == FLIGHT else -outward
     offset = 0.0 if wall == FLOOR else clearance
     stiffness, damping = model.wall_stiffness[j, wall - 1], model.wall_damping[j, wall - 1]
-    size = _guard_series(model, workspace, j, length, sign * stiffness, sign * damping, offset)
-    tau, ambiguous = find_crossing(workspace, max(multiplicity, 0), size)
+    magnitude = _guard_series(model, workspace, j, length, sign * stiffness, sign * damping, offset)
+    tau, ambiguous = find_crossing(workspace, max(multiplicity, 0), magnitude)
     if mode != FLIGHT:
         return tau, RELEASED, ambiguous
     change = wall
-    size = _guard_series(model, workspace, j, length, -outward, 0.0, offset)
-    free_tau, free_ambiguous = find_crossing(workspace, 0, size)
+    magnitude = _guard_series(model, workspace, j, length, -outward, 0.0, offset)
+    free_tau, free_ambiguous = find_crossing(workspace, 0, magnitude)
     if free_tau <= tau:
         tau, change = free_tau, FREE
     return tau, change, ambiguous + free_ambiguous

@@ -51,24 +51,24 @@ def bound_by_series(
         row = model.velocity[j] if at_rest else model.position[j]
         index = first_acceleration + model.position[j]
         shift = 1 if at_rest else 0
-        end = 0.0
-        slope = 0.0
-        fourth = 0.0
-        size = 0.0
+        end_value = 0.0
+        end_slope = 0.0
+        fourth_derivative = 0.0
+        magnitude = 0.0
         for k in range(LENGTH - 1 - shift, -1, -1):
             # The acceleration's series is (k + 1) tableau[k + 1] / h.
             term = tableau[k + 1, row] * (k + 1) / model.step if at_rest else tableau[k, row]
-            slope = slope * length + end
-            end = end * length + term
-            fourth += k * (k - 1) * (k - 2) * (k - 3) * abs(term)
-            size += abs(term)
+            end_slope = end_slope * length + end_value
+            end_value = end_value * length + term
+            fourth_derivative += k * (k - 1) * (k - 2) * (k - 3) * abs(term)
+            magnitude += abs(term)
             if at_rest and k <= 1:
                 z[index + k * points] = term
         if at_rest:
-            new[index] = end
-            new[index + points] = slope
-        bound[j] = fourth
-        bound[dampers + j] = size
+            new[index] = end_value
+            new[index + points] = end_slope
+        bound[j] = fourth_derivative
+        bound[dampers + j] = magnitude
 
 
 @inlined_kernel
@@ -86,14 +86,14 @@ def _gap_series(
     series[0] += state.height[j]
     series[1] += state.speed[j] * duration
     series[2] -= 0.5 * model.gravity * duration * duration
-    size = abs(state.height[j]) + duration * (abs(state.speed[j]) + model.gravity * duration)
-    size += workspace.bound[model.mass.shape[0] + j]
+    magnitude = abs(state.height[j]) + duration * (abs(state.speed[j]) + model.gravity * duration)
+    magnitude += workspace.bound[model.mass.shape[0] + j]
     if not ceiling:
-        return state.multiplicity[j], size
+        return state.multiplicity[j], magnitude
     for k in range(LENGTH):
         series[k] = -series[k]
     series[0] += model.clearance[j]
-    return -state.multiplicity[j], size + model.clearance[j]
+    return -state.multiplicity[j], magnitude + model.clearance[j]
 
 
 @inlined_kernel
@@ -135,11 +135,11 @@ def first_event(
                 continue
             if state.mode[j] == FLIGHT:
                 guard = CEILING_GAP if side == 1 else FLOOR_GAP
-                multiplicity, size = _gap_series(model, state, workspace, j, length, side == 1)
+                multiplicity, magnitude = _gap_series(model, state, workspace, j, length, side == 1)
             else:
                 guard = CONTACT_FORCE
-                multiplicity, size = _force_series(model, state, workspace, j, length)
-            tau, ambiguous = find_crossing(workspace, max(multiplicity, 0), size)
+                multiplicity, magnitude = _force_series(model, state, workspace, j, length)
+            tau, ambiguous = find_crossing(workspace, max(multiplicity, 0), magnitude)
             state.counters[AMBIGUOUS] += ambiguous
             if tau < first_tau:
                 first_tau, damper, crossed = tau, j, guard

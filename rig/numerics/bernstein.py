@@ -51,23 +51,25 @@ def _value_and_derivatives(series: Array, start: int, tau: float) -> tuple[float
     Even and odd powers are two polynomials in tau^2, E + tau O, which the processor evaluates in parallel.
     """
     square = tau * tau
-    even, even_slope, even_bend = 0.0, 0.0, 0.0
-    odd, odd_slope, odd_bend = 0.0, 0.0, 0.0
-    top = DEGREE
+    even, even_slope, even_half_curvature = 0.0, 0.0, 0.0
+    odd, odd_slope, odd_half_curvature = 0.0, 0.0, 0.0
+    highest_power = DEGREE
     if (DEGREE - start) % 2 == 0:
         even = series[DEGREE]
-        top = DEGREE - 1
-    for k in range(top, start, -2):
-        odd_bend = odd_bend * square + odd_slope
-        even_bend = even_bend * square + even_slope
+        highest_power = DEGREE - 1
+    for k in range(highest_power, start, -2):
+        odd_half_curvature = odd_half_curvature * square + odd_slope
+        even_half_curvature = even_half_curvature * square + even_slope
         odd_slope = odd_slope * square + odd
         even_slope = even_slope * square + even
         odd = odd * square + series[k]
         even = even * square + series[k - 1]
     value = even + tau * odd
     slope = odd + 2.0 * tau * (even_slope + tau * odd_slope)
-    bend = even_slope + 3.0 * tau * odd_slope + 4.0 * square * (even_bend + tau * odd_bend)
-    return value, slope, bend
+    half_curvature = (
+        even_slope + 3.0 * tau * odd_slope + 4.0 * square * (even_half_curvature + tau * odd_half_curvature)
+    )
+    return value, slope, half_curvature
 
 
 @inlined_kernel
@@ -103,12 +105,12 @@ def _estimate_single_root(coefficients: Array, degree: int) -> float:
     positive = ~negative_bits(coefficients) & ((1 << (degree + 1)) - 1)
     if positive & (positive + 1) != 0:
         return NO_CROSSING
-    last = -1
+    last_positive = -1
     while positive > 0:
         positive >>= 1
-        last += 1
-    before, after = coefficients[last], coefficients[last + 1]
-    return (last + before / (before - after)) / degree
+        last_positive += 1
+    above, below = coefficients[last_positive], coefficients[last_positive + 1]
+    return (last_positive + above / (above - below)) / degree
 
 
 @kernel
@@ -149,7 +151,7 @@ def first_crossing(
     if minimum(work[0]) > rounding:
         return NO_CROSSING, 0
     ambiguous = 0
-    touched = -1.0
+    touch_end = -1.0
     spans[0, 0] = 0.0
     spans[0, 1] = 1.0
     level = 0
@@ -163,9 +165,9 @@ def first_crossing(
         if lower_bound >= -deflated_rounding:
             # There is no dip below rounding; a dip that touches zero within rounding is counted once.
             if lower_bound <= rounding and right < 1.0:
-                if left != touched:
+                if left != touch_end:
                     ambiguous += 1
-                touched = right
+                touch_end = right
             level -= 1
             continue
         if coefficients[degree] < -deflated_rounding and coefficients[0] > rounding:

@@ -32,12 +32,13 @@ class ContactWork(NamedTuple):
     """Work space of the contact laws, one entry per contact of the instant."""
 
     force: np.ndarray
-    member: np.ndarray
+    damper: np.ndarray
     sign: np.ndarray
     flying: np.ndarray
-    before: np.ndarray
-    opening: np.ndarray
-    right: np.ndarray
+    velocity_before: np.ndarray
+    magnitude: np.ndarray
+    opening_speed: np.ndarray
+    rhs: np.ndarray
     pressure: np.ndarray
     active: np.ndarray
     matrix: np.ndarray
@@ -48,12 +49,13 @@ def allocate_contact_work(dampers: int, forces: int) -> ContactWork:
     """Allocate the work space for a number of dampers and of padded force rows."""
     return ContactWork(
         force=np.zeros(forces),
-        member=np.zeros(dampers + 1, dtype=np.int64),
+        damper=np.zeros(dampers + 1, dtype=np.int64),
         sign=np.zeros(dampers + 1),
         flying=np.zeros(dampers + 1, dtype=np.bool_),
-        before=np.zeros(dampers + 1),
-        opening=np.zeros(dampers + 1),
-        right=np.zeros(dampers + 1),
+        velocity_before=np.zeros(dampers + 1),
+        magnitude=np.zeros(dampers + 1),
+        opening_speed=np.zeros(dampers + 1),
+        rhs=np.zeros(dampers + 1),
         pressure=np.zeros(dampers + 1),
         active=np.zeros(dampers + 1, dtype=np.bool_),
         matrix=np.zeros((dampers + 1, dampers + 1)),
@@ -63,11 +65,11 @@ def allocate_contact_work(dampers: int, forces: int) -> ContactWork:
 
 @kernel
 def contact_matrix(model: Any, work: ContactWork, count: int) -> None:
-    """Fill `work.matrix` for the contacts listed in `work.member` with signs `work.sign`."""
+    """Fill `work.matrix` for the contacts listed in `work.damper` with signs `work.sign`."""
     for a in range(count):
-        i = work.member[a]
+        i = work.damper[a]
         for b in range(count):
-            k = work.member[b]
+            k = work.damper[b]
             coupling = model.inverse_mass[model.position[i], model.position[k]]
             work.matrix[a, b] = work.sign[a] * work.sign[b] * coupling
         work.matrix[a, a] += 1.0 / model.mass[i]
@@ -77,37 +79,37 @@ def contact_matrix(model: Any, work: ContactWork, count: int) -> None:
 def solve_active(work: ContactWork, count: int) -> None:
     """Compute the pressures that close the active contacts, by elimination; the pressures of the others are 0."""
     block = work.block
-    size = 0
+    n_active = 0
     for a in range(count):
         work.pressure[a] = 0.0
         if work.active[a]:
             column = 0
             for b in range(count):
                 if work.active[b]:
-                    block[size, column] = work.matrix[a, b]
+                    block[n_active, column] = work.matrix[a, b]
                     column += 1
-            block[size, count] = -work.right[a]
-            size += 1
-    for i in range(size):
-        for row in range(i + 1, size):
+            block[n_active, count] = -work.rhs[a]
+            n_active += 1
+    for i in range(n_active):
+        for row in range(i + 1, n_active):
             factor = block[row, i] / block[i, i]
-            for column in range(i, size):
+            for column in range(i, n_active):
                 block[row, column] -= factor * block[i, column]
             block[row, count] -= factor * block[i, count]
-    for i in range(size - 1, -1, -1):
-        for column in range(i + 1, size):
+    for i in range(n_active - 1, -1, -1):
+        for column in range(i + 1, n_active):
             block[i, count] -= block[i, column] * block[column, count]
         block[i, count] /= block[i, i]
-    size = 0
+    n_active = 0
     for a in range(count):
         if work.active[a]:
-            work.pressure[a] = block[size, count]
-            size += 1
+            work.pressure[a] = block[n_active, count]
+            n_active += 1
 
 
 @kernel
 def complementarity(work: ContactWork, count: int) -> None:
-    """Solve for `work.pressure` from `work.matrix` and the right-hand side q in `work.right`."""
+    """Solve for `work.pressure` from `work.matrix` and the right-hand side q in `work.rhs`."""
     for a in range(count):
         work.active[a] = False
         work.pressure[a] = 0.0
@@ -117,13 +119,13 @@ def complementarity(work: ContactWork, count: int) -> None:
             if work.active[a]:
                 is_violated = work.pressure[a] < 0.0
             else:
-                value = work.right[a]
-                size = abs(value)
+                value = work.rhs[a]
+                magnitude = abs(value)
                 for b in range(count):
                     term = work.matrix[a, b] * work.pressure[b]
                     value += term
-                    size += abs(term)
-                is_violated = value < -ROUNDING * size
+                    magnitude += abs(term)
+                is_violated = value < -ROUNDING * magnitude
             if is_violated:
                 violated = a
                 break

@@ -78,18 +78,18 @@ def newton(
     with the size of the last correction.
     """
     start, last_size = x, np.inf
-    system, right = np.empty((x.size, x.size)), np.zeros((x.size, 2))
-    system[-1], right[-1, 1] = normal, 1.0
+    system, rhs = np.empty((x.size, x.size)), np.zeros((x.size, 2))
+    system[-1], rhs[-1, 1] = normal, 1.0
     for iteration in range(1, steps.max_iterations + 1):
         # A diverging iteration may overflow; the test for finite numbers below ends it.
         with np.errstate(all="ignore"):
             residual, jacobian = equations(x)
         system[:-1] = jacobian * scale
-        right[:-1, 0], right[-1, 0] = -residual, -normal @ ((x - start) / scale)
-        if not (np.isfinite(system).all() and np.isfinite(right).all()):
+        rhs[:-1, 0], rhs[-1, 0] = -residual, -normal @ ((x - start) / scale)
+        if not (np.isfinite(system).all() and np.isfinite(rhs).all()):
             raise NoConvergence("the equations are not finite")
         try:
-            correction, direction = np.linalg.solve(system, right).T
+            correction, direction = np.linalg.solve(system, rhs).T
         except np.linalg.LinAlgError:
             raise NoConvergence("the equations are singular") from None
         size = float(np.abs(correction).max())
@@ -156,11 +156,11 @@ def trace(
     Returns the curve in the direction of increasing parameter at the start.
     """
     steps = steps or Steps()
-    first = tangent(equations, start, scale)
-    forward, end = _trace_one_way(equations, start, first, bounds, scale, steps, margins)
+    start_tangent = tangent(equations, start, scale)
+    forward, end = _trace_one_way(equations, start, start_tangent, bounds, scale, steps, margins)
     if end == "closed":
         return Curve(*_columns(forward), (end, end), scale)
-    backward, begin = _trace_one_way(equations, start, -first, bounds, scale, steps, margins)
+    backward, begin = _trace_one_way(equations, start, -start_tangent, bounds, scale, steps, margins)
     reverse = [(x, -t) for x, t in reversed(backward[1:])]
     return Curve(*_columns(reverse + forward), (begin, end), scale)
 
@@ -218,13 +218,15 @@ def _trace_one_way(
         new_margin, _ = margins(new)
         if new_margin.min() < 0:
             try:
-                last, index = _locate_border(equations, (x, margin), (new, new_margin), scale, steps, margins)
+                border_point, index = _locate_border(
+                    equations, (x, margin), (new, new_margin), scale, steps, margins
+                )
             except NoConvergence as failure:
                 if step <= steps.min_step:
                     return path, f"no convergence: {failure} at parameter {x[-1]:.9g}"
                 step /= 4
                 continue
-            path.append(last)
+            path.append(border_point)
             return path, names[index]
         to_start = (start - new) / scale
         if arclength > 4 * step and np.linalg.norm(to_start) < 0.6 * step and x_tangent @ direction > 0.5:
@@ -293,11 +295,11 @@ def _locate_border(
         distance = brentq(margin_at, 0.0, end, args=(index,), xtol=BORDER_TOLERANCE * end)
         # The point must be on the inner side of the border.
         distance = max(0.0, distance - 2 * BORDER_TOLERANCE * end)
-        last = correct(distance)
-        last_margin = margins(last[0])[0]
-        if last_margin.min() >= 0 or distance == 0.0:
-            return last, index
-        end, end_margin = distance, last_margin
+        border_point = correct(distance)
+        border_margin = margins(border_point[0])[0]
+        if border_margin.min() >= 0 or distance == 0.0:
+            return border_point, index
+        end, end_margin = distance, border_margin
 
 
 def locate(

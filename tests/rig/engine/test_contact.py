@@ -275,13 +275,13 @@ def test_slowly_opened_contact_stays_closed(wall: int, part: float, closed: bool
     pull = model.gravity + np.abs(np.linalg.inv(run.system.mass)[1] * work.force[:3]).sum()
     lowest = np.sqrt(2 * pull * ROUNDING * size)
     matrix, pressure = np.array([[3.0, -0.5], [-0.5, 2.0]]), np.array([0.0, 0.25])
-    work.member[:2], work.active[:2] = (1, 2), (False, True)
+    work.damper[:2], work.active[:2] = (1, 2), (False, True)
     work.matrix[:2, :2], work.pressure[:2] = matrix, pressure
-    work.opening[:2] = part * lowest - matrix[0] @ pressure, -0.5
-    work.right[:2] = work.opening[:2]
+    work.opening_speed[:2] = part * lowest - matrix[0] @ pressure, -0.5
+    work.rhs[:2] = work.opening_speed[:2]
     _close_slow_openings(model, state, work, 2)
     assert work.active[:2].tolist() == [closed, True]
-    expected = np.linalg.solve(matrix, -work.right[:2]) if closed else pressure
+    expected = np.linalg.solve(matrix, -work.rhs[:2]) if closed else pressure
     np.testing.assert_allclose(work.pressure[:2], expected, rtol=1e-12)
 
 

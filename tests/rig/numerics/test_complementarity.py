@@ -13,7 +13,7 @@ def solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     count = len(right)
     work = allocate_contact_work(count, 8)
     work.matrix[:count, :count] = matrix
-    work.right[:count] = right
+    work.rhs[:count] = right
     complementarity(work, count)
     return work.pressure[:count].copy()
 

@@ -241,7 +241,7 @@ def export(
     what : {'samples', 'frfs', 'modes'}
         The last two go into .uff or .mat.
     """
-    from analysis.exporting.export import export as export_stretch
+    from analysis.exporting.export import export as export_segment
     from analysis.exporting.results import export_results
     from analysis.recordings.names import opened
     from analysis.recordings.slices import Slice
@@ -251,7 +251,7 @@ def export(
         export_results(path, target, what, overwrite, progress)
         return target
     with opened(path) as rec:
-        export_stretch(Slice.of(rec, channel, start, stop), target, speed, overwrite, progress)
+        export_segment(Slice.of(rec, channel, start, stop), target, speed, overwrite, progress)
     return target
 
 

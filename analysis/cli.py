@@ -272,7 +272,7 @@ def export(
 ) -> None:
     """Export a recording as UFF, MATLAB, CSV, NPZ or WAV file."""
     from analysis.exporting.export import expected_bytes, kind_of
-    from analysis.exporting.export import export as export_stretch
+    from analysis.exporting.export import export as export_segment
     from analysis.exporting.results import export_results
     from analysis.recordings.slices import Slice
     from daq.recording.recording import open as open_recording
@@ -287,11 +287,11 @@ def export(
         print(*lines, sep="\n")
         return
     with open_recording(file) as recording:
-        stretch = Slice.of(recording, channel, start, stop)
-        size = expected_bytes(stretch, kind_of(output))
+        segment = Slice.of(recording, channel, start, stop)
+        size = expected_bytes(segment, kind_of(output))
         print(f"writing {output}: about {size / 1e6:.3g} MB", file=sys.stderr)
         with count_progress("exporting") as progress:
-            lines = export_stretch(stretch, output, speed, overwrite, progress)
+            lines = export_segment(segment, output, speed, overwrite, progress)
     for line in lines:
         print(line)
     report_written(output)

@@ -115,7 +115,7 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
 
 
 def _highest_local_maximum(magnitude: np.ndarray, scatter: np.ndarray) -> int:
-    """Index of the highest local maximum that exceeds its surroundings significantly, or of the highest point."""
+    """Return the index of the highest significant local maximum, or of the highest point if there is none."""
     highest, significant = int(np.argmax(magnitude)), -1
     if 0 < highest < magnitude.size - 1:
         return highest
@@ -131,7 +131,7 @@ def _highest_local_maximum(magnitude: np.ndarray, scatter: np.ndarray) -> int:
 
 
 def _prediction_error(f: np.ndarray, inverse: np.ndarray, scatter: np.ndarray, highest: int) -> float:
-    """Relative error, beyond scatter, of the points at the peak as predicted by two neighbours on each side."""
+    """Estimate the relative error, beyond scatter, with which neighbours predict the points at the peak."""
     errors = [0.0]
     for k in (highest - 1, highest, highest + 1):
         others = np.array([i for i in range(max(k - 2, 0), min(k + 3, f.size)) if i != k])

@@ -102,7 +102,7 @@ def _bound(
     compliance: ComplexArray,
     of_force: ComplexArray,
 ) -> Array:
-    """95 % bound of the energy: root sum of squares of scatter and of all systematic errors of the channels.
+    """Return the 95 % bound of the energy: root sum of squares of scatter and of all systematic errors.
 
     `gradients`, shape (channels, harmonics): gradient g for each tone; `compliance`, shape (n,): compliance of the
     driven body; `of_force`, shape (channels, n): contribution of each channel to the force.
@@ -170,7 +170,7 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
 
 
 def _work_of_walls(rec: Recording, j: int, frequency: float, first: int, stop: int) -> float:
-    """Integral of -a v over a period for damper `j` (from 0), from the recorded truth, J/kg.
+    """Integrate -a v over a period for damper `j` (from 0), from the recorded truth, J/kg.
 
     It is computed from the spectra of displacement and gap, whose aliasing is negligible.
     """

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
 
-# Part of the stretch that is excluded at each end, relative to its length: the correction mirrors the samples there.
+# Part of the segment that is excluded at each end, relative to its length: the correction mirrors the samples there.
 _EXCLUDED_END_RATIO = 0.05
 _MIN_FLIGHTS = 6
 # Minimum share of flights among the intervals between impacts.
@@ -43,7 +43,7 @@ _SMEARED_SAMPLES = 2
 
 
 class BodyMotion:
-    """Motion of a body with dampers in a stretch of its channel, and the detected impacts."""
+    """Motion of a body with dampers in a segment of its channel, and the detected impacts."""
 
     def __init__(self, rec: Recording, channel: str, start: int, stop: int) -> None:
         self.rec, self.start = rec, start
@@ -53,7 +53,7 @@ class BodyMotion:
 
     @cached_property
     def impacts(self) -> Impacts:
-        """Impacts detected in the stretch."""
+        """Impacts detected in the segment."""
         stop = self.start + self.samples.size
         return impacts(self.rec, self.info.name, self.start, stop, self.samples)
 
@@ -111,7 +111,7 @@ class _WallContact(NamedTuple):
 
 
 def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
-    """Estimate the restitution of the only damper on a body from the impacts in a stretch of its channel.
+    """Estimate the restitution of the only damper on a body from the impacts in a segment of its channel.
 
     Between two impacts the damper is in free fall inside a cavity whose motion is measured. The times at which it
     leaves one wall and meets the next determine its speeds, and so its closing speed w. The flight begins either from
@@ -176,7 +176,7 @@ def _speed_per_jump(scene: Scene, damper: Damper) -> float:
 
 
 def _flight(gravity: float, departure: _WallContact, arrival: _WallContact) -> tuple[float, float, float]:
-    """Duration of a flight that starts with the wall's speed, height error at its end, and closing speed."""
+    """Return duration, final height error and closing speed of a flight that starts with the speed of the wall."""
     time = arrival.time - departure.time
     height_error = departure.position + departure.speed * time - 0.5 * gravity * time**2 - arrival.position
     return time, height_error, -arrival.away * (departure.speed - gravity * time - arrival.speed)
@@ -189,7 +189,7 @@ def _restitution_after_rest(
     inelastic: float,
     hidden_rebound: float,
 ) -> tuple[float, float] | None:
-    """Restitution and its uncertainty from a flight that began when the body fell away from a damper at rest."""
+    """Estimate the restitution from a flight that began when the body fell away from a damper at rest."""
     rate, gravity = motion.rec.rate, motion.rec.scene.gravity
     between = slice(int(departure.time * rate) + 2, int(arrival.time * rate) - 1)
     if between.stop - between.start < 3:
@@ -219,7 +219,7 @@ def _restitution_after_rest(
 def _restitution_after_rebound(
     motion: BodyMotion, departure: _WallContact, arrival: _WallContact, inelastic: Array
 ) -> tuple[float, float] | None:
-    """Restitution and its uncertainty from a flight that began with a rebound: its speed and the next closing speed."""
+    """Estimate the restitution from the speed of the rebound that begins a flight, and from the next closing speed."""
     gravity = motion.rec.scene.gravity
     time, height_error, closing = _flight(gravity, departure, arrival)
     rebound = -height_error / time
@@ -240,7 +240,7 @@ def may_reach_ceiling(motion: BodyMotion, damper: Damper) -> bool:
     After an instant impact the damper is at rest on the floor while the body's acceleration exceeds -g, and then in
     free fall, so that its height above the floor follows from the motion of the body alone. For finite-duration
     contact the release is unknown; the flight is then computed backward from the closing speed of the next impact.
-    The height is the largest that the sensor tolerance allows. Its median over the stretch is compared with the
+    The height is the largest that the sensor tolerance allows. Its median over the segment is compared with the
     clearance of the scene.
     """
     if not np.isfinite(damper.clearance) or not np.any(motion.impacts.jump < 0.0):

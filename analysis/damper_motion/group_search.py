@@ -1,7 +1,7 @@
 """Beam search for jumps that are too closely spaced for matching pursuit.
 
 Matching pursuit can subtract a jump at a wrong time. The residual then resembles further jumps, and later fits cannot
-correct this. The beam search keeps the few best sets of each size until one set explains the stretch. The number of
+correct this. The beam search keeps the few best sets of each size until one set explains the segment. The number of
 jumps is chosen by a penalty for each jump (information criterion: G. Schwarz, Ann. Stat. 6 (1978) 461).
 """
 
@@ -31,9 +31,9 @@ def search_group(
     min_distance: float,
     sufficient: float,
 ) -> tuple[list[Jump], float]:
-    """Search for the jumps that best explain a stretch; return them with the residual sum of squares.
+    """Search for the jumps that best explain a segment; return them with the residual sum of squares.
 
-    `fit`: joint fit of jumps to the stretch with a number of iterations (1: fixed times); `times`: limits of the
+    `fit`: joint fit of jumps to the segment with a number of iterations (1: fixed times); `times`: limits of the
     times of the jumps, samples; `min_distance`: minimum distance between two jumps, samples; `sufficient`: residual
     sum of squares at which the search ends.
     """

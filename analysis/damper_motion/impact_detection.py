@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
 
 
-# A stretch is rejected if less than this share of it can be searched.
+# A segment is rejected if less than this share of it can be searched.
 _MIN_SEARCHED_RATIO = 0.5
 # The weight of a bed delays the release after a finite-duration impact: a smaller jump within this number of contact
 # durations is attributed to the release ...
@@ -83,9 +83,9 @@ class Impacts:
     jump_error: Array
     """Standard deviation of `jump`, m/s, without the sensitivity error of the sensor; shape (n,)."""
     acceleration: Array
-    """Smooth acceleration of the body at the impact, m/s²; NaN too close to the ends of the stretch; shape (n,)."""
+    """Smooth acceleration of the body at the impact, m/s²; NaN too close to the ends of the segment; shape (n,)."""
     noise: float
-    """Standard deviation of the estimated jump in the absence of an impact, m/s: 95th percentile over the stretch."""
+    """Standard deviation of the estimated jump in the absence of an impact, m/s: 95th percentile over the segment."""
     resolution: float
     """Shortest interval between two impacts that the channel resolves, s."""
     ringing: float
@@ -96,9 +96,9 @@ class Impacts:
     contact_duration: float
     """Duration of contact in an impact, s; 0: instant. A jump after a finite-duration impact may be its release."""
     searched: float
-    """Searched duration, s: the stretch without its ends and without `left_out`."""
+    """Searched duration, s: the segment without its ends and without `left_out`."""
     left_out: Array
-    """Begin and end of stretches without detection, s; shape (m, 2): samples are lost or overloaded, or impacts are
+    """Begin and end of segments without detection, s; shape (m, 2): samples are lost or overloaded, or impacts are
     too closely spaced to be resolved."""
 
     @property
@@ -120,7 +120,7 @@ class Impacts:
 def impacts(
     rec: Recording, channel: str, start: int = 0, stop: int | None = None, samples: Array | None = None
 ) -> Impacts:
-    """Detect impacts in a stretch of one channel.
+    """Detect impacts in a segment of one channel.
 
     The reading of a velocity jump is computed from the channel's data sheet, including sensor resonance, integrator,
     averaging and decimation. At every sample a least-squares fit is made of this reading, of a step and a kink of the
@@ -130,8 +130,8 @@ def impacts(
     the pulse shape of the scene's spring-dashpot contact replaces the jump, and times are those of first contact.
 
     `channel`: acceleration, velocity or displacement channel on a body; `start`, `stop`: first and one-past-last
-    sample; `samples`: samples of the stretch, if already read. Raises `RecordingError` if the channel measures no
-    motion or does not respond to impacts; if the stretch is too short, damaged or zero; or if the body contains
+    sample; `samples`: samples of the segment, if already read. Raises `RecordingError` if the channel measures no
+    motion or does not respond to impacts; if the segment is too short, damaged or zero; or if the body contains
     grains, or dampers with different contact durations.
     """
     info = find_channel(rec, channel)
@@ -162,8 +162,8 @@ def impacts(
     valid_samples = _valid_samples(rec, info.name, samples, start, models[0].settling * decimation)
     if np.sum(valid_samples) < max(min_samples, _MIN_SEARCHED_RATIO * valid_samples.size):
         raise RecordingError(
-            f"{info.name}: all but {np.sum(valid_samples)} of {valid_samples.size} samples in this stretch are lost or "
-            "overloaded. Choose another stretch, or record at a lower level, with a larger converter range or longer "
+            f"{info.name}: all but {np.sum(valid_samples)} of {valid_samples.size} samples in this segment are lost or "
+            "overloaded. Choose another segment, or record at a lower level, with a larger converter range or longer "
             "contacts."
         )
     if not valid_samples.all():
@@ -173,14 +173,14 @@ def impacts(
     noise_floor = max(rounding, 1e-14 * float(abs(samples).max()))
     if noise_floor == 0.0:
         raise RecordingError(
-            f"{info.name}: reads zero throughout this stretch. Check what it is connected to."
+            f"{info.name}: reads zero throughout this segment. Check what it is connected to."
         )
     rate, noise_floor = rec.rate / decimation, noise_floor / decimation**0.5
     readings, valid = _average_groups(samples, decimation), _average_groups(valid_samples, decimation) == 1.0
     search = MatchingPursuit(models, readings, valid, noise_floor, rate, CALM_SHARE)
     if not search.valid.any():
         raise RecordingError(
-            f"{info.name}: lost or overloaded samples leave no {min_samples} samples in a row. Choose another stretch, "
+            f"{info.name}: lost or overloaded samples leave no {min_samples} samples in a row. Choose another segment, "
             "or record at a lower level or with a larger converter range."
         )
     jumps = search.run()
@@ -270,7 +270,7 @@ def _valid_samples(rec: Recording, name: str, samples: Array, start: int, ring: 
 
 
 def _acceleration(samples: Array, places: Array, info: ChannelInfo, duration: float) -> Array:
-    """Acceleration at jumps, from a polynomial through samples on both sides; `duration` of contact in s."""
+    """Estimate the acceleration at jumps by a polynomial through samples on both sides; `duration` of contact in s."""
     integrations = 2 - MOTIONS.index(info.quantity)
     # The high-pass filters of integrators are corrected, because they distort slow motion.
     zeros, poles = (tuple(r for r in roots if abs(r) < info.rate) for roots in (info.zeros, info.poles))

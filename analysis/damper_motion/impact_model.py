@@ -305,7 +305,7 @@ def _readings(
     pulse: Pulse | None,
     decimation: int,
 ) -> Array:
-    """Acceleration readings, samples 1 - before to after, of unit jump, step and kink at each sub-sample time."""
+    """Compute samples 1 - before to after of unit jump, step and kink at each sub-sample time, as acceleration."""
     from scipy import fft
 
     rate = info.rate / decimation
@@ -343,7 +343,7 @@ def _readings(
 
 
 def _filters(readings: Array, integrations: int, rate: float) -> list[tuple[Array, Array]]:
-    """Least-squares filters for the differenced readings, and their triangular matrices, for each of `ORDERS`."""
+    """Compute least-squares filters for the differenced readings and their triangular matrices for each of `ORDERS`."""
     shape = (*readings.shape[:-1], integrations)
     rows = np.concatenate([np.zeros(shape), readings], axis=-1)
     for _ in range(integrations):

@@ -167,7 +167,7 @@ def _least_squares(rows: Array, readings: Array, ridge: Array) -> _Fit:
 
 
 def _columns(model: ImpactModel, times: Array, sizes: Array | None, first: int, last: int) -> Array:
-    """Differenced jump, step and kink at each time, and their time derivative; shape (unknowns, differences)."""
+    """Return the differenced jump, step and kink at each time, and their time derivative: (unknowns, differences)."""
     count = 3 if sizes is None else 4
     out = np.zeros((count * times.size, last - first))
     for k, time in enumerate(times):
@@ -185,7 +185,7 @@ def _ridge(unknowns: int, jumps: int, noise: Deviations) -> Array:
 
 
 def _difference_range(model: ImpactModel, times: Sequence[float] | Array) -> tuple[int, int]:
-    """First and one-past-last difference of the windows of jumps, with a margin for changes of their times."""
+    """Return first and one-past-last difference of the windows of jumps, with a margin for changes of their times."""
     first = int(min(times)) + model.window_start - model.difference + MAX_SHIFT
     last = int(max(times)) + model.window_start - model.difference + model.window - MAX_SHIFT
     return first, last

@@ -1,4 +1,4 @@
-"""Orthogonal matching pursuit of velocity jumps in a stretch of one channel, the largest first.
+"""Orthogonal matching pursuit of velocity jumps in a segment of one channel, the largest first.
 
 Method: Y. C. Pati, R. Rezaiifar, P. S. Krishnaprasad, Asilomar 1993. The likelihood ratio of a jump (S. M. Kay,
 *Detection Theory*, 1998) is computed at every sample. Its maximum, if it exceeds the detection threshold, is a jump,
@@ -54,13 +54,13 @@ _MIN_DISTANCE_SAMPLES = 4
 MIN_RESOLVED_SAMPLES = 6
 # Two jumps are resolved if the presence of one increases the standard deviation of the other by at most this factor.
 _MAX_RESOLVED_ERROR_RATIO = 1.1
-# A stretch is searched for groups of jumps if its residual exceeds this multiple of the detection limit.
+# A segment is searched for groups of jumps if its residual exceeds this multiple of the detection limit.
 _GROUP_SEARCH_RATIO = 3.0
-# Maximum number of windows in such a stretch.
+# Maximum number of windows in such a segment.
 _MAX_WINDOWS = 4
 # The search ends at a residual below this ratio to the detection limit.
 _SUFFICIENT_RATIO = 0.1
-# A stretch stays unresolved if its residual exceeds both this multiple of the detection limit ...
+# A segment stays unresolved if its residual exceeds both this multiple of the detection limit ...
 _UNRESOLVED_LIMIT_RATIO = 10.0
 # ... and this ratio to its largest jump.
 _UNRESOLVED_JUMP_RATIO = 0.5
@@ -96,7 +96,7 @@ _BLOCK_SAMPLES = 256
 
 
 class MatchingPursuit:
-    """Search of one stretch: its differenced residual, and the jumps that were subtracted.
+    """Search of one segment: its differenced residual, and the jumps that were subtracted.
 
     `models`: one model for each order of the smooth motion; the search chooses the order; `samples`, `good`:
     readings, and which of them are valid; `noise_floor`: minimum standard deviation of a reading; `calm_share`:
@@ -124,7 +124,7 @@ class MatchingPursuit:
         self.window_offset = model.difference - model.window_start
         overlaps_invalid = np.convolve(~good, np.ones(model.separation), mode="full")[model.separation - 1 :]
         self.valid = (overlaps_invalid == 0)[: self.residual.size - model.window + 1]
-        # A jump in the last samples of a stretch is outside all windows and appears in the nearest window as a jump at
+        # A jump in the last samples of a segment is outside all windows and appears in the nearest window as a jump at
         # another time.
         self.searchable = minimum_filter1d(self.valid, model.window, mode="constant", cval=False)
         self.jumps: list[Jump] = []
@@ -151,7 +151,7 @@ class MatchingPursuit:
             if _ORDER_REDUCTION * variance < least_variance:
                 least_variance, self.window_model = variance, with_order(self.model, order)
         limit = self._detection_limit
-        for first, last in self._unexplained_stretches(_GROUP_SEARCH_RATIO * limit):
+        for first, last in self._unexplained_segments(_GROUP_SEARCH_RATIO * limit):
             self._search_jointly(first, last, limit)
         self.jumps.sort(key=lambda jump: jump.time)
         # With finite-duration contact, kinks also have this duration: the bed is pressed or released.
@@ -171,7 +171,7 @@ class MatchingPursuit:
         return [jump for jump in fitted if not contact or abs(jump.sizes[0]) > DETECTION_SIGMAS * jump.error]
 
     def _subtract_jumps(self) -> bool:
-        """Detect, fit and subtract the largest jump within each `reach`; return whether a jump was detected."""
+        """Detect, fit and subtract the largest jump in each neighbourhood; return whether a jump was detected."""
         from scipy.ndimage import maximum_filter1d
 
         model = self.model
@@ -245,7 +245,7 @@ class MatchingPursuit:
 
     @property
     def jump_noise(self) -> float:
-        """Standard deviation of the estimated jump without an impact, m/s: 95th percentile over the stretch."""
+        """Standard deviation of the estimated jump without an impact, m/s: 95th percentile over the segment."""
         if "jump" not in self._cache:
             self._cache["jump"] = np.asarray(_quantile(self.noise(), 0.95) * self.model.noise_gain)
         return float(self._cache["jump"])
@@ -279,12 +279,12 @@ class MatchingPursuit:
         return distance
 
     def _windows(self) -> NDArray[np.int64]:
-        """Index of the first difference of each window, with 50 % overlap."""
+        """Return the index of the first difference of each window, with 50 % overlap."""
         first = np.flatnonzero(self.valid)
         return first[first % (self.model.window // 2) == 0]
 
     def _residual_squares(self, order: int) -> Array:
-        """Residual sum of squares of each of `_windows` after subtraction of a polynomial."""
+        """Return the residual sum of squares of each of `_windows` after subtraction of a polynomial."""
         if order not in self._cache:
             if "readings" not in self._cache:
                 windows = np.lib.stride_tricks.sliding_window_view(self.residual, self.model.window)
@@ -296,8 +296,8 @@ class MatchingPursuit:
             self._cache[order] = np.einsum("ij,ij->i", rows, rows)
         return self._cache[order]
 
-    def _unexplained_stretches(self, jump: float) -> list[tuple[int, int]]:
-        """First and last window of each stretch with a residual larger than a jump of this size, m/s."""
+    def _unexplained_segments(self, jump: float) -> list[tuple[int, int]]:
+        """Return the first and last window of each segment with a residual larger than a jump of this size, m/s."""
         first = self._windows()
         large = (
             self._residual_squares(self.window_model.order) > (jump * self.window_model.template_norm) ** 2
@@ -305,10 +305,10 @@ class MatchingPursuit:
         return [(int(first[begin]), int(first[end - 1])) for begin, end in runs_of(large)]
 
     def unresolved(self) -> Array:
-        """Return the limits of stretches with a residual far above the detection limit, samples; shape (n, 2)."""
+        """Return the limits of segments with a residual far above the detection limit, samples; shape (n, 2)."""
         model, limits = self.window_model, []
         limit = self._detection_limit
-        for first, last in self._unexplained_stretches(_UNRESOLVED_LIMIT_RATIO * limit):
+        for first, last in self._unexplained_segments(_UNRESOLVED_LIMIT_RATIO * limit):
             ends = first + self.window_offset - model.window / 2, last + self.window_offset + model.window / 2
             largest = max(
                 (abs(jump.sizes[0]) for jump in self.jumps if ends[0] <= jump.time < ends[1]), default=0.0
@@ -364,7 +364,7 @@ class MatchingPursuit:
         self._replace(old_jumps, new_jumps)
 
     def _prior_deviations(self, samples: Array) -> tuple[float, float]:
-        """Prior standard deviations of steps and kinks: a share of the acceleration, or of its rounding."""
+        """Estimate prior standard deviations of steps and kinks: a share of the acceleration, or of its rounding."""
         order = self.model.difference - 2
         motion = np.diff(samples, order) * self.rate**order
         motion = motion - np.median(motion)
@@ -385,7 +385,7 @@ class MatchingPursuit:
         return self._cache[key]
 
     def _noise_level(self, model: ImpactModel, calm_share: float) -> Array:
-        """Noise from a quantile of the filter outputs that impacts hardly affect, over a few windows at a time."""
+        """Estimate the noise over a few windows from a quantile of the filter outputs that impacts hardly affect."""
         from scipy.ndimage import maximum_filter1d
         from scipy.special import ndtri
 
@@ -404,7 +404,7 @@ class MatchingPursuit:
         return np.maximum(np.repeat(local_level, lengths) / ndtri(0.5 + 0.5 * calm_share), self.floor)
 
     def _likelihood_ratio(self) -> tuple[Array, Array]:
-        """Generalized likelihood ratio of a jump at every sample, in noise variances, and the noise.
+        """Compute the generalized likelihood ratio of a jump at every sample, in noise variances, and the noise.
 
         The filters of all sub-sample times span a space of few dimensions. The projections of a window on this space
         bound the outputs of all filters, which are therefore computed only where a jump may be detected.
@@ -438,7 +438,7 @@ class MatchingPursuit:
 
 
 def _quantile(rows: NDArray[np.floating[Any]], share: float) -> Array:
-    """Linear quantile along the last axis; for short rows ten times as fast as `numpy.quantile`."""
+    """Compute the linear quantile along the last axis; for short rows ten times as fast as `numpy.quantile`."""
     position = share * (rows.shape[-1] - 1)
     low = int(position)
     partitioned = np.partition(rows, low, axis=-1)

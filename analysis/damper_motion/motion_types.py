@@ -37,9 +37,9 @@ _MAX_PATTERN_PERIODS = 4
 # A restitution below this number of standard deviations is not significantly different from zero.
 _RESTITUTION_SIGMAS = 3.0
 # Maximum number of samples searched in a window, to limit memory.
-_MAX_SAMPLES = 1 << 20
+_MAX_SEARCHED_SAMPLES = 1 << 20
 # Minimum number of periods searched, even if they contain more samples.
-_MIN_PERIODS = 20
+_MIN_SEARCHED_PERIODS = 20
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def damper_motion(
     for frequency, amplitude, (first, stop) in zip(
         lines.frequency.tolist(), amplitudes.tolist(), sweep.windows.tolist(), strict=True
     ):
-        max_samples = max(_MAX_SAMPLES, int(_MIN_PERIODS * rec.rate / frequency))
+        max_samples = max(_MAX_SEARCHED_SAMPLES, int(_MIN_SEARCHED_PERIODS * rec.rate / frequency))
         motion = BodyMotion(rec, channel, first, min(stop, first + max_samples, rec.samples))
         out.append(_motion_in_window(motion, numbers, frequency, amplitude))
         if progress is not None:
@@ -128,10 +128,10 @@ def damper_motion(
 def _motion_in_window(
     motion: BodyMotion, numbers: list[int], frequency: float, amplitude: float
 ) -> DamperMotion:
-    """Motion of the dampers `numbers` at a frequency, Hz, and an acceleration amplitude `amplitude`, m/s²."""
+    """Estimate the motion of the dampers `numbers` at a frequency, Hz, and an acceleration amplitude, m/s²."""
     detected, rate, gravity = motion.impacts, motion.rec.rate, motion.rec.scene.gravity
     dampers = [motion.rec.scene.dampers[number - 1] for number in numbers]
-    # The searched duration excludes the ends of the stretch.
+    # The searched duration excludes the ends of the segment.
     periods = detected.searched * frequency
     ceiling = detected.kind == "ceiling"
     begin, end = (at / rate for at in (motion.start, motion.start + motion.samples.size))
@@ -161,7 +161,7 @@ def _motion_in_window(
 
 
 def _recurrence_periods(detected: Impacts, frequency: float, begin: float, end: float) -> int:
-    """Smallest number of periods after which all impacts on each wall recur between two times, s; 0: none."""
+    """Return the smallest number of periods after which all impacts recur between two times, s; 0: no recurrence."""
     walls = [detected.time[detected.kind == wall] for wall in ("floor", "ceiling")]
     begin, end = begin + detected.ringing, end - detected.ringing
     if any(wall.size and not np.any((wall > begin) & (wall < end)) for wall in walls):
@@ -196,7 +196,7 @@ def _stays_at_ceiling(weight: Array, change: float, rebound: float, push: float)
 
 
 def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restitution | None) -> float:
-    """Upper bound of the rebound speed at the ceiling, summed over all bounces, m/s.
+    """Return an upper bound of the rebound speed at the ceiling, summed over all bounces, m/s.
 
     It uses the restitution estimated from flights if that is significant, otherwise that of the scene. For
     finite-duration contact the release is unknown and the bound is infinite.
@@ -223,7 +223,7 @@ def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restit
 
 
 def _push_time(acceleration: Array, amplitude: float, gravity: float, frequency: float) -> float:
-    """Lower bound of the time for which the ceiling pushes, s, for a sinusoidal acceleration."""
+    """Return a lower bound of the time for which the ceiling pushes, s, for a sinusoidal acceleration."""
     finite = acceleration[np.isfinite(acceleration)]
     at_impact = float(np.median(finite)) if finite.size else 0.0
     ends = np.arcsin(np.clip([at_impact / amplitude, -gravity / amplitude], -1.0, 1.0))
@@ -231,7 +231,7 @@ def _push_time(acceleration: Array, amplitude: float, gravity: float, frequency:
 
 
 def _least_acceleration(motion: BodyMotion, numbers: list[int], frequency: float) -> float:
-    """Lower bound of the acceleration of dampers at rest in a body, m/s², including noise and tolerance."""
+    """Return a lower bound of the acceleration of dampers at rest in a body, m/s², including noise and tolerance."""
     scene, rows = motion.rec.scene, [motion.acceleration]
     count = rows[0].size
     for number in numbers:
@@ -240,6 +240,6 @@ def _least_acceleration(motion: BodyMotion, numbers: list[int], frequency: float
                 scene, number, np.asarray(np.fft.rfftfreq(count, 1.0 / motion.rec.rate))
             )
             rows.append(np.fft.irfft(np.fft.rfft(rows[0]) * transfer, count))
-    # The correction mirrors the samples at the ends of a stretch, so the results there are inaccurate.
+    # The correction mirrors the samples at the ends of a segment, so the results there are inaccurate.
     edge = min(int(np.ceil(motion.rec.rate / frequency)), count // 4)
     return float(min(row[edge:-edge].min() for row in rows) / max(1.0 - motion.tolerance, 1e-300))

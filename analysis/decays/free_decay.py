@@ -30,8 +30,9 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
     from daq.signal_chain.channel import ChannelInfo
 
-# Frequency range that is searched for modes, Hz; the upper limit is raised if the scene's structure has higher modes.
+# Lower limit of the frequency range that is searched for modes.
 LOWEST_MODE_HZ = 2.0
+# Upper limit of that range; it is raised if the scene's structure has higher modes.
 HIGHEST_MODE_HZ = 200.0
 # Minimum number of samples in a decay.
 _MIN_SAMPLES = 256
@@ -269,7 +270,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
 
 
 def _energy_after_end(acceleration: Array) -> float:
-    """Energy after the end of the record, extrapolated exponentially from its last two tenths.
+    """Extrapolate the energy after the end of the record exponentially from its last two tenths.
 
     If the energy does not fall there, it is noise and the result is 0, or infinite if its share is large.
     """

@@ -216,7 +216,7 @@ def modal_decay(
 
 
 def _band_pass(acceleration: Array, rate: float, frequency: float, width: float) -> tuple[ComplexArray, int]:
-    """Analytic signal after a Gaussian band-pass, and the number of samples that each end affects."""
+    """Return the analytic signal after a Gaussian band-pass, and the number of samples that each end affects."""
     size = fft.next_fast_len(acceleration.size + int(8 * rate / (2 * np.pi * width)))
     spectrum = fft.fft(acceleration, size)
     bins = fft.fftfreq(size, 1.0 / rate)
@@ -245,12 +245,12 @@ def _noise(analytic: ComplexArray, rate: float, frequency: float, width: float) 
 
 
 def _log_decay_envelope(envelope: Array) -> Array:
-    """Logarithm of the largest later amplitude, which falls monotonically: each level is crossed once."""
+    """Return the logarithm of the largest later amplitude, which falls monotonically: each level is crossed once."""
     return np.log(np.maximum(np.maximum.accumulate(envelope[::-1])[::-1], 1e-300))
 
 
 def _levels(envelope: Array) -> Array:
-    """Logarithms of the amplitudes at which the damping ratio is estimated."""
+    """Return the logarithms of the amplitudes at which the damping ratio is estimated."""
     if envelope.size < 8 or envelope.max() <= 0:
         return np.empty(0)
     hull = _log_decay_envelope(envelope)
@@ -258,7 +258,7 @@ def _levels(envelope: Array) -> Array:
 
 
 def _damping(analytic: ComplexArray, levels: Array, half_fall: float) -> tuple[Array, Array, Array]:
-    """Damping ratio, natural frequency (rad/sample) and relative error bound for a kink at each level.
+    """Estimate damping ratio, natural frequency (rad/sample) and relative error bound for a kink at each level.
 
     Each is estimated while the envelope falls by `half_fall` nepers on either side of the level; NaN outside the decay.
     """
@@ -279,7 +279,7 @@ def _damping(analytic: ComplexArray, levels: Array, half_fall: float) -> tuple[A
 
 
 def _fall_rate(logarithm: Array, first: float, last: float, level: float) -> tuple[float, float]:
-    """Rate of fall per sample at which a curve crosses a level, and the rms residual of the fit.
+    """Return the rate of fall per sample at which a curve crosses a level, and the rms residual of the fit.
 
     The fit is a parabola, because a straight line would yield the mean of a varying slope. Beats average out.
     """
@@ -300,7 +300,7 @@ def _fall_rate(logarithm: Array, first: float, last: float, level: float) -> tup
 
 
 def _bias_bound(damping: Array, smeared: Array, longer: Array, kink: Array) -> Array:
-    """Bias bound of damping ratios, from their change with a longer band-pass response and a longer fall."""
+    """Return the bias bound of damping ratios from their change with a longer band-pass response and fall."""
     bias = np.nan_to_num(kink * damping)
     for alternative, factor in ((smeared, _SMEAR_BIAS_FACTOR), (longer, 1.0)):
         difference = abs(alternative - damping)
@@ -312,7 +312,7 @@ def _bias_bound(damping: Array, smeared: Array, longer: Array, kink: Array) -> A
 
 
 def _crossings(hull: Array, levels: Array) -> Array:
-    """Interpolated sample index at which a falling curve crosses each level; NaN if it does not."""
+    """Interpolate the sample index at which a falling curve crosses each level; NaN if it does not."""
     after = hull.size - np.searchsorted(hull[::-1], levels, side="left")
     inside = (after > 0) & (after < hull.size)
     after = np.clip(after, 1, hull.size - 1)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class CorrectedMotion:
-    """Band-limited true motion of a stretch of samples, as displacement, velocity or acceleration.
+    """Band-limited true motion of a segment of samples, as displacement, velocity or acceleration.
 
     The samples are mirrored at both ends before the Fourier transform, so that the periodic continuation has no step
     between the last sample and the first. If the samples are differentiated, the mirror image is also inverted (odd
@@ -66,12 +66,12 @@ class CorrectedMotion:
 
 
 def correct_motion(info: ChannelInfo, samples: Array, motion: str, low: float, high: float) -> Array:
-    """Return the band-limited true motion of a stretch of samples (see `CorrectedMotion`)."""
+    """Return the band-limited true motion of a segment of samples (see `CorrectedMotion`)."""
     return CorrectedMotion(info, samples, low, high)(motion)
 
 
 def _band(frequency: Array, low: float, high: float) -> Array:
-    """Window: 1 from `low` to `high`, cosine tapers of half an octave outside, 0 at zero frequency if `low` > 0."""
+    """Return a window: 1 from `low` to `high`, cosine tapers of half an octave, 0 at zero frequency if `low` > 0."""
     out = np.ones(frequency.size)
     if low > 0:
         below = slice(1, int(np.searchsorted(frequency, low)))

@@ -43,7 +43,7 @@ def sep005(
     recording : daq.Recording, str or Path
         The samples are read into memory.
     from_s, to_s : float, optional
-        Limits of the stretch, s.
+        Limits of the segment, s.
 
     Returns
     -------
@@ -51,16 +51,16 @@ def sep005(
         ``data`` (NaN where samples were lost), ``name``, ``unit_str``, ``fs`` [Hz], ``quantity``, ``group``
         (location of the sensor) and, if the recording has a date, ``start_timestamp``.
     """
-    stretch = Slice.of(recording, channels, from_s, to_s)
+    segment = Slice.of(recording, channels, from_s, to_s)
     date = {}
     if recording.start_ns:
         since = timedelta(
-            microseconds=recording.start_ns // 1000 + round(stretch.start / recording.rate * 1e6)
+            microseconds=recording.start_ns // 1000 + round(segment.start / recording.rate * 1e6)
         )
         date = {"start_timestamp": (datetime(1970, 1, 1, tzinfo=UTC) + since).isoformat()}
     return [
         {
-            "data": recording.read(info.name, stretch.start, stretch.stop),
+            "data": recording.read(info.name, segment.start, segment.stop),
             "name": info.name,
             "unit_str": "m/s²" if info.unit == "m/s^2" else info.unit,
             "fs": recording.rate,
@@ -68,42 +68,42 @@ def sep005(
             "group": info.at,
             **date,
         }
-        for info in stretch.infos
+        for info in segment.infos
     ]
 
 
-def write_csv(stretch: Slice, path: Path) -> None:
+def write_csv(segment: Slice, path: Path) -> None:
     """Write a CSV table: time in s, then the channels, in full precision; lost samples are ``nan``."""
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
-        writer.writerow(["time [s]", *(f"{info.name} [{info.unit}]" for info in stretch.infos)])
-        for first, samples in stretch.pieces(stretch.channels):
-            time = np.arange(first, first + samples.shape[1]) / stretch.recording.rate
+        writer.writerow(["time [s]", *(f"{info.name} [{info.unit}]" for info in segment.infos)])
+        for first, samples in segment.pieces(segment.channels):
+            time = np.arange(first, first + samples.shape[1]) / segment.recording.rate
             writer.writerows(zip(time.tolist(), *samples.tolist(), strict=True))
 
 
-def write_npz(stretch: Slice, path: Path) -> None:
+def write_npz(segment: Slice, path: Path) -> None:
     """Write an array for each channel, and ``channels``, ``units``, ``rate`` [Hz] and ``start_s``."""
-    members = {name: re.sub(r"[^\w.-]", "_", name) for name in stretch.channels}
+    members = {name: re.sub(r"[^\w.-]", "_", name) for name in segment.channels}
     taken = {"channels", "units", "rate", "start_s"}
     if len({*members.values()} | taken) < len(members) + len(taken):
         names = ", ".join(members)
         raise SceneError(
-            f"{stretch.recording.path}: the channels {names} have equal names in .npz. Choose fewer."
+            f"{segment.recording.path}: the channels {names} have equal names in .npz. Choose fewer."
         )
     with zipfile.ZipFile(path, "w") as archive:
         for name, member in members.items():
             with archive.open(_member(member), "w", force_zip64=True) as stream:
-                header = {"descr": "<f8", "fortran_order": False, "shape": (stretch.stop - stretch.start,)}
+                header = {"descr": "<f8", "fortran_order": False, "shape": (segment.stop - segment.start,)}
                 np.lib.format.write_array_header_1_0(stream, header)
-                for _, samples in stretch.pieces([name]):
+                for _, samples in segment.pieces([name]):
                     stream.write(samples.astype("<f8").tobytes())
-        rate = stretch.recording.rate
+        rate = segment.recording.rate
         metadata = {
             "channels": np.array(list(members.values())),
-            "units": np.array([info.unit for info in stretch.infos]),
+            "units": np.array([info.unit for info in segment.infos]),
             "rate": np.array(rate),
-            "start_s": np.array(stretch.start / rate),
+            "start_s": np.array(segment.start / rate),
         }
         for member, array in metadata.items():
             with archive.open(_member(member), "w") as stream:
@@ -115,38 +115,38 @@ def _member(name: str) -> zipfile.ZipInfo:
     return zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
 
 
-def write_wav(stretch: Slice, path: Path, speed: float = 1.0) -> list[str]:
+def write_wav(segment: Slice, path: Path, speed: float = 1.0) -> list[str]:
     """Write 24-bit sound, with each channel scaled to full scale; return the full-scale value of each channel.
 
     `speed`: playback speed factor: with 10, a tone of 30 Hz sounds at 300 Hz. Raises `RecordingError` if samples were
     lost. Raises `SceneError` if the sound is too long for a WAV file, or its rate cannot be stored in the file header.
     """
-    stretch.reject_gaps("a WAV file")
-    name, count, rate = stretch.recording.path, len(stretch.channels), stretch.recording.rate * speed
+    segment.reject_gaps("a WAV file")
+    name, count, rate = segment.recording.path, len(segment.channels), segment.recording.rate * speed
     if not (math.isfinite(rate) and 1 <= round(rate) < 2**31 // (3 * count)):
         raise SceneError(
             f"{name}: a WAV file cannot play {rate:g} samples per second. Choose another --speed."
         )
-    if (size := (stretch.stop - stretch.start) * count * 3) >= 2**32 - 1024:
+    if (size := (segment.stop - segment.start) * count * 3) >= 2**32 - 1024:
         raise SceneError(
             f"{name}: a WAV file is limited to 4 GB (these samples: {size / 1e9:.3g} GB). Export fewer channels or a "
-            "stretch (--from, --to)."
+            "segment (--from, --to)."
         )
     peaks = np.zeros(count)
-    for _, samples in stretch.pieces(stretch.channels):
+    for _, samples in segment.pieces(segment.channels):
         peaks = np.maximum(peaks, np.abs(samples).max(axis=1))
     full_scale = np.where(peaks > 0, peaks, 1.0)
     with path.open("wb") as stream, wave.open(stream, "wb") as sound:
         sound.setnchannels(count)
         sound.setsampwidth(3)
         sound.setframerate(round(rate))
-        for _, samples in stretch.pieces(stretch.channels):
+        for _, samples in segment.pieces(segment.channels):
             integers = np.ascontiguousarray(np.rint(samples.T / full_scale * (2**23 - 1)), dtype="<i4")
             # 24-bit samples are the lower three of four bytes; the channels are interleaved.
             sound.writeframesraw(integers.view(np.uint8).reshape(*integers.shape, 4)[..., :3].tobytes())
     return [
         f"{info.name}: full scale is {value:.6g} {info.unit}"
-        for info, value in zip(stretch.infos, full_scale, strict=True)
+        for info, value in zip(segment.infos, full_scale, strict=True)
     ]
 
 
@@ -157,10 +157,10 @@ WRITERS: dict[str, Callable[[Slice, Path], None]] = {
 _BYTES = {".csv": 20.0, ".npz": 8.0, ".mat": 8.0, ".wav": 3.0, ".uff": 20.25, ".unv": 20.25}
 
 
-def expected_bytes(stretch: Slice, ending: str) -> float:
+def expected_bytes(segment: Slice, ending: str) -> float:
     """Estimate the size of the exported file, bytes; the time in CSV files is as long as a sample."""
-    columns = len(stretch.channels) + (ending == ".csv")
-    return (stretch.stop - stretch.start) * (_BYTES[ending] * columns)
+    columns = len(segment.channels) + (ending == ".csv")
+    return (segment.stop - segment.start) * (_BYTES[ending] * columns)
 
 
 def kind_of(path: Path) -> str:
@@ -177,13 +177,13 @@ def kind_of(path: Path) -> str:
 
 
 def export(
-    stretch: Slice,
+    segment: Slice,
     path: Path,
     speed: float = 1.0,
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[str]:
-    """Write a stretch of a recording in the format given by the file name ending.
+    """Write a segment of a recording in the format given by the file name ending.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def export(
     Raises
     ------
     SceneError
-        If the ending is unknown, the file exists, or the stretch does not fit the format.
+        If the ending is unknown, the file exists, or the segment does not fit the format.
     RecordingError
         If samples are lost that the format requires, or the recording is damaged.
     RunError
@@ -215,19 +215,19 @@ def export(
         raise SceneError(f"{path}: --speed is for sound. Leave it out, or choose a name that ends in .wav.")
     if progress is not None:
         # WAV reads all samples twice, because it needs the peak values first.
-        total = (2 if kind == ".wav" else 1) * len(stretch.channels) * (stretch.stop - stretch.start)
-        stretch = replace(stretch, on_read=_counter(total, progress))
+        total = (2 if kind == ".wav" else 1) * len(segment.channels) * (segment.stop - segment.start)
+        segment = replace(segment, on_read=_counter(total, progress))
     with atomic_write(path, overwrite or None) as part:
-        needed, free_bytes = expected_bytes(stretch, kind), shutil.disk_usage(part.parent).free
+        needed, free_bytes = expected_bytes(segment, kind), shutil.disk_usage(part.parent).free
         # A table of short numbers needs only about a quarter of the expected size.
         if needed > 4 * free_bytes:
             raise RunError(
                 f"{path} would take about {needed / 1e6:.3g} MB, and its disk has {free_bytes / 1e6:.3g} MB left. "
-                "Choose another disk (-o), a stretch (--from, --to) or fewer channels."
+                "Choose another disk (-o), a segment (--from, --to) or fewer channels."
             )
         if kind == ".wav":
-            return write_wav(stretch, part, speed)
-        WRITERS[kind](stretch, part)
+            return write_wav(segment, part, speed)
+        WRITERS[kind](segment, part)
     return []
 
 

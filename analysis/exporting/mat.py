@@ -18,32 +18,32 @@ from rig.results.response import Response
 MAX_SAMPLES = (1 << 28) - 1024
 
 
-def write_mat(stretch: Slice, path: Path) -> None:
+def write_mat(segment: Slice, path: Path) -> None:
     """Write a variable for each channel, and ``channels``, ``units``, ``fs`` [Hz] and ``start_s``.
 
     Lost samples are NaN.
 
     Raises `SceneError` if there are too many samples for the format.
     """
-    count = stretch.stop - stretch.start
+    count = segment.stop - segment.start
     if count > MAX_SAMPLES:
         raise SceneError(
-            f"{stretch.recording.path}: a MATLAB file takes {MAX_SAMPLES} samples of a channel, these are {count}. "
-            "Export a stretch (--from, --to), or .npz."
+            f"{segment.recording.path}: a MATLAB file takes {MAX_SAMPLES} samples of a channel, these are {count}. "
+            "Export a segment (--from, --to), or .npz."
         )
-    names = variable_names(stretch.channels, {"channels", "units", "fs", "start_s"})
-    rate = stretch.recording.rate
+    names = variable_names(segment.channels, {"channels", "units", "fs", "start_s"})
+    rate = segment.recording.rate
     _save(
         path,
         {
             **{
-                name: stretch.read_channel(channel)
-                for name, channel in zip(names, stretch.channels, strict=True)
+                name: segment.read_channel(channel)
+                for name, channel in zip(names, segment.channels, strict=True)
             },
             "channels": np.array(names, dtype=object),
-            "units": np.array([info.unit for info in stretch.infos], dtype=object),
+            "units": np.array([info.unit for info in segment.infos], dtype=object),
             "fs": rate,
-            "start_s": stretch.start / rate,
+            "start_s": segment.start / rate,
         },
     )
 

@@ -16,7 +16,7 @@ from rig.results.universal_file import QUANTITY_NUMBERS, text_line, universal_fi
 MAX_TEXT_SAMPLES = 1 << 24
 
 
-def write_uff(stretch: Slice, path: Path) -> None:
+def write_uff(segment: Slice, path: Path) -> None:
     """Write a UFF text file with a data set 58 (time response) for each channel.
 
     Node n is body n, direction +Z is up; table and hammer are node 0. The format rounds the sample
@@ -25,17 +25,17 @@ def write_uff(stretch: Slice, path: Path) -> None:
     Raises `RecordingError` if samples were lost. Raises `SceneError` if there are too many samples for a text file,
     or too few for the format. Raises `RunError` if pyuff is not installed.
     """
-    stretch.reject_gaps("UFF 58")
-    count = stretch.stop - stretch.start
+    segment.reject_gaps("UFF 58")
+    count = segment.stop - segment.start
     if not 2 <= count <= MAX_TEXT_SAMPLES:
         raise SceneError(
-            f"{stretch.recording.path}: UFF 58 is text, {MAX_TEXT_SAMPLES} samples of a channel at most and 2 at "
-            f"least; these are {count}. Export a stretch (--from, --to), or .npz."
+            f"{segment.recording.path}: UFF 58 is text, {MAX_TEXT_SAMPLES} samples of a channel at most and 2 at "
+            f"least; these are {count}. Export a segment (--from, --to), or .npz."
         )
-    recording = stretch.recording
+    recording = segment.recording
     file = universal_file(path)
-    for number, info in enumerate(stretch.infos, start=1):
-        data = stretch.read_channel(info.name)
+    for number, info in enumerate(segment.infos, start=1):
+        data = segment.read_channel(info.name)
         write_set(
             file,
             {
@@ -50,7 +50,7 @@ def write_uff(stretch: Slice, path: Path) -> None:
                 "ordinate_spec_data_type": QUANTITY_NUMBERS[info.quantity],
                 "ordinate_axis_lab": info.quantity.capitalize(), "ordinate_axis_units_lab": info.unit,
                 "orddenom_spec_data_type": 0, "z_axis_spec_data_type": 0,
-                "data": data, "x": np.arange(stretch.start, stretch.stop) / recording.rate,
+                "data": data, "x": np.arange(segment.start, segment.stop) / recording.rate,
             },
         )  # fmt: skip
 

@@ -122,7 +122,7 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], left_out: Sequence[fl
 
 
 def _motion_rows(motions: list[DamperMotion], left_out: Sequence[float]) -> list[tuple[str, str, str]]:
-    """Rows of one body: each kind of motion with its frequencies; dampers at rest come last."""
+    """Return the rows of one body: each kind of motion with its frequencies; dampers at rest come last."""
     kind_at_frequency = [(motion.frequency, _kind(motion)) for motion in motions] + [
         (f, "") for f in left_out
     ]
@@ -142,7 +142,7 @@ def _motion_rows(motions: list[DamperMotion], left_out: Sequence[float]) -> list
 
 
 def _restitution(motions: list[DamperMotion]) -> list[str]:
-    """Weighted mean of the coefficient of restitution of one body; an empty list if no impact determines it."""
+    """Return the weighted mean of the restitution of one body; an empty list if no impact determines it."""
     estimates = [motion.restitution for motion in motions if motion.restitution is not None]
     if not estimates:
         return []

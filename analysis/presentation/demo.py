@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 SWEEPS = ("fig8-no-damper", "fig8-three-dampers")
 IMPULSES = ("fig10b-no-damper", "fig10b-three-dampers")
 
-# A coarse grid over the band, and fine grids around the resonances: without dampers, and with the dampers at rest on
-# the floor, whose mass lowers the natural frequencies.
+# Coarse frequency grid over the band, Hz.
 _COARSE = np.linspace(8.0, 60.0, 34)
+# Fine grids around the resonances without dampers and with dampers at rest, whose mass lowers the frequencies, Hz.
 _FINE = (np.linspace(11.8, 13.6, 14), np.linspace(32.0, 35.6, 13), np.linspace(45.5, 51.0, 12))
 
 
 def frequencies() -> list[float]:
-    """Frequencies of the demonstration's sweeps, Hz.
+    """Return the frequencies of the demonstration's sweeps, Hz.
 
     >>> frequencies()[0], frequencies()[-1]
     (8.0, 60.0)

@@ -145,7 +145,7 @@ def _by_ratio(curves: Sequence[Response]) -> list[list[Response]]:
 
 
 def _jump_marks(curves: Sequence[Response]) -> list[tuple[float, str]]:
-    """Jumps of all curves, without duplicates."""
+    """List the jumps of all curves, without duplicates."""
     return sorted({(round(frequency, 6), text) for curve in curves for frequency, text in jumps(curve)})
 
 

@@ -7,7 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.reproduction.bed_study import BEDS, BLOCK, BLOCK_WITH_CEILING, FREQUENCY, point_of, settings
+from analysis.reproduction.bed_study import (
+    BEDS,
+    BLOCK_PERIODS,
+    BLOCK_PERIODS_WITH_CEILING,
+    FREQUENCY,
+    point_of,
+    settings,
+)
 from analysis.reproduction.charts import trust_error
 from analysis.reproduction.claim import Claim, Evidence
 from analysis.reproduction.contact_study import (
@@ -131,11 +138,12 @@ def _describe_settings(beds: Columns) -> str:
         f"acceleration {level} g, clearance {clearance} mm or no ceiling, depth {depth} diameters{packings}. "
         f"{min(grain_counts)} to {max(grain_counts)} grains in a cavity with a smooth side represent a piece of a wide "
         "bed; the effect of a rough side is not included. The compliance is that of a body ten times as heavy as its "
-        f"bed, damped by 0.5 %, at the peak and that acceleration. Grains were simulated for {3 * BLOCK} periods "
-        f"without a ceiling and {3 * BLOCK_WITH_CEILING} below a ceiling, and averaged over the last two thirds. A "
-        "clearance is measured from the highest grain; most others are lower. It differs between packings by a tenth "
-        "of a diameter, which matters for small clearances. Clearances that one mass does not cross are omitted, "
-        "except no ceiling. `analysis beds` computes the table again; with `--points 6` a small table in minutes."
+        f"bed, damped by 0.5 %, at the peak and that acceleration. Grains were simulated for {3 * BLOCK_PERIODS} "
+        f"periods without a ceiling and {3 * BLOCK_PERIODS_WITH_CEILING} below a ceiling, and averaged over the last "
+        "two thirds. A clearance is measured from the highest grain; most others are lower. It differs between "
+        "packings by a tenth of a diameter, which matters for small clearances. Clearances that one mass does not "
+        "cross are omitted, except no ceiling. `analysis beds` computes the table again; with `--points 6` a small "
+        "table in minutes."
     )
 
 

@@ -43,18 +43,19 @@ SETTINGS = {
 BEDS = {2: (70, 14.2e-3), 4: (100, 11.3e-3), 6: (120, 10e-3), 20: (400, 10e-3)}
 SEEDS = (1, 2, 3)
 #: Number of layers for which only some settings and seeds are simulated, because of the computing time.
-DEEPEST = 20
-SETTINGS_OF_DEEPEST = (
+MAX_LAYERS = 20
+SETTINGS_OF_MAX_LAYERS = (
     (1.3, math.inf), (3.0, math.inf), (7.0, math.inf), (4.5, 0.3e-3), (4.5, 0.98e-3), (7.0, 0.98e-3),
 )  # fmt: skip
 #: Frequency of the settings above, Hz; the resonance of the heavy body is at half this frequency.
 FREQUENCY = 50.0
-#: The paper's first and second resonance, Hz, with layers, and accelerations in g close to the damped peaks in its
-#: Figs 8 (without a ceiling) and 9 (clearance 0.98 mm).
+#: For the paper's first and second resonance, Hz: clearances in m, and accelerations in g close to the damped peaks in
+#: its Figs 8 (without a ceiling) and 9 (clearance 0.98 mm).
 SETTINGS_OF_MODES = {
     13.0: {math.inf: (1.3, 1.8, 3.0), 0.98e-3: (1.8, 3.0), 0.3e-3: (1.3,)},
     34.8: {math.inf: (1.3, 2.3, 4.5), 0.98e-3: (2.3, 4.5, 7.0), 0.3e-3: (4.5, 7.0)},
 }
+#: Numbers of layers that are simulated at these resonances.
 LAYERS_OF_MODES = (4, 6)
 #: Ratio of the mass of the bed to the mass of the shaking body.
 SHAKEN_MASS_RATIO = 1e-3
@@ -65,13 +66,14 @@ DAMPED_MASS_RATIO = 0.1
 #: Periods in a block; the last two of three blocks are averaged. Grains that hit a ceiling rearrange for tens of
 #: periods, most of all in deep beds: at 7 g and 2 mm, the energy dissipated by six layers decreased from 10 to 7
 #: times the bed's weight times 1 mm between the first 18 and the first 60 periods.
-BLOCK = 6
-BLOCK_WITH_CEILING = 20
+BLOCK_PERIODS = 6
+#: The same below a ceiling.
+BLOCK_PERIODS_WITH_CEILING = 20
 #: Young's modulus of the grains, Pa.
-MODULUS = 1e8
-#: Time step over Rayleigh's time: statistics of a bed do not need the rebound of each grain to 1 %. Twice this step
-#: is too long: beds of four and six layers that seldom hit a ceiling at 2 mm then dissipate 10 to 80 % less.
-STEP = 0.1
+MODULUS_PA = 1e8
+#: Ratio of the time step to the Rayleigh time: statistics of a bed do not need the rebound of each grain to 1 %. Twice
+#: this step is too long: beds of four and six layers that seldom hit a ceiling at 2 mm then dissipate 10 to 80 % less.
+TIME_STEP_RATIO = 0.1
 #: Results for grains and for one mass.
 MEASURES = ("compliance", "floor_impulse", "ceiling_impulse", "energy", "landing", "flight")
 _HEADER = (
@@ -104,12 +106,12 @@ def settings() -> list[Setting]:
     pairs = [(level, clearance) for level, clearances in SETTINGS.items() for clearance in clearances]
     listed = []
     for seed in SEEDS:
-        points = [(*pair, layers) for pair in pairs for layers in BEDS if layers != DEEPEST]
+        points = [(*pair, layers) for pair in pairs for layers in BEDS if layers != MAX_LAYERS]
         order = np.random.default_rng(seed).permutation(len(points))
         shuffled = (points[k] for k in order)
         listed += [Setting(level, clearance, layers, seed) for level, clearance, layers in shuffled]
-    deepest = [(*pair, DEEPEST, seed) for seed in SEEDS[:2] for pair in SETTINGS_OF_DEEPEST]
-    listed += [Setting(*point) for point in deepest]
+    of_max_layers = [(*pair, MAX_LAYERS, seed) for seed in SEEDS[:2] for pair in SETTINGS_OF_MAX_LAYERS]
+    listed += [Setting(*point) for point in of_max_layers]
     listed += [
         Setting(level, clearance, layers, seed, frequency)
         for seed, layers, (frequency, clearances) in product(
@@ -124,9 +126,9 @@ def settings() -> list[Setting]:
 def scene_of_bed(setting: Setting, **grains: float) -> Scene:
     """Build the scene of a setting; arguments override the defaults of the grains."""
     count, cavity = BEDS[setting.layers]
-    chosen = {"diameter": 2e-3, "cavity": cavity, "side_friction": 0.0, "modulus": MODULUS}
+    chosen = {"diameter": 2e-3, "cavity": cavity, "side_friction": 0.0, "modulus": MODULUS_PA}
     bed = Grains.model_validate(chosen | grains)
-    bed = bed.replace(time_step=bed.time_step or STEP * rayleigh_time(bed, bed.density))
+    bed = bed.replace(time_step=bed.time_step or TIME_STEP_RATIO * rayleigh_time(bed, bed.density))
     mass = count * bed.density * math.pi / 6.0 * bed.diameter**3
     body, stiffness_per_mass = mass / SHAKEN_MASS_RATIO, (2.0 * math.pi * setting.frequency) ** 2
     return Scene.model_validate(
@@ -151,7 +153,7 @@ def compare_beds(setting: Setting) -> Row:
     depth = highest(spheres, settled(spheres)) / spheres.settings.diameter
     row = [repr(float(value)) for value in (setting.frequency, setting.level, setting.clearance)]
     row += [str(setting.layers), str(setting.seed), f"{depth:.2f}"]
-    block = BLOCK if math.isinf(setting.clearance) else BLOCK_WITH_CEILING
+    block = BLOCK_PERIODS if math.isinf(setting.clearance) else BLOCK_PERIODS_WITH_CEILING
     row += summary_row(scene, steady_grains(scene, setting.frequency, block, 3, least=3))
     row += _mass_summary(setting.frequency, setting.level, setting.clearance)
     return dict(zip(_HEADER, row, strict=True))
@@ -172,7 +174,7 @@ def table(path: Path | None = None) -> Arrays:
 
     Returns ``frequency``, ``level``, ``clearance``, ``layers``, ``seeds`` (their number), ``depth``, each
     (settings,); and ``grains_NAME``, ``mass_NAME``, ``error_NAME`` (the standard error of the mean over the seeds,
-    infinite where there is one) for each NAME of `MEASURES`, with ``grains_type`` and ``mass_type``.
+    infinite for a single seed) for each NAME of `MEASURES`, with ``grains_type`` and ``mass_type``.
     """
     groups: dict[tuple[float, float, float, int], list[Row]] = {}
     for row in TABLE.read(path):

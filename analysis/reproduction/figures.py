@@ -22,8 +22,8 @@ Parts = Mapping[str, Columns]
 BLUE, RED, GREEN, PINK, SKY, ORANGE, GREY, BLACK = COLORS
 # Natural frequency of the first mode, Hz; it determines the window of the envelope.
 LOWEST_MODE_HZ = 12.4
-_UNDER_WAVES = "time / ms     (solid: body and floor; dashed: damper; shaded: cavity)"
-COMPLIANCE = "compliance |X/F₁| / (µm/N)"
+_WAVEFORM_LABEL = "time / ms     (solid: body and floor; dashed: damper; shaded: cavity)"
+COMPLIANCE_LABEL = "compliance |X/F₁| / (µm/N)"
 
 
 def plot_body(axes: Axes, data: Columns, body: int, mark: str = "-", **style: Any) -> None:
@@ -52,7 +52,7 @@ def figure_4(parts: Parts) -> Figure:
         set_log_scale(upper.yaxis, factor=1e6)
         log_axis(lower, [abs(measured["transfer"])])
         upper.set_title("Fig 4b: no dampers. Dots: recording; lines: exact")
-        upper.set_ylabel(COMPLIANCE)
+        upper.set_ylabel(COMPLIANCE_LABEL)
         lower.set_title("The same recording, per table motion: the coil spring shifts the peaks")
         lower.set_ylabel("|X/X₀|")
         upper.legend(loc="upper right", ncols=3)
@@ -101,7 +101,7 @@ def figure_3(parts: Parts) -> Figure:
         for axes, kind in zip(figure.subplots(3, 1, sharex=True), ("I", "II", "III"), strict=True):
             _draw_waveforms(axes, parts[f"type-{kind}"])
             axes.set_title(f"Type {kind}: clearance {1e3 * parts[f'type-{kind}']['clearance'][0]:g} mm")
-        axes.set_xlabel(_UNDER_WAVES)
+        axes.set_xlabel(_WAVEFORM_LABEL)
     return figure
 
 
@@ -113,7 +113,7 @@ def figure_6(parts: Parts) -> Figure:
             _draw_waveforms(axes, wave)
             axes.legend(loc="upper right", ncols=3)
             axes.set_title(f"({letter}) {float(wave['frequency']):.2f} Hz: Type {wave['type']}")
-        axes.set_xlabel(_UNDER_WAVES)
+        axes.set_xlabel(_WAVEFORM_LABEL)
     return figure
 
 

@@ -12,23 +12,24 @@ from analysis.reproduction import bed_study, contact_study, experiment, scan, si
 from analysis.reproduction.store import PaperPart
 from rig.scene.scene import Scene
 
-BAND = (45.0, 54.0)
+THIRD_MODE_BAND_HZ = (45.0, 54.0)
 FORCES = np.array([2.0, 2.6, 3.3, 4.0, 5.0, 7.5, 10.0, 15.0])
 CLEARANCES = 1e-3 * np.array([0.3, 0.4, 0.5, 0.6, 0.7, 1.0, 1.4, 2.0, 3.0])
 # Force [N] and clearance [m] of Figs 5 and 6.
 FIGURE_5 = (3.3, 0.5e-3)
 MODE_BANDS = {1: (11.5, 14.0), 2: (31.0, 36.0), 3: (45.5, 51.5)}
 DAMPINGS = np.array([0.003, 0.005, 0.0075, 0.01, 0.015])
-NEAR_PAPER = 1e-3 * np.array([0.9, 0.98, 1.05, 1.1, 1.15, 1.2, 1.3])
+FIGURE_9_CLEARANCES = 1e-3 * np.array([0.9, 0.98, 1.05, 1.1, 1.15, 1.2, 1.3])
 MASS_RATIOS = (0.03, 0.06, 0.10)
 WIDE_MASS_RATIOS = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3])
-# Parameters of Fig 8 that the paper does not state: damping ratio of each mode, and force level.
-OPEN_DAMPINGS = np.array([0.002, 0.005, 0.01, 0.02])
-OPEN_FORCES = np.array([0.65, 1.3, 2.6, 5.2])
-OPEN_MASS_RATIOS = np.array([0.05, 0.10])
-# Noise of the accelerometers in Fig 10a, ug/sqrt(Hz), and a frequency grid that resolves the peaks and antiresonances
-# of bodies 1 and 2 with three dampers.
+# Damping ratios of each mode in Fig 8, which the paper does not state.
+UNSTATED_DAMPINGS = np.array([0.002, 0.005, 0.01, 0.02])
+# Force levels of Fig 8, which the paper does not state, N.
+UNSTATED_FORCES = np.array([0.65, 1.3, 2.6, 5.2])
+UNSTATED_MASS_RATIOS = np.array([0.05, 0.10])
+# Noise densities of the accelerometers in Fig 10a, ug/sqrt(Hz).
 NOISES = (20, 200, 2000)
+# Frequency grid that resolves the peaks and antiresonances of bodies 1 and 2 with three dampers, Hz.
 NOISE_GRID = np.concatenate(
     [
         np.linspace(low, high, 5)
@@ -36,9 +37,9 @@ NOISE_GRID = np.concatenate(
     ]
 )
 # Third resonance, finer near the peak with a single damper.
-RESONANCE = np.unique(np.concatenate([np.linspace(45.5, 53.0, 16), np.linspace(46.2, 50.4, 22)]))
+THIRD_RESONANCE_GRID = np.unique(np.concatenate([np.linspace(45.5, 53.0, 16), np.linspace(46.2, 50.4, 22)]))
 # Fig 8 covers all resonances: fine around them, with and without the dampers' masses, and coarse elsewhere.
-SWEEP = np.unique(
+SWEEP_GRID = np.unique(
     np.round(
         np.concatenate(
             [
@@ -72,9 +73,14 @@ def all_parts(folder: Path) -> list[PaperPart]:
     """List the parts."""
     single, three = rig.load("fig5-single-damper"), rig.load("fig5-three-dampers")
     fig9, fig10a = rig.load("fig9"), rig.load("fig10a")
-    grid = {"forces": FORCES, "clearances": CLEARANCES, "frequencies": RESONANCE, "mass_ratio": 0.10}
-    robust: dict[str, Any] = {"force": 3.3, "frequencies": RESONANCE}
-    wide_band, dense_grid = {"band": (46.0, 54.0)}, {"frequencies": np.linspace(*BAND, 109)}
+    grid = {
+        "forces": FORCES,
+        "clearances": CLEARANCES,
+        "frequencies": THIRD_RESONANCE_GRID,
+        "mass_ratio": 0.10,
+    }
+    robust: dict[str, Any] = {"force": 3.3, "frequencies": THIRD_RESONANCE_GRID}
+    wide_band, dense_grid = {"band": (46.0, 54.0)}, {"frequencies": np.linspace(*THIRD_MODE_BAND_HZ, 109)}
     jobs: list[tuple[str, str, Any, Scene, dict[str, Any]]] = [
         ("scan-three", "scan of force and clearance, three dampers", scan.scan, three, grid),
         ("scan-single", "scan of force and clearance, one damper", scan.scan, single, grid),
@@ -91,17 +97,17 @@ def all_parts(folder: Path) -> list[PaperPart]:
         ),
         (
             "approx-peaks", "approximate method over force and clearance", simulation.approximate_peaks, single,
-            {"forces": FORCES, "clearances": CLEARANCES, "band": BAND},
+            {"forces": FORCES, "clearances": CLEARANCES, "band": THIRD_MODE_BAND_HZ},
         ),
         ("orbit-fig9", "exact orbits of Fig 9", simulation.exact_orbits, fig9, wide_band),
         (
             "approx-fig9", "approximate method, Fig 9", simulation.approximated, fig9,
             wide_band | {"mode": 3, "weighting": "printed"},
         ),
-        ("sim-three", "simulation of Fig 10a", simulation.simulated, fig10a, {"frequencies": SWEEP}),
+        ("sim-three", "simulation of Fig 10a", simulation.simulated, fig10a, {"frequencies": SWEEP_GRID}),
         (
             "fig9-damping", "Fig 9 over damping and clearance", scan.stays_over_damping, fig9,
-            {"dampings": DAMPINGS, "clearances": NEAR_PAPER, "frequencies": RESONANCE},
+            {"dampings": DAMPINGS, "clearances": FIGURE_9_CLEARANCES, "frequencies": THIRD_RESONANCE_GRID},
         ),
         *(
             (
@@ -120,7 +126,10 @@ def all_parts(folder: Path) -> list[PaperPart]:
         (
             "least-affected", "Fig 8 over damping, mass ratio and force", scan.least_affected,
             rig.load("fig8-three-dampers"),
-            {"dampings": OPEN_DAMPINGS, "mass_ratios": OPEN_MASS_RATIOS, "forces": OPEN_FORCES, "bands": MODE_BANDS},
+            {
+                "dampings": UNSTATED_DAMPINGS, "mass_ratios": UNSTATED_MASS_RATIOS, "forces": UNSTATED_FORCES,
+                "bands": MODE_BANDS,
+            },
         ),
         (
             "sim-noise", "Fig 10a where noise matters", simulation.simulated, fig10a,
@@ -163,7 +172,12 @@ def _one_body(clearance: float) -> Scene:
 
 def _experiments(folder: Path) -> list[PaperPart]:
     fig10a, without_display = rig.load("fig10a"), {"display": False}
-    test = {"kind": "stepped_sine", "frequencies": SWEEP.tolist(), "force": 2.6, "settle": {"longest": 20.0}}
+    test = {
+        "kind": "stepped_sine",
+        "frequencies": SWEEP_GRID.tolist(),
+        "force": 2.6,
+        "settle": {"longest": 20.0},
+    }
     noise_test = test | {"frequencies": np.sort(NOISE_GRID).tolist()}
     jobs: list[tuple[str, Scene, Any]] = [
         (name, scene.replace(test=test, recording=without_display), compute)

@@ -14,7 +14,7 @@ from itertools import product
 
 import numpy as np
 
-from analysis.reproduction.bed_study import MODULUS, Setting, scene_of_bed
+from analysis.reproduction.bed_study import MODULUS_PA, Setting, scene_of_bed
 from rig.bed_response.steady_bed import steady_grains
 from rig.grain_beds.spheres import rayleigh_time
 from rig.scene.damper import Grains
@@ -55,7 +55,7 @@ def main() -> None:
     for (frequency, force, clearance, layers), (stiffness, step) in product(SETTINGS, VARIANTS):
         values = []
         for packing in PACKINGS:
-            scene = resonant_scene(force, clearance, layers, packing, stiffness * MODULUS, step)
+            scene = resonant_scene(force, clearance, layers, packing, stiffness * MODULUS_PA, step)
             motion = steady_grains(scene, frequency, BLOCK, MAX_BLOCKS, least=MAX_BLOCKS)
             values.append([abs(motion.compliance[0]), motion.floor_impulse[0], motion.energy[0]])
         if (stiffness, step) == VARIANTS[0]:
@@ -70,7 +70,7 @@ def main() -> None:
             for name, a, b, c in zip(names, mean, standard_error, deviation, strict=True)
         )
         print(
-            f"{layers} layers, {stiffness * MODULUS / 1e6:g} MPa, step {step:g}: {', '.join(results)}",
+            f"{layers} layers, {stiffness * MODULUS_PA / 1e6:g} MPa, step {step:g}: {', '.join(results)}",
             flush=True,
         )
 

@@ -182,7 +182,7 @@ def test_pieces_give_same_file(recording, tmp_path, monkeypatch):
         ({"from_s": 1.0, "to_s": 0.5}, "--from 1 s is after --to 0.5 s"),
     ],
 )
-def test_missing_stretch_names_available_range(recording, wanted, message):
+def test_missing_segment_names_available_range(recording, wanted, message):
     with pytest.raises(SceneError, match=message):
         Slice.of(recording, **wanted)
 
@@ -205,14 +205,14 @@ def test_impossible_export_leaves_no_file(recording, tmp_path, name, options, me
 
 
 def test_full_disk_is_reported_before_writing(recording, tmp_path, monkeypatch):
-    stretch = Slice.of(recording)
-    usage = SimpleNamespace(free=int(expected_bytes(stretch, ".csv") / 4) - 1)
+    segment = Slice.of(recording)
+    usage = SimpleNamespace(free=int(expected_bytes(segment, ".csv") / 4) - 1)
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage)
     with pytest.raises(RunError, match=r"would take about .* MB, and its disk has .* MB left"):
-        export(stretch, tmp_path / "a.csv")
+        export(segment, tmp_path / "a.csv")
     assert list(tmp_path.iterdir()) == []
     usage.free += 1
-    export(stretch, tmp_path / "a.csv")
+    export(segment, tmp_path / "a.csv")
 
 
 def test_failing_disk_is_reported(recording, tmp_path):

@@ -32,23 +32,23 @@ class Answers:
         self, workers: Workers, table: Path | None, progress: Callable[[int, int], None] | None, total: int
     ) -> None:
         self._workers, self._progress = workers, progress
-        self._done, self._total = 0, total
+        self._finished, self._total = 0, total
         self._stored = StoredValues(STUDY, table)
 
     def trial(self, question: Question, choice: Choice) -> Trial | None:
         """Return the worst peaks of a design if they are known."""
         peaks = [self._stored.values.get((part.digest, choice)) for part in question.parts]
-        known, levels = [peak for peak in peaks if peak is not None], len(question.levels)
-        if len(known) < len(peaks):
+        available, levels = [peak for peak in peaks if peak is not None], len(question.levels)
+        if len(available) < len(peaks):
             return None
-        return Trial(choice, tuple(max(known[level::levels]) for level in range(levels)))
+        return Trial(choice, tuple(max(available[level::levels]) for level in range(levels)))
 
-    def of(self, question: Question, choices: Sequence[Choice]) -> list[Trial]:
+    def compute(self, question: Question, choices: Sequence[Choice]) -> list[Trial]:
         """Compute the worst peaks of each design."""
-        found = self.follow(question, [lambda _: choices])
-        return [found[choice] for choice in choices]
+        trials = self.run_searches(question, [lambda _: choices])
+        return [trials[choice] for choice in choices]
 
-    def follow(
+    def run_searches(
         self, question: Question, searches: Sequence[Callable[[Computed], Iterable[Choice]]]
     ) -> dict[Choice, Trial]:
         """Compute the designs that several searches need, until all searches are finished.
@@ -60,24 +60,24 @@ class Answers:
         requested: set[Choice] = set()
         pieces: list[Piece] = []
 
-        def ask() -> None:
+        def request_designs() -> None:
             for choice in chain.from_iterable(search(partial(self.trial, question)) for search in searches):
                 if choice not in requested:
                     requested.add(choice)
                     missing = [
                         (part, choice) for part in question.parts if (part, choice) not in self._stored
                     ]
-                    self._done += len(question.parts) - len(missing)
+                    self._finished += len(question.parts) - len(missing)
                     pieces.extend(missing)
 
-        ask()
-        for number, peak in self._workers.compute(_worst, pieces):
+        request_designs()
+        for number, peak in self._workers.compute(_compute, pieces):
             self._stored.add(pieces[number], peak)
-            self._done += 1
+            self._finished += 1
             if self._progress is not None:
-                self._progress(self._done, max(self._total, self._done + 1))
+                self._progress(self._finished, max(self._total, self._finished + 1))
             if self.trial(question, pieces[number][1]) is not None:
-                ask()
+                request_designs()
         trials = [self.trial(question, choice) for choice in sorted(requested)]
         return {trial.choice: trial for trial in trials if trial is not None}
 
@@ -86,19 +86,19 @@ class Answers:
         self._stored.sort()
 
 
-def _worst(piece: Piece) -> Peak:
+def _compute(piece: Piece) -> Peak:
     question, choice = piece
     return question.worst(choice)
 
 
-def _row(key: tuple[str, Choice], peak: Peak) -> list[Any]:
+def _to_row(key: tuple[str, Choice], peak: Peak) -> list[Any]:
     digest, choice = key
-    lists = [" ".join(map(repr, each)) for each in astuple(choice)]
+    lists = [" ".join(map(repr, row_values)) for row_values in astuple(choice)]
     return [digest, *lists, repr(choice.mass), *map(repr, astuple(peak))]
 
 
-def _answer(row: list[str]) -> tuple[tuple[str, Choice], Peak]:
-    bodies, masses, clearances = (each.split() for each in row[1:4])
+def _parse_row(row: list[str]) -> tuple[tuple[str, Choice], Peak]:
+    bodies, masses, clearances = (row_values.split() for row_values in row[1:4])
     choice = Choice(tuple(map(int, bodies)), tuple(map(float, masses)), tuple(map(float, clearances)))
     size, frequency, level, body, acceleration, simulated = row[5:]
     peak = Peak(float(size), float(frequency), float(level), int(body), float(acceleration), float(simulated))
@@ -108,8 +108,8 @@ def _answer(row: list[str]) -> tuple[tuple[str, Choice], Peak]:
 STUDY: Study[Piece, Peak] = Study(
     "designs",
     ("question", "bodies", "masses_kg", "clearances_m", "mass_kg", *(field.name for field in fields(Peak))),
-    _worst,
+    _compute,
     lambda piece: (piece[0].digest, piece[1]),
-    _row,
-    _answer,
+    _to_row,
+    _parse_row,
 )

@@ -18,15 +18,15 @@ from rig.scene.shaker import ForceShaker
 from rig.steady_response.frequency_response import frequency_response
 
 #: Number of test frequencies through which the motion is continued up to a peak.
-APPROACH = 3
-#: Relative distance at which a motion counts as steady.
-NEAR = 1e-4
+APPROACH_FREQUENCIES = 3
+#: Largest relative change of a motion that counts as steady.
+STEADY_TOLERANCE = 1e-4
 #: Longest wait for steady motion, periods.
-LONGEST = 2000
+MAX_WAIT_PERIODS = 2000
 #: Number of test frequencies around each peak.
-POINTS = 25
-#: Distance of the outermost points from the peak, relative.
-REACH = 0.04
+POINTS_PER_PEAK = 25
+#: Relative distance of the outermost points from the peak.
+PEAK_HALF_WIDTH = 0.04
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Expected:
 
     `sizes`: compliance with the scene's own shaker, whose spring adds harmonics to the force, m/N: minimum, nominal
     value and maximum over the tolerances of force control and steady state. None if no steady motion was reached
-    within `LONGEST` periods.
+    within `MAX_WAIT_PERIODS` periods.
     """
 
     peak: Peak  # as computed by the design, under a purely sinusoidal force
@@ -48,13 +48,13 @@ def check(scene: Scene, trial: Trial, question: Question) -> Scene:
     peaks = [*(peak.frequency for peak in trial.peaks), question.bare.frequency]
     test = {
         "kind": "stepped_sine",
-        "frequencies": _around(peaks, question.band).tolist(),
+        "frequencies": _frequencies_around(peaks, question.band).tolist(),
         "force": list(question.levels),
         "shaker": getattr(scene.test, "shaker", None),
     }
-    checked = scene.replace(dampers=trial.choice.dampers(question.landings), test=test)
-    missing = missing_channels(checked, trial.peak.body)
-    return checked.replace(channels=[*(checked.channels or ()), *missing]) if missing else checked
+    check_scene = scene.replace(dampers=trial.choice.dampers(question.landings), test=test)
+    missing = missing_channels(check_scene, trial.peak.body)
+    return check_scene.replace(channels=[*(check_scene.channels or ()), *missing]) if missing else check_scene
 
 
 def missing_channels(scene: Scene, body: int) -> list[Channel]:
@@ -75,8 +75,8 @@ def missing_channels(scene: Scene, body: int) -> list[Channel]:
         needed += [f"body {shaker.bodies[0]}", scene.at_driven("table")]
     present = {channel.at for channel in scene.channels}
     names = {channel.name for channel in scene.channels}
-    like = next((channel for channel in scene.channels if channel.accelerometer is not None), None)
-    found = []
+    template = next((channel for channel in scene.channels if channel.accelerometer is not None), None)
+    new_channels = []
     for at in dict.fromkeys(needed):
         if at in present:
             continue
@@ -88,19 +88,19 @@ def missing_channels(scene: Scene, body: int) -> list[Channel]:
             if converter is not None and converter.range is not None:
                 assert isinstance(scene.test, SteppedSine)
                 sensor = Hammer(sensitivity=float(f"{0.5 * converter.range / max(scene.test.levels):.2g}"))
-            found.append(Channel(name=name, at=at, hammer=sensor))
+            new_channels.append(Channel(name=name, at=at, hammer=sensor))
         else:
-            sensors = (None, None) if like is None else (like.accelerometer, like.integrator)
-            found.append(Channel(name=name, at=at, accelerometer=sensors[0], integrator=sensors[1]))
-    return found
+            sensors = (None, None) if template is None else (template.accelerometer, template.integrator)
+            new_channels.append(Channel(name=name, at=at, accelerometer=sensors[0], integrator=sensors[1]))
+    return new_channels
 
 
-def _around(peaks: Sequence[float], band: tuple[float, float]) -> Array:
+def _frequencies_around(peaks: Sequence[float], band: tuple[float, float]) -> Array:
     """Frequencies around each peak, rising; overlapping ranges are merged without a finer step."""
     frequencies: list[float] = []
     for peak in sorted(peaks):
-        low, high = max(peak * (1.0 - REACH), band[0]), min(peak * (1.0 + REACH), band[1])
-        step = 2.0 * REACH * peak / (POINTS - 1)
+        low, high = max(peak * (1.0 - PEAK_HALF_WIDTH), band[0]), min(peak * (1.0 + PEAK_HALF_WIDTH), band[1])
+        step = 2.0 * PEAK_HALF_WIDTH * peak / (POINTS_PER_PEAK - 1)
         low = max([low, *(last + step for last in frequencies[-1:])])
         frequencies += np.linspace(low, high, max(1 + round((high - low) / step), 1)).tolist()
     return np.unique([*frequencies, *peaks])
@@ -112,20 +112,24 @@ def expected(scene: Scene, trial: Trial) -> tuple[Expected, ...]:
     `scene`: as returned by `check`; `trial`: the dampers of the scene, and their peaks.
     """
     assert isinstance(scene.test, SteppedSine)
-    return tuple(_expected(scene, scene.test, peak) for peak in trial.peaks)
+    return tuple(_expected_result(scene, scene.test, peak) for peak in trial.peaks)
 
 
-def _expected(scene: Scene, test: SteppedSine, peak: Peak) -> Expected:
-    frequencies = [frequency for frequency in test.order if frequency <= peak.frequency][-APPROACH:]
+def _expected_result(scene: Scene, test: SteppedSine, peak: Peak) -> Expected:
+    frequencies = [frequency for frequency in test.order if frequency <= peak.frequency][
+        -APPROACH_FREQUENCIES:
+    ]
     sizes, closing_speed, steady = [], np.zeros(len(scene.dampers)), True
-    for share in (1.0, 1.0 - FORCE_TOLERANCE, 1.0 + FORCE_TOLERANCE):
-        held = scene.replace(channels=None, test=test.replace(force=share * peak.level))
-        response = frequency_response(held, frequencies, tolerance=NEAR, longest=LONGEST)
+    for force_ratio in (1.0, 1.0 - FORCE_TOLERANCE, 1.0 + FORCE_TOLERANCE):
+        controlled = scene.replace(channels=None, test=test.replace(force=force_ratio * peak.level))
+        response = frequency_response(
+            controlled, frequencies, tolerance=STEADY_TOLERANCE, longest=MAX_WAIT_PERIODS
+        )
         closing_speed = np.maximum(closing_speed, response.closing_speed[:, -1])
         steady = bool(response.converged[-1])
         if not steady:
             break
         sizes.append(float(abs(response.compliance[peak.body - 1, -1])))
-    unsteady = test.settle.tolerance
-    found = (min(sizes) * (1.0 - unsteady), sizes[0], max(sizes) * (1.0 + unsteady)) if steady else None
-    return Expected(peak, found, tuple(closing_speed.tolist()))
+    tolerance = test.settle.tolerance
+    limits = (min(sizes) * (1.0 - tolerance), sizes[0], max(sizes) * (1.0 + tolerance)) if steady else None
+    return Expected(peak, limits, tuple(closing_speed.tolist()))

@@ -21,9 +21,9 @@ from rig.study import digest
 from rig.system.structural_model import structural_model
 
 #: Frequencies per natural frequency during the search.
-COARSE = 20
+COARSE_DENSITY = 20
 #: Frequencies per natural frequency in the comparison of the best designs.
-FINE = 60
+FINE_DENSITY = 60
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Landings:
 
     restitution: float = 0.0  # as of a `Damper`
     contact: Contact | None = None
-    taken: str = "the scene has none to go by"  # origin of these values, for messages
+    origin: str = "the scene has none to go by"  # origin of these values, for messages
 
     def __str__(self) -> str:
         """Describe the landings.
@@ -43,11 +43,12 @@ class Landings:
         >>> print(Landings(0.2, taken="as the scene's"))
         new dampers land at once, restitution 0.2: as the scene's
         """
-        return f"new dampers land {_lasting(self.contact)}, restitution {format_number(self.restitution)}: {self.taken}"
+        contact, restitution = _format_contact(self.contact), format_number(self.restitution)
+        return f"new dampers land {contact}, restitution {restitution}: {self.origin}"
 
 
 #: Default for scenes without dampers: perfectly plastic and instantaneous.
-INSTANT = Landings()
+INSTANTANEOUS = Landings()
 
 
 def landings_from(dampers: Sequence[Damper]) -> Landings:
@@ -56,7 +57,7 @@ def landings_from(dampers: Sequence[Damper]) -> Landings:
     Raises `SceneError` if the contact is given by stiffness and damping, which depend on the mass of the bed.
     """
     if not dampers:
-        return INSTANT
+        return INSTANTANEOUS
     first = dampers[0]
     contact = first.contact
     if any(isinstance(wall, SpringDamper) for wall in walls_of(contact)):
@@ -65,17 +66,17 @@ def landings_from(dampers: Sequence[Damper]) -> Landings:
             "known for another mass. Give contact: {duration: ...} and restitution, such as --set "
             "'dampers[1].contact={duration: 4 ms}'"
         )
-    alike = all(
-        (each.restitution, each.contact, each.grains) == (first.restitution, contact, first.grains)
-        for each in dampers
+    identical = all(
+        (damper.restitution, damper.contact, damper.grains) == (first.restitution, contact, first.grains)
+        for damper in dampers
     )
-    taken = "as the scene's" if alike else "as the scene's first; others of it differ"
+    origin = "as the scene's" if identical else "as the scene's first; others of it differ"
     if first.grains is not None:
-        taken = "as one mass each, not as the grains of the scene's"
-    return Landings(first.restitution, contact, taken)
+        origin = "as one mass each, not as the grains of the scene's"
+    return Landings(first.restitution, contact, origin)
 
 
-def _lasting(contact: Contact | None) -> str:
+def _format_contact(contact: Contact | None) -> str:
     durations = [
         f"{format_number(1e3 * wall.duration)} ms" for wall in walls_of(contact) if isinstance(wall, Landing)
     ]
@@ -129,7 +130,7 @@ class Choice:
         """Set all clearances to the same value."""
         return replace(self, clearances=(clearance,) * len(self.clearances))
 
-    def wider(self, factor: float) -> Choice:
+    def scale_clearances(self, factor: float) -> Choice:
         """Multiply all clearances by a factor."""
         return replace(self, clearances=tuple(factor * clearance for clearance in self.clearances))
 
@@ -144,17 +145,17 @@ class Choice:
         >>> print(Choice((3, 4), (0.0002, 0.0698), (8e-3, 7e-3)).without_lightest())
         70 g in body 4, clearance 7 mm
         """
-        each = list(zip(self.bodies, self.masses, self.clearances, strict=True))
-        del each[self.masses.index(min(self.masses))]
-        bodies, masses, clearances = zip(*each, strict=True)
+        rows = list(zip(self.bodies, self.masses, self.clearances, strict=True))
+        del rows[self.masses.index(min(self.masses))]
+        bodies, masses, clearances = zip(*rows, strict=True)
         factor = self.mass / sum(masses)
         return Choice(bodies, tuple(factor * mass for mass in masses), clearances)
 
     def dampers(self, landings: Landings) -> list[Damper]:
         """Return the dampers as objects of a scene."""
-        each = zip(self.bodies, self.masses, self.clearances, strict=True)
-        how = {"restitution": landings.restitution, "contact": landings.contact}
-        return [Damper(body=b, mass=m, clearance=c, **how) for b, m, c in each]
+        rows = zip(self.bodies, self.masses, self.clearances, strict=True)
+        properties = {"restitution": landings.restitution, "contact": landings.contact}
+        return [Damper(body=b, mass=m, clearance=c, **properties) for b, m, c in rows]
 
 
 @dataclass(frozen=True)
@@ -179,10 +180,10 @@ class Trial:
 class Space:
     """The space of candidate designs.
 
-    `places`: allowed bodies of the dampers, a tuple for each arrangement, in order of the number of dampers.
+    `locations`: allowed bodies of the dampers, a tuple for each arrangement, in order of the number of dampers.
     """
 
-    places: tuple[tuple[int, ...], ...]
+    locations: tuple[tuple[int, ...], ...]
     mass: float  # largest added mass, kg
     clearance: tuple[float, float]  # smallest and largest, m
     without_ceiling: bool = True  # whether dampers may have no ceiling
@@ -190,17 +191,19 @@ class Space:
     @property
     def dampers(self) -> int:
         """Largest number of dampers."""
-        return max(map(len, self.places))
+        return max(map(len, self.locations))
 
     @staticmethod
-    def places_of(bodies: tuple[int, ...], dampers: int) -> tuple[tuple[int, ...], ...]:
+    def locations_of(bodies: tuple[int, ...], dampers: int) -> tuple[tuple[int, ...], ...]:
         """List the arrangements of up to `dampers` dampers; a body may carry as many as it is named times.
 
         >>> Space.places_of((1, 2, 2), 2)
         ((1,), (2,), (1, 2), (2, 2))
         """
         return tuple(
-            place for count in range(1, dampers + 1) for place in sorted(set(combinations(bodies, count)))
+            location
+            for count in range(1, dampers + 1)
+            for location in sorted(set(combinations(bodies, count)))
         )
 
 
@@ -212,8 +215,8 @@ class Question:
     levels: tuple[float, ...]  # forces, N
     band: tuple[float, float]  # lowest and highest frequency, Hz
     bodies: tuple[int, ...]  # bodies whose peaks are evaluated, from 1
-    landings: Landings = INSTANT  # restitution and contact of the dampers
-    density: int = COARSE  # frequencies per natural frequency in the band
+    landings: Landings = INSTANTANEOUS  # restitution and contact of the dampers
+    density: int = COARSE_DENSITY  # frequencies per natural frequency in the band
 
     @cached_property
     def bare(self) -> Peak:
@@ -225,8 +228,10 @@ class Question:
     @cached_property
     def parts(self) -> tuple[Question, ...]:
         """Split into questions about one structure at one level each; the worst of their peaks is the worst peak."""
-        each = product(self.scenes, self.levels)
-        return tuple(replace(self, scenes=(scene,), levels=(level,)) for scene, level in each)
+        return tuple(
+            replace(self, scenes=(scene,), levels=(level,))
+            for scene, level in product(self.scenes, self.levels)
+        )
 
     @cached_property
     def digest(self) -> str:
@@ -263,8 +268,8 @@ def variants(scene: Scene, damping: float, stiffness: float) -> tuple[Scene, ...
     `damping`, `stiffness`: relative uncertainty of each, in both directions.
     """
     nominal = structural_model(scene)
-    corners = product(*({1.0 - share, 1.0 + share} for share in (damping, stiffness)))
-    others = [
+    corners = product(*({1.0 - uncertainty, 1.0 + uncertainty} for uncertainty in (damping, stiffness)))
+    variations = [
         scene.replace(
             structure={
                 "matrices": {
@@ -277,4 +282,4 @@ def variants(scene: Scene, damping: float, stiffness: float) -> tuple[Scene, ...
         for a, b in sorted(corners)
         if (a, b) != (1.0, 1.0)
     ]
-    return (scene, *others)
+    return (scene, *variations)

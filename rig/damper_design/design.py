@@ -13,13 +13,13 @@ import numpy as np
 from rig.arrays import Array
 from rig.damper_design.answers import Answers
 from rig.damper_design.check import Expected, check, expected
-from rig.damper_design.choice import FINE, Choice, Question, Space, Trial, mass_unit
+from rig.damper_design.choice import FINE_DENSITY, Choice, Question, Space, Trial, mass_unit
 from rig.damper_design.flight import Flight, flight, idle_levels, shortfall
-from rig.damper_design.other_modes import ModePeaks, best_outside, mode_peaks
-from rig.damper_design.ranking import equally_good, front
+from rig.damper_design.other_modes import ModePeaks, mode_peaks, select_outside_band
+from rig.damper_design.ranking import front, is_equally_good
 from rig.damper_design.request import parse_request
 from rig.damper_design.search import pieces, search
-from rig.damper_design.tolerance import Tolerance, tolerance
+from rig.damper_design.tolerance import Tolerance, clearance_tolerance
 from rig.damper_design.worst_peak import Peak
 from rig.figure_style import COLORS
 from rig.results import Result, complete_style
@@ -224,28 +224,30 @@ def design(
             workers, table, progress, pieces(question, space) + CHART_CLEARANCES.size * forces.size
         )
         best, trials = search(question, space, answers)
-        equal = best_outside(question, trials, best, answers)
-        if equal != best:
-            (closely,) = answers.of(replace(question, density=FINE), [equal.choice])
-            trials = [closely, *(trial for trial in trials if trial.choice != equal.choice)]
-            best = closely if equally_good(closely, best) else best
+        preferred = select_outside_band(question, trials, best, answers)
+        if preferred != best:
+            (refined,) = answers.compute(replace(question, density=FINE_DENSITY), [preferred.choice])
+            trials = [refined, *(trial for trial in trials if trial.choice != preferred.choice)]
+            best = refined if is_equally_good(refined, best) else best
         modes = mode_peaks(question, best, answers)
-        interval = tolerance(question, space, best, trials, answers)
+        interval = clearance_tolerance(question, space, best, trials, answers)
         charted = best.choice if best.choice.has_ceiling else best.choice.with_clearance(space.clearance[1])
-        at_levels = replace(question, scenes=question.scenes[:1], levels=tuple(forces.tolist()))
-        chart = answers.of(at_levels, [charted.wider(factor) for factor in CHART_CLEARANCES.tolist()])
-        nominal = replace(question, scenes=question.scenes[:1], density=FINE)
-        (likely,) = answers.of(nominal, [best.choice])
+        chart_question = replace(question, scenes=question.scenes[:1], levels=tuple(forces.tolist()))
+        chart = answers.compute(
+            chart_question, [charted.scale_clearances(factor) for factor in CHART_CLEARANCES.tolist()]
+        )
+        nominal = replace(question, scenes=question.scenes[:1], density=FINE_DENSITY)
+        (nominal_trial,) = answers.compute(nominal, [best.choice])
     answers.sort()
     if say is not None:
         say("preparing the test that checks the best design")
-    checked = check(scene, likely, nominal)
-    before = {channel.name for channel in scene.channels or ()}
-    added = tuple(channel.name for channel in checked.channels or () if channel.name not in before)
+    check_scene = check(scene, nominal_trial, nominal)
+    present = {channel.name for channel in scene.channels or ()}
+    added = tuple(channel.name for channel in check_scene.channels or () if channel.name not in present)
     return Design(
-        scene=checked,
+        scene=check_scene,
         added_channels=added,
-        expected=expected(checked, likely),
+        expected=expected(check_scene, nominal_trial),
         best=best,
         bare=question.bare,
         tolerance=interval,
@@ -274,5 +276,5 @@ def chart_levels(requested: Sequence[float]) -> Array:
         max(requested[-1] * CHART_MARGIN, middle * MIN_LEVEL_RATIO),
     ]
     steps = [max(round(np.log(high / low) / np.log(LEVEL_STEP_RATIO)), 1) for low, high in pairwise(corners)]
-    rows = [np.geomspace(*ends, n + 1)[1:-1] for ends, n in zip(pairwise(corners), steps, strict=True)]
-    return np.unique(np.concatenate([corners, *rows]))
+    inner = [np.geomspace(*ends, n + 1)[1:-1] for ends, n in zip(pairwise(corners), steps, strict=True)]
+    return np.unique(np.concatenate([corners, *inner]))

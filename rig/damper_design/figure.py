@@ -12,8 +12,8 @@ import numpy as np
 from rig.damper_design.check import Expected
 from rig.damper_design.choice import Choice, mass_unit
 from rig.damper_design.design import Design
-from rig.damper_design.overloads import overload_lines, overloads
-from rig.damper_design.ranking import MACHINABLE
+from rig.damper_design.overloads import overload_lines, predict_overloads
+from rig.damper_design.ranking import MIN_MACHINABLE_CLEARANCE
 from rig.escaping import escape_figure
 from rig.figure_style import COLORS, cell_edges, new_figure, save_figure, set_log_scale
 from rig.output_files import atomic_write, file_stem
@@ -78,9 +78,9 @@ def _verdict(design: Design) -> list[str]:
             f"any clearance above {format_number(1000.0 * height)} mm has the effect of no ceiling: the "
             "dampers do not reach it in the band"
         )
-    if min(design.best.choice.clearances) < MACHINABLE:
+    if min(design.best.choice.clearances) < MIN_MACHINABLE_CLEARANCE:
         lines.append(
-            f"no larger clearance is as good, and one below {1000.0 * MACHINABLE:g} mm is hard to build"
+            f"no larger clearance is as good, and one below {1000.0 * MIN_MACHINABLE_CLEARANCE:g} mm is hard to build"
         )
     return lines
 
@@ -118,14 +118,14 @@ def next_step(design: Design, scene: Path) -> str:
     test = design.scene.test
     assert isinstance(test, SteppedSine) and test.frequencies is not None
     levels = ", ".join(format_number(level) for level in test.levels)
-    beyond = overloads(design.scene, design.expected, design.bare)
-    changes = "".join(f" --set {quote(change)}" for each in beyond for change in each.changes)
-    lasting = all(damper.contact is not None for damper in design.scene.dampers)
-    places = {channel.name: channel.at for channel in design.scene.channels or ()}
-    added = ", ".join(f"{name} (at {places[name]})" for name in design.added_channels)
-    file, with_them, without = (
-        quote(str(each))
-        for each in (scene, scene.with_suffix(".mcap"), scene.with_name(f"{scene.stem}-without.mcap"))
+    overloads = predict_overloads(design.scene, design.expected, design.bare)
+    remedies = "".join(f" --set {quote(change)}" for overload in overloads for change in overload.changes)
+    finite_contact = all(damper.contact is not None for damper in design.scene.dampers)
+    locations = {channel.name: channel.at for channel in design.scene.channels or ()}
+    added = ", ".join(f"{name} (at {locations[name]})" for name in design.added_channels)
+    file, with_dampers, without_dampers = (
+        quote(str(path))
+        for path in (scene, scene.with_suffix(".mcap"), scene.with_name(f"{scene.stem}-without.mcap"))
     )
     return "\n".join(
         [
@@ -141,28 +141,28 @@ def next_step(design: Design, scene: Path) -> str:
             f"{FORCE_TOLERANCE:.1%} and the motion steady within {test.settle.tolerance:.1%}",
             f"{'force, N':>14}{'peak of':>9}{'at Hz':>9}{'under a tone':>15}  of that test",
             *map(_expected, design.expected),
-            *overload_lines(beyond, lasting),
+            *overload_lines(overloads, finite_contact),
             "",
             "to check it, without and with dampers:",
-            f"daq record {file} --set dampers=null --set test.force={format_number(test.levels[0])}N{changes} "
-            f"-o {without}",
-            f"daq record {file}{changes} -o {with_them}",
-            f"analysis frf {without} {with_them}",
-            f"analysis compare {without} {with_them}",
+            f"daq record {file} --set dampers=null --set test.force={format_number(test.levels[0])}N{remedies} "
+            f"-o {without_dampers}",
+            f"daq record {file}{remedies} -o {with_dampers}",
+            f"analysis frf {without_dampers} {with_dampers}",
+            f"analysis compare {without_dampers} {with_dampers}",
             "",
             *grain_check(design.scene.dampers, design.expected, scene),
         ]
     )
 
 
-def _expected(one: Expected) -> str:
-    peak = one.peak
+def _expected(expected: Expected) -> str:
+    peak = expected.peak
     through_shaker = "no steady motion found: scatters"
-    if one.sizes is not None:
-        low, size, high = (f"{1e6 * each:.4g}" for each in one.sizes)
-        through_shaker = f"{size} ({low} to {high})"
-    where = f"{format_number(peak.level):>14}{f'body {peak.body}':>9}{peak.frequency:9.2f}"
-    return f"{where}{1e6 * peak.size:15.4g}  {through_shaker}"
+    if expected.sizes is not None:
+        low, nominal, high = (f"{1e6 * size:.4g}" for size in expected.sizes)
+        through_shaker = f"{nominal} ({low} to {high})"
+    operating_point = f"{format_number(peak.level):>14}{f'body {peak.body}':>9}{peak.frequency:9.2f}"
+    return f"{operating_point}{1e6 * peak.size:15.4g}  {through_shaker}"
 
 
 def _draw(design: Design) -> Figure:
@@ -212,14 +212,14 @@ def _curves(axes: Axes, design: Design) -> None:
     # The horizontal axis is the acceleration without dampers. The acceleration with dampers would not be monotonic
     # where another peak becomes the largest.
     chosen = int(np.argmin(np.abs(np.log(design.clearance_factors))))
-    around = (chosen - 1, chosen, chosen + 1)
-    bare = design.levels / design.bare.level * design.bare.acceleration / STANDARD_GRAVITY
-    for number, shade, mark in zip(around, (COLORS[4], BLUE, COLORS[5]), "v^o", strict=True):
+    plotted = (chosen - 1, chosen, chosen + 1)
+    bare_acceleration = design.levels / design.bare.level * design.bare.acceleration / STANDARD_GRAVITY
+    for number, color, marker in zip(plotted, (COLORS[4], BLUE, COLORS[5]), "v^o", strict=True):
         row = design.chart[number]
         choice = design.charted
         clearance = 1e3 * design.clearance_factors[number] * choice.clearances[choice.heaviest]
         axes.plot(
-            bare, [design.bare.size / peak.size for peak in row], f"{mark}-", ms=4, color=shade,
+            bare_acceleration, [design.bare.size / peak.size for peak in row], f"{marker}-", ms=4, color=color,
             lw=1.6 if number == chosen else 0.8, label=f"clearance {clearance:.3g} mm",
         )  # fmt: skip
     axes.set(xlabel="acceleration at the peak without dampers / g", ylabel="peak without dampers / with them")
@@ -231,8 +231,8 @@ def _curves(axes: Axes, design: Design) -> None:
 
 
 def _backbone(axes: Axes, design: Design) -> None:
-    chosen = int(np.argmin(np.abs(np.log(design.clearance_factors))))
-    row = design.chart[chosen]
+    nominal = int(np.argmin(np.abs(np.log(design.clearance_factors))))
+    row = design.chart[nominal]
     axes.plot(design.levels, [peak.frequency for peak in row], "o-", color=BLUE, ms=4, label="with dampers")
     axes.axhline(design.bare.frequency, color=GREY, ls="--", label="without")
     axes.set(xlabel="force / N", ylabel="frequency of the largest peak / Hz")
@@ -244,7 +244,7 @@ def _backbone(axes: Axes, design: Design) -> None:
 class Agreement(NamedTuple):
     """Number of settings of a study in which one mass agreed with grains within 10 %."""
 
-    near: int
+    agreeing: int
     settings: int
 
 
@@ -252,13 +252,13 @@ class Agreement(NamedTuple):
 WITHOUT_CEILING = Agreement(21, 36)
 BELOW_CEILING = Agreement(6, 61)
 #: Interquartile range of the deviation below a ceiling, percent.
-MIDDLE_HALF = (-50, -16)
+INTERQUARTILE_RANGE = (-50, -16)
 #: Diameter of the shot in the grain simulation, m.
 _SHOT_DIAMETER = 2e-3
 #: Half-width of the band of the grain simulation around the peak, relative.
-_HALF_WIDTH = 0.01
+_BAND_HALF_WIDTH = 0.01
 #: Number of frequencies in that band.
-_POINTS = 3
+_BAND_POINTS = 3
 
 
 def grain_check(dampers: Sequence[Damper], expected: Sequence[Expected], scene: Path) -> list[str]:
@@ -267,25 +267,27 @@ def grain_check(dampers: Sequence[Damper], expected: Sequence[Expected], scene: 
     `dampers`: the dampers of the design; `expected`: expected results of the check; the command uses the largest of
     these peaks; `scene`: the scene of the check.
     """
-    peak = max(one.peak for one in expected)
+    peak = max(result.peak for result in expected)
     beds = ", ".join(_as_shot(damper) for damper in dampers)
-    low, high = (f"{peak.frequency * (1.0 + side):.4g}Hz" for side in (-_HALF_WIDTH, _HALF_WIDTH))
-    (near, settings), (near_below, below) = WITHOUT_CEILING, BELOW_CEILING
-    less, least = (-off for off in MIDDLE_HALF)
+    low, high = (
+        f"{peak.frequency * (1.0 + offset):.4g}Hz" for offset in (-_BAND_HALF_WIDTH, _BAND_HALF_WIDTH)
+    )
+    (agreeing, settings), (agreeing_below, settings_below) = WITHOUT_CEILING, BELOW_CEILING
+    smallest_decrease, largest_decrease = (-deviation for deviation in INTERQUARTILE_RANGE)
     return [
         "these results are for beds that move as one mass. In a comparison with beds of grains (analysis beds)",
-        f"the compliance was within 10 % in {near} of {settings} settings without a ceiling, and in {near_below} of "
-        f"{below} with one,",
-        f"where the middle half of the results with grains was {least} to {less} % lower. These dampers as shot of "
-        f"{format_number(1e3 * _SHOT_DIAMETER)} mm, which may take hours:",
+        f"the compliance was within 10 % in {agreeing} of {settings} settings without a ceiling, and in "
+        f"{agreeing_below} of {settings_below} with one,",
+        f"where the middle half of the results with grains was {largest_decrease} to {smallest_decrease} % lower. "
+        f"These dampers as shot of {format_number(1e3 * _SHOT_DIAMETER)} mm, which may take hours:",
         f"rig grains {quote(str(scene))} --set {quote(f'dampers=[{beds}]')} "
-        f"--set test.force={format_number(peak.level)}N --from {low} --to {high} --points {_POINTS} "
+        f"--set test.force={format_number(peak.level)}N --from {low} --to {high} --points {_BAND_POINTS} "
         f"-o {quote(str(scene.with_name(f'{scene.stem}-grains.csv')))}",
     ]
 
 
 def _as_shot(damper: Damper) -> str:
     assert damper.mass is not None  # every damper of a design has a mass
-    mass, shot = (format_number(1e3 * each) for each in (damper.mass, _SHOT_DIAMETER))
+    mass, shot = (format_number(1e3 * value) for value in (damper.mass, _SHOT_DIAMETER))
     clearance = ".inf" if np.isinf(damper.clearance) else f"{format_number(1e3 * damper.clearance)} mm"
     return f"{{body: {damper.body}, mass: {mass} g, clearance: {clearance}, grains: {{diameter: {shot} mm}}}}"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.damper_design.choice import COARSE, Question, Trial
+from rig.damper_design.choice import COARSE_DENSITY, Question, Trial
 from rig.damper_design.ranking import EQUAL_DB
 from rig.damper_design.worst_peak import Peak, response_at_level
 from rig.motion_map.grid import columns, natural_frequencies, take_off
@@ -32,7 +32,7 @@ class Flight:
     body: int  # body of that damper, from 1
     height: float
 
-    def reach(self, level: float) -> float:
+    def acceleration_g(self, level: float) -> float:
         """Largest acceleration of a damper's body at a level, all dampers at rest on their floors, g."""
         return level / self.take_off
 
@@ -43,10 +43,10 @@ def flight(question: Question, trial: Trial, unreached: bool) -> Flight:
     `unreached`: whether the dampers do not reach their ceiling, so that the height is computed.
     """
     frequencies, dampers = _frequencies(question, trial), trial.choice.dampers(question.landings)
-    alone = [question.scenes[0].replace(dampers=[damper]) for damper in dampers]
-    levels = [float(take_off(scene, frequencies).min()) for scene in alone]
-    first, body = min(zip(levels, trial.choice.bodies, strict=True))
-    return Flight(first, body, _height(question, trial) if unreached else np.nan)
+    scenes = [question.scenes[0].replace(dampers=[damper]) for damper in dampers]
+    levels = [float(take_off(scene, frequencies).min()) for scene in scenes]
+    lowest, body = min(zip(levels, trial.choice.bodies, strict=True))
+    return Flight(lowest, body, _height(question, trial) if unreached else np.nan)
 
 
 def _height(question: Question, trial: Trial) -> float:
@@ -69,7 +69,7 @@ def _frequencies(question: Question, trial: Trial) -> np.ndarray:
     low, high = question.band
     natural = natural_frequencies(scene, low, high)
     peaks = [peak.frequency for peak in trial.peaks]
-    return np.unique(np.concatenate([columns(scene, low, high, COARSE), natural, peaks]))
+    return np.unique(np.concatenate([columns(scene, low, high, COARSE_DENSITY), natural, peaks]))
 
 
 def idle_levels(trial: Trial, bare: Peak, flight_: Flight) -> list[float]:
@@ -77,7 +77,7 @@ def idle_levels(trial: Trial, bare: Peak, flight_: Flight) -> list[float]:
     return sorted(
         peak.level
         for peak in trial.peaks
-        if peak.reduction_from(bare) <= EQUAL_DB or flight_.reach(peak.level) <= 1.0
+        if peak.reduction_from(bare) <= EQUAL_DB or flight_.acceleration_g(peak.level) <= 1.0
     )
 
 
@@ -91,44 +91,45 @@ def shortfall(
     idle = idle_levels(trial, bare, flight_)
     if not idle:
         return []
-    reached = {peak.level: peak.reduction_from(bare) for peak in trial.peaks}
+    reductions = {peak.level: peak.reduction_from(bare) for peak in trial.peaks}
     lines = []
     for level in idle:
-        reach = flight_.reach(level)
-        does = "cannot fly" if reach <= 1.0 else "hardly fly"
+        acceleration = flight_.acceleration_g(level)
+        motion = "cannot fly" if acceleration <= 1.0 else "hardly fly"
         lines.append(
-            f"at {format_number(level)} N the dampers {does}: take-off needs more than 1 g, and body "
-            f"{flight_.body} reaches {format_number(reach)} g; they change the peak by {-reached[level]:+.1f} "
-            "dB"
+            f"at {format_number(level)} N the dampers {motion}: take-off needs more than 1 g, and body "
+            f"{flight_.body} reaches {format_number(acceleration)} g; "
+            f"they change the peak by {-reductions[level]:+.1f} dB"
         )
-    most = {
+    largest_reductions = {
         level: max(
-            (p.reduction_from(bare) for each in trials for p in each.peaks if p.level == level), default=0.0
+            (p.reduction_from(bare) for other in trials for p in other.peaks if p.level == level), default=0.0
         )
-        for level in sorted(reached)
+        for level in sorted(reductions)
         if level > max(idle)
     }
-    served = [level for level in most if most[level] >= EFFECTIVE_DB]
-    later = [
+    effective_levels = [level for level in largest_reductions if largest_reductions[level] >= EFFECTIVE_DB]
+    charted_levels = [
         level
         for level in charted
         if level > max(idle)
-        and flight_.reach(level) > 1.0
+        and flight_.acceleration_g(level) > 1.0
         and charted[level].reduction_from(bare) >= EFFECTIVE_DB
     ]
-    if served:
-        forces = ",".join(f"{format_number(level)}N" for level in served)
-        by = ", ".join(f"{most[level]:.1f} dB" for level in served)
+    if effective_levels:
+        forces = ",".join(f"{format_number(level)}N" for level in effective_levels)
+        reductions_text = ", ".join(f"{largest_reductions[level]:.1f} dB" for level in effective_levels)
         lines.append(
-            f"use --levels {forces}: at each of these levels alone, dampers reduce the peak, by up to {by}"
+            f"use --levels {forces}: at each of these levels alone, dampers reduce the peak, by up to {reductions_text}"
         )
-    elif later:
+    elif charted_levels:
         lines.append(
-            f"these dampers reduce the peak by {EFFECTIVE_DB:g} dB from {format_number(min(later))} N on (--levels)"
+            f"these dampers reduce the peak by {EFFECTIVE_DB:g} dB from "
+            f"{format_number(min(charted_levels))} N on (--levels)"
         )
     else:
-        effective = format_number(_EFFECTIVE_G * flight_.take_off)
+        suggested = format_number(_EFFECTIVE_G * flight_.take_off)
         lines.append(
-            f"dampers are usually effective from {_EFFECTIVE_G:g} g: use levels from {effective} N (--levels)"
+            f"dampers are usually effective from {_EFFECTIVE_G:g} g: use levels from {suggested} N (--levels)"
         )
     return lines

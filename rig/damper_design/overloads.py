@@ -33,76 +33,86 @@ class Overload:
     changes: tuple[str, ...]  # changes of the scene for ``--set`` that remove the overload
 
 
-def overloads(scene: Scene, expected: Sequence[Expected], bare: Peak) -> list[Overload]:
+def predict_overloads(scene: Scene, expected: Sequence[Expected], bare: Peak) -> list[Overload]:
     """Return overloaded accelerometers and converter inputs of a check, with remedies.
 
     `scene`: the scene of the check; `expected`: expected results of the check at each level; `bare`: largest peak
     without dampers; it is recorded at the smallest of these levels.
     """
     system = assemble(scene)
-    lowest = min(each.peak.level for each in expected)
-    motions = [(each.peak, each.peak.level) for each in expected] + [(bare, lowest)]
-    found: list[Overload] = []
-    most_volts, widest = 0.0, ""
+    lowest = min(result.peak.level for result in expected)
+    motions = [(result.peak, result.peak.level) for result in expected] + [(bare, lowest)]
+    overloaded: list[Overload] = []
+    max_voltage, max_channel = 0.0, ""
     for number, channel in enumerate(scene.channels or (), 1):
         sensor = None if channel.accelerometer is None else complete_from_preset(channel.accelerometer)
         if sensor is None:
             continue
-        steady = [_steady(scene, channel.at, peak, level) for peak, level in motions]
-        volts = max(
-            _volts(sensor, channel.integrator, size, peak.frequency)
-            for size, (peak, _) in zip(steady, motions, strict=True)
+        steady_accelerations = [
+            _steady_acceleration(scene, channel.at, peak, level) for peak, level in motions
+        ]
+        voltage = max(
+            _voltage(sensor, channel.integrator, size, peak.frequency)
+            for size, (peak, _) in zip(steady_accelerations, motions, strict=True)
         )
-        if volts > most_volts:
-            most_volts, widest = volts, channel.name
+        if voltage > max_voltage:
+            max_voltage, max_channel = voltage, channel.name
         if sensor.saturation is None:
             continue
         row = system.points.index(channel.at)
-        shaken = [impact_acceleration(system, row, each.closing_speed, sensor.resonance) for each in expected]
-        largest = [max(pair) for pair in zip(shaken, steady, strict=False)] + steady[-1:]
-        beyond = [k for k, size in enumerate(largest) if size > sensor.saturation]
-        if beyond:
-            levels = ", ".join(dict.fromkeys(format_number(motions[k][1]) for k in beyond))
-            fastest = max(max(each.closing_speed, default=0.0) for each in expected)
-            cause = f", from landings of up to {fastest:.2g} m/s" if max(shaken) > max(steady) else ""
-            reason = (
-                f"{channel.name}: up to {_acceleration(max(largest))} at {levels} N, where its accelerometer "
-                f"saturates at {_acceleration(sensor.saturation)}{cause}"
+        impact_accelerations = [
+            impact_acceleration(system, row, result.closing_speed, sensor.resonance) for result in expected
+        ]
+        largest = [
+            max(pair) for pair in zip(impact_accelerations, steady_accelerations, strict=False)
+        ] + steady_accelerations[-1:]
+        exceeded = [k for k, size in enumerate(largest) if size > sensor.saturation]
+        if exceeded:
+            levels = ", ".join(dict.fromkeys(format_number(motions[k][1]) for k in exceeded))
+            fastest = max(max(result.closing_speed, default=0.0) for result in expected)
+            cause = (
+                f", from landings of up to {fastest:.2g} m/s"
+                if max(impact_accelerations) > max(steady_accelerations)
+                else ""
             )
-            found.append(Overload(reason, _unlimited(number, channel.accelerometer, max(largest))))
+            reason = (
+                f"{channel.name}: up to {_format_acceleration(max(largest))} at {levels} N, where its accelerometer "
+                f"saturates at {_format_acceleration(sensor.saturation)}{cause}"
+            )
+            overloaded.append(Overload(reason, _remedies(number, channel.accelerometer, max(largest))))
     converter = None if scene.converter is None else complete_from_preset(scene.converter)
-    if converter is not None and converter.range is not None and most_volts > converter.range:
-        volts = float(f"{1.5 * most_volts:.2g}")
-        found.append(
+    if converter is not None and converter.range is not None and max_voltage > converter.range:
+        voltage = float(f"{1.5 * max_voltage:.2g}")
+        overloaded.append(
             Overload(
-                f"{widest}: up to {format_number(most_volts)} V, where the range of the converter is "
+                f"{max_channel}: up to {format_number(max_voltage)} V, where the range of the converter is "
                 f"{format_number(converter.range)} V",
-                (f"converter.range={format_number(volts)}V",),
+                (f"converter.range={format_number(voltage)}V",),
             )
         )
-    return found
+    return overloaded
 
 
-def overload_lines(overloads: Sequence[Overload], lasting: bool) -> list[str]:
+def overload_lines(overloads: Sequence[Overload], finite_contact: bool) -> list[str]:
     """Format overloads as text lines with the remedies on a test bench; empty without overloads."""
     if not overloads:
         return []
-    cure = "a bench needs sensors of a larger range, or lower levels"
-    if not lasting:
-        cure += (
+    remedy = "a bench needs sensors of a larger range, or lower levels"
+    if not finite_contact:
+        remedy += (
             "; or contact of finite duration, as shot has it: contact: {duration: 2 ms} in the first "
             "damper of the scene, and repeat the design"
         )
-    changes = " ".join(f"--set {quote(change)}" for each in overloads for change in each.changes)
+    changes = " ".join(f"--set {quote(change)}" for overload in overloads for change in overload.changes)
     return [
         "",
         "overloaded by this test:",
-        *(each.reason for each in overloads),
-        f"the commands below remove these limits ({changes}); {cure}",
+        *(overload.reason for overload in overloads),
+        f"the commands below remove these limits ({changes}); {remedy}",
     ]
 
 
-def _steady(scene: Scene, at: str, peak: Peak, level: float) -> float:
+def _steady_acceleration(scene: Scene, at: str, peak: Peak, level: float) -> float:
     """Upper bound of the steady acceleration at a point, m/s^2, from the body with the largest displacement."""
     displacement = peak.size * level
     spring = None if scene.driven_shaker is None else scene.driven_shaker.spring
@@ -112,16 +122,16 @@ def _steady(scene: Scene, at: str, peak: Peak, level: float) -> float:
     return displacement * (2.0 * np.pi * peak.frequency) ** 2
 
 
-def _volts(
+def _voltage(
     sensor: Accelerometer, integrator: Integrator | None, acceleration: float, frequency: float
 ) -> float:
-    volts = (sensor.sensitivity or 1.0) * acceleration
+    voltage = (sensor.sensitivity or 1.0) * acceleration
     if integrator is None:
-        return volts
-    return volts * integrator.gain / (2.0 * np.pi * frequency) ** integrator.order
+        return voltage
+    return voltage * integrator.gain / (2.0 * np.pi * frequency) ** integrator.order
 
 
-def _unlimited(number: int, sensor: Accelerometer | None, acceleration: float) -> tuple[str, ...]:
+def _remedies(number: int, sensor: Accelerometer | None, acceleration: float) -> tuple[str, ...]:
     """Return changes of a channel's accelerometer that remove its overload at an acceleration, m/s^2."""
     assert sensor is not None
     key = f"channels[{number}].accelerometer"
@@ -156,22 +166,25 @@ def impact_acceleration(
     0.0
     """
     mobility = np.linalg.inv(system.mass)
-    found = [0.0]
+    accelerations = [0.0]
     for j, speed in enumerate(closing_speed):
         body = system.damper_coordinate[j]
         if system.finite_contact[j]:
-            reduced, wall = system.reduced_mass[j], (system.wall_damping[j], system.wall_stiffness[j])
-            force = speed * float(np.maximum(wall[0], np.sqrt(reduced * wall[1])).max())
-            found.append((1.0 if resonance is None else _STEP_OVERSHOOT) * abs(mobility[row, body]) * force)
+            dashpot = system.wall_damping[j]
+            spring = np.sqrt(system.reduced_mass[j] * system.wall_stiffness[j])
+            force = speed * float(np.maximum(dashpot, spring).max())
+            accelerations.append(
+                (1.0 if resonance is None else _STEP_OVERSHOOT) * abs(mobility[row, body]) * force
+            )
             continue
         impulse = (1.0 + system.restitution[j]) * speed / (1.0 / system.damper_mass[j] + mobility[body, body])
         jump = abs(mobility[row, body]) * impulse
-        rate = np.inf if resonance is None else 2.0 * np.pi * resonance
-        found.append(float(jump * rate) if jump else 0.0)
-    return float(max(found))
+        angular_frequency = np.inf if resonance is None else 2.0 * np.pi * resonance
+        accelerations.append(float(jump * angular_frequency) if jump else 0.0)
+    return float(max(accelerations))
 
 
-def _acceleration(size: float) -> str:
+def _format_acceleration(size: float) -> str:
     if np.isinf(size):
         return "more than any sensor withstands"
     return f"{format_number(float(f'{size / STANDARD_GRAVITY:.2g}'))} g"

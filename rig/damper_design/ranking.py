@@ -16,7 +16,7 @@ EQUAL_RATIO = 10.0 ** (EQUAL_DB / 20.0)
 #: percent: a change of the clearance by 1 % changes them by up to 6 %.
 IRREGULAR_RATIO = 1.03
 #: Smallest clearance that can be built, m: the depth of a bed of shot is uncertain by about as much.
-MACHINABLE = 1e-4
+MIN_MACHINABLE_CLEARANCE = 1e-4
 #: Weight of the mean over the levels relative to the worst level in the objective of the search.
 _MEAN_WEIGHT = 0.01
 
@@ -33,61 +33,61 @@ def rank_trials(trials: Iterable[Trial]) -> list[Trial]:
     worst = EQUAL_RATIO * min(trial.peak.size for trial in trials)
     mean = EQUAL_RATIO * min(trial.mean for trial in trials if trial.peak.size <= worst)
 
-    def merits(trial: Trial) -> tuple[float, ...]:
+    def criteria(trial: Trial) -> tuple[float, ...]:
         choice = trial.choice
         return (
             max(trial.peak.size, worst),
             max(trial.mean, mean),
             round(choice.mass, 9),
             len(choice.bodies),
-            min(choice.clearances) < MACHINABLE,
+            min(choice.clearances) < MIN_MACHINABLE_CLEARANCE,
             choice.has_ceiling,
         )
 
-    best = min(map(merits, trials))
-    alike = [np.log(trial.choice.clearances[0]) for trial in trials if merits(trial) == best]
-    middle = 0.5 * (min(alike) + max(alike))
+    best = min(map(criteria, trials))
+    equal_clearances = [np.log(trial.choice.clearances[0]) for trial in trials if criteria(trial) == best]
+    middle = 0.5 * (min(equal_clearances) + max(equal_clearances))
 
     def from_middle(trial: Trial) -> float:
         clearance = float(np.log(trial.choice.clearances[0]))
         return 0.0 if clearance == middle else abs(clearance - middle)
 
-    order = sorted(trials, key=lambda trial: (merits(trial), from_middle(trial), trial.choice))
-    fewer = [trial for trial in order if _equal_with_fewer(trial, order[0])]
-    first = min(fewer, key=lambda trial: len(trial.choice.bodies), default=order[0])
+    order = sorted(trials, key=lambda trial: (criteria(trial), from_middle(trial), trial.choice))
+    fewer_dampers = [trial for trial in order if _is_equal_with_fewer_dampers(trial, order[0])]
+    first = min(fewer_dampers, key=lambda trial: len(trial.choice.bodies), default=order[0])
     order.remove(first)
     return [first, *order]
 
 
-def equally_good(trial: Trial, best: Trial) -> bool:
-    """Whether a trial equals the best trial at the worst level and in the mean over levels."""
+def is_equally_good(trial: Trial, best: Trial) -> bool:
+    """Return whether a trial equals the best trial at the worst level and in the mean over levels."""
     return trial.peak.size <= EQUAL_RATIO * best.peak.size and trial.mean <= EQUAL_RATIO * best.mean
 
 
-def equals(trials: Iterable[Trial], best: Trial) -> list[Trial]:
+def equal_trials(trials: Iterable[Trial], best: Trial) -> list[Trial]:
     """Return equally good trials that differ from the best only in clearance, by rising clearance."""
-    alike = {
+    equal = {
         trial.choice: trial
         for trial in [*trials, best]
         if (trial.choice.bodies, trial.choice.masses) == (best.choice.bodies, best.choice.masses)
-        and equally_good(trial, best)
+        and is_equally_good(trial, best)
     }
-    return sorted(alike.values(), key=lambda trial: trial.choice.clearances)
+    return sorted(equal.values(), key=lambda trial: trial.choice.clearances)
 
 
-def _equal_with_fewer(trial: Trial, best: Trial) -> bool:
-    """Whether fewer dampers, no heavier, equal the best design within the resolution of the search."""
-    one, other = trial.choice, best.choice
+def _is_equal_with_fewer_dampers(trial: Trial, best: Trial) -> bool:
+    """Return whether fewer dampers that are not heavier equal the best design within the resolution of the search."""
+    choice, best_choice = trial.choice, best.choice
     ratio = IRREGULAR_RATIO if any(peak.simulated for peak in (*trial.peaks, *best.peaks)) else EQUAL_RATIO
     return (
-        len(one.bodies) < len(other.bodies)
-        and round(one.mass, 9) <= round(other.mass, 9)
+        len(choice.bodies) < len(best_choice.bodies)
+        and round(choice.mass, 9) <= round(best_choice.mass, 9)
         and trial.peak.size <= ratio * best.peak.size
         and trial.mean <= ratio * best.mean
     )
 
 
-def merit(trial: Trial) -> float:
+def objective(trial: Trial) -> float:
     """Return the objective to be minimized; all levels contribute, for a gradient where the worst peak is flat."""
     return float(np.log(trial.peak.size) + _MEAN_WEIGHT * np.log(trial.mean))
 

@@ -17,14 +17,14 @@ from rig.system.open_loop_drive import level_of, with_ideal_force
 from rig.system.structural_model import structural_model
 
 #: Default force levels of the optimization, relative to the level of the scene's test.
-LEVELS = (0.5, 1.0, 2.0)
-#: Default range of clearances, relative to the largest displacement without dampers at the smallest and largest
-#: level. Effective dampers reduce the displacement to a tenth to a third of that, and need about twice as much
-#: clearance.
-NARROWEST = 0.03
-WIDEST = 1.5
+DEFAULT_LEVEL_RATIOS = (0.5, 1.0, 2.0)
+#: Default smallest clearance, relative to the largest displacement without dampers at the smallest level.
+MIN_CLEARANCE_RATIO = 0.03
+#: Default largest clearance, relative to the largest displacement without dampers at the largest level. Effective
+#: dampers reduce the displacement to a tenth to a third of that, and need about twice as much clearance.
+MAX_CLEARANCE_RATIO = 1.5
 #: Default limit of the added mass, as a share of the structure's mass.
-BUDGET = 0.05
+DEFAULT_MASS_RATIO = 0.05
 
 
 def mass_of(budget: float | str | None, scene: Scene) -> float:
@@ -33,7 +33,7 @@ def mass_of(budget: float | str | None, scene: Scene) -> float:
     Raises `SceneError` if it is not one of these.
     """
     if budget is None:
-        return BUDGET * total_mass(scene)
+        return DEFAULT_MASS_RATIO * total_mass(scene)
     if not isinstance(budget, str):
         return budget
     try:
@@ -49,21 +49,21 @@ def mass_of(budget: float | str | None, scene: Scene) -> float:
         ) from None
 
 
-def _bodies(given: Sequence[int | str] | None, scene: Scene, name: str) -> tuple[int, ...]:
-    everywhere = range(1, scene.structure.bodies + 1)
-    listed = [given] if isinstance(given, int | str) else given
+def _bodies(requested: Sequence[int | str] | None, scene: Scene, name: str) -> tuple[int, ...]:
+    all_bodies = range(1, scene.structure.bodies + 1)
+    names = [requested] if isinstance(requested, int | str) else requested
     try:
         return tuple(
-            sorted(body_number(one, scene.structure.names, len(everywhere)) for one in listed or everywhere)
+            sorted(body_number(body, scene.structure.names, len(all_bodies)) for body in names or all_bodies)
         )
     except SceneError as error:
         raise SceneError(f"{name}: {error}") from None
 
 
-def _range(given: Sequence[float | str], kind: Kind, name: str) -> tuple[float, float]:
-    ends = positive_values(given, kind, name).tolist()
+def _range(values: Sequence[float | str], kind: Kind, name: str) -> tuple[float, float]:
+    ends = positive_values(values, kind, name).tolist()
     if len(ends) != 2 or not ends[0] < ends[1]:
-        raise SceneError(f"{name}: got {', '.join(map(str, given))}; expected two, the smaller one first")
+        raise SceneError(f"{name}: got {', '.join(map(str, values))}; expected two, the smaller one first")
     return ends[0], ends[1]
 
 
@@ -100,32 +100,41 @@ def parse_request(
 
     Raises `SceneError` if no candidate designs remain, or nothing drives the structure.
     """
-    may_carry, count = _bodies(bodies, scene, "bodies"), tuple(sorted({*_bodies(watched, scene, "watched")}))
-    if not 1 <= dampers <= len(may_carry):
+    carriers, evaluated = (
+        _bodies(bodies, scene, "bodies"),
+        tuple(sorted({*_bodies(watched, scene, "watched")})),
+    )
+    if not 1 <= dampers <= len(carriers):
         raise SceneError(
-            f"dampers: got {dampers}; expected 1 to {len(may_carry)}, one for each body that may carry "
+            f"dampers: got {dampers}; expected 1 to {len(carriers)}, one for each body that may carry "
             "one. Name a body twice for two dampers in it."
         )
-    shares = tuple(number(share, RATIO, "uncertain") for share in uncertain)
-    if len(shares) != 2 or not all(0.0 <= share < 0.9 for share in shares):
-        raise SceneError(f"uncertain: got {shares}; expected two shares from 0 to below 90 %")
-    total, most = total_mass(scene), mass_of(budget, scene)
-    if not 0.0 < most < total:
+    uncertainties = tuple(number(uncertainty, RATIO, "uncertain") for uncertainty in uncertain)
+    if len(uncertainties) != 2 or not all(0.0 <= uncertainty < 0.9 for uncertainty in uncertainties):
+        raise SceneError(f"uncertain: got {uncertainties}; expected two shares from 0 to below 90 %")
+    total, max_mass = total_mass(scene), mass_of(budget, scene)
+    if not 0.0 < max_mass < total:
         raise SceneError(
-            f"budget: got {most:g} kg; expected more than 0 and less than the structure's mass of {total:g} kg"
+            f"budget: got {max_mass:g} kg; expected more than 0 and less than the structure's mass of {total:g} kg"
         )
     if scene.gravity == 0.0:
         raise SceneError(
             "gravity: got 0; expected more than 0, because dampers without weight do not return to their floor"
         )
     landings = landings_from(scene.dampers)
-    plain = with_ideal_force(_under_force(scene.replace(dampers=[], channels=None), levels))
-    usual = [level_of(plain) * factor for factor in LEVELS]
-    forces = tuple(sorted(positive_values(levels or usual, FORCE, "levels").tolist()))
-    ends = _range(band or tuple(columns(plain, points=2).tolist()), FREQUENCY, "band")
-    places = Space.places_of(may_carry, dampers)
-    question = Question(variants(plain, *shares), forces, ends, count, landings)
+    undamped = with_ideal_force(_under_force(scene.replace(dampers=[], channels=None), levels))
+    default_levels = [level_of(undamped) * factor for factor in DEFAULT_LEVEL_RATIOS]
+    forces = tuple(sorted(positive_values(levels or default_levels, FORCE, "levels").tolist()))
+    band_ends = _range(band or tuple(columns(undamped, points=2).tolist()), FREQUENCY, "band")
+    locations = Space.locations_of(carriers, dampers)
+    question = Question(variants(undamped, *uncertainties), forces, band_ends, evaluated, landings)
     if clearance is not None:
-        return question, Space(places, most, _range(clearance, LENGTH, "clearance"), without_ceiling=False)
-    motion = question.bare.size
-    return question, Space(places, most, (NARROWEST * motion * forces[0], WIDEST * motion * forces[-1]))
+        return question, Space(
+            locations, max_mass, _range(clearance, LENGTH, "clearance"), without_ceiling=False
+        )
+    displacement = question.bare.size
+    return question, Space(
+        locations,
+        max_mass,
+        (MIN_CLEARANCE_RATIO * displacement * forces[0], MAX_CLEARANCE_RATIO * displacement * forces[-1]),
+    )

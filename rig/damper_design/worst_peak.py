@@ -56,43 +56,45 @@ def refined_peak(problem: OrbitProblem, response: OrbitResponse, body: int) -> t
         return largest, frequency
     neighbours = slice(i - 1, i + 2)
     if response.simulated[neighbours].all():
-        curvature, slope, least = np.polyfit(
+        curvature, slope, value_at_center = np.polyfit(
             response.value[neighbours] - frequency, size[neighbours] ** -2.0, 2
         ).tolist()
-        lowest = least - slope**2 / (4 * curvature) if curvature > 0.0 else 0.0
-        if lowest > 0.0:
-            return lowest**-0.5, frequency - slope / (2 * curvature)
+        minimum = value_at_center - slope**2 / (4 * curvature) if curvature > 0.0 else 0.0
+        if minimum > 0.0:
+            return minimum**-0.5, frequency - slope / (2 * curvature)
     if orbit is None:
         return largest, frequency
 
     def negative_size(trial: float) -> float:
-        setting = OperatingPoint(float(trial), orbit.setting.force)
+        operating_point = OperatingPoint(float(trial), orbit.setting.force)
         try:
-            found = solve(problem, orbit.plan, setting, orbit.unknowns)
+            solution = solve(problem, orbit.plan, operating_point, orbit.unknowns)
         except RunError:
             return 0.0
-        return 0.0 if found.flaw or not found.stable else -abs(found.compliance[body - 1])
+        return 0.0 if solution.flaw or not solution.stable else -abs(solution.compliance[body - 1])
 
     bounds = (float(response.value[i - 1]), float(response.value[i + 1]))
-    top = minimize_scalar(negative_size, bounds=bounds, method="bounded", options={"xatol": 1e-3})
-    return (float(-top.fun), float(top.x)) if -top.fun > largest else (largest, frequency)
+    optimum = minimize_scalar(negative_size, bounds=bounds, method="bounded", options={"xatol": 1e-3})
+    return (float(-optimum.fun), float(optimum.x)) if -optimum.fun > largest else (largest, frequency)
 
 
 def linear_peak(scene: Scene, level: float, frequencies: Array, bodies: Sequence[int]) -> Peak:
     """Compute the largest peak of the given bodies without dampers."""
     rows = [body - 1 for body in bodies]
 
-    def largest(trial: float) -> float:
+    def largest_size(trial: float) -> float:
         return float(abs(receptance(scene, [trial])[rows]).max())
 
     size = abs(receptance(scene, frequencies)[rows]).max(axis=0)
     i = int(size.argmax())
     bounds = frequencies[max(i - 1, 0)], frequencies[min(i + 1, size.size - 1)]
-    top = minimize_scalar(lambda f: -largest(f), bounds=bounds, method="bounded", options={"xatol": 1e-6})
-    frequency = max(float(top.x), float(frequencies[i]), key=largest)
-    each = abs(receptance(scene, [frequency])[rows, 0])
-    body, best = bodies[int(each.argmax())], float(each.max())
-    return Peak(best, frequency, level, body, best * level * (2 * np.pi * frequency) ** 2, 0.0)
+    optimum = minimize_scalar(
+        lambda f: -largest_size(f), bounds=bounds, method="bounded", options={"xatol": 1e-6}
+    )
+    frequency = max(float(optimum.x), float(frequencies[i]), key=largest_size)
+    sizes = abs(receptance(scene, [frequency])[rows, 0])
+    body, largest = bodies[int(sizes.argmax())], float(sizes.max())
+    return Peak(largest, frequency, level, body, largest * level * (2 * np.pi * frequency) ** 2, 0.0)
 
 
 def peak_at(problem: OrbitProblem, level: float, frequencies: Array, bodies: Iterable[int]) -> Peak:

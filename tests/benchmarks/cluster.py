@@ -43,15 +43,17 @@ def main() -> int:
     """Print all results; return exit code 1 if the files differ."""
     name = sys.argv[1] if len(sys.argv) > 1 else "fig8-three-dampers"
     request, space = parse_request(rig.load(name))
-    choice = Choice(space.places[0], (space.mass,), space.clearance[:1])
+    choice = Choice(space.locations[0], (space.mass,), space.clearance[:1])
     question = request.parts[0]
     task_input = question, choice
     print(f"a task and its piece: {len(pickle.dumps((empty_task, task_input)))} bytes; ", end="")
     print(f"its result: {len(pickle.dumps(question.worst(choice)))} bytes")
     start = time.process_time()
-    for place in space.places:
+    for place in space.locations:
         request.worst(Choice(place, (space.mass,), space.clearance[1:]))
-    print(f"it computes for {(time.process_time() - start) / len(space.places) / len(request.parts):.2f} s")
+    print(
+        f"it computes for {(time.process_time() - start) / len(space.locations) / len(request.parts):.2f} s"
+    )
     with Workers("local") as workers:
         list(workers.compute(empty_task, [task_input]))
         # The scheduler is in this process.

@@ -26,8 +26,8 @@ from scipy.stats import qmc
 import analysis
 import daq
 import rig
-from rig.damper_design.choice import COARSE, FINE, Choice, Question
-from rig.damper_design.search import CLEARANCES, COMPARED, SHARES
+from rig.damper_design.choice import COARSE_DENSITY, FINE_DENSITY, Choice, Question
+from rig.damper_design.search import FINAL_DESIGNS, GRID_CLEARANCES, GRID_MASS_RATIOS
 from rig.damper_design.worst_peak import Peak
 from rig.system.structural_model import natural_modes, receptance, structure_matrices
 from tests.gauntlet.scenes import Draw, Settings, structure
@@ -114,8 +114,8 @@ def brute_force(design: rig.Design, places: list[tuple[int, ...]]) -> Iterator[C
     levels, dampers = len(design.question.levels), design.space.dampers
     search_cost = (
         len(design.trials) * levels
-        + len(places) * len(SHARES) * CLEARANCES
-        + COMPARED * levels * FINE // COARSE
+        + len(places) * len(GRID_MASS_RATIOS) * GRID_CLEARANCES
+        + FINAL_DESIGNS * levels * FINE_DENSITY // COARSE_DENSITY
     )
     count = -(-COST_FACTOR * search_cost // (levels * len(places) * len(_MASS_FRACTIONS)))
     points = qmc.Halton(2 * dampers - 1, scramble=False).random(count)
@@ -144,7 +144,7 @@ def worst_peak_below(question: Question, order: list[float], bound: float, choic
 
 def best_peak(design: rig.Design, choices: list[Choice], workers: ProcessPoolExecutor) -> float:
     """Return the smallest worst peak of all choices on the final frequency grid of the design, m/N."""
-    fine, level = replace(design.question, density=FINE), design.best.peak.level
+    fine, level = replace(design.question, density=FINE_DENSITY), design.best.peak.level
     order = sorted(fine.levels, key=lambda candidate_level: candidate_level != level)
     peak_below = partial(worst_peak_below, design.question, order, design.best.peak.size)
     candidates = [
@@ -174,7 +174,7 @@ def run_trial(seed: int, number: int, workers: ProcessPoolExecutor) -> bool:
     start = time.perf_counter()
     design = rig.design(scene, **requirements)
     seconds = time.perf_counter() - start
-    places = [place for place in design.space.places if len(place) == design.space.dampers]
+    places = [place for place in design.space.locations if len(place) == design.space.dampers]
     choices = list(brute_force(design, places))
     best = best_peak(design, choices, workers)
     brute_force_seconds = time.perf_counter() - start - seconds

@@ -30,7 +30,7 @@ from analysis.reproduction.bed_study import (
     table,
 )
 from rig.bed_response.steady_bed import as_one_mass, steady_mass
-from rig.damper_design.figure import BELOW_CEILING, MIDDLE_HALF, WITHOUT_CEILING
+from rig.damper_design.figure import BELOW_CEILING, INTERQUARTILE_RANGE, WITHOUT_CEILING
 from rig.errors import RunError
 from rig.steady_response.frequency_response import frequency_response
 from rig.workers import Workers
@@ -207,4 +207,4 @@ def test_design_quotes_counts_of_the_bundled_table() -> None:
     deviations, without_ceiling = deviation(beds, "compliance"), np.isinf(beds["clearance"])
     for quoted, selected in ((WITHOUT_CEILING, without_ceiling), (BELOW_CEILING, ~without_ceiling)):
         assert quoted == (int((np.abs(deviations[selected]) <= MAX_DEVIATION).sum()), int(selected.sum()))
-    assert tuple(np.round(100 * np.quantile(deviations[~without_ceiling], [0.25, 0.75]))) == MIDDLE_HALF
+    assert tuple(np.round(100 * np.quantile(deviations[~without_ceiling], [0.25, 0.75]))) == INTERQUARTILE_RANGE

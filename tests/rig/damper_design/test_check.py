@@ -7,7 +7,7 @@ import pytest
 
 import rig
 from rig.damper_design.check import check, expected
-from rig.damper_design.choice import INSTANT, Choice, Trial
+from rig.damper_design.choice import INSTANTANEOUS, Choice, Trial
 from rig.damper_design.request import parse_request
 from rig.damper_design.worst_peak import Peak
 from rig.scene.excitation import SteppedSine
@@ -36,7 +36,7 @@ def test_expectation_includes_force_harmonics() -> None:
     assert one.sizes is not None
     low, size, high = one.sizes
     assert low < size < high < 1.01 * low
-    plain = scene.replace(channels=None, dampers=choice.dampers(INSTANT))
+    plain = scene.replace(channels=None, dampers=choice.dampers(INSTANTANEOUS))
     for force, bound in ((1.5 * 1.005, low), (1.5, size), (1.5 * 0.995, high)):
         there = plain.replace(test={"kind": "sine", "frequency": peak.frequency, "force": force})
         steady = abs(rig.frequency_response(there, [peak.frequency]).compliance[peak.body - 1, 0])

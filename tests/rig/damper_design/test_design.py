@@ -17,7 +17,7 @@ import daq
 import rig
 from rig.damper_design.answers import Answers
 from rig.damper_design.check import Expected
-from rig.damper_design.choice import FINE, INSTANT, Choice
+from rig.damper_design.choice import FINE_DENSITY, INSTANTANEOUS, Choice
 from rig.damper_design.design import chart_levels
 from rig.damper_design.figure import clearance_label, grain_check, next_step, summary, write
 from rig.damper_design.request import mass_of, parse_request
@@ -42,7 +42,7 @@ def chosen(table: Path) -> rig.Design:
 
 @pytest.mark.thorough
 def test_design_matches_a_fine_clearance_grid(chosen: rig.Design) -> None:
-    question = replace(chosen.question, density=FINE)
+    question = replace(chosen.question, density=FINE_DENSITY)
     clearances = np.geomspace(0.5, 2.0, 25) * chosen.best.choice.clearances[0]
     others = [question.worst(replace(chosen.best.choice, clearances=(c,))).size for c in clearances]
     assert chosen.best.peak.size < 1.01 * min(others)
@@ -104,11 +104,11 @@ def test_torn_table_loses_no_answer(tmp_path: Path) -> None:
     question, _ = parse_request(rig.load("fig9"), bodies=[2], levels=[0.5], band=(49.0, 50.0), watched=[2])
     choices = [Choice((2,), (0.05,), (clearance,)) for clearance in (1e-3, 2e-3)]
     with Workers() as workers:
-        first = Answers(workers, table, None, 1).of(question, choices[:1])
+        first = Answers(workers, table, None, 1).compute(question, choices[:1])
         with table.open("a") as file:
             # What open quotes hold is no longer than their line, and no line too long to be read.
             file.write('"' + "x" * 200_000 + "\n" + '"torn,2,0.1')
-        second = Answers(workers, table, None, 1).of(question, choices[1:])
+        second = Answers(workers, table, None, 1).compute(question, choices[1:])
         read = Answers(workers, table, None, 1)
     assert [read.trial(question, choice) for choice in choices] == first + second
 
@@ -154,14 +154,14 @@ def test_body_named_twice_carries_two() -> None:
     question, space = parse_request(
         rig.load("fig9"), bodies=[2, 1, 2], dampers=2, levels=[3.3], watched=[2, 2]
     )
-    assert (space.places, question.bodies) == (((1,), (2,), (1, 2), (2, 2)), (2,))
+    assert (space.locations, question.bodies) == (((1,), (2,), (1, 2), (2, 2)), (2,))
 
 
 def test_two_dampers_give_their_settled_peak() -> None:
     question, _ = parse_request(rig.load("fig9"), levels=[3.3], band=(48.5, 50.5), watched=[2])
     choice = Choice((2, 2), (0.06, 0.04), (1e-3, 1.1e-3))
     peak = question.worst(choice)
-    scene = question.scenes[0].replace(dampers=choice.dampers(INSTANT))
+    scene = question.scenes[0].replace(dampers=choice.dampers(INSTANTANEOUS))
     settled = np.abs(rig.frequency_response(scene, np.linspace(48.5, 50.5, 31)).compliance[1])
     assert peak.size == pytest.approx(settled.max(), rel=0.01)
 
@@ -196,7 +196,7 @@ def test_quantities_with_units_are_accepted() -> None:
         uncertain=["20 %", 0.0],
     )
     assert space.mass == pytest.approx(0.1045) and mass_of("50 g", scene) == pytest.approx(0.05)
-    assert (space.places, space.clearance, question.levels) == (((1,), (3,)), (1e-3, 2e-3), (1.0, 3.0))
+    assert (space.locations, space.clearance, question.levels) == (((1,), (3,)), (1e-3, 2e-3), (1.0, 3.0))
     with pytest.raises(SceneError, match="band: got 40 Hz; expected two"):
         parse_request(scene, band=["40 Hz"])
 

@@ -9,7 +9,7 @@ import pytest
 
 import rig
 from rig.damper_design.check import check
-from rig.damper_design.choice import INSTANT, Choice, Trial, landings_from
+from rig.damper_design.choice import INSTANTANEOUS, Choice, Trial, landings_from
 from rig.damper_design.request import parse_request
 from rig.errors import SceneError
 
@@ -31,7 +31,7 @@ def test_new_dampers_land_as_the_scenes() -> None:
     trial = Trial(choice, (peak,))
     checked = check(scene, trial, question)
     assert [(one.restitution, one.contact) for one in checked.dampers] == [(0.2, scene.dampers[0].contact)]
-    instant = replace(question, landings=INSTANT)
+    instant = replace(question, landings=INSTANTANEOUS)
     assert instant.digest != question.digest and instant.worst(choice).size != pytest.approx(
         peak.size, rel=1e-3
     )
@@ -42,7 +42,7 @@ def test_first_of_different_landings_is_taken() -> None:
     assert (landings.restitution, landings.taken) == (0.2, "as the scene's first; others of it differ")
     walls = {"contact": {"floor": {"duration": "4 ms"}, "ceiling": {"duration": "1 ms"}}}
     assert "in 4 ms on floors and 1 ms on ceilings" in str(landings_from(with_dampers(walls).dampers))
-    assert landings_from(()) == INSTANT and "at once, restitution 0" in str(INSTANT)
+    assert landings_from(()) == INSTANTANEOUS and "at once, restitution 0" in str(INSTANTANEOUS)
 
 
 def test_contact_by_stiffness_is_rejected() -> None:

@@ -10,7 +10,7 @@ import pytest
 import daq
 import rig
 from rig.damper_design.check import Expected
-from rig.damper_design.overloads import impact_acceleration, overload_lines, overloads
+from rig.damper_design.overloads import impact_acceleration, overload_lines, predict_overloads
 from rig.damper_design.worst_peak import Peak
 from rig.system.assembly import assemble
 
@@ -52,14 +52,14 @@ def test_finite_landings_overload_a_small_sensor(contact: dict[str, Any] | None,
         daq.record(limited, path)
         with daq.open(path) as recording:
             recorded = {mark.fields["channel"] for mark in recording.overloads}
-        names = [each.reason.partition(":")[0] for each in overloads(limited, [expected], SMALL)]
+        names = [each.reason.partition(":")[0] for each in predict_overloads(limited, [expected], SMALL)]
         assert names == (["struck"] if share < 1.0 else [])
         assert recorded == ({"struck"} if share < 1.0 else set())
 
 
 def test_instant_landings_without_resonance_are_skipped() -> None:
     scene = _scene(None, {"saturation": "5000 g"})
-    (found,) = overloads(scene, [_expected(scene)], SMALL)
+    (found,) = predict_overloads(scene, [_expected(scene)], SMALL)
     assert (
         found.reason.startswith("struck: up to")
         and "saturates at 5000 g, from landings of up to" in found.reason
@@ -72,13 +72,13 @@ def test_instant_landings_without_resonance_are_skipped() -> None:
 def test_no_landing_or_limit_reports_nothing() -> None:
     limited, unlimited = _scene(None, {"saturation": "5 g"}), _scene(None, {})
     riding = Expected(Peak(1e-4, HZ, FORCE, 2, 1.0, 0.0), None, (0.0,))
-    assert not overloads(limited, [riding], SMALL)
-    assert not overloads(unlimited, [_expected(unlimited)], SMALL)
+    assert not predict_overloads(limited, [riding], SMALL)
+    assert not predict_overloads(unlimited, [_expected(unlimited)], SMALL)
 
 
 def test_steady_motion_overloads_a_small_sensor() -> None:
     riding = Expected(Peak(1e-4, HZ, FORCE, 2, 1.0, 0.0), None, (0.0,))
-    found = overloads(_scene(None, {"saturation": "2 g"}), [riding], SMALL)
+    found = predict_overloads(_scene(None, {"saturation": "2 g"}), [riding], SMALL)
     assert [each.changes for each in found] == [
         ("channels[2].accelerometer.saturation=6g",),
         ("channels[3].accelerometer.saturation=6g",),
@@ -88,5 +88,5 @@ def test_steady_motion_overloads_a_small_sensor() -> None:
 def test_a_small_converter_range_is_named() -> None:
     riding = Expected(Peak(1e-4, HZ, FORCE, 2, 1.0, 0.0), None, (0.0,))
     scene = _scene(None, {"sensitivity": "1 V/g"}).replace(converter={"rate": "5120 Hz", "range": "2 V"})
-    (found,) = overloads(scene, [riding], SMALL)
+    (found,) = predict_overloads(scene, [riding], SMALL)
     assert found.changes == ("converter.range=4.8V",)

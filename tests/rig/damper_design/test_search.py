@@ -75,7 +75,7 @@ def test_equal_single_damper_is_named() -> None:
 
 def test_search_finds_the_best_number_of_dampers() -> None:
     question = Lone((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
-    _, trials = search_at_once(question, Space(Space.places_of((1, 2), 2), 0.1, (1e-4, 1e-2)))
+    _, trials = search_at_once(question, Space(Space.locations_of((1, 2), 2), 0.1, (1e-4, 1e-2)))
     for row in front(trials):
         alone = Choice((2,), (row.choice.mass,), (1e-3,))
         assert row.peak.size <= 1.005 * question.worst(alone).size
@@ -116,7 +116,7 @@ class Shuffled:
 @pytest.mark.parametrize(("dampers", "seed", "until"), [(1, 1, 30), (1, 2, 120), (2, 3, 300)])
 def test_killed_search_continues_in_order(dampers: int, seed: int, until: int, tmp_path: Path) -> None:
     question = Bowl((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
-    space = Space(Space.places_of((1, 2, 3), dampers), 0.1, (1e-4, 1e-2))
+    space = Space(Space.locations_of((1, 2, 3), dampers), 0.1, (1e-4, 1e-2))
 
     def searched(workers: Any, table: Path) -> tuple[Trial, list[Trial]]:
         answers = Answers(workers, table, None, 1)

@@ -13,9 +13,9 @@ import rig
 from rig.damper_design.answers import Answers
 from rig.damper_design.choice import Choice, Question, Space, Trial
 from rig.damper_design.flight import Flight, flight, idle_levels, shortfall
-from rig.damper_design.other_modes import best_outside, mode_peaks, modes_of
+from rig.damper_design.other_modes import mode_peaks, mode_questions_of, select_outside_band
 from rig.damper_design.request import parse_request
-from rig.damper_design.tolerance import tolerance
+from rig.damper_design.tolerance import clearance_tolerance
 from rig.damper_design.worst_peak import Peak
 
 SPACE = Space(((1,),), 0.1, (1e-4, 1e-2))
@@ -64,7 +64,7 @@ def _trial(question: Question, clearance: float) -> Trial:
 def test_tolerance_gives_both_edges_of_a_plateau() -> None:
     question = _question(Plateau)
     tried = [_trial(question, clearance) for clearance in np.geomspace(1e-4, 1e-2, 10)]
-    found = tolerance(question, SPACE, _trial(question, 4.6e-3), tried, _answers())
+    found = clearance_tolerance(question, SPACE, _trial(question, 4.6e-3), tried, _answers())
     assert found.low == pytest.approx(3.5e-3, rel=0.06) and found.high == pytest.approx(4.62e-3, rel=0.06)
     assert not any(found.limited) and "build to the middle" in str(found)
 
@@ -73,7 +73,7 @@ def test_tolerance_gives_both_edges_of_a_plateau() -> None:
 def test_tolerance_is_open_where_no_ceiling_is_reached(chosen: float) -> None:
     question = _question(Unreached)
     space = Space(((1,),), 0.1, (1e-6, 1e-2))
-    found = tolerance(question, space, _trial(question, chosen), [], _answers())
+    found = clearance_tolerance(question, space, _trial(question, chosen), [], _answers())
     assert found.low == pytest.approx(7e-6, rel=0.06) and np.isinf(found.high)
     assert "for every clearance above" in str(found)
 
@@ -82,7 +82,7 @@ def test_equals_are_decided_by_the_modes_outside() -> None:
     question = _question(Plateau)
     tried = [_trial(question, clearance) for clearance in (3.6e-3, 4e-3, 4.6e-3)]
     # Outside the band, the peaks differ by more than equal designs do.
-    low = best_outside(_question(Steep), tried, tried[-1], _answers())
+    low = select_outside_band(_question(Steep), tried, tried[-1], _answers())
     assert low.choice.clearances == (3.6e-3,)
 
 
@@ -103,7 +103,7 @@ def test_modes_inside_and_outside_the_band_are_listed() -> None:
     trial = Trial(choice, (question.worst(choice),))
     modes = mode_peaks(question, trial, _answers())
     assert [mode.inside for mode in modes] == [False, False, True]
-    assert [frequency for frequency, _ in modes_of(question)] == [mode.frequency for mode in modes]
+    assert [frequency for frequency, _ in mode_questions_of(question)] == [mode.frequency for mode in modes]
     for mode in modes:
         # So light, and so weakly driven, that it changes nothing.
         assert mode.damped[0].size == pytest.approx(mode.bare.size, rel=1e-3)

@@ -238,7 +238,7 @@ def _describe_landing(beds: Columns) -> str:
     phase_lag = (beds["grains_landing"] - beds["mass_landing"])[mass_flies]
     return (
         f"Where the mass flies, grains land {np.median(phase_lag):+.0f}° later in the period (median; within "
-        f"{SAME_LANDING_DEG:g}° in {_count_within(phase_lag, SAME_LANDING_DEG)} of {len(phase_lag)}). Both ride or "
-        f"both fly in {int(same_state.sum())} of {len(same_state)} settings; both or neither hit the ceiling in "
-        f"{int((grains == mass).sum())}."
+        f"{SAME_LANDING_DEG:g}° in {_count_within(phase_lag, SAME_LANDING_DEG)} of {len(phase_lag)}). Both stay at "
+        f"rest or both fly in {int(same_state.sum())} of {len(same_state)} settings; both or neither hit the ceiling "
+        f"in {int((grains == mass).sum())}."
     )

@@ -231,7 +231,7 @@ def test_finite_duration_motion_and_energy_are_true(tmp_path):
         test={"kind": "stepped_sine", "frequencies": (46.0, 48.0, 55.0), "force": 3.3},
         recording={"truth": True, "display": False},
     )
-    with daq.open(daq.record(scene, tmp_path / "lasting.mcap")) as rec:
+    with daq.open(daq.record(scene, tmp_path / "finite.mcap")) as rec:
         [sweep] = sweeps(rec)
         names = [motion.name for motion in damper_motion(rec, sweep, "body2")]
         energy, true_energy = energy_per_cycle(rec, sweep), impact_energy_per_cycle(rec, sweep)

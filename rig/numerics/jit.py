@@ -62,7 +62,8 @@ def _digest(folder: Path) -> str:
         for text in texts:
             digest.update(text)
         for name in sorted({name for text in texts for name in _IMPORTS.findall(text)}):
-            imported = (_ROOT / name.decode().replace(".", "/")).parent
+            module = _ROOT / name.decode().replace(".", "/")
+            imported = module if module.is_dir() else module.parent
             if imported not in visited and _has_kernels(imported):
                 pending.append(imported)
             visited.add(imported)

@@ -40,7 +40,7 @@ class Landings:
     def __str__(self) -> str:
         """Describe the landings.
 
-        >>> print(Landings(0.2, taken="as the scene's"))
+        >>> print(Landings(0.2, origin="as the scene's"))
         new dampers land at once, restitution 0.2: as the scene's
         """
         contact, restitution = _format_contact(self.contact), format_number(self.restitution)

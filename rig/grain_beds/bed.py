@@ -34,7 +34,7 @@ class Bed:
     """Grains in a cavity.
 
     `spheres`: their settings; `positions`, shape (grains, 3): m; the axis of the cavity is z, its floor at 0;
-    `ceiling`: height of the ceiling, m; may be infinite; `gravity`: m/s^2; `step`: step of time, s.
+    `ceiling`: height of the ceiling, m; may be infinite; `gravity`: m/s^2; `step`: time step, s.
     """
 
     def __init__(
@@ -43,33 +43,33 @@ class Bed:
         self.mass, self.gravity, self.step = spheres.mass, gravity, step
         self.walls = tuple(name for name in WALLS if name != "ceiling" or math.isfinite(ceiling))
         self._count = len(positions)
-        self._of_two, self._on_walls = _laws(spheres, ceiling, step)
+        self._grain_law, self._wall_commands = _contact_laws(spheres, ceiling, step)
         self._diameter = float(spheres.diameters().max())
         self._lammps = self._new_lammps()
-        side = 1.1 * (0.5 * spheres.settings.cavity) + self._diameter
-        low, top = -self._diameter, float(positions[:, 2].max()) + self._diameter
-        box = f"region box block {-side!r} {side!r} {-side!r} {side!r} {low!r} {top!r}"
-        self._do(*_BEFORE, box, "create_box 1 box")
+        half_width = 1.1 * (0.5 * spheres.settings.cavity) + self._diameter
+        bottom, top = -self._diameter, float(positions[:, 2].max()) + self._diameter
+        box = f"region box block {-half_width!r} {half_width!r} {-half_width!r} {half_width!r} {bottom!r} {top!r}"
+        self._command(*_SETUP_COMMANDS, box, "create_box 1 box")
         self._define_model()
         flat = np.ascontiguousarray(positions, dtype=np.float64).ravel()
         numbers = list(range(1, self._count + 1))
         self._call(self._lammps.create_atoms, self._count, numbers, [1] * self._count, flat.tolist())
         for atom, diameter in enumerate(spheres.diameters().tolist(), 1):
-            self._do(f"set atom {atom} diameter {diameter!r}")
-        self._do(f"set group all density {spheres.density()!r}")
-        self._begin()
+            self._command(f"set atom {atom} diameter {diameter!r}")
+        self._command(f"set group all density {spheres.density()!r}")
+        self._initialize()
         self._centre = self.centre
 
     def stored(self) -> bytes:
-        """Return the state of the grains with the histories of their contacts, for `resume`.
+        """Return the state of the grains and of their contacts, for `resume`.
 
         Neighbours and forces are computed again here and in `resume`, so that both beds continue with the same bits;
         without this call the bits would differ.
         """
         with TemporaryDirectory() as folder:
             file = Path(folder) / "bed"
-            self._do(f'write_restart "{file}"', "run 0 post no")
-            # Of several ranks the first writes the state of all.
+            self._command(f'write_restart "{file}"', "run 0 post no")
+            # With several ranks, the first writes the state of all.
             return file.read_bytes() if file.exists() else b""
 
     def resume(self, stored: bytes) -> None:
@@ -79,20 +79,20 @@ class Bed:
         with TemporaryDirectory() as folder:
             file = Path(folder) / "bed"
             file.write_bytes(stored)
-            self._do(*_BEFORE, f'read_restart "{file}"')
+            self._command(*_SETUP_COMMANDS, f'read_restart "{file}"')
             self._define_model()
-            self._begin()
+            self._initialize()
 
     def advance(self, steps: int = 1) -> None:
         """Advance by a number of steps."""
-        self._do(f"run {steps} pre no post no")
+        self._command(f"run {steps} pre no post no")
 
     def slow(self, relaxation: float) -> None:
-        """Slow each grain down from now on with a time constant in s; for packing."""
-        self._do(f"fix slow all viscous {float(self._masses.mean()) / relaxation!r}", "run 0 post no")
+        """Add a viscous drag to each grain, with a time constant in s; for packing."""
+        self._command(f"fix slow all viscous {float(self._masses.mean()) / relaxation!r}", "run 0 post no")
 
     def lower(self, depth: float) -> None:
-        """Move the ceiling, from the next step on, to a depth below its first height, m."""
+        """Move the ceiling, from the next step on, to a depth below its initial height, m."""
         self._call(self._lammps.set_internal_variable, "lid", -depth)
 
     def stop(self) -> None:
@@ -105,8 +105,8 @@ class Bed:
 
     def forces(self) -> Array:
         """Upward force of floor, ceiling and side on the grains, N; shape (3,)."""
-        own = [self._contacts[name][:, 3].sum() if name in self._contacts else 0.0 for name in WALLS]
-        return self._total(np.array(own))
+        forces = [self._contacts[name][:, 3].sum() if name in self._contacts else 0.0 for name in WALLS]
+        return self._total(np.array(forces))
 
     @property
     def momentum(self) -> float:
@@ -134,24 +134,24 @@ class Bed:
         return self._position.copy()
 
     def _define_model(self) -> None:
-        self._do(
+        self._command(
             f"neighbor {0.25 * self._diameter!r} bin",
             "neigh_modify every 1 delay 0 check yes",
             "comm_modify vel yes",
             "pair_style granular",
-            f"pair_coeff * * {self._of_two}",
+            f"pair_coeff * * {self._grain_law}",
             "fix move all nve/sphere",
             f"fix weight all gravity {self.gravity!r} vector 0 0 -1",
             f"timestep {self.step!r}",
             "thermo 1000000000",
             "variable lid internal 0.0",
             "variable lowered equal v_lid",
-            *self._on_walls,
+            *self._wall_commands,
         )
 
-    def _begin(self) -> None:
+    def _initialize(self) -> None:
         """Compute neighbours and forces, and view LAMMPS's arrays."""
-        self._do("run 0 post no")
+        self._command("run 0 post no")
         self._view()
 
     def _new_lammps(self) -> Any:
@@ -163,19 +163,19 @@ class Bed:
 
     def _view(self) -> None:
         """View LAMMPS's arrays of the grains; they do not move, as number and order of the grains do not change."""
-        own, view = self._lammps.extract_setting("nlocal"), self._lammps.numpy
+        count, arrays = self._lammps.extract_setting("nlocal"), self._lammps.numpy
         self._position, self._velocity, self._masses = (
-            view.extract_atom(name)[:own] for name in ("x", "v", "rmass")
+            arrays.extract_atom(name)[:count] for name in ("x", "v", "rmass")
         )
-        self._contacts = {name: view.extract_fix(name, _PER_ATOM, _ARRAY)[:own] for name in self.walls}
+        self._contacts = {name: arrays.extract_fix(name, _PER_ATOM, _ARRAY)[:count] for name in self.walls}
 
-    def _do(self, *commands: str) -> None:
+    def _command(self, *commands: str) -> None:
         for command in commands:
             self._call(self._lammps.command, command)
 
-    def _call(self, function: Callable[..., Any], *given: Any) -> None:
+    def _call(self, function: Callable[..., Any], *arguments: Any) -> None:
         try:
-            function(*given)
+            function(*arguments)
         except Exception as error:
             reason = str(error).strip().splitlines()[0][:200]
             raise RunError(
@@ -192,30 +192,32 @@ def contact_law(grains: Grains, restitution: float) -> str:
     )
 
 
-def _laws(spheres: Spheres, ceiling: float, step: float) -> tuple[str, tuple[str, ...]]:
+def _contact_laws(spheres: Spheres, ceiling: float, step: float) -> tuple[str, tuple[str, ...]]:
     """Write the contact law of two grains, and the commands that make the walls."""
     grains, mass = spheres.settings, spheres.mass / spheres.count
     radius, friction = 0.5 * grains.diameter, grains.side_friction
-    at_wall = restitution_at_step(grains, mass, radius, step)
-    at_end = contact_law(grains, at_wall)
-    at_side = at_end if friction is None else contact_law(grains.replace(friction=friction), at_wall)
-    of_two = contact_law(grains, restitution_at_step(grains, 0.5 * mass, 0.5 * radius, step))
+    wall_restitution = restitution_at_step(grains, mass, radius, step)
+    end_law = contact_law(grains, wall_restitution)
+    side_law = (
+        end_law if friction is None else contact_law(grains.replace(friction=friction), wall_restitution)
+    )
+    grain_law = contact_law(grains, restitution_at_step(grains, 0.5 * mass, 0.5 * radius, step))
     shapes = {"floor": "plane 0 0 0 0 0 1", "side": f"cylinder z 0 0 {0.5 * grains.cavity} INF INF"}
     if math.isfinite(ceiling):
         shapes["ceiling"] = f"plane 0 0 {float(ceiling)!r} 0 0 -1 move NULL NULL v_lowered"
     commands = []
     for name in WALLS:
         if name in shapes:
-            law = at_side if name == "side" else at_end
+            law = side_law if name == "side" else end_law
             commands += [
                 f"region {name} {shapes[name]}",
                 f"fix {name} all wall/gran/region granular {law} region {name} contacts",
             ]
-    return of_two, tuple(commands)
+    return grain_law, tuple(commands)
 
 
 #: Commands before the box is created.
-_BEFORE = (
+_SETUP_COMMANDS = (
     "units si",
     "atom_style sphere",
     # Grains keep their order, so that arrays need no look-up.

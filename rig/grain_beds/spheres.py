@@ -13,13 +13,15 @@ from rig.scene.damper import Grains
 from rig.scene.scene import Scene
 from rig.system.structural_model import structural_model
 
-#: Rayleigh's times of the smallest grain in a time step. Ten times that is still stable; this gives a rebound within
-#: 1 % of its restitution, from a restitution of `_LOW` on. Below that steps are shorter in proportion to the
-#: restitution, down to `_LOWEST`, below which a grain's rebound is negligible.
-STEP = 0.03
-_LOW, _LOWEST = 0.2, 0.1
-#: The most of them: beyond, a contact is over in a few steps, and nothing is right about it.
-LONGEST = 0.2
+#: Default time step, relative to Rayleigh's time of the smallest grain. A step ten times as long is still stable; this
+#: step gives a rebound within 1 % of the restitution.
+STEP_RATIO = 0.03
+#: Restitution below which the time step is reduced in proportion to the restitution.
+_REDUCED_STEP_RESTITUTION = 0.2
+#: Restitution below which the time step is not reduced further, because the rebound is negligible.
+_MIN_STEP_RESTITUTION = 0.1
+#: Longest permitted time step, relative to Rayleigh's time: with a longer step a contact has too few steps.
+MAX_STEP_RATIO = 0.2
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class Spheres:
     mass: float  # of the bed, kg
     clearance: float  # from the settled bed to the ceiling, m
     count: int  # number of grains
-    seed: int  # of their sizes and their places
+    seed: int  # of the random diameters and positions
 
     def diameters(self) -> NDArray[np.float64]:
         """Diameters, m; shape (count,)."""
@@ -38,44 +40,45 @@ class Spheres:
         return np.asarray(self.settings.diameter * (1.0 + self.settings.spread * sizes))
 
     def density(self) -> float:
-        """Density with which the grains weigh as much as the bed, kg/m^3."""
+        """Density of the grains for which their total mass is the mass of the bed, kg/m^3."""
         return self.mass / (math.pi / 6.0 * float((self.diameters() ** 3).sum()))
 
     def longest_step(self) -> float:
-        """Longest step of time, s."""
+        """Longest time step, s."""
         if self.settings.time_step is not None:
             return self.settings.time_step
-        shorter = min(1.0, max(self.settings.restitution, _LOWEST) / _LOW)
-        return STEP * shorter * rayleigh_time(self.settings, self.density())
+        reduction = min(
+            1.0, max(self.settings.restitution, _MIN_STEP_RESTITUTION) / _REDUCED_STEP_RESTITUTION
+        )
+        return STEP_RATIO * reduction * rayleigh_time(self.settings, self.density())
 
 
 def spheres_of(scene: Scene) -> dict[int, Spheres]:
     """Grains of each bed of grains that can move, by the damper's position in the scene from 0.
 
-    Raises `SceneError` if a bed is lighter than half a grain, or the step of time that is asked for is too long for
-    its grains.
+    Raises `SceneError` if a bed is lighter than half a grain, or the requested time step is too long for its grains.
     """
-    found = {}
+    spheres_by_row = {}
     for row, (damper, mass) in enumerate(zip(scene.dampers, structural_model(scene).bed_mass, strict=True)):
         if damper.grains is None or not damper.moves:
             continue
-        each = damper.grains.density * math.pi / 6.0 * damper.grains.diameter**3
+        grain_mass = damper.grains.density * math.pi / 6.0 * damper.grains.diameter**3
         # The mean cube of diameters that are uniformly distributed about their mean.
-        count = round(float(mass) / (each * (1.0 + damper.grains.spread**2)))
+        count = round(float(mass) / (grain_mass * (1.0 + damper.grains.spread**2)))
         if count < 1:
             raise SceneError(
-                f"scene {scene.name!r}: dampers[{row + 1}] of {mass:.3g} kg has grains of {each:.3g} kg; expected at "
-                "least the mass of one grain"
+                f"scene {scene.name!r}: dampers[{row + 1}] of {mass:.3g} kg has grains of {grain_mass:.3g} kg; "
+                "expected at least the mass of one grain"
             )
         spheres = Spheres(damper.grains, float(mass), damper.clearance, count, scene.seed + row)
-        longest = LONGEST * rayleigh_time(damper.grains, spheres.density())
+        longest = MAX_STEP_RATIO * rayleigh_time(damper.grains, spheres.density())
         if spheres.longest_step() > longest:
             raise SceneError(
                 f"scene {scene.name!r}: dampers[{row + 1}].grains.time_step: got {spheres.longest_step():.3g} s; "
-                f"expected at most {longest:.3g} s, {LONGEST:g} of Rayleigh's time of the smallest grain"
+                f"expected at most {longest:.3g} s, {MAX_STEP_RATIO:g} of Rayleigh's time of the smallest grain"
             )
-        found[row] = spheres
-    return found
+        spheres_by_row[row] = spheres
+    return spheres_by_row
 
 
 def rayleigh_time(grains: Grains, density: float) -> float:

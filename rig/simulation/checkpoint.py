@@ -37,7 +37,7 @@ def write_checkpoint(path: Path, settings: Mapping[str, Any], state: GrainsState
             code=code_digest("rig"),
             begin=coupled.begin,
             impulse=coupled.impulse,
-            counts=(coupled.fallen, state.ambiguous),
+            counts=(coupled.elapsed_steps, state.ambiguous),
             energy=[astuple(energy) for energy in state.energy],
             **arrays,
         )
@@ -74,13 +74,13 @@ def read_checkpoint(path: Path, settings: Mapping[str, Any]) -> GrainsState | No
 
 
 def _restore_state(stored: Mapping[str, Any]) -> GrainsState:
-    fallen, ambiguous = stored["counts"].tolist()
+    elapsed_steps, ambiguous = stored["counts"].tolist()
     coupled = CoupledState(
         _numbered(stored, "structure"),
         tuple(bed.tobytes() for bed in _numbered(stored, "bed")),
         stored["begin"],
         stored["impulse"],
-        fallen,
+        elapsed_steps,
     )
     energy = tuple(Energy(*values) for values in stored["energy"].tolist())
     return GrainsState(

@@ -83,7 +83,7 @@ class GrainsRun:
         start, initial = complete_state(structure), structure.present()
         trajectory, bed_motion = coupled.march(drive)
         buffer = coupled.motion_samples(samples - state.samples)
-        coupled.show(buffer, 0, trajectory, bed_motion)
+        coupled.fill_samples(buffer, 0, trajectory, bed_motion)
         inputs = np.vstack([drive, -bed_motion.force.sum(axis=1)])
         segment_states = np.concatenate([initial.state, trajectory.state[:-1]])
         ns = coupled.system.states

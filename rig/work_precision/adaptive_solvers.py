@@ -14,16 +14,17 @@ from rig.errors import RunError
 from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, FirstOrderForm, Outcome
 
 #: Time for which a guard is disabled after its separation, s. Its value is then at rounding level.
-BLIND = 2e-5
+GUARD_PAUSE_S = 2e-5
 #: Events per period after which a solver is stopped, because it separates and lands endlessly at one instant.
-LIVELOCK = 400
+MAX_EVENTS_PER_PERIOD = 400
 #: Relative tolerance for motion on penalty springs; the springs themselves cause larger errors.
 PENALTY_TOLERANCE = 1e-8
-#: Messages of solvers that do not reach the end.
-ENDLESS = (
+#: Message about a solver with endless events at one instant.
+ENDLESS_EVENTS = (
     "a damper separates and lands endlessly at {:.6g} s. Use a setting that disables its guard for a while."
 )
-STOPPED = "{} stops: {}. Use another tolerance."
+#: Message about a solver that stops before the end.
+SOLVER_STOPPED = "{} stops: {}. Use another tolerance."
 
 Guard = Callable[[float, Array], float]
 #: Maps (M of z' = M z, guards, t, z, later sample times) to (t, z, index of the triggered guard or -1, samples).
@@ -58,11 +59,11 @@ class _Contacts:
 
     def change(self, z: Array, now: float, j: int, wall: int) -> None:
         """Separate a damper from its wall, or apply an impact on a wall."""
-        problem, old = self.problem, self.mode[j]
+        problem, wall_before = self.problem, self.mode[j]
         self.events.append((now, j, WALLS[wall]))
         if wall == FLIGHT:
-            problem.separate(z, j, old, z[problem.system.coordinates + problem.rows[j]])
-            self._disabled_until[j, old] = now + self.blind
+            problem.separate(z, j, wall_before, z[problem.system.coordinates + problem.rows[j]])
+            self._disabled_until[j, wall_before] = now + self.blind
             self.mode[j] = FLIGHT
         elif problem.impact(z, j, wall, float(problem.system.restitution[j])):
             self.mode[j] = wall
@@ -72,12 +73,12 @@ class _Contacts:
 
     def release(self, z: Array, now: float) -> None:
         """Separate dampers with a tensile contact force, one after another."""
-        while pulled := [
+        while tensile := [
             j
             for (j, wall), guard in zip(self.walls, self.guards, strict=True)
             if wall == FLIGHT and guard(now, z) < 0.0
         ]:
-            self.change(z, now, pulled[0], FLIGHT)
+            self.change(z, now, tensile[0], FLIGHT)
 
 
 def follow(problem: FirstOrderForm, leg: Leg, blind: float, limit: float) -> Outcome:
@@ -89,18 +90,20 @@ def follow(problem: FirstOrderForm, leg: Leg, blind: float, limit: float) -> Out
     n, contacts = problem.system.coordinates, _Contacts(problem, blind)
     state, now, times = np.array(problem.start), 0.0, problem.times
     samples = [state[:n]]
-    begun = time.process_time()
+    cpu_start = time.process_time()
     contacts.release(state, now)
     while len(samples) < problem.samples:
-        now, state, which, seen = leg(contacts.matrix, contacts.guards, now, state, times[len(samples) :])
-        samples += list(seen[:, :n])
-        if which < 0:
+        now, state, guard, samples_of_leg = leg(
+            contacts.matrix, contacts.guards, now, state, times[len(samples) :]
+        )
+        samples += list(samples_of_leg[:, :n])
+        if guard < 0:
             break
-        contacts.change(state, now, *contacts.walls[which])
+        contacts.change(state, now, *contacts.walls[guard])
         contacts.release(state, now)
-        if len(contacts.events) > LIVELOCK * problem.periods:
-            raise RunError(ENDLESS.format(now))
-        if time.process_time() - begun > limit:
+        if len(contacts.events) > MAX_EVENTS_PER_PERIOD * problem.periods:
+            raise RunError(ENDLESS_EVENTS.format(now))
+        if time.process_time() - cpu_start > limit:
             raise RunError(f"not done after {limit:.0f} s. Use a larger tolerance.")
     return Outcome(np.array(samples).T, contacts.events)
 
@@ -109,17 +112,17 @@ def scipy_leg(method: str, rtol: float, longest: float) -> Leg:
     """Return a scipy solver with its event detection."""
 
     def leg(
-        matrix: Array, guards: list[Guard], t: float, z: Array, ahead: Array
+        matrix: Array, guards: list[Guard], t: float, z: Array, times: Array
     ) -> tuple[float, Array, int, Array]:
         solution = _solve_ivp(
-            lambda _, z: matrix.dot(z), (t, ahead[-1]), z, method=method, rtol=rtol, max_step=longest,
-            t_eval=ahead, events=[_event(guard, terminal=True, direction=-1) for guard in guards],
+            lambda _, z: matrix.dot(z), (t, times[-1]), z, method=method, rtol=rtol, max_step=longest,
+            t_eval=times, events=[_event(guard, terminal=True, direction=-1) for guard in guards],
         )  # fmt: skip
-        seen = solution.y.T if len(solution.t) else np.zeros((0, len(z)))
+        samples = solution.y.T if len(solution.t) else np.zeros((0, len(z)))
         for k, hits in enumerate(solution.t_events or ()):
             if len(hits):
-                return float(hits[0]), solution.y_events[k][0].copy(), k, seen[solution.t <= hits[0]]
-        return float(ahead[-1]), z, -1, seen
+                return float(hits[0]), solution.y_events[k][0].copy(), k, samples[solution.t <= hits[0]]
+        return float(times[-1]), z, -1, samples
 
     return leg
 
@@ -131,9 +134,9 @@ def _solve_ivp(*given: Any, rtol: float, **options: Any) -> Any:
         solution = solve_ivp(*given, rtol=rtol, atol=1e-3 * rtol, **options)
     except ValueError as error:
         # A guard may change sign over the step but not in the dense output, so that scipy's root search fails.
-        raise RunError(STOPPED.format("scipy", error)) from None
+        raise RunError(SOLVER_STOPPED.format("scipy", error)) from None
     if solution.status < 0:
-        raise RunError(STOPPED.format("scipy", solution.message))
+        raise RunError(SOLVER_STOPPED.format("scipy", solution.message))
     return solution
 
 
@@ -161,20 +164,22 @@ def penalty(problem: FirstOrderForm, contacts: int) -> Outcome:
     stiffness, dashpot = mass * rate**2, 2.0 * ratio * mass * rate
     matrix = problem.matrix([FLIGHT] * dampers)
     gap = np.array([problem.gap(j, FLOOR) for j in range(dampers)]).reshape(dampers, problem.size)
-    rates, push = np.vstack([matrix, gap, gap @ matrix]), np.zeros((problem.size, dampers))
+    rates, force_response = np.vstack([matrix, gap, gap @ matrix]), np.zeros((problem.size, dampers))
     for j, row in enumerate(problem.rows):
-        push[system.coordinates + row, j] = -problem.inverse_mass[j]
-        push[problem.first + dampers + j, j] = 1.0 / system.damper_mass[j]
+        force_response[system.coordinates + row, j] = -problem.inverse_mass[j]
+        force_response[problem.first + dampers + j, j] = 1.0 / system.damper_mass[j]
 
     def slope(_: float, z: Array) -> Array:
         rate = rates.dot(z)
         height, closing = rate[problem.size : -dampers], rate[-dampers:]
         # Negative: penetration of the floor; positive: penetration of the ceiling.
-        dent = height - np.minimum(np.maximum(height, 0.0), system.clearance)
-        flowing = rate[: problem.size]
-        if dent.any():
-            flowing += push.dot(-stiffness * dent - (dent != 0.0) * dashpot * closing)
-        return flowing
+        penetration = height - np.minimum(np.maximum(height, 0.0), system.clearance)
+        derivative = rate[: problem.size]
+        if penetration.any():
+            derivative += force_response.dot(
+                -stiffness * penetration - (penetration != 0.0) * dashpot * closing
+            )
+        return derivative
 
     walls = [(j, FLOOR) for j in range(dampers)]
     walls += [(j, CEILING) for j in range(dampers) if np.isfinite(system.clearance[j])]
@@ -198,11 +203,11 @@ def _distance(row: Array, _: float, z: Array) -> float:
 
 
 def cvode_leg(rtol: float, longest: float) -> Leg:
-    """SUNDIALS CVODE (Adams) through scikit-sundae."""
+    """Return the solver CVODE (Adams) of SUNDIALS, through scikit-sundae."""
     from sksundae.cvode import CVODE
 
     def leg(
-        matrix: Array, guards: list[Guard], t: float, z: Array, ahead: Array
+        matrix: Array, guards: list[Guard], t: float, z: Array, times: Array
     ) -> tuple[float, Array, int, Array]:
         def slope(t: float, y: Array, yp: Array) -> None:
             matrix.dot(y, out=yp)
@@ -215,15 +220,20 @@ def cvode_leg(rtol: float, longest: float) -> Leg:
             slope, method="Adams", rtol=rtol, atol=1e-3 * rtol, max_step=longest, max_num_steps=100_000,
             eventsfn=events if guards else None, num_events=len(guards),
         )  # fmt: skip
-        solution = solver.solve(np.concatenate([[t], ahead]), z)
+        solution = solver.solve(np.concatenate([[t], times]), z)
         if not solution.success:
-            raise RunError(STOPPED.format("CVODE", solution.message))
+            raise RunError(SOLVER_STOPPED.format("CVODE", solution.message))
         # Between two instants, the solver also returns its internal steps.
-        asked = np.isin(solution.t, ahead)
+        requested = np.isin(solution.t, times)
         if solution.t_events is None or not len(solution.t_events):
-            return float(ahead[-1]), z, -1, solution.y[asked]
-        at = float(solution.t_events[0])
-        which = int(np.flatnonzero(np.asarray(solution.i_events[0]))[0])
-        return at, np.array(solution.y_events[0]), which, solution.y[asked & (solution.t <= at)]
+            return float(times[-1]), z, -1, solution.y[requested]
+        event_time = float(solution.t_events[0])
+        guard_index = int(np.flatnonzero(np.asarray(solution.i_events[0]))[0])
+        return (
+            event_time,
+            np.array(solution.y_events[0]),
+            guard_index,
+            solution.y[requested & (solution.t <= event_time)],
+        )
 
     return leg

@@ -20,21 +20,21 @@ from rig.scene.damper import Grains, Landing
 from rig.scene.scene import Scene
 from rig.steady_response.frequency_response import frequency_response
 from rig.system.open_loop_drive import with_ideal_force
-from rig.work_precision.motion_study import Point, refused, timed
+from rig.work_precision.motion_study import Point, failure_reason, timed
 from rig.work_precision.steady_study import OTHER_PACKING, SteadyStudy
 
 #: Durations of a landing with finite-duration contact, s.
-DURATIONS = (1e-3, 2e-3, 4e-3, 8e-3)
+CONTACT_DURATIONS_S = (1e-3, 2e-3, 4e-3, 8e-3)
 #: Restitution of these contacts.
-RESTITUTION = 0.05
+CONTACT_RESTITUTION = 0.05
 #: Time steps of coarser simulations, relative to Rayleigh's time.
-STEPS = (0.1, 0.19)
+STEP_RATIOS = (0.1, 0.19)
 #: Ratio of the modulus of the grains to the modulus of softer grains.
-SOFTER = 10.0
+SOFTENING_RATIO = 10.0
 #: Periods in an averaging block of grains.
 PERIODS = 20
 #: Largest number of blocks to reach steady motion.
-MOST_BLOCKS = 5
+MAX_BLOCKS = 5
 
 Compliance = NDArray[np.complex128]
 
@@ -53,20 +53,20 @@ def bed_models(scene: Scene, frequency: float, progress: Callable[[str], None] |
         for spheres in spheres_of(packing).values():
             settled(spheres)
     say("reference: grains")
-    cpu, true = timed(partial(steady_grains, scene, frequency, PERIODS, MOST_BLOCKS))
+    cpu, reference = timed(partial(steady_grains, scene, frequency, PERIODS, MAX_BLOCKS))
     points = []
     for model, setting, compute in _models(scene, frequency):
         say(f"{model}, {setting}")
-        points.append(_point(model, setting, compute, true.compliance))
+        points.append(_point(model, setting, compute, reference.compliance))
     count = sum(spheres.count for spheres in spheres_of(scene).values())
-    steady = "" if true.steady else ", and not steady yet"
+    steady = "" if reference.steady else ", and not steady yet"
     return SteadyStudy(
         tuple(points),
         frequency,
-        str(true.motion_type[0]),
-        f"{count} grains followed for {true.periods} periods, in {cpu:.3g} s of computing; the last two blocks of "
-        f"{PERIODS}\n           differ by {100 * true.spread:.2g} %{steady}. No error below that, or below that of "
-        "another packing, says anything.",
+        str(reference.motion_type[0]),
+        f"{count} grains simulated for {reference.periods} periods, in {cpu:.3g} s of computing; the last two blocks "
+        f"of {PERIODS}\n           differ by {100 * reference.spread:.2g} %{steady}. Errors below this difference, "
+        "or below that of another packing, are not significant.",
     )
 
 
@@ -75,19 +75,27 @@ Models = Iterator[tuple[str, str, Callable[[], Compliance]]]
 
 def _models(scene: Scene, frequency: float) -> Models:
     mass = with_ideal_force(as_one_mass(scene))
-    yield "one mass", "lands at once", partial(_of_mass, mass, frequency)
-    for duration in DURATIONS:
-        lasting = partial(_of_mass, with_ideal_force(on_contact(scene, duration)), frequency)
-        yield "finite-duration contact", f"{1e3 * duration:g} ms", lasting
-    for step in STEPS:
-        coarse = with_step(scene, step)
-        if coarse is not None:
-            yield "grains", f"step {step:g} Rayleigh", partial(_of_grains, coarse, frequency)
-    shortest = with_step(scene, STEPS[-1]) or scene
-    yield OTHER_PACKING, f"step {STEPS[-1]:g} Rayleigh", partial(_of_grains, repacked(shortest), frequency)
-    softer = with_step(softened(scene), STEPS[-1])
+    yield "one mass", "lands at once", partial(_mass_compliance, mass, frequency)
+    for duration in CONTACT_DURATIONS_S:
+        compute = partial(_mass_compliance, with_ideal_force(on_contact(scene, duration)), frequency)
+        yield "finite-duration contact", f"{1e3 * duration:g} ms", compute
+    for step in STEP_RATIOS:
+        coarser = with_step(scene, step)
+        if coarser is not None:
+            yield "grains", f"step {step:g} Rayleigh", partial(_grains_compliance, coarser, frequency)
+    coarsest = with_step(scene, STEP_RATIOS[-1]) or scene
+    yield (
+        OTHER_PACKING,
+        f"step {STEP_RATIOS[-1]:g} Rayleigh",
+        partial(_grains_compliance, repacked(coarsest), frequency),
+    )
+    softer = with_step(softened(scene), STEP_RATIOS[-1])
     if softer is not None:
-        yield "grains, softer", f"modulus / {SOFTER:g}", partial(_of_grains, softer, frequency)
+        yield (
+            "grains, softer",
+            f"modulus / {SOFTENING_RATIO:g}",
+            partial(_grains_compliance, softer, frequency),
+        )
 
 
 def on_contact(scene: Scene, duration: float) -> Scene:
@@ -95,7 +103,9 @@ def on_contact(scene: Scene, duration: float) -> Scene:
     wall = Landing(duration=duration)
     return scene.replace(
         dampers=[
-            damper.replace(grains=None, contact=wall, restitution=RESTITUTION) if damper.grains else damper
+            damper.replace(grains=None, contact=wall, restitution=CONTACT_RESTITUTION)
+            if damper.grains
+            else damper
             for damper in scene.dampers
         ]
     )
@@ -103,7 +113,9 @@ def on_contact(scene: Scene, duration: float) -> Scene:
 
 def softened(scene: Scene) -> Scene:
     """Return the scene with softer grains."""
-    return _changed(scene, lambda grains: grains.replace(modulus=grains.modulus / SOFTER, time_step=None))
+    return _with_grains(
+        scene, lambda grains: grains.replace(modulus=grains.modulus / SOFTENING_RATIO, time_step=None)
+    )
 
 
 def repacked(scene: Scene) -> Scene:
@@ -118,12 +130,12 @@ def with_step(scene: Scene, step: float) -> Scene | None:
         for spheres in spheres_of(scene).values()
     ):
         return None
-    return _changed(
+    return _with_grains(
         scene, lambda grains: grains.replace(time_step=step * rayleigh_time(grains, grains.density))
     )
 
 
-def _changed(scene: Scene, change: Callable[[Grains], Grains]) -> Scene:
+def _with_grains(scene: Scene, change: Callable[[Grains], Grains]) -> Scene:
     dampers = [
         damper if damper.grains is None else damper.replace(grains=change(damper.grains))
         for damper in scene.dampers
@@ -131,18 +143,18 @@ def _changed(scene: Scene, change: Callable[[Grains], Grains]) -> Scene:
     return scene.replace(dampers=dampers)
 
 
-def _point(model: str, setting: str, compute: Callable[[], Compliance], true: Compliance) -> Point:
+def _point(model: str, setting: str, compute: Callable[[], Compliance], reference: Compliance) -> Point:
     try:
-        cpu, found = timed(compute)
-    except ShotrigError as problem:
-        return Point(model, setting, np.nan, np.nan, np.nan, False, refused(problem))
-    error = float(np.abs(found - true).max() / np.abs(true).max())
+        cpu, compliance = timed(compute)
+    except ShotrigError as failure:
+        return Point(model, setting, np.nan, np.nan, np.nan, False, failure_reason(failure))
+    error = float(np.abs(compliance - reference).max() / np.abs(reference).max())
     return Point(model, setting, cpu, error, np.nan, True)
 
 
-def _of_mass(scene: Scene, frequency: float) -> Compliance:
+def _mass_compliance(scene: Scene, frequency: float) -> Compliance:
     return np.asarray(frequency_response(scene, [frequency]).compliance[:, 0])
 
 
-def _of_grains(scene: Scene, frequency: float) -> Compliance:
-    return steady_grains(scene, frequency, PERIODS, MOST_BLOCKS).compliance
+def _grains_compliance(scene: Scene, frequency: float) -> Compliance:
+    return steady_grains(scene, frequency, PERIODS, MAX_BLOCKS).compliance

@@ -18,21 +18,23 @@ from scipy.integrate import RK45
 from rig.arrays import Array
 from rig.errors import RunError
 from rig.numerics.jit import inlined_kernel, kernel
-from rig.work_precision.adaptive_solvers import ENDLESS, LIVELOCK
+from rig.work_precision.adaptive_solvers import ENDLESS_EVENTS, MAX_EVENTS_PER_PERIOD
 from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, FirstOrderForm, Outcome
 
-#: Weights of the stages, of the error and of the dense output, from scipy.
-STAGES = np.vstack([np.hstack([RK45.A, np.zeros((6, 1))]), RK45.B])
-ERROR = np.array(RK45.E)
-DENSE = np.ascontiguousarray(RK45.P)
+#: Weights of the stages, from scipy.
+STAGE_WEIGHTS = np.vstack([np.hstack([RK45.A, np.zeros((6, 1))]), RK45.B])
+#: Weights of the error estimate.
+ERROR_WEIGHTS = np.array(RK45.E)
+#: Weights of the dense output.
+DENSE_WEIGHTS = np.ascontiguousarray(RK45.P)
 #: Largest number of iterations for the root of a guard.
-CLOSINGS = 60
+MAX_ROOT_ITERATIONS = 60
 #: Tolerance of a root, as a share of the step.
-CLOSE = 1e-15
+ROOT_TOLERANCE = 1e-15
 #: Steps per period after which the solver is stopped, because it alternates around one instant.
-MOST_STEPS = 10_000
+MAX_STEPS_PER_PERIOD = 10_000
 #: Largest number of dampers; the number of matrices doubles with each.
-MOST_DAMPERS = 8
+MAX_DAMPERS = 8
 
 
 class Tables(NamedTuple):
@@ -59,7 +61,7 @@ class Contacts(NamedTuple):
     """Wall of each damper, time until which its guards are disabled (dampers, walls), and the event log."""
 
     mode: NDArray[np.int64]
-    awake: Array
+    disabled_until: Array
     time: Array
     damper: NDArray[np.int64]
     kind: NDArray[np.int64]
@@ -85,22 +87,22 @@ class DormandPrince:
         `RunError` if a damper takes off and lands endlessly at one instant.
         """
         problem = self._problem
-        dampers, most = len(problem.rows), LIVELOCK * problem.periods
+        dampers, max_events = len(problem.rows), MAX_EVENTS_PER_PERIOD * problem.periods
         contacts = Contacts(
             mode=np.full(dampers, FLOOR, dtype=np.int64),
-            awake=np.full((dampers, 3), -1.0),
-            time=np.zeros(most),
-            damper=np.zeros(most, dtype=np.int64),
-            kind=np.zeros(most, dtype=np.int64),
+            disabled_until=np.full((dampers, 3), -1.0),
+            time=np.zeros(max_events),
+            damper=np.zeros(max_events, dtype=np.int64),
+            kind=np.zeros(max_events, dtype=np.int64),
             filled=np.zeros(1, dtype=np.int64),
         )
         motion = np.zeros((problem.samples, problem.system.coordinates))
         start, times = np.array(problem.start), problem.times
-        steps = MOST_STEPS * problem.periods
+        steps = MAX_STEPS_PER_PERIOD * problem.periods
         if not _follow(
             self._tables, contacts, start, times, motion, rtol, blind, longest, steps, *self._work
         ):
-            raise RunError(ENDLESS.format(contacts.time[contacts.filled[0] - 1]))
+            raise RunError(ENDLESS_EVENTS.format(contacts.time[contacts.filled[0] - 1]))
         events = slice(contacts.filled[0])
         log = zip(contacts.time[events], contacts.damper[events], contacts.kind[events], strict=True)
         return Outcome(motion.T, [(float(t), int(j), WALLS[k]) for t, j, k in log])
@@ -108,9 +110,9 @@ class DormandPrince:
 
 def _tables(problem: FirstOrderForm) -> Tables:
     system, dampers = problem.system, len(problem.rows)
-    if dampers > MOST_DAMPERS:
+    if dampers > MAX_DAMPERS:
         raise RunError(
-            f"{dampers} dampers have {2**dampers} configurations, with a matrix for each. Use at most {MOST_DAMPERS} "
+            f"{dampers} dampers have {2**dampers} configurations, with a matrix for each. Use at most {MAX_DAMPERS} "
             "dampers."
         )
     return Tables(
@@ -145,16 +147,16 @@ def _step(tables: Tables, at: int, h: float, z: Array, new: Array, stages: Array
         for i in range(z.shape[0]):
             total = 0.0
             for m in range(k):
-                total += STAGES[k, m] * stages[m, i]
+                total += STAGE_WEIGHTS[k, m] * stages[m, i]
             new[i] = z[i] + h * total
         _slope(tables, at, new, stages[k])
-    wrong = 0.0
+    error_ratio = 0.0
     for i in range(z.shape[0]):
         total = 0.0
         for k in range(7):
-            total += ERROR[k] * stages[k, i]
-        wrong += (h * total / (rtol * (1e-3 + max(abs(z[i]), abs(new[i]))))) ** 2
-    return np.sqrt(wrong / z.shape[0])
+            total += ERROR_WEIGHTS[k] * stages[k, i]
+        error_ratio += (h * total / (rtol * (1e-3 + max(abs(z[i]), abs(new[i]))))) ** 2
+    return np.sqrt(error_ratio / z.shape[0])
 
 
 @inlined_kernel
@@ -165,7 +167,7 @@ def _dense(z: Array, stages: Array, h: float, theta: float, out: Array) -> None:
     for k in range(7):
         weight = 0.0
         for power in range(3, -1, -1):
-            weight = theta * (weight + DENSE[k, power])
+            weight = theta * (weight + DENSE_WEIGHTS[k, power])
         for i in range(z.shape[0]):
             out[i] += h * weight * stages[k, i]
 
@@ -174,7 +176,7 @@ def _dense(z: Array, stages: Array, h: float, theta: float, out: Array) -> None:
 def _guard(tables: Tables, contacts: Contacts, at: int, j: int, wall: int, t: float, z: Array) -> float:
     """Return the gap of a damper in flight, or contact force over mass of a riding damper; 1 if disabled."""
     if contacts.mode[j] == FLIGHT:
-        if t <= contacts.awake[j, wall]:
+        if t <= contacts.disabled_until[j, wall]:
             return 1.0
         gap = z[tables.first + j] - z[tables.row[j]]
         return gap if wall == FLOOR else tables.clearance[j] - gap
@@ -187,7 +189,7 @@ def _guard(tables: Tables, contacts: Contacts, at: int, j: int, wall: int, t: fl
 
 
 @inlined_kernel
-def _first_fall(
+def _first_event(
     tables: Tables,
     contacts: Contacts,
     at: int,
@@ -208,8 +210,8 @@ def _first_fall(
             low, high = 0.0, 1.0
             above = max(_guard(tables, contacts, at, j, wall, t, z), 0.0)
             # False position, Illinois variant: the weight of an end that is retained is halved.
-            for _ in range(CLOSINGS):
-                if high - low < CLOSE:
+            for _ in range(MAX_ROOT_ITERATIONS):
+                if high - low < ROOT_TOLERANCE:
                     break
                 theta = low + (high - low) * above / (above - below)
                 _dense(z, stages, h, theta, work)
@@ -226,21 +228,21 @@ def _first_fall(
 
 
 @inlined_kernel
-def _note(contacts: Contacts, t: float, j: int, kind: int) -> None:
+def _log_event(contacts: Contacts, t: float, j: int, kind: int) -> None:
     k = contacts.filled[0]
     contacts.time[k], contacts.damper[k], contacts.kind[k] = t, j, kind
     contacts.filled[0] = k + 1
 
 
 @inlined_kernel
-def _leave(
+def _separate(
     tables: Tables, contacts: Contacts, t: float, z: Array, j: int, speed: float, blind: float
 ) -> None:
     """Separate a riding damper from its wall."""
     wall = contacts.mode[j]
     z[tables.first + j] = z[tables.row[j]] + (tables.clearance[j] if wall == CEILING else 0.0)
     z[tables.first + contacts.mode.shape[0] + j] = speed
-    contacts.awake[j, wall] = t + blind
+    contacts.disabled_until[j, wall] = t + blind
     contacts.mode[j] = FLIGHT
 
 
@@ -249,10 +251,10 @@ def _change(tables: Tables, contacts: Contacts, t: float, z: Array, j: int, wall
     """Separate a riding damper, or apply an impact of a damper in flight (Newton's restitution)."""
     body = tables.coordinates + tables.row[j]
     if contacts.mode[j] != FLIGHT:
-        _note(contacts, t, j, FLIGHT)
-        _leave(tables, contacts, t, z, j, z[body], blind)
+        _log_event(contacts, t, j, FLIGHT)
+        _separate(tables, contacts, t, z, j, z[body], blind)
         return
-    _note(contacts, t, j, wall)
+    _log_event(contacts, t, j, wall)
     own = tables.first + contacts.mode.shape[0] + j
     closing = z[own] - z[body]
     restitution = tables.restitution[j]
@@ -261,7 +263,7 @@ def _change(tables: Tables, contacts: Contacts, t: float, z: Array, j: int, wall
     z[own] = z[body]
     z[tables.first + j] = z[tables.row[j]] + (tables.clearance[j] if wall == CEILING else 0.0)
     if restitution > 0.0:
-        _leave(tables, contacts, t, z, j, z[body] - restitution * closing, blind)
+        _separate(tables, contacts, t, z, j, z[body] - restitution * closing, blind)
 
 
 @inlined_kernel
@@ -272,19 +274,19 @@ def _release(tables: Tables, contacts: Contacts, t: float, z: Array, blind: floa
         at = 0
         for j in range(contacts.mode.shape[0]):
             at |= (contacts.mode[j] != FLIGHT) << j
-        pulled = -1
+        tensile = -1
         for j in range(contacts.mode.shape[0]):
             wall = contacts.mode[j]
-            if pulled < 0 and wall != FLIGHT and _guard(tables, contacts, at, j, wall, t, z) < 0.0:
-                pulled = j
-        if pulled < 0:
+            if tensile < 0 and wall != FLIGHT and _guard(tables, contacts, at, j, wall, t, z) < 0.0:
+                tensile = j
+        if tensile < 0:
             return at
-        _change(tables, contacts, t, z, pulled, FLIGHT, blind)
+        _change(tables, contacts, t, z, tensile, FLIGHT, blind)
     return -1
 
 
 @inlined_kernel
-def _keep(motion: Array, row: int, z: Array) -> None:
+def _store(motion: Array, row: int, z: Array) -> None:
     for i in range(motion.shape[1]):
         motion[row, i] = z[i]
 
@@ -295,7 +297,7 @@ def _follow(
     longest: float, steps: int, stages: Array, new: Array, work: Array,
 ) -> bool:  # fmt: skip
     """Integrate with event location; return False if the number of events or steps exceeds its limit."""
-    _keep(motion, 0, z)
+    _store(motion, 0, z)
     t, sample, h = 0.0, 1, min(longest, 1e-3 * (times[1] - times[0]))
     at = _release(tables, contacts, t, z, blind)
     _slope(tables, at, z, stages[0])
@@ -303,15 +305,15 @@ def _follow(
         if sample == times.shape[0]:
             return True
         h = min(h, longest)
-        wrong = _step(tables, at, h, z, new, stages, rtol)
-        factor = 5.0 if wrong == 0.0 else min(5.0, max(0.2, 0.9 * wrong**-0.2))
-        if wrong > 1.0:
+        error_ratio = _step(tables, at, h, z, new, stages, rtol)
+        factor = 5.0 if error_ratio == 0.0 else min(5.0, max(0.2, 0.9 * error_ratio**-0.2))
+        if error_ratio > 1.0:
             h *= factor
             continue
-        share, which, wall = _first_fall(tables, contacts, at, t, h, z, new, stages, work)
-        while sample < times.shape[0] and times[sample] <= t + share * h:
+        step_fraction, which, wall = _first_event(tables, contacts, at, t, h, z, new, stages, work)
+        while sample < times.shape[0] and times[sample] <= t + step_fraction * h:
             _dense(z, stages, h, (times[sample] - t) / h, work)
-            _keep(motion, sample, work)
+            _store(motion, sample, work)
             sample += 1
         if which < 0:
             t += h
@@ -319,8 +321,8 @@ def _follow(
                 z[i], stages[0, i] = new[i], stages[6, i]
             h *= factor
             continue
-        _dense(z, stages, h, share, work)
-        t += share * h
+        _dense(z, stages, h, step_fraction, work)
+        t += step_fraction * h
         for i in range(z.shape[0]):
             z[i] = work[i]
         _change(tables, contacts, t, z, which, wall, blind)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 #: Color and marker of each method: one hue per kind of method, distinguishable in print and with color blindness.
-LOOK = {
+STYLE_OF_METHOD = {
     "engine, tone": ("#c1272d", "*"),
     "engine, sampled drive": ("#e8853d", "o"),
     "penalty, LSODA": ("#4f87bd", "^"),
@@ -68,9 +68,9 @@ class Cost(Result):
     @property
     def points(self) -> tuple[tuple[str, Point], ...]:
         """Return all methods and settings, each with the computed quantity."""
-        motion = () if self.motion is None else self.motion.points
-        found = (("motion, a period", motion), ("steady state", self.steady.points))
-        return tuple((quantity, point) for quantity, points in found for point in points)
+        motion_points = () if self.motion is None else self.motion.points
+        studies = (("motion, a period", motion_points), ("steady state", self.steady.points))
+        return tuple((quantity, point) for quantity, points in studies for point in points)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return quantity, method, setting, CPU time, errors and event correctness of each point."""
@@ -102,7 +102,7 @@ class Cost(Result):
             rows.append((*_cells(point), times, events, point.note))
         lines = [
             f"{study.scene.name}: first {study.periods} periods at {study.frequency:.6g} Hz, {study.events} events",
-            *_answer(study.points),
+            *_compare_methods(study.points),
             "",
             *table_lines(rows, "<<>>><<"),
             "",
@@ -160,26 +160,31 @@ def cost(
     return Cost(scene, motion, steady_study(scene, motion.frequency, say))
 
 
-def _answer(points: Sequence[Point]) -> list[str]:
+def _compare_methods(points: Sequence[Point]) -> list[str]:
     """Compare the engine with the fastest other method within ten times the smallest error of the others."""
-    solved = [point for point in points if np.isfinite(point.error) and point.right]
-    engine = [point for point in solved if point.method == "engine, tone"]
-    others = [point for point in solved if not point.method.startswith("engine")]
+    correct = [point for point in points if np.isfinite(point.error) and point.right]
+    engine = [point for point in correct if point.method == "engine, tone"]
+    others = [point for point in correct if not point.method.startswith("engine")]
     if not engine:
         return []
-    exact = min(engine, key=lambda point: point.cpu)
-    out = [f"The engine: relative error {exact.error:.0e} in {1e3 * exact.cpu:.2g} ms a period."]
+    engine_point = min(engine, key=lambda point: point.cpu)
+    lines = [
+        f"The engine: relative error {engine_point.error:.0e} in {1e3 * engine_point.cpu:.2g} ms a period."
+    ]
     if others:
-        least = min(point.error for point in others)
-        best = min((point for point in others if point.error <= 10.0 * least), key=lambda point: point.cpu)
-        out.append(
-            f"Best of the other methods, {best.method} ({best.setting}): {best.error:.0e} in {1e3 * best.cpu:.2g} ms, "
-            f"{format_number(float(f'{best.cpu / exact.cpu:.2g}'))} times as long."
+        smallest_error = min(point.error for point in others)
+        fastest = min(
+            (point for point in others if point.error <= 10.0 * smallest_error), key=lambda point: point.cpu
+        )
+        ratio = format_number(float(f"{fastest.cpu / engine_point.cpu:.2g}"))
+        lines.append(
+            f"Best of the other methods, {fastest.method} ({fastest.setting}): {fastest.error:.0e} in "
+            f"{1e3 * fastest.cpu:.2g} ms, {ratio} times as long."
         )
     wrong = sum(np.isfinite(point.error) and not point.right for point in points)
     if wrong:
-        out.append(f"Wrong events: {wrong} of {len(points)} settings.")
-    return out
+        lines.append(f"Wrong events: {wrong} of {len(points)} settings.")
+    return lines
 
 
 def _steady_table(steady: SteadyStudy) -> str:
@@ -198,8 +203,8 @@ def _steady_title(steady: SteadyStudy) -> str:
 
 def _cells(point: Point) -> tuple[str, str, str, str]:
     """Return method, setting, CPU time in ms and relative error of a point; "-" without a result."""
-    known = np.isfinite(point.error)
-    cost = (f"{1e3 * point.cpu:.4g}", f"{point.error:.0e}") if known else ("-", "-")
+    has_result = np.isfinite(point.error)
+    cost = (f"{1e3 * point.cpu:.4g}", f"{point.error:.0e}") if has_result else ("-", "-")
     return point.method, point.setting, *cost
 
 
@@ -225,9 +230,11 @@ def _draw_models(cost: Cost) -> Figure:
             ylabel="relative deviation of the compliance from that with grains",
             title=_steady_title(cost.steady),
         )
-        for point in (each for each in cost.steady.points if np.isfinite(each.error)):
+        for point in cost.steady.points:
+            if not np.isfinite(point.error):
+                continue
             if point.method == OTHER_PACKING:
-                axes.axhline(_shown(point), color=LOOK[point.method][0], ls="--", lw=1.0)
+                axes.axhline(_shown(point), color=STYLE_OF_METHOD[point.method][0], ls="--", lw=1.0)
             axes.annotate(
                 point.setting,
                 (point.cpu, _shown(point)),
@@ -250,25 +257,32 @@ def draw_points(axes: Axes, points: tuple[Point, ...], label: str) -> None:
     """Draw error against CPU time, both logarithmic, with a color and marker for each method."""
     methods = list(dict.fromkeys(point.method for point in points))
     for method in methods:
-        own = [p for p in points if p.method == method and np.isfinite(p.error)]
-        if not own:
+        method_points = [point for point in points if point.method == method and np.isfinite(point.error)]
+        if not method_points:
             continue
-        colour, marker = LOOK[method]
+        color, marker = STYLE_OF_METHOD[method]
         # A line connects settings of one kind; solvers with an error tolerance are a separate kind.
-        series = [p for p in own if "blind" not in p.setting]
-        axes.plot([p.cpu for p in series], [_shown(p) for p in series], "-", color=colour, lw=1.0, alpha=0.6)
-        for p in own:
+        series = [point for point in method_points if "blind" not in point.setting]
+        axes.plot(
+            [point.cpu for point in series],
+            [_shown(point) for point in series],
+            "-",
+            color=color,
+            lw=1.0,
+            alpha=0.6,
+        )
+        for point in method_points:
             size = 12 if marker == "*" else 6
-            face = colour if p.right else "white"
-            axes.plot(p.cpu, _shown(p), marker, color=colour, ms=size, zorder=3, mfc=face, mew=1.3)
-            if "blind" in p.setting or p.setting in ("as called", "warm"):
-                word = "careful" if "blind" in p.setting else p.setting
+            face = color if point.right else "white"
+            axes.plot(point.cpu, _shown(point), marker, color=color, ms=size, zorder=3, mfc=face, mew=1.3)
+            if "blind" in point.setting or point.setting in ("as called", "warm"):
+                text = "careful" if "blind" in point.setting else point.setting
                 axes.annotate(
-                    word, (p.cpu, _shown(p)), xytext=(0, -14), textcoords="offset points", fontsize=7,
-                    color=colour, ha="center",
+                    text, (point.cpu, _shown(point)), xytext=(0, -14), textcoords="offset points", fontsize=7,
+                    color=color, ha="center",
                 )  # fmt: skip
-        axes.plot([], [], marker + "-", color=colour, ms=7, lw=1.0, label=method)
-    if any(not p.right and np.isfinite(p.error) and p.method != "linear" for p in points):
+        axes.plot([], [], marker + "-", color=color, ms=7, lw=1.0, label=method)
+    if any(not point.right and np.isfinite(point.error) and point.method != "linear" for point in points):
         axes.plot([], [], "o", color="#555555", mfc="white", mew=1.3, ms=6, label="wrong events")
     axes.set_xscale("log")
     axes.set_yscale("log")

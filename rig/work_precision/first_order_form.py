@@ -22,7 +22,7 @@ from rig.system.open_loop_drive import ToneDrive
 Mode = Sequence[int]
 
 #: Samples per period at which methods are compared.
-PER_PERIOD = 16
+SAMPLES_PER_PERIOD = 16
 FLIGHT, FLOOR, CEILING = 0, 1, 2
 #: Kind of event that starts each contact state.
 WALLS = ("separation", "floor", "ceiling")
@@ -32,7 +32,7 @@ WALLS = ("separation", "floor", "ceiling")
 class Outcome:
     """Motion computed by a method."""
 
-    displacement: Array  # Displacements, m, at `PER_PERIOD` samples per period; shape (coordinates, samples)
+    displacement: Array  # m, at `SAMPLES_PER_PERIOD` samples per period; shape (coordinates, samples)
     events: list[tuple[float, int, str]]  # Time [s], damper (from 0), kind
 
 
@@ -61,7 +61,7 @@ class FirstOrderForm:
         self._integrals = n if integrals else 0
         self.size = ns + 2 * nd + 3 + 2 * self._integrals
         self.omega = 2 * pi * number(tone.frequency)
-        self.samples = periods * PER_PERIOD + 1
+        self.samples = periods * SAMPLES_PER_PERIOD + 1
         self.rows = np.asarray(system.damper_coordinate, dtype=np.int64)
         exact = np.vectorize(
             lambda value: number(float(value)), otypes=[float if number is float else object]
@@ -87,7 +87,7 @@ class FirstOrderForm:
     @property
     def times(self) -> Array:
         """Return the sample times, s."""
-        return np.arange(self.samples) / (PER_PERIOD * self.tone.frequency)
+        return np.arange(self.samples) / (SAMPLES_PER_PERIOD * self.tone.frequency)
 
     def lift(self, j: int, wall: int) -> Any:
         """Return the height of a wall above the floor, m."""
@@ -114,16 +114,19 @@ class FirstOrderForm:
             else:
                 mass[row, row] += self.damper_mass[j]
                 force[row, ns] -= self.damper_mass[j] * self.gravity
-        driven = [*range(ns), one, one + 1, one + 2]
+        driven_columns = [*range(ns), one, one + 1, one + 2]
         matrix[range(n), range(n, 2 * n)] = self._unit
-        matrix[n : 2 * n, driven] = solve(mass, force)
-        matrix[2 * n : ns, driven] = self._rate
+        matrix[n : 2 * n, driven_columns] = solve(mass, force)
+        matrix[2 * n : ns, driven_columns] = self._rate
         matrix[one + 1, one + 2], matrix[one + 2, one + 1] = -self.omega, self.omega
-        real = one + 3
+        real_column = one + 3
         for k in range(self._integrals):
-            imaginary = real + self._integrals + k
-            matrix[real + k, k] = self._unit
-            matrix[real + k, imaginary], matrix[imaginary, real + k] = -self.omega, self.omega
+            imaginary_column = real_column + self._integrals + k
+            matrix[real_column + k, k] = self._unit
+            matrix[real_column + k, imaginary_column], matrix[imaginary_column, real_column + k] = (
+                -self.omega,
+                self.omega,
+            )
         return matrix
 
     def gap(self, j: int, wall: int) -> NDArray[Any]:

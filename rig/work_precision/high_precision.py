@@ -39,16 +39,16 @@ DIGITS = 40
 #: Digits of the run that checks the reference.
 CHECK_DIGITS = 30
 #: Largest product of rate and step for which the Taylor series loses a negligible number of digits.
-REACH = 3.0
+MAX_RATE_STEP = 3.0
 #: Penetration up to which finite-duration contact counts as first touch, m; float64 rounding is 1e-18 m.
-TOUCHING = 1e-13
-#: Iterations for an event. Newton's method starts within rounding of the engine; eight doublings of the digits
+MAX_TOUCH_PENETRATION_M = 1e-13
+#: Newton iterations for an event; they start within rounding of the engine, so that eight doublings of the digits
 #: suffice.
-ITERATIONS = 8
+EVENT_ITERATIONS = 8
 #: Largest difference between an event's time and the engine's, s.
-SAME_EVENT = Decimal("1e-9")
+MAX_EVENT_DIFFERENCE_S = Decimal("1e-9")
 #: Relative step of the difference quotients of an orbit; each Newton iteration gains the same number of digits.
-ORBIT_STEP = Decimal("1e-14")
+ORBIT_STEP_RATIO = Decimal("1e-14")
 #: Largest number of Newton iterations for an orbit; two reach forty digits from the sixteen of shooting.
 ORBIT_ITERATIONS = 4
 
@@ -76,11 +76,11 @@ class ExactOrbit:
         """Compute the largest error of a compliance, relative to the largest compliance of all bodies."""
         # Subtract in decimal arithmetic, so that the reference is not rounded.
         exact = np.vectorize(Decimal, otypes=[object])
-        off = np.hypot(
+        deviation = np.hypot(
             (exact(compliance.real) - self.real).astype(float),
             (exact(compliance.imag) - self.imag).astype(float),
         )
-        return float(off.max() / np.hypot(self.real.astype(float), self.imag.astype(float)).max())
+        return float(deviation.max() / np.hypot(self.real.astype(float), self.imag.astype(float)).max())
 
 
 def exact_motion(system: HybridSystem, tone: ToneDrive, run: Run, samples_per_period: int) -> Exact:
@@ -114,12 +114,14 @@ def exact_orbit(scene: Scene, orbit: Orbit) -> ExactOrbit:
     """
     coarse, fine = _ClosedOrbit(scene, orbit, CHECK_DIGITS), _ClosedOrbit(scene, orbit, DIGITS)
     start, _ = coarse.close(coarse.start())
-    rough = coarse.compliance(start)
+    coarse_compliance = coarse.compliance(start)
     start, residual = fine.close(start)
     real, imag = fine.compliance(start)
-    off = np.hypot((real - rough[0]).astype(float), (imag - rough[1]).astype(float)).max()
+    deviation = np.hypot(
+        (real - coarse_compliance[0]).astype(float), (imag - coarse_compliance[1]).astype(float)
+    ).max()
     size = np.hypot(real.astype(float), imag.astype(float)).max()
-    return ExactOrbit(real, imag, residual, float(off / size))
+    return ExactOrbit(real, imag, residual, float(deviation / size))
 
 
 def events_of(events: Any, system: HybridSystem) -> list[Event]:
@@ -210,8 +212,8 @@ class DecimalMotion:
         wall = CEILING if gap > 0.5 * float(self.system.clearance[j]) else FLOOR
         distance = self.form.gap(j, wall)
         # If the bed has not left the wall, contact resumes where the force, not the gap, is zero.
-        apart = float(np.dot(distance, self.z)) > -TOUCHING
-        self._to_root(guess, distance if apart else self.form.pressing(j, wall, matrix), j, kind)
+        is_separated = float(np.dot(distance, self.z)) > -MAX_TOUCH_PENETRATION_M
+        self._to_root(guess, distance if is_separated else self.form.pressing(j, wall, matrix), j, kind)
         self.mode[j] = wall
 
     def _to_root(self, guess: Decimal, guard: NDArray[Any], j: int, kind: str) -> None:
@@ -219,7 +221,7 @@ class DecimalMotion:
         self.advance(guess)
         matrix, _ = self._flow()
         slope = guard @ matrix
-        for _ in range(ITERATIONS):
+        for _ in range(EVENT_ITERATIONS):
             rate = np.dot(slope, self.z)
             if rate == 0:
                 break
@@ -227,7 +229,7 @@ class DecimalMotion:
             self.advance(self.now + step)
             if abs(step) < self._smallest * 10**4:
                 break
-        if abs(self.now - guess) > SAME_EVENT:
+        if abs(self.now - guess) > MAX_EVENT_DIFFERENCE_S:
             raise RunError(
                 f"event {kind} of damper {j + 1} at {guess:.9f} s is not reproduced. Report the scene."
             )
@@ -236,13 +238,13 @@ class DecimalMotion:
         """Advance to an earlier or later time without contact change."""
         duration, z = until - self.now, self.z
         _, flow = self._flow()
-        steps = max(1, int(np.ceil(abs(float(duration)) * self._fastest / REACH)))
+        steps = max(1, int(np.ceil(abs(float(duration)) * self._fastest / MAX_RATE_STEP)))
         for _ in range(steps):
             term, order = z, 0
             while order == 0 or max(map(abs, term)) >= self._smallest:
                 order += 1
-                part = duration / (steps * order)
-                term = [part * sum(map(mul, values, pick(term)), Decimal(0)) for values, pick in flow]
+                factor = duration / (steps * order)
+                term = [factor * sum(map(mul, values, pick(term)), Decimal(0)) for values, pick in flow]
                 z = list(map(add, z, term))
         self.z, self.now = list(z), until
 
@@ -254,10 +256,10 @@ class DecimalMotion:
             rows = []
             for row in matrix:
                 # At least two elements, because `itemgetter` returns no tuple for a single element.
-                places = [k for k, value in enumerate(row) if value]
-                places += [0] * (2 - len(places))
-                rows.append(([row[k] if row[k] else Decimal(0) for k in places], itemgetter(*places)))
-                if places[-1] == places[-2]:
+                columns = [k for k, value in enumerate(row) if value]
+                columns += [0] * (2 - len(columns))
+                rows.append(([row[k] if row[k] else Decimal(0) for k in columns], itemgetter(*columns)))
+                if columns[-1] == columns[-2]:
                     rows[-1][0][-1] = Decimal(0)
             self._flows[mode] = matrix, rows
         return self._flows[mode]
@@ -297,16 +299,16 @@ class _ClosedOrbit:
             values, jacobian, residual = np.array(start), None, np.inf
             for _ in range(ORBIT_ITERATIONS):
                 gap = self._residual(values)
-                now = float(np.max(np.abs(gap / scale)))
+                relative_gap = float(np.max(np.abs(gap / scale)))
                 # The last digits are rounding errors.
-                if now < 10.0 ** (5 - digits) or now > 0.1 * residual:
-                    residual = min(now, residual)
+                if relative_gap < 10.0 ** (5 - digits) or relative_gap > 0.1 * residual:
+                    residual = min(relative_gap, residual)
                     break
-                residual = now
+                residual = relative_gap
                 if jacobian is None:
-                    steps = ORBIT_STEP * scale
-                    moved = [self._residual(values + step) for step in np.diag(steps)]
-                    jacobian = ((np.array(moved) - gap) / steps[:, None]).T
+                    steps = ORBIT_STEP_RATIO * scale
+                    shifted = [self._residual(values + step) for step in np.diag(steps)]
+                    jacobian = ((np.array(shifted) - gap) / steps[:, None]).T
                 values = values - solve(jacobian, gap[:, None])[:, 0]
             if residual > 10.0 ** (12 - digits):
                 raise RunError(

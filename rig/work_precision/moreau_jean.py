@@ -13,10 +13,17 @@ from numpy.typing import NDArray
 from rig.arrays import Array
 from rig.errors import RunError
 from rig.numerics.jit import cached_njit
-from rig.work_precision.first_order_form import FLIGHT, FLOOR, PER_PERIOD, WALLS, FirstOrderForm, Outcome
+from rig.work_precision.first_order_form import (
+    FLIGHT,
+    FLOOR,
+    SAMPLES_PER_PERIOD,
+    WALLS,
+    FirstOrderForm,
+    Outcome,
+)
 
 #: Largest number of Gauss-Seidel iterations over the contacts in a step.
-ITERATIONS = 50
+MAX_CONTACT_ITERATIONS = 50
 
 
 class Step(NamedTuple):
@@ -46,8 +53,8 @@ def moreau_jean(problem: FirstOrderForm, steps: int) -> Outcome:
     """
     system, size, dampers = problem.system, problem.one + 1, len(problem.rows)
     length = 1.0 / (problem.tone.frequency * steps)
-    whole = problem.matrix([FLIGHT] * dampers)
-    matrix, waves = whole[:size, :size], whole[:size, size : size + 2]
+    flight_matrix = problem.matrix([FLIGHT] * dampers)
+    matrix, waves = flight_matrix[:size, :size], flight_matrix[:size, size : size + 2]
     inverse = np.linalg.inv(np.eye(size) - 0.5 * length * matrix)
     gap, push = np.zeros((dampers, size)), np.zeros((size, dampers))
     for j, row in enumerate(problem.rows):
@@ -70,7 +77,7 @@ def moreau_jean(problem: FirstOrderForm, steps: int) -> Outcome:
         ),
         np.array(problem.start[:size]),
         problem.periods * steps,
-        steps // PER_PERIOD,
+        steps // SAMPLES_PER_PERIOD,
     )
     if not np.isfinite(samples).all():
         raise RunError(f"unstable with {steps} steps a period. Use more steps.")
@@ -112,10 +119,10 @@ def _follow(parts: Step, start: Array, steps: int, every: int) -> tuple[Array, N
                 height += gap[j, i] * z[i]
                 before[j] += closing[j, i] * z[i]
                 free[j] += closing[j, i] * new[i]
-            ahead = height + 0.5 * length * before[j]
-            side[j] = 1.0 if ahead <= 0.0 else (-1.0 if ahead >= clearance[j] else 0.0)
+            predicted_height = height + 0.5 * length * before[j]
+            side[j] = 1.0 if predicted_height <= 0.0 else (-1.0 if predicted_height >= clearance[j] else 0.0)
             impulse[j] = 0.0
-        for _ in range(ITERATIONS):
+        for _ in range(MAX_CONTACT_ITERATIONS):
             change = 0.0
             for j in range(dampers):
                 if side[j] == 0.0:
@@ -123,9 +130,9 @@ def _follow(parts: Step, start: Array, steps: int, every: int) -> tuple[Array, N
                 value = free[j] + restitution[j] * before[j]
                 for other in range(dampers):
                     value += delassus[j, other] * impulse[other]
-                wanted = side[j] * max(0.0, side[j] * (impulse[j] - value / delassus[j, j]))
-                change = max(change, abs(wanted - impulse[j]))
-                impulse[j] = wanted
+                new_impulse = side[j] * max(0.0, side[j] * (impulse[j] - value / delassus[j, j]))
+                change = max(change, abs(new_impulse - impulse[j]))
+                impulse[j] = new_impulse
             if change == 0.0:
                 break
         for i in range(size):

@@ -22,26 +22,26 @@ from rig.simulation.simulate import Run, simulate
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive, accelerations_per_level, level_of, tone_drive
-from rig.work_precision.adaptive_solvers import BLIND, cvode_leg, follow, penalty, scipy_leg
-from rig.work_precision.first_order_form import PER_PERIOD, FirstOrderForm, Outcome
+from rig.work_precision.adaptive_solvers import GUARD_PAUSE_S, cvode_leg, follow, penalty, scipy_leg
+from rig.work_precision.first_order_form import SAMPLES_PER_PERIOD, FirstOrderForm, Outcome
 from rig.work_precision.high_precision import DIGITS, Exact, events_of, exact_motion
 
 #: Periods of the drive that every method computes.
 PERIODS = 20
 #: CPU time after which a method is stopped, s.
-LIMIT = 10.0
-#: Fast methods are repeated until this CPU time, s, is reached; the fastest repetition counts.
-ENOUGH = 0.05
+MAX_CPU_S = 10.0
+#: Total CPU time to which fast methods are repeated, s; the fastest repetition counts.
+MIN_MEASURED_CPU_S = 0.05
 #: Contact durations per period on the springs of the penalty method: more for stiffer springs.
-CONTACTS = (30, 300, 3000)
+CONTACTS_PER_PERIOD = (30, 300, 3000)
 #: Steps per period of time stepping; multiples of the samples per period.
-STEPS = (320, 1600, 8000, 40_000)
+STEPS_PER_PERIOD = (320, 1600, 8000, 40_000)
 #: Samples per period of the engine's sampled drives.
-SAMPLED = (64, 256, 1024, 4096)
-#: Longest step of a general solver, as a share of a period, with settings chosen to avoid missed events.
-CAREFUL = 1 / 40
+DRIVE_SAMPLES_PER_PERIOD = (64, 256, 1024, 4096)
+#: Longest step of a general solver, in periods, with settings chosen to avoid missed events.
+SHORT_STEP_RATIO = 1 / 40
 #: Smallest ratio of the error of the best method to the error of the reference.
-BETTER = 1e3
+MIN_REFERENCE_MARGIN = 1e3
 
 T = TypeVar("T")
 
@@ -61,7 +61,7 @@ class Point:
     note: str = ""  # Remarks, or the reason for a failure
 
 
-def refused(problem: ShotrigError) -> str:
+def failure_reason(problem: ShotrigError) -> str:
     """Describe why a method has no result: the scene is not supported, or the method failed."""
     return f"{'not applicable' if isinstance(problem, SceneError) else 'failed'}: {problem}"
 
@@ -114,18 +114,18 @@ def motion_study(
     tone = tone_drive(scene, system, frequency)
     assert tone is not None
     say = progress if progress is not None else lambda name: None
-    duration, rate = periods / frequency, PER_PERIOD * frequency
+    duration, rate = periods / frequency, SAMPLES_PER_PERIOD * frequency
     say("reference")
     run = simulate(scene, duration, rate, frequency=frequency)
-    exact = exact_motion(system, tone, run, PER_PERIOD)
-    judge = _Judge(exact, run, system)
+    exact = exact_motion(system, tone, run, SAMPLES_PER_PERIOD)
+    comparison = _Comparison(exact, run, system)
     points = []
     for method, setting, compute in _methods(scene, system, tone, periods):
         say(f"{method}, {setting}")
-        points.append(judge.point(method, setting, compute, periods))
+        points.append(comparison.point(method, setting, compute, periods))
     best = min((p.error for p in points if p.error > 0.0), default=np.inf)
     margin = best / max(exact.agreement, 10.0 ** (-DIGITS))
-    if margin < BETTER:
+    if margin < MIN_REFERENCE_MARGIN:
         raise RunError(
             "the reference is less than a thousand times more accurate than the best method. Report the "
             "scene."
@@ -143,19 +143,19 @@ Methods = Iterator[tuple[str, str, Callable[[], Outcome]]]
 def _methods(scene: Scene, system: HybridSystem, tone: ToneDrive, periods: int) -> Methods:
     """Yield each method with a setting and a function that computes the motion."""
     frequency = tone.frequency
-    duration, rate = periods / frequency, PER_PERIOD * frequency
+    duration, rate = periods / frequency, SAMPLES_PER_PERIOD * frequency
 
-    def called() -> Outcome:
+    def simulated() -> Outcome:
         return _outcome(simulate(scene, duration, rate, frequency=frequency), system)
 
-    yield "engine, tone", "as called", called
+    yield "engine, tone", "as called", simulated
     yield "engine, tone", "warm", _warm(system, tone, periods)
     if np.array_equal(tone.state, system.initial):
         # First run without measurement, so that compilation is not included in the time.
-        _sampled(scene, system, tone, SAMPLED[0], 1)()
-        for share in SAMPLED:
-            sampled = _sampled(scene, system, tone, share, periods)
-            yield "engine, sampled drive", f"{share * frequency:.4g} Hz", sampled
+        _sampled(scene, system, tone, DRIVE_SAMPLES_PER_PERIOD[0], 1)()
+        for samples in DRIVE_SAMPLES_PER_PERIOD:
+            sampled = _sampled(scene, system, tone, samples, periods)
+            yield "engine, sampled drive", f"{samples * frequency:.4g} Hz", sampled
     if system.finite_contact.any():
         return  # the other methods support instantaneous contact only
     problem = FirstOrderForm(system, tone, periods)
@@ -168,40 +168,48 @@ def _without_events(problem: FirstOrderForm) -> Methods:
     """Yield the methods without event location."""
     from rig.work_precision.moreau_jean import moreau_jean
 
-    for contacts in CONTACTS:
+    for contacts in CONTACTS_PER_PERIOD:
         yield "penalty, LSODA", f"contact of T/{contacts}", partial(penalty, problem, contacts)
-    moreau_jean(FirstOrderForm(problem.system, problem.tone, 1), STEPS[0])
-    for steps in STEPS:
+    moreau_jean(FirstOrderForm(problem.system, problem.tone, 1), STEPS_PER_PERIOD[0])
+    for steps in STEPS_PER_PERIOD:
         yield "Moreau-Jean", f"{steps} steps", partial(moreau_jean, problem, steps)
 
 
 def _compiled(problem: FirstOrderForm, period: float) -> Methods:
     """Yield the compiled Runge-Kutta solver, after a run without measurement for its compilation."""
-    from rig.work_precision.compiled_runge_kutta import MOST_DAMPERS, DormandPrince
+    from rig.work_precision.compiled_runge_kutta import MAX_DAMPERS, DormandPrince
 
-    if problem.system.dampers > MOST_DAMPERS:
+    if problem.system.dampers > MAX_DAMPERS:
         return
-    peer = DormandPrince(problem)
+    solver = DormandPrince(problem)
     # A failure is reported in the measured run.
     with suppress(RunError):
-        peer.follow(1e-6, BLIND, period)
+        solver.follow(1e-6, GUARD_PAUSE_S, period)
     for rtol in (1e-6, 1e-9, 1e-12):
-        yield "compiled DP5", f"rtol {rtol:.0e}", partial(peer.follow, rtol, BLIND, np.inf)
-    yield "compiled DP5", "rtol 1e-12, step T/40, blind", partial(peer.follow, 1e-12, BLIND, CAREFUL * period)
+        yield "compiled DP5", f"rtol {rtol:.0e}", partial(solver.follow, rtol, GUARD_PAUSE_S, np.inf)
+    yield (
+        "compiled DP5",
+        "rtol 1e-12, step T/40, blind",
+        partial(solver.follow, 1e-12, GUARD_PAUSE_S, SHORT_STEP_RATIO * period),
+    )
 
 
 def _adaptive(problem: FirstOrderForm, period: float) -> Methods:
     for method, tolerances in (("DOP853", (1e-4, 1e-6, 1e-9, 1e-12)), ("LSODA", (1e-6, 1e-9))):
         for rtol in tolerances:
             leg = scipy_leg(method, rtol, np.inf)
-            yield f"scipy {method}", f"rtol {rtol:.0e}", partial(follow, problem, leg, 0.0, LIMIT)
+            yield f"scipy {method}", f"rtol {rtol:.0e}", partial(follow, problem, leg, 0.0, MAX_CPU_S)
     if importlib.util.find_spec("sksundae") is None:
         return
     for rtol in (1e-4, 1e-6, 1e-9, 1e-12):
-        adams = cvode_leg(rtol, 0.0)
-        yield "CVODE", f"rtol {rtol:.0e}", partial(follow, problem, adams, 0.0, LIMIT)
-    careful = cvode_leg(1e-12, CAREFUL * period)
-    yield "CVODE", "rtol 1e-12, step T/40, blind", partial(follow, problem, careful, BLIND, LIMIT)
+        leg = cvode_leg(rtol, 0.0)
+        yield "CVODE", f"rtol {rtol:.0e}", partial(follow, problem, leg, 0.0, MAX_CPU_S)
+    short_steps = cvode_leg(1e-12, SHORT_STEP_RATIO * period)
+    yield (
+        "CVODE",
+        "rtol 1e-12, step T/40, blind",
+        partial(follow, problem, short_steps, GUARD_PAUSE_S, MAX_CPU_S),
+    )
 
 
 def _outcome(run: Run, system: HybridSystem, every: int = 1) -> Outcome:
@@ -226,18 +234,20 @@ def _warm(system: HybridSystem, tone: ToneDrive, periods: int) -> Callable[[], O
 
 
 def _sampled(
-    scene: Scene, system: HybridSystem, tone: ToneDrive, share: int, periods: int
+    scene: Scene, system: HybridSystem, tone: ToneDrive, samples_per_period: int, periods: int
 ) -> Callable[[], Outcome]:
     """Return a run of the engine driven by samples of the sinusoid."""
-    rate = share * tone.frequency
-    angle = 2.0 * np.pi * np.arange(periods * share + 1) / share
+    rate = samples_per_period * tone.frequency
+    angle = 2.0 * np.pi * np.arange(periods * samples_per_period + 1) / samples_per_period
     drive = np.real(tone.amplitudes[:, None] * np.exp(1j * angle))
     return lambda: _outcome(
-        simulate(scene, periods / tone.frequency, rate, drive=drive), system, share // PER_PERIOD
+        simulate(scene, periods / tone.frequency, rate, drive=drive),
+        system,
+        samples_per_period // SAMPLES_PER_PERIOD,
     )
 
 
-class _Judge:
+class _Comparison:
     """Compares outcomes with the reference."""
 
     def __init__(self, exact: Exact, run: Run, system: HybridSystem) -> None:
@@ -250,25 +260,29 @@ class _Judge:
         """Run a method and evaluate its error."""
         try:
             cpu, outcome = timed(compute)
-        except ShotrigError as problem:
-            return Point(method, setting, np.nan, np.nan, np.nan, False, refused(problem))
+        except ShotrigError as failure:
+            return Point(method, setting, np.nan, np.nan, np.nan, False, failure_reason(failure))
         # Subtract in decimal arithmetic, so that the reference is not rounded.
         values = np.vectorize(Decimal, otypes=[object])(outcome.displacement)
         last_only = values.shape[1] == 1
-        true = self.exact.displacement[:, -1:] if last_only else self.exact.displacement
-        error = float(np.abs(values - true).max()) / self.scale
+        exact = self.exact.displacement[:, -1:] if last_only else self.exact.displacement
+        error = float(np.abs(values - exact).max()) / self.scale
         if last_only:
             return Point(method, setting, cpu / periods, error, np.nan, True, "flow and events alone")
-        found = _by_damper(outcome.events, len(self.events))
-        right = [[k for _, k in own] for own in found] == [[k for _, k in own] for own in self.events]
+        computed_events = _by_damper(outcome.events, len(self.events))
+        correct_events = _kinds(computed_events) == _kinds(self.events)
         event_error = np.nan
-        if right and any(found):
+        if correct_events and any(computed_events):
             event_error = max(
-                abs(t - s)
-                for own, true in zip(found, self.events, strict=True)
-                for (t, _), (s, _) in zip(own, true, strict=True)
+                abs(t - reference)
+                for events, references in zip(computed_events, self.events, strict=True)
+                for (t, _), (reference, _) in zip(events, references, strict=True)
             )
-        return Point(method, setting, cpu / periods, error, event_error, right)
+        return Point(method, setting, cpu / periods, error, event_error, correct_events)
+
+
+def _kinds(events: list[list[tuple[float, str]]]) -> list[list[str]]:
+    return [[kind for _, kind in damper_events] for damper_events in events]
 
 
 def _by_damper(events: list[tuple[float, int, str]], dampers: int) -> list[list[tuple[float, str]]]:
@@ -277,11 +291,11 @@ def _by_damper(events: list[tuple[float, int, str]], dampers: int) -> list[list[
 
 def timed(compute: Callable[[], T]) -> tuple[float, T]:
     """Return the CPU time of the fastest of several calls, s, and the result."""
-    best, spent = np.inf, 0.0
+    shortest, total = np.inf, 0.0
     while True:
-        begun = time.process_time()
+        start = time.process_time()
         result = compute()
-        taken = time.process_time() - begun
-        best, spent = min(best, taken), spent + taken
-        if spent > ENOUGH:
-            return float(best), result
+        cpu = time.process_time() - start
+        shortest, total = min(shortest, cpu), total + cpu
+        if total > MIN_MEASURED_CPU_S:
+            return float(shortest), result

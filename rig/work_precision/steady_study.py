@@ -19,16 +19,16 @@ from rig.steady_response.frequency_response import frequency_response
 from rig.system.open_loop_drive import with_ideal_force
 from rig.system.structural_model import receptance, structural_model
 from rig.work_precision.high_precision import DIGITS, ExactOrbit, exact_orbit
-from rig.work_precision.motion_study import BETTER, Point, refused, timed
+from rig.work_precision.motion_study import MIN_REFERENCE_MARGIN, Point, failure_reason, timed
 
 #: Name of another packing of the grains among the models; its deviation is the resolution of the study.
 OTHER_PACKING = "grains, other packing"
 #: Tolerances of the steady state in time integration.
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
 #: Relative frequency offsets at which periodic motion is searched if the motion is irregular.
-NEARBY = (0.0, 0.01, -0.01, 0.02, -0.02, 0.03, -0.03, 0.05, -0.05, 0.08, -0.08)
+FREQUENCY_OFFSETS = (0.0, 0.01, -0.01, 0.02, -0.02, 0.03, -0.03, 0.05, -0.05, 0.08, -0.08)
 #: Relative half-width of the band of the approximate method around the frequency.
-BAND = 0.04
+BAND_HALF_WIDTH = 0.04
 
 
 @dataclass(frozen=True)
@@ -58,11 +58,11 @@ def steady_study(
         # Repeated for the measurement, because the first call includes compilation.
         cpu, orbit = timed(partial(periodic_orbit, scene, orbit.frequency))
         say("reference for the steady state")
-        true = exact_orbit(scene, orbit)
+        reference = exact_orbit(scene, orbit)
     except ShotrigError as error:
         return SteadyStudy((), frequency, "", f"no steady state to compare with: {error}")
     frequency = orbit.frequency
-    newton_error = true.error(orbit.compliance)
+    newton_error = reference.error(orbit.compliance)
     points = [
         Point(
             "shooting", f"Newton to {orbit.residual:.0e}", cpu, newton_error, np.nan, True, orbit.motion_type
@@ -73,19 +73,19 @@ def steady_study(
         cpu, response = timed(partial(frequency_response, scene, [frequency], tolerance=tolerance))
         points.append(
             Point(
-                "waiting", f"tolerance {tolerance:.0e}", cpu, true.error(response.compliance[:, 0]), np.nan,
+                "waiting", f"tolerance {tolerance:.0e}", cpu, reference.error(response.compliance[:, 0]), np.nan,
                 bool(response.converged[0]), str(response.motion_type[0]),
             )
         )  # fmt: skip
     say("approximate method")
-    points.append(_approximate(scene, frequency, true))
+    points.append(_approximate(scene, frequency, reference))
     riding = tuple(range(1, len(scene.dampers) + 1))
     for name, dampers in (("dampers riding", riding), ("no dampers", ())):
         cpu, linear = timed(partial(receptance, scene, [frequency], riding=dampers))
-        points.append(Point("linear", name, cpu, true.error(linear[:, 0]), np.nan, False))
-    best = min((point.error for point in points if point.error > 0.0), default=np.inf)
-    margin = best / max(true.agreement, 10.0**-DIGITS)
-    if margin < BETTER:
+        points.append(Point("linear", name, cpu, reference.error(linear[:, 0]), np.nan, False))
+    smallest_error = min((point.error for point in points if point.error > 0.0), default=np.inf)
+    margin = smallest_error / max(reference.agreement, 10.0**-DIGITS)
+    if margin < MIN_REFERENCE_MARGIN:
         raise RunError(
             "the reference of the steady state is less than a thousand times more accurate than the best method. "
             "Report the scene."
@@ -94,44 +94,47 @@ def steady_study(
         tuple(points),
         frequency,
         orbit.motion_type,
-        f"the periodic orbit in decimal arithmetic of {DIGITS} digits, which closes to {true.residual:.0e} of the "
-        f"motion. Fewer digits change the compliance by {true.agreement:.0e}, relative; the error of the most accurate "
-        f"method is {margin:.0e} times as large.",
+        f"the periodic orbit in decimal arithmetic of {DIGITS} digits, which closes to {reference.residual:.0e} of the "
+        f"motion. Fewer digits change the compliance by {reference.agreement:.0e}, relative; the error of the most "
+        f"accurate method is {margin:.0e} times as large.",
     )
 
 
 def _orbit_near(scene: Scene, frequency: float) -> Orbit:
     """Compute the periodic motion at a frequency or, if there is none, at a frequency nearby."""
-    first: ShotrigError | None = None
-    for share in NEARBY:
+    first_error: ShotrigError | None = None
+    for offset in FREQUENCY_OFFSETS:
         try:
-            return periodic_orbit(scene, frequency * (1.0 + share))
+            return periodic_orbit(scene, frequency * (1.0 + offset))
         except RunError as error:
-            first = first or error
-    assert first is not None
-    raise first
+            first_error = first_error or error
+    assert first_error is not None
+    raise first_error
 
 
-def _approximate(scene: Scene, frequency: float, true: ExactOrbit) -> Point:
+def _approximate(scene: Scene, frequency: float, reference: ExactOrbit) -> Point:
     """Evaluate the one-mode method for the nearest mode; it computes the whole curve at once."""
     mode = int(np.argmin(np.abs(structural_model(scene).modes.frequency - frequency))) + 1
-    band = (frequency * (1 - BAND), frequency * (1 + BAND))
+    band = (frequency * (1 - BAND_HALF_WIDTH), frequency * (1 + BAND_HALF_WIDTH))
     reasons = []
     for weighting in get_args(Weighting):
         try:
-            cpu, found = timed(partial(approximate_response, scene, mode, band, weighting=weighting))
-        except ShotrigError as refusal:
-            reasons.append(refused(refusal))
+            cpu, response = timed(partial(approximate_response, scene, mode, band, weighting=weighting))
+        except ShotrigError as failure:
+            reasons.append(failure_reason(failure))
             continue
-        values = [
-            branch.compliance[k] * found.mode.shape
-            for branch in found.branches
+        compliances = [
+            branch.compliance[k] * response.mode.shape
+            for branch in response.branches
             for k in np.flatnonzero(
                 branch.valid & branch.stable & (np.abs(branch.frequency / frequency - 1) < 2e-3)
             )
         ]
-        if values:
-            error, setting = min(true.error(value) for value in values), f"mode {mode}, {weighting} weights"
+        if compliances:
+            error, setting = (
+                min(reference.error(compliance) for compliance in compliances),
+                f"mode {mode}, {weighting} weights",
+            )
             return Point("approximate", setting, cpu, error, np.nan, True, "the whole curve")
         reasons.append("failed: finds no stable motion here")
     return Point("approximate", f"mode {mode}", np.nan, np.nan, np.nan, False, reasons[-1])

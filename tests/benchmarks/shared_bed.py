@@ -64,7 +64,7 @@ def compare_ranks(n_ranks: int) -> None:
         positions_path = Path(folder) / "fallen.npy"
         for mass, cavity, steps in BEDS:
             spheres = spheres_of(scene_of(mass, cavity))[0]
-            np.save(positions_path, packing._fallen(spheres))
+            np.save(positions_path, packing._drop(spheres))
             arguments = [str(positions_path), str(mass), str(cavity), str(steps)]
             times: dict[int, list[list[float]]] = {1: [], n_ranks: []}
             for _ in range(REPEATS):

@@ -39,7 +39,7 @@ def test_new_dampers_land_as_the_scenes() -> None:
 
 def test_first_of_different_landings_is_taken() -> None:
     landings = landings_from(with_dampers(LASTING, {}).dampers)
-    assert (landings.restitution, landings.taken) == (0.2, "as the scene's first; others of it differ")
+    assert (landings.restitution, landings.origin) == (0.2, "as the scene's first; others of it differ")
     walls = {"contact": {"floor": {"duration": "4 ms"}, "ceiling": {"duration": "1 ms"}}}
     assert "in 4 ms on floors and 1 ms on ceilings" in str(landings_from(with_dampers(walls).dampers))
     assert landings_from(()) == INSTANTANEOUS and "at once, restitution 0" in str(INSTANTANEOUS)

@@ -16,14 +16,14 @@ import rig
 from rig.damper_design.answers import Answers
 from rig.damper_design.choice import Choice, Question, Space, Trial
 from rig.damper_design.ranking import front
-from rig.damper_design.search import _refine, _row, search
+from rig.damper_design.search import _grid_row, _refine, search
 from rig.damper_design.worst_peak import Peak
 from rig.errors import RunError
 
 
 @dataclass(frozen=True)
 class Bowl(Question):
-    """Answers at once: the best damper is one of 60 g in body 2 with 1 mm, or the like of two."""
+    """Question with a quadratic peak: smallest for dampers of 60 g in body 2 with a clearance of 1 mm."""
 
     def worst(self, choice: Choice) -> Peak:
         away = [
@@ -36,7 +36,7 @@ class Bowl(Question):
 
 @dataclass(frozen=True)
 class Flat(Question):
-    """Answers at once: the first level has the worst peak whatever the clearance, the second likes one of 2 mm best."""
+    """Question whose worst peak, at the first level, is constant; at the second level, 2 mm is the best clearance."""
 
     def worst(self, choice: Choice) -> Peak:
         away = np.log(choice.clearances[0] / 2e-3) ** 2
@@ -153,7 +153,7 @@ def test_tried_clearances_are_allowed_and_distinct(place: tuple[int, ...], start
         assert len(set(each)) == len(each) and choice.mass == pytest.approx(0.1)
         return sum(choice.clearances)
 
-    row = _row(Space((place,), 0.1, (1e-4, 1e-2), without_ceiling=False), place, 1.0)
+    row = _grid_row(Space((place,), 0.1, (1e-4, 1e-2), without_ceiling=False), place, 1.0)
     for choice in row:
         seen(choice)
     _refine(row[start], seen, step, (1e-4, 1e-2))

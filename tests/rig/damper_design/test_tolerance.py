@@ -22,7 +22,7 @@ SPACE = Space(((1,),), 0.1, (1e-4, 1e-2))
 
 
 class InThisProcess:
-    """Workers that compute in this process, also the pieces that are added meanwhile."""
+    """Workers that compute in this process, including pieces that are added during the computation."""
 
     def compute(self, function: Callable[[Any], Any], pieces: Sequence[Any]) -> Iterator[tuple[int, Any]]:
         yield from ((number, function(piece)) for number, piece in enumerate(pieces))
@@ -30,7 +30,7 @@ class InThisProcess:
 
 @dataclass(frozen=True)
 class Plateau(Question):
-    """Answers at once: good from 3.5 to 4.62 mm in the band, and outside it the lower the better."""
+    """Question with a low peak from 3.5 to 4.62 mm in the band; outside the band the peak rises with the clearance."""
 
     def worst(self, choice: Choice) -> Peak:
         clearance = choice.clearances[0]
@@ -42,7 +42,7 @@ class Plateau(Question):
 
 @dataclass(frozen=True)
 class Unreached(Question):
-    """Answers at once: a ceiling above 7 micrometres changes nothing."""
+    """Question whose peak does not depend on clearances above 7 micrometres."""
 
     def worst(self, choice: Choice) -> Peak:
         return Peak(2.0 if choice.clearances[0] < 7e-6 else 1.0, 49.0, max(self.levels), 1, 1.0, 0.0)

@@ -117,8 +117,8 @@ def test_layered_bed_rests_from_the_first_step(count: int, cavity: float, seed: 
 
 
 def test_creeping_bed_ends_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(packing, "_AT_REST", (0.0, 0.0))
-    monkeypatch.setattr(packing, "_MOST_REST_CHECKS", 30)
+    monkeypatch.setattr(packing, "_REST_FORCE_RATIO", 0.0)
+    monkeypatch.setattr(packing, "_MAX_REST_CHECKS", 30)
     spheres = Spheres(Grains(diameter=2e-3, cavity=3e-3), 3 * 4.75e-5, np.inf, 3, 71)
 
     with pytest.raises(RunError, match="did not come to rest"):

@@ -52,5 +52,5 @@ def test_softer_grains_change_only_modulus_and_step() -> None:
     softer = models.softened(scene)
 
     grains = softer.dampers[0].grains
-    assert grains.modulus == scene.dampers[0].grains.modulus / models.SOFTER
+    assert grains.modulus == scene.dampers[0].grains.modulus / models.SOFTENING_RATIO
     assert grains.replace(modulus=1e7, time_step=15e-6) == scene.dampers[0].grains

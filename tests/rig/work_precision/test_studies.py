@@ -16,19 +16,19 @@ from rig.errors import RunError, SceneError
 from rig.system.assembly import assemble
 from rig.system.open_loop_drive import tone_drive, with_ideal_force
 from rig.system.structural_model import receptance
-from rig.work_precision.adaptive_solvers import BLIND, follow, penalty, scipy_leg
+from rig.work_precision.adaptive_solvers import GUARD_PAUSE_S, follow, penalty, scipy_leg
 from rig.work_precision.compiled_runge_kutta import DormandPrince
 from rig.work_precision.cost import Cost
-from rig.work_precision.first_order_form import PER_PERIOD, FirstOrderForm
+from rig.work_precision.first_order_form import SAMPLES_PER_PERIOD, FirstOrderForm
 from rig.work_precision.high_precision import ExactOrbit, exact_motion, exact_orbit
 from rig.work_precision.moreau_jean import moreau_jean
 from rig.work_precision.motion_study import (
     MotionStudy,
     Point,
     _compiled,
+    failure_reason,
     hardest_frequency,
     motion_study,
-    refused,
 )
 from rig.work_precision.steady_study import SteadyStudy, _approximate, steady_study
 from tests.rig.engine.exact import Segment
@@ -42,8 +42,8 @@ def case() -> tuple[FirstOrderForm, np.ndarray, rig.Run]:
     scene = rig.load("reference-B")
     system = assemble(scene)
     tone = tone_drive(scene, system)
-    run = rig.simulate(scene, PERIODS / tone.frequency, PER_PERIOD * tone.frequency)
-    exact = exact_motion(system, tone, run, PER_PERIOD)
+    run = rig.simulate(scene, PERIODS / tone.frequency, SAMPLES_PER_PERIOD * tone.frequency)
+    exact = exact_motion(system, tone, run, SAMPLES_PER_PERIOD)
     assert exact.agreement < 1e-20
     return FirstOrderForm(system, tone, PERIODS), exact.displacement, run
 
@@ -62,7 +62,7 @@ def test_reference_agrees_to_thirty_digits(case: tuple[FirstOrderForm, np.ndarra
     size = 2 * riding.n
     riding.generator[size, size + 1], riding.generator[size + 1, size] = -omega, omega
     sample = int(np.searchsorted(run.time, run.events["time"][0])) - 1
-    state = riding.after(riding.start(), mpf(sample) / (PER_PERIOD * mpf(scene.test.frequency)))
+    state = riding.after(riding.start(), mpf(sample) / (SAMPLES_PER_PERIOD * mpf(scene.test.frequency)))
     for body in range(3):
         assert abs(mpf(str(exact[body, sample])) / state[body] - 1) < mpf("1e-30")
 
@@ -85,7 +85,7 @@ def test_error_shrinks_with_the_step(
 
 def test_scipy_finds_events_at_its_tolerance(case: tuple[FirstOrderForm, np.ndarray, rig.Run]) -> None:
     problem, exact, run = case
-    outcome = follow(problem, scipy_leg("DOP853", 1e-9, np.inf), BLIND, 60.0)
+    outcome = follow(problem, scipy_leg("DOP853", 1e-9, np.inf), GUARD_PAUSE_S, 60.0)
     assert [kind for _, _, kind in outcome.events] == list(run.events["kind"])
     assert error(outcome, exact) < 1e-6
 
@@ -95,7 +95,7 @@ def test_compiled_solver_finds_events_at_its_tolerance(
     case: tuple[FirstOrderForm, np.ndarray, rig.Run], rtol: float, allowed: float
 ) -> None:
     problem, exact, run = case
-    outcome = DormandPrince(problem).follow(rtol, BLIND, np.inf)
+    outcome = DormandPrince(problem).follow(rtol, GUARD_PAUSE_S, np.inf)
     assert [kind for _, _, kind in outcome.events] == list(run.events["kind"])
     np.testing.assert_allclose([t for t, _, _ in outcome.events], run.events["time"], rtol=0, atol=allowed)
     assert error(outcome, exact) < allowed
@@ -209,7 +209,7 @@ def test_table_and_file_report_a_failure(tmp_path: Path) -> None:
             float("nan"),
             float("nan"),
             False,
-            refused(RunError("takes too long")),
+            failure_reason(RunError("takes too long")),
         ),
     )
     study = MotionStudy(rig.load("reference-B"), 49.7, 20, 37, points, "forty digits", 1e9)

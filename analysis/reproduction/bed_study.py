@@ -154,7 +154,7 @@ def compare_beds(setting: Setting) -> Row:
     row = [repr(float(value)) for value in (setting.frequency, setting.level, setting.clearance)]
     row += [str(setting.layers), str(setting.seed), f"{depth:.2f}"]
     block = BLOCK_PERIODS if math.isinf(setting.clearance) else BLOCK_PERIODS_WITH_CEILING
-    row += summary_row(scene, steady_grains(scene, setting.frequency, block, 3, least=3))
+    row += summary_row(scene, steady_grains(scene, setting.frequency, block, 3, min_blocks=3))
     row += _mass_summary(setting.frequency, setting.level, setting.clearance)
     return dict(zip(_HEADER, row, strict=True))
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 #: Periods of a block over which a motion is averaged.
 PERIODS = 20
 #: Largest number of blocks until the motion is steady.
-MOST_BLOCKS = 20
+MAX_BLOCKS = 20
 
 
 class _Piece(NamedTuple):
@@ -115,12 +115,12 @@ def bed_response(
     written.
     """
     scene = scene_of(scene)
-    asked = np.asarray(positive_values(frequencies, FREQUENCY, "frequencies"), dtype=np.float64)
+    requested = np.asarray(positive_values(frequencies, FREQUENCY, "frequencies"), dtype=np.float64)
     if not spheres_of(scene):
         raise SceneError(
             f"scene {scene.name!r} has no bed of grains that can move. Add grains: {{diameter: 2 mm}} to a damper."
         )
-    pieces = [_Piece(scene, float(frequency), periods) for frequency in asked]
+    pieces = [_Piece(scene, float(frequency), periods) for frequency in requested]
 
     def pack() -> None:
         # Packed here once and stored, the beds are available to all workers.
@@ -128,15 +128,17 @@ def bed_response(
             settled(spheres)
 
     motions = _STUDY.run(pieces, table, cluster, progress, pack)
-    return BedResponse(asked, tuple(grains for grains, _ in motions), tuple(mass for _, mass in motions))
+    return BedResponse(requested, tuple(grains for grains, _ in motions), tuple(mass for _, mass in motions))
 
 
 def text(response: BedResponse) -> str:
     """Return a response as text: grains, and one mass below, for the first bed and the body that moves most."""
     titles = ("floor N s", 12), ("ceiling N s", 12), ("J/period", 11), ("landing", 9), ("flies", 7)
-    lines = [f"{'Hz':>9}  {'bed':6}{'m/N':>11}{''.join(f'{title:>{wide}}' for title, wide in titles)}  type"]
-    for frequency, *both in zip(response.frequency, response.grains, response.mass, strict=True):
-        for name, motion in zip(("grains", "mass"), both, strict=True):
+    lines = [
+        f"{'Hz':>9}  {'bed':6}{'m/N':>11}{''.join(f'{title:>{width}}' for title, width in titles)}  type"
+    ]
+    for frequency, *motions in zip(response.frequency, response.grains, response.mass, strict=True):
+        for name, motion in zip(("grains", "mass"), motions, strict=True):
             largest = np.abs(motion.compliance).max()
             lines.append(
                 f"{frequency:9.4f}  {name:6}{largest:11.4g}{motion.floor_impulse[0]:12.4g}"
@@ -150,7 +152,7 @@ def text(response: BedResponse) -> str:
 
 def _compute(piece: _Piece) -> tuple[SteadyBed, SteadyBed]:
     scene, frequency, periods = piece
-    return steady_grains(scene, frequency, periods, MOST_BLOCKS), steady_mass(scene, frequency)
+    return steady_grains(scene, frequency, periods, MAX_BLOCKS), steady_mass(scene, frequency)
 
 
 def _key(piece: _Piece) -> tuple[str, float]:
@@ -158,13 +160,13 @@ def _key(piece: _Piece) -> tuple[str, float]:
     return digest(inputs), piece.frequency
 
 
-def _stored(motion: SteadyBed) -> dict[str, Any]:
+def _to_json_types(motion: SteadyBed) -> dict[str, Any]:
     stored = {name: np.asarray(value).tolist() for name, value in vars(motion).items()}
     stored["compliance"] = [[value.real, value.imag] for value in motion.compliance]
     return stored
 
 
-def _motion(stored: str) -> SteadyBed:
+def _parse_motion(stored: str) -> SteadyBed:
     values = json.loads(stored)
     values["compliance"] = [complex(*pair) for pair in values["compliance"]]
     lists = {name: np.array(value) for name, value in values.items() if isinstance(value, list)}
@@ -176,6 +178,6 @@ _STUDY: Study[_Piece, tuple[SteadyBed, SteadyBed]] = Study(
     ("question", "frequency_hz", "grains", "mass"),
     _compute,
     _key,
-    lambda key, both: [key[0], repr(key[1]), *(json.dumps(_stored(each)) for each in both)],
-    lambda row: ((row[0], float(row[1])), (_motion(row[2]), _motion(row[3]))),
+    lambda key, both: [key[0], repr(key[1]), *(json.dumps(_to_json_types(each)) for each in both)],
+    lambda row: ((row[0], float(row[1])), (_parse_motion(row[2]), _parse_motion(row[3]))),
 )

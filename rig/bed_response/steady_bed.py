@@ -18,15 +18,15 @@ from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import tone_drive, with_ideal_force
 
 #: Sample intervals in a period.
-_MARKS = 50
+_SAMPLES_PER_PERIOD = 50
 #: Largest relative difference of the compliances of two blocks of periods in steady motion.
-STEADY = 0.01
+MAX_STEADY_CHANGE = 0.01
 #: Periods in which the transient of the mass decays.
-_SETTLING = 200
+_SETTLING_PERIODS = 200
 #: Periods that are averaged after that.
-_AVERAGED = 100
+_AVERAGED_PERIODS = 100
 #: Smallest share of a period in flight, or of the weight at a wall, that determines the motion type.
-_SIGNIFICANT = 0.01
+_MIN_SIGNIFICANT_RATIO = 0.01
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class SteadyBed:
     @property
     def steady(self) -> bool:
         """Whether the last two blocks agree."""
-        return self.spread < STEADY
+        return self.spread < MAX_STEADY_CHANGE
 
 
 def as_one_mass(scene: Scene) -> Scene:
@@ -59,43 +59,47 @@ def as_one_mass(scene: Scene) -> Scene:
     return scene.replace(dampers=[damper.replace(grains=None) for damper in scene.dampers])
 
 
-def steady_grains(scene: Scene, frequency: float, block: int, most: int, least: int = 2) -> SteadyBed:
+def steady_grains(
+    scene: Scene, frequency: float, block: int, max_blocks: int, min_blocks: int = 2
+) -> SteadyBed:
     """Simulate beds of grains under a tone until two blocks of periods agree.
 
     `scene`: its test gives the level; a controlled force acts directly on the body; `frequency`: Hz; `block`:
-    periods in a block; `most`, `least`: largest and smallest number of blocks; the last two are averaged.
+    periods in a block; `max_blocks`, `min_blocks`: largest and smallest number of blocks; the last two are averaged.
     """
     scene = with_ideal_force(scene)
-    coupled = CoupledPropagator(scene, 1.0 / (_MARKS * frequency))
+    coupled = CoupledPropagator(scene, 1.0 / (_SAMPLES_PER_PERIOD * frequency))
     system = coupled.system
     tone = tone_drive(scene, system, frequency)
     assert tone is not None
-    steps = block * _MARKS * coupled.substeps
-    turns = np.arange(steps + 1) / (_MARKS * coupled.substeps)
-    turn: ComplexArray = np.exp(2j * np.pi * turns)
-    drive = np.real(tone.amplitudes[:, None] * turn)
-    coupled.place(_near_steady(scene, system, frequency, tone.state), drive[:, 0])
+    steps = block * _SAMPLES_PER_PERIOD * coupled.substeps
+    cycles = np.arange(steps + 1) / (_SAMPLES_PER_PERIOD * coupled.substeps)
+    phase_factor: ComplexArray = np.exp(2j * np.pi * cycles)
+    drive = np.real(tone.amplitudes[:, None] * phase_factor)
+    coupled.place(_initial_state(scene, system, frequency, tone.state), drive[:, 0])
     blocks: list[SteadyBed] = []
-    while len(blocks) < least or (not blocks[-1].steady and len(blocks) < most):
+    while len(blocks) < min_blocks or (not blocks[-1].steady and len(blocks) < max_blocks):
         trajectory, beds = coupled.march(drive)
-        states, back = trajectory.state[:, : system.states], turn[1:].conj()
-        harmonics = 2.0 * (states.T @ back) / steps
+        states, conjugate_factor = trajectory.state[:, : system.states], phase_factor[1:].conj()
+        harmonics = 2.0 * (states.T @ conjugate_factor) / steps
         # Forces at the ends of the steps, as the states are; a periodic motion has the same integrals over both.
         force = beds.force[:, :, 1:]
         on_body = -force.sum(axis=1)
         velocity = states[:, system.coordinates + coupled.bodies].T
         weight = (system.damper_mass * system.gravity)[system.grains]
-        compliance = harmonics[: scene.structure.bodies] / _force(scene, system, harmonics, tone.amplitudes)
+        compliance = harmonics[: scene.structure.bodies] / _driving_force(
+            scene, system, harmonics, tone.amplitudes
+        )
         blocks.append(
             SteadyBed(
                 compliance=compliance,
                 floor_impulse=force[:, FLOOR].sum(axis=1) * coupled.step / block,
                 ceiling_impulse=-force[:, CEILING].sum(axis=1) * coupled.step / block,
                 energy=-(on_body * velocity).sum(axis=1) * coupled.step / block,
-                landing=_phase(force[:, FLOOR] @ turn[1:], tone.amplitudes),
+                landing=_phase(force[:, FLOOR] @ phase_factor[1:], tone.amplitudes),
                 flight=np.mean((force[:, FLOOR] == 0.0) & (force[:, CEILING] == 0.0), axis=1),
-                motion_type=_types(force, weight),
-                spread=_change(blocks[-1].compliance if blocks else None, compliance),
+                motion_type=_motion_types(force, weight),
+                spread=_relative_change(blocks[-1].compliance if blocks else None, compliance),
                 periods=block * (len(blocks) + 1),
             )
         )
@@ -109,29 +113,44 @@ def steady_mass(scene: Scene, frequency: float) -> SteadyBed:
     response = frequency_response(scene, [frequency])
     system = assemble(scene)
     run = simulate(
-        scene, (_SETTLING + _AVERAGED) / frequency, rate=8.0 * _MARKS * frequency, frequency=frequency
+        scene,
+        (_SETTLING_PERIODS + _AVERAGED_PERIODS) / frequency,
+        rate=8.0 * _SAMPLES_PER_PERIOD * frequency,
+        frequency=frequency,
     )
-    averaged = slice(-_AVERAGED * 8 * _MARKS, None)
-    turn = np.exp(2j * np.pi * frequency * run.time[averaged])
+    averaged = slice(-_AVERAGED_PERIODS * 8 * _SAMPLES_PER_PERIOD, None)
+    phase_factor = np.exp(2j * np.pi * frequency * run.time[averaged])
     tone = tone_drive(scene, system, frequency)
     assert tone is not None
     mobility, rows = np.diag(np.linalg.inv(system.mass)), np.flatnonzero(grains)
     impulse, energy, flight = np.zeros((2, len(rows))), np.zeros(len(rows)), np.empty(len(rows))
     moment = np.zeros(len(rows), dtype=complex)
-    begin = run.time[-1] - _AVERAGED / frequency
+    averaging_start = run.time[-1] - _AVERAGED_PERIODS / frequency
     for k, row in enumerate(rows):
         body, mass = system.damper_coordinate[row], system.damper_mass[row]
-        reduced, rebound = 1.0 / (1.0 / mass + mobility[body]), system.restitution[row]
-        load = mass * (run.acceleration[body, averaged] + system.gravity) / (8.0 * _MARKS * frequency)
-        own = run.events[(run.events["damper"] == system.damper_number[row]) & (run.events["time"] >= begin)]
+        reduced_mass, restitution = 1.0 / (1.0 / mass + mobility[body]), system.restitution[row]
+        load = (
+            mass
+            * (run.acceleration[body, averaged] + system.gravity)
+            / (8.0 * _SAMPLES_PER_PERIOD * frequency)
+        )
+        damper_events = run.events[
+            (run.events["damper"] == system.damper_number[row]) & (run.events["time"] >= averaging_start)
+        ]
         for wall, kind, sign in ((FLOOR, "floor", 1.0), (CEILING, "ceiling", -1.0)):
-            hits = own[own["kind"] == kind]
-            impacts = (1.0 + rebound) * reduced * hits["speed"]
+            hits = damper_events[damper_events["kind"] == kind]
+            impacts = (1.0 + restitution) * reduced_mass * hits["speed"]
             riding = np.where(run.contact[row, averaged] == wall + 1, load, 0.0)
-            impulse[wall, k] = (impacts.sum() + sign * riding.sum()) / _AVERAGED
-            energy[k] += 0.5 * reduced * (1.0 - rebound**2) * float((hits["speed"] ** 2).sum()) / _AVERAGED
+            impulse[wall, k] = (impacts.sum() + sign * riding.sum()) / _AVERAGED_PERIODS
+            energy[k] += (
+                0.5
+                * reduced_mass
+                * (1.0 - restitution**2)
+                * float((hits["speed"] ** 2).sum())
+                / _AVERAGED_PERIODS
+            )
             if wall == FLOOR:
-                moment[k] = impacts @ np.exp(2j * np.pi * frequency * hits["time"]) + riding @ turn
+                moment[k] = impacts @ np.exp(2j * np.pi * frequency * hits["time"]) + riding @ phase_factor
         flight[k] = np.mean(run.contact[row, averaged] == 0)
     return SteadyBed(
         compliance=response.compliance[:, 0],
@@ -142,11 +161,11 @@ def steady_mass(scene: Scene, frequency: float) -> SteadyBed:
         flight=flight,
         motion_type=response.damper_motion[rows, 0],
         spread=0.0 if response.converged[0] else np.inf,
-        periods=_SETTLING + _AVERAGED,
+        periods=_SETTLING_PERIODS + _AVERAGED_PERIODS,
     )
 
 
-def _near_steady(scene: Scene, system: HybridSystem, frequency: float, state: Array) -> Array:
+def _initial_state(scene: Scene, system: HybridSystem, frequency: float, state: Array) -> Array:
     """Return the steady state with each bed as one mass, to shorten the transient."""
     compliance = frequency_response(as_one_mass(scene), [frequency])
     bodies, n = scene.structure.bodies, system.coordinates
@@ -157,7 +176,9 @@ def _near_steady(scene: Scene, system: HybridSystem, frequency: float, state: Ar
     return state
 
 
-def _force(scene: Scene, system: HybridSystem, harmonics: ComplexArray, amplitudes: ComplexArray) -> complex:
+def _driving_force(
+    scene: Scene, system: HybridSystem, harmonics: ComplexArray, amplitudes: ComplexArray
+) -> complex:
     """First harmonic of the force on the driven body: of its coil spring, or the drive itself."""
     row = spring_force_row(scene, system)
     return complex(row @ harmonics) if row.any() else complex(amplitudes[np.argmax(np.abs(amplitudes))])
@@ -169,14 +190,17 @@ def _phase(moment: ComplexArray, amplitudes: ComplexArray) -> Array:
     return np.asarray(np.degrees(np.angle(moment * zero)) % 360.0)
 
 
-def _types(force: Array, weight: Array) -> NDArray[np.str_]:
+def _motion_types(force: Array, weight: Array) -> NDArray[np.str_]:
     """Classify the motion of beds by the forces of their walls (beds, walls, steps), in the terms for one mass."""
-    ceiling = -force[:, CEILING].mean(axis=1) > _SIGNIFICANT * weight
-    resting = np.mean(force[:, FLOOR] > _SIGNIFICANT * weight[:, None], axis=1) > 1.0 - _SIGNIFICANT
+    ceiling = -force[:, CEILING].mean(axis=1) > _MIN_SIGNIFICANT_RATIO * weight
+    resting = (
+        np.mean(force[:, FLOOR] > _MIN_SIGNIFICANT_RATIO * weight[:, None], axis=1)
+        > 1.0 - _MIN_SIGNIFICANT_RATIO
+    )
     return np.where(ceiling, "II/III", np.where(resting, "riding", "I"))
 
 
-def _change(before: ComplexArray | None, now: ComplexArray) -> float:
+def _relative_change(before: ComplexArray | None, now: ComplexArray) -> float:
     if before is None:
         return float("inf")
     return float(np.abs(now - before).max() / np.abs(now).max())

@@ -197,7 +197,7 @@ class Space:
     def locations_of(bodies: tuple[int, ...], dampers: int) -> tuple[tuple[int, ...], ...]:
         """List the arrangements of up to `dampers` dampers; a body may carry as many as it is named times.
 
-        >>> Space.places_of((1, 2, 2), 2)
+        >>> Space.locations_of((1, 2, 2), 2)
         ((1,), (2,), (1, 2), (2, 2))
         """
         return tuple(

@@ -17,11 +17,11 @@ from rig.system.structural_model import structural_model
 #: Kind of quantity of a level or clearance, by its unit.
 KIND_OF_UNIT = {"N": FORCE, "V": VOLTAGE, "m": LENGTH}
 #: Default number of frequencies.
-POINTS = 48
+DEFAULT_POINTS = 48
 #: Default number of rows.
-ROWS = 36
+DEFAULT_ROWS = 36
 #: Relative half-width of the finely spaced band around a natural frequency.
-CLOSE = 0.02
+RESONANCE_HALF_WIDTH = 0.02
 
 
 def vertical_axis(scene: Scene, over: str | None) -> tuple[str, str]:
@@ -36,24 +36,28 @@ def vertical_axis(scene: Scene, over: str | None) -> tuple[str, str]:
             f"scene {scene.name!r} has no damper that moves, so that its response is linear. Use rig "
             "response."
         )
-    own = "force" if getattr(scene.test, "force", None) is not None else "drive"
-    over = over if over is not None else own
-    if over not in (own, "clearance"):
-        raise SceneError(f"over: got {over!r}; expected {own} (the level of the scene's test) or clearance")
+    level_quantity = "force" if getattr(scene.test, "force", None) is not None else "drive"
+    over = over if over is not None else level_quantity
+    if over not in (level_quantity, "clearance"):
+        raise SceneError(
+            f"over: got {over!r}; expected {level_quantity} (the level of the scene's test) or clearance"
+        )
     if over == "force":
         return over, "N"
     return over, "m" if over == "clearance" or isinstance(scene.driven_shaker, TableShaker) else "V"
 
 
-def columns(scene: Scene, low: float | None = None, high: float | None = None, points: int = POINTS) -> Array:
+def columns(
+    scene: Scene, low: float | None = None, high: float | None = None, points: int = DEFAULT_POINTS
+) -> Array:
     """Select frequencies from low to high, half evenly spaced and half near the natural frequencies, Hz.
 
     `low`, `high`: Hz; None: the ends of the test's range, or 20 % below and above its single frequency. Raises
     `SceneError` if the ends are not a valid range.
     """
     if low is None or high is None:
-        usual = _range_of_test(scene)
-        low, high = usual[0] if low is None else low, usual[1] if high is None else high
+        default = _test_range(scene)
+        low, high = default[0] if low is None else low, default[1] if high is None else high
     if not 0.0 < low < high or points < 2:
         raise SceneError(
             f"frequencies: got {low:g} to {high:g} Hz in {points} points; expected a rising range above "
@@ -63,12 +67,12 @@ def columns(scene: Scene, low: float | None = None, high: float | None = None, p
     grid = np.linspace(low, high, 20_001)
     density = np.full(grid.shape, 1.0 / (high - low))
     for peak in natural:
-        width = CLOSE * peak
+        width = RESONANCE_HALF_WIDTH * peak
         density += 1.0 / (len(natural) * np.pi * width * (1.0 + ((grid - peak) / width) ** 2))
-    share = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
-    found = np.interp(np.linspace(0.0, share[-1], points), share, grid)
-    found[0], found[-1] = low, high
-    return np.asarray(found)
+    cumulative_density = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
+    frequencies = np.interp(np.linspace(0.0, cumulative_density[-1], points), cumulative_density, grid)
+    frequencies[0], frequencies[-1] = low, high
+    return np.asarray(frequencies)
 
 
 def natural_frequencies(scene: Scene, low: float, high: float) -> Array:
@@ -77,20 +81,20 @@ def natural_frequencies(scene: Scene, low: float, high: float) -> Array:
     With active dampers, each resonance is between these two values.
     """
     model = structural_model(scene)
-    loads = [model.with_bed_masses(), model.with_bed_masses(range(1, len(scene.dampers) + 1))]
-    natural = np.concatenate([each.modes.frequency for each in loads])
+    models = [model.with_bed_masses(), model.with_bed_masses(range(1, len(scene.dampers) + 1))]
+    natural = np.concatenate([loaded_model.modes.frequency for loaded_model in models])
     return np.asarray(natural[(natural > low) & (natural < high)])
 
 
-def _range_of_test(scene: Scene) -> tuple[float, float]:
+def _test_range(scene: Scene) -> tuple[float, float]:
     match scene.test:
-        case Sine(frequency=alone):
-            return 0.8 * alone, 1.2 * alone
+        case Sine(frequency=center):
+            return 0.8 * center, 1.2 * center
         case SteppedSine() as test:
             low, high = min(test.order), max(test.order)
             return (low, high) if low < high else (0.8 * low, 1.2 * low)
-        case SweptSine(from_=one, to=other) | Random(from_=one, to=other) | Multisine(from_=one, to=other):
-            return min(one, other), max(one, other)
+        case SweptSine(from_=begin, to=end) | Random(from_=begin, to=end) | Multisine(from_=begin, to=end):
+            return min(begin, end), max(begin, end)
     raise SceneError("test: has no frequency. Give a range with --from and --to.")
 
 
@@ -105,9 +109,9 @@ def take_off(scene: Scene, frequency: Array) -> Array:
 def _dampers_accelerations(scene: Scene, frequency: Array) -> Array:
     """Compute the largest acceleration of a riding damper per unit of level, m/s^2; shape (frequencies,)."""
     system = assemble(scene)
-    places = system.damper_coordinate
+    coordinates = system.damper_coordinate
     return np.array(
-        [accelerations_per_level(scene, system, 2.0 * np.pi * f)[places].max() for f in frequency]
+        [accelerations_per_level(scene, system, 2.0 * np.pi * f)[coordinates].max() for f in frequency]
     )
 
 
@@ -117,7 +121,7 @@ def rows_of(
     frequency: Array,
     least: float | None = None,
     most: float | None = None,
-    rows: int = ROWS,
+    rows: int = DEFAULT_ROWS,
 ) -> Array:
     """Select levels or clearances, evenly spaced in the logarithm.
 
@@ -126,8 +130,8 @@ def rows_of(
     damper that hardly reaches its ceiling. Unless both are given, one row is the scene's own value. Raises
     `SceneError` if the ends are not a valid range.
     """
-    own, usual = (_clearances if over == "clearance" else _levels)(scene, frequency)
-    low, high = usual[0] if least is None else least, usual[1] if most is None else most
+    scene_value, default = (_clearances if over == "clearance" else _levels)(scene, frequency)
+    low, high = default[0] if least is None else least, default[1] if most is None else most
     if not 0.0 < low < high or rows < 2:
         raise SceneError(
             f"{over}: got {low:.4g} to {high:.4g} in {rows} rows; expected a rising range above 0 and "
@@ -137,23 +141,26 @@ def rows_of(
     if least is not None and most is not None:
         return np.geomspace(low, high, rows)
     # Shift by less than half a row, so that one row is the scene's own value.
-    shift = (np.log(own / low) / step + 0.5) % 1.0 - 0.5
+    shift = (np.log(scene_value / low) / step + 0.5) % 1.0 - 0.5
     return np.asarray(low * np.exp(step * (np.arange(rows) + shift)))
 
 
 def _levels(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]:
     """Return the scene's own level and the ends of the range."""
-    own = level_of(scene)
-    first = float(take_off(scene, frequency).min()) or own
-    return own, (min(0.5 * first, 0.5 * own), max(20.0 * first, 4.0 * own))
+    level = level_of(scene)
+    lowest_take_off = float(take_off(scene, frequency).min()) or level
+    return level, (min(0.5 * lowest_take_off, 0.5 * level), max(20.0 * lowest_take_off, 4.0 * level))
 
 
 def _clearances(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]:
     """Return the scene's own clearance (mean of several) and the ends of the range, m."""
     accelerations = _dampers_accelerations(scene, frequency)
-    hardest = int(np.argmax(accelerations))
-    motion = level_of(scene) * float(accelerations[hardest]) / (2.0 * np.pi * frequency[hardest]) ** 2
-    given = assemble(scene).clearance
-    given = given[np.isfinite(given)]
-    own = float(np.exp(np.log(given).mean())) if len(given) else motion
-    return own, (min(0.1 * motion, 0.1 * own), max(3.0 * motion, 5.0 * own))
+    peak = int(np.argmax(accelerations))
+    displacement = level_of(scene) * float(accelerations[peak]) / (2.0 * np.pi * frequency[peak]) ** 2
+    clearances = assemble(scene).clearance
+    clearances = clearances[np.isfinite(clearances)]
+    scene_clearance = float(np.exp(np.log(clearances).mean())) if len(clearances) else displacement
+    return scene_clearance, (
+        min(0.1 * displacement, 0.1 * scene_clearance),
+        max(3.0 * displacement, 5.0 * scene_clearance),
+    )

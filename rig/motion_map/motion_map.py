@@ -34,16 +34,16 @@ if TYPE_CHECKING:
 #: Motion types in order of complexity; a point of the map has the most complex type of its dampers.
 KINDS = ("riding", "I", "II", "III", "other, every period", "longer period", "irregular")
 #: Distance from steady state at which the motion type is determined, relative to the motion.
-TOLERANCE = 1e-6
+STEADY_TOLERANCE = 1e-6
 #: Wait after which a motion without repetition counts as irregular, relative to the decay of the slowest mode to
 #: the tolerance.
-PATIENCE = 3.0
-#: Lower bound of the longest wait, periods: so short a wait takes little time.
-FEWEST = 2000
-#: Upper bound of the longest wait, periods.
-MOST = 20_000
+MAX_WAIT_DECAY_TIMES = 3.0
+#: The longest wait is at least this, periods; a shorter limit would save little time.
+MIN_WAIT_LIMIT_PERIODS = 2000
+#: The longest wait is at most this, periods.
+MAX_WAIT_LIMIT_PERIODS = 20_000
 #: Colors of `KINDS`: grey for riding, blue for the paper's types, warm colors for the other types.
-COLOURS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#f2c14e", "#e07b39", "#8c1c3a")
+COLORS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#f2c14e", "#e07b39", "#8c1c3a")
 LEGEND = ("riding", "Type I", "Type II", "Type III", *KINDS[4:])
 
 
@@ -122,15 +122,15 @@ class MotionMap(Result):
         """Draw the motion type over level or clearance, and frequency."""
         from matplotlib.colors import ListedColormap
 
-        look: dict[str, Any] = {
-            "cmap": ListedColormap(COLOURS),
+        mesh_style: dict[str, Any] = {
+            "cmap": ListedColormap(COLORS),
             "vmin": -0.5,
             "vmax": len(KINDS) - 0.5,
             "rasterized": True,
         }
-        ax.pcolormesh(*self.borders, self.kind, **look | style)
+        ax.pcolormesh(*self.borders, self.kind, **mesh_style | style)
         for k in sorted(set(self.kind.ravel())):
-            ax.plot([], [], "s", color=COLOURS[k], label=LEGEND[k])
+            ax.plot([], [], "s", color=COLORS[k], label=LEGEND[k])
         self.dress(ax)
 
     @property
@@ -153,14 +153,14 @@ class MotionMap(Result):
         (left, *_, right), (low, *_, high) = self.borders
         ax.grid(False)
         ax.set(xlim=(left, right), xlabel="frequency / Hz")
-        millimetres = self.unit == "m"
-        set_log_scale(ax.yaxis, factor=1e3 if millimetres else 1.0)
-        ax.set(ylim=(low, high), ylabel=f"{self.over} / {'mm' if millimetres else self.unit}")
+        in_millimetres = self.unit == "m"
+        set_log_scale(ax.yaxis, factor=1e3 if in_millimetres else 1.0)
+        ax.set(ylim=(low, high), ylabel=f"{self.over} / {'mm' if in_millimetres else self.unit}")
         if self.over != "clearance":
             ax.plot(self.frequency, self.take_off, color="black", lw=1.2)
-        own = self.own_value
-        if own is not None:
-            ax.axhline(own, color="black", lw=1.0, ls="--")
+        scene_value = self.own_value
+        if scene_value is not None:
+            ax.axhline(scene_value, color="black", lw=1.0, ls="--")
 
 
 def map_motion(
@@ -204,21 +204,21 @@ def map_motion(
     scene = scene_of(scene)
     over, unit = vertical_axis(scene, over)
     scene = with_ideal_force(scene)
-    asked = frequencies if frequencies is not None else columns(scene)
-    frequency = np.unique(positive_values(asked, FREQUENCY, "frequencies"))
+    requested = frequencies if frequencies is not None else columns(scene)
+    frequency = np.unique(positive_values(requested, FREQUENCY, "frequencies"))
     levels = values if values is not None else rows_of(scene, over, frequency)
     value = np.unique(positive_values(levels, KIND_OF_UNIT[unit], "values"))
-    longest, count = _longest(scene, frequency), frequency.size
-    rows = [_Row(_with(scene, over, float(each)), frequency, longest) for each in value]
-    report = None if progress is None else lambda done, total: progress(done * count, total * count)
-    points = _STUDY.run(rows, kept, cluster, report)
+    max_wait, count = _max_wait_periods(scene, frequency), frequency.size
+    rows = [_Row(_scene_at(scene, over, float(each)), frequency, max_wait) for each in value]
+    report_points = None if progress is None else lambda done, total: progress(done * count, total * count)
+    points = _STUDY.run(rows, kept, cluster, report_points)
     return MotionMap(
         scene=scene,
         over=over,
         unit=unit,
         value=value,
         frequency=frequency,
-        kind=np.array([[max(map(_kind, point.types)) for point in row] for row in points]),
+        kind=np.array([[max(map(_kind_index, point.types)) for point in row] for row in points]),
         motion=np.array([["/".join(point.types) for point in row] for row in points]),
         impacts=np.array([[point.impacts for point in row] for row in points]),
         repetition=np.array([[point.repetition for point in row] for row in points]),
@@ -228,7 +228,7 @@ def map_motion(
     )
 
 
-def _with(scene: Scene, over: str, value: float) -> Scene:
+def _scene_at(scene: Scene, over: str, value: float) -> Scene:
     if over == "clearance":
         dampers = [d.replace(clearance=value) if d.moves else d for d in scene.dampers]
         return scene.replace(dampers=dampers)
@@ -236,12 +236,17 @@ def _with(scene: Scene, over: str, value: float) -> Scene:
     return scene.replace(test=scene.test.replace(**{over: value}))
 
 
-def _longest(scene: Scene, frequency: Array) -> int:
+def _max_wait_periods(scene: Scene, frequency: Array) -> int:
     """Compute the longest wait in periods of the highest frequency, from the decay of the slowest mode."""
     rate = structural_model(scene).modes.decay_rate
     with np.errstate(divide="ignore"):
-        periods = PATIENCE * np.log(1.0 / TOLERANCE) * frequency[-1] / max(float(rate.min()), 0.0)
-    return int(np.clip(periods, FEWEST, MOST))
+        periods = (
+            MAX_WAIT_DECAY_TIMES
+            * np.log(1.0 / STEADY_TOLERANCE)
+            * frequency[-1]
+            / max(float(rate.min()), 0.0)
+        )
+    return int(np.clip(periods, MIN_WAIT_LIMIT_PERIODS, MAX_WAIT_LIMIT_PERIODS))
 
 
 class _Row(NamedTuple):
@@ -265,12 +270,12 @@ class _Point(NamedTuple):
 def _compute(row: _Row) -> list[_Point]:
     """Compute all points of a row, with the CPU time of each."""
     # Run once without measurement, so that compilation and loading are not included in the CPU time.
-    SteadyContinuation(row.scene, TOLERANCE, 1).point(float(row.frequency[0]), None)
-    computed, points = [], SteadyContinuation(row.scene, TOLERANCE, row.longest).points(row.frequency)
+    SteadyContinuation(row.scene, STEADY_TOLERANCE, 1).point(float(row.frequency[0]), None)
+    computed, points = [], SteadyContinuation(row.scene, STEADY_TOLERANCE, row.longest).points(row.frequency)
     for _ in row.frequency:
-        begun = time.thread_time()
+        cpu_start = time.thread_time()
         point = next(points)
-        cpu = time.thread_time() - begun
+        cpu = time.thread_time() - cpu_start
         steady, impacts = point.steady, float(point.impacts.sum())
         computed.append(_Point(list(point.types), impacts, steady.repetition, steady.periods, cpu))
     return computed
@@ -286,7 +291,7 @@ _STUDY: Study[_Row, list[_Point]] = Study(
 )
 
 
-def _kind(damper_motion: str) -> int:
+def _kind_index(damper_motion: str) -> int:
     """Return the position in `KINDS` of a damper's motion type.
 
     >>> [KINDS[_kind(each)] for each in ("riding", "III", "3 per 1", "3 per 2", "irregular")]
@@ -307,16 +312,17 @@ def summarize_map(map_: MotionMap) -> str:
         f"{'most active damper':20}{'share':>7}{'impacts a period':>18}{'CPU us a period':>17}{'CPU ms a motion':>17}",
     ]
     for number, kind in enumerate(KINDS):
-        own = map_.kind == number
-        if own.any():
+        is_kind = map_.kind == number
+        if is_kind.any():
             lines.append(
-                f"{kind:20}{own.mean():7.1%}{map_.impacts[own].mean():18.3g}"
-                f"{1e6 * map_.cpu[own].sum() / map_.periods[own].sum():17.3g}{1e3 * np.median(map_.cpu[own]):17.3g}"
+                f"{kind:20}{is_kind.mean():7.1%}{map_.impacts[is_kind].mean():18.3g}"
+                f"{1e6 * map_.cpu[is_kind].sum() / map_.periods[is_kind].sum():17.3g}"
+                f"{1e3 * np.median(map_.cpu[is_kind]):17.3g}"
             )
     lines += [
         "",
-        f"CPU us, ms: time to compute one period, and all periods until the motion is steady within {TOLERANCE:.0e} or "
-        "irregular,\nstarting from the previous frequency; not a time on a bench",
+        f"CPU us, ms: time to compute one period, and all periods until the motion is steady within "
+        f"{STEADY_TOLERANCE:.0e} or irregular,\nstarting from the previous frequency; not a time on a bench",
         f"CPU time in all: {map_.cpu.sum():.3g} s",
     ]
     return "\n".join(lines)
@@ -355,10 +361,10 @@ def _draw(map_: MotionMap) -> Figure:
         set_log_scale(bar.ax.yaxis)
         map_.dress(right)
         right.set_ylabel("")
-        left.set_title("What the damper does that moves most wildly")
+        left.set_title("Motion type of the most active damper")
         right.set_title("Computing time of the motion, not of a test")
         present = sorted(set(map_.kind.ravel()))
-        handles: list[Patch | Line2D] = [Patch(color=COLOURS[k], label=LEGEND[k]) for k in present]
+        handles: list[Patch | Line2D] = [Patch(color=COLORS[k], label=LEGEND[k]) for k in present]
         if map_.over != "clearance":
             handles.append(Line2D([], [], color="black", lw=1.2, label="riding at 1 g: above, dampers fly"))
         if map_.own_value is not None:

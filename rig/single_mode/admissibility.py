@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array
 from rig.single_mode.periodic_motion import (
-    TURN,
+    PERIOD,
     ModeState,
     MotionParameters,
     MotionPhase,
@@ -20,7 +20,7 @@ from rig.single_mode.periodic_motion import (
 )
 
 # Largest rounding error of a gap in units of g/w^2, and of an acceleration in g.
-ROUNDING = 1e-9
+MAX_ROUNDING_ERROR = 1e-9
 
 
 @dataclass(frozen=True)
@@ -33,13 +33,15 @@ class Batch:
 
     @property
     def motion(self) -> PeriodicMotion:
-        """The motions, evaluated together."""
+        """All motions of the batch."""
         return PeriodicMotion(self.kind, self.unknowns, self.setting)
 
-    def take(self, which: NDArray[np.int64]) -> PeriodicMotion:
+    def take(self, indices: NDArray[np.int64]) -> PeriodicMotion:
         """Return the motions of selected solutions; indices may repeat."""
         return PeriodicMotion(
-            self.kind, self.unknowns[:, which], MotionParameters(*(f[which] for f in self.setting))
+            self.kind,
+            self.unknowns[:, indices],
+            MotionParameters(*(field[indices] for field in self.setting)),
         )
 
 
@@ -74,19 +76,22 @@ def extremes(batch: Batch, index: int, quantity: Quantity) -> tuple[Array, Array
     t = np.linspace(0.0, 1.0, samples)[:, None] * phase.length
     value, slope = quantity(motion, phase, t)
     low, high = value.min(axis=0), value.max(axis=0)
-    row, which = np.nonzero(slope[:-1] * slope[1:] < 0)
+    row, column = np.nonzero(slope[:-1] * slope[1:] < 0)
     if row.size:
-        part = batch.take(which)
-        piece = part.phases[index]
-        left, right = t[row, which], t[row + 1, which]
-        rising = slope[row, which] > 0
+        selected = batch.take(column)
+        selected_phase = selected.phases[index]
+        left, right = t[row, column], t[row + 1, column]
+        rising = slope[row, column] > 0
         for _ in range(48):
             middle = 0.5 * (left + right)
-            before = (quantity(part, piece, middle)[1] > 0) == rising
-            left, right = np.where(before, middle, left), np.where(before, right, middle)
-        turning = quantity(part, piece, left)[0]
-        np.minimum.at(low, which, turning)
-        np.maximum.at(high, which, turning)
+            is_before_extremum = (quantity(selected, selected_phase, middle)[1] > 0) == rising
+            left, right = (
+                np.where(is_before_extremum, middle, left),
+                np.where(is_before_extremum, right, middle),
+            )
+        extremum = quantity(selected, selected_phase, left)[0]
+        np.minimum.at(low, column, extremum)
+        np.maximum.at(high, column, extremum)
     return low, high
 
 
@@ -96,33 +101,35 @@ def flaws(batch: Batch) -> NDArray[np.str_]:
     Returns shape (solutions,), the first violation in time order.
     """
     kind, motion = batch.kind, batch.motion
-    found = np.full(batch.unknowns.shape[1], "", dtype="U32")
+    reasons = np.full(batch.unknowns.shape[1], "", dtype="U32")
 
-    def note(bad: Any, text: str) -> None:
-        found[(found == "") & bad] = text
+    def record_flaw(is_violated: Any, reason: str) -> None:
+        reasons[(reasons == "") & is_violated] = reason
 
-    instants = np.concatenate([np.zeros((1, found.size)), motion.instants, np.full((1, found.size), TURN)])
-    note((np.diff(instants, axis=0) <= 0).any(axis=0), "events out of order")
-    note(extremes(batch, 0, _contact)[0] < -ROUNDING, "leaves the floor early")
-    note(_slope_at_start(motion, 1) > ROUNDING, "does not leave the floor")
+    instants = np.concatenate(
+        [np.zeros((1, reasons.size)), motion.instants, np.full((1, reasons.size), PERIOD)]
+    )
+    record_flaw((np.diff(instants, axis=0) <= 0).any(axis=0), "events out of order")
+    record_flaw(extremes(batch, 0, _contact)[0] < -MAX_ROUNDING_ERROR, "leaves the floor early")
+    record_flaw(_initial_jerk(motion, 1) > MAX_ROUNDING_ERROR, "does not leave the floor")
     low, high = extremes(batch, 1, _gap)
-    note(low < -ROUNDING, "hits the floor early")
-    note(high > motion.height + ROUNDING, "hits the ceiling early")
+    record_flaw(low < -MAX_ROUNDING_ERROR, "hits the floor early")
+    record_flaw(high > motion.height + MAX_ROUNDING_ERROR, "hits the ceiling early")
     if kind != "I":
         down = motion.phases[-1]
         if kind == "II":
             start = motion.acceleration(down, np.zeros_like(down.length), down.start)
-            note(start < -1 - ROUNDING, "stays at the ceiling")
+            record_flaw(start < -1 - MAX_ROUNDING_ERROR, "stays at the ceiling")
         else:
-            note(extremes(batch, 2, _contact)[1] > ROUNDING, "leaves the ceiling early")
-            note(_slope_at_start(motion, 3) < -ROUNDING, "does not leave the ceiling")
+            record_flaw(extremes(batch, 2, _contact)[1] > MAX_ROUNDING_ERROR, "leaves the ceiling early")
+            record_flaw(_initial_jerk(motion, 3) < -MAX_ROUNDING_ERROR, "does not leave the ceiling")
         low, high = extremes(batch, len(motion.phases) - 1, _gap)
-        note(low < -ROUNDING, "hits the floor early")
-        note(high > motion.height + ROUNDING, "hits the ceiling again")
-    return found
+        record_flaw(low < -MAX_ROUNDING_ERROR, "hits the floor early")
+        record_flaw(high > motion.height + MAX_ROUNDING_ERROR, "hits the ceiling again")
+    return reasons
 
 
-def _slope_at_start(motion: PeriodicMotion, index: int) -> Array:
+def _initial_jerk(motion: PeriodicMotion, index: int) -> Array:
     phase = motion.phases[index]
     return motion.jerk(phase, np.zeros_like(phase.length), phase.start)
 
@@ -159,37 +166,41 @@ def multipliers(batch: Batch) -> NDArray[np.complex128]:
     """
     motion = batch.motion
     count = batch.unknowns.shape[1]
-    total = np.broadcast_to(np.eye(2), (count, 2, 2))
+    monodromy = np.broadcast_to(np.eye(2), (count, 2, 2))
     for index, phase in enumerate(motion.phases):
         flow = np.moveaxis(np.array(motion.homogeneous(phase, phase.length)), 0, -1).reshape(-1, 2, 2)
         if phase.riding:
-            total = flow @ total
+            monodromy = flow @ monodromy
             continue
-        if total.shape[1] == 2:
-            total = np.concatenate([total, total], axis=1)
-        free = np.zeros((count, 4, 4))
-        free[:, :2, :2] = flow
-        free[:, 2:, 2:] = np.eye(2)
-        free[:, 2, 3] = phase.length
+        if monodromy.shape[1] == 2:
+            monodromy = np.concatenate([monodromy, monodromy], axis=1)
+        flight_flow = np.zeros((count, 4, 4))
+        flight_flow[:, :2, :2] = flow
+        flight_flow[:, 2:, 2:] = np.eye(2)
+        flight_flow[:, 2, 3] = phase.length
         after = motion.phases[(index + 1) % len(motion.phases)]
         end = motion.advance(phase, phase.length)
-        total = _saltation(motion, phase, end, after) @ free @ total
-    return np.asarray(np.linalg.eigvals(total).T, dtype=np.complex128)
+        monodromy = _saltation(motion, phase, end, after) @ flight_flow @ monodromy
+    return np.asarray(np.linalg.eigvals(monodromy).T, dtype=np.complex128)
 
 
 def _saltation(motion: PeriodicMotion, before: MotionPhase, end: ModeState, after: MotionPhase) -> Array:
     """Saltation matrix of the impact between two phases, (solutions, 2 if riding follows, else 4, 4)."""
     mu = motion.setting.mass_ratio
-    share, one, zero = mu / (1 + mu), np.ones_like(end.q), np.zeros_like(end.q)
-    common = [zero, one - share, zero, share]
-    keep_q, keep_y = [one, zero, zero, zero], [zero, zero, one, zero]
+    mass_fraction, ones, zeros = mu / (1 + mu), np.ones_like(end.q), np.zeros_like(end.q)
+    common_velocity = [zeros, ones - mass_fraction, zeros, mass_fraction]
+    keep_q, keep_y = [ones, zeros, zeros, zeros], [zeros, zeros, ones, zeros]
     reset = np.moveaxis(
-        np.array([keep_q, common] if after.riding else [keep_q, common, keep_y, common]), -1, 0
+        np.array(
+            [keep_q, common_velocity] if after.riding else [keep_q, common_velocity, keep_y, common_velocity]
+        ),
+        -1,
+        0,
     )
     velocity = after.start.u
     acceleration = motion.acceleration(after, np.zeros_like(after.length), after.start)
-    arriving = np.array([end.u, motion.acceleration(before, before.length, end), end.v, -one]).T
-    leaving = np.array([velocity, acceleration] + ([] if after.riding else [velocity, -one])).T
+    rate_before = np.array([end.u, motion.acceleration(before, before.length, end), end.v, -ones]).T
+    rate_after = np.array([velocity, acceleration] + ([] if after.riding else [velocity, -ones])).T
     normal = np.array([-1.0, 0.0, 1.0, 0.0])
-    mismatch = leaving - np.einsum("nij,nj->ni", reset, arriving)
-    return reset + mismatch[:, :, None] * normal / (arriving @ normal)[:, None, None]
+    mismatch = rate_after - np.einsum("nij,nj->ni", reset, rate_before)
+    return reset + mismatch[:, :, None] * normal / (rate_before @ normal)[:, None, None]

@@ -23,16 +23,16 @@ from rig.scene.body_names import body_number
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FORCE, FREQUENCY, ascending_pair, number
 from rig.single_mode.admissibility import Batch, first_harmonic, flaws, multipliers, peak_to_peak
-from rig.single_mode.motion_search import ENDS, order, solutions
-from rig.single_mode.periodic_motion import INSTANTS, TURN, MotionParameters, MotionType, jacobian
+from rig.single_mode.motion_search import END_REASONS, ordering_margins, solutions
+from rig.single_mode.periodic_motion import INSTANTS, PERIOD, MotionParameters, MotionType, jacobian
 from rig.single_mode.reduction import SingleMode, Weighting, single_mode
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-_NEAR = continuation.Steps(max_iterations=25)
-_STEPS = continuation.Steps(first_step=3e-3, max_step=0.1, max_angle_rad=0.15)
+_SOLVER_STEPS = continuation.Steps(max_iterations=25)
+_CONTINUATION_STEPS = continuation.Steps(first_step=3e-3, max_step=0.1, max_angle_rad=0.15)
 
 
 @dataclass(frozen=True)
@@ -93,11 +93,11 @@ class Approximation(Result):
 
     def summary(self) -> str:
         """Summarize the mode, and the frequency ranges of its motion types."""
-        found = ", ".join(
+        ranges = ", ".join(
             f"{b.motion_type} {b.frequency[b.valid].min():.4g} to {b.frequency[b.valid].max():.4g} Hz"
             for b in self.branches
         )
-        return f"mode at {self.mode.frequency:.4g} Hz, {len(self.branches)} branches: {found or 'none'}"
+        return f"mode at {self.mode.frequency:.4g} Hz, {len(self.branches)} branches: {ranges or 'none'}"
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return all points of all branches: frequency, compliance, type, stability and admissibility."""
@@ -119,13 +119,18 @@ class Approximation(Result):
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the compliance of admissible motions; unstable motions are dashed."""
         for branch in self.branches:
-            colour, size = f"C{('I', 'II', 'III').index(branch.motion_type)}", 1e6 * abs(branch.compliance)
-            known = {line.get_label() for line in ax.lines}
+            color, size = f"C{('I', 'II', 'III').index(branch.motion_type)}", 1e6 * abs(branch.compliance)
+            labels = {line.get_label() for line in ax.lines}
             label = f"Type {branch.motion_type}"
-            for keep, look in ((branch.stable, "-"), (~branch.stable, "--")):
-                shown = np.where(branch.valid & keep, size, np.nan)
-                name = label if look == "-" and label not in known else "_again"
-                ax.loglog(branch.frequency, shown, look, **complete_style(style, color=colour, label=name))
+            for selected, line_style in ((branch.stable, "-"), (~branch.stable, "--")):
+                values = np.where(branch.valid & selected, size, np.nan)
+                legend_label = label if line_style == "-" and label not in labels else "_again"
+                ax.loglog(
+                    branch.frequency,
+                    values,
+                    line_style,
+                    **complete_style(style, color=color, label=legend_label),
+                )
         ax.set(xlabel="frequency / Hz", ylabel="|compliance| / (µm/N)")
 
 
@@ -161,16 +166,18 @@ def approximate_response(
     Approximation
         Coordinates refer to the body where the shape is 1; multiply by `mode.shape` for the others.
     """
-    ends, level = ascending_pair(band, FREQUENCY, "band"), number(force, FORCE, "force")
+    band_ends, level = ascending_pair(band, FREQUENCY, "band"), number(force, FORCE, "force")
     if not isinstance(mode, int):
         raise SceneError(f"mode: got {mode!r:.60}; expected the number of a mode, from 1")
     if weighting not in get_args(Weighting):
         raise SceneError(
             f"weighting: got {weighting!r:.60}; expected one of {', '.join(get_args(Weighting))}"
         )
-    setting = scene_of(scene)
-    body = None if at is None else body_number(at, setting.structure.names, setting.structure.bodies)
-    return follow_mode(single_mode(setting, mode, force=level, weighting=weighting, at=body), ends)
+    loaded_scene = scene_of(scene)
+    body = (
+        None if at is None else body_number(at, loaded_scene.structure.names, loaded_scene.structure.bodies)
+    )
+    return follow_mode(single_mode(loaded_scene, mode, force=level, weighting=weighting, at=body), band_ends)
 
 
 def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13) -> Approximation:
@@ -192,9 +199,9 @@ def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13)
     kinds: list[MotionType] = ["I"] if np.isinf(mode.clearance) else ["I", "II", "III"]
     if mode.clearance > 0:
         for kind, ratio in product(kinds, _search_ratios(mode, low, high, searches)):
-            for found in solutions(kind, dimensionless(mode, ratio)):
+            for candidate in solutions(kind, dimensionless(mode, ratio)):
                 solution = continuation.solve_at(
-                    _equations(mode, kind), np.append(found, ratio), ratio, _scale(mode, kind)
+                    _equations(mode, kind), np.append(candidate, ratio), ratio, _scale(mode, kind)
                 )
                 if not any(_passes_through(mode, kind, curve, solution) for curve in curves[kind]):
                     curves[kind].append(_follow(mode, kind, solution, (low, high)))
@@ -229,8 +236,8 @@ def leaving_band(mode: SingleMode, band: tuple[float, float]) -> tuple[float, fl
     """Compute the band [Hz] in which a riding damper exceeds 1 g; None if it never does."""
     frequency = np.union1d(np.linspace(*band, 2001), np.clip(mode.riding_frequency, *band))
     level = np.abs(mode.receptance(frequency, riding=True)) * mode.force * (2 * np.pi * frequency) ** 2
-    above = np.flatnonzero(level > mode.gravity)
-    return (float(frequency[above[0]]), float(frequency[above[-1]])) if above.size else None
+    exceeding = np.flatnonzero(level > mode.gravity)
+    return (float(frequency[exceeding[0]]), float(frequency[exceeding[-1]])) if exceeding.size else None
 
 
 def _equations(mode: SingleMode, kind: MotionType) -> continuation.Equations:
@@ -242,28 +249,28 @@ def _equations(mode: SingleMode, kind: MotionType) -> continuation.Equations:
 
 def _short_stays(mode: SingleMode, curves: list[continuation.Curve]) -> list[Array]:
     """Locate Type III motions with short stays at the ceiling, starting from Type II; a grid may miss them."""
-    found = []
+    located = []
     for curve in curves:
         points = curve.points.T
         setting = MotionParameters(
             *(np.broadcast_to(f, points.shape[1:]) for f in dimensionless(mode, points[-1]))
         )
-        stays = flaws(Batch("II", points[:-1], setting)) == "stays at the ceiling"
-        borders = np.flatnonzero(stays[:-1] != stays[1:])
-        for i in (int(b) + int(stays[b + 1]) for b in borders):
+        stays_at_ceiling = flaws(Batch("II", points[:-1], setting)) == "stays at the ceiling"
+        borders = np.flatnonzero(stays_at_ceiling[:-1] != stays_at_ceiling[1:])
+        for i in (int(b) + int(stays_at_ceiling[b + 1]) for b in borders):
             x, ratio = curve.points[i], float(curve.points[i, -1])
             for stay in (0.02, 0.05, 0.1, 0.2):
                 start = np.array([*x[:-1], x[-2] + stay, ratio])
                 try:
                     solution = continuation.solve_at(
-                        _equations(mode, "III"), start, ratio, _scale(mode, "III"), _NEAR
+                        _equations(mode, "III"), start, ratio, _scale(mode, "III"), _SOLVER_STEPS
                     )
                 except continuation.NoConvergence:
                     continue
-                if (order("III", solution[4:-1]) > 0).all():
-                    found.append(solution)
+                if (ordering_margins("III", solution[4:-1]) > 0).all():
+                    located.append(solution)
                     break
-    return found
+    return located
 
 
 def _scale(mode: SingleMode, kind: MotionType) -> Array:
@@ -276,10 +283,10 @@ def _scale(mode: SingleMode, kind: MotionType) -> Array:
 
 def _search_ratios(mode: SingleMode, low: float, high: float, count: int) -> Array:
     """Distribute the searches over the take-off band, and half as many over the rest of the range."""
-    leaving = leaving_band(mode, (low * mode.frequency, high * mode.frequency))
-    if leaving is None:
+    take_off_band = leaving_band(mode, (low * mode.frequency, high * mode.frequency))
+    if take_off_band is None:
         return np.linspace(low, high, count + 2)[1:-1]
-    first, last = (f / mode.frequency for f in leaving)
+    first, last = (f / mode.frequency for f in take_off_band)
     inside = np.linspace(first, last, count + 2)[1:-1]
     outside = np.linspace(low, high, count // 2 + 2)[1:-1]
     return np.concatenate([inside, outside[(outside < first) | (outside > last)]])
@@ -289,9 +296,11 @@ def _follow(
     mode: SingleMode, kind: MotionType, start: Array, bounds: tuple[float, float]
 ) -> continuation.Curve:
     def margins(x: Array) -> tuple[Array, tuple[str, ...]]:
-        return order(kind, x[4:-1]), ENDS
+        return ordering_margins(kind, x[4:-1]), END_REASONS
 
-    return continuation.trace(_equations(mode, kind), start, bounds, _scale(mode, kind), _STEPS, margins)
+    return continuation.trace(
+        _equations(mode, kind), start, bounds, _scale(mode, kind), _CONTINUATION_STEPS, margins
+    )
 
 
 def _passes_through(mode: SingleMode, kind: MotionType, curve: continuation.Curve, solution: Array) -> bool:
@@ -320,12 +329,14 @@ def _branch(mode: SingleMode, kind: MotionType, curve: continuation.Curve) -> Br
     # A positive force is sin(tau - phi) = Re(-i exp(-i phi) exp(i tau)). If the participation is negative, the
     # force on the modal coordinate has the opposite sign.
     sign = np.sign(mode.participation)
-    phi = np.arctan2(-sign * points[3], sign * points[2]) % TURN
+    phi = np.arctan2(-sign * points[3], sign * points[2]) % PERIOD
     compliance = first_harmonic(batch) * length / (-1j * np.exp(-1j * phi) * mode.force)
     floquet = multipliers(batch)
     instants = np.full((3, ratio.size), np.nan)
     instants[: INSTANTS[kind]] = points[4:-1]
-    folds = continuation.locate_folds(_equations(mode, kind), curve, _STEPS)[:, -1] * mode.frequency
+    folds = (
+        continuation.locate_folds(_equations(mode, kind), curve, _CONTINUATION_STEPS)[:, -1] * mode.frequency
+    )
     return Branch(
         motion_type=kind,
         frequency=ratio * mode.frequency,

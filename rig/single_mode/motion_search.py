@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Array
-from rig.single_mode.periodic_motion import INSTANTS, TURN, MotionParameters, MotionType, PeriodicMotion
+from rig.single_mode.periodic_motion import INSTANTS, PERIOD, MotionParameters, MotionType, PeriodicMotion
 
 # Points per instant. The equations are smooth in the instants, so two solutions in one cell occur only near a fold.
 # Continuation from the other side of the fold, or from another frequency, then reaches both.
@@ -23,18 +23,18 @@ _GRID: dict[MotionType, int] = {"I": 720, "II": 72, "III": 32}
 
 # Shortest flight of the search [rad]: at length 0 take-off and landing coincide and the conditions are singular. A
 # flight this short corresponds to an acceleration of 1 + 3e-6 g (t = 4 sqrt(G^2 - 1)).
-SHORTEST_FLIGHT = 0.01
+MIN_FLIGHT_RAD = 0.01
 
 
-ENDS = ("the ride on the floor vanishes", "the flight vanishes", "the stay at the ceiling vanishes")
+END_REASONS = ("the ride on the floor vanishes", "the flight vanishes", "the stay at the ceiling vanishes")
 
 
-def order(kind: MotionType, instants: Array) -> Array:
+def ordering_margins(kind: MotionType, instants: Array) -> Array:
     """Compute the margins to a vanishing ride, flight or (Type III) stay; negative if instants are out of order."""
-    lengths = np.diff([0.0, *instants, TURN])
+    lengths = np.diff([0.0, *instants, PERIOD])
     flights = np.delete(lengths, [0, 2] if kind == "III" else [0])
     stay = [lengths[2]] if kind == "III" else []
-    return np.array([lengths[0], flights.min() - SHORTEST_FLIGHT, *stay])
+    return np.array([lengths[0], flights.min() - MIN_FLIGHT_RAD, *stay])
 
 
 def eliminate(kind: MotionType, instants: Array, setting: MotionParameters) -> tuple[Array, Array]:
@@ -42,7 +42,7 @@ def eliminate(kind: MotionType, instants: Array, setting: MotionParameters) -> t
 
     `kind`: 'I', 'II' or 'III'. Motion type; `instants`, shape (instants, batch): given instants; complex values are
     allowed, for complex-step derivatives. Returns `unknowns`, shape (4 + instants, batch), unknowns whose (q_0,
-    q'_0, a, b) satisfy the first four conditions; `left`, shape (instants, batch), residuals: ceiling contact force
+    q'_0, a, b) satisfy the first four conditions; `residuals`, shape (instants, batch): ceiling contact force
     (Type III), gap at the ceiling impact (II and III), and half the logarithm of the squared ratio of required to
     applied force.
     """
@@ -54,11 +54,11 @@ def eliminate(kind: MotionType, instants: Array, setting: MotionParameters) -> t
         amplitudes = _solve(matrix, -values[:4, 0].T)
         unknowns = np.concatenate([amplitudes.T, instants])
         motion = PeriodicMotion(kind, unknowns, setting)
-        left = list(motion.affine_conditions()[4:])
+        residuals = list(motion.affine_conditions()[4:])
         if kind != "I":
-            left.append(motion.ceiling_gap() - motion.height)
-        left.append(0.5 * np.log((motion.a**2 + motion.b**2) / setting.force**2))
-    return unknowns, np.array(left)
+            residuals.append(motion.ceiling_gap() - motion.height)
+        residuals.append(0.5 * np.log((motion.a**2 + motion.b**2) / setting.force**2))
+    return unknowns, np.array(residuals)
 
 
 def solutions(kind: MotionType, setting: MotionParameters) -> Array:
@@ -68,48 +68,50 @@ def solutions(kind: MotionType, setting: MotionParameters) -> Array:
     `rig.single_mode.periodic_motion`, to the accuracy of the elimination.
     """
     count, points = INSTANTS[kind], _GRID[kind]
-    grid = (np.arange(points) + 0.5) * TURN / points
+    grid = (np.arange(points) + 0.5) * PERIOD / points
     instants = np.array(np.meshgrid(*[grid] * count, indexing="ij"))
     # Cells across the diagonal are included, so that short stays and flights are not missed.
     ordered = (np.diff(instants, axis=0) > -3 * grid[0]).all(axis=0)
-    left = np.full(instants.shape, np.nan)
-    left[:, ordered] = eliminate(kind, instants[:, ordered], setting)[1]
+    residuals = np.full(instants.shape, np.nan)
+    residuals[:, ordered] = eliminate(kind, instants[:, ordered], setting)[1]
     cells = np.ones([points - 1] * count, dtype=bool)
     corners = list(product((slice(None, -1), slice(1, None)), repeat=count))
-    for equation in left:
+    for equation in residuals:
         values = [equation[corner] for corner in corners]
         cells &= (np.min(values, axis=0) < 0) & (np.max(values, axis=0) > 0)
     starts = np.array([grid[index] for index in np.nonzero(cells)]) + grid[0]
-    found: list[Array] = []
+    distinct: list[Array] = []
     for candidate in _refine(kind, starts, setting).T:
-        if (order(kind, candidate) > 0).all() and not any(
-            np.allclose(candidate, f, rtol=0, atol=1e-6) for f in found
+        if (ordering_margins(kind, candidate) > 0).all() and not any(
+            np.allclose(candidate, solution, rtol=0, atol=1e-6) for solution in distinct
         ):
-            found.append(candidate)
-    if not found:
+            distinct.append(candidate)
+    if not distinct:
         return np.empty((0, 4 + count))
-    return eliminate(kind, np.array(found).T, setting)[0].T
+    return eliminate(kind, np.array(distinct).T, setting)[0].T
 
 
 def _refine(kind: MotionType, instants: Array, setting: MotionParameters) -> Array:
     """Solve the remaining equations from many starts at once; return the converged instants."""
     count = instants.shape[0]
-    longest = TURN / _GRID[kind]
+    max_step = PERIOD / _GRID[kind]
     for _ in range(15):
         if not instants.size:
             break
         batch = instants.shape[1]
         shifted = (instants[:, None] + 1e-40j * np.eye(count)[:, :, None]).reshape(count, -1)
-        left = eliminate(kind, shifted, setting)[1].reshape(count, count, batch)
-        slopes = np.moveaxis(left.imag / 1e-40, 2, 0)
-        move = _solve(slopes, -left[:, 0].real.T).T
-        size = np.abs(move).max(axis=0)
+        residuals = eliminate(kind, shifted, setting)[1].reshape(count, count, batch)
+        slopes = np.moveaxis(residuals.imag / 1e-40, 2, 0)
+        steps = _solve(slopes, -residuals[:, 0].real.T).T
+        step_size = np.abs(steps).max(axis=0)
         with np.errstate(invalid="ignore"):
-            move = move * np.minimum(1.0, longest / np.maximum(size, 1e-300))
+            steps = steps * np.minimum(1.0, max_step / np.maximum(step_size, 1e-300))
         # Discard starts from sign changes through infinity, and starts without a root nearby.
-        keep = np.isfinite(move).all(axis=0) & (instants > 0).all(axis=0) & (instants < TURN).all(axis=0)
-        instants, size = (instants + move)[:, keep], size[keep]
-    return instants[:, size < 1e-9] if instants.size else instants
+        is_valid = (
+            np.isfinite(steps).all(axis=0) & (instants > 0).all(axis=0) & (instants < PERIOD).all(axis=0)
+        )
+        instants, step_size = (instants + steps)[:, is_valid], step_size[is_valid]
+    return instants[:, step_size < 1e-9] if instants.size else instants
 
 
 def _solve(matrices: Array, right: Array) -> NDArray[Any]:
@@ -117,7 +119,7 @@ def _solve(matrices: Array, right: Array) -> NDArray[Any]:
     try:
         return np.linalg.solve(matrices, right[:, :, None])[:, :, 0]
     except np.linalg.LinAlgError:
-        solved = np.full(right.shape, np.nan, dtype=np.result_type(matrices, right))
+        solution = np.full(right.shape, np.nan, dtype=np.result_type(matrices, right))
         regular = np.abs(np.linalg.det(matrices)) > 0
-        solved[regular] = np.linalg.solve(matrices[regular], right[regular][:, :, None])[:, :, 0]
-        return solved
+        solution[regular] = np.linalg.solve(matrices[regular], right[regular][:, :, None])[:, :, 0]
+        return solution

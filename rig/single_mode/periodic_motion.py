@@ -37,7 +37,8 @@ MotionType = Literal["I", "II", "III"]
 # Number of instants in addition to the floor impact: tau_0, tau_1, tau_2.
 INSTANTS: dict[MotionType, int] = {"I": 1, "II": 2, "III": 3}
 
-TURN = 2 * np.pi
+# Period of the drive in tau.
+PERIOD = 2 * np.pi
 # Complex or real, of any common shape: the equations are evaluated on whole batches at once.
 Array = NDArray[Any]
 
@@ -85,30 +86,36 @@ class PeriodicMotion:
     ) -> None:
         self.kind = kind
         self.setting = setting
-        q, u, self.a, self.b = (np.asarray(each) for each in unknowns[:4])
+        q, u, self.a, self.b = (np.asarray(value) for value in unknowns[:4])
         self.instants = unknowns[4:]
-        leave = self.instants[0]
-        floor = MotionPhase(True, np.zeros_like(leave), leave, ModeState(q, u, q, u), 0.0)
-        up = self._flight_after(floor)
-        self.phases = [floor, up]
+        take_off = self.instants[0]
+        floor = MotionPhase(True, np.zeros_like(take_off), take_off, ModeState(q, u, q, u), 0.0)
+        first_flight = self._flight_after(floor)
+        self.phases = [floor, first_flight]
         if kind != "I":
-            hit = self.instants[1]
-            self.phases[-1] = replace(up, length=hit - up.begin)
+            ceiling_impact = self.instants[1]
+            self.phases[-1] = replace(first_flight, length=ceiling_impact - first_flight.begin)
             self.before_ceiling = self.advance(self.phases[-1], self.phases[-1].length)
-            common = self.common_velocity(self.before_ceiling)
-            top = self.before_ceiling._replace(u=common, v=common)
+            velocity = self.common_velocity(self.before_ceiling)
+            after_ceiling = self.before_ceiling._replace(u=velocity, v=velocity)
             if kind == "III":
-                top = top._replace(y=top.q + self.height)
-                self.phases.append(MotionPhase(True, hit, self.instants[2] - hit, top, self.height))
+                after_ceiling = after_ceiling._replace(y=after_ceiling.q + self.height)
+                self.phases.append(
+                    MotionPhase(
+                        True, ceiling_impact, self.instants[2] - ceiling_impact, after_ceiling, self.height
+                    )
+                )
                 self.phases.append(self._flight_after(self.phases[-1]))
             else:
-                self.phases.append(MotionPhase(False, hit, TURN - hit, top, 0.0))
+                self.phases.append(
+                    MotionPhase(False, ceiling_impact, PERIOD - ceiling_impact, after_ceiling, 0.0)
+                )
         self.landing = self.advance(self.phases[-1], self.phases[-1].length)
 
     def _flight_after(self, phase: MotionPhase) -> MotionPhase:
         """Return the flight that follows a phase without impact, up to the end of the period."""
         begin = phase.begin + phase.length
-        return MotionPhase(False, begin, TURN - begin, self.advance(phase, phase.length), 0.0)
+        return MotionPhase(False, begin, PERIOD - begin, self.advance(phase, phase.length), 0.0)
 
     @property
     def height(self) -> Array:
@@ -186,18 +193,20 @@ class PeriodicMotion:
         at take-off; damper on the floor at 2 pi; for Type III, zero contact force at the end of the stay at the
         ceiling.
         """
-        floor, up = self.phases[0], self.phases[1]
-        found = [
+        floor, first_flight = self.phases[0], self.phases[1]
+        conditions = [
             self.landing.q - floor.start.q,  # Eqs 14 and 17: rho_c1 at both ends of the period
             self.common_velocity(self.landing) - floor.start.u,  # Eq. 14: u_c1 from u_b1 and v_b1
             # Separation: Eq. 15 gives continuity of position and velocity; in addition the contact force must vanish.
-            self.acceleration(up, np.zeros_like(up.length), up.start) + 1,
+            self.acceleration(first_flight, np.zeros_like(first_flight.length), first_flight.start) + 1,
             self.landing.y - self.landing.q,  # Eq. 17: both at rho_c1
         ]
         if self.kind == "III":
-            down = self.phases[-1]
-            found.append(self.acceleration(down, np.zeros_like(down.length), down.start) + 1)
-        return np.array(found)
+            last_flight = self.phases[-1]
+            conditions.append(
+                self.acceleration(last_flight, np.zeros_like(last_flight.length), last_flight.start) + 1
+            )
+        return np.array(conditions)
 
     def ceiling_gap(self) -> Array:
         """Compute the gap at the ceiling impact (Types II and III)."""
@@ -205,13 +214,13 @@ class PeriodicMotion:
 
     def conditions(self) -> Array:
         """Evaluate all conditions, shape (4 + instants, ...); the motion is periodic where they are zero."""
-        found = list(self.affine_conditions())
+        conditions = list(self.affine_conditions())
         if self.kind != "I":
-            found.append(self.ceiling_gap() - self.height)  # Eq. 16: the damper is d_j above the body
+            conditions.append(self.ceiling_gap() - self.height)  # Eq. 16: the damper is d_j above the body
         # The force condition is divided by F, so that all conditions have similar magnitudes.
         force = self.setting.force
-        found.append((self.a**2 + self.b**2) / force - force)
-        return np.array(found)
+        conditions.append((self.a**2 + self.b**2) / force - force)
+        return np.array(conditions)
 
 
 def jacobian(

@@ -151,7 +151,7 @@ def single_mode(
     """
     model = structural_model(scene)
     mass = model.mass.copy()
-    free: dict[int, float] = {}
+    damper_masses: dict[int, float] = {}
     clearances: set[float] = set()
     for damper, md in zip(scene.dampers, model.bed_mass, strict=True):
         if damper.locked:
@@ -172,12 +172,12 @@ def single_mode(
                 f"damper in body {damper.body}: restitution {damper.restitution}; the approximate "
                 "method assumes 0. Set restitution to 0, or use rig.orbit_response."
             )
-        free[damper.body] = free.get(damper.body, 0.0) + float(md)
+        damper_masses[damper.body] = damper_masses.get(damper.body, 0.0) + float(md)
         clearances.add(damper.clearance)
     if len(clearances) > 1:
-        listed = ", ".join(f"{1e3 * c:g} mm" for c in sorted(clearances))
+        clearance_list = ", ".join(f"{1e3 * c:g} mm" for c in sorted(clearances))
         raise SceneError(
-            f"clearances {listed}: the approximate method combines all dampers into one. Use a common "
+            f"clearances {clearance_list}: the approximate method combines all dampers into one. Use a common "
             "clearance."
         )
     if force is None:
@@ -192,7 +192,7 @@ def single_mode(
         mode=mode,
         driven=tuple(body + 1 for body in driven_bodies(scene)),
         force=force,
-        dampers=free,
+        dampers=damper_masses,
         clearance=clearances.pop() if clearances else float("inf"),
         gravity=scene.gravity,
         weighting=weighting,

@@ -56,7 +56,7 @@ def main() -> None:
         values = []
         for packing in PACKINGS:
             scene = resonant_scene(force, clearance, layers, packing, stiffness * MODULUS_PA, step)
-            motion = steady_grains(scene, frequency, BLOCK, MAX_BLOCKS, least=MAX_BLOCKS)
+            motion = steady_grains(scene, frequency, BLOCK, MAX_BLOCKS, min_blocks=MAX_BLOCKS)
             values.append([abs(motion.compliance[0]), motion.floor_impulse[0], motion.energy[0]])
         if (stiffness, step) == VARIANTS[0]:
             reference = np.array(values)

@@ -239,7 +239,7 @@ def compare_programs(setting: Setting, block: int) -> tuple[Array, Array]:
     scene = scene_of_bed(setting)
     (spheres,) = spheres_of(scene).values()
     assert spheres.count == BEDS[setting.layers][0]
-    motion = steady_grains(scene, FREQUENCY, block, 3, least=3)
+    motion = steady_grains(scene, FREQUENCY, block, 3, min_blocks=3)
     test: Any = scene.test
     assert isinstance(test, Sine)
     assert test.force is not None

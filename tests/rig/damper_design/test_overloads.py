@@ -65,7 +65,7 @@ def test_instant_landings_without_resonance_are_skipped() -> None:
         and "saturates at 5000 g, from landings of up to" in found.reason
     )
     assert found.changes == ("channels[2].accelerometer.saturation=null",)
-    lines = overload_lines([found], lasting=False)
+    lines = overload_lines([found], finite_contact=False)
     assert "contact: {duration: 2 ms}" in lines[-1] and found.changes[0] in lines[-1]
 
 

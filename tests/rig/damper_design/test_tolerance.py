@@ -114,7 +114,7 @@ def test_flight_height_equals_the_simulated_motion() -> None:
     choice = Choice((2,), (0.04,), (np.inf,))
     trial = Trial(choice, (question.worst(choice),))
     found = flight(question, trial, unreached=True)
-    assert found.body == 2 and 1.0 < found.reach(0.25) < 3.0
+    assert found.body == 2 and 1.0 < found.acceleration_g(0.25) < 3.0
     scene = question.scenes[0].replace(dampers=choice.dampers(question.landings))
     scene = scene.replace(test=scene.test.replace(force=0.25))
     frequency = trial.peak.frequency

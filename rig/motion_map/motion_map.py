@@ -294,7 +294,7 @@ _STUDY: Study[_Row, list[_Point]] = Study(
 def _kind_index(damper_motion: str) -> int:
     """Return the position in `KINDS` of a damper's motion type.
 
-    >>> [KINDS[_kind(each)] for each in ("riding", "III", "3 per 1", "3 per 2", "irregular")]
+    >>> [KINDS[_kind_index(name)] for name in ("riding", "III", "3 per 1", "3 per 2", "irregular")]
     ['riding', 'III', 'other, every period', 'longer period', 'irregular']
     """
     if damper_motion in KINDS:

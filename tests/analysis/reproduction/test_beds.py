@@ -207,4 +207,6 @@ def test_design_quotes_counts_of_the_bundled_table() -> None:
     deviations, without_ceiling = deviation(beds, "compliance"), np.isinf(beds["clearance"])
     for quoted, selected in ((WITHOUT_CEILING, without_ceiling), (BELOW_CEILING, ~without_ceiling)):
         assert quoted == (int((np.abs(deviations[selected]) <= MAX_DEVIATION).sum()), int(selected.sum()))
-    assert tuple(np.round(100 * np.quantile(deviations[~without_ceiling], [0.25, 0.75]))) == INTERQUARTILE_RANGE
+    assert (
+        tuple(np.round(100 * np.quantile(deviations[~without_ceiling], [0.25, 0.75]))) == INTERQUARTILE_RANGE
+    )

@@ -425,7 +425,7 @@ def design(
     New dampers have the restitution and contact of the scene's dampers, or of the first one where they differ.
     """
     from rig.damper_design.design import design as find_design
-    from rig.damper_design.figure import next_step, summary, write
+    from rig.damper_design.figure import describe_check, summary, write
     from rig.effects.foresight import foresights
     from rig.output_files import create_folder, file_stem
     from rig.provenance import allow_overwriting, output_source, reject_foreign_files
@@ -460,7 +460,7 @@ def design(
         files = write(result, output)
     print(setting.structure.relabel(summary(result)))
     report_written(*files, table)
-    print(setting.structure.relabel(next_step(result, files[0])))
+    print(setting.structure.relabel(describe_check(result, files[0])))
     for prediction in foresights(result.scene):
         print(f"\n{prediction}")
 

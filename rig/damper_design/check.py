@@ -43,7 +43,7 @@ class Expected:
     closing_speed: tuple[float, ...]  # largest approach speed of each damper to a wall at the peak, m/s
 
 
-def check(scene: Scene, trial: Trial, question: Question) -> Scene:
+def scene_with_check(scene: Scene, trial: Trial, question: Question) -> Scene:
     """Add dampers to a scene, with a test around the largest peaks with and without them at every level."""
     peaks = [*(peak.frequency for peak in trial.peaks), question.bare.frequency]
     test = {
@@ -106,7 +106,7 @@ def _frequencies_around(peaks: Sequence[float], band: tuple[float, float]) -> Ar
     return np.unique([*frequencies, *peaks])
 
 
-def expected(scene: Scene, trial: Trial) -> tuple[Expected, ...]:
+def expected_results(scene: Scene, trial: Trial) -> tuple[Expected, ...]:
     """Describe what a check should measure at the largest peak of each level.
 
     `scene`: as returned by `check`; `trial`: the dampers of the scene, and their peaks.

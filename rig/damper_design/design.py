@@ -12,11 +12,11 @@ import numpy as np
 
 from rig.arrays import Array
 from rig.damper_design.answers import Answers
-from rig.damper_design.check import Expected, check, expected
+from rig.damper_design.check import Expected, expected_results, scene_with_check
 from rig.damper_design.choice import FINE_DENSITY, Choice, Question, Space, Trial, mass_unit
-from rig.damper_design.flight import Flight, flight, idle_levels, shortfall
+from rig.damper_design.flight import Flight, compute_flight, describe_shortfall, idle_levels
 from rig.damper_design.other_modes import ModePeaks, mode_peaks, select_outside_band
-from rig.damper_design.ranking import front, is_equally_good
+from rig.damper_design.ranking import is_equally_good, pareto_front
 from rig.damper_design.request import parse_request
 from rig.damper_design.search import pieces, search
 from rig.damper_design.tolerance import Tolerance, clearance_tolerance
@@ -113,7 +113,7 @@ class Design(Result):
         """Levels without effect of the best dampers, with the reason; empty if they are effective at all levels."""
         row = self.chart[int(np.argmin(np.abs(np.log(self.clearance_factors))))]
         charted = dict(zip(self.levels.tolist(), row, strict=True))
-        return shortfall(self.best, self.bare, self.flight, charted, self.trials)
+        return describe_shortfall(self.best, self.bare, self.flight, charted, self.trials)
 
     def columns(self) -> dict[str, Array]:
         """Return added mass and reduction of the worst peak for all computed designs."""
@@ -138,7 +138,7 @@ class Design(Result):
     @property
     def front(self) -> list[Trial]:
         """Pareto front of peak against added mass, from light to heavy."""
-        return front(self.trials)
+        return pareto_front(self.trials)
 
     def reduction(self, peak: Peak) -> float:
         """Reduction of a peak relative to the bare structure, dB."""
@@ -241,18 +241,18 @@ def design(
     answers.sort()
     if say is not None:
         say("preparing the test that checks the best design")
-    check_scene = check(scene, nominal_trial, nominal)
+    check_scene = scene_with_check(scene, nominal_trial, nominal)
     present = {channel.name for channel in scene.channels or ()}
     added = tuple(channel.name for channel in check_scene.channels or () if channel.name not in present)
     return Design(
         scene=check_scene,
         added_channels=added,
-        expected=expected(check_scene, nominal_trial),
+        expected=expected_results(check_scene, nominal_trial),
         best=best,
         bare=question.bare,
         tolerance=interval,
         modes=modes,
-        flight=flight(question, best, unreached=np.isinf(interval.high)),
+        flight=compute_flight(question, best, unreached=np.isinf(interval.high)),
         trials=tuple(trials),
         question=question,
         space=space,

@@ -113,7 +113,7 @@ def write(design: Design, folder: Path) -> list[Path]:
     return [scene, *save_figure(_draw(design), name)]
 
 
-def next_step(design: Design, scene: Path) -> str:
+def describe_check(design: Design, scene: Path) -> str:
     """Describe the test in the scene of a design, its expected results, and the commands to run it."""
     test = design.scene.test
     assert isinstance(test, SteppedSine) and test.frequencies is not None

@@ -37,7 +37,7 @@ class Flight:
         return level / self.take_off
 
 
-def flight(question: Question, trial: Trial, unreached: bool) -> Flight:
+def compute_flight(question: Question, trial: Trial, unreached: bool) -> Flight:
     """Compute where the dampers of a trial take off, and how high they fly.
 
     `unreached`: whether the dampers do not reach their ceiling, so that the height is computed.
@@ -72,33 +72,33 @@ def _frequencies(question: Question, trial: Trial) -> np.ndarray:
     return np.unique(np.concatenate([columns(scene, low, high, COARSE_DENSITY), natural, peaks]))
 
 
-def idle_levels(trial: Trial, bare: Peak, flight_: Flight) -> list[float]:
+def idle_levels(trial: Trial, bare: Peak, flight: Flight) -> list[float]:
     """Return the levels at which the dampers do not fly, or the peak reduction is not resolved."""
     return sorted(
         peak.level
         for peak in trial.peaks
-        if peak.reduction_from(bare) <= EQUAL_DB or flight_.acceleration_g(peak.level) <= 1.0
+        if peak.reduction_from(bare) <= EQUAL_DB or flight.acceleration_g(peak.level) <= 1.0
     )
 
 
-def shortfall(
-    trial: Trial, bare: Peak, flight_: Flight, charted: Mapping[float, Peak], trials: Iterable[Trial]
+def describe_shortfall(
+    trial: Trial, bare: Peak, flight: Flight, charted: Mapping[float, Peak], trials: Iterable[Trial]
 ) -> list[str]:
     """Report levels without effect, the reason, and effective levels; empty if the dampers are effective everywhere.
 
     `charted`: peak of these dampers by level, N; `trials`: all designs computed.
     """
-    idle = idle_levels(trial, bare, flight_)
+    idle = idle_levels(trial, bare, flight)
     if not idle:
         return []
     reductions = {peak.level: peak.reduction_from(bare) for peak in trial.peaks}
     lines = []
     for level in idle:
-        acceleration = flight_.acceleration_g(level)
+        acceleration = flight.acceleration_g(level)
         motion = "cannot fly" if acceleration <= 1.0 else "hardly fly"
         lines.append(
             f"at {format_number(level)} N the dampers {motion}: take-off needs more than 1 g, and body "
-            f"{flight_.body} reaches {format_number(acceleration)} g; "
+            f"{flight.body} reaches {format_number(acceleration)} g; "
             f"they change the peak by {-reductions[level]:+.1f} dB"
         )
     largest_reductions = {
@@ -113,7 +113,7 @@ def shortfall(
         level
         for level in charted
         if level > max(idle)
-        and flight_.acceleration_g(level) > 1.0
+        and flight.acceleration_g(level) > 1.0
         and charted[level].reduction_from(bare) >= EFFECTIVE_DB
     ]
     if effective_levels:
@@ -128,7 +128,7 @@ def shortfall(
             f"{format_number(min(charted_levels))} N on (--levels)"
         )
     else:
-        suggested = format_number(_EFFECTIVE_G * flight_.take_off)
+        suggested = format_number(_EFFECTIVE_G * flight.take_off)
         lines.append(
             f"dampers are usually effective from {_EFFECTIVE_G:g} g: use levels from {suggested} N (--levels)"
         )

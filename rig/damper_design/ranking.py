@@ -92,7 +92,7 @@ def objective(trial: Trial) -> float:
     return float(np.log(trial.peak.size) + _MEAN_WEIGHT * np.log(trial.mean))
 
 
-def front(trials: Sequence[Trial]) -> list[Trial]:
+def pareto_front(trials: Sequence[Trial]) -> list[Trial]:
     """Return the Pareto front of worst peak against mass, from light to heavy."""
     masses = sorted({round(trial.choice.mass, 9) for trial in trials})
     best = [

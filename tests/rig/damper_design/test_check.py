@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rig
-from rig.damper_design.check import check, expected
+from rig.damper_design.check import expected_results, scene_with_check
 from rig.damper_design.choice import INSTANTANEOUS, Choice, Trial
 from rig.damper_design.request import parse_request
 from rig.damper_design.worst_peak import Peak
@@ -18,7 +18,7 @@ def test_check_covers_all_levels_and_peaks() -> None:
     question, _ = parse_request(scene, levels=[2.0, 4.0], band=(30.0, 55.0))
     choice = Choice((2,), (0.1,), (1e-3,))
     peaks = tuple(Peak(1e-4, f, level, 1, 1.0, 0.0) for f, level in ((34.1, 2.0), (48.7, 4.0)))
-    test = check(scene, Trial(choice, peaks), question).test
+    test = scene_with_check(scene, Trial(choice, peaks), question).test
     assert isinstance(test, SteppedSine) and test.frequencies is not None
     assert test.levels == (2.0, 4.0)
     assert {34.1, 48.7, question.bare.frequency} <= set(test.frequencies)
@@ -32,7 +32,9 @@ def test_expectation_includes_force_harmonics() -> None:
     question, _ = parse_request(scene, bodies=[2], levels=[1.5])
     choice = Choice((2,), (0.1,), (0.969e-3,))
     peak = question.worst(choice)
-    (one,) = expected(check(scene, Trial(choice, (peak,)), question), Trial(choice, (peak,)))
+    (one,) = expected_results(
+        scene_with_check(scene, Trial(choice, (peak,)), question), Trial(choice, (peak,))
+    )
     assert one.sizes is not None
     low, size, high = one.sizes
     assert low < size < high < 1.01 * low
@@ -49,4 +51,4 @@ def test_check_drives_the_same_shaker() -> None:
     scene = rig.load("fig9", {"shaker": shakers, "test": drive, "channels": None})
     question, _ = parse_request(scene, band=(45.0, 55.0))
     trial = Trial(Choice((2,), (0.1,), (1e-3,)), (Peak(1e-4, 48.7, 3.0, 1, 1.0, 0.0),))
-    assert check(scene, trial, question).driven == 2
+    assert scene_with_check(scene, trial, question).driven == 2

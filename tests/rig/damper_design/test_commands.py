@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 import rig
-from rig.damper_design.check import check, missing_channels
+from rig.damper_design.check import missing_channels, scene_with_check
 from rig.damper_design.choice import Choice, Trial
-from rig.damper_design.figure import next_step, summary, write
+from rig.damper_design.figure import describe_check, summary, write
 from rig.damper_design.request import parse_request
 from rig.damper_design.worst_peak import Peak
 
@@ -38,7 +38,7 @@ def test_printed_commands_run(shaker: str, tmp_path: Path) -> None:
         _bracket(shaker), bodies=[2], levels=["4 N"], clearance=("0.3 mm", "0.5 mm"), budget="30 g"
     )
     scene = write(design, tmp_path)[0]
-    printed = next_step(design, scene)
+    printed = describe_check(design, scene)
     assert "channels added" in printed and "channels[1].accelerometer.saturation=" in printed
     assert "170.97" in summary(design) and "outside the band" in summary(design)
     commands = [shlex.split(line) for line in printed.splitlines() if line.startswith(("daq ", "analysis "))]
@@ -55,7 +55,7 @@ def test_channels_that_a_check_needs_are_added(shaker: str, added: list[str]) ->
     scene = _bracket(shaker)
     question, _ = parse_request(scene)
     trial = Trial(Choice((2,), (0.1,), (1e-3,)), (Peak(1e-4, 62.0, 4.0, 1, 1.0, 0.0),))
-    checked = check(scene, trial, question)
+    checked = scene_with_check(scene, trial, question)
     channels = {channel.at: channel for channel in checked.channels or ()}
     assert list(channels) == ["body 2", *added]
     assert channels["body 1"].accelerometer == channels["body 2"].accelerometer

@@ -19,7 +19,7 @@ from rig.damper_design.answers import Answers
 from rig.damper_design.check import Expected
 from rig.damper_design.choice import FINE_DENSITY, INSTANTANEOUS, Choice
 from rig.damper_design.design import chart_levels
-from rig.damper_design.figure import clearance_label, grain_check, next_step, summary, write
+from rig.damper_design.figure import clearance_label, describe_check, grain_check, summary, write
 from rig.damper_design.request import mass_of, parse_request
 from rig.damper_design.worst_peak import Peak, response_at_level
 from rig.errors import SceneError
@@ -83,11 +83,13 @@ def test_written_scene_loads_and_summary_matches(chosen: rig.Design, tmp_path: P
     assert picture.stat().st_size > 10_000 and drawing.stat().st_size > 10_000
     assert repr(chosen).startswith("<Design: ") and chosen.plot().get_legend() is not None
     assert f"clearance {1e3 * chosen.best.choice.clearances[0]:.3g} mm" in summary(chosen)
-    commands = [shlex.split(line) for line in next_step(chosen, scene).splitlines() if line.startswith("daq")]
+    commands = [
+        shlex.split(line) for line in describe_check(chosen, scene).splitlines() if line.startswith("daq")
+    ]
     assert [each[:3] for each in commands] == [["daq", "record", str(scene)]] * 2
     assert "dampers=null" in commands[0] and "dampers=null" not in commands[1]
     unsteady = replace(chosen, expected=tuple(replace(one, sizes=None) for one in chosen.expected))
-    assert "no steady motion found" in next_step(unsteady, scene)
+    assert "no steady motion found" in describe_check(unsteady, scene)
 
 
 @pytest.mark.thorough

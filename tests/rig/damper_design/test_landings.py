@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import rig
-from rig.damper_design.check import check
+from rig.damper_design.check import scene_with_check
 from rig.damper_design.choice import INSTANTANEOUS, Choice, Trial, landings_from
 from rig.damper_design.request import parse_request
 from rig.errors import SceneError
@@ -29,7 +29,7 @@ def test_new_dampers_land_as_the_scenes() -> None:
     choice = Choice((2,), (0.1,), (1e-3,))
     peak = question.worst(choice)
     trial = Trial(choice, (peak,))
-    checked = check(scene, trial, question)
+    checked = scene_with_check(scene, trial, question)
     assert [(one.restitution, one.contact) for one in checked.dampers] == [(0.2, scene.dampers[0].contact)]
     instant = replace(question, landings=INSTANTANEOUS)
     assert instant.digest != question.digest and instant.worst(choice).size != pytest.approx(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rig.damper_design.choice import Choice, Trial
-from rig.damper_design.ranking import front, rank_trials
+from rig.damper_design.ranking import pareto_front, rank_trials
 from rig.damper_design.worst_peak import Peak
 
 
@@ -52,4 +52,8 @@ def tried(mass: float, clearance: float, *sizes: float) -> Trial:
 def test_no_lighter_choice_beats_the_front() -> None:
     sizes = [(0.1, 3.0), (0.1, 2.0), (0.2, 2.5), (0.3, 1.0), (0.05, 4.0)]
     trials = [tried(m, 1e-3, size) for m, size in sizes]
-    assert [(t.choice.mass, t.peak.size) for t in front(trials)] == [(0.05, 4.0), (0.1, 2.0), (0.3, 1.0)]
+    assert [(t.choice.mass, t.peak.size) for t in pareto_front(trials)] == [
+        (0.05, 4.0),
+        (0.1, 2.0),
+        (0.3, 1.0),
+    ]

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import rig
 from rig.damper_design.answers import Answers
 from rig.damper_design.choice import Choice, Question, Space, Trial
-from rig.damper_design.ranking import front
+from rig.damper_design.ranking import pareto_front
 from rig.damper_design.search import _grid_row, _refine, search
 from rig.damper_design.worst_peak import Peak
 from rig.errors import RunError
@@ -76,7 +76,7 @@ def test_equal_single_damper_is_named() -> None:
 def test_search_finds_the_best_number_of_dampers() -> None:
     question = Lone((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
     _, trials = search_at_once(question, Space(Space.locations_of((1, 2), 2), 0.1, (1e-4, 1e-2)))
-    for row in front(trials):
+    for row in pareto_front(trials):
         alone = Choice((2,), (row.choice.mass,), (1e-3,))
         assert row.peak.size <= 1.005 * question.worst(alone).size
 

@@ -12,7 +12,7 @@ import pytest
 import rig
 from rig.damper_design.answers import Answers
 from rig.damper_design.choice import Choice, Question, Space, Trial
-from rig.damper_design.flight import Flight, flight, idle_levels, shortfall
+from rig.damper_design.flight import Flight, compute_flight, describe_shortfall, idle_levels
 from rig.damper_design.other_modes import mode_peaks, mode_questions_of, select_outside_band
 from rig.damper_design.request import parse_request
 from rig.damper_design.tolerance import clearance_tolerance
@@ -113,7 +113,7 @@ def test_flight_height_equals_the_simulated_motion() -> None:
     question, _ = parse_request(rig.load("fig9"), bodies=[2], levels=[0.25], band=(47.0, 52.0))
     choice = Choice((2,), (0.04,), (np.inf,))
     trial = Trial(choice, (question.worst(choice),))
-    found = flight(question, trial, unreached=True)
+    found = compute_flight(question, trial, unreached=True)
     assert found.body == 2 and 1.0 < found.acceleration_g(0.25) < 3.0
     scene = question.scenes[0].replace(dampers=choice.dampers(question.landings))
     scene = scene.replace(test=scene.test.replace(force=0.25))
@@ -127,12 +127,12 @@ def test_levels_too_weak_for_flight_are_named() -> None:
     peaks = tuple(Peak(size, 61.0, level, 2, 1.0, 0.0) for size, level in ((1.01e-4, 0.5), (5e-5, 4.0)))
     trial = Trial(Choice((1,), (0.1,), (1e-3,)), peaks)
     charted = {level: Peak(size, 61.0, level, 2, 1.0, 0.0) for level, size in ((1.0, 9.5e-5), (1.41, 8e-5))}
-    lines = shortfall(trial, bare, Flight(0.8, 1, np.nan), charted, [trial])
+    lines = describe_shortfall(trial, bare, Flight(0.8, 1, np.nan), charted, [trial])
     assert "at 0.5 N the dampers cannot fly" in lines[0] and "body 1 reaches 0.625 g" in lines[0]
     assert lines[1].startswith("use --levels 4N:")
     weak = Trial(trial.choice, peaks[:1])
-    assert "from 1.41 N on" in shortfall(weak, bare, Flight(0.8, 1, np.nan), charted, [weak])[1]
-    assert not shortfall(Trial(trial.choice, peaks[1:]), bare, Flight(0.8, 1, np.nan), charted, [])
+    assert "from 1.41 N on" in describe_shortfall(weak, bare, Flight(0.8, 1, np.nan), charted, [weak])[1]
+    assert not describe_shortfall(Trial(trial.choice, peaks[1:]), bare, Flight(0.8, 1, np.nan), charted, [])
 
 
 def test_mass_that_never_flies_is_rejected() -> None:

@@ -17,30 +17,36 @@ if TYPE_CHECKING:
     from rig.scene.excitation import Impulse
 
 
-# Recording time before the first hit, s: it shows offsets and noise.
-QUIET = 0.25
-_WINDOW = 0.1
-# Longest settling of sensors, in time constants and in s; window in which a drift is detected, s, and detection
-# limit of the drift in standard deviations.
-_TIME_CONSTANTS, _LONGEST, _DRIFT_WINDOW, _DRIFT_SIGMAS = 10.0, 60.0, 0.5, 4.0
+# Recording time before the first hit: it shows offsets and noise.
+QUIET_S = 0.25
+# Length of the windows of the drive.
+_WINDOW_S = 0.1
+# Longest settling of sensors, in time constants.
+_MAX_TIME_CONSTANTS = 10.0
+# Longest settling of sensors.
+_MAX_SETTLING_S = 60.0
+# Window in which a drift is detected.
+_DRIFT_WINDOW_S = 0.5
+# Detection limit of the drift, in standard deviations.
+_DRIFT_SIGMAS = 4.0
 
 
 def excite(station: Station, test: Impulse) -> Excitation:
     """Run the hits of an impulse test."""
-    clean = half_sine(test.peak, test.width, station.rate)
-    doubled, bounces = clean, set()
+    single_hit = half_sine(test.peak, test.width, station.rate)
+    double_hit, double_hits = single_hit, set()
     if test.double_hit is not None:
         second = half_sine(test.peak * test.double_hit.ratio, test.width, station.rate)
-        after = station.samples(test.double_hit.after)
-        doubled = np.zeros(after + second.size)
-        doubled[: clean.size] += clean
-        doubled[after:] += second
-        bounces = set(test.double_hit.hits or range(1, test.repeats + 1))
-    interval, window = (station.samples(time) for time in (test.interval, _WINDOW))
-    yield station.quiet(station.samples(QUIET))
+        delay = station.samples(test.double_hit.after)
+        double_hit = np.zeros(delay + second.size)
+        double_hit[: single_hit.size] += single_hit
+        double_hit[delay:] += second
+        double_hits = set(test.double_hit.hits or range(1, test.repeats + 1))
+    interval, window = (station.samples(time) for time in (test.interval, _WINDOW_S))
+    yield station.quiet(station.samples(QUIET_S))
     yield from _wait_for_sensors(station)
     for hit in range(1, test.repeats + 1):
-        pulse = doubled if hit in bounces else clean
+        pulse = double_hit if hit in double_hits else single_hit
         wave = np.zeros(interval)
         wave[: pulse.size] = pulse
         first = station.now
@@ -51,24 +57,24 @@ def excite(station: Station, test: Impulse) -> Excitation:
             if start == 0:
                 station.mark(
                     "hit", first, first + pulse.size, number=hit, body=test.body, peak=test.peak, width=test.width,
-                    double=hit in bounces,
+                    double=hit in double_hits,
                 )  # fmt: skip
             station.report((hit - 1 + stop / interval) / test.repeats, f"hit {hit} of {test.repeats}")
 
 
 def _wait_for_sensors(station: Station) -> Excitation:
     """Wait until the bias of the sensors has settled after power-on, so that no reading drifts during a hit."""
-    longest = round(max((settling_time(info) for info in station.channels), default=0.0) * station.rate)
-    if not longest:
+    max_samples = round(max((settling_time(info) for info in station.channels), default=0.0) * station.rate)
+    if not max_samples:
         return
-    first, end = station.now, station.now + longest
-    window, drifts = station.samples(_DRIFT_WINDOW), True
-    while drifts and station.now < end:
+    first, end = station.now, station.now + max_samples
+    window, is_drifting = station.samples(_DRIFT_WINDOW_S), True
+    while is_drifting and station.now < end:
         station.report(0.0, "waiting for the sensors to settle")
-        drifts = _drifts((yield station.quiet(min(window, end - station.now))))
+        is_drifting = _is_drifting((yield station.quiet(min(window, end - station.now))))
     # After ten time constants the remaining change is the low-frequency noise of the sensors.
     station.mark("settle", first, station.now, settled=True)
-    yield station.quiet(station.samples(QUIET))
+    yield station.quiet(station.samples(QUIET_S))
 
 
 def settling_time(info: ChannelInfo) -> float:
@@ -85,11 +91,13 @@ def settling_time(info: ChannelInfo) -> float:
         (parse(text, TIME) for key, text in info.sensor.items() if key.endswith(".bias_settling")), 0.0
     )
     # High-pass filters, the slowest poles, pass the step at power-on, which then decays.
-    slow = sorted(abs(pole.real) for pole in info.poles if pole)[: sum(zero == 0 for zero in info.zeros)]
-    return min(_TIME_CONSTANTS * (bias + sum(1.0 / rate for rate in slow)), _LONGEST)
+    slow_rates = sorted(abs(pole.real) for pole in info.poles if pole)[
+        : sum(zero == 0 for zero in info.zeros)
+    ]
+    return min(_MAX_TIME_CONSTANTS * (bias + sum(1.0 / rate for rate in slow_rates)), _MAX_SETTLING_S)
 
 
-def _drifts(readings: Array) -> bool:
+def _is_drifting(readings: Array) -> bool:
     """Return whether any reading changes between the two halves of a window by more than its noise."""
     middle = readings.shape[1] // 2
     before, after = readings[:, :middle], readings[:, middle:]

@@ -9,10 +9,12 @@ from numpy.polynomial.legendre import legvander
 
 from rig.arrays import Array, ComplexArray
 
-# Minimum window: two periods, and more samples than the number of fitted terms below the lowest harmonic.
-_READABLE_PERIODS, _READABLE = 2, 8
+# Minimum window, periods.
+_MIN_PERIODS = 2
+# Minimum window, samples: more than the number of fitted terms below the lowest harmonic.
+_MIN_SAMPLES = 8
 # Near half the sampling rate a sampled tone beats; this fraction of a beat separates its amplitude from its phase.
-_SHARE_OF_BEAT = 0.5
+_MIN_BEATS = 0.5
 
 
 def fewest_samples(frequency: float, rate: float) -> int:
@@ -21,8 +23,8 @@ def fewest_samples(frequency: float, rate: float) -> int:
     >>> [fewest_samples(frequency, 100.0) for frequency in (1.0, 20.0, 40.0, 49.0)]
     [200, 10, 8, 25]
     """
-    beat = _SHARE_OF_BEAT / (1.0 - 2.0 * frequency / rate)
-    return max(_READABLE, int(np.ceil(max(_READABLE_PERIODS * rate / frequency, beat) - 1e-9)))
+    beat = _MIN_BEATS / (1.0 - 2.0 * frequency / rate)
+    return max(_MIN_SAMPLES, int(np.ceil(max(_MIN_PERIODS * rate / frequency, beat) - 1e-9)))
 
 
 def whole_periods(frequency: float, rate: float, shortest_s: float) -> int:
@@ -37,20 +39,22 @@ def whole_periods(frequency: float, rate: float, shortest_s: float) -> int:
     >>> whole_periods(10.0, 25.0, 0.15)
     10
     """
-    shortest = int(np.ceil(fewest_samples(frequency, rate) * frequency / rate - 1e-9))
-    fewest = max(shortest, int(np.ceil(shortest_s * frequency - 1e-9)))
-    counts = np.arange(fewest, fewest + max(1, fewest // 3) + 1)
+    min_periods = int(np.ceil(fewest_samples(frequency, rate) * frequency / rate - 1e-9))
+    min_count = max(min_periods, int(np.ceil(shortest_s * frequency - 1e-9)))
+    counts = np.arange(min_count, min_count + max(1, min_count // 3) + 1)
     samples = counts * rate / frequency
     deviation = abs(samples - np.round(samples)) / samples
     return round(float(samples[np.argmin(np.round(deviation, 9))]))
 
 
-# Harmonics that are fitted with the tone, up to this fraction of the sampling rate.
-_HARMONICS, _BELOW = 6, 0.4
+# Order of the highest harmonic that is fitted with the tone.
+_MAX_HARMONIC = 6
+# Harmonics are fitted up to this ratio to the sampling rate.
+_MAX_HARMONIC_RATIO = 0.4
 
 
 # Number of samples whose model is in memory at a time.
-_PIECE = 1 << 16
+_PIECE_SAMPLES = 1 << 16
 
 
 # A test uses only a few window lengths per frequency.
@@ -66,25 +70,25 @@ def _weights(frequency: float, rate: float, samples: int) -> Array:
 
 def _model(frequency: float, rate: float, samples: int, first: int, stop: int) -> Array:
     """Return the tone, its harmonics and a drift at samples [first, stop) of a window; shape (terms, n)."""
-    at = np.arange(first, stop)
-    phase = 2 * np.pi * np.fmod(frequency / rate * at, 1.0)
+    sample = np.arange(first, stop)
+    phase = 2 * np.pi * np.fmod(frequency / rate * sample, 1.0)
     # Integrated channels drift and dampers shift the mean: a cubic polynomial models this drift. Without harmonics
     # in the model, the polynomial would also fit part of the harmonics, which would bias the tone.
     drift = legvander(np.linspace(-1.0, 1.0, samples)[first:stop], 3)
-    highest = max(1, min(_HARMONICS, int(_BELOW * rate / frequency)))
+    highest = max(1, min(_MAX_HARMONIC, int(_MAX_HARMONIC_RATIO * rate / frequency)))
     harmonics = [part(h * phase) for h in range(2, highest + 1) for part in (np.cos, np.sin)]
     return np.stack([np.cos(phase), -np.sin(phase), *drift.T, *harmonics])
 
 
-def _fitted(samples: Array, frequency: float, rate: float) -> Array:
+def _amplitude_parts(samples: Array, frequency: float, rate: float) -> Array:
     """Return both parts of the amplitude in a long window, shape (channels, 2), with the model in pieces."""
     size = samples.shape[1]
-    normal, right = 0.0, 0.0
-    for first in range(0, size, _PIECE):
-        model = _model(frequency, rate, size, first, min(first + _PIECE, size))
+    normal, projection = 0.0, 0.0
+    for first in range(0, size, _PIECE_SAMPLES):
+        model = _model(frequency, rate, size, first, min(first + _PIECE_SAMPLES, size))
         normal = normal + np.einsum("in,jn->ij", model, model)
-        right = right + np.einsum("cn,in->ci", samples[:, first : first + _PIECE], model)
-    return np.asarray(np.einsum("ci,ki->ck", right, np.linalg.inv(normal)[:2]))
+        projection = projection + np.einsum("cn,in->ci", samples[:, first : first + _PIECE_SAMPLES], model)
+    return np.asarray(np.einsum("ci,ki->ck", projection, np.linalg.inv(normal)[:2]))
 
 
 def lock_in(samples: Array, frequency: float, rate: float, phase: float = 0.0) -> ComplexArray:
@@ -98,8 +102,8 @@ def lock_in(samples: Array, frequency: float, rate: float, phase: float = 0.0) -
     ('3.000000000', True)
     """
     size = samples.shape[1]
-    if size <= _PIECE:
+    if size <= _PIECE_SAMPLES:
         parts = np.einsum("cn,kn->ck", samples, _weights(frequency, rate, size))
     else:
-        parts = _fitted(samples, frequency, rate)
+        parts = _amplitude_parts(samples, frequency, rate)
     return (parts[:, 0] + 1j * parts[:, 1]) * np.exp(-1j * phase)

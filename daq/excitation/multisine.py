@@ -15,9 +15,13 @@ if TYPE_CHECKING:
     from rig.scene.excitation import Multisine
 
 
-# Relative difference of successive periods in the steady state; maximum wait in s and in periods.
-_TOLERANCE, _LONGEST, _MOST_PERIODS = 1e-4, 60.0, 8
-_NOISE = 0.9
+# Relative difference of successive periods in the steady state.
+_TOLERANCE = 1e-4
+# Longest wait for the steady state: the larger of a time and a number of periods.
+_MAX_WAIT_S = 60.0
+_MAX_WAIT_PERIODS = 8
+# A difference of periods that decreases less than by this ratio is noise.
+_NOISE_RATIO = 0.9
 
 
 def excite(station: Station, test: Multisine) -> Excitation:
@@ -34,40 +38,42 @@ def excite(station: Station, test: Multisine) -> Excitation:
         if station.controlled and realisation == 1:
             amplitudes, _, playing[0] = yield from equalise(station, lines, period, phases[0])
         for number in shakers[1:]:
-            other = station.generator(f"multisine {number} {realisation}")
-            phases.append(other.uniform(0.0, 2 * np.pi, lines.size))
+            generator = station.generator(f"multisine {number} {realisation}")
+            phases.append(generator.uniform(0.0, 2 * np.pi, lines.size))
         for experiment in range(len(shakers)):
-            turn = 2.0 * np.pi * experiment / len(shakers)
+            phase_shift = 2.0 * np.pi * experiment / len(shakers)
             waves = np.stack(
-                [wave_of(lines, amplitudes, each + turn * k, period) for k, each in enumerate(phases)]
+                [wave_of(lines, amplitudes, each + phase_shift * k, period) for k, each in enumerate(phases)]
             )
             factor = min(within_limit(station, wave) for wave in waves)
-            several: dict[str, object] = {}
+            experiment_fields: dict[str, object] = {}
             message = f"realisation {realisation}"
             if len(shakers) > 1:
-                several = {"experiment": experiment, "shakers": list(shakers)}
+                experiment_fields = {"experiment": experiment, "shakers": list(shakers)}
                 message += f", experiment {experiment + 1}"
             message += f" of {test.realisations}"
             if factor < 1.0:
                 station.warn(f"{message}: the amplifier limits the drive to {factor:.0%}. Lower the level.")
             waves *= factor
-            done = (realisation - 1 + experiment / len(shakers)) / test.realisations
-            station.report(done, f"{message}, settling")
+            fraction = (realisation - 1 + experiment / len(shakers)) / test.realisations
+            station.report(fraction, f"{message}, settling")
             first = station.now
             yield station.drives(np.stack([crossfade(a, b) for a, b in zip(playing, waves, strict=True)]))
             settled = yield from _settle(station, waves)
             station.mark("settle", first, station.now, realisation=realisation, settled=settled)
             if not settled:
-                longest = _longest(station, period) / station.rate
+                max_wait_s = _max_wait(station, period) / station.rate
                 station.warn(
-                    f"{message}: not periodic within {longest:g} s. Its periods are marked as not settled."
+                    f"{message}: not periodic within {max_wait_s:g} s. Its periods are marked as not settled."
                 )
             first, step = station.now, 1.0 / test.realisations / len(shakers)
-            for turns in range(test.periods):
-                station.report(done + turns / test.periods * step, f"{message}, period {turns + 1}")
+            for period_index in range(test.periods):
+                station.report(
+                    fraction + period_index / test.periods * step, f"{message}, period {period_index + 1}"
+                )
                 yield station.drives(waves)
             station.mark(
-                "measure", first, station.now, realisation=realisation, **several, period=period,
+                "measure", first, station.now, realisation=realisation, **experiment_fields, period=period,
                 periods=test.periods, lines=[int(lines[0]), int(lines[-1])], level=station.level, settled=settled,
             )  # fmt: skip
             playing = waves
@@ -76,23 +82,23 @@ def excite(station: Station, test: Multisine) -> Excitation:
 
 def _settle(station: Station, waves: Array) -> Generator[Array, Array, bool]:
     """Play periods until successive periods agree, or until their difference is noise."""
-    end = station.now + _longest(station, waves.shape[1])
+    last_sample = station.now + _max_wait(station, waves.shape[1])
     before = yield station.drives(waves)
-    smallest, level = np.inf, 0
-    while station.now < end:
+    min_change, noise_count = np.inf, 0
+    while station.now < last_sample:
         now = yield station.drives(waves)
-        size = np.sqrt(np.mean((now - now.mean(axis=1, keepdims=True)) ** 2, axis=1))
-        change = float(np.max(np.sqrt(np.mean((now - before) ** 2, axis=1)) / np.maximum(size, 1e-300)))
-        ratio = change / smallest if smallest > 0.0 else 0.0
+        rms = np.sqrt(np.mean((now - now.mean(axis=1, keepdims=True)) ** 2, axis=1))
+        change = float(np.max(np.sqrt(np.mean((now - before) ** 2, axis=1)) / np.maximum(rms, 1e-300)))
+        ratio = change / min_change if min_change > 0.0 else 0.0
         # A transient decreases by this ratio from period to period; noise does not decrease.
-        level += ratio > _NOISE
-        fading = np.isfinite(smallest) and ratio < _NOISE
-        if level >= 2 or (fading and change * ratio / (1.0 - ratio) < _TOLERANCE):
+        noise_count += ratio > _NOISE_RATIO
+        is_decaying = np.isfinite(min_change) and ratio < _NOISE_RATIO
+        if noise_count >= 2 or (is_decaying and change * ratio / (1.0 - ratio) < _TOLERANCE):
             return True
-        before, smallest = now, min(smallest, change)
+        before, min_change = now, min(min_change, change)
     return False
 
 
-def _longest(station: Station, period: int) -> int:
+def _max_wait(station: Station, period: int) -> int:
     """Return the maximum number of samples to wait for a periodic response."""
-    return max(station.samples(_LONGEST), _MOST_PERIODS * period)
+    return max(station.samples(_MAX_WAIT_S), _MAX_WAIT_PERIODS * period)

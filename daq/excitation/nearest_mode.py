@@ -10,21 +10,32 @@ import numpy as np
 from rig.arrays import Array, ComplexArray
 
 # Minimum number of observations for the estimate of a mode.
-_FEWEST = 6
+_MIN_OBSERVATIONS = 6
 # Age, in memory times, above which observations have no weight.
-_FADED = 3.0
-# Interval of the search for a different mode, in observations; its frequencies relative to the tone; its damping
-# ratios; and the ratio of residuals below which the different mode becomes the nearest mode.
+_MAX_AGE_RATIO = 3.0
+# Interval of the search for a different mode, in observations.
 _SEARCH_INTERVAL = 4
+# Frequencies of the search, relative to the tone.
 _SEARCH_FREQUENCIES = np.geomspace(0.6, 1.7, 24)
+# Damping ratios of the search.
 _SEARCH_DAMPING = np.array([0.005, 0.03])
-_BETTER = 0.7
-# Search around the present mode: the relative frequency step is adapted; the damping ratio changes by 20 %.
-_STEP, _SHORTEST, _LONGEST = 0.01, 1e-4, 0.03
-_SHORTER, _LONGER = 0.6, 1.5
-_DAMPING_STEP, _DAMPING = 0.2, (0.002, 0.2)
+# Ratio of residuals below which the different mode becomes the nearest mode.
+_MAX_RESIDUAL_RATIO = 0.7
+# Initial relative frequency step of the search around the present mode.
+_INITIAL_STEP = 0.01
+# Limits of this step.
+_MIN_STEP = 1e-4
+_MAX_STEP = 0.03
+# Factor on the step if the present frequency remains the best.
+_STEP_DECREASE = 0.6
+# Factor on the step if another frequency is better.
+_STEP_INCREASE = 1.5
+# Relative step of the damping ratio.
+_DAMPING_STEP = 0.2
+# Limits of the damping ratio.
+_DAMPING_LIMITS = (0.002, 0.2)
 # Below this exponent the mean of the exponential is linear; the exact formula would suffer from rounding.
-_SMALL = 1e-6
+_MIN_EXPONENT = 1e-6
 # Regularization of both coefficients towards zero, if force and motion do not separate them.
 _RIDGE = 1e-4
 
@@ -51,76 +62,93 @@ class NearestMode:
     def __init__(self) -> None:
         self._observations: deque[tuple[float, float, complex, complex]] = deque()
         self._count = 0
-        self._step = _STEP
-        self.pole, self.gain, self.rest = 0j, 0j, 0j
+        self._step = _INITIAL_STEP
+        self.pole, self.gain, self.residual_term = 0j, 0j, 0j
 
-    def add(self, time: float, turn: float, motion: complex, force: complex, memory: float) -> None:
+    def add(
+        self, time: float, angular_frequency: float, motion: complex, force: complex, memory: float
+    ) -> None:
         """Add an observation: time in s, angular frequency of the tone in rad/s, X in m, F in N; memory in s."""
-        self._observations.append((time, turn, motion, force))
-        while time - self._observations[0][0] >= _FADED * memory:
+        self._observations.append((time, angular_frequency, motion, force))
+        while time - self._observations[0][0] >= _MAX_AGE_RATIO * memory:
             self._observations.popleft()
         self._count += 1
-        if self._count < _FEWEST or len(self._observations) < _FEWEST:
-            self.pole, self.gain, self.rest = (-0.02 + 1.3j) * turn, 0j, motion / force
+        if self._count < _MIN_OBSERVATIONS or len(self._observations) < _MIN_OBSERVATIONS:
+            self.pole, self.gain, self.residual_term = (-0.02 + 1.3j) * angular_frequency, 0j, motion / force
             return
-        local = self._around()
-        poles = local
+        local_poles = self._poles_around()
+        poles = local_poles
         if self._count % _SEARCH_INTERVAL == 0:
-            far = [
-                ratio * turn * (1j - damping) for ratio in _SEARCH_FREQUENCIES for damping in _SEARCH_DAMPING
+            distant_poles = [
+                ratio * angular_frequency * (1j - damping)
+                for ratio in _SEARCH_FREQUENCIES
+                for damping in _SEARCH_DAMPING
             ]
-            poles = np.concatenate([local, far])
-        gains, rests, residuals = _explain(poles, np.array(self._observations), memory)
-        best, best_local = int(np.argmin(residuals)), int(np.argmin(residuals[: local.size]))
-        if best >= local.size and residuals[best] > _BETTER * residuals[best_local]:
+            poles = np.concatenate([local_poles, distant_poles])
+        gains, residual_terms, residuals = _fit_poles(poles, np.array(self._observations), memory)
+        best, best_local = int(np.argmin(residuals)), int(np.argmin(residuals[: local_poles.size]))
+        if best >= local_poles.size and residuals[best] > _MAX_RESIDUAL_RATIO * residuals[best_local]:
             best = best_local
-        if best >= local.size:
-            self._step = _STEP
+        if best >= local_poles.size:
+            self._step = _INITIAL_STEP
         elif best // 3 == 1:
-            self._step = max(_SHORTEST, _SHORTER * self._step)
+            self._step = max(_MIN_STEP, _STEP_DECREASE * self._step)
         else:
-            self._step = min(_LONGEST, _LONGER * self._step)
-        self.pole, self.gain, self.rest = complex(poles[best]), complex(gains[best]), complex(rests[best])
+            self._step = min(_MAX_STEP, _STEP_INCREASE * self._step)
+        self.pole, self.gain, self.residual_term = (
+            complex(poles[best]),
+            complex(gains[best]),
+            complex(residual_terms[best]),
+        )
 
-    def _around(self) -> ComplexArray:
+    def _poles_around(self) -> ComplexArray:
         """Return poles around the present pole, frequency by frequency; the present frequency is in the middle."""
-        turn, damping = self.pole.imag, -self.pole.real / self.pole.imag
+        angular_frequency, damping = self.pole.imag, -self.pole.real / self.pole.imag
         steps = np.array([-1.0, 0.0, 1.0])
-        turns = turn * (1 + self._step * steps)
-        dampings = np.clip(damping * (1 + _DAMPING_STEP * steps), *_DAMPING)
-        return np.asarray((turns[:, None] * (1j - dampings)).ravel())
+        angular_frequencies = angular_frequency * (1 + self._step * steps)
+        dampings = np.clip(damping * (1 + _DAMPING_STEP * steps), *_DAMPING_LIMITS)
+        return np.asarray((angular_frequencies[:, None] * (1j - dampings)).ravel())
 
 
-def _explain(
+def _fit_poles(
     poles: ComplexArray, observations: ComplexArray, memory: float
 ) -> tuple[ComplexArray, ComplexArray, Array]:
     """Estimate g, c and the residual for each pole, from the steps between observations."""
-    time, turn, motion, force = observations.T
-    time, turn = time.real, turn.real
+    time, angular_frequency, motion, force = observations.T
+    time, angular_frequency = time.real, angular_frequency.real
     step = np.diff(time)
     power = abs(force) ** 2
-    root = np.exp((time[1:] - time[-1]) / (2 * memory)) / np.sqrt(power[1:] + power[:-1] + 1e-300)
-    decay = (poles[:, None] - 0.5j * (turn[1:] + turn[:-1])) * step
+    weight = np.exp((time[1:] - time[-1]) / (2 * memory)) / np.sqrt(power[1:] + power[:-1] + 1e-300)
+    decay = (poles[:, None] - 0.5j * (angular_frequency[1:] + angular_frequency[:-1])) * step
     decayed = np.exp(decay)
-    small = abs(decay) < _SMALL
-    mean = np.where(small, 1 + decay / 2, (decayed - 1) / np.where(small, 1, decay))
-    force, motion, earlier = force[1:] * root, motion[1:] * root, (force[:-1] * root, motion[:-1] * root)
-    by_gain = mean * (step / 2 * (force + earlier[0]))
-    by_rest = force - decayed * earlier[0]
+    is_small = abs(decay) < _MIN_EXPONENT
+    mean = np.where(is_small, 1 + decay / 2, (decayed - 1) / np.where(is_small, 1, decay))
+    force, motion, earlier = (
+        force[1:] * weight,
+        motion[1:] * weight,
+        (force[:-1] * weight, motion[:-1] * weight),
+    )
+    gain_column = mean * (step / 2 * (force + earlier[0]))
+    residual_column = force - decayed * earlier[0]
     response = motion - decayed * earlier[1]
 
     dot = np.vecdot
-    gain_gain, rest_rest = ((1 + _RIDGE) * dot(term, term).real for term in (by_gain, by_rest))
-    cross, gain_response, rest_response = (
-        dot(by_gain, by_rest),
-        dot(by_gain, response),
-        dot(by_rest, response),
+    gain_gain, residual_residual = (
+        (1 + _RIDGE) * dot(term, term).real for term in (gain_column, residual_column)
     )
-    both = gain_gain * rest_rest - abs(cross) ** 2
-    gain = (rest_rest * gain_response - cross * rest_response) / both
-    rest = (gain_gain * rest_response - cross.conj() * gain_response) / both
-    residual = dot(response, response).real - (gain.conj() * gain_response + rest.conj() * rest_response).real
-    return gain, rest, residual
+    cross, gain_response, residual_response = (
+        dot(gain_column, residual_column),
+        dot(gain_column, response),
+        dot(residual_column, response),
+    )
+    determinant = gain_gain * residual_residual - abs(cross) ** 2
+    gain = (residual_residual * gain_response - cross * residual_response) / determinant
+    residual_term = (gain_gain * residual_response - cross.conj() * gain_response) / determinant
+    residual = (
+        dot(response, response).real
+        - (gain.conj() * gain_response + residual_term.conj() * residual_response).real
+    )
+    return gain, residual_term, residual
 
 
 def integral(decay: complex) -> complex:
@@ -129,4 +157,4 @@ def integral(decay: complex) -> complex:
     >>> integral(0.0)
     1.0
     """
-    return 1 + decay / 2 if abs(decay) < _SMALL else (exp(decay) - 1) / decay
+    return 1 + decay / 2 if abs(decay) < _MIN_EXPONENT else (exp(decay) - 1) / decay

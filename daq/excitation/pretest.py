@@ -14,17 +14,26 @@ from daq.excitation.spectrum_shaping import lines_between, wave_of
 from daq.excitation.station import Station
 from rig.arrays import Array, ComplexArray
 
-# Minimum length of the analyzed burst, in s and in periods of the lowest tone; its edges, s; silence after it, s.
-_SPAN, _PERIODS, _EDGE, _QUIET = 4.0, 12.0, 0.25, 1.0
+# Minimum length of the analyzed burst.
+_MIN_BURST_S = 4.0
+# Minimum length of the analyzed burst, in periods of the lowest tone.
+_MIN_BURST_PERIODS = 12.0
+# Rise and fall of the burst.
+_EDGE_S = 0.25
+# Zero drive after the burst.
+_QUIET_S = 1.0
 # The tones extend beyond the band of the test by this factor, so that its limits are inside.
 _BAND_MARGIN = 1.3
 # Largest drive of the burst relative to the cautious drive for the test's level.
-_STRENGTH = 5.0
+_MAX_DRIVE_RATIO = 5.0
+# Exponent with which the amplitudes of the tones decrease with frequency.
 _TILT = 1.0
-# Number of coefficients in s of the drive for the table motion and for the spring force.
-_MOTION, _PULL = 4, 2
-# Longest delay between drive and channels in the search, s.
-_LATEST = 0.05
+# Number of coefficients in s of the drive for the table motion.
+_MOTION_TERMS = 4
+# Number of coefficients in s of the drive for the spring force.
+_FORCE_TERMS = 2
+# Longest delay between drive and channels in the search.
+_MAX_DELAY_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -43,9 +52,11 @@ class ShakerLaw:
 
     def at(self, s: complex) -> tuple[complex, complex]:
         """Return the drive per newton of spring force, and per meter of body displacement, with X0 = X1 + F / k0."""
-        late = np.exp(s * self.delay)
-        motion = late * polynomial.polyval(s, self.motion)
-        return complex(motion / self.spring + late * polynomial.polyval(s, self.pull)), complex(motion)
+        delay_factor = np.exp(s * self.delay)
+        motion = delay_factor * polynomial.polyval(s, self.motion)
+        return complex(motion / self.spring + delay_factor * polynomial.polyval(s, self.pull)), complex(
+            motion
+        )
 
     def slope(self, s: complex) -> tuple[complex, complex]:
         """Return the derivatives of both with respect to s, for the additional drive of a changing amplitude."""
@@ -58,22 +69,22 @@ def pretest(
     station: Station, lowest: float, highest: float, level: float
 ) -> Generator[Array, Array, ShakerLaw]:
     """Play a short burst of weak tones and estimate the drive law of the shaker, for a band in Hz and a level in N."""
-    period = station.samples(max(_SPAN, _PERIODS / lowest))
+    period = station.samples(max(_MIN_BURST_S, _MIN_BURST_PERIODS / lowest))
     lines = lines_between(
         lowest / _BAND_MARGIN, min(_BAND_MARGIN * highest, 0.45 * station.rate), period, station.rate
     )
     # Random phases spread every tone over the whole burst; low tones are most sensitive to noise.
     phases = station.generator("pretest").uniform(0.0, 2 * pi, lines.size)
     wave = wave_of(lines, np.asarray(lines**-_TILT, dtype=np.float64), phases, period)
-    edge = station.samples(_EDGE)
+    edge = station.samples(_EDGE_S)
     wave = np.concatenate([wave[-edge:], wave, wave[:edge]])
     wave *= np.minimum(1.0, np.minimum(np.arange(wave.size), np.arange(wave.size)[::-1]) / edge)
-    wave *= min(_STRENGTH * level * station.cautious_drive, station.drive_limit) / abs(wave).max()
+    wave *= min(_MAX_DRIVE_RATIO * level * station.cautious_drive, station.drive_limit) / abs(wave).max()
     first = station.now
     readings = yield station.drive(wave)
-    part = slice(edge, edge + period)
-    law = _fit(station, wave[part], readings[:, part], lines)
-    yield station.quiet(station.samples(_QUIET))
+    analyzed = slice(edge, edge + period)
+    law = _fit(station, wave[analyzed], readings[:, analyzed], lines)
+    yield station.quiet(station.samples(_QUIET_S))
     station.mark("pretest", first, station.now, delay=law.delay, misfit=law.misfit)
     return law
 
@@ -88,43 +99,43 @@ def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int6
     # s is normalized by the middle of the band, so that its powers have similar magnitudes.
     unit = 2 * pi * sqrt(frequency[0] * frequency[-1])
     # Constant readings are then exactly zero.
-    changed = readings - readings[:, :1]
-    spectra = [np.fft.rfft(changed * window, axis=1)[:, lines] for window in windows]
+    changes = readings - readings[:, :1]
+    spectra = [np.fft.rfft(changes * window, axis=1)[:, lines] for window in windows]
 
     def derivative(row: int, order: int) -> ComplexArray:
         """Return the windowed spectrum of a displacement's derivative by partial integration: exact for transients."""
         parts = (comb(order, j) * (-1) ** j * s ** (order - j) * spectra[j][row] for j in range(order + 1))
         return np.asarray(station.displacement(row, frequency) * np.asarray(sum(parts)) / unit**order)
 
-    terms = [derivative(table, order) for order in range(_MOTION)]
-    for order in range(_PULL):
+    terms = [derivative(table, order) for order in range(_MOTION_TERMS)]
+    for order in range(_FORCE_TERMS):
         terms.append(terms[order] - derivative(body, order))
     played = np.fft.rfft(drive * windows[0])[lines]
     model, target = np.array(terms).T / abs(played)[:, None], played / abs(played)
 
     def solve(delay: float) -> tuple[float, Array]:
         """Return the residual and the coefficients."""
-        turned = model * np.exp(s * delay)[:, None]
-        rows = np.concatenate([turned.real, turned.imag])
-        goal = np.concatenate([target.real, target.imag])
-        coefficients = np.linalg.lstsq(rows, goal, rcond=None)[0]
-        return float(np.sqrt(2 * np.mean((rows @ coefficients - goal) ** 2))), coefficients
+        delayed_model = model * np.exp(s * delay)[:, None]
+        rows = np.concatenate([delayed_model.real, delayed_model.imag])
+        target_parts = np.concatenate([target.real, target.imag])
+        coefficients = np.linalg.lstsq(rows, target_parts, rcond=None)[0]
+        return float(np.sqrt(2 * np.mean((rows @ coefficients - target_parts) ** 2))), coefficients
 
     step = 1.0 / (16.0 * frequency[-1])
-    rough = min(np.arange(0.0, _LATEST, step), key=lambda delay: solve(delay)[0])
-    delay = float(min(rough + step * np.linspace(-1.0, 1.0, 17), key=lambda delay: solve(delay)[0]))
+    coarse_delay = min(np.arange(0.0, _MAX_DELAY_S, step), key=lambda delay: solve(delay)[0])
+    delay = float(min(coarse_delay + step * np.linspace(-1.0, 1.0, 17), key=lambda delay: solve(delay)[0]))
     misfit, coefficients = solve(delay)
-    motion = coefficients[:_MOTION] / unit ** np.arange(_MOTION)
-    pull = coefficients[_MOTION:] / unit ** np.arange(_PULL) / station.spring
+    motion = coefficients[:_MOTION_TERMS] / unit ** np.arange(_MOTION_TERMS)
+    pull = coefficients[_MOTION_TERMS:] / unit ** np.arange(_FORCE_TERMS) / station.spring
     return ShakerLaw(motion, pull, station.spring, delay, misfit)
 
 
 def _windows(samples: int, rate: float) -> list[Array]:
     """Return the Hann window and its time derivatives."""
-    angle, turn = 2 * pi * np.arange(samples) / samples, 2 * pi * rate / samples
+    angle, angular_frequency = 2 * pi * np.arange(samples) / samples, 2 * pi * rate / samples
     return [
         (1 - np.cos(angle)) / 2,
-        turn * np.sin(angle) / 2,
-        turn**2 * np.cos(angle) / 2,
-        -(turn**3) * np.sin(angle) / 2,
+        angular_frequency * np.sin(angle) / 2,
+        angular_frequency**2 * np.cos(angle) / 2,
+        -(angular_frequency**3) * np.sin(angle) / 2,
     ]

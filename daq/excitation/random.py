@@ -16,14 +16,17 @@ if TYPE_CHECKING:
     from rig.scene.excitation import Random
 
 
-# Length of the shaping filter and of a burst's block, s: the resolution of the filter is 0.25 Hz.
-_FILTER, _BLOCK = 4.0, 8.0
-_EDGE = 0.02
+# Length of the shaping filter: its resolution is 0.25 Hz.
+_FILTER_S = 4.0
+# Length of a burst's block.
+_BLOCK_S = 8.0
+# Rise and fall of a burst, and of the test.
+_EDGE_S = 0.02
 
 
 def excite(station: Station, test: Random) -> Excitation:
     """Run a random test."""
-    period = station.samples(_FILTER)
+    period = station.samples(_FILTER_S)
     lines = lines_between(test.from_, test.to, period, station.rate)
     level = station.level
     random = station.generator("random")
@@ -33,20 +36,22 @@ def excite(station: Station, test: Random) -> Excitation:
         amplitudes, gains, wave = yield from equalise(station, lines, period, phases)
         yield station.drive(wave * (1 + np.cos(np.pi * np.arange(period) / period)) / 2)
     total = station.samples(test.duration)
-    block = min(total, station.samples(_BLOCK))
-    gate = _gate(block, test.burst, station.samples(_EDGE))
+    block = min(total, station.samples(_BLOCK_S))
+    envelope = _burst_envelope(block, test.burst, station.samples(_EDGE_S))
     first, done, clipped = station.now, 0, 0
     # The rate of the white noise, a divisor of the drive's, is at least four times the highest frequency.
-    most = max(1, period // (4 * int(lines[-1])))
-    slower = next(times for times in range(most, 0, -1) if period % times == 0)
-    length = slower * next_fast_len(-(-(2 * period - 1) // slower), real=True)
-    shape = shaping_filter(lines, amplitudes, gains, level, period)
-    spectrum = rfft(shape, length)[: length // slower // 2 + 1] * np.sqrt(slower)
+    max_divisor = max(1, period // (4 * int(lines[-1])))
+    rate_divisor = next(divisor for divisor in range(max_divisor, 0, -1) if period % divisor == 0)
+    length = rate_divisor * next_fast_len(-(-(2 * period - 1) // rate_divisor), real=True)
+    impulse_response = shaping_filter(lines, amplitudes, gains, level, period)
+    spectrum = rfft(impulse_response, length)[: length // rate_divisor // 2 + 1] * np.sqrt(rate_divisor)
     sources = [random, *(station.generator(f"random {number}") for number in station.shakers[1:])]
 
     def shaped_noise() -> Array:
-        white = [rfft(each.standard_normal(period // slower), length // slower) for each in sources]
-        return np.asarray([irfft(each * spectrum, length)[: 2 * period - 1] for each in white])
+        white = [
+            rfft(source.standard_normal(period // rate_divisor), length // rate_divisor) for source in sources
+        ]
+        return np.asarray([irfft(source * spectrum, length)[: 2 * period - 1] for source in white])
 
     tails = shaped_noise()[:, period:]
     facts: dict[str, object] = {"from": test.from_, "to": test.to}
@@ -61,9 +66,9 @@ def excite(station: Station, test: Random) -> Excitation:
             pieces[:, : tails.shape[1]] += tails
             wave, tails = pieces[:, :period], pieces[:, period:]
             size = min(period, total - done)
-            places = np.arange(done, done + size)
-            wave = wave[:, :size] * gate[places % block]
-            wave *= np.minimum(1.0, np.minimum(places, total - 1 - places) / station.samples(_EDGE))
+            samples = np.arange(done, done + size)
+            wave = wave[:, :size] * envelope[samples % block]
+            wave *= np.minimum(1.0, np.minimum(samples, total - 1 - samples) / station.samples(_EDGE_S))
             clipped += int(np.sum(abs(wave) > station.drive_limit))
             yield station.drives(np.clip(wave, -station.drive_limit, station.drive_limit))
             done += size
@@ -86,16 +91,16 @@ def shaping_filter(lines: Lines, amplitudes: Array, gains: Array, level: float, 
     spectrum[lines] = amplitudes
     # The window tapers the response and smooths the spectrum slightly: the level is therefore set after the window.
     response = np.fft.fftshift(np.fft.irfft(spectrum, period)) * hann(period, sym=False)
-    reached = abs(np.fft.rfft(response))[lines] * gains * np.sqrt(2.0 / period)
-    return response * (level / np.sqrt(np.sum(reached**2)))
+    force_spectrum = abs(np.fft.rfft(response))[lines] * gains * np.sqrt(2.0 / period)
+    return response * (level / np.sqrt(np.sum(force_spectrum**2)))
 
 
-def _gate(block: int, burst: float | None, edge: int) -> Array:
+def _burst_envelope(block: int, burst: float | None, edge: int) -> Array:
     """Return the on-off envelope of a block, with smooth edges; shape (block,)."""
     if burst is None:
         return np.ones(block)
-    on = max(2, round(burst * block))
-    edge = max(1, min(edge, on // 2))
-    gate = np.zeros(block)
-    gate[:on] = np.minimum(1.0, np.minimum(np.arange(on), on - 1 - np.arange(on)) / edge)
-    return gate
+    n_on = max(2, round(burst * block))
+    edge = max(1, min(edge, n_on // 2))
+    envelope = np.zeros(block)
+    envelope[:n_on] = np.minimum(1.0, np.minimum(np.arange(n_on), n_on - 1 - np.arange(n_on)) / edge)
+    return envelope

@@ -11,15 +11,18 @@ from numpy.typing import NDArray
 from rig.arrays import Array, ComplexArray
 
 # Number of differences for the estimate of the transient's decay; at least two pairs are necessary.
-_DIFFERENCES = 6
+_N_DIFFERENCES = 6
 FEWEST_OBSERVATIONS = 4
-# Below this predictable fraction, the change is classified as noise instead of a decaying transient.
-_COHERENT = 0.8
+# Below this coherence, the change is classified as noise instead of a decaying transient.
+_MIN_COHERENCE = 0.8
 # Noise is distinguished from decaying beats by the scatter in the two halves of this number of observations.
 _NOISE_OBSERVATIONS = 24
-_STILL_NOISE = 0.75
-_LITTLE_NOISE = 3.0
-_AGREEING = 6
+# The scatter of noise does not decrease below this ratio from the first to the second half.
+_MIN_SCATTER_RATIO = 0.75
+# Scatter up to which half the observations suffice, in tolerances.
+_MAX_SMALL_SCATTER = 3.0
+# Number of observations that must agree within the tolerance.
+_N_AGREEING = 6
 # In half the time of `numpy.sum` and `numpy.mean`.
 _SUM = np.add.reduce
 
@@ -39,15 +42,15 @@ class Law:
         before, after = changes[:-1], changes[1:]
         cross = _SUM(before.conj() * after, axis=0)
         power, other = (np.maximum(_SUM(abs(part) ** 2, axis=0), 1e-280) for part in (before, after))
-        return cls(changes, cross / power, abs(cross) ** 2 / power / other > _COHERENT)
+        return cls(changes, cross / power, abs(cross) ** 2 / power / other > _MIN_COHERENCE)
 
-    def to_come(self) -> ComplexArray:
+    def remaining_change(self) -> ComplexArray:
         """Return the predicted remaining change."""
         # A factor close to 1 cannot be distinguished from 1; the transient is then longer than the observed time.
-        rest = 1.0 - self.factor
-        return self.changes[-1] * self.factor / np.where(abs(rest) < 1e-3, 1e-3, rest)
+        deviation = 1.0 - self.factor
+        return self.changes[-1] * self.factor / np.where(abs(deviation) < 1e-3, 1e-3, deviation)
 
-    def left(self) -> Array:
+    def remaining_magnitude(self) -> Array:
         """Return the magnitude of the remaining change, from the larger of the last two changes."""
         change = abs(self.changes[-2:]).max(axis=0)
         return change * abs(self.factor) / np.maximum(abs(1.0 - self.factor), 1e-3)
@@ -109,19 +112,19 @@ class Settling:
         if self.count < FEWEST_OBSERVATIONS:
             self._forecasts.append(amplitudes)
             return
-        law = self._law = Law.of(self._observations[-_DIFFERENCES - 1 :])
+        law = self._law = Law.of(self._observations[-_N_DIFFERENCES - 1 :])
         predicted = law.coherent & (abs(law.factor) < 0.995)
         mean = _mean(self._observations[-_NOISE_OBSERVATIONS // 2 :])
-        self._forecasts.append(np.where(predicted, self._observations[-1] + law.to_come(), mean))
-        steady = law.coherent & (law.left() < self.tolerance * self._size())
+        self._forecasts.append(np.where(predicted, self._observations[-1] + law.remaining_change(), mean))
+        steady = law.coherent & (law.remaining_magnitude() < self.tolerance * self._magnitude())
         # The further tests are slower and apply only without a law.
         if not steady.all():
-            steady |= self._within(law)
+            steady |= self._agree_within_tolerance(law)
         if not steady.all() and not (law.coherent & ~steady).any():
             # If the scatter is small, half as many suffice: the measurement that follows averages the beats.
             noise = self._is_noise(_NOISE_OBSERVATIONS, np.inf)
             steady |= ~law.coherent & (
-                noise | self._is_noise(_NOISE_OBSERVATIONS // 2, _LITTLE_NOISE * self.tolerance)
+                noise | self._is_noise(_NOISE_OBSERVATIONS // 2, _MAX_SMALL_SCATTER * self.tolerance)
             )
         # A single observation may pass by chance, at the turning point of a beat.
         self.settled = bool(steady.all()) and self._steady_before
@@ -140,40 +143,42 @@ class Settling:
         """Phase change of the transient between observations, rad, infinite without a law; shape (quantities,)."""
         if self._law is None:
             return np.full(self._observations[-1].size, np.inf)
-        turn = np.maximum(abs(np.angle(self._law.factor)), 1e-9)
-        return np.where(self._law.coherent, turn, np.inf)
+        phase_change = np.maximum(abs(np.angle(self._law.factor)), 1e-9)
+        return np.where(self._law.coherent, phase_change, np.inf)
 
-    def left(self) -> Array:
+    def remaining_magnitude(self) -> Array:
         """Estimated remaining change, relative to the amplitude; shape (quantities,)."""
         if self._law is None:
             return np.full(self._observations[-1].size, np.inf)
-        return self._law.left() / self._size()
+        return self._law.remaining_magnitude() / self._magnitude()
 
     def standard_error(self) -> Array:
         """Relative standard error of `expected`, from the scatter of the observations; shape (quantities,)."""
         if self.count < _NOISE_OBSERVATIONS:
             return np.zeros(self._observations[-1].size)
         latest = self._observations[-_NOISE_OBSERVATIONS // 2 :]
-        return np.sqrt(np.mean(abs(latest - latest.mean(axis=0)) ** 2, axis=0) / len(latest)) / self._size()
+        return (
+            np.sqrt(np.mean(abs(latest - latest.mean(axis=0)) ** 2, axis=0) / len(latest)) / self._magnitude()
+        )
 
-    def _size(self) -> Array:
+    def _magnitude(self) -> Array:
         return np.maximum(abs(self._observations[-1]), sys.float_info.min)
 
-    def _within(self, law: Law) -> NDArray[np.bool_]:
+    def _agree_within_tolerance(self, law: Law) -> NDArray[np.bool_]:
         """Return whether all observations agree within the tolerance with a nearly constant mean.
 
         Beating modes have no common factor. In a slow transient of up to thirty observations, the mean of half of these
         changes by at least 10 % of the remaining change.
         """
-        if self.count < _AGREEING:
+        if self.count < _N_AGREEING:
             return np.zeros(self._observations[-1].size, dtype=bool)
-        latest = self._observations[-_AGREEING:]
+        latest = self._observations[-_N_AGREEING:]
         spread = abs(latest - _mean(latest)).max(axis=0)
-        drift = abs(_mean(latest[_AGREEING // 2 :]) - _mean(latest[: _AGREEING // 2]))
-        limit = self.tolerance * self._size()
+        drift = abs(_mean(latest[_N_AGREEING // 2 :]) - _mean(latest[: _N_AGREEING // 2]))
+        limit = self.tolerance * self._magnitude()
         return (~law.coherent | (spread < 0.01 * limit)) & (spread < limit) & (drift < 0.1 * limit)
 
-    def _is_noise(self, count: int, most: float) -> NDArray[np.bool_]:
+    def _is_noise(self, count: int, max_scatter: float) -> NDArray[np.bool_]:
         """Return whether the observations scatter like noise about a constant mean; decaying beats scatter less."""
         if self.count < count:
             return np.zeros(self._observations[-1].size, dtype=bool)
@@ -184,9 +189,11 @@ class Settling:
             np.sqrt(_SUM(abs(part - mean) ** 2, axis=0) / half)
             for part, mean in zip(halves, means, strict=True)
         )
-        error, size = np.hypot(early, late) / np.sqrt(half), self._size()
-        agree = abs(means[1] - means[0]) < np.maximum(2.0 * error, self.tolerance * size)
-        return agree & (late > _STILL_NOISE * early) & (np.maximum(early, late) < most * size)
+        error, magnitude = np.hypot(early, late) / np.sqrt(half), self._magnitude()
+        agree = abs(means[1] - means[0]) < np.maximum(2.0 * error, self.tolerance * magnitude)
+        return (
+            agree & (late > _MIN_SCATTER_RATIO * early) & (np.maximum(early, late) < max_scatter * magnitude)
+        )
 
 
 def _mean(observations: ComplexArray) -> ComplexArray:

@@ -12,7 +12,10 @@ from daq.excitation.steady_tone import WINDOW_S, SteadyTone
 if TYPE_CHECKING:
     from rig.scene.excitation import Sine
 
-_TOLERANCE, _LONGEST = 1e-3, 60.0
+# Relative tolerance of the steady state.
+_TOLERANCE = 1e-3
+# Longest wait for the steady state.
+_MAX_WAIT_S = 60.0
 
 
 def excite(station: Station, test: Sine) -> Excitation:
@@ -25,11 +28,11 @@ def excite(station: Station, test: Sine) -> Excitation:
         facts = {"frequency": test.frequency, "level": level}
         station.report(0.0, f"{test.frequency:.2f} Hz, settling at {level:g} N")
         settled = yield from tone.settle_and_mark(
-            test.frequency, tone.start(level), _TOLERANCE, _LONGEST, facts
+            test.frequency, tone.start(level), _TOLERANCE, _MAX_WAIT_S, facts
         )
         if not settled:
             station.warn(
-                f"{test.frequency:.3f} Hz, {level:g} N: no steady state within {_LONGEST:g} s. "
+                f"{test.frequency:.3f} Hz, {level:g} N: no steady state within {_MAX_WAIT_S:g} s. "
                 "The measurement is marked as not settled."
             )
         station.report(0.5, f"{test.frequency:.2f} Hz, measuring")
@@ -40,9 +43,9 @@ def excite(station: Station, test: Sine) -> Excitation:
     detector = Settling(_TOLERANCE)
     window = whole_periods(test.frequency, station.rate, WINDOW_S)
     first, total, steady = station.now, station.samples(test.duration), None
-    while (left := first + total - station.now) > 0:
-        station.report((total - left) / total, f"{test.frequency:.2f} Hz, level {level:g}")
-        size, phase = min(window, left), tone.phase
+    while (remaining := first + total - station.now) > 0:
+        station.report((total - remaining) / total, f"{test.frequency:.2f} Hz, level {level:g}")
+        size, phase = min(window, remaining), tone.phase
         readings = yield station.drive(tone.hold(size))
         if size == window and steady is None:
             detector.add(tone.amplitudes(readings, phase))

@@ -13,10 +13,14 @@ from rig.errors import SceneError
 
 Lines = NDArray[np.int64]
 
-_ROUNDS = 8
-# Largest ratio of a line's drive between rounds, and largest ratio of a line's drive to that of the others.
-_RATIO, _STANDOUT = 4.0, 100.0
-_LEVEL = 0.03
+# Largest number of iterations.
+_MAX_ITERATIONS = 8
+# Largest ratio of a line's drive between iterations.
+_MAX_STEP_RATIO = 4.0
+# Largest ratio of a line's drive to the median of all lines.
+_MAX_LINE_RATIO = 100.0
+# Relative tolerance of the level.
+_LEVEL_TOLERANCE = 0.03
 
 
 def lines_between(first: float, last: float, period: int, rate: float) -> Lines:
@@ -68,8 +72,8 @@ def equalise(
     amplitudes = played = target * station.cautious_drive
     playing = np.zeros(period)
     force, rms, first = target, 0.0, station.now
-    for turn in range(_ROUNDS):
-        station.report(0.0, f"shaping the drive, round {turn + 1}")
+    for iteration in range(_MAX_ITERATIONS):
+        station.report(0.0, f"shaping the drive, round {iteration + 1}")
         wave = wave_of(lines, amplitudes, phases, period)
         factor = within_limit(station, wave)
         played, wave = amplitudes * factor, wave * factor
@@ -79,14 +83,14 @@ def equalise(
         spectrum = np.fft.rfft(samples, axis=1)[:, lines] * (2 / period)
         force = abs(np.einsum("cl,cl->l", weights, spectrum))
         rms = float(np.sqrt(np.sum(force**2) / 2))
-        uneven = float(np.median(abs(force / target - 1)))
-        if abs(rms / level - 1) < _LEVEL and uneven < _LEVEL:
+        median_deviation = float(np.median(abs(force / target - 1)))
+        if abs(rms / level - 1) < _LEVEL_TOLERANCE and median_deviation < _LEVEL_TOLERANCE:
             break
-        ratio = np.clip(target / np.maximum(force, 1e-12 * target), 1 / _RATIO, _RATIO)
-        amplitudes = np.minimum(played * ratio, _STANDOUT * np.median(played * ratio))
-    reached = abs(rms / level - 1) < 5 * _LEVEL
-    station.mark("settle", first, station.now, level=level, force=rms, settled=reached)
-    if not reached:
+        ratio = np.clip(target / np.maximum(force, 1e-12 * target), 1 / _MAX_STEP_RATIO, _MAX_STEP_RATIO)
+        amplitudes = np.minimum(played * ratio, _MAX_LINE_RATIO * np.median(played * ratio))
+    is_at_level = abs(rms / level - 1) < 5 * _LEVEL_TOLERANCE
+    station.mark("settle", first, station.now, level=level, force=rms, settled=is_at_level)
+    if not is_at_level:
         station.warn(
             f"the spring force is {rms:.3g} N rms instead of {level:g} N. Choose a level that the amplifier reaches."
         )

@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from rig.scene.excitation import SteppedSine
 
 # Largest change, as log ratio, for which an extrapolated drive is used.
-_TRUSTED = 0.2
-_LISTED = 8
+_MAX_LOG_CHANGE = 0.2
+# Largest number of listed frequencies.
+_MAX_LISTED = 8
 
 
 def excite(station: Station, test: SteppedSine) -> Excitation:
@@ -47,7 +48,7 @@ def excite(station: Station, test: SteppedSine) -> Excitation:
             done += 1
         yield tone.end()
     if unsettled:
-        listed = ", ".join(unsettled[:_LISTED]) + (", ..." if len(unsettled) > _LISTED else "")
+        listed = ", ".join(unsettled[:_MAX_LISTED]) + (", ..." if len(unsettled) > _MAX_LISTED else "")
         station.warn(
             f"{len(unsettled)} of {total} steps did not reach the steady state at the level within "
             f"{test.settle.longest:g} s ({listed}). Their points are marked; raise test.settle.longest to wait longer."
@@ -73,4 +74,4 @@ def extrapolated(reached: Sequence[tuple[float, float]], frequency: float) -> fl
         for own in frequencies
     ]
     change = float(np.dot(weights, drives) - drives[-1])
-    return float(np.exp(drives[-1] + (change if abs(change) < _TRUSTED else 0.0)))
+    return float(np.exp(drives[-1] + (change if abs(change) < _MAX_LOG_CHANGE else 0.0)))

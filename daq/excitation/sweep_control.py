@@ -13,20 +13,27 @@ from daq.excitation.nearest_mode import NearestMode, integral
 from daq.excitation.pretest import ShakerLaw
 from rig.arrays import Array, ComplexArray
 
-# Minimum length of an observation: in periods; in samples, for six terms; and in beats, for a tone near half the
-# sampling rate. Shorter observations amplify the noise.
-_PERIODS, _FEWEST, _BEATS = 2.0, 6, 1.5
+# Minimum length of an observation, periods. Shorter observations amplify the noise.
+_MIN_PERIODS = 2.0
+# Minimum length of an observation, samples, for six terms.
+_MIN_SAMPLES = 6
+# Minimum length of an observation, beats of a tone near half the sampling rate.
+_MIN_BEATS = 1.5
 # Memory of the estimated mode: this factor times 1 / sqrt(sweep rate), the time in which a sweep passes a lightly
-# damped mode, with a minimum and a maximum in periods. More periods do not improve a slow sweep, and the motion
-# with dampers may change.
-_MEMORY, _SHORTEST_MEMORY, _LONGEST_MEMORY = 0.5, 6.0, 20.0
+# damped mode.
+_MEMORY_FACTOR = 0.5
+# Shortest memory, periods.
+_MIN_MEMORY_PERIODS = 6.0
+# Longest memory, periods: more do not improve a slow sweep, and the motion with dampers may change.
+_MAX_MEMORY_PERIODS = 20.0
 # Number of steps in which the delay of an observation, half its length, is compensated.
 _STEPS = 6
 # Largest change of the drive between windows, relative to the largest of the last drives.
-_LONGEST = 0.5
-_REMEMBERED = 12
+_MAX_CHANGE_RATIO = 0.5
+# Number of the last drives that are stored.
+_N_DRIVES = 12
 # Ratio of the force to the level above which the drive is not increased.
-_EXCESSIVE = 1.5
+_MAX_FORCE_RATIO = 1.5
 # Hann window over an observation, at instants from -1/2 to 1/2 of its length.
 _ABOUT = (np.arange(64) + 0.5) / 64 - 0.5
 _HANN = (1 + np.cos(2 * pi * _ABOUT)) / 64
@@ -48,7 +55,7 @@ class Observation:
         """Time of the middle, s."""
         return self.end - self.length / 2
 
-    def turn(self, time: float) -> float:
+    def angular_frequency(self, time: float) -> float:
         """Return the angular frequency of the tone at a time, rad/s."""
         return 2 * pi * (self.frequency + self.rate * (time - self.middle))
 
@@ -67,7 +74,7 @@ class SweepControl:
         self._law, self._level, self._limit = law, level, limit
         self._mode = NearestMode()
         self._goal: complex | None = None
-        self._played: deque[tuple[float, complex]] = deque([(0.0, drive)], maxlen=_REMEMBERED)
+        self._played: deque[tuple[float, complex]] = deque([(0.0, drive)], maxlen=_N_DRIVES)
 
     def played(self, time: float, drive: complex) -> None:
         """Add the amplitude of the drive at a time in s; it is linear since the previous amplitude."""
@@ -81,41 +88,43 @@ class SweepControl:
         if self._goal is None:
             # The phase of the force is arbitrary; the present phase requires the smallest change.
             self._goal = self._level * observation.force / abs(observation.force)
-        passing = _MEMORY * observation.frequency / max(abs(observation.rate), 1e-9) ** 0.5
-        memory = min(max(passing, _SHORTEST_MEMORY), _LONGEST_MEMORY) / observation.frequency
+        passing = _MEMORY_FACTOR * observation.frequency / max(abs(observation.rate), 1e-9) ** 0.5
+        memory = min(max(passing, _MIN_MEMORY_PERIODS), _MAX_MEMORY_PERIODS) / observation.frequency
         self._mode.add(
             observation.middle,
-            observation.turn(observation.middle),
+            observation.angular_frequency(observation.middle),
             observation.motion,
             observation.force,
             memory,
         )
         envelope, force = self._present_envelopes(observation)
-        return self._limited(self._target_drive(observation, window, envelope, force), abs(observation.force))
+        return self._limit_drive(
+            self._target_drive(observation, window, envelope, force), abs(observation.force)
+        )
 
     def _present_envelopes(self, observation: Observation) -> tuple[complex, complex]:
         """Return the envelopes of mode and force at the end of the observation, from the drive since its middle."""
         mode, law, force = self._mode, self._law, observation.force
-        centre = 1j * observation.turn(observation.middle)
+        centre = 1j * observation.angular_frequency(observation.middle)
         (per_force, per_motion), (force_slope, motion_slope) = law.at(centre), law.slope(centre)
         # The envelope in the middle of the observation, from its windowed mean.
         decay = mode.pole - centre
         spread = complex(_HANN @ np.exp(decay * observation.length * _ABOUT))
-        envelope = (observation.motion - mode.rest * force) / spread + mode.gain * force * (
+        envelope = (observation.motion - mode.residual_term * force) / spread + mode.gain * force * (
             1 / spread - 1
         ) / decay
         times, drives = (np.array(row) for row in zip(*self._played, strict=True))
         step = observation.length / 2 / _STEPS
         for time in observation.middle + step * np.arange(1, _STEPS + 1):
             drive = complex(np.interp(time, times, drives))
-            moved = 1j * observation.turn(time - step / 2) - centre
+            moved = 1j * observation.angular_frequency(time - step / 2) - centre
             decay = mode.pole - centre - moved
             decayed, fed = exp(decay * step), mode.gain * step * integral(decay * step)
             free = decayed * envelope + fed * force
             # X = c F + x; the rate of change of the force is that at the end of the step, because it may be fast.
             motion = per_motion + moved * motion_slope
-            stiff = per_force + moved * force_slope + motion * mode.rest + motion_slope * mode.gain
-            inert = (force_slope + motion_slope * mode.rest) / step
+            stiff = per_force + moved * force_slope + motion * mode.residual_term + motion_slope * mode.gain
+            inert = (force_slope + motion_slope * mode.residual_term) / step
             after = (drive - (motion + motion_slope * decay) * free + inert * force) / (stiff + inert)
             envelope = decayed * envelope + fed * (force + after) / 2
             force = after
@@ -127,23 +136,27 @@ class SweepControl:
         """Return the drive of a steady force at the level at the end of the window."""
         assert self._goal is not None
         mode, goal = self._mode, self._goal
-        decay = mode.pole - 1j * observation.turn(observation.end + window / 2)
+        decay = mode.pole - 1j * observation.angular_frequency(observation.end + window / 2)
         fed = mode.gain * window * integral(decay * window)
         envelope = exp(decay * window) * envelope + fed * (force + goal) / 2
-        end = 1j * observation.turn(observation.end + window)
+        end = 1j * observation.angular_frequency(observation.end + window)
         (per_force, per_motion), (_, motion_slope) = self._law.at(end), self._law.slope(end)
         change = (mode.pole - end) * envelope + mode.gain * goal
-        return (per_force + per_motion * mode.rest) * goal + per_motion * envelope + motion_slope * change
+        return (
+            (per_force + per_motion * mode.residual_term) * goal
+            + per_motion * envelope
+            + motion_slope * change
+        )
 
-    def _limited(self, target: complex, force: float) -> complex:
+    def _limit_drive(self, target: complex, force: float) -> complex:
         """Limit the steps of the drive, its growth at an excessive force, and its amplitude."""
         drive = self._played[-1][1]
-        longest = _LONGEST * max(abs(played) for _, played in self._played)
+        max_change = _MAX_CHANGE_RATIO * max(abs(played) for _, played in self._played)
         change = target - drive
-        if abs(change) > longest:
-            target = drive + change * longest / abs(change)
-        most = min(self._limit, abs(drive)) if force > _EXCESSIVE * self._level else self._limit
-        return target * min(1.0, most / abs(target)) if target else target
+        if abs(change) > max_change:
+            target = drive + change * max_change / abs(change)
+        max_drive = min(self._limit, abs(drive)) if force > _MAX_FORCE_RATIO * self._level else self._limit
+        return target * min(1.0, max_drive / abs(target)) if target else target
 
 
 def observation_samples(frequency: float, rate: float) -> int:
@@ -153,7 +166,7 @@ def observation_samples(frequency: float, rate: float) -> int:
     [100, 6, 11, 75]
     """
     beat = 1.0 / (1.0 - 2.0 * frequency / rate)
-    return max(round(_PERIODS * rate / frequency), _FEWEST, ceil(_BEATS * beat - 1e-9))
+    return max(round(_MIN_PERIODS * rate / frequency), _MIN_SAMPLES, ceil(_MIN_BEATS * beat - 1e-9))
 
 
 def estimate_amplitudes(samples: Array, phase: Array, rate: float) -> tuple[ComplexArray, ComplexArray]:
@@ -167,6 +180,6 @@ def estimate_amplitudes(samples: Array, phase: Array, rate: float) -> tuple[Comp
     model = np.column_stack([cosine, sine, time * cosine, time * sine, np.ones(phase.size), part - 0.5])
     weighted = model * (1 - np.cos(2 * np.pi * part))[:, None]
     # Constant readings are then exactly zero.
-    changed = samples - samples[:, :1]
-    fit = np.linalg.solve(weighted.T @ model, weighted.T @ changed.T)
+    changes = samples - samples[:, :1]
+    fit = np.linalg.solve(weighted.T @ model, weighted.T @ changes.T)
     return fit[0] + 1j * fit[1], fit[2] + 1j * fit[3]

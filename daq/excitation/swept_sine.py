@@ -25,17 +25,22 @@ if TYPE_CHECKING:
     from rig.scene.excitation import SweptSine
 
 
-# Update interval of the drive of a controlled force, in periods; length of the windows otherwise, s.
-_WINDOW_PERIODS, _FEWEST = 0.5, 4
-_WINDOW = 0.1
+# Update interval of the drive of a controlled force, periods.
+_WINDOW_PERIODS = 0.5
+# Shortest update interval, samples.
+_MIN_WINDOW_SAMPLES = 4
+# Length of the windows without control.
+_WINDOW_S = 0.1
 # Relative tolerance of the steady state at the first frequency, before the sweep.
-_TOLERANCE, _LONGEST = 0.01, 60.0
+_TOLERANCE = 0.01
+# Longest wait for this steady state.
+_MAX_WAIT_S = 60.0
 # Permitted relative deviation of the force from its level.
 ALLOWED = 0.1
 # Intervals with a shorter gap are merged, s.
-_PAUSE = 0.5
+_MIN_GAP_S = 0.5
 # Remedy if the channels do not measure the force.
-_READABLE = "Take more sensitive sensors, a smaller converter: range, or more force."
+_SENSITIVITY_HINT = "Take more sensitive sensors, a smaller converter: range, or more force."
 
 
 def excite(station: Station, test: SweptSine) -> Excitation:
@@ -47,7 +52,7 @@ def excite(station: Station, test: SweptSine) -> Excitation:
         law = yield from pretest(station, min(test.from_, test.to), max(test.from_, test.to), level)
     station.report(0.0, f"settling at {test.from_:.2f} Hz")
     first = station.now
-    settled = yield from tone.settle(test.from_, tone.start(level), _TOLERANCE, _LONGEST)
+    settled = yield from tone.settle(test.from_, tone.start(level), _TOLERANCE, _MAX_WAIT_S)
     station.mark("settle", first, station.now, frequency=test.from_, level=level, settled=settled)
 
     first, start = station.now, tone.phase
@@ -64,11 +69,11 @@ def excite(station: Station, test: SweptSine) -> Excitation:
             station.warn(
                 f"the spring force was not controlled at {level:g} N: channel "
                 f"{station.channels[station.spring_rows[0]].name} at the {station.scene.at_driven('table')} "
-                f"read nothing of the pretest, less than one count of the converter. {_READABLE}"
+                f"read nothing of the pretest, less than one count of the converter. {_SENSITIVITY_HINT}"
             )
         total, done = station.samples(test.duration), 0
         while done < total:
-            size = min(total - done, station.samples(_WINDOW))
+            size = min(total - done, station.samples(_WINDOW_S))
             phase = _phase(test, start, done, size, total)
             yield station.drive((amplitude * np.exp(1j * phase)).real)
             done += size
@@ -95,14 +100,14 @@ def _sweep_controlled(
     recent, phases = np.zeros((2, 0)), np.zeros(0)
     goal = amplitude
     while done < total:
-        here = sweep_frequency(test, done / total)
-        size = min(total - done, max(_FEWEST, round(_WINDOW_PERIODS * rate / here)))
+        frequency = sweep_frequency(test, done / total)
+        size = min(total - done, max(_MIN_WINDOW_SAMPLES, round(_WINDOW_PERIODS * rate / frequency)))
         phase = _phase(test, start, done, size, total)
         envelope = amplitude + (goal - amplitude) * np.arange(size) / size
         readings = yield station.drive(np.real(envelope * np.exp(1j * phase)))
         done, amplitude = done + size, goal
         control.played(done / rate, amplitude)
-        length = observation_samples(here, rate)
+        length = observation_samples(frequency, rate)
         recent = np.concatenate([recent, readings[rows]], axis=1)[:, -length:]
         phases = np.concatenate([phases, phase])[-length:]
         if phases.size < length:
@@ -125,13 +130,13 @@ class LevelWatch:
         self.lowest = self.highest = 1.0
         self._open: tuple[int, int, float, float] | None = None
         self._worst = (1.0, 0.0)
-        self._samples = self._stretches = 0
+        self._samples = self._intervals = 0
 
     def add(self, first: int, stop: int, frequency: float, force: float) -> None:
         """Add the force amplitude in N of the samples first to stop - 1, at a frequency in Hz."""
         ratio = force / self._level
         self.lowest, self.highest = min(self.lowest, ratio), max(self.highest, ratio)
-        if self._open is not None and first - self._open[1] >= self._station.samples(_PAUSE):
+        if self._open is not None and first - self._open[1] >= self._station.samples(_MIN_GAP_S):
             self._note()
         if abs(ratio - 1.0) <= ALLOWED:
             return
@@ -144,14 +149,14 @@ class LevelWatch:
         """Mark an open interval, and warn if the force of the sweep deviated from its level."""
         if self._open is not None:
             self._note()
-        if self._stretches:
+        if self._intervals:
             worst, at = self._worst
             advice = "Sweep more slowly, or step."
             if self.lowest == 0.0:
-                advice = f"In places the force is less than one count of the converter. {_READABLE}"
+                advice = f"In places the force is less than one count of the converter. {_SENSITIVITY_HINT}"
             self._station.warn(
                 f"the spring force deviates from its level of {self._level:g} N by more than {ALLOWED:.0%} in "
-                f"{self._stretches} stretch{'es' if self._stretches > 1 else ''}, {self._samples / samples:.1%} of "
+                f"{self._intervals} stretch{'es' if self._intervals > 1 else ''}, {self._samples / samples:.1%} of "
                 f"the sweep (marked as level; {worst:.3g} times the level at {at:.2f} Hz). {advice}"
             )
 
@@ -160,7 +165,7 @@ class LevelWatch:
         first, stop, worst, at = self._open
         self._station.mark("level", first, stop, worst=worst, frequency=at, level=self._level)
         self._samples += stop - first
-        self._stretches += 1
+        self._intervals += 1
         if abs(worst - 1.0) > abs(self._worst[0] - 1.0):
             self._worst = worst, at
         self._open = None
@@ -173,9 +178,9 @@ def _displacements(
     step = 1e-3 * frequency
     displacements = []
     for row, amplitude, slope in zip(rows, amplitudes, slopes, strict=True):
-        below, here, above = station.displacement(row, frequency + step * np.array([-1.0, 0.0, 1.0]))
+        lower, center, upper = station.displacement(row, frequency + step * np.array([-1.0, 0.0, 1.0]))
         # For an acceleration of changing amplitude, the conversion to displacement differs from the steady state.
-        displacements.append(complex(here * amplitude + (above - below) / (4j * np.pi * step) * slope))
+        displacements.append(complex(center * amplitude + (upper - lower) / (4j * np.pi * step) * slope))
     return displacements
 
 

@@ -1,3 +1,5 @@
+"""Tasks of the nidaqmx client: inputs, outputs, timing, callbacks and polling."""
+
 import queue
 import threading
 
@@ -44,7 +46,7 @@ def tone(samples, frequency=20.0, amplitude=0.1):
 
 
 def read_in_pieces(size, total=512):
-    """Drive and read on one clock, so many samples at a time."""
+    """Drive and read on one clock, `size` samples at a time."""
     connect("bare-structure", "fast")
     with Task() as reading, Task() as driving:
         inputs(reading, sample_mode=AcquisitionType.CONTINUOUS)
@@ -127,11 +129,11 @@ def test_read_all_gives_available_samples(chassis):
         task.start()
         pass_samples(chassis, 300)
         assert len(task.read(READ_ALL_AVAILABLE)) == 300
-        # Nothing is there: a look takes its time, so that a loop of looks comes to an end.
+        # No samples are left. Each query advances the fast clock, so that a polling loop ends.
         assert 0 < len(task.read(READ_ALL_AVAILABLE)) < 100
 
 
-def test_long_read_comes_whole(chassis):
+def test_read_longer_than_buffer_is_complete(chassis):
     with Task() as task:
         inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
         task.in_stream.input_buf_size = 100
@@ -239,11 +241,11 @@ def test_callback_runs_at_each_multiple(chassis):
     with Task() as task:
         inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
 
-        def look(handle, kind, samples, data):
+        def on_samples(handle, kind, samples, data):
             calls.put((kind, samples, len(task.read(samples))))
             return 0
 
-        task.register_every_n_samples_acquired_into_buffer_event(100, look)
+        task.register_every_n_samples_acquired_into_buffer_event(100, on_samples)
         task.start()
         chassis.pass_time(0.1)
         events = [calls.get(timeout=60.0) for _ in range(5)]
@@ -253,7 +255,7 @@ def test_callback_runs_at_each_multiple(chassis):
 
 
 def test_output_callbacks_run(chassis):
-    # Each kind of event comes on a thread of its own: they are waited for, in whatever order they come.
+    # Each kind of event has its own thread, so the order is not fixed.
     calls, done = queue.Queue(), queue.Queue()
     with Task() as driving:
         output(driving, np.zeros(50), samps_per_chan=250)
@@ -269,21 +271,21 @@ def test_output_callbacks_run(chassis):
 
 
 def test_real_clock_calls_back_on_thread(monkeypatch):
-    # However busy the machine is that runs the tests, its bench does not count as fallen behind.
+    # A busy test machine must not make the bench report that it has fallen behind.
     monkeypatch.setattr("daq.instrument.chassis._MAX_DELAY_S", float("inf"))
     connect("bare-structure", "real")
     enough, names = threading.Event(), []
     with Task("live") as task:
         inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
 
-        def look(handle, kind, samples, data):
+        def on_samples(handle, kind, samples, data):
             task.read(samples)
             names.append(threading.current_thread())
             if len(names) == 3:
                 enough.set()
             return 0
 
-        task.register_every_n_samples_acquired_into_buffer_event(50, look)
+        task.register_every_n_samples_acquired_into_buffer_event(50, on_samples)
         task.start()
         assert enough.wait(60.0)
         task.stop()
@@ -330,10 +332,10 @@ def test_removed_delay_keeps_sample_times():
 
 
 def polled_until(arrived, task):
-    """Let a script's own loop wait; it must come to its end."""
-    for looks in range(1000):
+    """Poll until the condition holds, as a script would; fail after 1000 queries."""
+    for queries in range(1000):
         if arrived(task):
-            return looks
+            return queries
     raise AssertionError("the loop made no progress")
 
 

@@ -110,6 +110,8 @@ def test_replay_escapes_hostile_text(folder: Path) -> None:
 def test_every_command_is_tried_or_exempt() -> None:
     for package, app in (("daq", daq.cli.app), ("analysis", analysis.cli.app)):
         names = {
-            each.name or str(each.callback.__name__) for each in app.registered_commands if each.callback
+            command.name or str(command.callback.__name__)
+            for command in app.registered_commands
+            if command.callback
         }
         assert names <= {words.split()[0] for words in TRIED_COMMANDS[package]} | EXEMPT_COMMANDS[package]

@@ -29,7 +29,7 @@ converter: {rate: 1 kHz, bits: 24, range: 5 V, filter: delta_sigma, remove_delay
 
 
 @pytest.fixture(scope="module", autouse=True)
-def once() -> Iterator[None]:
+def single_repetition() -> Iterator[None]:
     """Record once: these tests check errors, not durations."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("analysis.chain_cost.study.REPEATS", 1)
@@ -69,10 +69,10 @@ def test_every_group_has_timed_points(study: ChainStudy) -> None:
 
 
 def test_low_sensor_resonance_distorts_displacement(study: ChainStudy) -> None:
-    low = next(p for p in study.points if p.setting == "resonance 200 Hz")
+    low_resonance = next(p for p in study.points if p.setting == "resonance 200 Hz")
     # 1 / (1 - (24/200)^2) is 1.5 % above 1; averaging over the sample interval adds a delay of half a sample.
-    assert low.correction > 0.014
-    assert low.error < 1e-3
+    assert low_resonance.correction > 0.014
+    assert low_resonance.error < 1e-3
 
 
 @pytest.mark.thorough
@@ -90,13 +90,13 @@ def test_one_change_keeps_motion_and_chain() -> None:
     for variant in variants(scene, 46.0, 49.0, 54.0, 1.0):
         assert variant.scene.dampers == scene.dampers
         assert variant.scene.shaker == scene.shaker
-        base = scene if variant.group == "noise" else quiet(scene)
+        expected = scene if variant.group == "noise" else quiet(scene)
         assert variant.group in GROUPS
         if variant.group in ("sample rate", "bits", "anti-alias filter"):
-            assert variant.scene.channels == base.channels
+            assert variant.scene.channels == expected.channels
         else:
-            assert variant.scene.converter.rate == base.converter.rate
-            assert [c.at for c in variant.scene.channels] == [c.at for c in base.channels]
+            assert variant.scene.converter.rate == expected.converter.rate
+            assert [c.at for c in variant.scene.channels] == [c.at for c in expected.channels]
 
 
 def test_only_tolerance_point_has_sensor_tolerances() -> None:
@@ -104,7 +104,7 @@ def test_only_tolerance_point_has_sensor_tolerances() -> None:
     scene = scene.replace(
         channels=[c.replace(accelerometer={"preset": "PCB 352C33"}) for c in scene.channels]
     )
-    having = [
+    settings_with_tolerance = [
         variant.setting
         for variant in variants(plain(scene), 46.0, 49.0, 54.0, 1.0)
         if any(
@@ -112,7 +112,7 @@ def test_only_tolerance_point_has_sensor_tolerances() -> None:
             for c in variant.scene.channels
         )
     ]
-    assert having == ["tolerances, bias"]
+    assert settings_with_tolerance == ["tolerances, bias"]
 
 
 def test_named_parts_give_the_same_chain() -> None:
@@ -122,17 +122,17 @@ def test_named_parts_give_the_same_chain() -> None:
     channels = [c.replace(accelerometer={"preset": "PCB 352C33"}) for c in scene.channels]
     scene = scene.replace(channels=channels, converter={"preset": "NI 9234", "rate": 5000.0})
     drive = np.sin(np.arange(500) * 0.05)[None]
-    named, written = Bench(scene), Bench(plain(scene))
-    assert written.rate == named.rate == 5120.0
-    np.testing.assert_array_equal(written.acquire(drive).samples, named.acquire(drive).samples)
+    from_presets, from_values = Bench(scene), Bench(plain(scene))
+    assert from_values.rate == from_presets.rate == 5120.0
+    np.testing.assert_array_equal(from_values.acquire(drive).samples, from_presets.acquire(drive).samples)
     assert own_setting(plain(scene), "anti-alias filter") == "on"
 
 
 def test_chosen_frequencies_give_period_one_motion() -> None:
     scene = rig.load("fig9")
-    chosen = steady_frequencies(scene)
-    assert list(chosen) == sorted(chosen)
-    assert all(46.0 <= frequency <= 54.0 for frequency in chosen)
+    frequencies = steady_frequencies(scene)
+    assert list(frequencies) == sorted(frequencies)
+    assert all(46.0 <= frequency <= 54.0 for frequency in frequencies)
 
 
 @pytest.mark.thorough
@@ -140,9 +140,9 @@ def test_reference_follows_the_recorded_drive() -> None:
     scene = rig.loads(
         ONE_BODY.replace("shaker:", "dampers: [{body: 1, mass_ratio: 10 %, clearance: .inf}]\nshaker:")
     )
-    found = chain_study(scene, [24.0])
-    assert "under the drive stated in the recording" in found.reference
-    assert found.without_noise.error < 1e-4
+    result = chain_study(scene, [24.0])
+    assert "under the drive stated in the recording" in result.reference
+    assert result.without_noise.error < 1e-4
 
 
 def test_unread_force_names_the_remedy() -> None:

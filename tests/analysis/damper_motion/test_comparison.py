@@ -29,7 +29,7 @@ from rig.results.uncertainty import SENSITIVITY
 from tests.analysis.responses import synthetic
 
 
-def measured(frequency: np.ndarray, value: np.ndarray, error: float = 0.0) -> Response:
+def measured_curve(frequency: np.ndarray, value: np.ndarray, error: float = 0.0) -> Response:
     """Curve as measured by a sweep, with a bounded relative error at each point."""
     magnitude, ones = abs(value), np.ones(frequency.size)
     deviation = error * magnitude * np.exp(2j * np.pi * np.arange(frequency.size) * 0.38)
@@ -54,7 +54,7 @@ def two_modes(f: np.ndarray, natural: float, ratio: float) -> np.ndarray:
 def test_measured_peak_lies_within_bounds(natural, ratio, offset, per_width, error) -> None:
     step = 2.0 * ratio * natural / per_width
     f = natural + step * (np.arange(-4, 4) + offset)
-    estimate = peak(measured(f, two_modes(f, natural, ratio), error), f[0], f[-1])
+    estimate = peak(measured_curve(f, two_modes(f, natural, ratio), error), f[0], f[-1])
     dense = np.linspace(natural - step, natural + step, 4001)
     exact = abs(two_modes(dense, natural, ratio))
     assert estimate is not None
@@ -67,7 +67,7 @@ def test_measured_peak_lies_within_bounds(natural, ratio, offset, per_width, err
 def test_jump_near_peak_removes_upper_bound() -> None:
     f = np.linspace(9.0, 11.0, 41)
     value = np.where(f < 10.2, 1.0, 0.005) / (1.0 - (f / 10.6) ** 2 + 0.002j)
-    estimate = peak(measured(f, value), 9.0, 11.0)
+    estimate = peak(measured_curve(f, value), 9.0, 11.0)
     assert estimate is not None and math.isinf(estimate.bound) and estimate.frequency == pytest.approx(10.15)
     change = PeakChange("body1", 10.0, 0.01, Peak(1e-3, 0.0, 10.0, 10.0, 10.0), estimate)
     assert math.isinf(change.decibel[2])
@@ -77,7 +77,7 @@ def test_jump_near_peak_removes_upper_bound() -> None:
 
 def test_omitted_points_near_peak_remove_upper_bound() -> None:
     f = np.linspace(9.0, 11.0, 41)
-    curve = measured(f, 1.0 / (1.0 - (f / 10.03) ** 2 + 0.02j))
+    curve = measured_curve(f, 1.0 / (1.0 - (f / 10.03) ** 2 + 0.02j))
     included = abs(f - 10.1) > 0.12
     estimate = peak(replace(curve.at(included), omitted=f[~included]), 9.0, 11.0)
     assert estimate is not None and math.isinf(estimate.bound) and estimate.value < abs(curve.value).max()
@@ -96,7 +96,7 @@ def amplitude_dependent_receptance(f: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("offset", np.linspace(0.0, 1.0, 9).tolist())
 def test_narrow_peak_lies_within_bound(step, offset) -> None:
     f = 18.6 + step * (np.arange(-5, 5) + offset)
-    estimate = peak(measured(f, amplitude_dependent_receptance(f)), f[0], f[-1])
+    estimate = peak(measured_curve(f, amplitude_dependent_receptance(f)), f[0], f[-1])
     exact = abs(amplitude_dependent_receptance(np.linspace(18.2, 19.0, 4001))).max()
     assert estimate is not None and estimate.low <= exact <= estimate.value + estimate.bound
     assert estimate.low >= abs(amplitude_dependent_receptance(f)).max()
@@ -104,12 +104,14 @@ def test_narrow_peak_lies_within_bound(step, offset) -> None:
 
 
 def test_coarse_points_name_the_needed_spacing() -> None:
-    close, wide = (Peak(1e-3, 1e-4, 18.5, 18.4, 18.6, 0.0, ratio * 1e-3, 0.33) for ratio in (0.005, 0.09))
-    [reported] = coarse_step_warnings([(19.0, "a3", close), (19.0, "a4", wide), (44.0, "a4", close)])
+    resolved, coarse = (
+        Peak(1e-3, 1e-4, 18.5, 18.4, 18.6, 0.0, ratio * 1e-3, 0.33) for ratio in (0.005, 0.09)
+    )
+    [reported] = coarse_step_warnings([(19.0, "a3", resolved), (19.0, "a4", coarse), (44.0, "a4", resolved)])
     assert reported.startswith("a4, near 18.50 Hz: the points are 0.33 Hz apart")
     assert "by up to 9 %" in reported and reported.endswith("Measure every 0.1 Hz there.")
-    three = np.linspace(17.0, 20.0, 3)
-    estimate = peak(measured(three, amplitude_dependent_receptance(three)), 17.0, 20.0)
+    coarse_points = np.linspace(17.0, 20.0, 3)
+    estimate = peak(measured_curve(coarse_points, amplitude_dependent_receptance(coarse_points)), 17.0, 20.0)
     assert estimate is not None and math.isinf(estimate.bound)
 
 
@@ -120,26 +122,26 @@ def test_bounded_changes_state_direction_and_limit() -> None:
         Peak(1e-3, 2e-5, 10.05, 9.9, 10.2),
     ]
     changes = [PeakChange("b1", 10.0, 0.01, peaks[0], damped) for damped in peaks[1:]]
-    _, lowered, same = (re.split(r"  +", line) for line in describe_changes(changes))
+    _, lowered, unchanged = (re.split(r"  +", line) for line in describe_changes(changes))
     assert lowered[2:6] == ["1000", "200", "-14.0", "-14.5 to -13.5"]
     assert lowered[6:8] == ["-0.50", "-0.70 to -0.10"]
-    assert same[4:6] == ["+0.0", "-0.3 to +0.3"]
+    assert unchanged[4:6] == ["+0.0", "-0.3 to +0.3"]
 
 
 def test_small_peak_on_flank_is_compared() -> None:
     f = np.linspace(30.0, 86.0, 400)
 
     def curve(ratio: float) -> Response:
-        small = 2e-5 / (1.0 - (f / 79.0) ** 2 + 2j * ratio * f / 79.0)
-        return measured(f, 2e-3 / (1.0 - (f / 40.0) ** 2 + 2j * 0.01 * f / 40.0) - small)
+        small_mode = 2e-5 / (1.0 - (f / 79.0) ** 2 + 2j * ratio * f / 79.0)
+        return measured_curve(f, 2e-3 / (1.0 - (f / 40.0) ** 2 + 2j * 0.01 * f / 40.0) - small_mode)
 
     modes = replace(analysis.identify([curve(0.01)]), frequency=np.array([79.0]), damping=np.array([0.01]))
     [raised] = peak_changes(modes, [curve(0.01)], [curve(0.004)])
-    [gone] = peak_changes(modes, [curve(0.01)], [curve(0.5)])
+    [lost] = peak_changes(modes, [curve(0.01)], [curve(0.5)])
     assert raised.bare.frequency == pytest.approx(79.0, abs=1.0) and not raised.bare.at_end
     assert raised.decibel[1] > 0.0
-    assert gone.decibel[1:] == (-math.inf, math.inf)
-    assert "no peak is left between" in describe_changes([gone])[-1]
+    assert lost.decibel[1:] == (-math.inf, math.inf)
+    assert "no peak is left between" in describe_changes([lost])[-1]
     assert peak_changes(modes, [curve(0.5)], [curve(0.01)]) == []
 
 
@@ -147,7 +149,7 @@ def test_shared_sensors_cancel_in_changes() -> None:
     f = np.linspace(9.0, 11.0, 81)
     bare, damped = (
         curve.with_limits({SENSITIVITY: 0.15 * abs(curve.value)})
-        for curve in (measured(f, two_modes(f, 10.0, ratio)) for ratio in (0.01, 0.02))
+        for curve in (measured_curve(f, two_modes(f, 10.0, ratio)) for ratio in (0.01, 0.02))
     )
     modes = analysis.identify([bare])
     [different_sensors], [same_sensors] = (
@@ -158,9 +160,9 @@ def test_shared_sensors_cancel_in_changes() -> None:
         and same_sensors.bare.bound > 0.15 * same_sensors.bare.value
     )
     assert different_sensors.decibel[2] - different_sensors.decibel[1] > 4.0
-    fine = np.linspace(9.0, 11.0, 80001)
+    dense = np.linspace(9.0, 11.0, 80001)
     true_change = 20.0 * math.log10(
-        abs(two_modes(fine, 10.0, 0.02)).max() / abs(two_modes(fine, 10.0, 0.01)).max()
+        abs(two_modes(dense, 10.0, 0.02)).max() / abs(two_modes(dense, 10.0, 0.01)).max()
     )
     assert same_sensors.decibel[1] <= true_change <= same_sensors.decibel[2]
     assert same_sensors.decibel[2] - same_sensors.decibel[1] < 0.1
@@ -193,7 +195,7 @@ def test_warnings_of_modes_are_repeated(tmp_path) -> None:
 
 def test_dominant_peak_without_mode_is_mentioned() -> None:
     f = np.linspace(5.0, 30.0, 251)
-    curve = measured(f, two_modes(f, 10.0, 0.02), 1e-3)
+    curve = measured_curve(f, two_modes(f, 10.0, 0.02), 1e-3)
     modes = analysis.identify([curve])
     assert modes.frequency == pytest.approx([10.0, 20.0], rel=1e-3)
     assert uncompared_highest_peaks(modes, [curve]) == []

@@ -1,3 +1,5 @@
+"""Detection of damper impacts: times, kinds and velocity jumps, compared with known impacts."""
+
 from __future__ import annotations
 
 import numpy as np
@@ -50,10 +52,10 @@ def test_known_impacts_have_right_times_and_sizes(tmp_path, quantity):
     f1, _, matched = score(detected.time, times, 2.0 / RATE)
     assert f1 > 0.98 and matched[detectable_jumps].mean() > 0.98
     nearest = np.array([np.argmin(abs(times - time)) for time in detected.time])
-    close = abs(detected.time - times[nearest]) < 2.0 / RATE
-    assert np.median(abs(detected.jump - jumps[nearest])[close]) < 5e-4
+    matched_times = abs(detected.time - times[nearest]) < 2.0 / RATE
+    assert np.median(abs(detected.jump - jumps[nearest])[matched_times]) < 5e-4
     floor = np.where(jumps[nearest] < 0, "floor", "ceiling")
-    assert np.mean((detected.kind == floor)[close]) > 0.98
+    assert np.mean((detected.kind == floor)[matched_times]) > 0.98
 
 
 def test_point_sampling_hides_impacts(tmp_path):
@@ -85,11 +87,11 @@ def true_impacts(rec, damper):
 )
 def test_three_dampers_at_resonance_are_detected(tmp_path, quantity, frequency):
     chain = {"accelerometer": SENSOR} | INTEGRATORS[quantity]
-    places = ("body 1", "body 2", "body 3", "table")
+    positions = ("body 1", "body 2", "body 3", "table")
     scene = rig.load("fig8-three-dampers").replace(
         shaker={"kind": "table", "body": 1, "spring": 6600.0},
         test={"kind": "sine", "frequency": frequency, "force": 2.6, "duration": 1.5},
-        channels=[{"name": at.replace(" ", ""), "at": at, **chain} for at in places],
+        channels=[{"name": at.replace(" ", ""), "at": at, **chain} for at in positions],
         recording={"truth": True, "display": False},
     )
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
@@ -99,14 +101,14 @@ def test_three_dampers_at_resonance_are_detected(tmp_path, quantity, frequency):
             detected = impacts(rec, f"body{body}", start)
             times, jumps = true_impacts(rec, body)
             inner = (times > start / rec.rate + 0.05) & (times < rec.samples / rec.rate - 0.05)
-            clear = inner & (jumps > detected.threshold)
+            expected = inner & (jumps > detected.threshold)
             _, matched, true_matched = score(detected.time, times, 2.0 / rec.rate)
-            matches, missed, false = (
-                np.sum(true_matched & clear),
-                np.sum(~true_matched & clear),
+            matches, missed, false_positives = (
+                np.sum(true_matched & expected),
+                np.sum(~true_matched & expected),
                 np.sum(~matched),
             )
-            assert 2 * matches >= 0.98 * (2 * matches + missed + false)
+            assert 2 * matches >= 0.98 * (2 * matches + missed + false_positives)
             assert detected.threshold < 3.5e-3
 
 
@@ -125,13 +127,19 @@ def test_delta_sigma_filter_keeps_times_and_sizes(tmp_path, quantity):
         detected = impacts(rec, "body1", start)
         times, jumps = true_impacts(rec, 1)
         inner = (times > start / rec.rate + 0.05) & (times < rec.samples / rec.rate - 0.05)
-        clear = inner & (jumps > detected.threshold)
+        expected = inner & (jumps > detected.threshold)
         _, matched, true_matched = score(detected.time, times, 2.0 / rec.rate)
-    matches, missed, false = np.sum(true_matched & clear), np.sum(~true_matched & clear), np.sum(~matched)
-    assert matches > 25 and 2 * matches >= 0.98 * (2 * matches + missed + false)
-    nearest = np.array([np.argmin(abs(detected.time - time)) for time in times[true_matched & clear]])
-    assert np.median(-detected.jump[nearest] / jumps[true_matched & clear]) == pytest.approx(1.0, abs=0.005)
-    assert np.mean(abs(-detected.jump[nearest] / jumps[true_matched & clear] - 1.0) < 0.02) > 0.95
+    matches, missed, false_positives = (
+        np.sum(true_matched & expected),
+        np.sum(~true_matched & expected),
+        np.sum(~matched),
+    )
+    assert matches > 25 and 2 * matches >= 0.98 * (2 * matches + missed + false_positives)
+    nearest = np.array([np.argmin(abs(detected.time - time)) for time in times[true_matched & expected]])
+    assert np.median(-detected.jump[nearest] / jumps[true_matched & expected]) == pytest.approx(
+        1.0, abs=0.005
+    )
+    assert np.mean(abs(-detected.jump[nearest] / jumps[true_matched & expected] - 1.0) < 0.02) > 0.95
 
 
 def test_integrated_channels_give_body_acceleration(tmp_path):
@@ -147,11 +155,11 @@ def test_integrated_channels_give_body_acceleration(tmp_path):
         recording={"display": False},
     )
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
-        bare, integrated = (impacts(rec, name, rec.samples // 2) for name in ("bare", "integrated"))
-    _, bare_matched, integrated_matched = score(bare.time, integrated.time, 1.0 / RATE)
+        direct, integrated = (impacts(rec, name, rec.samples // 2) for name in ("bare", "integrated"))
+    _, bare_matched, integrated_matched = score(direct.time, integrated.time, 1.0 / RATE)
     assert bare_matched.sum() > 10
-    difference = bare.acceleration[bare_matched] - integrated.acceleration[integrated_matched]
-    assert np.nanmedian(abs(difference)) < 0.03 * np.nanmax(abs(bare.acceleration))
+    difference = direct.acceleration[bare_matched] - integrated.acceleration[integrated_matched]
+    assert np.nanmedian(abs(difference)) < 0.03 * np.nanmax(abs(direct.acceleration))
 
 
 def test_threshold_is_proportional_to_noise(tmp_path):
@@ -266,10 +274,10 @@ def test_finite_duration_contact_has_wall_time_size(
     jump = np.where(gap < 0.49e-3, -1.0, 1.0) * touches["speed"] * 0.06 / 1.06 * (1.0 + pulse_restitution)
     _, matched, true_matched = score(detected.time, touches["time"], 0.25 * duration)
     inner = (touches["time"] > detected.time[0] - 1e-3) & (touches["time"] < detected.time[-1] + 1e-3)
-    clear = inner & detectable(touches["time"], jump, detected)
+    expected = inner & detectable(touches["time"], jump, detected)
     begin, end = detected.left_out.T - 1e-3 * np.array([[1.0], [-1.0]])
-    clear &= ~((touches["time"][:, None] > begin) & (touches["time"][:, None] < end)).any(axis=1)
-    assert matched.all() and matched.sum() > 15 and true_matched[clear].all()
+    expected &= ~((touches["time"][:, None] > begin) & (touches["time"][:, None] < end)).any(axis=1)
+    assert matched.all() and matched.sum() > 15 and true_matched[expected].all()
     assert np.all(np.sign(detected.jump) == np.sign(jump[true_matched]))
     assert np.all(abs(detected.time - touches["time"][true_matched]) < 4.0 * detected.time_error)
     assert np.median(detected.time_error) < 0.1 * duration

@@ -1,3 +1,5 @@
+"""Motion types and energies of dampers, from recordings and from the truth."""
+
 from __future__ import annotations
 
 import itertools
@@ -39,13 +41,15 @@ def test_sensor_tolerances_bound_energy_balance(tmp_path, monkeypatch):
     path = synthetic.stepped_sine(tmp_path / "a.mcap", [12.0, 13.04, 20.0, 34.8, 49.7], infos=infos)
     with daq.open(path) as rec:
         [sweep] = sweeps(rec)
-        worst = np.zeros(sweep.lines.frequency.size)
+        worst_error = np.zeros(sweep.lines.frequency.size)
         for signs in itertools.product((-1.0, 1.0), repeat=4):
             gains = 1.0 + 0.01 * np.array(signs)[:, None]
             tones = tuple(replace(tone, amplitude=gains * tone.amplitude) for tone in sweep.tones)
-            worst = np.maximum(worst, abs(energy_per_cycle(rec, replace(sweep, tones=tones)).dampers))
+            worst_error = np.maximum(
+                worst_error, abs(energy_per_cycle(rec, replace(sweep, tones=tones)).dampers)
+            )
         bound = energy_per_cycle(rec, sweep).bound
-    assert np.all(worst <= 1.05 * bound) and np.all(worst >= 0.8 * bound)
+    assert np.all(worst_error <= 1.05 * bound) and np.all(worst_error >= 0.8 * bound)
 
 
 def test_missing_channel_is_named(tmp_path):
@@ -95,7 +99,7 @@ def fig9(tmp_path_factory):
         return daq.record(scene, path)
 
 
-def true_types(rec, sweep):
+def types_from_truth(rec, sweep):
     """True motion types of a single damper, from its events and contacts."""
     events, contact = rec.events, rec.truth("contact")[0]
     types = []
@@ -114,18 +118,20 @@ def test_possible_flight_is_not_called_riding() -> None:
 
 @pytest.mark.parametrize(("floor", "ceiling"), [(1.1, 0), (1, 1), (0.48, 0.31)])
 def test_irregular_impacts_have_no_type(floor, ceiling) -> None:
-    name = DamperMotion(30.0, "body2", floor, ceiling, False, 1e-3, False, repeats=0).name
-    assert name == "unsure: impacts are missed, or the motion is irregular"
+    motion_type = DamperMotion(30.0, "body2", floor, ceiling, False, 1e-3, False, repeats=0).name
+    assert motion_type == "unsure: impacts are missed, or the motion is irregular"
 
 
 def test_repeats_after_two_periods_count_halves() -> None:
-    name = DamperMotion(30.0, "body2", 0.53, 1.47, False, 1e-3, False, repeats=2).name
-    assert name == "other: 0.5 floor and 1.5 ceiling impacts a period"
+    motion_type = DamperMotion(30.0, "body2", 0.53, 1.47, False, 1e-3, False, repeats=2).name
+    assert motion_type == "other: 0.5 floor and 1.5 ceiling impacts a period"
 
 
 def test_reachable_ceiling_excludes_type_i() -> None:
-    name = DamperMotion(30.0, "body2", 1, 0, False, 1e-3, False, may_reach=True).name
-    assert name == "other: 1 floor and 0 ceiling impacts a period, and perhaps weak ones on the ceiling"
+    motion_type = DamperMotion(30.0, "body2", 1, 0, False, 1e-3, False, may_reach=True).name
+    assert (
+        motion_type == "other: 1 floor and 0 ceiling impacts a period, and perhaps weak ones on the ceiling"
+    )
 
 
 def test_patterns_are_described_with_counts() -> None:
@@ -135,7 +141,7 @@ def test_patterns_are_described_with_counts() -> None:
 
 
 @pytest.mark.parametrize(
-    ("first", "third", "tolerance", "name"),
+    ("fundamental", "third_harmonic", "tolerance", "name"),
     [
         (0.95, 0.0, 0.0, "riding"),
         (0.9, 0.15, 0.0, "unseen"),
@@ -143,15 +149,15 @@ def test_patterns_are_described_with_counts() -> None:
         (0.8, 0.0, 0.1, "riding"),
     ],
 )
-def test_riding_requires_acceleration_above_minus_g(tmp_path, first, third, tolerance, name):
+def test_riding_requires_acceleration_above_minus_g(tmp_path, fundamental, third_harmonic, tolerance, name):
     """Riding depends on the peak acceleration, including harmonics and the sensor tolerance."""
     sensor = {"accelerometer.sensitivity_tolerance": str(tolerance)}
     infos = [ChannelInfo("body1", "body 1", "acceleration", 1.0, synthetic.RATE, average=True, sensor=sensor)]
     phase = 2 * np.pi * 40.0 / synthetic.RATE * np.arange(20 * 64)
-    row = 9.80665 * (first * np.cos(phase) + third * np.cos(3 * phase))
-    marks = [("measure", 0, row.size - 1, {"frequency": 40.0, "level": 1.0, "direction": "up"})]
+    acceleration = 9.80665 * (fundamental * np.cos(phase) + third_harmonic * np.cos(3 * phase))
+    marks = [("measure", 0, acceleration.size - 1, {"frequency": 40.0, "level": 1.0, "direction": "up"})]
     path = synthetic.write(
-        tmp_path / "a.mcap", synthetic.scene().replace(gravity=9.80665), infos, row[None], marks
+        tmp_path / "a.mcap", synthetic.scene().replace(gravity=9.80665), infos, acceleration[None], marks
     )
     with daq.open(path) as rec:
         [sweep] = sweeps(rec)
@@ -169,7 +175,7 @@ def test_fig_9_types_are_identified(fig9):
     with daq.open(fig9) as rec:
         [sweep] = sweeps(rec)
         motions = damper_motion(rec, sweep, "body2")
-        assert [motion.name for motion in motions] == true_types(rec, sweep) == ["I", "II", "III"]
+        assert [motion.name for motion in motions] == types_from_truth(rec, sweep) == ["I", "II", "III"]
     assert describe_motions([motions])[1].split() == ["body2", "type", "I", "47.5", "Hz"]
 
 
@@ -242,9 +248,9 @@ def test_finite_duration_motion_and_energy_are_true(tmp_path):
 
 
 def test_command_prints_motion_and_energy(fig9, tmp_path):
-    run = CliRunner().invoke(app, ["dampers", str(fig9), "-o", str(tmp_path)])
-    assert run.exit_code == 0
-    assert re.search(r"type III +49 Hz", run.output) and "true impact loss" in run.output
+    result = CliRunner().invoke(app, ["dampers", str(fig9), "-o", str(tmp_path)])
+    assert result.exit_code == 0
+    assert re.search(r"type III +49 Hz", result.output) and "true impact loss" in result.output
     rows = (tmp_path / "fig9-dampers.csv").read_text(encoding="utf-8").splitlines()
     assert len(rows) == 4 and rows[0].startswith("scene,frequency_Hz,supplied_J")
 

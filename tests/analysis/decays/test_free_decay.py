@@ -1,3 +1,5 @@
+"""Free decays: frequency, damping by amplitude, energy and envelope, compared with known decays."""
+
 from __future__ import annotations
 
 import numpy as np
@@ -56,7 +58,7 @@ def test_linear_decay_frequencies_lie_within_bounds():
 
 
 def test_clock_error_is_in_frequency_bound(tmp_path):
-    scene = rig.loads(STIFF.format(stiffness=(2 * np.pi * 100.0) ** 2, duration=2.0))
+    scene = rig.loads(STIFF_BODY.format(stiffness=(2 * np.pi * 100.0) ** 2, duration=2.0))
     with_clock_error = scene.replace(converter={"rate": 25600.0, "clock_error": 1e-3})
     with daq.open(daq.record(with_clock_error, tmp_path / "a.mcap")) as rec:
         (mode,) = analysis.decay(rec).modes
@@ -149,7 +151,7 @@ def test_missing_decay_is_explained(tmp_path, interval, hit, error, message):
         analysis.decay(rec, hit=hit)
 
 
-def agreement(mode, expected):
+def within_bounds(mode, expected):
     """The difference is below 3 %, or below the bound where noise makes the bound larger than 3 %."""
     bound = 2.0 * mode.damping_error / mode.damping
     return abs(mode.damping / expected.damping - 1.0) < np.maximum(bound, 0.03)
@@ -161,8 +163,10 @@ def test_three_dampers_have_true_damping(tmp_path):
     scene = scene.replace(test=test, recording={"truth": True, "display": False})
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         decay = analysis.decay(rec, "body2")
-        ideal = ChannelInfo("true", "body 2", "displacement", 1.0, rec.rate)
-        true_acceleration = correct_motion(ideal, rec.truth("displacement")[1], "acceleration", 2.0, 800.0)
+        ideal_sensor = ChannelInfo("true", "body 2", "displacement", 1.0, rec.rate)
+        true_acceleration = correct_motion(
+            ideal_sensor, rec.truth("displacement")[1], "acceleration", 2.0, 800.0
+        )
         [(_, last)] = hits(rec)
     frequencies = np.array([mode.centre for mode in decay.modes])
     np.testing.assert_allclose(frequencies, [12.4, 34.7, 49.0], rtol=0.05)
@@ -171,7 +175,7 @@ def test_three_dampers_have_true_damping(tmp_path):
         expected = modal_decay(
             true_acceleration, rec.rate, mode.centre, width, last + 1, amplitudes=mode.amplitude
         )
-        assert mode.damping.size > 5 and agreement(mode, expected).mean() > 0.95
+        assert mode.damping.size > 5 and within_bounds(mode, expected).mean() > 0.95
     # Above 1 g the dampers dissipate; below 1 g only the structural damping of 0.5 % remains, with the riding masses.
     assert max(mode.damping.max() for mode in decay.modes) > 0.02
     assert 0.003 < decay.modes[1].small_damping() < 0.006
@@ -189,15 +193,15 @@ def test_free_decay_agrees_with_noise_free_run(tmp_path, order):
     )
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         decay = analysis.decay(rec)
-    run = rig.simulate(scene, duration=5.0, rate=5120.0)
-    ideal = ChannelInfo("true", "body 3", "displacement", 1.0, 5120.0)
-    true_acceleration = correct_motion(ideal, run.displacement[2], "acceleration", 2.0, 800.0)
+    motion = rig.simulate(scene, duration=5.0, rate=5120.0)
+    ideal_sensor = ChannelInfo("true", "body 3", "displacement", 1.0, 5120.0)
+    true_acceleration = correct_motion(ideal_sensor, motion.displacement[2], "acceleration", 2.0, 800.0)
     frequencies = np.array([mode.centre for mode in decay.modes])
     assert len(frequencies) >= 2
     for index, mode in enumerate(decay.modes):
         width = band_width(frequencies, index)
         expected = modal_decay(true_acceleration, 5120.0, mode.centre, width, 0, amplitudes=mode.amplitude)
-        assert mode.damping.size > 5 and agreement(mode, expected).mean() > 0.95
+        assert mode.damping.size > 5 and within_bounds(mode, expected).mean() > 0.95
 
 
 def test_only_amplitudes_above_noise_are_reported(tmp_path):
@@ -235,9 +239,9 @@ def test_decay_ends_before_delayed_next_hit(tmp_path):
         delayed = scene.replace(test=test, converter=converter, recording={"truth": True, "display": False})
         with daq.open(daq.record(delayed, tmp_path / f"{remove_delay}.mcap")) as rec:
             decay = analysis.decay(rec, "body2")
-            ideal = ChannelInfo("true", "body 2", "displacement", 1.0, rec.rate)
+            ideal_sensor = ChannelInfo("true", "body 2", "displacement", 1.0, rec.rate)
             true_acceleration = correct_motion(
-                ideal, rec.truth("displacement")[1], "acceleration", 2.0, 800.0
+                ideal_sensor, rec.truth("displacement")[1], "acceleration", 2.0, 800.0
             )
             begin = hits(rec)[0][1] + 1
         assert 1.8 < decay.time[-1] < 2.0
@@ -247,7 +251,7 @@ def test_decay_ends_before_delayed_next_hit(tmp_path):
         assert difference.max() < 0.02 * abs(decay.acceleration).max()
 
 
-STIFF = """
+STIFF_BODY = """
 structure: {{masses: [1 kg], springs: [{stiffness} N/m], damping: {{modal: 0.5 %}}}}
 test: {{kind: free, displacement: [1 um], duration: {duration} s}}
 channels: [{{name: a, at: body 1, accelerometer: {{sensitivity: 100 mV/g}}}}]
@@ -257,7 +261,7 @@ recording: {{display: false}}
 
 
 def test_high_mode_in_short_record_is_resolved(tmp_path):
-    scene = rig.loads(STIFF.format(stiffness=(2 * np.pi * 900.0) ** 2, duration=0.2))
+    scene = rig.loads(STIFF_BODY.format(stiffness=(2 * np.pi * 900.0) ** 2, duration=0.2))
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         decay = analysis.decay(rec)
     (mode,) = decay.modes
@@ -266,8 +270,10 @@ def test_high_mode_in_short_record_is_resolved(tmp_path):
     assert decay.halving == pytest.approx(np.log(2.0) / (2 * np.pi * 900.0 * 0.005), rel=0.02)
 
 
-def test_continuing_motion_is_no_decay(tmp_path):
-    scene = rig.loads(STIFF.format(stiffness=(2 * np.pi * 300.0) ** 2, duration=0.5).replace("0.5 %", "0 %"))
+def test_continuing_motion_is_not_a_decay(tmp_path):
+    scene = rig.loads(
+        STIFF_BODY.format(stiffness=(2 * np.pi * 300.0) ** 2, duration=0.5).replace("0.5 %", "0 %")
+    )
     path = daq.record(scene, tmp_path / "a.mcap")
     with daq.open(path) as rec:
         decay = analysis.decay(rec)

@@ -1,3 +1,5 @@
+"""Exported samples and results, read back by other programs."""
+
 import csv
 import os
 import shutil
@@ -35,7 +37,7 @@ def recording(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def with_gap(tmp_path_factory):
+def recording_with_gap(tmp_path_factory):
     path = tmp_path_factory.mktemp("gap") / "a.mcap"
     with Recorder(path, scene(), channels(), RATE) as recorder:
         recorder.write(signal(1000))
@@ -78,10 +80,10 @@ def test_wav_is_read_by_scipy(recording, tmp_path):
     assert sound.shape == (SAMPLES, 2)
     for row, name in enumerate(recording.channels):
         samples = recording.read(name)
-        full = np.abs(samples).max()
+        full_scale = np.abs(samples).max()
         # scipy puts 24 bits into the upper three bytes of four.
-        assert sound[:, row] / 2**31 == pytest.approx(samples / full, abs=2**-22)
-        assert notes[row] == f"{name}: full scale is {full:.6g} {recording.channels[name].unit}"
+        assert sound[:, row] / 2**31 == pytest.approx(samples / full_scale, abs=2**-22)
+        assert notes[row] == f"{name}: full scale is {full_scale:.6g} {recording.channels[name].unit}"
     with wave.open(str(tmp_path / "a.wav")) as header:
         assert header.getsampwidth() == 3
 
@@ -148,9 +150,9 @@ def test_series_carry_the_date(tmp_path):
     assert series[0]["start_timestamp"] == "2025-11-21T12:00:01.250000+00:00"
 
 
-def test_lost_samples_are_kept_or_rejected(with_gap, tmp_path):
+def test_lost_samples_are_kept_or_rejected(recording_with_gap, tmp_path):
     for name in ("a.csv", "a.npz"):
-        export(Slice.of(with_gap), tmp_path / name)
+        export(Slice.of(recording_with_gap), tmp_path / name)
     table = np.genfromtxt(tmp_path / "a.csv", delimiter=",", skip_header=1)
     with np.load(tmp_path / "a.npz") as arrays:
         assert np.array_equal(arrays["body1"], table[:, 1], equal_nan=True)
@@ -159,8 +161,8 @@ def test_lost_samples_are_kept_or_rejected(with_gap, tmp_path):
         with pytest.raises(
             RecordingError, match=r"the samples of body1, body2 from 0.390625 to 0.585938 s are lost"
         ):
-            export(Slice.of(with_gap), tmp_path / name)
-        export(Slice.of(with_gap, to_s=0.390625), tmp_path / name)
+            export(Slice.of(recording_with_gap), tmp_path / name)
+        export(Slice.of(recording_with_gap, to_s=0.390625), tmp_path / name)
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 
@@ -280,9 +282,9 @@ def test_exported_matlab_file_imports_equal(recording, tmp_path):
         Slice.of(recording), tmp_path / "a.mat", progress=lambda done, total: reported.append((done, total))
     )
     assert reported[-1] == (2 * SAMPLES, 2 * SAMPLES)
-    plain = recording.scene.replace(converter={"rate": RATE}, recording={}, test=None)
+    scene_of_import = recording.scene.replace(converter={"rate": RATE}, recording={}, test=None)
     with pytest.warns(daq.RunWarning, match="no signal for the channels body3, table"):
-        path = daq.import_files(tmp_path / "a.mat", plain, tmp_path / "again.mcap")
+        path = daq.import_files(tmp_path / "a.mat", scene_of_import, tmp_path / "again.mcap")
     with daq.open(path) as imported:
         for name in recording.channels:
             np.testing.assert_allclose(imported.read(name), recording.read(name), rtol=1e-14)
@@ -301,8 +303,8 @@ def test_exported_responses_and_modes_read_equal(tmp_path):
     with daq.open(path) as rec:
         curves = analysis.frfs(rec)
     modes = analysis.identify(curves)
-    for what, ending in (("frfs", "uff"), ("frfs", "mat"), ("modes", "uff"), ("modes", "mat")):
-        export_results(path, tmp_path / f"{what}.{ending}", what)
+    for result_type, ending in (("frfs", "uff"), ("frfs", "mat"), ("modes", "uff"), ("modes", "mat")):
+        export_results(path, tmp_path / f"{result_type}.{ending}", result_type)
     read_back = analysis.read_frfs(tmp_path / "frfs.uff")
     order = np.argsort(curves["body3"].frequency)
     np.testing.assert_allclose(read_back["body3"].value, curves["body3"].value[order], rtol=1e-10)

@@ -1,3 +1,5 @@
+"""Fits of a scene to recordings: intervals of the values, misfits, and faulty channels."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -24,7 +26,7 @@ DEMO = Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap
 FREQUENCIES = np.geomspace(9.0, 60.0, 60)
 
 
-def guess(**changes):
+def initial_scene(**changes):
     """Structure of the synthetic recordings with errors of about 20 %."""
     structure = {
         "masses": [0.62, 0.83, 0.7], "springs": [28e3, 19e3, 21e3], "damping": {"modal": [0.004, 0.006, 0.007]},
@@ -32,60 +34,62 @@ def guess(**changes):
     return synthetic.scene().replace(structure=structure | changes, shaker=None, test=None)
 
 
-def truth():
+def true_values():
     structure = spelt_out(synthetic.scene()).structure
     return {"masses": structure.masses, "springs": structure.springs, "modal": structure.damping.modal}
 
 
-def off(found):
-    true = truth()
+def relative_errors(result):
+    expected = true_values()
     return {
-        one.key: one.value / true[one.key.split("[")[0].split(".")[-1]][int(one.key[-2]) - 1] - 1
-        for one in found.parameters
+        parameter.key: parameter.value
+        / expected[parameter.key.split("[")[0].split(".")[-1]][int(parameter.key[-2]) - 1]
+        - 1
+        for parameter in result.parameters
     }
 
 
 def test_every_fitted_value_lies_in_interval(tmp_path):
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7)
-    found = analysis.fit(path, guess())
-    assert not found.misfit
-    assert {one.status for one in found.parameters} == {"determined"}
-    for key, miss in off(found).items():
-        assert abs(miss) <= found[key].half_width
-        assert abs(miss) < 2e-3
-    again = rig.loads(found.scene.to_yaml(), where="the fitted scene")
-    assert again.structure == found.scene.structure
+    result = analysis.fit(path, initial_scene())
+    assert not result.misfit
+    assert {parameter.status for parameter in result.parameters} == {"determined"}
+    for key, relative_error in relative_errors(result).items():
+        assert abs(relative_error) <= result[key].half_width
+        assert abs(relative_error) < 2e-3
+    loaded = rig.loads(result.scene.to_yaml(), where="the fitted scene")
+    assert loaded.structure == result.scene.structure
 
 
 @pytest.mark.parametrize("masses", [[0.5, 1.0, 0.9], [0.45, 0.45, 0.9]])
 def test_structure_is_found_from_two_of_three_modes(masses, tmp_path):
-    few = [9.0, 10.0, 18.0, 22.0, 26.0, 42.0, 44.0, 58.0, 60.0]
-    path = synthetic.stepped_sine(tmp_path / "a.mcap", few, noise=2e-7)
+    sparse_frequencies = [9.0, 10.0, 18.0, 22.0, 26.0, 42.0, 44.0, 58.0, 60.0]
+    path = synthetic.stepped_sine(tmp_path / "a.mcap", sparse_frequencies, noise=2e-7)
     with daq.open(path) as recording:
         assert analysis.identify(analysis.frfs(recording), 3).frequency.size == 2
-    found = analysis.fit(path, guess(masses=masses))
-    assert not found.misfit
-    for key, miss in off(found).items():
-        assert abs(miss) <= found[key].half_width
+    result = analysis.fit(path, initial_scene(masses=masses))
+    assert not result.misfit
+    for key, relative_error in relative_errors(result).items():
+        assert abs(relative_error) <= result[key].half_width
 
 
 def test_sensor_tolerances_widen_masses(tmp_path):
     sheet = {"accelerometer.sensitivity_tolerance": "0.05"}
     infos = [replace(info, sensor=sheet) for info in synthetic.channels()]
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7, infos=infos)
-    found = analysis.fit(path, guess())
+    result = analysis.fit(path, initial_scene())
     # The force is a difference of two readings: its error scales all masses and springs equally, and not the damping.
-    assert 0.01 < found["structure.masses[1]"].half_width < 0.12
-    assert found["structure.damping.modal[1]"].half_width < 0.005
-    assert any("by the same factor" in line for line in found.together)
+    assert 0.01 < result["structure.masses[1]"].half_width < 0.12
+    assert result["structure.damping.modal[1]"].half_width < 0.005
+    assert any("by the same factor" in line for line in result.together)
 
 
 @pytest.mark.thorough
 def test_other_structure_gives_misfit(tmp_path):
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7)
-    found = analysis.fit(path, guess(), free=["structure.damping"])
-    assert "leaves a residual of" in found.misfit
-    assert "determined" not in {one.status for one in found.parameters}
+    result = analysis.fit(path, initial_scene(), free=["structure.damping"])
+    assert "leaves a residual of" in result.misfit
+    assert "determined" not in {parameter.status for parameter in result.parameters}
 
 
 @pytest.mark.thorough
@@ -94,8 +98,8 @@ def test_swapped_columns_are_named(tmp_path):
     with daq.open(path) as recording:
         for name, at in {"body2": "body 3", "body3": "body 2"}.items():
             recording.channels[name] = replace(recording.channels[name], at=at)
-        found = analysis.fit(recording, guess())
-    assert "body2 and body3 are swapped" in found.misfit
+        result = analysis.fit(recording, initial_scene())
+    assert "body2 and body3 are swapped" in result.misfit
 
 
 @pytest.mark.thorough
@@ -105,29 +109,29 @@ def test_g_read_as_metres_is_named(tmp_path):
     infos = [replace(info, sensor=sheet) for info in synthetic.channels()]
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7, infos=infos)
     with daq.open(path) as recording:
-        # As filters are, a factor is divided out: what is left is too small by it.
-        read = recording.channels["body2"]
-        recording.channels["body2"] = replace(read, gain=9.80665)
-        found = analysis.fit(recording, guess())
-    assert "body2 reads 0.10" in found.misfit and "(g read as m/s²)" in found.misfit
+        # Like the filters, the gain is divided out, so the remaining signal is too small by it.
+        channel = recording.channels["body2"]
+        recording.channels["body2"] = replace(channel, gain=9.80665)
+        result = analysis.fit(recording, initial_scene())
+    assert "body2 reads 0.10" in result.misfit and "(g read as m/s²)" in result.misfit
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    ("wrong", "reported"),
+    ("fault", "reported"),
     [
         ({"gain": -1.0}, "The sign of body2 is reversed: corrected, the rest fits"),
         ({"delay": 4e-3}, "body2 contradicts the other channels"),
     ],
 )
-def test_reversed_or_late_sensor_is_named(wrong, reported, tmp_path):
+def test_reversed_or_late_sensor_is_named(fault, reported, tmp_path):
     sheet = {"accelerometer.sensitivity_tolerance": "0.02"}
     infos = [replace(info, sensor=sheet) for info in synthetic.channels()]
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7, infos=infos)
     with daq.open(path) as recording:
-        recording.channels["body2"] = replace(recording.channels["body2"], **wrong)
-        found = analysis.fit(recording, guess())
-    assert reported in found.misfit
+        recording.channels["body2"] = replace(recording.channels["body2"], **fault)
+        result = analysis.fit(recording, initial_scene())
+    assert reported in result.misfit
 
 
 def test_dead_channel_is_left_out(tmp_path):
@@ -136,15 +140,15 @@ def test_dead_channel_is_left_out(tmp_path):
     test = "{kind: random, from: 5 Hz, to: 60 Hz, duration: 20 s, force: 1 N}"
     path = synthetic.driven(tmp_path / "a.mcap", force, test, marks, noise=1e-4)
     with daq.open(path) as recording:
-        read = {name: recording.read(name) for name in recording.channels}
+        samples = {name: recording.read(name) for name in recording.channels}
         infos, scene = list(recording.channels.values()), recording.scene
-    for dead, names in {"body2": ["body1", "body3"], "body1 body2 body3": []}.items():
-        rows = np.stack([0.0 * row if name in dead else row for name, row in read.items()])
+    for dead_channels, expected_names in {"body2": ["body1", "body3"], "body1 body2 body3": []}.items():
+        rows = np.stack([0.0 * row if name in dead_channels else row for name, row in samples.items()])
         synthetic.write(tmp_path / "b.mcap", scene, infos, rows, marks)
         with daq.open(tmp_path / "b.mcap") as recording:
-            if names:
+            if expected_names:
                 (curves,) = measured(recording, "b")
-                assert [sensor.name for sensor in curves.sensors] == names
+                assert [sensor.name for sensor in curves.sensors] == expected_names
                 assert "body2 reads zero throughout" in curves.warnings[0]
                 continue
             with pytest.raises(RecordingError, match="read zero throughout: dead or not connected"):
@@ -157,11 +161,11 @@ def test_strongly_deviating_sensor_is_named(tmp_path):
     infos = [replace(info, sensor=sheet) for info in synthetic.channels()]
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7, infos=infos)
     with daq.open(path) as recording:
-        read = recording.channels["body2"]
-        recording.channels["body2"] = replace(read, gain=read.gain / 1.3)
-        found = analysis.fit(recording, guess())
-    assert "would need an error of" in found.misfit and "its data sheet allows 1 %" in found.misfit
-    assert "body2 reads 1.29" in found.misfit and "may also differ from the scene" in found.misfit
+        channel = recording.channels["body2"]
+        recording.channels["body2"] = replace(channel, gain=channel.gain / 1.3)
+        result = analysis.fit(recording, initial_scene())
+    assert "would need an error of" in result.misfit and "its data sheet allows 1 %" in result.misfit
+    assert "body2 reads 1.29" in result.misfit and "may also differ from the scene" in result.misfit
 
 
 def test_dampers_with_hits_are_rejected(tmp_path):
@@ -171,42 +175,45 @@ def test_dampers_with_hits_are_rejected(tmp_path):
             dampers=({"body": 3, "mass_ratio": 0.1, "clearance": 1e-3},)
         )
         with pytest.raises(RecordingError, match="stepped_sine"):
-            analysis.fit(recording, guess())
+            analysis.fit(recording, initial_scene())
 
 
 def test_scene_of_other_bodies_is_rejected(tmp_path):
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES[:9])
-    small = guess(masses=[0.7, 0.7], springs=[2e4, 2e4], damping={"modal": 0.01})
+    two_bodies = initial_scene(masses=[0.7, 0.7], springs=[2e4, 2e4], damping={"modal": 0.01})
     with pytest.raises(SceneError, match="3 bodies; the scene to fit has 2"):
-        analysis.fit(path, small)
+        analysis.fit(path, two_bodies)
 
 
 def test_unfittable_key_names_fittable_ones():
     with pytest.raises(SceneError, match=r"dampers\.clearance.*structure\.masses"):
-        free_parameters(guess(), ["dampers.clearance"])
+        free_parameters(initial_scene(), ["dampers.clearance"])
 
 
 def test_inserted_values_change_nothing_else():
     scene = spelt_out(rig.load("fig9"))
     parameters = free_parameters(scene)
-    changed = with_values(scene, {one.place: 2.0 * one.start for one in parameters if one.what != "modal"})
+    changed = with_values(
+        scene,
+        {parameter.place: 2.0 * parameter.start for parameter in parameters if parameter.what != "modal"},
+    )
     assert changed.structure.masses == tuple(2.0 * m for m in scene.structure.masses)
     assert changed.dampers[0].clearance == 2.0 * scene.dampers[0].clearance
     assert changed.structure.damping == scene.structure.damping
     assert changed.shaker == scene.shaker
 
 
-@pytest.mark.parametrize(("irregular", "elsewhere", "refused"), [(9, 2, False), (0, 6, True), (12, 0, True)])
-def test_irregular_omitted_points_are_no_misfit(irregular, elsewhere, refused):
+@pytest.mark.parametrize(("irregular", "regular", "is_misfit"), [(9, 2, False), (0, 6, True), (12, 0, True)])
+def test_irregular_omitted_points_are_no_misfit(irregular, regular, is_misfit):
     with daq.open(DEMO) as recording:
         [curves] = measured(recording, "demo")
     predicted, used = np.ones((3, 20), dtype=complex), np.ones(20, dtype=bool)
-    predicted[:, :irregular], used[: irregular + elsewhere] = np.nan, False
+    predicted[:, :irregular], used[: irregular + regular] = np.nan, False
     compared = Compared(curves, predicted, used, np.zeros((3, 20)), 0.0)
-    said = _misfit(Estimate(np.zeros(1), np.eye(1), 1.0), [compared])
-    assert said == (
-        f"demo: the scene does not reproduce the measured motion at {irregular + elsewhere} of 20 points."
-        if refused
+    misfit = _misfit(Estimate(np.zeros(1), np.eye(1), 1.0), [compared])
+    assert misfit == (
+        f"demo: the scene does not reproduce the measured motion at {irregular + regular} of 20 points."
+        if is_misfit
         else ""
     )
 
@@ -217,8 +224,8 @@ def test_omitted_points_are_drawn_as_crosses():
     with daq.open(DEMO) as recording:
         [demo] = measured(recording, "demo")
     curves = replace(demo, frequency=np.arange(10.0, 14.0), value=value, sensors=demo.sensors[:1])
-    found = SimpleNamespace(compared=[Compared(curves, value, used, np.ones((1, 4)), 1.0)])
-    axes = fit_figure(found).axes  # type: ignore[arg-type]
+    result = SimpleNamespace(compared=[Compared(curves, value, used, np.ones((1, 4)), 1.0)])
+    axes = fit_figure(result).axes  # type: ignore[arg-type]
     assert axes[1].get_title(loc="left") == "Residual 100 % of the curve, rms, 1 point left out"
     for ax in axes:
         crosses = [line for line in ax.lines if line.get_marker() == "x"]
@@ -228,8 +235,8 @@ def test_omitted_points_are_drawn_as_crosses():
 def test_undetermined_damping_is_described():
     level = LevelDamping("a.mcap", False, 1.0, ("x", "y"), np.array([0.01, np.nan]), np.array([1e-4, np.nan]))
     parameter = Fitted("structure.damping.modal[1]", "", 0.01, 0.01, 0.0099, 0.0101, "determined")
-    found = Fit(
+    result = Fit(
         rig.load("fig9"), (parameter,), np.eye(1), {}, (), (level,), (), 1.0, "", (), ()
     )  # fmt: skip
-    [row] = [line for line in describe(found) if "a.mcap" in line]
+    [row] = [line for line in describe(result) if "a.mcap" in line]
     assert row.endswith("0.01000 ± 0.00010, undetermined")

@@ -27,20 +27,26 @@ def test_finite_duration_contact_is_fitted(contact: str, tmp_path) -> None:
     daq.record(scene.replace(dampers=()), tmp_path / "bare.mcap")
     daq.record(scene, tmp_path / "damped.mcap")
     parameters = free_parameters(scene)
-    off = np.where(np.arange(len(parameters)) % 2, 1.15, 1 / 1.15)
-    guess = with_values(scene, {one.place: one.start * by for one, by in zip(parameters, off, strict=True)})
+    deviations = np.where(np.arange(len(parameters)) % 2, 1.15, 1 / 1.15)
+    initial_scene = with_values(
+        scene,
+        {
+            parameter.place: parameter.start * deviation
+            for parameter, deviation in zip(parameters, deviations, strict=True)
+        },
+    )
 
-    found = analysis.fit([tmp_path / "bare.mcap", tmp_path / "damped.mcap"], guess)
+    result = analysis.fit([tmp_path / "bare.mcap", tmp_path / "damped.mcap"], initial_scene)
 
-    assert not found.misfit
-    assert any(one.key.startswith("dampers[1].contact") for one in found.parameters)
-    for one, true in zip(found.parameters, parameters, strict=True):
-        assert one.value == pytest.approx(true.start, rel=5e-3), one.key
+    assert not result.misfit
+    assert any(parameter.key.startswith("dampers[1].contact") for parameter in result.parameters)
+    for parameter, expected in zip(result.parameters, parameters, strict=True):
+        assert parameter.value == pytest.approx(expected.start, rel=5e-3), parameter.key
 
 
 def test_free_wall_values_follow_the_scene() -> None:
-    walls = "contact: {floor: {duration: 4 ms}, ceiling: {stiffness: 200 kN/m, damping: 90 N s/m}}"
-    keys = [one.key for one in free_parameters(rig.loads(BENCH % walls))]
+    contact = "contact: {floor: {duration: 4 ms}, ceiling: {stiffness: 200 kN/m, damping: 90 N s/m}}"
+    keys = [parameter.key for parameter in free_parameters(rig.loads(BENCH % contact))]
     assert keys[-3:] == [
         "dampers[1].contact.floor.duration",
         "dampers[1].contact.ceiling.stiffness",

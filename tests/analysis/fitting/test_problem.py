@@ -18,7 +18,7 @@ from analysis.fitting.parameters import free_parameters, spelt_out
 from analysis.fitting.problem import Problem
 
 SWEEP = Path(__file__).parents[3] / "recordings" / "demo-sweep-no-damper.mcap"
-FORCE_KNOWN_TO = 0.05
+FORCE_TOLERANCE = 0.05
 
 
 def test_residual_derivatives_agree_with_differences():
@@ -28,9 +28,9 @@ def test_residual_derivatives_agree_with_differences():
     x, step = problem.start + np.linspace(0.002, 0.01, problem.size), 1e-7
     exact = problem.jacobian(x, problem.groups)
     for k, unit in enumerate(np.eye(problem.size)):
-        ahead, behind = (problem.residual(x + sign * step * unit, problem.groups) for sign in (1.0, -1.0))
+        forward, backward = (problem.residual(x + sign * step * unit, problem.groups) for sign in (1.0, -1.0))
         assert exact[:, k] == pytest.approx(
-            (ahead - behind) / (2.0 * step), abs=1e-5 * abs(exact[:, k]).max()
+            (forward - backward) / (2.0 * step), abs=1e-5 * abs(exact[:, k]).max()
         )
 
 
@@ -42,13 +42,13 @@ shaker: {{kind: force, body: 1}}
 test: {{kind: stepped_sine, from: 80 Hz, to: 110 Hz, points: 15, force: 0.7 N}}
 channels:
 - {{name: b1, at: body 1, accelerometer: {{sensitivity: 10 mV/g}}}}
-- {{name: F, at: shaker, hammer: {{sensitivity: 100 mV/N, sensitivity_tolerance: {FORCE_KNOWN_TO}}}}}
+- {{name: F, at: shaker, hammer: {{sensitivity: 100 mV/N, sensitivity_tolerance: {FORCE_TOLERANCE}}}}}
 converter: {{rate: 2048 Hz}}
 """)
-    found = analysis.fit(daq.record(scene, tmp_path / "a.mcap"), scene)["structure.masses[1]"]
-    assert found.low < 0.21 < found.high
+    mass = analysis.fit(daq.record(scene, tmp_path / "a.mcap"), scene)["structure.masses[1]"]
+    assert mass.low < 0.21 < mass.high
     # Evenly distributed within the tolerance.
-    assert found.half_width == pytest.approx(1.96 * FORCE_KNOWN_TO / 3**0.5, rel=0.1)
+    assert mass.half_width == pytest.approx(1.96 * FORCE_TOLERANCE / 3**0.5, rel=0.1)
 
 
 def test_narrower_axis_of_fewer_values_is_reported():

@@ -1,3 +1,5 @@
+"""Steady tones of a bench with dampers: failed trials, sensitivities, motions that cannot be computed."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -15,65 +17,71 @@ from rig.orbits.orbit import OrbitFamily
 DAMPED = Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap"
 
 
-def nearest(*asked):
-    """Curves of the demo, and the frequencies and levels of the points nearest to the requested ones."""
+def nearest_points(*requested_frequencies):
+    """Return the curves of the demo, and frequency and level of the points nearest to the requested frequencies."""
     with daq.open(DAMPED) as recording:
         [curves] = measured(recording, "demo")
     assert curves.level is not None
-    point = [int(np.argmin(abs(curves.frequency - frequency))) for frequency in asked]
-    return curves, curves.frequency[point], curves.level[point]
+    indices = [int(np.argmin(abs(curves.frequency - frequency))) for frequency in requested_frequencies]
+    return curves, curves.frequency[indices], curves.level[indices]
 
 
 def test_failed_trial_returns_to_earlier_motion():
-    curves, frequency, level = nearest(49.66)
+    curves, frequency, level = nearest_points(49.66)
     tones = SteadyTones(replace(curves, frequency=frequency, level=level))
     bench = on_the_bench(curves.scene, curves)
-    before = tones.response(bench, level, frequency)
-    assert np.isfinite(before).all() and tones.orbits[0] is not None
+    expected = tones.response(bench, level, frequency)
+    assert np.isfinite(expected).all() and tones.orbits[0] is not None
     assert np.isnan(tones.response(bench, 10.0 * level, frequency)).all()
-    np.testing.assert_allclose(tones.response(bench, level, frequency), before, rtol=1e-9)
+    np.testing.assert_allclose(tones.response(bench, level, frequency), expected, rtol=1e-9)
 
 
-def test_followed_table_motions_change_like_corrected_ones():
-    curves, frequency, level = nearest(34.4, 48.0, 50.5)
-    shaken = curves.scene.replace(shaker={"kind": "electrodynamic", "body": 1, "spring": 6600.0})
-    tones = SteadyTones(replace(curves, scene=shaken, frequency=frequency, level=level))
-    bench = on_the_bench(shaken, tones.curves)
-    here, step = tones.response(bench, level, frequency), 1e-5
-    for on_level, on_frequency in ((step, 0.0), (0.0, step)):
-        there = level * (1.0 + on_level), frequency * (1.0 + on_frequency)
-        followed = tones.response(bench, *there, search=False) - here
-        known = list(tones.orbits)
-        corrected = tones.response(bench, *there) - here
-        tones.orbits = known
-        assert np.isfinite(corrected).all() and abs(followed - corrected).max() < 0.01 * abs(corrected).max()
+def test_continued_table_motions_change_like_corrected_ones():
+    curves, frequency, level = nearest_points(34.4, 48.0, 50.5)
+    table_scene = curves.scene.replace(shaker={"kind": "electrodynamic", "body": 1, "spring": 6600.0})
+    tones = SteadyTones(replace(curves, scene=table_scene, frequency=frequency, level=level))
+    bench = on_the_bench(table_scene, tones.curves)
+    initial_response, step = tones.response(bench, level, frequency), 1e-5
+    for relative_level, relative_frequency in ((step, 0.0), (0.0, step)):
+        varied_point = level * (1.0 + relative_level), frequency * (1.0 + relative_frequency)
+        continued_change = tones.response(bench, *varied_point, search=False) - initial_response
+        initial_orbits = list(tones.orbits)
+        corrected_change = tones.response(bench, *varied_point) - initial_response
+        tones.orbits = initial_orbits
+        assert (
+            np.isfinite(corrected_change).all()
+            and abs(continued_change - corrected_change).max() < 0.01 * abs(corrected_change).max()
+        )
 
 
 def test_endless_rebounds_are_recorded():
-    curves, frequency, level = nearest(49.0)
-    dampers = [one.replace(restitution=0.3) for one in curves.scene.dampers]
-    bouncy = curves.scene.replace(dampers=dampers)
-    one = replace(curves, scene=bouncy, frequency=frequency, level=level)
-    tones = SteadyTones(one)
-    assert np.isnan(tones.response(on_the_bench(bouncy, one), level, frequency)).all()
+    curves, frequency, level = nearest_points(49.0)
+    dampers = [bouncy_curves.replace(restitution=0.3) for bouncy_curves in curves.scene.dampers]
+    bouncy_scene = curves.scene.replace(dampers=dampers)
+    bouncy_curves = replace(curves, scene=bouncy_scene, frequency=frequency, level=level)
+    tones = SteadyTones(bouncy_curves)
+    assert np.isnan(tones.response(on_the_bench(bouncy_scene, bouncy_curves), level, frequency)).all()
     assert "rebounds infinitely often" in tones.uncovered[0]
-    [said] = list_omitted_points(one, np.array([False]), tones.uncovered)
-    assert "another kind of motion" not in said and "which a fit cannot compute" in said
-    assert "of another type than that of the model" in list_omitted_points(one, np.array([False]), {})[0]
+    [message] = list_omitted_points(bouncy_curves, np.array([False]), tones.uncovered)
+    assert "another kind of motion" not in message and "which a fit cannot compute" in message
+    assert (
+        "of another type than that of the model"
+        in list_omitted_points(bouncy_curves, np.array([False]), {})[0]
+    )
     tones.failed.clear()
     assert np.isfinite(tones.response(on_the_bench(curves.scene, curves), level, frequency)).all()
     assert not tones.uncovered
 
 
 def test_singular_matrix_yields_no_gap(monkeypatch):
-    curves, frequency, level = nearest(49.66)
+    curves, frequency, level = nearest_points(49.66)
     tones = SteadyTones(replace(curves, frequency=frequency, level=level))
     bench = on_the_bench(curves.scene, curves)
     tones.response(bench, level, frequency)
     assert tones.orbits[0] is not None and tones.largest_gap(bench, level, frequency, 0) > 0.0
 
-    def fail(*_):
+    def raise_singular(*_):
         raise np.linalg.LinAlgError
 
-    monkeypatch.setattr(OrbitFamily, "correct", fail)
+    monkeypatch.setattr(OrbitFamily, "correct", raise_singular)
     assert tones.largest_gap(bench, level, frequency, 0) == 0.0

@@ -1,3 +1,5 @@
+"""Outputs of the analysis commands: files, tables, figures and their captions."""
+
 from __future__ import annotations
 
 import csv
@@ -37,7 +39,7 @@ def folder(tmp_path_factory):
     return folder
 
 
-def table(path):
+def read_rows(path):
     with path.open(newline="") as file:
         return list(csv.DictReader(file))
 
@@ -47,7 +49,7 @@ def test_figures_and_table_lie_next_to_recording(folder):
     result = present_frf([folder / "one.mcap"], theory=True)
     assert [path.name for path in result.files] == ["one-frf.png", "one-frf.svg", "one-frf.csv"]
     assert all(path.stat().st_size > 1000 for path in result.files)
-    rows = table(result.files[-1])
+    rows = read_rows(result.files[-1])
     assert len(rows) == 3 * FREQUENCIES.size
     assert rows[0]["scene"] == "first scene" and float(rows[0]["frequency_Hz"]) == 8.0
     assert {"real m/N", "imag m/N", "phase_deg", "coherence"} <= rows[0].keys()
@@ -58,8 +60,8 @@ def test_two_recordings_share_one_figure(folder, tmp_path):
     result = present_frf([folder / "one.mcap", folder / "two.mcap"], tmp_path, channels=["body3", "body1"])
     names = [path.name for path in result.files]
     assert names[0] == "one+two-frf-body3.png" and names[-1] == "one+two-frf.csv"
-    drawn = (tmp_path / "one+two-frf-body3.svg").read_text(encoding="utf-8")
-    assert "first scene" in drawn and "second scene" in drawn
+    svg_text = (tmp_path / "one+two-frf-body3.svg").read_text(encoding="utf-8")
+    assert "first scene" in svg_text and "second scene" in svg_text
 
 
 @pytest.mark.thorough
@@ -70,27 +72,27 @@ def test_overlaid_scenes_are_named_by_file(folder, tmp_path):
         f"one+again-frf-body{body}.png" for body in (1, 2, 3)
     ]
     for body in (1, 2, 3):
-        drawn = (tmp_path / f"one+again-frf-body{body}.svg").read_text(encoding="utf-8")
-        assert drawn.count(">one<") == drawn.count(">again<") == 1
-        assert "first scene" not in drawn
-    assert {row["scene"] for row in table(result.files[-1])} == {"one", "again"}
+        svg_text = (tmp_path / f"one+again-frf-body{body}.svg").read_text(encoding="utf-8")
+        assert svg_text.count(">one<") == svg_text.count(">again<") == 1
+        assert "first scene" not in svg_text
+    assert {row["scene"] for row in read_rows(result.files[-1])} == {"one", "again"}
     assert [line.split(",")[0] for line in result.lines if not line.startswith(" ")] == ["one", "again"]
 
 
 def test_overlaid_decays_are_named_by_file(folder, tmp_path):
     synthetic.impulses(tmp_path / "again.mcap", interval=3.0, name="hit scene")
     result = present_decay([folder / "hit.mcap", tmp_path / "again.mcap"], tmp_path)
-    drawn = next(path for path in result.files if path.suffix == ".svg").read_text(encoding="utf-8")
-    assert ">hit<" in drawn and ">again<" in drawn
-    assert {row["scene"] for row in table(result.files[-1])} == {"hit", "again"}
+    svg_text = next(path for path in result.files if path.suffix == ".svg").read_text(encoding="utf-8")
+    assert ">hit<" in svg_text and ">again<" in svg_text
+    assert {row["scene"] for row in read_rows(result.files[-1])} == {"hit", "again"}
     assert sum(line.startswith("again, body3") for line in result.lines) == 1
 
 
 def test_force_channel_offers_motion_channels(folder):
     arguments = ["decay", str(folder / "hit.mcap"), "--channel", "hammer"]
-    run = CliRunner().invoke(app, arguments)
-    assert isinstance(run.exception, RecordingError)
-    assert "measures force, not motion. Choose one of body1, body2, body3" in str(run.exception)
+    result = CliRunner().invoke(app, arguments)
+    assert isinstance(result.exception, RecordingError)
+    assert "measures force, not motion. Choose one of body1, body2, body3" in str(result.exception)
 
 
 @pytest.mark.thorough
@@ -104,9 +106,9 @@ def test_repeated_drawing_is_byte_equal(folder, tmp_path):
 
 @pytest.mark.thorough
 def test_command_names_its_outputs(folder, tmp_path):
-    run = CliRunner().invoke(app, ["modes", str(folder / "one.mcap"), "-o", str(tmp_path)])
-    assert run.exit_code == 0
-    assert "13.03" in run.output and "wrote" in run.output
+    result = CliRunner().invoke(app, ["modes", str(folder / "one.mcap"), "-o", str(tmp_path)])
+    assert result.exit_code == 0
+    assert "13.03" in result.output and "wrote" in result.output
     assert (tmp_path / "one-modes.png").exists()
 
 
@@ -127,17 +129,17 @@ def test_long_name_overlaps_nothing(folder):
     figure = frf_figure(curves, "Receptance: " + "a scene of many words, " * 5)
     figure.canvas.draw()
     upper, _, lower = figure.axes
-    note, label = figure.legends[0].get_window_extent(), lower.xaxis.label.get_window_extent()
+    caption, label = figure.legends[0].get_window_extent(), lower.xaxis.label.get_window_extent()
     assert upper._left_title.get_window_extent().x1 < figure.bbox.x1
-    assert note.y1 <= label.y0 and note.y0 >= 0.0
+    assert caption.y1 <= label.y0 and caption.y0 >= 0.0
 
 
-def drawn_frf(value, systematic, left_out=()):
+def draw_curve(value, systematic, omitted=()):
     """Figure of a curve from 10 to 20 Hz with a scatter of 1 %; and its first axes and its caption."""
-    flat = np.ones(11)
+    ones = np.ones(11)
     curve = Response.curve(
-        np.linspace(10.0, 20.0, 11), value * flat.astype(complex), "body3", error=0.01 * value * flat, coherence=flat,
-        degrees=38.0 * flat, limits={"sensors' sensitivity": systematic * flat}, omitted=np.array(left_out),
+        np.linspace(10.0, 20.0, 11), value * ones.astype(complex), "body3", error=0.01 * value * ones, coherence=ones,
+        degrees=38.0 * ones, limits={"sensors' sensitivity": systematic * ones}, omitted=np.array(omitted),
         label="a scene",
     )  # fmt: skip
     figure = frf_figure([curve], "Compliance")
@@ -145,7 +147,7 @@ def drawn_frf(value, systematic, left_out=()):
 
 
 def test_no_line_crosses_omitted_points():
-    axes, caption = drawn_frf(1e-6, 0.0, [14.5, 25.0])
+    axes, caption = draw_curve(1e-6, 0.0, [14.5, 25.0])
     x, y = axes.lines[-1].get_data()
     assert np.isnan(y[x == 14.5]).all() and np.isfinite(y[x != 14.5][:-1]).all()
     assert axes.get_xlim() == (10.0, 25.0)
@@ -153,23 +155,23 @@ def test_no_line_crosses_omitted_points():
     assert caption.replace("\n", " ").endswith("excluded frequencies (see the warnings).")
 
 
-@pytest.mark.parametrize(("systematic", "to_the_axis"), [(0.8e-6, False), (2e-6, True), (np.inf, True)])
-def test_axis_contains_wide_bounds(systematic, to_the_axis):
-    axes, caption = drawn_frf(1e-6, systematic)
+@pytest.mark.parametrize(("systematic", "reaches_axis"), [(0.8e-6, False), (2e-6, True), (np.inf, True)])
+def test_axis_contains_wide_bounds(systematic, reaches_axis):
+    axes, caption = draw_curve(1e-6, systematic)
     low, high = axes.get_ylim()
     assert high >= 1.0 + 1e6 * min(systematic, 9e-6)
     assert low <= max(1.0 - 1e6 * systematic, 0.99)
-    assert ("includes zero" in caption) == to_the_axis and "sensors' sensitivity" in caption
+    assert ("includes zero" in caption) == reaches_axis and "sensors' sensitivity" in caption
 
 
 def test_titles_of_five_modes_are_separate():
     frequency, ratios = np.geomspace(10.0, 130.0, 200), np.full(5, 0.01)
-    natural = np.array([20.54, 51.61, 81.117, 97.837, 115.513])
+    frequencies = np.array([20.54, 51.61, 81.117, 97.837, 115.513])
     names = tuple(f"b{body}" for body in range(1, 6))
-    chart = tuple(ChartPole(order, f, 0.01, True) for f in natural for order in range(5, 25))
+    chart = tuple(ChartPole(order, f, 0.01, True) for f in frequencies for order in range(5, 25))
     zeros = np.zeros(5)
     modes = Modes(
-        natural,
+        frequencies,
         zeros,
         ratios,
         zeros,
@@ -183,9 +185,9 @@ def test_titles_of_five_modes_are_separate():
         "",
         (),
     )
-    flat = np.ones(frequency.size)
+    ones = np.ones(frequency.size)
     curves = [
-        Response.curve(frequency, value, name, coherence=flat, degrees=4.0 * flat)
+        Response.curve(frequency, value, name, coherence=ones, degrees=4.0 * ones)
         for name, value in zip(names, modes.receptance(frequency), strict=True)
     ]
     figure = modes_figure(curves, modes, "Modes: five bodies")
@@ -231,5 +233,5 @@ def test_swapped_channels_are_reported():
     assert not theory_warnings(modes, theory) and not theory_warnings(modes, None)
     (note,) = theory_warnings(modes, theory[[2, 1, 0]])
     assert "49.66 Hz (MAC 0." in note and "swapped channels" in note
-    unknown = replace(modes, shape_error=np.full(modes.shape_error.shape, np.inf))
-    assert not theory_warnings(unknown, theory[[2, 1, 0]])
+    uncertain_shapes = replace(modes, shape_error=np.full(modes.shape_error.shape, np.inf))
+    assert not theory_warnings(uncertain_shapes, theory[[2, 1, 0]])

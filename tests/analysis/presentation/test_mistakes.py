@@ -13,24 +13,24 @@ RANDOM = "{kind: random, from: 8 Hz, to: 60 Hz, duration: 60 s, force: 1 N}"
 IMPULSE = "{kind: impulse, body: 1, peak: 50 N, width: 6.25 ms}"
 
 
-def tone(last):
+def tone_marker(last):
     return ("measure", 0, last, {"frequency": 20.0, "level": 1.0, "direction": "up"})
 
 
-def overloads(last):
+def overload_markers(last):
     return [("overload", 0, last, {"channel": info.name}) for info in synthetic.channels()[:3]]
 
 
 # Name, test, channels, samples, marks, command, required part of the message.
 CASES = [
-    ("silent", None, 4, np.zeros(2560), [tone(2559)], "frf", "force on the structure is zero throughout"),
-    ("window", None, 4, np.ones(60), [tone(59)], "frf", "shorter than a period of its tone"),
-    ("clipped", None, 4, np.ones(2560), [tone(2559), *overloads(2559)], "frf", "overloaded in every"),
-    ("no table", None, 3, np.ones(2560), [tone(2559)], "modes", "needs a channel at the table"),
+    ("silent", None, 4, np.zeros(2560), [tone_marker(2559)], "frf", "force on the structure is zero throughout"),
+    ("window", None, 4, np.ones(60), [tone_marker(59)], "frf", "shorter than a period of its tone"),
+    ("clipped", None, 4, np.ones(2560), [tone_marker(2559), *overload_markers(2559)], "frf", "overloaded in every"),
+    ("no table", None, 3, np.ones(2560), [tone_marker(2559)], "modes", "needs a channel at the table"),
     ("never steady", None, 4, np.ones(2560), [("settle", 0, 2559, {})], "frf", "no steady state was measured"),
     ("dead", IMPULSE, 3, np.zeros(9000), [("hit", 900, 910, {})], "decay", "is constant throughout the decay"),
     (
-        "all clipped", IMPULSE, 3, np.sin(np.arange(9000)), [("hit", 900, 910, {}), *overloads(8999)], "decay",
+        "all clipped", IMPULSE, 3, np.sin(np.arange(9000)), [("hit", 900, 910, {}), *overload_markers(8999)], "decay",
         "was overloaded for 100% of hit 1's decay",
     ),
     ("short", IMPULSE, 3, np.ones(1000), [("hit", 900, 910, {})], "decay", "Record at least 256"),
@@ -48,9 +48,9 @@ def test_unsuitable_recording_says_what_to_change(tmp_path, case):
     infos = synthetic.channels()[:channels]
     path = tmp_path / f"{name}.mcap"
     synthetic.write(path, scene, infos, np.tile(samples, (channels, 1)), marks)
-    run = CliRunner().invoke(app, [command, str(path), "-o", str(tmp_path)])
-    assert message in str(run.exception) + run.output
-    assert getattr(run.exception, "exit_code", run.exit_code) == 2
+    result = CliRunner().invoke(app, [command, str(path), "-o", str(tmp_path)])
+    assert message in str(result.exception) + result.output
+    assert getattr(result.exception, "exit_code", result.exit_code) == 2
 
 
 @pytest.mark.parametrize(
@@ -70,18 +70,18 @@ def test_unsuitable_recording_says_what_to_change(tmp_path, case):
 )
 def test_wrong_option_names_right_ones(tmp_path, options, message):
     path = synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 40))
-    run = CliRunner().invoke(app, [options[0], str(path), *options[1:], "-o", str(tmp_path)])
-    assert message in str(run.exception) + run.output
-    assert getattr(run.exception, "exit_code", run.exit_code) == 2
+    result = CliRunner().invoke(app, [options[0], str(path), *options[1:], "-o", str(tmp_path)])
+    assert message in str(result.exception) + result.output
+    assert getattr(result.exception, "exit_code", result.exit_code) == 2
 
 
 def test_unused_option_names_its_recordings(tmp_path):
-    stepped = synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 40))
+    stepped_path = synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 40))
     (tmp_path / "b.csv").write_text("f [Hz],x re [m/N],x im [m/N]\n10,1,0\n20,2,0\n")
-    words = ["frf", str(stepped), str(tmp_path / "b.csv"), "--unit", "mm/N", "-o", str(tmp_path)]
-    run = CliRunner().invoke(app, words)
-    assert run.exit_code == 0
-    assert "--unit has no effect on a.mcap: a recording states its units" in run.output
+    arguments = ["frf", str(stepped_path), str(tmp_path / "b.csv"), "--unit", "mm/N", "-o", str(tmp_path)]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0
+    assert "--unit has no effect on a.mcap: a recording states its units" in result.output
     for options in (["--theory"], ["--block", "2"], ["--reference", "table"]):
-        ended = CliRunner().invoke(app, ["frf", str(tmp_path / "b.csv"), *options])
-        assert "leave" in str(ended.exception).lower()
+        failed = CliRunner().invoke(app, ["frf", str(tmp_path / "b.csv"), *options])
+        assert "leave" in str(failed.exception).lower()

@@ -85,14 +85,14 @@ def test_only_missing_settings_are_computed(tmp_path: Path, computed: list[Setti
 
 
 def test_table_order_is_independent_of_completion(tmp_path: Path, computed: list[Setting]) -> None:
-    at_once, by_parts = tmp_path / "at-once.csv", tmp_path / "by-parts.csv"
+    single_run, resumed_run = tmp_path / "at-once.csv", tmp_path / "by-parts.csv"
 
-    follow(at_once, 5, lambda line: None)
+    follow(single_run, 5, lambda line: None)
     for points in (2, 5):
-        follow(by_parts, points, lambda line: None)
+        follow(resumed_run, points, lambda line: None)
 
-    assert by_parts.read_bytes() == at_once.read_bytes()
-    assert [setting_of(row) for row in TABLE.read(at_once)] == settings()[:5]
+    assert resumed_run.read_bytes() == single_run.read_bytes()
+    assert [setting_of(row) for row in TABLE.read(single_run)] == settings()[:5]
 
 
 def test_foreign_file_is_left_alone(tmp_path: Path) -> None:
@@ -164,10 +164,10 @@ def test_other_resonances_are_drawn_for_each_setting() -> None:
     figure = bed_chart.modes({"beds": beds})
 
     written = [text.get_text() for axes in figure.axes for text in axes.texts]
-    others = beds["frequency"] != FREQUENCY
-    assert [f"{100 * value:+.0f}" for value in np.sort(deviation(beds, "compliance")[others])] == sorted(
-        (text.split(" ")[0] for text in written), key=float
-    )
+    other_resonances = beds["frequency"] != FREQUENCY
+    assert [
+        f"{100 * value:+.0f}" for value in np.sort(deviation(beds, "compliance")[other_resonances])
+    ] == sorted((text.split(" ")[0] for text in written), key=float)
 
 
 def test_flying_mass_damps_its_body() -> None:
@@ -175,11 +175,14 @@ def test_flying_mass_damps_its_body() -> None:
     scene = scene_of_bed(Setting(2.2, np.inf, 2, 1))
     summary = summary_row(scene, steady_mass(scene, FREQUENCY))
 
-    bed = scene.dampers[0].mass
-    body, stiffness = bed / DAMPED_MASS_RATIO, bed / DAMPED_MASS_RATIO * (2.0 * np.pi * FREQUENCY) ** 2
+    bed_mass = scene.dampers[0].mass
+    body_mass, stiffness = (
+        bed_mass / DAMPED_MASS_RATIO,
+        bed_mass / DAMPED_MASS_RATIO * (2.0 * np.pi * FREQUENCY) ** 2,
+    )
     amplitude = 2.2 * 9.80665 / (2.0 * np.pi * FREQUENCY) ** 2
     resonance_scene = as_one_mass(scene).replace(
-        structure={"masses": [body], "springs": [stiffness], "damping": {"modal": DAMPING}},
+        structure={"masses": [body_mass], "springs": [stiffness], "damping": {"modal": DAMPING}},
         test={"kind": "sine", "frequency": FREQUENCY, "force": stiffness * amplitude / float(summary[0])},
     )
     peak = np.abs(

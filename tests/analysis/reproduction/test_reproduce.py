@@ -24,13 +24,13 @@ from rig.system.open_loop_drive import with_ideal_force
 calls: list[float] = []
 
 
-def counted(value: float) -> Arrays:
+def record_call(value: float) -> Arrays:
     calls.append(value)
     return {"value": np.array(value)}
 
 
 def part(value: float) -> PaperPart:
-    return PaperPart("one", f"depends on {value}", counted, {"value": value}, "a part")
+    return PaperPart("one", f"depends on {value}", record_call, {"value": value}, "a part")
 
 
 def test_finished_part_is_read_not_computed(tmp_path: Path) -> None:
@@ -145,8 +145,8 @@ def test_no_trial_beats_the_optimum() -> None:
     damper = {"body": 2, "mass_ratio": float(optimum["mass_ratio"]), "clearance": float(optimum["best"])}
     for force in 3.3 * LEVELS:
         test = scene.test.replace(force=float(force))
-        varied = with_ideal_force(scene.replace(dampers=[damper], test=test))
-        response = rig.frequency_response(varied, frequencies)
+        trial_scene = with_ideal_force(scene.replace(dampers=[damper], test=test))
+        response = rig.frequency_response(trial_scene, frequencies)
         assert np.abs(response.compliance[1]).max() < 1.001 * optimum["peak"]
 
 
@@ -161,12 +161,12 @@ def test_more_damping_removes_type_iii() -> None:
 
 
 def test_waveforms_stay_in_their_cavities() -> None:
-    wave = waveforms(rig.load("fig5-three-dampers"), 50.5)
+    waveform = waveforms(rig.load("fig5-three-dampers"), 50.5)
 
-    assert (np.diff(wave["time"]) >= -1e-12).all()
-    assert wave["time"][-1] == pytest.approx(2 / 50.5, rel=0.05)
-    assert (wave["gap"] >= -1e-9).all()
-    assert (wave["gap"] <= wave["clearance"][:, None] + 1e-9).all()
+    assert (np.diff(waveform["time"]) >= -1e-12).all()
+    assert waveform["time"][-1] == pytest.approx(2 / 50.5, rel=0.05)
+    assert (waveform["gap"] >= -1e-9).all()
+    assert (waveform["gap"] <= waveform["clearance"][:, None] + 1e-9).all()
 
 
 def test_unknown_types_are_shortened_to_other() -> None:
@@ -195,10 +195,10 @@ def test_c2_needs_ratio_and_types() -> None:
 
 
 def test_weak_and_strong_deviations_are_separated() -> None:
-    true = {"compliance": np.tile(np.array([1.0, 2.0, 3.0, 4.0, 10.0]), (2, 1))}
-    measured = {"compliance": true["compliance"] * np.array([1.5, 1.0, 1.0, 1.0, 1.01])}
+    reference = {"compliance": np.tile(np.array([1.0, 2.0, 3.0, 4.0, 10.0]), (2, 1))}
+    measured = {"compliance": reference["compliance"] * np.array([1.5, 1.0, 1.0, 1.0, 1.01])}
 
-    assert differences(true, measured) == pytest.approx((0.5, 0.01))
+    assert differences(reference, measured) == pytest.approx((0.5, 0.01))
 
 
 def test_heavier_damping_lowers_the_dampers_share() -> None:
@@ -312,8 +312,8 @@ def test_fig_3_settings_show_their_type(kind: str) -> None:
 
 def test_sweep_direction_differences_are_reported() -> None:
     frequency, magnitude = np.array([48.0, 49.0, 50.0]), np.array([[1.0] * 3, [1.0, 2.0, 1.0]])
-    up = {"frequency": frequency, "compliance": magnitude}
+    upward = {"frequency": frequency, "compliance": magnitude}
     equal = {"frequency": frequency[::-1], "compliance": 1.01 * magnitude[:, ::-1]}
     different = {"frequency": frequency[::-1], "compliance": np.array([[1.0] * 3, [1.0, 1.0, 1.0]])}
-    assert "at most 1.0 %: no branch depends on the direction" in compare_directions(up, equal)
-    assert "more than 5 % at 49.00 Hz" in compare_directions(up, different)
+    assert "at most 1.0 %: no branch depends on the direction" in compare_directions(upward, equal)
+    assert "more than 5 % at 49.00 Hz" in compare_directions(upward, different)

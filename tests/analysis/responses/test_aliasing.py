@@ -22,7 +22,7 @@ FILTER = {"rate": RATE, "delay": 38.0, "cutoff": 0.5, "beta": 11.0}
 SCENE = "{structure: {masses: [2 kg], springs: [4 kN/m]}, shaker: {kind: force, body: 1}}"
 
 
-def images(info, cycles):
+def image_ratio(info, cycles):
     """Return the sum of a channel's readings of the images of a tone, relative to its reading of the tone."""
     samples = np.exp(2j * np.pi * cycles * np.arange(SAMPLES + 1) / SAMPLES)
     fraction = np.arange(FINE) / FINE
@@ -32,7 +32,7 @@ def images(info, cycles):
     return folded[1:].sum() / folded[0]
 
 
-def part(info, value, motion="acceleration", scene=SCENE, lower=0.0):
+def aliasing_limits(info, value, motion="acceleration", scene=SCENE, lower=0.0):
     """Return the aliasing of a channel in the response or in the reference; the other channel has no images."""
     other = ChannelInfo("b", "body 1", "acceleration", 1.0, RATE, filter=FILTER)
     rec = SimpleNamespace(
@@ -54,76 +54,78 @@ def channel(at="body 1", quantity="acceleration", **chain):
 
 def test_images_of_flat_acceleration_are_bounded():
     value = np.full(4, 0.5 + 0.2j)
-    slow = channel(poles=(-2 * np.pi * 100.0,), gain=2 * np.pi * 100.0)
-    for info in (channel(), slow, channel(average=True)):
-        true = np.array([images(info, cycles) for cycles in CYCLES]) * abs(value)
-        [bound] = part(info, value).values()
-        least = 0.1 * (FREQUENCY / RATE) ** 2 * abs(value)
-        assert (bound >= true).all()
-        assert (bound <= np.maximum(1.25 * true, least)).all()
+    low_pass = channel(poles=(-2 * np.pi * 100.0,), gain=2 * np.pi * 100.0)
+    for info in (channel(), low_pass, channel(average=True)):
+        expected = np.array([image_ratio(info, cycles) for cycles in CYCLES]) * abs(value)
+        [bound] = aliasing_limits(info, value).values()
+        minimum = 0.1 * (FREQUENCY / RATE) ** 2 * abs(value)
+        assert (bound >= expected).all()
+        assert (bound <= np.maximum(1.25 * expected, minimum)).all()
 
 
 def test_suppressed_images_have_lower_bound():
     # The images of a force still move the body that it drives.
-    slow = channel(poles=(-2 * np.pi * 1.0,) * 4, gain=(2 * np.pi * 1.0) ** 4)
+    low_pass = channel(poles=(-2 * np.pi * 1.0,) * 4, gain=(2 * np.pi * 1.0) ** 4)
     value = np.full(4, 0.5 + 0.2j)
-    [bound] = part(slow, value).values()
-    least = 0.1 * (FREQUENCY / RATE) ** 2 * abs(value)
-    np.testing.assert_allclose(bound[:2], least[:2], rtol=1e-12)
+    [bound] = aliasing_limits(low_pass, value).values()
+    minimum = 0.1 * (FREQUENCY / RATE) ** 2 * abs(value)
+    np.testing.assert_allclose(bound[:2], minimum[:2], rtol=1e-12)
 
 
 def test_decimation_filter_has_no_images():
     filtered = channel(filter=FILTER)
-    assert part(filtered, np.ones(4, dtype=complex)) == {}
+    assert aliasing_limits(filtered, np.ones(4, dtype=complex)) == {}
 
 
 def test_falling_acceleration_gives_smaller_images():
     peak = np.array([1.0, 1.0, 4.0, 1.0], dtype=complex)
     for motion, order in (("acceleration", 2), ("velocity", 1), ("displacement", 0)):
         value = peak / FREQUENCY ** (2 - order)
-        body, elsewhere = (
-            next(iter(part(channel(at), value, motion).values())) for at in ("body 1", "drive")
+        body_limit, drive_limit = (
+            next(iter(aliasing_limits(channel(at), value, motion).values())) for at in ("body 1", "drive")
         )
-        np.testing.assert_allclose(body, elsewhere / peak.real)
+        np.testing.assert_allclose(body_limit, drive_limit / peak.real)
 
 
 def test_steadily_falling_acceleration_uses_band_edge():
     falling = np.array([8.0, 4.0, 2.0, 1.0], dtype=complex)
-    body, elsewhere = (next(iter(part(channel(at), falling).values())) for at in ("body 1", "drive"))
-    np.testing.assert_allclose(body, elsewhere / falling.real)
+    body_limit, drive_limit = (
+        next(iter(aliasing_limits(channel(at), falling).values())) for at in ("body 1", "drive")
+    )
+    np.testing.assert_allclose(body_limit, drive_limit / falling.real)
 
 
 def test_modes_above_band_increase_driven_acceleration():
     value = np.full(4, 0.005 + 0.002j)
-    true = np.array([images(channel(), cycles) for cycles in CYCLES]) / 2.0
+    expected = np.array([image_ratio(channel(), cycles) for cycles in CYCLES]) / 2.0
     for motion in MOTIONS:
         # The same acceleration, integrated to velocity or displacement.
         conversion = (2.0 * np.pi * FREQUENCY) ** (2 - MOTIONS.index(motion))
-        [bound] = part(channel(), value / conversion, motion).values()
-        assert (bound * conversion >= true).all()
-        assert (bound * conversion <= 1.25 * true).all()
+        [bound] = aliasing_limits(channel(), value / conversion, motion).values()
+        assert (bound * conversion >= expected).all()
+        assert (bound * conversion <= 1.25 * expected).all()
 
 
 @pytest.mark.parametrize("lower", [0.0, 1.0])
 def test_table_drive_images_are_bounded(lower):
     scene = SCENE.replace("kind: force, body: 1", "kind: table, body: 1, spring: 6 kN/m, bandwidth: 700 Hz")
     value = np.full(4, 0.5 + 0.2j)
-    [bound] = part(channel("table"), value, scene=scene, lower=lower).values()
+    [bound] = aliasing_limits(channel("table"), value, scene=scene, lower=lower).values()
     for column, (frequency, cycles) in enumerate(zip(FREQUENCY, CYCLES, strict=True)):
         # After two differentiations an image is as large as the tone; only the second-order servo attenuates it.
         servo = SimpleNamespace(response=lambda f: -((2 * np.pi * f) ** 2) / (1.0 + 1j * f / 700.0) ** 2)
-        share = images(servo, cycles)
+        share = image_ratio(servo, cycles)
         # The relative deficit of a response exceeds its excess; the reference is in the denominator.
-        true = (share if lower else relative_to_reading(share)) * abs(value[column])
-        assert true <= bound[column] <= 1.25 * true, frequency
+        expected = (share if lower else relative_to_reading(share)) * abs(value[column])
+        assert expected <= bound[column] <= 1.25 * expected, frequency
 
 
-def coil_drive(frequency, mode, displacement, pull):
+def coil_drive(frequency, mode, displacement, force):
     """Compute the drive of a moving coil for a motion against a force, from its equations of motion."""
     mass, damping, stiffness, resistance, inductance, factor = 0.3, 60.0, 9e3, 3.0, 4e-3, 12.0
     s = 2j * np.pi * frequency
     # Unknowns: current and drive. Equations: of the armature, then of the coil or its current source.
-    motion = (mass * s**2 + damping * s + stiffness) * displacement + pull
+    motion = (mass * s**2 + damping * s + stiffness) * displacement + force
     source = [resistance + s * inductance, -1.0] if mode == "voltage" else [1.0, -1.0]
     induced = -factor * s * displacement if mode == "voltage" else 0.0
     return np.linalg.solve(np.array([[factor, 0.0], source]), np.array([motion, induced]))[1]
@@ -138,9 +140,9 @@ def test_coil_drive_images_are_bounded(mode, spring):
     parts = f"armature: {{{armature}}}, coil: {{{coil}}}, amplifier: {{mode: {mode}}}"
     scene = SCENE.replace("kind: force", f"kind: electrodynamic, spring: {spring} N/m, {parts}")
     value = np.full(4, 0.5 + 0.2j)
-    [bound] = part(channel("table"), value, scene=scene, lower=1.0).values()
+    [bound] = aliasing_limits(channel("table"), value, scene=scene, lower=1.0).values()
 
-    def accelerated(frequency):
+    def acceleration_per_drive(frequency):
         """Return the acceleration for a drive with the structure fixed; zero for a shaker at rest."""
         drives = [coil_drive(max(abs(f), 1e-6), mode, 1.0, spring) for f in np.ravel(frequency)]
         return -np.reshape((2 * np.pi * np.ravel(frequency)) ** 2 / drives, np.shape(frequency))
@@ -149,10 +151,12 @@ def test_coil_drive_images_are_bounded(mode, spring):
         # The force on the table is the spring force, with any phase.
         phases = np.exp(2j * np.pi * np.arange(64) / 64)
         drives = abs(np.array([coil_drive(frequency, mode, 1.0, spring * phase) for phase in phases]))
-        true = images(SimpleNamespace(response=accelerated), cycles) * drives.max() / drives[0]
-        assert 0.99 * true * abs(value[column]) <= bound[column] <= 1.25 * true * abs(value[column]), (
-            frequency
+        expected = (
+            image_ratio(SimpleNamespace(response=acceleration_per_drive), cycles) * drives.max() / drives[0]
         )
+        assert (
+            0.99 * expected * abs(value[column]) <= bound[column] <= 1.25 * expected * abs(value[column])
+        ), frequency
 
 
 MASSES = """

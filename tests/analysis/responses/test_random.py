@@ -1,3 +1,5 @@
+"""Responses to random, burst, multisine and swept excitation, compared with exact receptances."""
+
 from __future__ import annotations
 
 import re
@@ -16,7 +18,7 @@ from rig.errors import RecordingError, SceneError
 from rig.system.structural_model import receptance
 from tests.analysis.responses import synthetic
 
-RATE, OVER = synthetic.RATE, synthetic.OVERSAMPLED
+RATE, OVERSAMPLING = synthetic.RATE, synthetic.OVERSAMPLED
 RANDOM = "{kind: random, from: 8 Hz, to: 60 Hz, duration: 60 s, force: 1 N}"
 
 
@@ -34,10 +36,10 @@ def test_uncertainty_holds_away_from_unresolved_peaks(random_file):
         exact = receptance(rec.scene, curves[0].frequency)
     # A Hann window wider than the resonance widens its peak; the resolution of the curve states this.
     f = curves[0].frequency
-    away = np.all([abs(f - peak) > 2.0 for peak in (13.04, 34.78, 49.66)], axis=0)
+    far_from_peaks = np.all([abs(f - peak) > 2.0 for peak in (13.04, 34.78, 49.66)], axis=0)
     for body, frf in enumerate(curves):
         assert frf.resolution == pytest.approx(1.5 / 8.0)
-        assert np.mean((abs(frf.value - exact[body]) < frf.bound(0.95))[away]) > 0.9
+        assert np.mean((abs(frf.value - exact[body]) < frf.bound(0.95))[far_from_peaks]) > 0.9
         assert np.max(frf.coherence) > 0.99
 
 
@@ -56,20 +58,20 @@ def test_h1_agrees_with_scipy(random_file):
     with daq.open(random_file) as rec:
         [[frf]] = analysis.frequency_responses(rec, ["body2"], block=4.0)
         x, force = rec.read("body2"), rec.read("force")
-        size = int(4.0 * RATE)
+        block_samples = int(4.0 * RATE)
         options = {
             "fs": RATE,
             "window": "hann",
-            "nperseg": size,
-            "noverlap": size // 2,
+            "nperseg": block_samples,
+            "noverlap": block_samples // 2,
             "detrend": "constant",
         }
         f, cross = signal.csd(force, x, **options)
         _, power = signal.csd(force, force, **options)
         _, coherence = signal.coherence(force, x, **options)
-    keep = (f >= 8.0) & (f <= 60.0)
-    np.testing.assert_allclose(frf.value, (cross / power)[keep], rtol=1e-9)
-    np.testing.assert_allclose(frf.coherence, coherence[keep], rtol=1e-9)
+    in_band = (f >= 8.0) & (f <= 60.0)
+    np.testing.assert_allclose(frf.value, (cross / power)[in_band], rtol=1e-9)
+    np.testing.assert_allclose(frf.coherence, coherence[in_band], rtol=1e-9)
 
 
 def test_h1_low_h2_high_hv_between():
@@ -87,7 +89,7 @@ def test_h1_low_h2_high_hv_between():
 def test_bursts_do_not_leak(tmp_path):
     block = 20.0
     burst = synthetic.band_noise(3 * block, 6.0, 62.0, seed=5)
-    time = np.arange(burst.size) / (RATE * OVER) % block
+    time = np.arange(burst.size) / (RATE * OVERSAMPLING) % block
     burst *= np.where(time < 3.0, np.sin(np.pi * np.minimum(time / 3.0, 1.0)) ** 0.5, 0.0)
     fields = {"from": 8.0, "to": 60.0, "level": 1.0, "burst": 0.125, "block": int(block * RATE)}
     marks = [("measure", 0, int(3 * block * RATE) - 1, fields)]
@@ -96,8 +98,8 @@ def test_bursts_do_not_leak(tmp_path):
         exact = receptance(rec.scene, curves[0].frequency)
     assert curves[0].resolution == 0.0
     for body, frf in enumerate(curves):
-        strong = abs(exact[body]) > 1e-5
-        np.testing.assert_allclose(frf.value[strong], exact[body][strong], rtol=0.02)
+        significant = abs(exact[body]) > 1e-5
+        np.testing.assert_allclose(frf.value[significant], exact[body][significant], rtol=0.02)
 
 
 def test_block_longer_than_recording_is_rejected(random_file):
@@ -105,10 +107,10 @@ def test_block_longer_than_recording_is_rejected(random_file):
         analysis.frequency_responses(rec, block=100.0)
 
 
-@pytest.mark.parametrize("choice", [{"level": "1 N"}, {"direction": "up"}])
-def test_missing_sweep_is_reported(random_file, choice):
+@pytest.mark.parametrize("selection", [{"level": "1 N"}, {"direction": "up"}])
+def test_missing_sweep_is_reported(random_file, selection):
     with daq.open(random_file) as rec, pytest.raises(SceneError, match="no sweeps of steady tones"):
-        analysis.frfs(rec, **choice)
+        analysis.frfs(rec, **selection)
 
 
 def multisine(path, periods=4, realisations=4, noise=0.01, cubic=0.0):
@@ -143,9 +145,11 @@ def test_multisine_is_exact_within_uncertainty(tmp_path):
 def test_linear_structure_shows_no_distortion(tmp_path):
     with daq.open(multisine(tmp_path / "a.mcap", realisations=5)) as rec:
         measured = [m for m in rec.markers if m.kind == "measure"]
-        best = best_linear_approximation(rec, measured, list(rec.channels))
-        noise = np.median(replace(best, scatter=best.noise, noise=None).frf(rec, "body3").error)
-        total = np.median(best.frf(rec, "body3").error)
+        approximation = best_linear_approximation(rec, measured, list(rec.channels))
+        noise = np.median(
+            replace(approximation, scatter=approximation.noise, noise=None).frf(rec, "body3").error
+        )
+        total = np.median(approximation.frf(rec, "body3").error)
     assert 0.7 < total / noise < 1.3
 
 
@@ -165,13 +169,15 @@ def test_multisine_without_flight_recommends_steady_tones(tmp_path):
     [warning] = curves[0].warnings
     force, frequency = re.search(r"of more than (\S+) N at (\S+) Hz lift one", warning).groups()
     line, tone = float(frequency), {"kind": "stepped_sine", "frequencies": [float(frequency)]}
-    below, above = (scene.replace(test=tone | {"force": share * float(force)}) for share in (0.9, 1.1))
-    assert rig.frequency_response(below, [line]).motion_type[0] == "riding"
-    assert rig.frequency_response(above, [line]).motion_type[0] != "riding"
+    below_limit, above_limit = (
+        scene.replace(test=tone | {"force": ratio * float(force)}) for ratio in (0.9, 1.1)
+    )
+    assert rig.frequency_response(below_limit, [line]).motion_type[0] == "riding"
+    assert rig.frequency_response(above_limit, [line]).motion_type[0] != "riding"
 
 
 def sweep(path, duration, spacing="log"):
-    rate = RATE * OVER
+    rate = RATE * OVERSAMPLING
     time = np.arange(int(duration * rate)) / rate
     if spacing == "log":
         cycles = duration * 8.0 * np.expm1(np.log(7.5) * time / duration) / np.log(7.5)
@@ -200,9 +206,9 @@ def test_slow_sweep_gives_exact_curve(tmp_path, spacing):
         f = curves[0].frequency
         exact = receptance(rec.scene, f)
         modes = analysis.identify(curves, count=3)
-    away = np.all([abs(f - peak) > 1.5 for peak in (13.04, 34.78, 49.66, 17.8, 28.1, 44.4)], axis=0)
+    far_from_peaks = np.all([abs(f - peak) > 1.5 for peak in (13.04, 34.78, 49.66, 17.8, 28.1, 44.4)], axis=0)
     for body, frf in enumerate(curves):
-        assert np.median(abs(frf.value / exact[body] - 1)[away]) < 0.01
+        assert np.median(abs(frf.value / exact[body] - 1)[far_from_peaks]) < 0.01
     np.testing.assert_allclose(2 * np.pi * modes.frequency, [81.911, 218.512, 312.041], rtol=2e-3)
 
 
@@ -215,8 +221,8 @@ def test_fast_sweep_does_not_widen_peaks(tmp_path):
     assert not modes.warnings
 
 
-@pytest.mark.parametrize(("force", "lifted"), [(15.0, True), (0.3, False)])
-def test_undetected_flight_in_multisine_is_mentioned(tmp_path, force, lifted):
+@pytest.mark.parametrize(("force", "mentioned"), [(15.0, True), (0.3, False)])
+def test_undetected_flight_in_multisine_is_mentioned(tmp_path, force, mentioned):
     scene = rig.loads(f"""
 structure: {{masses: [1.1 kg], springs: [4.4 kN/m], damping: {{modal: 2 %}}}}
 dampers: [{{body: 1, mass_ratio: 0.001, clearance: 0.3 mm}}]
@@ -229,5 +235,5 @@ converter: {{rate: 2560 Hz}}
 """)
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as recording:
         [curve] = analysis.frfs(recording)
-    assert (LIFTED in curve.warnings) == lifted
-    assert any("No nonlinear distortion is detected" in warning for warning in curve.warnings) != lifted
+    assert (LIFTED in curve.warnings) == mentioned
+    assert any("No nonlinear distortion is detected" in warning for warning in curve.warnings) != mentioned

@@ -35,9 +35,11 @@ def test_variance_in_a_null_space_is_not_negative(seed):
 def test_moderated_uncertainties_contain_95_percent(degrees):
     lines = 4000
     error = complex_noise(1, lines) / np.sqrt(2.0)
-    alone = np.random.default_rng(2).chisquare(degrees, lines) / degrees
+    single_variance = np.random.default_rng(2).chisquare(degrees, lines) / degrees
 
-    variance, moderated_degrees = moderate(alone, np.full(lines, float(degrees)), np.full(lines, 3.0), 12)
+    variance, moderated_degrees = moderate(
+        single_variance, np.full(lines, float(degrees)), np.full(lines, 3.0), 12
+    )
 
     normalized = abs(error) / np.sqrt(variance * stats.f.ppf(0.95, 2.0, moderated_degrees))
     assert 0.94 < np.mean(normalized <= 1.0) < 0.96
@@ -46,13 +48,13 @@ def test_moderated_uncertainties_contain_95_percent(degrees):
 
 def test_variances_that_differ_are_hardly_moderated():
     lines = 400
-    true = np.exp(3.0 * np.random.default_rng(3).standard_normal(lines))
-    alone = true * np.random.default_rng(4).chisquare(8.0, lines) / 8.0
+    true_variance = np.exp(3.0 * np.random.default_rng(3).standard_normal(lines))
+    single_variance = true_variance * np.random.default_rng(4).chisquare(8.0, lines) / 8.0
 
-    variance, moderated_degrees = moderate(alone, np.full(lines, 8.0), np.ones(lines), 12)
+    variance, moderated_degrees = moderate(single_variance, np.full(lines, 8.0), np.ones(lines), 12)
 
     assert moderated_degrees.max() < 10.0
-    assert np.median(abs(np.log(variance / alone))) < 0.3
+    assert np.median(abs(np.log(variance / single_variance))) < 0.3
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -60,8 +62,8 @@ def test_coherence_of_dependent_channels_is_one(seed, tmp_path):
     # The spring force is a small difference of two readings of nearly the same motion: its power is almost zero.
     path = stepped_sine(tmp_path / "a.mcap", [20.0], periods=2)
     motion = complex_noise(seed, 40)
-    reads = np.array([1.0, 0.3, 0.2, 1.0 + 1e-7])
-    cross = abs(motion)[:, None, None] ** 2 * np.outer(reads, reads) + 0j
+    readings = np.array([1.0, 0.3, 0.2, 1.0 + 1e-7])
+    cross = abs(motion)[:, None, None] ** 2 * np.outer(readings, readings) + 0j
     with Recording(path) as recording:
         averages = Averages(tuple(recording.channels), np.linspace(10.0, 50.0, 40), cross, 30.0, 0.0)
 
@@ -110,9 +112,9 @@ def test_rounded_edges_leave_parts_of_harmonics_equal():
 
 def test_jitter_that_cancels_is_not_negative():
     factor = np.random.default_rng(6).standard_normal((2, 3))
-    away = np.cross(factor[0], factor[1])[:, None].repeat(5, axis=1) + 0j
+    orthogonal = np.cross(factor[0], factor[1])[:, None].repeat(5, axis=1) + 0j
 
-    (part,) = jitter_part(factor, away, np.ones(5)).values()
+    (part,) = jitter_part(factor, orthogonal, np.ones(5)).values()
 
     assert (part >= 0.0).all()
     assert part.max() < 1e-12

@@ -41,12 +41,12 @@ def recording(*channels, converter="rate: 5120 Hz"):
     return SimpleNamespace(channels={info.name: info for info in channels}, scene=scene)
 
 
-def only(part):
+def single_value(part):
     [value] = part.values()
     return value
 
 
-def toleranced(*shares):
+def channels_with_tolerance(*shares):
     return [
         channel(name, sensor={"accelerometer.sensitivity_tolerance": str(share)})
         for name, share in zip("abc", shares, strict=False)
@@ -65,47 +65,54 @@ def test_data_sheet_tolerances_are_summed():
     assert tolerance(channel()) == 0.0
 
 
-def two_shares(value, upper, lower, frequency=None, motion="acceleration", names="ab"):
+def reading_shares(value, upper, lower, frequency=None, motion="acceleration", names="ab"):
     return ReadingShares(names, frequency, motion, value, upper, lower)
 
 
-def of_quotient(frequency, value, motion="acceleration", names="ab"):
+def quotient_shares(frequency, value, motion="acceleration", names="ab"):
     """Return the contributions of the two channels of a quotient."""
     share = np.array([[1.0], [0.0]])
-    return two_shares(value, value * share, share[::-1] + 0 * value, frequency, motion, names)
+    return reading_shares(value, value * share, share[::-1] + 0 * value, frequency, motion, names)
 
 
 @pytest.mark.parametrize("shares", [(0.05, 0.1, 0.02), (0.0, 0.2, 0.0), (0.1, 0.0, 0.3)])
 def test_sensor_tolerances_bound_quotient(shares):
     random = np.random.default_rng(3)
-    reads = random.standard_normal((3, 40)) + 1j * random.standard_normal((3, 40))
-    above, below = np.array([1.0, 0.5, 0.0]), np.array([0.0, 0.3, 1.5])
-    reference = below @ reads
-    value = (above @ reads) / reference
-    upper, lower = (weights[:, None] * reads / reference for weights in (above, below))
-    rec = recording(*toleranced(*shares))
-    bound = only(sensitivity_part(rec, two_shares(value, upper, lower, names="abc")))
-    worst = np.zeros(40)
+    readings = random.standard_normal((3, 40)) + 1j * random.standard_normal((3, 40))
+    upper_weights, lower_weights = np.array([1.0, 0.5, 0.0]), np.array([0.0, 0.3, 1.5])
+    reference = lower_weights @ readings
+    value = (upper_weights @ readings) / reference
+    upper, lower = (weights[:, None] * readings / reference for weights in (upper_weights, lower_weights))
+    rec = recording(*channels_with_tolerance(*shares))
+    bound = single_value(sensitivity_part(rec, reading_shares(value, upper, lower, names="abc")))
+    max_error = np.zeros(40)
     for corner in product(*((-share, share) for share in shares)):
-        true = reads / (1.0 + np.array(corner))[:, None]
-        worst = np.maximum(worst, abs((above @ true) / (below @ true) - value))
-    assert (worst <= bound * (1 + 1e-12)).all()
+        true_readings = readings / (1.0 + np.array(corner))[:, None]
+        max_error = np.maximum(
+            max_error, abs((upper_weights @ true_readings) / (lower_weights @ true_readings) - value)
+        )
+    assert (max_error <= bound * (1 + 1e-12)).all()
 
 
 def test_single_sensor_tolerance_is_exact():
     value = np.array([2.0 - 1.0j])
-    first, second = np.array([[1.0], [0.0]]), np.array([[0.0], [1.0]])
-    rec = recording(*toleranced(0.2, 0.0))
+    first_share, second_share = np.array([[1.0], [0.0]]), np.array([[0.0], [1.0]])
+    rec = recording(*channels_with_tolerance(0.2, 0.0))
 
     def bound(upper, lower):
-        return only(sensitivity_part(rec, two_shares(value, value * upper, lower)))
+        return single_value(sensitivity_part(rec, reading_shares(value, value * upper, lower)))
 
-    assert bound(first, second) == pytest.approx(abs(value / 0.8 - value))
+    assert bound(first_share, second_share) == pytest.approx(abs(value / 0.8 - value))
     # If the reference may read 20 % too much, the quotient may be 20 % larger; at 100 % it is unbounded.
-    assert bound(second, first) == pytest.approx(abs(value) * 0.2)
-    assert bound(second, 4.0 * first - 3.0 * second) == pytest.approx(abs(value) * 2.0)
-    assert bound(second, 6.0 * first - 5.0 * second) == np.inf
-    assert sensitivity_part(recording(channel("a"), channel("b")), two_shares(value, first, second)) == {}
+    assert bound(second_share, first_share) == pytest.approx(abs(value) * 0.2)
+    assert bound(second_share, 4.0 * first_share - 3.0 * second_share) == pytest.approx(abs(value) * 2.0)
+    assert bound(second_share, 6.0 * first_share - 5.0 * second_share) == np.inf
+    assert (
+        sensitivity_part(
+            recording(channel("a"), channel("b")), reading_shares(value, first_share, second_share)
+        )
+        == {}
+    )
 
 
 def test_h1_bias_reaches_its_bound():
@@ -116,12 +123,12 @@ def test_h1_bias_reaches_its_bound():
 
 def test_smaller_reference_increases_the_error():
     doubt = np.array([0.0, 0.1, 0.5, 0.99, 1.0, 1.5])
-    first = np.full(6, 0.3)
-    total = np.hypot(first, only(doubtful_reference_part(first, doubt)))
-    assert total[:4] == pytest.approx(first[:4] / (1.0 - doubt[:4]))
+    first_error = np.full(6, 0.3)
+    total = np.hypot(first_error, single_value(doubtful_reference_part(first_error, doubt)))
+    assert total[:4] == pytest.approx(first_error[:4] / (1.0 - doubt[:4]))
     assert (total[4:] == np.inf).all()
     # If the response is unbounded, an exact reference adds no error.
-    assert only(doubtful_reference_part(np.array([np.inf]), np.array([0.0]))) == 0.0
+    assert single_value(doubtful_reference_part(np.array([np.inf]), np.array([0.0]))) == 0.0
 
 
 def test_gaussian_rounding_gain_is_bounded():
@@ -138,28 +145,33 @@ def test_gaussian_rounding_gain_is_bounded():
 
 def test_tone_rounding_gain_is_bounded():
     angle = (np.arange(4000) + 0.5) * np.pi / 4000
-    for size in (1.0, 2.0, 5.0, 20.0):
-        worst = 0.0
-        for amplitude, offset in product(np.linspace(0.97, 1.03, 13) * size, np.linspace(0.0, 0.5, 6)):
-            read = np.rint(amplitude * np.cos(angle) + offset)
-            worst = max(worst, abs(2.0 * np.mean(read * np.cos(angle)) / amplitude - 1.0))
-        bound = tone_gain(np.array([size**2 / 2 + 1 / 12]))[0]
-        assert 0.85 * bound < worst < bound
+    for nominal_amplitude in (1.0, 2.0, 5.0, 20.0):
+        max_error = 0.0
+        for amplitude, offset in product(
+            np.linspace(0.97, 1.03, 13) * nominal_amplitude, np.linspace(0.0, 0.5, 6)
+        ):
+            rounded = np.rint(amplitude * np.cos(angle) + offset)
+            max_error = max(max_error, abs(2.0 * np.mean(rounded * np.cos(angle)) / amplitude - 1.0))
+        bound = tone_gain(np.array([nominal_amplitude**2 / 2 + 1 / 12]))[0]
+        assert 0.85 * bound < max_error < bound
     assert tone_gain(np.array([0.49**2 / 2 + 1 / 12, 0.0, np.inf])).tolist() == [np.inf, np.inf, 0.0]
 
 
 def test_rounding_of_all_channels_is_summed():
-    counting, volts = channel("a", volts_per_count=1e-3), channel("b")
-    rec = recording(counting, volts)
+    digital, analog = channel("a", volts_per_count=1e-3), channel("b")
+    rec = recording(digital, analog)
     assert counts_of(rec, "ab").tolist() == [2e-3, 0.0]
     assert in_counts(rec, "ab", np.array([[4e-6, 16e-6], [1.0, 1.0]])).tolist() == [[1.0, 4.0], [np.inf] * 2]
     value = np.array([2.0 + 0j])
     upper, lower = np.array([[2.0], [0.0]]), np.array([[0.0], [1.0]])
-    part = only(rounding_part(np.array([[0.1], [0.02]]), two_shares(value, upper, lower)))
+    part = single_value(rounding_part(np.array([[0.1], [0.02]]), reading_shares(value, upper, lower)))
     assert part == pytest.approx([2.0 * (0.1 + 0.02)])
-    assert rounding_part(np.zeros((2, 1)), two_shares(value, upper, lower)) == {}
+    assert rounding_part(np.zeros((2, 1)), reading_shares(value, upper, lower)) == {}
     # A zero reading has an unbounded error, even if its contribution is zero.
-    assert only(rounding_part(np.array([[np.inf], [0.0]]), two_shares(value, 0 * upper, 0 * lower))) == np.inf
+    assert (
+        single_value(rounding_part(np.array([[np.inf], [0.0]]), reading_shares(value, 0 * upper, 0 * lower)))
+        == np.inf
+    )
 
 
 @pytest.mark.parametrize(("motion", "order"), [("acceleration", 0), ("velocity", 1), ("displacement", 2)])
@@ -170,11 +182,11 @@ def test_clock_error_shifts_and_scales_curve(motion, order):
 
     def part(points, converter="rate: 5120 Hz, clock_error: -50 ppm"):
         rec = recording(channel(), force, converter=converter)
-        return clock_part(rec, of_quotient(frequency[:points], value[:points], motion, ["a1", "f"]))
+        return clock_part(rec, quotient_shares(frequency[:points], value[:points], motion, ["a1", "f"]))
 
-    assert only(part(4)) == pytest.approx(abs(value) * 50e-6 * (1 + order))
+    assert single_value(part(4)) == pytest.approx(abs(value) * 50e-6 * (1 + order))
     # Two lines may lie on the flank of a peak, so the limit is larger than their difference suggests.
-    assert (only(part(2)) > 2.0 * only(part(4))[:2]).all()
+    assert (single_value(part(2)) > 2.0 * single_value(part(4))[:2]).all()
     assert part(4, "rate: 5120 Hz") == {}
 
 
@@ -185,11 +197,11 @@ def test_steeper_chord_determines_the_slope():
 
     def slope(points):
         f = frequency[:points]
-        return only(clock_part(rec, of_quotient(f, value[:points]))) / (50e-6 * f)
+        return single_value(clock_part(rec, quotient_shares(f, value[:points]))) / (50e-6 * f)
 
-    last = abs(8.0 - 4.0j)
+    last_slope = abs(8.0 - 4.0j)
     # Two points at one frequency have no slope between them.
-    assert slope(4) == pytest.approx([2.0, 2.0, last, last])
+    assert slope(4) == pytest.approx([2.0, 2.0, last_slope, last_slope])
     assert slope(3) == pytest.approx([2.0, 2.0, 0.0])
     assert slope(2) == pytest.approx([2.0, 10.0 * 5.0 / 12.0])
 
@@ -204,9 +216,9 @@ def test_clock_part_contains_shifted_peak(ppm):
 
     rec = recording(channel("a"), channel("b"), converter=f"rate: 5120 Hz, clock_error: {ppm} ppm")
     value = curve(frequency)
-    reported = only(clock_part(rec, of_quotient(frequency, value, "displacement")))[1:-1]
-    ends = [abs(curve(frequency * (1.0 + sign * ppm * 1e-6)) - value)[1:-1] for sign in (1.0, -1.0)]
-    ratio = reported / np.maximum(*ends)
+    reported = single_value(clock_part(rec, quotient_shares(frequency, value, "displacement")))[1:-1]
+    shifted_errors = [abs(curve(frequency * (1.0 + sign * ppm * 1e-6)) - value)[1:-1] for sign in (1.0, -1.0)]
+    ratio = reported / np.maximum(*shifted_errors)
     # On the flanks the steeper chord exceeds the slope.
     assert 1.0 - 1e-6 < ratio.min() < ratio.max() < 1.6
 
@@ -214,28 +226,35 @@ def test_clock_part_contains_shifted_peak(ppm):
 def test_clock_error_cancels_in_quotient():
     value = np.full(4, 0.3 - 0.4j)
     rec = recording(channel("a"), channel("b"), converter="rate: 5120 Hz, clock_error: 50 ppm")
-    shares = of_quotient(np.arange(1.0, 5.0), value, "displacement")
-    assert only(clock_part(rec, shares)).max() < 1e-18
+    shares = quotient_shares(np.arange(1.0, 5.0), value, "displacement")
+    assert single_value(clock_part(rec, shares)).max() < 1e-18
 
 
 def test_shared_noise_biases_h1_as_stated():
     random = np.random.default_rng(4)
     truth = random.standard_normal(30) + 1j * random.standard_normal(30)
     noise = np.abs(random.standard_normal((1, 30)))
-    up, low, power = 1.0 + 0j, -0.4 + 0.1j, 2.0
-    cross, total = truth * power + up * np.conj(low) * noise[0], power + abs(low) ** 2 * noise[0]
+    upper_gain, lower_gain, power = 1.0 + 0j, -0.4 + 0.1j, 2.0
+    cross, total = (
+        truth * power + upper_gain * np.conj(lower_gain) * noise[0],
+        power + abs(lower_gain) ** 2 * noise[0],
+    )
     h1 = cross / total
-    lower = np.full((1, 30), low)
-    assert shared_noise_part(noise, up - h1[None] * low, lower, total) == pytest.approx(abs(h1 - truth))
-    assert (shared_noise_part(noise, up - h1[None] * low, lower, 0.1 * noise[0]) == np.inf).all()
+    lower = np.full((1, 30), lower_gain)
+    assert shared_noise_part(noise, upper_gain - h1[None] * lower_gain, lower, total) == pytest.approx(
+        abs(h1 - truth)
+    )
+    assert (
+        shared_noise_part(noise, upper_gain - h1[None] * lower_gain, lower, 0.1 * noise[0]) == np.inf
+    ).all()
 
 
 def test_noise_reduces_reproducible_rounding():
     counts = np.linspace(-8.0, 8.0, 20_001)
-    for spread in (0.05, 0.2, 0.5, 1.0):
-        weights = np.exp(-0.5 * (counts / spread) ** 2)
+    for sigma in (0.05, 0.2, 0.5, 1.0):
+        weights = np.exp(-0.5 * (counts / sigma) ** 2)
         reproducible = np.sum(weights * np.cos(2.0 * np.pi * counts)) / weights.sum()
-        assert reproducible_rounding(np.array(spread**2 + 1.0 / 12.0)) == pytest.approx(
+        assert reproducible_rounding(np.array(sigma**2 + 1.0 / 12.0)) == pytest.approx(
             reproducible, rel=1e-3, abs=1e-12
         )
     assert reproducible_rounding(np.array([0.0, 1.0 / 12.0])).tolist() == [1.0, 1.0]

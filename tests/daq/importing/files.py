@@ -45,13 +45,13 @@ def histories(samples: int = 5000, seed: int = 1) -> np.ndarray:
 def tdms(path: Path, rows: np.ndarray) -> None:
     with nptdms.TdmsWriter(str(path)) as writer:
         # Several segments, as drivers write while they acquire.
-        for part in np.array_split(np.arange(rows.shape[1]), 3):
+        for segment in np.array_split(np.arange(rows.shape[1]), 3):
             writer.write_segment(
                 [
                     nptdms.ChannelObject(
                         "Measured",
                         name,
-                        row[part],
+                        row[segment],
                         {"wf_increment": 1.0 / RATE, "unit_string": unit, "wf_samples": 1},
                     )
                     for name, unit, row in zip(NAMES, UNITS, rows, strict=True)
@@ -60,13 +60,13 @@ def tdms(path: Path, rows: np.ndarray) -> None:
 
 
 def tdms_with_times(path: Path, rows: np.ndarray) -> None:
-    """Without waveform properties, as programs write that know columns only."""
+    """Write columns without waveform properties, as programs without waveforms do."""
     columns = [("Time", "s", np.arange(rows.shape[1]) / RATE), *zip(NAMES, UNITS, rows, strict=True)]
     with nptdms.TdmsWriter(str(path)) as writer:
-        for part in np.array_split(np.arange(rows.shape[1]), 3):
+        for segment in np.array_split(np.arange(rows.shape[1]), 3):
             writer.write_segment(
                 [
-                    nptdms.ChannelObject("Measured", name, column[part], {"unit_string": unit})
+                    nptdms.ChannelObject("Measured", name, column[segment], {"unit_string": unit})
                     for name, unit, column in columns
                 ]
             )
@@ -93,16 +93,16 @@ def csv(path: Path, rows: np.ndarray) -> None:
     )
 
 
-def german(path: Path, rows: np.ndarray) -> None:
-    """Semicolons, decimal commas, a line of units, Windows' characters."""
+def german_csv(path: Path, rows: np.ndarray) -> None:
+    """Write semicolons, decimal commas, a line of units and Windows' characters."""
     lines = ["Messung für Müller;;;", "Zeit;" + ";".join(NAMES), "ms;" + ";".join(UNITS)]
     for k, row in enumerate(rows.T):
         lines.append(";".join(f"{value:.9g}" for value in (1000 * k / RATE, *row)).replace(".", ","))
     path.write_text("\r\n".join(lines), encoding="cp1252")
 
 
-def stamped(path: Path, rows: np.ndarray) -> None:
-    """Dates and times of day, whole seconds without a fraction, and a comma behind the last number."""
+def csv_with_dates(path: Path, rows: np.ndarray) -> None:
+    """Write dates and times of day, full seconds without a fraction, and a comma after the last number."""
     lines = [",".join(["Date/Time", *(f"{name} ({unit})" for name, unit in zip(NAMES, UNITS, strict=True))])]
     begin = datetime(2024, 2, 29, 23, 59, 59, tzinfo=UTC).replace(tzinfo=None)
     for k, row in enumerate(rows.T):
@@ -134,8 +134,8 @@ def mat_hdf5(path: Path, rows: np.ndarray) -> None:
                 item = file.create_dataset(f"#refs#/{key}{k}", data=np.array([list(map(ord, text))], "u2").T)
                 item.attrs["MATLAB_class"] = np.bytes_("char")
                 cell[0, k] = item.ref
-    head = b"MATLAB 7.3 MAT-file, Platform: PCWIN64".ljust(124) + b"\0\2IM"
-    path.write_bytes(head + path.read_bytes()[len(head) :])
+    header = b"MATLAB 7.3 MAT-file, Platform: PCWIN64".ljust(124) + b"\0\2IM"
+    path.write_bytes(header + path.read_bytes()[len(header) :])
 
 
 def wav(path: Path, rows: np.ndarray) -> None:
@@ -163,8 +163,8 @@ WRITERS: dict[str, tuple[str, Callable[[Path, np.ndarray], None], float]] = {
     "uff text": (".uff", uff, 1e-11),
     "uff binary": (".uff", lambda path, rows: uff(path, rows, 1), 0.0),
     "csv": (".csv", csv, 1e-8),
-    "german": (".txt", german, 1e-8),
-    "stamped": (".csv", stamped, 1e-8),
+    "german": (".txt", german_csv, 1e-8),
+    "stamped": (".csv", csv_with_dates, 1e-8),
     "npz": (".npz", npz, 0.0),
     "mat": (".mat", mat, 0.0),
     "mat 7.3": (".mat", mat_hdf5, 0.0),

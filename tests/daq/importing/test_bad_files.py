@@ -37,28 +37,28 @@ TABLE = {
 }
 TABLE["body2"] = Column("2", unit="m/s^2")
 ENDINGS = (".csv", ".tdms", ".uff", ".wav", ".npz", ".npy", ".mat", ".mcap")
-LINE = b"0.0,1,2,3\n"
+CSV_LINE = b"0.0,1,2,3\n"
 WAV, DATA = b"RIFF\x40\0\0\0WAVEfmt \x10\0\0\0", b"data\4\0\0\0abcd"
 
 
-def npy(shape: str, descr: str = "'<f8'") -> bytes:
-    """Return a numpy header and some numbers."""
+def npy_file(shape: str, descr: str = "'<f8'") -> bytes:
+    """Return a numpy file with this shape in its header and 100 numbers."""
     header = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n".encode()
     return b"\x93NUMPY\1\0" + struct.pack("<H", len(header)) + header + bytes(800)
 
 
-def zeros_in_an_archive(path: Path, numbers: int) -> None:
+def write_compressed_zeros(path: Path, numbers: int) -> None:
     """Write an archive that holds a thousand times its size."""
     with (
         zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
         archive.open("body1.npy", "w", force_zip64=True) as file,
     ):
-        file.write(npy(f"({numbers},)")[:-800])
+        file.write(npy_file(f"({numbers},)")[:-800])
         for _ in range(numbers // 1_000_000):
             file.write(bytes(8_000_000))
 
 
-def refused(path: Path, folder: Path) -> str:
+def refusal_message(path: Path, folder: Path) -> str:
     before = path.read_bytes() if path.is_file() else b""
     with pytest.raises((RecordingError, SceneError)) as error:
         daq.import_files(path, bench(), folder / "r.mcap", table=TABLE)
@@ -68,7 +68,7 @@ def refused(path: Path, folder: Path) -> str:
     return str(error.value)
 
 
-ODD = {
+BAD_FILES = {
     "missing.csv": None,
     "a folder.csv": "folder",
     "unknown.xyz": b"1,2,3\n",
@@ -77,11 +77,11 @@ ODD = {
     **{f"noise{ending}": np.random.default_rng(1).bytes(4000) for ending in ENDINGS},
     **{f"words{ending}": b"to whom it may concern\n" * 9 for ending in ENDINGS},
     "heading only.csv": b"time [s],a,b,c\n",
-    "one line.csv": b"time [s],a,b,c\n" + LINE,
-    "ragged.csv": b"time [s],a,b,c\n" + LINE + b"0.1,1,2\n0.2,1,2,3\n",
-    "word in it.csv": b"time [s],a,b,c\n" + LINE + b"0.1,1,two,3\n0.2,1,2,3\n",
+    "one line.csv": b"time [s],a,b,c\n" + CSV_LINE,
+    "ragged.csv": b"time [s],a,b,c\n" + CSV_LINE + b"0.1,1,2\n0.2,1,2,3\n",
+    "word in it.csv": b"time [s],a,b,c\n" + CSV_LINE + b"0.1,1,two,3\n0.2,1,2,3\n",
     "backwards.csv": b"time [s],a,b,c\n0.2,1,2,3\n0.1,1,2,3\n0.0,1,2,3\n",
-    "standing.csv": b"time [s],a,b,c\n" + 5 * LINE,
+    "standing.csv": b"time [s],a,b,c\n" + 5 * CSV_LINE,
     "no such time.csv": b"time [kg],a,b,c\n0,1,2,3\n1,1,2,3\n",
     "nan times.csv": b"time [s],a,b,c\nnan,1,2,3\nnan,1,2,3\n",
     "zeros inside.csv": b"time,a\n" + bytes(100),
@@ -93,33 +93,33 @@ ODD = {
     "packed.wav": WAV + struct.pack("<HHIIHH", 17, 3, 8000, 4000, 3, 4) + DATA,
     "no tracks.wav": WAV + struct.pack("<HHIIHH", 1, 0, 8000, 0, 0, 16) + DATA,
     "standing.wav": WAV + struct.pack("<HHIIHH", 1, 1, 0, 0, 2, 16) + DATA,
-    "endless.npy": npy("(99999999999999999999999,)"),
-    "no shape.npy": npy("(-5,)"),
-    "open bracket.npy": npy("(100,)", "(" * 500),
-    "long cell.csv": b"time [s],a,b,c\n" + b"x" * 200_000 + b"\n" + 50 * LINE,
+    "endless.npy": npy_file("(99999999999999999999999,)"),
+    "no shape.npy": npy_file("(-5,)"),
+    "open bracket.npy": npy_file("(100,)", "(" * 500),
+    "long cell.csv": b"time [s],a,b,c\n" + b"x" * 200_000 + b"\n" + 50 * CSV_LINE,
     "hdf5.mat": b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + b" " * 86 + b"\0\2IM" + b"\x89HDF\r\n\x1a\n" + bytes(500),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ODD)
+@pytest.mark.parametrize("name", BAD_FILES)
 def test_unusable_file_is_rejected_with_message(name, tmp_path):
     path = tmp_path / name
-    if ODD[name] == "folder":
+    if BAD_FILES[name] == "folder":
         path.mkdir()
-    elif ODD[name] is not None:
-        path.write_bytes(ODD[name])
-    assert len(refused(path, tmp_path)) > 20
+    elif BAD_FILES[name] is not None:
+        path.write_bytes(BAD_FILES[name])
+    assert len(refusal_message(path, tmp_path)) > 20
 
 
 @pytest.mark.parametrize("form", WRITERS)
-@pytest.mark.parametrize("part", [0.02, 0.5, 0.97])
-def test_cut_file_is_rejected_or_partly_imported(form, part, tmp_path):
-    ending, make, _ = WRITERS[form]
+@pytest.mark.parametrize("fraction", [0.02, 0.5, 0.97])
+def test_cut_file_is_rejected_or_partly_imported(form, fraction, tmp_path):
+    ending, write_file, _ = WRITERS[form]
     rows = histories(600)
-    make(tmp_path / f"whole{ending}", rows)
+    write_file(tmp_path / f"whole{ending}", rows)
     data = (tmp_path / f"whole{ending}").read_bytes()
     path = tmp_path / f"cut{ending}"
-    path.write_bytes(data[: int(part * len(data))])
+    path.write_bytes(data[: int(fraction * len(data))])
     try:
         daq.import_files(path, bench(), tmp_path / "r.mcap", table=TABLE)
     except (RecordingError, SceneError) as error:
@@ -127,26 +127,26 @@ def test_cut_file_is_rejected_or_partly_imported(form, part, tmp_path):
         return
     with daq.open(tmp_path / "r.mcap") as recording:
         count = recording.samples
-        read = recording.read("force")
-        known = np.isfinite(read)
+        samples = recording.read("force")
+        valid = np.isfinite(samples)
         # A line of text may end inside its last number, which is undetectable.
-        np.testing.assert_allclose(read[known][:-1], rows[2, :count][known][:-1], rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(samples[valid][:-1], rows[2, :count][valid][:-1], rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("form", WRITERS)
 def test_wrong_bytes_give_message_or_samples(form, tmp_path):
-    ending, make, _ = WRITERS[form]
-    make(tmp_path / f"whole{ending}", histories(300))
+    ending, write_file, _ = WRITERS[form]
+    write_file(tmp_path / f"whole{ending}", histories(300))
     data = (tmp_path / f"whole{ending}").read_bytes()
     random = np.random.default_rng(len(form))
     for number in range(8):
-        wrong = bytearray(data)
+        damaged = bytearray(data)
         # Most of the metadata is at the beginning.
-        reach = len(wrong) if number % 2 else min(len(wrong), 600)
-        for at in random.integers(0, reach, 1 + number):
-            wrong[at] = random.integers(256)
+        header_end = len(damaged) if number % 2 else min(len(damaged), 600)
+        for position in random.integers(0, header_end, 1 + number):
+            damaged[position] = random.integers(256)
         path = tmp_path / f"wrong{ending}"
-        path.write_bytes(wrong)
+        path.write_bytes(damaged)
         try:
             daq.import_files(path, bench(), tmp_path / "r.mcap", table=TABLE, overwrite=True)
         except (RecordingError, SceneError):
@@ -157,13 +157,13 @@ def test_wrong_bytes_give_message_or_samples(form, tmp_path):
 
 def test_file_without_samples_lists_its_content(tmp_path):
     savemat(tmp_path / "a.mat", {"text": "hello", "few": np.arange(3.0), "fs": 100.0})
-    assert "no array of samples; it contains text" in refused(tmp_path / "a.mat", tmp_path)
+    assert "no array of samples; it contains text" in refusal_message(tmp_path / "a.mat", tmp_path)
     savemat(tmp_path / "b.mat", {"a": np.zeros(50) + 1j})
-    assert "no array of samples" in refused(tmp_path / "b.mat", tmp_path)
+    assert "no array of samples" in refusal_message(tmp_path / "b.mat", tmp_path)
     savemat(tmp_path / "c.mat", {"a": np.zeros((50, 3)), "fs": -1.0})
-    assert "expected a sample rate" in refused(tmp_path / "c.mat", tmp_path)
+    assert "expected a sample rate" in refusal_message(tmp_path / "c.mat", tmp_path)
     np.savez(tmp_path / "d.npz", a=np.array([{"x": 1}], dtype=object))
-    assert "d.npz" in refused(tmp_path / "d.npz", tmp_path)
+    assert "d.npz" in refusal_message(tmp_path / "d.npz", tmp_path)
 
 
 def test_truncated_wav_is_rejected(tmp_path):
@@ -171,25 +171,25 @@ def test_truncated_wav_is_rejected(tmp_path):
     data = bytearray((tmp_path / "a.wav").read_bytes())
     data[40:44] = struct.pack("<I", 10**6)
     (tmp_path / "a.wav").write_bytes(data)
-    assert "cut off" in refused(tmp_path / "a.wav", tmp_path)
+    assert "cut off" in refusal_message(tmp_path / "a.wav", tmp_path)
 
 
 def test_uff_without_time_responses_names_the_command(tmp_path):
     uff(tmp_path / "a.uff", histories(50))
     text = (tmp_path / "a.uff").read_text(encoding="utf-8")
     (tmp_path / "b.uff").write_text(text.replace("    58", "    82"))
-    assert "holds no data set 58" in refused(tmp_path / "b.uff", tmp_path)
+    assert "holds no data set 58" in refusal_message(tmp_path / "b.uff", tmp_path)
     lines = text.splitlines(keepends=True)
-    at = [number + 6 for number, line in enumerate(lines) if line.startswith("    58")]
-    for number in at:
+    type_lines = [number + 6 for number, line in enumerate(lines) if line.startswith("    58")]
+    for number in type_lines:
         lines[number] = "    4" + lines[number][5:]
     (tmp_path / "c.uff").write_text("".join(lines))
-    assert "to `analysis modes`" in refused(tmp_path / "c.uff", tmp_path)
+    assert "to `analysis modes`" in refusal_message(tmp_path / "c.uff", tmp_path)
 
 
 def test_own_recording_is_not_imported(tmp_path):
     path = write(tmp_path / "a.mcap", signal(600))
-    assert "is a recording already" in refused(path, tmp_path)
+    assert "is a recording already" in refusal_message(path, tmp_path)
 
 
 def test_dead_and_implausible_channels_are_reported(tmp_path):
@@ -199,13 +199,13 @@ def test_dead_and_implausible_channels_are_reported(tmp_path):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         daq.import_files(tmp_path / "a.tdms", bench(), tmp_path / "r.mcap")
-    message = "\n".join(str(each.message) for each in caught)
+    message = "\n".join(str(warning.message) for warning in caught)
     assert "body1 ('body1' of a.tdms) reads 29.4199 m/s^2 throughout" in message
     assert "force ('force' of a.tdms) reads up to" in message and "wrong unit or sensitivity" in message
 
 
-def json_topic(path: Path, messages: list[bytes]) -> None:
-    """Write one topic into one chunk, whatever it unpacks to."""
+def write_json_topic(path: Path, messages: list[bytes]) -> None:
+    """Write all messages of one topic into one chunk of any unpacked size."""
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=1 << 40)
         writer.start()
@@ -222,7 +222,7 @@ def test_file_that_needs_too_much_memory_is_refused(form, tmp_path, monkeypatch)
     path = tmp_path / f"zeros.{form}"
     match form:
         case "npz":
-            zeros_in_an_archive(path, 40_000_000)
+            write_compressed_zeros(path, 40_000_000)
         case "mat":
             savemat(path, {"body1": np.zeros(40_000_000)}, do_compression=True)
         case "uff" | "csv":
@@ -234,7 +234,7 @@ def test_file_that_needs_too_much_memory_is_refused(form, tmp_path, monkeypatch)
                 "message": [b'{"a": [' + 10_000_000 * b"0.0," + b"0.0]}"],
                 "fields": [json.dumps({f"{k}": 1.0 for k in range(100_000)}).encode()],
             }
-            json_topic(path, contents[form])
+            write_json_topic(path, contents[form])
             assert path.stat().st_size < 200_000
     with pytest.raises(ShotrigError, match=rf"{path.name}.* 0\.2(02)? GB.*SHOTRIG_MEMORY"):
         daq.import_files(path, bench(), tmp_path / "r.mcap", table=TABLE)
@@ -265,18 +265,18 @@ def test_tdms_scaling_without_input_is_rejected(tmp_path):
         file.write_segment(
             [nptdms.ChannelObject("group", name, row, scales) for name, row in zip(NAMES, rows, strict=True)]
         )
-    assert "is damaged" in refused(tmp_path / "a.tdms", tmp_path)
+    assert "is damaged" in refusal_message(tmp_path / "a.tdms", tmp_path)
 
 
 def test_self_referring_matlab_cells_are_rejected(tmp_path):
     with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
         cell = file.create_dataset("a", (1, 100), h5py.ref_dtype)
-        for place in range(100):
-            cell[0, place] = cell.ref
-    head = b"MATLAB 7.3 MAT-file, Platform: PCWIN64".ljust(124) + b"\0\2IM"
+        for index in range(100):
+            cell[0, index] = cell.ref
+    header = b"MATLAB 7.3 MAT-file, Platform: PCWIN64".ljust(124) + b"\0\2IM"
     data = (tmp_path / "a.mat").read_bytes()
-    (tmp_path / "a.mat").write_bytes(head + data[len(head) :])
-    assert "hold more than 100000 values" in refused(tmp_path / "a.mat", tmp_path)
+    (tmp_path / "a.mat").write_bytes(header + data[len(header) :])
+    assert "hold more than 100000 values" in refusal_message(tmp_path / "a.mat", tmp_path)
 
 
 def test_modules_of_the_user_are_not_run(tmp_path, monkeypatch):
@@ -296,5 +296,7 @@ def test_cut_tdms_file_gives_one_warning(tmp_path, caplog):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RunWarning)
         daq.import_files(tmp_path / "cut.tdms", bench(), tmp_path / "r.mcap")
-    assert [str(each.message) for each in caught if "cut.tdms is cut off or damaged" in str(each.message)]
+    assert [
+        str(warning.message) for warning in caught if "cut.tdms is cut off or damaged" in str(warning.message)
+    ]
     assert not caplog.records

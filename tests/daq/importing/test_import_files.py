@@ -1,3 +1,5 @@
+"""Import of foreign files: samples, rate, units, clock, overloads and gaps."""
+
 from __future__ import annotations
 
 import warnings
@@ -16,18 +18,18 @@ from tests.daq.importing.files import IN_SI, NAMES, RATE, WRITERS, bench, csv, h
 
 # pyuff leaves a binary file open that it wrote.
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-# A WAV file knows full scale only, and no names.
-TRACKS = {
+# A WAV file contains no channel names, and its samples are relative to full scale.
+WAV_TABLE = {
     name: Column(str(number), unit=unit)
     for number, (name, unit) in enumerate(zip(NAMES, ("78.4532 m/s^2", "8 m/s^2", "8 N"), strict=True), 1)
 }
 
 
-def imported(files, scene, path, **options) -> tuple[daq.Recording, list[str]]:
+def import_recording(files, scene, path, **options) -> tuple[daq.Recording, list[str]]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         recording = daq.open(daq.import_files(files, scene, path, **options))
-    return recording, [str(each.message) for each in caught]
+    return recording, [str(warning.message) for warning in caught]
 
 
 @pytest.mark.parametrize("form", WRITERS)
@@ -35,16 +37,16 @@ def test_foreign_file_gives_its_samples_and_rate(form, tmp_path):
     ending, write, error = WRITERS[form]
     rows = histories()
     write(tmp_path / f"a{ending}", rows)
-    table = TRACKS if form == "wav" else None
-    recording, messages = imported(tmp_path / f"a{ending}", bench(), tmp_path / "r.mcap", table=table)
+    table = WAV_TABLE if form == "wav" else None
+    recording, messages = import_recording(tmp_path / f"a{ending}", bench(), tmp_path / "r.mcap", table=table)
     with recording:
         assert recording.rate == RATE and not messages
-        read = np.array([recording.read(name) for name in NAMES])
+        samples = np.array([recording.read(name) for name in NAMES])
         np.testing.assert_allclose(
-            read, rows * IN_SI, rtol=0, atol=max(error, 1e-15) * abs(rows * IN_SI).max()
+            samples, rows * IN_SI, rtol=0, atol=max(error, 1e-15) * abs(rows * IN_SI).max()
         )
         assert [marker.kind for marker in recording.markers] == ["measure"]
-        # So that its drive and converter are not mistaken for those of the virtual rig.
+        # The source shows that drive and converter are not those of the virtual rig.
         assert recording.source == f"a{ending}"
         assert recording.markers[0].fields == {"from": 5.0, "to": 400.0}
         assert recording.scene.channels == bench().channels and recording.scene.converter.rate == RATE
@@ -67,7 +69,7 @@ def test_wav_full_scale_is_the_converter_range(kind, tmp_path):
     table = {"body1": Column("1", sensitivity="100 mV/g"), "body2": Column("2", unit="2 V", sign=-1)}
     if np.dtype(kind if kind != "int24" else "i4").kind == "f":
         table["body1"] = Column("1", unit="5 V", sensitivity="100 mV/g")
-    recording, _ = imported(path, scene, tmp_path / "r.mcap", table=table)
+    recording, _ = import_recording(path, scene, tmp_path / "r.mcap", table=table)
     with recording:
         step = 2.0 ** (-7 if kind is np.uint8 else -15 if kind is np.int16 else -22)
         volts = recording.read("body1") * 0.1 / 9.80665, recording.read("body2") * 0.01 / 9.80665
@@ -76,13 +78,13 @@ def test_wav_full_scale_is_the_converter_range(kind, tmp_path):
 
 
 def _write_24_bits(path, rows):
-    """As measurement cards do: the extensible form, three bytes a sample."""
-    whole = np.ascontiguousarray(np.rint(rows.T * 2**23).astype("<i4"))
-    data = whole.view(np.uint8).reshape(*whole.shape, 4)[..., :3].tobytes()
+    """Write the extensible form with three bytes a sample, as measurement cards do."""
+    integers = np.ascontiguousarray(np.rint(rows.T * 2**23).astype("<i4"))
+    data = integers.view(np.uint8).reshape(*integers.shape, 4)[..., :3].tobytes()
     guid = bytes.fromhex("0100000000001000800000aa00389b71")
-    form = np.array([0xFFFE, 2], "<u2").tobytes() + np.array([2048, 2048 * 6], "<u4").tobytes()
-    form += np.array([6, 24, 22, 24], "<u2").tobytes() + np.array([3], "<u4").tobytes() + guid
-    chunk = b"fmt " + np.array([len(form)], "<u4").tobytes() + form
+    format_fields = np.array([0xFFFE, 2], "<u2").tobytes() + np.array([2048, 2048 * 6], "<u4").tobytes()
+    format_fields += np.array([6, 24, 22, 24], "<u2").tobytes() + np.array([3], "<u4").tobytes() + guid
+    chunk = b"fmt " + np.array([len(format_fields)], "<u4").tobytes() + format_fields
     chunk += b"LIST" + np.array([3], "<u4").tobytes() + b"odd\0"
     chunk += b"data" + np.array([len(data)], "<u4").tobytes() + data
     path.write_bytes(b"RIFF" + np.array([4 + len(chunk)], "<u4").tobytes() + b"WAVE" + chunk)
@@ -91,17 +93,17 @@ def _write_24_bits(path, rows):
 def test_unmarked_hits_are_detected(tmp_path):
     rows = 1e-3 * histories(12000)
     pulse = np.sin(np.pi * np.arange(1, 9) / 9)
-    for at, size in ((1000, 80.0), (1060, 20.0), (5000, 50.0), (9000, 30.0)):
-        rows[2, at : at + 8] -= size * pulse
+    for index, amplitude in ((1000, 80.0), (1060, 20.0), (5000, 50.0), (9000, 30.0)):
+        rows[2, index : index + 8] -= amplitude * pulse
     csv(tmp_path / "a.csv", rows)
     scene = bench("{kind: impulse, body: 2, peak: 50 N, width: 4 ms}")
-    recording, messages = imported(tmp_path / "a.csv", scene, tmp_path / "r.mcap")
+    recording, messages = import_recording(tmp_path / "a.csv", scene, tmp_path / "r.mcap")
     with recording:
         hits = [marker for marker in recording.markers if marker.kind == "hit"]
         assert [round(hit.first_sample, -2) for hit in hits] == [1000, 5000, 9000]
         assert all(
-            hit.first_sample < at and hit.end >= at + 7
-            for hit, at in zip(hits, (1000, 5000, 9000), strict=True)
+            hit.first_sample < index and hit.end >= index + 7
+            for hit, index in zip(hits, (1000, 5000, 9000), strict=True)
         )
     assert not messages
 
@@ -112,14 +114,14 @@ def test_clipped_and_lost_samples_are_marked(tmp_path):
     rows[1] = np.clip(rows[1], -15.0, 15.0)
     rows[0, 700:720] = np.nan
     csv(tmp_path / "a.csv", rows)
-    recording, messages = imported(tmp_path / "a.csv", bench(), tmp_path / "r.mcap")
+    recording, messages = import_recording(tmp_path / "a.csv", bench(), tmp_path / "r.mcap")
     with recording:
         clipped = np.zeros(4000, bool)
         for marker in recording.overloads:
             assert marker.fields["channel"] == "body2"
             clipped[marker.first_sample : marker.stop] = True
-        flat = np.flatnonzero(abs(rows[1]) == 15.0)
-        assert clipped[flat].mean() > 0.95 and clipped.sum() < 1.2 * flat.size
+        clipped_samples = np.flatnonzero(abs(rows[1]) == 15.0)
+        assert clipped[clipped_samples].mean() > 0.95 and clipped.sum() < 1.2 * clipped_samples.size
         (gap,) = recording.gaps
         assert (gap.first_sample, gap.last_sample, gap.channels) == (700, 719, ("body1",))
         assert np.array_equal(np.isnan(recording.read("body1")), np.isnan(rows[0]))
@@ -129,7 +131,7 @@ def test_clipped_and_lost_samples_are_marked(tmp_path):
 def test_rounded_tops_are_not_overloads(tmp_path):
     rows = np.round(40.0 * np.sin(0.003 * np.arange(20000))) + np.zeros((3, 1))
     csv(tmp_path / "a.csv", rows)
-    recording, _ = imported(tmp_path / "a.csv", bench(), tmp_path / "r.mcap")
+    recording, _ = import_recording(tmp_path / "a.csv", bench(), tmp_path / "r.mcap")
     with recording:
         assert not recording.overloads
 
@@ -137,7 +139,7 @@ def test_rounded_tops_are_not_overloads(tmp_path):
 def test_long_file_is_imported_without_gap(tmp_path):
     rows = histories(200_000)
     tdms(tmp_path / "a.tdms", rows)
-    recording, _ = imported(tmp_path / "a.tdms", bench(), tmp_path / "r.mcap")
+    recording, _ = import_recording(tmp_path / "a.tdms", bench(), tmp_path / "r.mcap")
     with recording:
         np.testing.assert_allclose(recording.read("force"), rows[2], rtol=1e-15)
 
@@ -148,10 +150,10 @@ def test_two_files_give_channels_of_one_test(tmp_path):
     csv(tmp_path / "b.csv", rows[:, :4000])
     table = {"body1": Column("body1"), "force": Column("force", file="b.csv")}
     with pytest.raises(SceneError, match=r"several signals are called 'body1': a.tdms .* b.csv"):
-        imported([tmp_path / "a.tdms", tmp_path / "b.csv"], bench(), tmp_path / "r.mcap", table=table)
+        import_recording([tmp_path / "a.tdms", tmp_path / "b.csv"], bench(), tmp_path / "r.mcap", table=table)
     table["body1"] = Column("body1", file="a")
     table["body2"] = Column("body2", file="a")
-    recording, messages = imported(
+    recording, messages = import_recording(
         [tmp_path / "a.tdms", tmp_path / "b.csv"], bench(), tmp_path / "r.mcap", table=table
     )
     with recording:
@@ -168,10 +170,10 @@ def test_late_release_is_reported_and_can_be_cut(form, tmp_path):
     scene = bench().replace(
         test={"kind": "free", "mode": 1, "amplitude": 1e-3}, shaker=None, channels=bench().channels[:2]
     )
-    recording, messages = imported(tmp_path / f"a{ending}", scene, tmp_path / "r.mcap")
+    recording, messages = import_recording(tmp_path / f"a{ending}", scene, tmp_path / "r.mcap")
     recording.close()
     assert any("moves most at 1.5 s" in note for note in messages)
-    recording, messages = imported(
+    recording, messages = import_recording(
         tmp_path / f"a{ending}", scene, tmp_path / "r.mcap", from_s=1.5, to_s=2.5, overwrite=True
     )
     with recording:
@@ -193,16 +195,16 @@ def test_yaml_and_csv_tables_agree(tmp_path):
     (tmp_path / "t.csv").write_text(
         "channel,column,unit,sign,offset,delay\nbody1,2\nbody2,body1,2 m/s^2,-1,0.5,1 ms\n"
     )
-    read = []
+    samples = []
     for name in ("t.yaml", "t.csv"):
-        recording, _ = imported(
+        recording, _ = import_recording(
             tmp_path / "a.csv", bench(), tmp_path / "r.mcap", table=tmp_path / name, overwrite=True
         )
         with recording:
             assert recording.channels["body2"].delay == 1e-3
-            read.append([recording.read(channel) for channel in NAMES])
-    np.testing.assert_array_equal(*read)
-    np.testing.assert_allclose(read[0][1], -2.0 * (histories(600)[0] - 0.5), rtol=0, atol=1e-7)
+            samples.append([recording.read(channel) for channel in NAMES])
+    np.testing.assert_array_equal(*samples)
+    np.testing.assert_allclose(samples[0][1], -2.0 * (histories(600)[0] - 0.5), rtol=0, atol=1e-7)
 
 
 LABVIEW = (
@@ -224,9 +226,13 @@ def test_labview_text_has_names_units_and_clock(columns, separator, point, tmp_p
     def number(value):
         return f"{value:.6f}".replace(".", point)
 
-    def spread(cells):
-        """Cells of the channels where each has a column of times of its own."""
-        return [each for cell in cells for each in (cell, "")] if columns == "Multi" else list(cells)
+    def with_time_cells(cells):
+        """Return the cells of the channels, with an empty time cell after each if every channel has its own times."""
+        return (
+            [cell_or_time for cell in cells for cell_or_time in (cell, "")]
+            if columns == "Multi"
+            else list(cells)
+        )
 
     heading = LABVIEW.format(name=name, point=point, columns=columns).replace("\t", separator)
     heading += line(["Channels", "3"])
@@ -237,21 +243,27 @@ def test_labview_text_has_names_units_and_clock(columns, separator, point, tmp_p
         ("X0", *[number(0.0)] * 3),
         ("Delta_X", *[interval] * 3),
     ):
-        heading += line([key, *spread(cells)])
-    times = columns == "Multi"
+        heading += line([key, *with_time_cells(cells)])
+    has_time_columns = columns == "Multi"
     heading += END_OF_HEADER
     heading += line(
-        ["X_Value", *(["body1", "X_Value", "body2", "X_Value", "force"] if times else NAMES), "Comment"]
+        [
+            "X_Value",
+            *(["body1", "X_Value", "body2", "X_Value", "force"] if has_time_columns else NAMES),
+            "Comment",
+        ]
     )
     lines = []
     for k, row in enumerate(rows.T):
         time = "" if columns == "No" else number(k / RATE)
         cells = (
-            [each for value in row for each in (time, number(value))] if times else [time, *map(number, row)]
+            [cell_or_time for value in row for cell_or_time in (time, number(value))]
+            if has_time_columns
+            else [time, *map(number, row)]
         )
         lines.append(line([*cells, "lost contact"] if k % 7 == 0 else cells))
     (tmp_path / "a.lvm").write_text(heading + "".join(lines))
-    recording, messages = imported(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap")
+    recording, messages = import_recording(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap")
     with recording:
         assert recording.rate == RATE and not messages
         np.testing.assert_allclose(recording.read("force"), rows[2], rtol=0, atol=1e-6)
@@ -269,7 +281,7 @@ def test_unnamed_even_column_is_the_clock(form, tmp_path):
     table = {
         name: Column(str(k), unit="m/s^2" if name != "force" else "N") for k, name in enumerate(NAMES, 1)
     }
-    recording, messages = imported(file, bench(), tmp_path / "r.mcap", table=table)
+    recording, messages = import_recording(file, bench(), tmp_path / "r.mcap", table=table)
     with recording:
         assert recording.rate == RATE
         np.testing.assert_allclose(recording.read("body1"), rows[1], rtol=1e-6)
@@ -280,7 +292,7 @@ def test_line_numbers_are_not_a_clock(tmp_path):
     np.savetxt(tmp_path / "a.txt", np.vstack([np.arange(1, 401), histories(400)]).T)
     table = {"body1": Column("2", unit="m/s^2")}
     with pytest.raises(SceneError, match="sample rate is not stated"):
-        imported(tmp_path / "a.txt", bench(), tmp_path / "r.mcap", table=table)
+        import_recording(tmp_path / "a.txt", bench(), tmp_path / "r.mcap", table=table)
 
 
 def test_uneven_times_are_reported(tmp_path):
@@ -289,14 +301,16 @@ def test_uneven_times_are_reported(tmp_path):
     for name, times in {"even": np.arange(400.0), "uneven": np.arange(400) + jitter}.items():
         np.savez(tmp_path / f"{name}.npz", time=times / RATE, body1=rows[0])
         table = {"body1": Column("body1", unit="g")}
-        _, messages = imported(tmp_path / f"{name}.npz", bench(), tmp_path / f"{name}.mcap", table=table)
+        _, messages = import_recording(
+            tmp_path / f"{name}.npz", bench(), tmp_path / f"{name}.mcap", table=table
+        )
         assert any("from an even grid by up to" in text for text in messages) == (name == "uneven")
 
 
 def test_missing_value_in_first_line_keeps_its_column(tmp_path):
     lines = [f"{k / RATE:.9g},{k % 7},{'' if k == 0 else k % 5}" for k in range(400)]
     (tmp_path / "a.csv").write_text("\n".join(["time [s],body1 [g],body2 [g]", *lines]))
-    recording, _ = imported(tmp_path / "a.csv", bench(), tmp_path / "r.mcap")
+    recording, _ = import_recording(tmp_path / "a.csv", bench(), tmp_path / "r.mcap")
     with recording:
         assert np.isnan(recording.read("body2")[0])
         np.testing.assert_allclose(recording.read("body2")[1:], 9.80665 * (np.arange(1, 400) % 5), rtol=1e-12)
@@ -305,7 +319,7 @@ def test_missing_value_in_first_line_keeps_its_column(tmp_path):
 @pytest.mark.parametrize("name", ["Fs", "sampling_frequency", "samplerate", "sr", "f_s", "sampling_rate_Hz"])
 def test_sample_rate_is_known_by_any_name(name, tmp_path):
     np.savez(tmp_path / "a.npz", **{name: RATE}, body1=histories(400)[0])
-    recording, _ = imported(
+    recording, _ = import_recording(
         tmp_path / "a.npz", bench(), tmp_path / "r.mcap", table={"body1": Column("body1", unit="g")}
     )
     with recording:
@@ -321,7 +335,7 @@ def test_second_labview_segment_is_located(tmp_path):
     )
     (tmp_path / "a.lvm").write_text(heading + 2 * segment)
     with pytest.raises(RecordingError, match=r"a.lvm, line 16: a second segment"):
-        imported(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap")
+        import_recording(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap")
 
 
 def test_uncertain_labview_clock_is_reported(tmp_path):
@@ -332,7 +346,7 @@ def test_uncertain_labview_clock_is_reported(tmp_path):
         + "X_Value\tbody1\n"
     )
     (tmp_path / "a.lvm").write_text(heading + "".join(f"\t{value}\n" for value in (0.1, -0.1, 0.2)))
-    recording, messages = imported(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap")
+    recording, messages = import_recording(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap")
     recording.close()
     assert any("9 samples, its table has 3" in text for text in messages)
     assert any("1023.02 to 1024.07 Hz" in text for text in messages)
@@ -365,16 +379,16 @@ def test_wrong_table_is_rejected_with_message(text, tmp_path):
     csv(tmp_path / "a.csv", histories(100))
     (tmp_path / "t.yaml").write_text(text)
     with pytest.raises(SceneError, match=TABLES[text]):
-        imported(tmp_path / "a.csv", bench(), tmp_path / "r.mcap", table=tmp_path / "t.yaml")
+        import_recording(tmp_path / "a.csv", bench(), tmp_path / "r.mcap", table=tmp_path / "t.yaml")
     assert not (tmp_path / "r.mcap").exists()
 
 
 def test_contradicting_rates_name_the_remedy(tmp_path):
     csv(tmp_path / "a.csv", histories(100))
     with pytest.raises(SceneError, match=r"files state 2048 Hz.*5120 Hz. Correct.*converter.rate=2048Hz"):
-        imported(tmp_path / "a.csv", bench(more="converter: {rate: 5120 Hz}"), tmp_path / "r.mcap")
+        import_recording(tmp_path / "a.csv", bench(more="converter: {rate: 5120 Hz}"), tmp_path / "r.mcap")
     table = {name: Column(name, rate=5120.0) for name in NAMES}
-    recording, _ = imported(
+    recording, _ = import_recording(
         tmp_path / "a.csv", bench(more="converter: {rate: 5120 Hz}"), tmp_path / "r.mcap", table=table
     )
     with recording:
@@ -407,23 +421,27 @@ def test_import_command_lists_imports_and_never_overwrites(tmp_path, monkeypatch
 
 def test_unit_that_contradicts_file_is_reported(tmp_path):
     csv(tmp_path / "a.csv", histories(3000))
-    for unit, said in (("m/s^2", "0.102 times"), ("mm", "displacement instead of acceleration"), ("g", "")):
+    for unit, expected_message in (
+        ("m/s^2", "0.102 times"),
+        ("mm", "displacement instead of acceleration"),
+        ("g", ""),
+    ):
         channels = bench()
         if unit == "mm":
             channels = bench(more="").replace(
                 channels=[
-                    one.replace(accelerometer=None) if one.name == "body1" else one
-                    for one in bench().channels
+                    channel.replace(accelerometer=None) if channel.name == "body1" else channel
+                    for channel in bench().channels
                 ]
             )
-        recording, messages = imported(
+        recording, messages = import_recording(
             tmp_path / "a.csv",
             channels,
-            tmp_path / f"{said}.mcap",
+            tmp_path / f"{expected_message}.mcap",
             table={"body1": Column("body1", unit=unit)},
         )
         recording.close()
-        assert any(said in each for each in messages) if said else not messages
+        assert any(expected_message in message for message in messages) if expected_message else not messages
 
 
 def test_duplicate_file_is_rejected(tmp_path):

@@ -10,7 +10,7 @@ import daq
 from daq.cli import app
 from rig.errors import RecordingError
 from tests.daq.importing.files import RATE, bench, npz
-from tests.daq.importing.test_import_files import imported
+from tests.daq.importing.test_import_files import import_recording
 
 # A resonance that rings for half a second, in the units of the file: g and m/s^2 per N.
 MODE = 40.0
@@ -47,7 +47,7 @@ def test_unmarked_steps_are_detected_with_right_response(level, tmp_path):
     levels = (1.0,) if level == "1 N" else (0.5, 2.0)
     npz(tmp_path / "a.npz", stepped(frequencies, levels))
     scene = bench(f"{{kind: stepped_sine, from: 30 Hz, to: 50 Hz, points: 5, force: {level}}}")
-    recording, messages = imported(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
+    recording, messages = import_recording(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
     with recording:
         steps = marks(recording)
         np.testing.assert_allclose(
@@ -74,7 +74,7 @@ def test_steps_up_and_down_are_two_sweeps(tmp_path):
     rising = [20.0, 25.0, 31.0]
     npz(tmp_path / "a.npz", stepped([*rising, *rising[::-1]], dwell=2.0))
     scene = bench("{kind: stepped_sine, from: 20 Hz, to: 31 Hz, points: 3, force: 1 N, direction: both}")
-    recording, _ = imported(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
+    recording, _ = import_recording(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
     with recording:
         steps = [(round(mark.fields["frequency"], 3), mark.fields["direction"]) for mark in marks(recording)]
     # The highest frequency is held longer, so that it is a single step.
@@ -86,7 +86,7 @@ def test_tone_after_silence_is_one_step(tmp_path):
     tone[round(6 * RATE) :] = np.sin(2 * np.pi * 17.3 * np.arange(round(14 * RATE)) / RATE)
     npz(tmp_path / "a.npz", responded(tone))
     scene = bench("{kind: sine, frequency: 17 Hz, force: 1 N}")
-    recording, messages = imported(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
+    recording, messages = import_recording(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
     with recording:
         [mark] = marks(recording)
         assert abs(mark.fields["frequency"] - 17.3) < 1e-5 and mark.first_sample > 6 * RATE
@@ -121,7 +121,7 @@ def _forces() -> dict[str, np.ndarray]:
 def test_signal_without_steps_has_none_detected(kind, tmp_path):
     npz(tmp_path / "a.npz", responded(_forces()[kind]))
     scene = bench("{kind: stepped_sine, from: 10 Hz, to: 60 Hz, points: 5, force: 1 N}")
-    recording, messages = imported(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
+    recording, messages = import_recording(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
     with recording:
         assert not marks(recording)
         with pytest.raises(RecordingError, match="no step was detected"):

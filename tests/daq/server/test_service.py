@@ -1,3 +1,5 @@
+"""The server: clients, sessions, limits and modules that tasks share."""
+
 import queue
 import threading
 import time
@@ -124,15 +126,17 @@ def test_inputs_and_output_keep_rates():
 def test_slow_module_averages_fast_one():
     with (
         daq.connect("bare-structure", clock="fast") as rig,
-        inputs(rig, "Dev1/ai3") as fast,
-        inputs(rig, "Dev2/ai3") as slow,
+        inputs(rig, "Dev1/ai3") as fast_task,
+        inputs(rig, "Dev2/ai3") as slow_task,
     ):
-        fast.timing.cfg_samp_clk_timing(51200.0, samps_per_chan=401)
-        slow.timing.cfg_samp_clk_timing(12800.0, samps_per_chan=101)
-        fast.start()
-        slow.start()
-        every, fourth = np.array(fast.read(401)), np.array(slow.read(101))
-    np.testing.assert_allclose(fourth[1:], every[1:].reshape(100, 4).mean(axis=1), rtol=1e-12, atol=1e-15)
+        fast_task.timing.cfg_samp_clk_timing(51200.0, samps_per_chan=401)
+        slow_task.timing.cfg_samp_clk_timing(12800.0, samps_per_chan=101)
+        fast_task.start()
+        slow_task.start()
+        fast_samples, slow_samples = np.array(fast_task.read(401)), np.array(slow_task.read(101))
+    np.testing.assert_allclose(
+        slow_samples[1:], fast_samples[1:].reshape(100, 4).mean(axis=1), rtol=1e-12, atol=1e-15
+    )
 
 
 def test_on_demand_samples_play_in_order():
@@ -145,9 +149,9 @@ def test_on_demand_samples_play_in_order():
 
 def test_attached_client_cannot_end_session(shared):
     with inputs(client(shared), name="common", samps_per_chan=10) as task:
-        other = nidaqmx.Task("common", grpc_options=client(shared))
-        assert other.timing.samp_quant_samp_per_chan == 10
-        other.close()
+        attached_task = nidaqmx.Task("common", grpc_options=client(shared))
+        assert attached_task.timing.samp_quant_samp_per_chan == 10
+        attached_task.close()
         assert task.timing.samp_quant_samp_per_chan == 10
     attach = nidaqmx.SessionInitializationBehavior.ATTACH_TO_SERVER_SESSION
     with pytest.raises(DaqError):
@@ -155,9 +159,9 @@ def test_attached_client_cannot_end_session(shared):
 
 
 def test_existing_session_is_rejected(shared):
-    new = nidaqmx.SessionInitializationBehavior.INITIALIZE_SERVER_SESSION
+    initialize = nidaqmx.SessionInitializationBehavior.INITIALIZE_SERVER_SESSION
     with inputs(client(shared), name="mine"), pytest.raises(RpcError) as caught:
-        nidaqmx.Task("mine", grpc_options=client(shared, initialization_behavior=new))
+        nidaqmx.Task("mine", grpc_options=client(shared, initialization_behavior=initialize))
     assert caught.value.rpc_code == grpc.StatusCode.ALREADY_EXISTS
 
 
@@ -173,24 +177,24 @@ def test_used_device_is_not_reset(shared):
 def test_vanished_client_frees_modules():
     limits = Limits(patience=0.2)
     with daq.connect("bare-structure", clock=ManualClock(), limits=limits) as rig:
-        lost = client(rig)
-        task = inputs(lost, sample_mode=AcquisitionType.CONTINUOUS)
+        lost_client = client(rig)
+        task = inputs(lost_client, sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
-        lost.grpc_channel.close()
-        until = time.monotonic() + 60
-        while rig.chassis.tasks and time.monotonic() < until:
+        lost_client.grpc_channel.close()
+        deadline = time.monotonic() + 60
+        while rig.chassis.tasks and time.monotonic() < deadline:
             threading.Event().wait(0.05)
-        with inputs(rig, sample_mode=AcquisitionType.CONTINUOUS) as other:
-            other.start()
+        with inputs(rig, sample_mode=AcquisitionType.CONTINUOUS) as next_task:
+            next_task.start()
 
 
 def test_excessive_requests_are_rejected():
     limits = Limits(tasks=3, message=1 << 20)
     with daq.connect("bare-structure", clock="fast", limits=limits) as rig:
-        mine = client(rig)
-        tasks = [inputs(mine) for _ in range(3)]
+        first_client = client(rig)
+        tasks = [inputs(first_client) for _ in range(3)]
         with pytest.raises(DaqError, match="3 open tasks"):
-            inputs(mine)
+            inputs(first_client)
         with (
             inputs(client(rig), samps_per_chan=1 << 18) as task,
             pytest.raises(DaqError, match="fewer samples at a time"),
@@ -202,18 +206,21 @@ def test_excessive_requests_are_rejected():
 
 def test_excessive_buffers_are_rejected():
     with daq.connect("bare-structure", clock="fast", limits=Limits(memory=1 << 20)) as rig:
-        greedy, modest = client(rig), client(rig)
-        with nidaqmx.Task(grpc_options=greedy) as task, inputs(modest, samps_per_chan=100) as other:
+        large_client, small_client = client(rig), client(rig)
+        with (
+            nidaqmx.Task(grpc_options=large_client) as task,
+            inputs(small_client, samps_per_chan=100) as small_task,
+        ):
             task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
             task.timing.cfg_samp_clk_timing(51200.0)
             for _ in range(2):
                 task.write(np.zeros(60_000), auto_start=False)
             with pytest.raises(DaqError, match="smaller buffers"):
                 task.write(np.zeros(60_000), auto_start=False)
-            assert len(other.read(100)) == 100
+            assert len(small_task.read(100)) == 100
             assert task.write(np.zeros(1000), auto_start=False) == 1000
         with (
-            inputs(greedy, samps_per_chan=1_000_000) as task,
+            inputs(large_client, samps_per_chan=1_000_000) as task,
             pytest.raises(DaqError, match="smaller buffers"),
         ):
             task.start()
@@ -239,12 +246,12 @@ def test_failing_callback_does_not_stop_task(caplog):
     with daq.connect("bare-structure", clock="fast") as rig, inputs(rig, samps_per_chan=300) as task:
         done, calls = threading.Event(), queue.Queue()
 
-        def fail(handle, kind, samples, data):
+        def raise_error(handle, kind, samples, data):
             calls.put(samples)
             raise RuntimeError("on purpose")
 
-        task.register_every_n_samples_acquired_into_buffer_event(100, fail)
-        task.register_done_event(lambda *given: done.set())
+        task.register_every_n_samples_acquired_into_buffer_event(100, raise_error)
+        task.register_done_event(lambda *event: done.set())
         task.start()
         task.wait_until_done()
         assert done.wait(60)

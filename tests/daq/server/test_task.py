@@ -54,7 +54,7 @@ def read_in_pieces(size, total=512):
         driving.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger")
         driving.start()
         reading.start()
-        pieces = [np.array(reading.read(min(size, total - at))) for at in range(0, total, size)]
+        pieces = [np.array(reading.read(min(size, total - position))) for position in range(0, total, size)]
     return np.concatenate(pieces, axis=1)
 
 
@@ -65,13 +65,13 @@ def test_read_size_does_not_change_bits(size):
 
 
 def test_inputs_show_response_to_drive():
-    read = read_in_pieces(512)
+    measured = read_in_pieces(512)
     scene = rig.load("bare-structure")
     from daq.virtual_bench.bench import Bench
 
     drive = 1e-3 * tone(512)
     expected = Bench(scene).acquire(drive[None]).samples
-    np.testing.assert_allclose(read, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_allclose(measured, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
 def test_requested_rate_is_coerced(chassis):
@@ -114,13 +114,13 @@ def test_unstarted_finite_task_reads_all(chassis):
 
 
 def test_shape_follows_from_number_of_samples(chassis):
-    with Task() as one, Task() as four:
-        inputs(one, "Dev1/ai0")
-        inputs(four, "Dev2/ai0:3")
-        assert isinstance(one.read(), float)
-        assert len(one.read(1)) == 1
-        assert np.shape(four.read()) == (4,)
-        assert np.shape(four.read(3)) == (4, 3)
+    with Task() as one_channel, Task() as four_channels:
+        inputs(one_channel, "Dev1/ai0")
+        inputs(four_channels, "Dev2/ai0:3")
+        assert isinstance(one_channel.read(), float)
+        assert len(one_channel.read(1)) == 1
+        assert np.shape(four_channels.read()) == (4,)
+        assert np.shape(four_channels.read(3)) == (4, 3)
 
 
 def test_read_all_gives_available_samples(chassis):
@@ -142,20 +142,25 @@ def test_read_longer_than_buffer_is_complete(chassis):
 
 
 def test_sensitivity_converts_volts(chassis):
-    with Task() as volts, Task() as gs, Task() as metres:
-        inputs(volts, "Dev1/ai3", samps_per_chan=500)
-        for task, device, units in ((gs, 2, AccelUnits.G), (metres, 3, AccelUnits.METERS_PER_SECOND_SQUARED)):
+    with Task() as volt_task, Task() as g_task, Task() as metric_task:
+        inputs(volt_task, "Dev1/ai3", samps_per_chan=500)
+        for task, device, units in (
+            (g_task, 2, AccelUnits.G),
+            (metric_task, 3, AccelUnits.METERS_PER_SECOND_SQUARED),
+        ):
             limit = 50.0
             task.ai_channels.add_ai_accel_chan(
                 f"Dev{device}/ai3", min_val=-limit, max_val=limit, units=units, sensitivity=250.0
             )
             task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=500)
-        for task in (gs, metres, volts):
+        for task in (g_task, metric_task, volt_task):
             task.start()
-        read, in_g, in_metres = (np.array(task.read(500)) for task in (volts, gs, metres))
-    assert np.ptp(read) > 0
-    np.testing.assert_allclose(in_g, read / 0.25, rtol=1e-14)
-    np.testing.assert_allclose(in_metres, read / 0.25 * 9.80665, rtol=1e-14)
+        in_volts, in_g, in_metres_per_s2 = (
+            np.array(task.read(500)) for task in (volt_task, g_task, metric_task)
+        )
+    assert np.ptp(in_volts) > 0
+    np.testing.assert_allclose(in_g, in_volts / 0.25, rtol=1e-14)
+    np.testing.assert_allclose(in_metres_per_s2, in_volts / 0.25 * 9.80665, rtol=1e-14)
 
 
 def test_relative_positions_read_again(chassis):
@@ -173,10 +178,10 @@ def test_channel_subset_is_read(chassis):
     with Task() as task:
         inputs(task, samps_per_chan=20)
         task.start()
-        every = np.array(task.read(10))
+        all_channels = np.array(task.read(10))
         task.in_stream.channels_to_read = task.ai_channels["Dev1/ai1,Dev1/ai3"]
         task.in_stream.relative_to = ReadRelativeTo.FIRST_SAMPLE
-        assert np.array_equal(np.array(task.read(10)), every[[1, 3]])
+        assert np.array_equal(np.array(task.read(10)), all_channels[[1, 3]])
 
 
 def test_regeneration_repeats_buffer(chassis):
@@ -265,31 +270,31 @@ def test_output_callbacks_run(chassis):
         driving.register_done_event(lambda handle, status, data: done.put(status))
         driving.start()
         driving.wait_until_done()
-        events = [each.get(timeout=60.0) for each in (calls, calls, done)]
+        events = [event_queue.get(timeout=60.0) for event_queue in (calls, calls, done)]
     assert events == [100, 100, 0]
     assert calls.empty() and done.empty()
 
 
-def test_real_clock_calls_back_on_thread(monkeypatch):
+def test_real_clock_calls_on_other_thread(monkeypatch):
     # A busy test machine must not make the bench report that it has fallen behind.
     monkeypatch.setattr("daq.instrument.chassis._MAX_DELAY_S", float("inf"))
     connect("bare-structure", "real")
-    enough, names = threading.Event(), []
+    three_calls, threads = threading.Event(), []
     with Task("live") as task:
         inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
 
         def on_samples(handle, kind, samples, data):
             task.read(samples)
-            names.append(threading.current_thread())
-            if len(names) == 3:
-                enough.set()
+            threads.append(threading.current_thread())
+            if len(threads) == 3:
+                three_calls.set()
             return 0
 
         task.register_every_n_samples_acquired_into_buffer_event(50, on_samples)
         task.start()
-        assert enough.wait(60.0)
+        assert three_calls.wait(60.0)
         task.stop()
-    assert threading.main_thread() not in names
+    assert threading.main_thread() not in threads
 
 
 def test_committed_task_keeps_modules(chassis):
@@ -316,62 +321,64 @@ def test_undriven_output_plays_scene_test():
 
 def test_removed_delay_keeps_sample_times():
     scene = rig.load("bare-structure")
-    late = scene.replace(converter=scene.converter.replace(filter="delta_sigma", remove_delay=True))
-    read = []
-    for each in (scene, late):
-        connect(each, "fast")
+    without_delay = scene.replace(converter=scene.converter.replace(filter="delta_sigma", remove_delay=True))
+    responses = []
+    for variant in (scene, without_delay):
+        connect(variant, "fast")
         with Task() as reading, Task() as driving:
             inputs(reading, "Dev1/ai3", samps_per_chan=2000)
             output(driving, np.concatenate([np.zeros(1000), np.hanning(400)]), samps_per_chan=1400)
             driving.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger")
             driving.start()
-            read.append(np.array(reading.read(READ_ALL_AVAILABLE)))
-    plain, filtered = read
-    lag = np.argmax(np.correlate(filtered - filtered.mean(), plain - plain.mean(), "full")) - (len(plain) - 1)
-    assert abs(lag) <= 1
+            responses.append(np.array(reading.read(READ_ALL_AVAILABLE)))
+    reference, filtered = responses
+    lag_samples = np.argmax(
+        np.correlate(filtered - filtered.mean(), reference - reference.mean(), "full")
+    ) - (len(reference) - 1)
+    assert abs(lag_samples) <= 1
 
 
-def polled_until(arrived, task):
+def count_queries(condition, task):
     """Poll until the condition holds, as a script would; fail after 1000 queries."""
     for queries in range(1000):
-        if arrived(task):
+        if condition(task):
             return queries
-    raise AssertionError("the loop made no progress")
+    raise AssertionError("the polling loop made no progress")
 
 
 @pytest.mark.parametrize(
-    "arrived",
+    "condition",
     [
         lambda task: task.in_stream.avail_samp_per_chan >= 600,
         lambda task: task.in_stream.total_samp_per_chan_acquired >= 600,
         lambda task: task.is_task_done(),
     ],
 )
-def test_polling_passes_fast_time(chassis, arrived):
+def test_polling_passes_fast_time(chassis, condition):
     with inputs(Task(), sample_mode=AcquisitionType.FINITE, samps_per_chan=1000) as task:
         task.start()
-        assert polled_until(arrived, task) > 1
+        assert count_queries(condition, task) > 1
         assert np.array(task.read(READ_ALL_AVAILABLE)).shape == (4, 1000)
 
 
 def test_polling_output_passes_fast_time(chassis):
     with output(Task(), tone(1000), sample_mode=AcquisitionType.FINITE, samps_per_chan=1000) as task:
         task.start()
-        polled_until(lambda task: task.out_stream.total_samp_per_chan_generated == 1000, task)
+        count_queries(lambda task: task.out_stream.total_samp_per_chan_generated == 1000, task)
 
 
 def test_repeated_reads_without_timeout_succeed(chassis):
     with inputs(Task(), sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.start()
 
-        def arrived(task):
+        def condition(task):
             try:
                 return len(task.read(10, timeout=0.0)[0]) == 10
-            except DaqError as error:
-                assert error.error_code == -200284
+            except DaqError as no_samples:
+                assert no_samples.error_code == -200284
                 return False
 
-        polled_until(arrived, task)
+        count_queries(condition, task)
 
 
 def test_single_queries_pass_no_time(chassis):

@@ -1,3 +1,5 @@
+"""Errors of the remote API: codes and texts of the driver, with the remedy."""
+
 import importlib
 import re
 
@@ -36,7 +38,7 @@ def inputs(task, channels="Dev1/ai0", **timing):
     return task
 
 
-def raised(kind=DaqError):
+def raises_error(kind=DaqError):
     return pytest.raises(kind)
 
 
@@ -46,7 +48,7 @@ def test_finished_task_gives_remaining_samples(chassis):
         task.start()
         pass_samples(chassis, 100)
         assert len(task.read(150)) == 100
-        with raised(DaqReadError) as caught:
+        with raises_error(DaqReadError) as caught:
             task.read(1)
         assert (caught.value.error_code, caught.value.samps_per_chan_read) == (-200278, 0)
 
@@ -60,7 +62,7 @@ def test_dropped_samples_overflow_and_restart():
         inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
         pass_samples(chassis, 1000)
-        with raised(DaqReadError) as caught:
+        with raises_error(DaqReadError) as caught:
             task.read(1000)
         assert (caught.value.error_code, caught.value.samps_per_chan_read) == (-200361, 512)
         task.stop()
@@ -75,13 +77,13 @@ def test_slow_machine_overflows_inputs(chassis):
         task.start()
         assert not chassis.report_delay(1.0)
         assert chassis.report_delay(6.0)
-        with raised(DaqReadError) as caught:
+        with raises_error(DaqReadError) as caught:
             task.read(1)
         assert caught.value.error_code == -200361
         assert "fast clock" in str(caught.value)
 
 
-def putting_out(task):
+def start_output(task):
     """Start an output that ends with its 100 samples unless more are written."""
     task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
     task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
@@ -92,13 +94,13 @@ def putting_out(task):
 
 def test_empty_output_is_reported(chassis):
     with Task() as task:
-        putting_out(task)
-        with raised(DaqWriteError) as caught:
+        start_output(task)
+        with raises_error(DaqWriteError) as caught:
             task.write(np.zeros(50), timeout=1.0)
         assert (caught.value.error_code, caught.value.samps_per_chan_written) == (-200292, 0)
         pass_samples(chassis, 150)
         for call in (task.is_task_done, lambda: task.write(np.zeros(50)), task.is_task_done) * 2:
-            with raised() as caught:
+            with raises_error() as caught:
                 call()
             assert caught.value.error_code == -200290
         assert chassis.last_volts[0] == 0.5
@@ -109,9 +111,9 @@ def test_empty_output_is_reported(chassis):
 
 def test_empty_output_is_reported_on_stop(chassis):
     with Task() as task:
-        putting_out(task)
+        start_output(task)
         pass_samples(chassis, 150)
-        with raised() as caught:
+        with raises_error() as caught:
             task.stop()
         assert caught.value.error_code == -200290
 
@@ -130,7 +132,7 @@ def test_running_task_rejects_settings(chassis):
             task.start,
             lambda: task.register_every_n_samples_acquired_into_buffer_event(10, print),
         ):
-            with raised() as caught:
+            with raises_error() as caught:
                 change()
             assert caught.value.error_code in (-200557, -200479, -200960)
             assert "stop()" in str(caught.value)
@@ -148,7 +150,7 @@ def test_running_task_rejects_settings(chassis):
     ],
 )
 def test_missing_channel_names_existing_ones(chassis, name, code, hint):
-    with Task() as task, raised() as caught:
+    with Task() as task, raises_error() as caught:
         task.ai_channels.add_ai_voltage_chan(name, min_val=-1.0, max_val=1.0)
     assert caught.value.error_code == code
     assert hint in str(caught.value)
@@ -157,7 +159,7 @@ def test_missing_channel_names_existing_ones(chassis, name, code, hint):
 def test_excessive_limits_are_rejected_others_coerced():
     connect("fig8-three-dampers", ManualClock())
     with Task() as task:
-        with raised() as caught:
+        with raises_error() as caught:
             task.ai_channels.add_ai_accel_chan("Dev1/ai0", min_val=-100.0, max_val=100.0, sensitivity=100.0)
         assert caught.value.error_code == -200077
         assert "-50 to 50 g" in str(caught.value)
@@ -170,7 +172,7 @@ def test_excessive_limits_are_rejected_others_coerced():
 def test_impossible_rate_is_rejected(chassis, rate):
     with Task() as task:
         inputs(task)
-        with raised() as caught:
+        with raises_error() as caught:
             task.timing.cfg_samp_clk_timing(rate)
     assert caught.value.error_code == -200077
     assert "51200" in str(caught.value)
@@ -204,7 +206,7 @@ def test_impossible_rate_is_rejected(chassis, rate):
 def test_invalid_value_names_valid_ones(chassis, call, hint):
     with Task() as task:
         inputs(task)
-        with raised() as caught:
+        with raises_error() as caught:
             call(task)
     assert caught.value.error_code == -200077
     assert hint in str(caught.value)
@@ -214,7 +216,7 @@ def test_invalid_value_names_valid_ones(chassis, call, hint):
 def test_excessive_samples_are_rejected(chassis, samples):
     with Task() as task:
         inputs(task, samps_per_chan=samples)
-        with raised() as caught:
+        with raises_error() as caught:
             task.start()
         assert caught.value.error_code == -200077
         assert "memory" in str(caught.value)
@@ -233,12 +235,12 @@ def test_infinite_timeout_waits_for_task(timeout):
 @pytest.mark.parametrize("sensitivity", [0.0, -100.0, 1e-310, np.inf, np.nan])
 def test_invalid_sensitivity_keeps_old_one(chassis, sensitivity):
     with Task() as task:
-        with raised() as caught:
+        with raises_error() as caught:
             task.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=sensitivity)
         assert caught.value.error_code == -200077
         assert "sensitivity" in str(caught.value)
         channel = task.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=100.0)
-        with raised() as caught:
+        with raises_error() as caught:
             channel.ai_accel_sensitivity = sensitivity
         assert caught.value.error_code == -200077
         assert channel.ai_accel_sensitivity == 100.0
@@ -253,7 +255,7 @@ def test_used_module_names_its_task(chassis):
         inputs(first, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
         inputs(second, "Dev1/ai1", sample_mode=AcquisitionType.CONTINUOUS)
         first.start()
-        with raised() as caught:
+        with raises_error() as caught:
             second.start()
         assert caught.value.error_code == -50103
         assert "'mine'" in str(caught.value)
@@ -262,14 +264,14 @@ def test_used_module_names_its_task(chassis):
 
 
 def test_wrong_use_has_its_code(chassis):
-    def code(call, *given, **named):
-        with raised() as caught:
-            call(*given, **named)
+    def code(call, *arguments, **keywords):
+        with raises_error() as caught:
+            call(*arguments, **keywords)
         return caught.value.error_code
 
-    with Task() as empty, Task() as reading, Task() as driving:
-        assert code(empty.start) == -200478
-        assert code(empty.read) == -200478
+    with Task() as without_channels, Task() as reading, Task() as driving:
+        assert code(without_channels.start) == -200478
+        assert code(without_channels.read) == -200478
         inputs(reading, sample_mode=AcquisitionType.CONTINUOUS)
         reading.in_stream.auto_start = False
         assert code(reading.read, 10) == -200473
@@ -295,7 +297,7 @@ def test_offset_before_first_sample_is_rejected(chassis):
         pass_samples(chassis, 100)
         task.read(20)
         task.in_stream.offset = -21
-        with raised(DaqReadError) as caught:
+        with raises_error(DaqReadError) as caught:
             task.read(10)
         assert caught.value.error_code == -200277
         assert task.in_stream.curr_read_pos == 20
@@ -323,7 +325,7 @@ def test_unsupported_call_names_function_of_script(chassis):
             (lambda: task.di_channels.add_di_chan("Dev1/port0/line0"), "add_di_chan", -200170),
             (lambda: task.di_channels.add_di_chan("nowhere/port0"), "nowhere", -200220),
         ):
-            with raised() as caught:
+            with raises_error() as caught:
                 call()
             assert name in str(caught.value)
             assert caught.value.error_code == code
@@ -331,18 +333,18 @@ def test_unsupported_call_names_function_of_script(chassis):
 
 def test_unsupported_channel_calls_exist_in_client():
     channels = [
-        each.name for each in methods() if re.fullmatch(r"Create(TEDS)?[ACD][IO]\w*Chan\w*", each.name)
+        method.name for method in methods() if re.fullmatch(r"Create(TEDS)?[ACD][IO]\w*Chan\w*", method.name)
     ]
     collections = ("AI", "AO", "CI", "CO", "DI", "DO")
-    known = {
+    client_functions = {
         name
         for kind in collections
         for name in dir(
             getattr(importlib.import_module("nidaqmx.task.collections"), f"{kind}ChannelCollection")
         )
     }
-    lacking = {script_function(each) for each in channels if answer_to(each) is None}
-    assert lacking and lacking <= known
+    unsupported = {script_function(method) for method in channels if answer_to(method) is None}
+    assert unsupported and unsupported <= client_functions
 
 
 def test_timeout_has_text_of_driver(chassis):
@@ -350,7 +352,7 @@ def test_timeout_has_text_of_driver(chassis):
         inputs(task)
         task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=100)
         task.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/PFI0")
-        with raised(DaqReadError) as caught:
+        with raises_error(DaqReadError) as caught:
             task.read(100, timeout=0.01)
     # The client has the driver's text of this error alone.
     assert str(caught.value).startswith(_ERROR_MESSAGES[-200284])
@@ -362,7 +364,7 @@ def test_reserved_resource_names_terminal_and_task(chassis):
         for task in (first, second):
             task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
         first.control(TaskMode.TASK_RESERVE)
-        with raised() as caught:
+        with raises_error() as caught:
             second.control(TaskMode.TASK_RESERVE)
     assert "Dev1/ao0 is in use by task 'first'" in str(caught.value)
     assert "Task Name: second" in str(caught.value)
@@ -377,10 +379,10 @@ def test_early_stop_has_status(chassis):
 
 def test_closed_task_is_unusable(chassis):
     task = Task("used")
-    other = nidaqmx.Task(task.name, grpc_options=options())
+    same_task = nidaqmx.Task(task.name, grpc_options=options())
     task.close()
     with pytest.raises(DaqError) as caught:
-        other.start()
+        same_task.start()
     assert caught.value.error_code == -200088
     with pytest.warns(DaqResourceWarning, match="already closed"):
         task.close()

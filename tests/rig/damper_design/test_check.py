@@ -22,9 +22,9 @@ def test_check_covers_all_levels_and_peaks() -> None:
     assert isinstance(test, SteppedSine) and test.frequencies is not None
     assert test.levels == (2.0, 4.0)
     assert {34.1, 48.7, question.bare.frequency} <= set(test.frequencies)
-    apart = np.diff(test.frequencies)
-    # Two ranges, the upper one about two peaks, each as close as about one peak.
-    assert len(test.frequencies) < 70 and np.sum(apart > 0.005 * 48.7) == 1
+    spacings = np.diff(test.frequencies)
+    # Two ranges: the upper range contains two peaks, at the same density as around a single peak.
+    assert len(test.frequencies) < 70 and np.sum(spacings > 0.005 * 48.7) == 1
 
 
 def test_expectation_includes_force_harmonics() -> None:
@@ -32,16 +32,16 @@ def test_expectation_includes_force_harmonics() -> None:
     question, _ = parse_request(scene, bodies=[2], levels=[1.5])
     choice = Choice((2,), (0.1,), (0.969e-3,))
     peak = question.worst(choice)
-    (one,) = expected_results(
+    (expectation,) = expected_results(
         scene_with_check(scene, Trial(choice, (peak,)), question), Trial(choice, (peak,))
     )
-    assert one.sizes is not None
-    low, size, high = one.sizes
+    assert expectation.sizes is not None
+    low, size, high = expectation.sizes
     assert low < size < high < 1.01 * low
-    plain = scene.replace(channels=None, dampers=choice.dampers(INSTANTANEOUS))
+    test_scene = scene.replace(channels=None, dampers=choice.dampers(INSTANTANEOUS))
     for force, bound in ((1.5 * 1.005, low), (1.5, size), (1.5 * 0.995, high)):
-        there = plain.replace(test={"kind": "sine", "frequency": peak.frequency, "force": force})
-        steady = abs(rig.frequency_response(there, [peak.frequency]).compliance[peak.body - 1, 0])
+        forced_scene = test_scene.replace(test={"kind": "sine", "frequency": peak.frequency, "force": force})
+        steady = abs(rig.frequency_response(forced_scene, [peak.frequency]).compliance[peak.body - 1, 0])
         assert bound == pytest.approx(steady, rel=1.1e-3)
 
 

@@ -38,16 +38,22 @@ def test_printed_commands_run(shaker: str, tmp_path: Path) -> None:
         _bracket(shaker), bodies=[2], levels=["4 N"], clearance=("0.3 mm", "0.5 mm"), budget="30 g"
     )
     scene = write(design, tmp_path)[0]
-    printed = describe_check(design, scene)
-    assert "channels added" in printed and "channels[1].accelerometer.saturation=" in printed
+    instructions = describe_check(design, scene)
+    assert "channels added" in instructions and "channels[1].accelerometer.saturation=" in instructions
     assert "170.97" in summary(design) and "outside the band" in summary(design)
-    commands = [shlex.split(line) for line in printed.splitlines() if line.startswith(("daq ", "analysis "))]
+    commands = [
+        shlex.split(line) for line in instructions.splitlines() if line.startswith(("daq ", "analysis "))
+    ]
     assert len(commands) == 4
-    for program, *words in commands:
-        ran = subprocess.run(
-            [sys.executable, "-m", program, *words], cwd=tmp_path, capture_output=True, text=True, check=False
+    for program, *arguments in commands:
+        result = subprocess.run(
+            [sys.executable, "-m", program, *arguments],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
         )
-        assert ran.returncode == 0, ran.stderr
+        assert result.returncode == 0, result.stderr
 
 
 @pytest.mark.parametrize(("shaker", "added"), [(FORCE, ["body 1", "shaker"]), (TABLE, ["body 1", "table"])])

@@ -36,67 +36,71 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def chosen(table: Path) -> rig.Design:
+def design(table: Path) -> rig.Design:
     return rig.design("fig9", bodies=[2], levels=[3.3], watched=[2], table=table)
 
 
 @pytest.mark.thorough
-def test_design_matches_a_fine_clearance_grid(chosen: rig.Design) -> None:
-    question = replace(chosen.question, density=FINE_DENSITY)
-    clearances = np.geomspace(0.5, 2.0, 25) * chosen.best.choice.clearances[0]
-    others = [question.worst(replace(chosen.best.choice, clearances=(c,))).size for c in clearances]
-    assert chosen.best.peak.size < 1.01 * min(others)
+def test_design_matches_a_fine_clearance_grid(design: rig.Design) -> None:
+    question = replace(design.question, density=FINE_DENSITY)
+    clearances = np.geomspace(0.5, 2.0, 25) * design.best.choice.clearances[0]
+    trial_peaks = [question.worst(replace(design.best.choice, clearances=(c,))).size for c in clearances]
+    assert design.best.peak.size < 1.01 * min(trial_peaks)
 
 
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:.*steady state:daq.RunWarning")
-def test_recorded_design_moves_as_predicted(chosen: rig.Design, tmp_path: Path) -> None:
-    daq.record(chosen.scene, tmp_path / "check.mcap")
+def test_recorded_design_moves_as_predicted(design: rig.Design, tmp_path: Path) -> None:
+    daq.record(design.scene, tmp_path / "check.mcap")
     with daq.open(tmp_path / "check.mcap") as recording:
         measured = analysis.compliance(recording, "body2")
-    problem = OrbitProblem(with_ideal_force(chosen.scene.replace(channels=None)))
-    predicted = response_at_level(problem, chosen.best.peak.level, measured.frequency).compliance[1]
+    problem = OrbitProblem(with_ideal_force(design.scene.replace(channels=None)))
+    predicted = response_at_level(problem, design.best.peak.level, measured.frequency).compliance[1]
     assert measured.unsteady is not None and measured.unsteady.mean() < 0.3
     decibels = 20 * np.log10(np.abs(measured.value / predicted))[~measured.unsteady]
     assert np.abs(decibels).max() < 0.3
-    for one in chosen.expected:
-        if one.sizes is not None:
-            at_peak = int(np.argmin(abs(measured.frequency - one.peak.frequency)))
-            size, bound = abs(measured.value[at_peak]), measured.bound()[at_peak]
-            assert one.sizes[0] - bound < size < one.sizes[2] + bound
+    for expectation in design.expected:
+        if expectation.sizes is not None:
+            peak_index = int(np.argmin(abs(measured.frequency - expectation.peak.frequency)))
+            measured_peak, bound = abs(measured.value[peak_index]), measured.bound()[peak_index]
+            assert expectation.sizes[0] - bound < measured_peak < expectation.sizes[2] + bound
 
 
 @pytest.mark.thorough
-def test_second_design_computes_nothing(chosen: rig.Design, table: Path) -> None:
+def test_second_design_computes_nothing(design: rig.Design, table: Path) -> None:
     written = table.read_bytes()
-    # As a kill may leave it.
+    # A kill during writing may leave such a partial row.
     table.write_bytes(written + b"3dfa,2,0.1")
-    again = rig.design("fig9", bodies=[2], levels=[3.3], watched=[2], table=table)
-    assert again.best == chosen.best and again.chart == chosen.chart
-    assert again.trials == chosen.trials and table.read_bytes() == written
+    second_design = rig.design("fig9", bodies=[2], levels=[3.3], watched=[2], table=table)
+    assert second_design.best == design.best and second_design.chart == design.chart
+    assert second_design.trials == design.trials and table.read_bytes() == written
 
 
 @pytest.mark.thorough
-def test_written_scene_loads_and_summary_matches(chosen: rig.Design, tmp_path: Path) -> None:
-    scene, picture, drawing = write(chosen, tmp_path)
-    assert rig.load(str(scene)).dampers == chosen.scene.dampers
+def test_written_scene_loads_and_summary_matches(design: rig.Design, tmp_path: Path) -> None:
+    scene, picture, drawing = write(design, tmp_path)
+    assert rig.load(str(scene)).dampers == design.scene.dampers
     assert picture.stat().st_size > 10_000 and drawing.stat().st_size > 10_000
-    assert repr(chosen).startswith("<Design: ") and chosen.plot().get_legend() is not None
-    assert f"clearance {1e3 * chosen.best.choice.clearances[0]:.3g} mm" in summary(chosen)
+    assert repr(design).startswith("<Design: ") and design.plot().get_legend() is not None
+    assert f"clearance {1e3 * design.best.choice.clearances[0]:.3g} mm" in summary(design)
     commands = [
-        shlex.split(line) for line in describe_check(chosen, scene).splitlines() if line.startswith("daq")
+        shlex.split(line) for line in describe_check(design, scene).splitlines() if line.startswith("daq")
     ]
-    assert [each[:3] for each in commands] == [["daq", "record", str(scene)]] * 2
+    assert [command[:3] for command in commands] == [["daq", "record", str(scene)]] * 2
     assert "dampers=null" in commands[0] and "dampers=null" not in commands[1]
-    unsteady = replace(chosen, expected=tuple(replace(one, sizes=None) for one in chosen.expected))
+    unsteady = replace(
+        design, expected=tuple(replace(expectation, sizes=None) for expectation in design.expected)
+    )
     assert "no steady motion found" in describe_check(unsteady, scene)
 
 
 @pytest.mark.thorough
-def test_every_level_has_its_column(chosen: rig.Design) -> None:
-    two = replace(chosen.question, levels=(3.3, 6.6))
-    trials = tuple(replace(each, peaks=(each.peak, replace(each.peak, size=1e-5))) for each in chosen.trials)
-    lines = summary(replace(chosen, question=two, trials=trials, best=trials[0])).splitlines()
+def test_every_level_has_its_column(design: rig.Design) -> None:
+    two_levels = replace(design.question, levels=(3.3, 6.6))
+    trials = tuple(
+        replace(trial, peaks=(trial.peak, replace(trial.peak, size=1e-5))) for trial in design.trials
+    )
+    lines = summary(replace(design, question=two_levels, trials=trials, best=trials[0])).splitlines()
     heading = next(line for line in lines if "added mass" in line)
     assert heading.split()[3:7] == ["3.3", "N", "6.6", "N"]
 
@@ -106,13 +110,13 @@ def test_torn_table_loses_no_answer(tmp_path: Path) -> None:
     question, _ = parse_request(rig.load("fig9"), bodies=[2], levels=[0.5], band=(49.0, 50.0), watched=[2])
     choices = [Choice((2,), (0.05,), (clearance,)) for clearance in (1e-3, 2e-3)]
     with Workers() as workers:
-        first = Answers(workers, table, None, 1).compute(question, choices[:1])
+        first_trials = Answers(workers, table, None, 1).compute(question, choices[:1])
         with table.open("a") as file:
-            # What open quotes hold is no longer than their line, and no line too long to be read.
+            # An open quote ends with its line, and lines that are too long are not read.
             file.write('"' + "x" * 200_000 + "\n" + '"torn,2,0.1')
-        second = Answers(workers, table, None, 1).compute(question, choices[1:])
-        read = Answers(workers, table, None, 1)
-    assert [read.trial(question, choice) for choice in choices] == first + second
+        second_trials = Answers(workers, table, None, 1).compute(question, choices[1:])
+        answers = Answers(workers, table, None, 1)
+    assert [answers.trial(question, choice) for choice in choices] == first_trials + second_trials
 
 
 def test_drawn_clearance_is_the_heaviest_dampers() -> None:
@@ -130,26 +134,26 @@ def test_charted_levels_are_closely_spaced(levels: list[float]) -> None:
 def test_drive_test_uses_forces_as_levels() -> None:
     drive = {"kind": "stepped_sine", "from": "46 Hz", "to": "54 Hz", "points": 9, "drive": "1 mm"}
     changes = {"shaker": {"kind": "table", "body": 1, "spring": "6.6 kN/m"}, "test": drive}
-    driven, requested = rig.load("fig9", changes), {"bodies": [2], "levels": ["3.3 N"]}
-    question, _ = parse_request(driven, **requested)
+    driven_scene, requested = rig.load("fig9", changes), {"bodies": [2], "levels": ["3.3 N"]}
+    question, _ = parse_request(driven_scene, **requested)
     choice = Choice((2,), (0.1,), (1e-3,))
     assert question.worst(choice) == parse_request(rig.load("fig9"), **requested)[0].worst(choice)
     with pytest.raises(SceneError, match="levels: not given, and the test of the scene states a drive"):
-        parse_request(driven)
+        parse_request(driven_scene)
 
 
 def test_worst_peak_without_dampers_is_the_receptance() -> None:
     question, _ = parse_request(rig.load("fig9"))
-    fine = np.linspace(49.4, 49.9, 2001)
-    exact = np.abs(receptance(rig.load("fig9"), fine)).max()
+    frequencies = np.linspace(49.4, 49.9, 2001)
+    exact = np.abs(receptance(rig.load("fig9"), frequencies)).max()
     assert question.bare.size == pytest.approx(exact, rel=1e-5)
 
 
 def test_least_damped_variant_counts() -> None:
     question, _ = parse_request(rig.load("fig9"), uncertain=(0.2, 0.0))
-    sure, _ = parse_request(rig.load("fig9"))
+    certain_question, _ = parse_request(rig.load("fig9"))
     assert len(question.scenes) == 3
-    assert question.bare.size == pytest.approx(sure.bare.size / 0.8, rel=1e-2)
+    assert question.bare.size == pytest.approx(certain_question.bare.size / 0.8, rel=1e-2)
 
 
 def test_body_named_twice_carries_two() -> None:
@@ -164,8 +168,8 @@ def test_two_dampers_give_their_settled_peak() -> None:
     choice = Choice((2, 2), (0.06, 0.04), (1e-3, 1.1e-3))
     peak = question.worst(choice)
     scene = question.scenes[0].replace(dampers=choice.dampers(INSTANTANEOUS))
-    settled = np.abs(rig.frequency_response(scene, np.linspace(48.5, 50.5, 31)).compliance[1])
-    assert peak.size == pytest.approx(settled.max(), rel=0.01)
+    compliance = np.abs(rig.frequency_response(scene, np.linspace(48.5, 50.5, 31)).compliance[1])
+    assert peak.size == pytest.approx(compliance.max(), rel=0.01)
 
 
 @pytest.mark.parametrize(
@@ -215,10 +219,10 @@ def test_grain_command_follows_the_same_dampers() -> None:
     words = shlex.split(command)
     assert words[:3] == ["rig", "grains", "a folder/check.yaml"]
     changes = [words[k + 1].split("=", 1) for k, word in enumerate(words) if word == "--set"]
-    followed = rig.load("fig9", {key: yaml.safe_load(value) for key, value in changes})
-    for damper, grains in zip(dampers, followed.dampers, strict=True):
+    grain_scene = rig.load("fig9", {key: yaml.safe_load(value) for key, value in changes})
+    for damper, grains in zip(dampers, grain_scene.dampers, strict=True):
         assert (grains.body, grains.mass, grains.clearance) == pytest.approx(
             (damper.body, damper.mass, damper.clearance)
         )
         assert grains.grains is not None and grains.grains.diameter == 2e-3
-    assert followed.test is not None and level_of(followed) == 4.0
+    assert grain_scene.test is not None and level_of(grain_scene) == 4.0

@@ -13,24 +13,26 @@ from rig.damper_design.choice import INSTANTANEOUS, Choice, Trial, landings_from
 from rig.damper_design.request import parse_request
 from rig.errors import SceneError
 
-LASTING = {"contact": {"duration": "4 ms"}, "restitution": 0.2}
+FINITE_CONTACT = {"contact": {"duration": "4 ms"}, "restitution": 0.2}
 
 
-def with_dampers(*each: dict[str, Any]) -> rig.Scene:
+def with_dampers(*changes: dict[str, Any]) -> rig.Scene:
     return rig.load(
-        "fig9", {"dampers": [{"body": 2, "mass": "50 g", "clearance": "1 mm"} | one for one in each]}
+        "fig9", {"dampers": [{"body": 2, "mass": "50 g", "clearance": "1 mm"} | change for change in changes]}
     )
 
 
 def test_new_dampers_land_as_the_scenes() -> None:
-    scene = with_dampers(LASTING, LASTING)
+    scene = with_dampers(FINITE_CONTACT, FINITE_CONTACT)
     question, _ = parse_request(scene, bodies=[2], levels=[3.3], band=(48.5, 50.5), watched=[2])
     assert str(question.landings) == "new dampers land in 4 ms, restitution 0.2: as the scene's"
     choice = Choice((2,), (0.1,), (1e-3,))
     peak = question.worst(choice)
     trial = Trial(choice, (peak,))
     checked = scene_with_check(scene, trial, question)
-    assert [(one.restitution, one.contact) for one in checked.dampers] == [(0.2, scene.dampers[0].contact)]
+    assert [(damper.restitution, damper.contact) for damper in checked.dampers] == [
+        (0.2, scene.dampers[0].contact)
+    ]
     instant = replace(question, landings=INSTANTANEOUS)
     assert instant.digest != question.digest and instant.worst(choice).size != pytest.approx(
         peak.size, rel=1e-3
@@ -38,7 +40,7 @@ def test_new_dampers_land_as_the_scenes() -> None:
 
 
 def test_first_of_different_landings_is_taken() -> None:
-    landings = landings_from(with_dampers(LASTING, {}).dampers)
+    landings = landings_from(with_dampers(FINITE_CONTACT, {}).dampers)
     assert (landings.restitution, landings.origin) == (0.2, "as the scene's first; others of it differ")
     walls = {"contact": {"floor": {"duration": "4 ms"}, "ceiling": {"duration": "1 ms"}}}
     assert "in 4 ms on floors and 1 ms on ceilings" in str(landings_from(with_dampers(walls).dampers))

@@ -14,15 +14,20 @@ from rig.damper_design.overloads import impact_acceleration, overload_lines, pre
 from rig.damper_design.worst_peak import Peak
 from rig.system.assembly import assemble
 
-HZ, FORCE = 49.0, 3.3
-SMALL = Peak(1e-6, HZ, FORCE, 2, 1.0, 0.0)
+FREQUENCY_HZ, FORCE_N = 49.0, 3.3
+SMALL_PEAK = Peak(1e-6, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0)
 
 
 def _scene(contact: dict[str, Any] | None, sensor: dict[str, Any]) -> rig.Scene:
     changes = {
         "dampers": [{"body": 2, "mass_ratio": 0.06, "clearance": 0.98e-3, "contact": contact}],
         "shaker": {"kind": "force", "body": 1},
-        "test": {"kind": "stepped_sine", "frequencies": [HZ], "force": FORCE, "settle": {"longest": "2 s"}},
+        "test": {
+            "kind": "stepped_sine",
+            "frequencies": [FREQUENCY_HZ],
+            "force": FORCE_N,
+            "settle": {"longest": "2 s"},
+        },
         "channels": [
             {"name": "force", "at": "shaker"},
             {"name": "struck", "at": "body 2", "accelerometer": sensor},
@@ -34,8 +39,10 @@ def _scene(contact: dict[str, Any] | None, sensor: dict[str, Any]) -> rig.Scene:
 
 
 def _expected(scene: rig.Scene) -> Expected:
-    response = rig.frequency_response(scene.replace(channels=None), [HZ], tolerance=1e-4)
-    return Expected(Peak(1e-4, HZ, FORCE, 2, 1.0, 0.0), None, tuple(response.closing_speed[:, 0].tolist()))
+    response = rig.frequency_response(scene.replace(channels=None), [FREQUENCY_HZ], tolerance=1e-4)
+    return Expected(
+        Peak(1e-4, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0), None, tuple(response.closing_speed[:, 0].tolist())
+    )
 
 
 @pytest.mark.thorough
@@ -45,48 +52,51 @@ def test_finite_landings_overload_a_small_sensor(contact: dict[str, Any] | None,
     resonance = {"resonance": "5 kHz", "q": 30}
     scene = _scene(contact, resonance)
     expected = _expected(scene)
-    shaken = impact_acceleration(assemble(scene), 1, expected.closing_speed, 5000.0)
-    for share in (0.5, 2.0):
-        limited = _scene(contact, {**resonance, "saturation": share * shaken})
-        path = tmp_path / f"{share}.mcap"
-        daq.record(limited, path)
+    peak_acceleration = impact_acceleration(assemble(scene), 1, expected.closing_speed, 5000.0)
+    for saturation_ratio in (0.5, 2.0):
+        limited_scene = _scene(contact, {**resonance, "saturation": saturation_ratio * peak_acceleration})
+        path = tmp_path / f"{saturation_ratio}.mcap"
+        daq.record(limited_scene, path)
         with daq.open(path) as recording:
             recorded = {mark.fields["channel"] for mark in recording.overloads}
-        names = [each.reason.partition(":")[0] for each in predict_overloads(limited, [expected], SMALL)]
-        assert names == (["struck"] if share < 1.0 else [])
-        assert recorded == ({"struck"} if share < 1.0 else set())
+        names = [
+            overload.reason.partition(":")[0]
+            for overload in predict_overloads(limited_scene, [expected], SMALL_PEAK)
+        ]
+        assert names == (["struck"] if saturation_ratio < 1.0 else [])
+        assert recorded == ({"struck"} if saturation_ratio < 1.0 else set())
 
 
 def test_instant_landings_without_resonance_are_skipped() -> None:
     scene = _scene(None, {"saturation": "5000 g"})
-    (found,) = predict_overloads(scene, [_expected(scene)], SMALL)
+    (warnings,) = predict_overloads(scene, [_expected(scene)], SMALL_PEAK)
     assert (
-        found.reason.startswith("struck: up to")
-        and "saturates at 5000 g, from landings of up to" in found.reason
+        warnings.reason.startswith("struck: up to")
+        and "saturates at 5000 g, from landings of up to" in warnings.reason
     )
-    assert found.changes == ("channels[2].accelerometer.saturation=null",)
-    lines = overload_lines([found], finite_contact=False)
-    assert "contact: {duration: 2 ms}" in lines[-1] and found.changes[0] in lines[-1]
+    assert warnings.changes == ("channels[2].accelerometer.saturation=null",)
+    lines = overload_lines([warnings], finite_contact=False)
+    assert "contact: {duration: 2 ms}" in lines[-1] and warnings.changes[0] in lines[-1]
 
 
 def test_no_landing_or_limit_reports_nothing() -> None:
-    limited, unlimited = _scene(None, {"saturation": "5 g"}), _scene(None, {})
-    riding = Expected(Peak(1e-4, HZ, FORCE, 2, 1.0, 0.0), None, (0.0,))
-    assert not predict_overloads(limited, [riding], SMALL)
-    assert not predict_overloads(unlimited, [_expected(unlimited)], SMALL)
+    limited_scene, unlimited_scene = _scene(None, {"saturation": "5 g"}), _scene(None, {})
+    riding = Expected(Peak(1e-4, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0), None, (0.0,))
+    assert not predict_overloads(limited_scene, [riding], SMALL_PEAK)
+    assert not predict_overloads(unlimited_scene, [_expected(unlimited_scene)], SMALL_PEAK)
 
 
 def test_steady_motion_overloads_a_small_sensor() -> None:
-    riding = Expected(Peak(1e-4, HZ, FORCE, 2, 1.0, 0.0), None, (0.0,))
-    found = predict_overloads(_scene(None, {"saturation": "2 g"}), [riding], SMALL)
-    assert [each.changes for each in found] == [
+    riding = Expected(Peak(1e-4, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0), None, (0.0,))
+    warnings = predict_overloads(_scene(None, {"saturation": "2 g"}), [riding], SMALL_PEAK)
+    assert [overload.changes for overload in warnings] == [
         ("channels[2].accelerometer.saturation=6g",),
         ("channels[3].accelerometer.saturation=6g",),
     ]
 
 
 def test_a_small_converter_range_is_named() -> None:
-    riding = Expected(Peak(1e-4, HZ, FORCE, 2, 1.0, 0.0), None, (0.0,))
+    riding = Expected(Peak(1e-4, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0), None, (0.0,))
     scene = _scene(None, {"sensitivity": "1 V/g"}).replace(converter={"rate": "5120 Hz", "range": "2 V"})
-    (found,) = predict_overloads(scene, [riding], SMALL)
-    assert found.changes == ("converter.range=4.8V",)
+    (warnings,) = predict_overloads(scene, [riding], SMALL_PEAK)
+    assert warnings.changes == ("converter.range=4.8V",)

@@ -63,27 +63,27 @@ def _trial(question: Question, clearance: float) -> Trial:
 
 def test_tolerance_gives_both_edges_of_a_plateau() -> None:
     question = _question(Plateau)
-    tried = [_trial(question, clearance) for clearance in np.geomspace(1e-4, 1e-2, 10)]
-    found = clearance_tolerance(question, SPACE, _trial(question, 4.6e-3), tried, _answers())
-    assert found.low == pytest.approx(3.5e-3, rel=0.06) and found.high == pytest.approx(4.62e-3, rel=0.06)
-    assert not any(found.limited) and "build to the middle" in str(found)
+    trials = [_trial(question, clearance) for clearance in np.geomspace(1e-4, 1e-2, 10)]
+    result = clearance_tolerance(question, SPACE, _trial(question, 4.6e-3), trials, _answers())
+    assert result.low == pytest.approx(3.5e-3, rel=0.06) and result.high == pytest.approx(4.62e-3, rel=0.06)
+    assert not any(result.limited) and "build to the middle" in str(result)
 
 
-@pytest.mark.parametrize("chosen", [1e-3, np.inf])
-def test_tolerance_is_open_where_no_ceiling_is_reached(chosen: float) -> None:
+@pytest.mark.parametrize("clearance", [1e-3, np.inf])
+def test_tolerance_is_open_if_no_ceiling_is_reached(clearance: float) -> None:
     question = _question(Unreached)
     space = Space(((1,),), 0.1, (1e-6, 1e-2))
-    found = clearance_tolerance(question, space, _trial(question, chosen), [], _answers())
-    assert found.low == pytest.approx(7e-6, rel=0.06) and np.isinf(found.high)
-    assert "for every clearance above" in str(found)
+    result = clearance_tolerance(question, space, _trial(question, clearance), [], _answers())
+    assert result.low == pytest.approx(7e-6, rel=0.06) and np.isinf(result.high)
+    assert "for every clearance above" in str(result)
 
 
 def test_equals_are_decided_by_the_modes_outside() -> None:
     question = _question(Plateau)
-    tried = [_trial(question, clearance) for clearance in (3.6e-3, 4e-3, 4.6e-3)]
+    trials = [_trial(question, clearance) for clearance in (3.6e-3, 4e-3, 4.6e-3)]
     # Outside the band, the peaks differ by more than equal designs do.
-    low = select_outside_band(_question(Steep), tried, tried[-1], _answers())
-    assert low.choice.clearances == (3.6e-3,)
+    best_trial = select_outside_band(_question(Steep), trials, trials[-1], _answers())
+    assert best_trial.choice.clearances == (3.6e-3,)
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def test_modes_inside_and_outside_the_band_are_listed() -> None:
     assert [mode.inside for mode in modes] == [False, False, True]
     assert [frequency for frequency, _ in mode_questions_of(question)] == [mode.frequency for mode in modes]
     for mode in modes:
-        # So light, and so weakly driven, that it changes nothing.
+        # The damper is too light and too weakly driven to have an effect.
         assert mode.damped[0].size == pytest.approx(mode.bare.size, rel=1e-3)
 
 
@@ -113,13 +113,13 @@ def test_flight_height_equals_the_simulated_motion() -> None:
     question, _ = parse_request(rig.load("fig9"), bodies=[2], levels=[0.25], band=(47.0, 52.0))
     choice = Choice((2,), (0.04,), (np.inf,))
     trial = Trial(choice, (question.worst(choice),))
-    found = compute_flight(question, trial, unreached=True)
-    assert found.body == 2 and 1.0 < found.acceleration_g(0.25) < 3.0
+    result = compute_flight(question, trial, unreached=True)
+    assert result.body == 2 and 1.0 < result.acceleration_g(0.25) < 3.0
     scene = question.scenes[0].replace(dampers=choice.dampers(question.landings))
     scene = scene.replace(test=scene.test.replace(force=0.25))
     frequency = trial.peak.frequency
-    run = rig.simulate(scene, 600.0 / frequency, rate=64.0 * frequency, frequency=frequency)
-    assert 0.9 * run.gap[0, -640:].max() < found.height < 5.0 * run.gap[0, -640:].max()
+    motion = rig.simulate(scene, 600.0 / frequency, rate=64.0 * frequency, frequency=frequency)
+    assert 0.9 * motion.gap[0, -640:].max() < result.height < 5.0 * motion.gap[0, -640:].max()
 
 
 def test_levels_too_weak_for_flight_are_named() -> None:
@@ -130,8 +130,11 @@ def test_levels_too_weak_for_flight_are_named() -> None:
     lines = describe_shortfall(trial, bare, Flight(0.8, 1, np.nan), charted, [trial])
     assert "at 0.5 N the dampers cannot fly" in lines[0] and "body 1 reaches 0.625 g" in lines[0]
     assert lines[1].startswith("use --levels 4N:")
-    weak = Trial(trial.choice, peaks[:1])
-    assert "from 1.41 N on" in describe_shortfall(weak, bare, Flight(0.8, 1, np.nan), charted, [weak])[1]
+    weak_trial = Trial(trial.choice, peaks[:1])
+    assert (
+        "from 1.41 N on"
+        in describe_shortfall(weak_trial, bare, Flight(0.8, 1, np.nan), charted, [weak_trial])[1]
+    )
     assert not describe_shortfall(Trial(trial.choice, peaks[1:]), bare, Flight(0.8, 1, np.nan), charted, [])
 
 

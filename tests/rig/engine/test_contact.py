@@ -29,7 +29,7 @@ CLEARANCE = 2e-3
 SIGN = {FLOOR: 1.0, CEILING: -1.0}
 
 
-def engine(
+def propagator(
     coupling: float, restitution: float = 0.0, finite_contacts: int = 0, uncoupled: int = 0
 ) -> Propagator:
     """Return three bodies with a damper each; the first contacts have a duration, the last bodies are uncoupled."""
@@ -65,15 +65,15 @@ def apply_impact(run: Propagator, damper: int, wall: int) -> None:
     release_tensile(flow, model, run.state, run.log, work)
 
 
-def scatter(run: Propagator, modes: list[int], seed: int) -> State:
+def randomize(run: Propagator, modes: list[int], seed: int) -> State:
     """Set a random motion with dampers in given modes; those in flight are away from their walls."""
-    chance, state, model = np.random.default_rng(seed), run.state, run.tables.model
+    random, state, model = np.random.default_rng(seed), run.state, run.tables.model
     size = run.tables.size
-    state.z[:size] = 1e-3 * chance.standard_normal(size)
-    state.z[model.velocity] = chance.standard_normal(3)
+    state.z[:size] = 1e-3 * random.standard_normal(size)
+    state.z[model.velocity] = random.standard_normal(3)
     state.mode[:] = modes
-    state.height[:] = state.z[model.position] + chance.uniform(0.2, 0.8, 3) * CLEARANCE
-    state.speed[:] = chance.standard_normal(3)
+    state.height[:] = state.z[model.position] + random.uniform(0.2, 0.8, 3) * CLEARANCE
+    state.speed[:] = random.standard_normal(3)
     state.counters[0] = -1
     return state
 
@@ -85,10 +85,10 @@ MODES = st.lists(st.sampled_from([FLIGHT, FLOOR, CEILING]), min_size=3, max_size
 def test_finite_contact_forces_equal_the_system_matrices(
     modes: list[int], finite_contacts: int, seed: int
 ) -> None:
-    run = engine(0.1, finite_contacts=finite_contacts)
-    state, model, system = scatter(run, modes, seed), run.tables.model, run.system
-    bits = sum((mode != FLIGHT) << j | (mode == CEILING) << 3 + j for j, mode in enumerate(modes))
-    force, constant = system.contact_forces(bits)
+    run = propagator(0.1, finite_contacts=finite_contacts)
+    state, model, system = randomize(run, modes, seed), run.tables.model, run.system
+    contact_bits = sum((mode != FLIGHT) << j | (mode == CEILING) << 3 + j for j, mode in enumerate(modes))
+    force, constant = system.contact_forces(contact_bits)
     z, drive = state.z[: system.states], state.z[system.states : run.tables.size]
     expected = (system.force_state + force) @ z + constant + system.force_constant
     expected += system.force_drive @ (run.drive.output @ drive)
@@ -109,32 +109,34 @@ def test_finite_contact_forces_equal_the_system_matrices(
 def test_hit_transfers_momentum_by_contact_laws(
     coupled: bool, restitution: float, wall: int, modes: list[int], impacting: int, seed: int
 ) -> None:
-    run = engine(0.15 if coupled else 0.0, restitution)
+    run = propagator(0.15 if coupled else 0.0, restitution)
     modes[impacting] = FLIGHT
-    state, model = scatter(run, modes, seed), run.tables.model
+    state, model = randomize(run, modes, seed), run.tables.model
     position, body = state.z[model.position], state.z[model.velocity]
-    sign, own = SIGN[wall], np.where(state.mode == FLIGHT, state.speed, body)
-    state.height[impacting] = at = position[impacting] + (CLEARANCE if wall == CEILING else 0.0)
-    closing = 0.1 + abs(own[impacting])
-    own[impacting] = state.speed[impacting] = body[impacting] - sign * closing
+    sign, speed = SIGN[wall], np.where(state.mode == FLIGHT, state.speed, body)
+    state.height[impacting] = height = position[impacting] + (CLEARANCE if wall == CEILING else 0.0)
+    closing = 0.1 + abs(speed[impacting])
+    speed[impacting] = state.speed[impacting] = body[impacting] - sign * closing
     apply_impact(run, impacting, wall)
     after = state.z[model.velocity]
-    own_after = np.where(state.mode == FLIGHT, state.speed, after)
-    impulse = model.mass * (own_after - own)
+    speed_after = np.where(state.mode == FLIGHT, state.speed, after)
+    impulse = model.mass * (speed_after - speed)
     np.testing.assert_allclose(run.system.mass @ (after - body), -impulse, atol=1e-12)
     walls = np.array([wall if j == impacting else modes[j] for j in range(3)])
     for j in range(3):
         assert SIGN.get(walls[j], 0.0) * impulse[j] >= -1e-12
         # Dampers in flight elsewhere are unaffected, as are all dampers if the bodies are not coupled.
         assert j == impacting or (coupled and walls[j] != FLIGHT) or impulse[j] == 0.0
-    assert sign * (own_after[impacting] - after[impacting]) == pytest.approx(restitution * closing, abs=1e-12)
-    assert state.height[impacting] == at or not restitution
+    assert sign * (speed_after[impacting] - after[impacting]) == pytest.approx(
+        restitution * closing, abs=1e-12
+    )
+    assert state.height[impacting] == height or not restitution
     if state.mode[impacting] == wall:
         assert state.multiplicity[impacting] == 0
     assert state.multiplicity[impacting] == sign or not restitution
     log, count = run.log, run.log.filled[0]
     (hit,) = np.flatnonzero(log.kind[:count] != SEPARATION)
-    logged = [int(each[hit]) for each in (log.segment, log.damper, log.kind)]
+    logged = [int(column[hit]) for column in (log.segment, log.damper, log.kind)]
     assert (
         logged == [7, impacting, wall]
         and log.offset[hit] == 0.25
@@ -147,27 +149,29 @@ def test_hit_transfers_momentum_by_contact_laws(
     )
     for j in separated:
         # Its speed is that of its wall before the impact, or of a wall that releases it without force.
-        behind = SIGN[walls[j]] * (own_after[j] - after[j])
-        assert own_after[j] == (after[j] if behind == 0.0 else body[j])
-        assert behind >= 0.0 and state.height[j] == position[j] + (CLEARANCE if walls[j] == CEILING else 0.0)
+        opening_speed = SIGN[walls[j]] * (speed_after[j] - after[j])
+        assert speed_after[j] == (after[j] if opening_speed == 0.0 else body[j])
+        assert opening_speed >= 0.0 and state.height[j] == position[j] + (
+            CLEARANCE if walls[j] == CEILING else 0.0
+        )
 
 
 @given(coupled=st.booleans(), modes=MODES, seed=st.integers(0, 10_000))
 @settings(deadline=None)
 def test_release_agrees_with_enumeration(coupled: bool, modes: list[int], seed: int) -> None:
-    run = engine(0.15 if coupled else 0.0)
-    state, model, system = scatter(run, modes, seed), run.tables.model, run.system
+    run = propagator(0.15 if coupled else 0.0)
+    state, model, system = randomize(run, modes, seed), run.tables.model, run.system
     work = run.workspace.contact
     _forces(model, state, work.force)
     riding = np.flatnonzero(np.array(modes) != FLIGHT)
     sign = np.array([SIGN[modes[j]] for j in riding])
     inverse = np.linalg.inv(system.mass)
     free = inverse @ work.force[:3]
-    right = sign * (-model.gravity - free[riding])
+    bias = sign * (-model.gravity - free[riding])
     matrix = sign[:, None] * inverse[np.ix_(riding, riding)] * sign + np.diag(1.0 / model.mass[riding])
-    pressure = solve_by_enumeration(matrix, right)
+    pressure = solve_by_enumeration(matrix, bias)
     release_tensile(run.tables.flow, model, state, run.log, work)
-    released = riding[(pressure == 0.0) & (matrix @ pressure + right > 1e-9)]
+    released = riding[(pressure == 0.0) & (matrix @ pressure + bias > 1e-9)]
     assert set(np.flatnonzero(state.mode == FLIGHT)) - set(np.flatnonzero(np.array(modes) == FLIGHT)) == set(
         released
     )
@@ -182,21 +186,21 @@ def test_release_agrees_with_enumeration(coupled: bool, modes: list[int], seed: 
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
 @pytest.mark.parametrize("coupled", [False, True])
 def test_rebound_within_rounding_stays_at_its_wall(wall: int, coupled: bool) -> None:
-    run = engine(0.2 if coupled else 0.0)
+    run = propagator(0.2 if coupled else 0.0)
     state, model, work = run.state, run.tables.model, run.workspace.contact
     state.mode[1], row = wall, model.position[1]
-    state.z[row], size = -0.3, 2 * 0.3 + (CLEARANCE if wall == CEILING else 0.0)
+    state.z[row], coordinate_scale = -0.3, 2 * 0.3 + (CLEARANCE if wall == CEILING else 0.0)
     force = np.array([3.0, -20.0 * SIGN[wall] - 10.0, 5.0])
     if not coupled:
         force[1] = 8.0 if wall == FLOOR else -25.0
     inverse = np.linalg.inv(run.system.mass)[1]
-    pull = model.gravity + np.abs(inverse * force).sum()
+    acceleration_limit = model.gravity + np.abs(inverse * force).sum()
     if not coupled:
-        pull = SIGN[wall] * (model.gravity + inverse[1] * force[1])
-    lowest = np.sqrt(2 * pull * ROUNDING * size)
+        acceleration_limit = SIGN[wall] * (model.gravity + inverse[1] * force[1])
+    speed_limit = np.sqrt(2 * acceleration_limit * ROUNDING * coordinate_scale)
     work.force[:3] = force
-    assert _rebound_is_negligible(model, state, 1, 0.999 * lowest, work.force)
-    assert not _rebound_is_negligible(model, state, 1, 1.001 * lowest, work.force)
+    assert _rebound_is_negligible(model, state, 1, 0.999 * speed_limit, work.force)
+    assert not _rebound_is_negligible(model, state, 1, 1.001 * speed_limit, work.force)
     if not coupled:
         # The contact force would be tensile.
         work.force[1] = -100.0 * SIGN[wall]
@@ -209,15 +213,17 @@ def test_rebound_within_rounding_stays_at_its_wall(wall: int, coupled: bool) -> 
 def test_tension_within_rounding_does_not_release(
     wall: int, coupled: bool, ratio: float, releases: bool
 ) -> None:
-    run = engine(0.2 if coupled else 0.0)
-    state, model, system = scatter(run, [FLIGHT, wall, FLIGHT], 3), run.tables.model, run.system
-    # Far from rest, so that large terms nearly cancel.
+    run = propagator(0.2 if coupled else 0.0)
+    state, model, system = randomize(run, [FLIGHT, wall, FLIGHT], 3), run.tables.model, run.system
+    # The state is far from rest, so that large terms nearly cancel.
     state.z[: run.tables.size] *= 1e3
     terms = np.hstack([system.force_state, system.force_drive @ run.drive.output])
     inverse = np.linalg.inv(system.mass)[1]
-    size = model.gravity + np.abs(inverse) @ np.abs(terms * state.z[: terms.shape[1]]).sum(axis=1)
-    assert np.count_nonzero(inverse) == (3 if coupled else 1) and size > 1e3 * model.gravity
-    acceleration = -SIGN[wall] * ratio * ROUNDING * size
+    acceleration_scale = model.gravity + np.abs(inverse) @ np.abs(terms * state.z[: terms.shape[1]]).sum(
+        axis=1
+    )
+    assert np.count_nonzero(inverse) == (3 if coupled else 1) and acceleration_scale > 1e3 * model.gravity
+    acceleration = -SIGN[wall] * ratio * ROUNDING * acceleration_scale
     work = run.workspace.contact
     work.force[:3] = 0.0, (acceleration - model.gravity) / inverse[1], 0.0
     release = _release_coupled if coupled else _release_independent
@@ -233,7 +239,7 @@ def test_tension_within_rounding_does_not_release(
 @pytest.mark.parametrize("coupled", [False, True])
 @pytest.mark.parametrize(("closing", "stays"), [(1e-9, True), (1e-3, False)])
 def test_low_rebound_comes_to_rest(wall: int, coupled: bool, closing: float, stays: bool) -> None:
-    run = engine(0.2 if coupled else 0.0, restitution=0.4)
+    run = propagator(0.2 if coupled else 0.0, restitution=0.4)
     state, model = run.state, run.tables.model
     state.mode[:], state.counters[0] = FLIGHT, -1
     # The structure presses the wall of body 1 against its damper, and those of the others are far away.
@@ -247,14 +253,14 @@ def test_low_rebound_comes_to_rest(wall: int, coupled: bool, closing: float, sta
     assert state.mode.tolist() == [wall if stays else FLIGHT, FLIGHT, FLIGHT]
     assert state.multiplicity[0] == (0 if stays else SIGN[wall])
     body = state.z[model.velocity]
-    own = np.where(state.mode == FLIGHT, state.speed, body)
-    np.testing.assert_allclose(run.system.mass @ body + model.mass * own, before, atol=1e-15)
-    rebound = SIGN[wall] * (own[0] - body[0])
+    speed = np.where(state.mode == FLIGHT, state.speed, body)
+    np.testing.assert_allclose(run.system.mass @ body + model.mass * speed, before, atol=1e-15)
+    rebound = SIGN[wall] * (speed[0] - body[0])
     assert rebound == (0.0 if stays else pytest.approx(0.4 * closing, rel=1e-9))
 
 
 def test_uncoupled_damper_stays_at_rest() -> None:
-    run = engine(0.2, uncoupled=1)
+    run = propagator(0.2, uncoupled=1)
     state, model = run.state, run.tables.model
     state.mode[:], state.counters[0] = (FLIGHT, FLIGHT, FLOOR), -1
     state.height[:], state.speed[:] = state.z[model.position] + 0.5 * CLEARANCE, 0.0
@@ -265,19 +271,19 @@ def test_uncoupled_damper_stays_at_rest() -> None:
 
 
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
-@pytest.mark.parametrize(("part", "closed"), [(0.999, True), (1.001, False)])
-def test_slowly_opened_contact_stays_closed(wall: int, part: float, closed: bool) -> None:
-    run = engine(0.2)
+@pytest.mark.parametrize(("ratio", "closed"), [(0.999, True), (1.001, False)])
+def test_slowly_opened_contact_stays_closed(wall: int, ratio: float, closed: bool) -> None:
+    run = propagator(0.2)
     state, model, work = run.state, run.tables.model, run.workspace.contact
     state.mode[:], row = wall, model.position[1]
-    state.z[row], size = -0.3, 2 * 0.3 + (CLEARANCE if wall == CEILING else 0.0)
+    state.z[row], coordinate_scale = -0.3, 2 * 0.3 + (CLEARANCE if wall == CEILING else 0.0)
     work.force[:3] = 3.0, -20.0, 5.0
-    pull = model.gravity + np.abs(np.linalg.inv(run.system.mass)[1] * work.force[:3]).sum()
-    lowest = np.sqrt(2 * pull * ROUNDING * size)
+    acceleration_limit = model.gravity + np.abs(np.linalg.inv(run.system.mass)[1] * work.force[:3]).sum()
+    speed_limit = np.sqrt(2 * acceleration_limit * ROUNDING * coordinate_scale)
     matrix, pressure = np.array([[3.0, -0.5], [-0.5, 2.0]]), np.array([0.0, 0.25])
     work.damper[:2], work.active[:2] = (1, 2), (False, True)
     work.matrix[:2, :2], work.pressure[:2] = matrix, pressure
-    work.opening_speed[:2] = part * lowest - matrix[0] @ pressure, -0.5
+    work.opening_speed[:2] = ratio * speed_limit - matrix[0] @ pressure, -0.5
     work.rhs[:2] = work.opening_speed[:2]
     _close_slow_openings(model, state, work, 2)
     assert work.active[:2].tolist() == [closed, True]
@@ -306,7 +312,7 @@ def test_slowly_opened_contact_stays_closed(wall: int, part: float, closed: bool
 def test_flying_damper_touches_a_wall_when_closing(
     gap: float, closing: float, multiplicity: int, wall: int
 ) -> None:
-    run = engine(0.1)
+    run = propagator(0.1)
     state, model = run.state, run.tables.model
     state.mode[1] = FLIGHT
     state.z[model.position[1]], state.z[model.velocity[1]] = -1.0 / 64, 0.5

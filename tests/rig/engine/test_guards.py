@@ -26,15 +26,17 @@ CLEARANCE = 1e-3
 
 
 @cache
-def engine(
+def propagator(
     contact: str = "", bodies: tuple[int, ...] = (1, 2, 3), clearance: float = CLEARANCE
 ) -> Propagator:
     """Return three bodies with dampers in some; `contact` is the contact duration. Tests set the state."""
-    of_dampers = {"contact": {"duration": contact}} if contact else {}
+    contact_keys = {"contact": {"duration": contact}} if contact else {}
     scene = rig.Scene.model_validate(
         {
             "structure": {"masses": [1.0, 0.8, 0.6], "springs": [4e3] * 3, "damping": {"modal": 0.01}},
-            "dampers": [{"body": body, "mass": 0.1, "clearance": clearance, **of_dampers} for body in bodies],
+            "dampers": [
+                {"body": body, "mass": 0.1, "clearance": clearance, **contact_keys} for body in bodies
+            ],
             "shaker": {"kind": "force", "body": 1},
             "test": {"kind": "sine", "frequency": 10.0, "force": 1.0},
         }
@@ -56,24 +58,24 @@ def test_positive_margin_proves_guards_within_error(
         assert margin == pytest.approx(coefficients[:3].min() - error / 384)
 
 
-@given(curve=VALUES, end=st.floats(0.01, 3.0), share=st.floats(0.1, 2.0))
-def test_double_zero_margin_is_exact(curve: float, end: float, share: float) -> None:
-    # tau^2 (curve (1 - tau) + end tau), and the most that the error takes from it.
-    assume(abs(share - 1.0) > 1e-6 and abs(curve) > 1e-3)
-    error = share * 24 * abs(curve)
+@given(curve=VALUES, end=st.floats(0.01, 3.0), error_ratio=st.floats(0.1, 2.0))
+def test_double_zero_margin_is_exact(curve: float, end: float, error_ratio: float) -> None:
+    # tau^2 (curve (1 - tau) + end tau), minus the largest error.
+    assume(abs(error_ratio - 1.0) > 1e-6 and abs(curve) > 1e-3)
+    error = error_ratio * 24 * abs(curve)
     assume(end > error / 384)
     margin = _margin(0.0, 0.0, end, 3 * end - curve, error, 2)
-    lowest = curve * (1 - TAU) + end * TAU - error * (1 - TAU) ** 2 / 24
-    begins = curve - error / 24
-    assert (margin > 0.0) == (begins > 0.0)
-    assert margin <= 0.0 or (lowest > 0.0).all()
+    lower_bound = curve * (1 - TAU) + end * TAU - error * (1 - TAU) ** 2 / 24
+    initial_value = curve - error / 24
+    assert (margin > 0.0) == (initial_value > 0.0)
+    assert margin <= 0.0 or (lower_bound > 0.0).all()
 
 
 @pytest.mark.parametrize("length", [1.0, 0.3])
 def test_series_bounds_contain_the_guard(
     length: float,
 ) -> None:
-    run = engine()
+    run = propagator()
     model, state, bound = run.tables.model, run.state, run.workspace.bound
     state.mode[:] = FLIGHT, FLOOR, CEILING
     rows = model.position.copy()
@@ -87,16 +89,16 @@ def test_series_bounds_contain_the_guard(
         if state.mode[j] != FLIGHT:
             series = series.deriv() / model.step
             index = first_acceleration + model.position[j]
-            for at, when in ((state.z, 0.0), (new, length)):
-                assert at[index] == pytest.approx(series(when))
-                assert at[index + model.first_velocity] == pytest.approx(series.deriv()(when))
-        sizes = np.polynomial.Polynomial(np.abs(series.coef))
-        assert bound[j] == pytest.approx(sizes.deriv(4)(1.0))
-        assert bound[3 + j] == pytest.approx(sizes(1.0))
+            for columns, tau in ((state.z, 0.0), (new, length)):
+                assert columns[index] == pytest.approx(series(tau))
+                assert columns[index + model.first_velocity] == pytest.approx(series.deriv()(tau))
+        absolute_series = np.polynomial.Polynomial(np.abs(series.coef))
+        assert bound[j] == pytest.approx(absolute_series.deriv(4)(1.0))
+        assert bound[3 + j] == pytest.approx(absolute_series(1.0))
 
 
 def test_finite_contact_has_no_series_bound() -> None:
-    run = engine("2 ms")
+    run = propagator("2 ms")
     model, work = run.tables.model, run.workspace
     bound_by_series(
         model, run.state.mode, work.tableau, 1.0, run.state.z, work.new, run.tables.size, work.bound
@@ -107,22 +109,26 @@ def test_finite_contact_has_no_series_bound() -> None:
 class Step:
     """A step from a random state, computed from its power series; guards at any time in it."""
 
-    def __init__(self, run: Propagator, modes: list[int], drawn: np.ndarray) -> None:
+    def __init__(self, run: Propagator, modes: list[int], random_values: np.ndarray) -> None:
         self.run, self.modes, model, system, state = run, modes, run.tables.model, run.system, run.state
         size, count, dampers = run.tables.size, system.coordinates, system.dampers
         z = np.concatenate(
-            [3e-3 * drawn[:count], 0.1 * drawn[count : 2 * count], 5.0 * drawn[2 * count : size]]
+            [
+                3e-3 * random_values[:count],
+                0.1 * random_values[count : 2 * count],
+                5.0 * random_values[2 * count : size],
+            ]
         )
-        position, speed = drawn[size : size + dampers], drawn[size + dampers :]
+        position, speed = random_values[size : size + dampers], random_values[size + dampers :]
         for j in np.flatnonzero(system.finite_contact):
             # A gap within the cavity, or within the wall.
-            inside = (0.5 + 0.48 * np.sin(position[j])) * CLEARANCE
-            z[model.bed[j]] = [inside, -0.1 * inside, CLEARANCE + 0.1 * inside][modes[j]]
+            gap = (0.5 + 0.48 * np.sin(position[j])) * CLEARANCE
+            z[model.bed[j]] = [gap, -0.1 * gap, CLEARANCE + 0.1 * gap][modes[j]]
         self.bits = sum((mode != FLIGHT) << j for j, mode in enumerate(modes))
         self.bits |= sum(
             (modes[j] == CEILING) << dampers + int(j) for j in np.flatnonzero(system.finite_contact)
         )
-        self.matrix, self.offset = (part.astype(float) for part in run.tables.generator(self.bits))
+        self.matrix, self.offset = (array.astype(float) for array in run.tables.generator(self.bits))
         state.mode[:] = modes
         state.height[:] = z[model.position] + (0.5 + 0.48 * np.sin(position)) * CLEARANCE
         state.speed[:] = 0.1 * speed
@@ -141,7 +147,7 @@ class Step:
         force, constant = run.system.contact_forces(self.bits)
         for j, mode in enumerate(self.modes):
             sign = -1.0 if mode == CEILING else 1.0
-            row, offset, own = np.zeros(run.tables.size), 0.0, np.zeros(3)
+            row, offset, flight_terms = np.zeros(run.tables.size), 0.0, np.zeros(3)
             if run.system.finite_contact[j] and mode != FLIGHT:
                 row[: run.system.states], offset = sign * force[model.bed[j]], sign * constant[model.bed[j]]
             elif run.system.finite_contact[j]:
@@ -151,16 +157,22 @@ class Step:
                 offset = sign * (self.offset[model.velocity[j]] + model.gravity)
             else:
                 row[model.position[j]] = -1.0
-                own[:] = state.height[j], state.speed[j] * model.step, -model.gravity * model.step**2 / 2
+                flight_terms[:] = (
+                    state.height[j],
+                    state.speed[j] * model.step,
+                    -model.gravity * model.step**2 / 2,
+                )
             series = np.polynomial.Polynomial([row @ term for term in self.terms])
-            series = series + np.polynomial.Polynomial([offset, 0.0, 0.0]) + np.polynomial.Polynomial(own)
+            series = (
+                series + np.polynomial.Polynomial([offset, 0.0, 0.0]) + np.polynomial.Polynomial(flight_terms)
+            )
             walls = [series, CLEARANCE - series] if model.clearance[j] < np.inf else [series]
-            for one in walls if mode == FLIGHT else walls[:1]:
-                result.append((j, np.array([one(tau), one.deriv()(tau), one.deriv(4)(tau)])))
+            for guard in walls if mode == FLIGHT else walls[:1]:
+                result.append((j, np.array([guard(tau), guard.deriv()(tau), guard.deriv(4)(tau)])))
         return result
 
     def margins(self, length: float) -> np.ndarray:
-        """How far the Bernstein coefficients of every guard's cubic lie above its error, (guards, 4)."""
+        """Return the Bernstein coefficients of every guard's cubic minus its error, (guards, 4)."""
         result = []
         for j, (value, slope, _) in self.guards(np.array([0.0, length])):
             inner = value[0] + slope[0] * length / 3, value[1] - slope[1] * length / 3
@@ -202,7 +214,7 @@ def draw_state(run: Propagator, rng: np.random.Generator) -> np.ndarray:
 )
 @settings(max_examples=50, deadline=None)
 def test_first_falling_guard_is_located(contact: str, modes: list[int], seed: int, length: float) -> None:
-    run = engine(contact)
+    run = propagator(contact)
     step = Step(run, modes, draw_state(run, np.random.default_rng(seed)))
     times = np.linspace(0.0, length, 400)
     guards = step.guards(times)
@@ -213,10 +225,10 @@ def test_first_falling_guard_is_located(contact: str, modes: list[int], seed: in
     before = times < (length if tau == NO_CROSSING else tau * length) - 1e-9
     assert all((guard[0, before] > 0.0).all() for _, guard in guards)
     if tau != NO_CROSSING:
-        hit = [guard[:2, 0] for j, guard in step.guards(np.array([tau * length])) if j == damper]
-        value, slope = min(hit, key=lambda guard: abs(guard[0]))
-        largest = max(np.abs(guard[0]).max() for j, guard in guards if j == damper)
-        assert abs(value) < 1e-9 * largest and slope < 0.0
+        crossing = [guard[:2, 0] for j, guard in step.guards(np.array([tau * length])) if j == damper]
+        value, slope = min(crossing, key=lambda guard: abs(guard[0]))
+        scale = max(np.abs(guard[0]).max() for j, guard in guards if j == damper)
+        assert abs(value) < 1e-9 * scale and slope < 0.0
 
 
 @pytest.mark.parametrize("contact", ["", "10 ms"])
@@ -225,60 +237,62 @@ def test_first_falling_guard_is_located(contact: str, modes: list[int], seed: in
 def test_proven_guard_is_not_examined(contact: str, mode: int, length: float) -> None:
     rng = np.random.default_rng(8)
     for clearance in (CLEARANCE, np.inf) if mode == FLIGHT else (CLEARANCE,):
-        run = engine(contact, (2,), clearance)
+        run = propagator(contact, (2,), clearance)
         draws = [draw_state(run, rng) * rng.uniform(0.0, 1.0) for _ in range(120)]
-        margins = [Step(run, [mode], each).margins(length) for each in draws]
-        proven_at = [each for each, result in zip(draws, margins, strict=True) if result.min() > 0.0]
-        # For each coefficient of each guard, one state in damper this coefficient is critical.
-        spoilt = {
-            int(result.argmin()): each
-            for each, result in zip(draws, margins, strict=True)
+        margins = [Step(run, [mode], draw).margins(length) for draw in draws]
+        proven_draws = [draw for draw, result in zip(draws, margins, strict=True) if result.min() > 0.0]
+        # For each coefficient of each guard, one state in which this coefficient is critical.
+        unproven_draws = {
+            int(result.argmin()): draw
+            for draw, result in zip(draws, margins, strict=True)
             if result.min() <= 0.0
         }
-        assert spoilt and proven_at
-        for proven, other in zip(cycle(proven_at), spoilt.values()):
+        assert unproven_draws and proven_draws
+        for proven, unproven in zip(cycle(proven_draws), unproven_draws.values()):
             # Between the two there is a state exactly at the limit.
             for _ in range(24):
-                between = (proven + other) / 2
-                if Step(run, [mode], between).margins(length).min() > 0.0:
-                    proven = between
+                middle = (proven + unproven) / 2
+                if Step(run, [mode], middle).margins(length).min() > 0.0:
+                    proven = middle
                 else:
-                    other = between
+                    unproven = middle
             assert not Step(run, [mode], proven).examine(length)[0]
-            assert Step(run, [mode], other).examine(length)[0]
+            assert Step(run, [mode], unproven).examine(length)[0]
 
 
 @given(
     modes=st.lists(st.sampled_from([FLIGHT, FLOOR, CEILING]), min_size=3, max_size=3),
     seed=st.integers(0, 1000),
     duration=st.sampled_from([0.0, 1e-3]),
-    missed=st.integers(-1, 2),
+    unproven_guard=st.integers(-1, 2),
 )
 def test_margins_are_compared_guard_by_guard(
-    modes: list[int], seed: int, duration: float, missed: int
+    modes: list[int], seed: int, duration: float, unproven_guard: int
 ) -> None:
-    run, rng = engine(), np.random.default_rng(seed)
+    run, rng = propagator(), np.random.default_rng(seed)
     model, state, columns = run.tables.model, run.state, run.tables.size
     z = state.z
     z[model.position] = 1e-4 * rng.standard_normal(3)
     state.mode[:] = modes
     state.speed[:] = 0.01 * rng.standard_normal(3)
     gap = rng.uniform(0.1, 0.9, 3) * CLEARANCE
-    fallen = model.gravity * duration**2 / 2
-    state.height[:] = z[model.position] + gap - state.speed * duration + fallen
+    drop = model.gravity * duration**2 / 2
+    state.height[:] = z[model.position] + gap - state.speed * duration + drop
     guard = np.empty(3)
     for j, mode in enumerate(modes):
-        upward = rng.uniform(0.1, 5.0)
-        z[columns + model.position[j]] = -model.gravity + (-upward if mode == CEILING else upward)
-        guard[j] = min(gap[j], CLEARANCE - gap[j]) if mode == FLIGHT else upward
+        relative_acceleration = rng.uniform(0.1, 5.0)
+        z[columns + model.position[j]] = -model.gravity + (
+            -relative_acceleration if mode == CEILING else relative_acceleration
+        )
+        guard[j] = min(gap[j], CLEARANCE - gap[j]) if mode == FLIGHT else relative_acceleration
     margin = guard * (1 - 1e-9)
-    if missed >= 0:
-        margin[missed] = guard[missed] * (1 + 1e-9)
-    assert above_margins(model, state, margin, z, columns, duration) == (missed < 0)
+    if unproven_guard >= 0:
+        margin[unproven_guard] = guard[unproven_guard] * (1 + 1e-9)
+    assert above_margins(model, state, margin, z, columns, duration) == (unproven_guard < 0)
 
 
 def test_envelope_contains_all_states_until_reset() -> None:
-    run = engine()
+    run = propagator()
     flow, work, columns = run.tables.flow, run.workspace, run.tables.size
     states = np.zeros((5, len(work.size)))
     states[:, :columns] = np.random.default_rng(2).standard_normal((5, columns))
@@ -289,5 +303,5 @@ def test_envelope_contains_all_states_until_reset() -> None:
         widen_envelope(flow, 0, z, work)
     largest = np.abs(states).max(axis=0)[:columns]
     assert (work.envelope[:columns] >= largest).all()
-    wanted = flow.margin_constant[0] + work.envelope[:columns] @ flow.margin[0]
-    np.testing.assert_allclose(work.margin, wanted, rtol=1e-12)
+    expected = flow.margin_constant[0] + work.envelope[:columns] @ flow.margin[0]
+    np.testing.assert_allclose(work.margin, expected, rtol=1e-12)

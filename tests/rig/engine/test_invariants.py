@@ -15,7 +15,7 @@ from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 
 
-def _log(low: float, high: float) -> st.SearchStrategy[float]:
+def log_uniform(low: float, high: float) -> st.SearchStrategy[float]:
     return st.floats(np.log(low), np.log(high)).map(lambda value: float(np.exp(value)))
 
 
@@ -24,12 +24,12 @@ def scenes(draw: st.DrawFn) -> rig.Scene:
     """Chains and full mass matrices of one to four bodies with dampers in some, driven hard enough to fly."""
     bodies = draw(st.integers(1, 4))
     masses = draw(st.lists(st.floats(0.3, 2.0), min_size=bodies, max_size=bodies))
-    omega = draw(_log(30.0, 500.0))
+    omega = draw(log_uniform(30.0, 500.0))
     springs = [mass * omega**2 * draw(st.floats(0.3, 3.0)) for mass in masses]
     structure: dict[str, object] = {
         "masses": masses,
         "springs": springs,
-        "damping": {"modal": draw(_log(1e-4, 0.1))},
+        "damping": {"modal": draw(log_uniform(1e-4, 0.1))},
     }
     if draw(st.booleans()):
         from rig.system.structural_model import chain_matrix
@@ -44,21 +44,21 @@ def scenes(draw: st.DrawFn) -> rig.Scene:
                 "damping": (1e-4 * stiffness).tolist(),
             }
         }
-    places = draw(st.lists(st.integers(1, bodies), min_size=1, max_size=4))
+    damper_bodies = draw(st.lists(st.integers(1, bodies), min_size=1, max_size=4))
     dampers = [
         {
             "body": body,
-            "mass_ratio": draw(_log(0.01, 2.0)),
-            "clearance": draw(st.one_of(st.just(float("inf")), _log(3e-5, 3e-3))),
+            "mass_ratio": draw(log_uniform(0.01, 2.0)),
+            "clearance": draw(st.one_of(st.just(float("inf")), log_uniform(3e-5, 3e-3))),
             "restitution": draw(st.sampled_from([0.0, 0.0, 0.3, 0.8])),
         }
-        for body in places
+        for body in damper_bodies
     ]
     test = {
         "kind": "sine",
         "start": draw(st.sampled_from(["empty", "settled"])),
         "frequency": omega / 2 / np.pi * draw(st.floats(0.5, 1.6)),
-        "force": sum(masses) * 9.80665 * draw(_log(0.3, 4.0)),
+        "force": sum(masses) * 9.80665 * draw(log_uniform(0.3, 4.0)),
     }
     shaker = {"kind": "force", "body": draw(st.integers(1, bodies))}
     return rig.Scene.model_validate(
@@ -78,9 +78,9 @@ def test_dampers_stay_in_cavities_and_energy_balances(
     assert (run.gap >= 0.0).all() and (run.gap <= clearance + 1e-12).all()
     # A wall passed unnoticed would leave a damper in flight with no gap, away from any event.
     for damper in range(len(scene.dampers)):
-        stuck = run.time[(run.contact[damper] == 0) & (run.gap[damper] == 0.0)]
-        own = run.events["time"][run.events["damper"] == damper + 1]
-        assert all(np.abs(own - time).min() < 1e-6 for time in stuck)
+        stuck_times = run.time[(run.contact[damper] == 0) & (run.gap[damper] == 0.0)]
+        event_times = run.events["time"][run.events["damper"] == damper + 1]
+        assert all(np.abs(event_times - time).min() < 1e-6 for time in stuck_times)
     energy = run.energy
     turnover = abs(energy.work) + energy.dissipated + energy.impacts + abs(energy.stored)
     assert abs(energy.residual) < 1e-10 * turnover
@@ -110,13 +110,13 @@ def test_envelope_hides_no_event(scene: rig.Scene, seed: int) -> None:
     time = np.arange(1000) / rate
     tone = np.sin(2 * np.pi * scene.test.frequency * time) + 0.1 * random.standard_normal(len(time))
     drive = 3.0 * scene.test.force * tone[None]
-    whole = rig.Plant(scene, rate).advance(drive)
+    single_block = rig.Plant(scene, rate).advance(drive)
     plant = rig.Plant(scene, rate)
     samples = [plant.advance(drive[:, k : k + 1]) for k in range(len(time))]
-    np.testing.assert_array_equal(np.concatenate([sample.events for sample in samples]), whole.events)
+    np.testing.assert_array_equal(np.concatenate([sample.events for sample in samples]), single_block.events)
     for field in ("displacement", "acceleration", "gap", "contact"):
         joined = np.concatenate([getattr(sample, field) for sample in samples], axis=1)
-        np.testing.assert_array_equal(joined, getattr(whole, field))
+        np.testing.assert_array_equal(joined, getattr(single_block, field))
 
 
 @settings(max_examples=40)
@@ -125,10 +125,10 @@ def test_block_size_changes_no_bit(scene: rig.Scene, seed: int) -> None:
     random = np.random.default_rng(seed)
     drive = scene.test.force * random.standard_normal((1, 300))
     rate = 30 * scene.test.frequency
-    whole = rig.Plant(scene, rate).advance(drive)
+    single_block = rig.Plant(scene, rate).advance(drive)
     plant = rig.Plant(scene, rate)
-    cuts = np.sort(random.integers(0, 300, 6))
-    parts = [plant.advance(block) for block in np.split(drive, cuts, axis=1)]
+    block_starts = np.sort(random.integers(0, 300, 6))
+    blocks = [plant.advance(block) for block in np.split(drive, block_starts, axis=1)]
     for field in (
         "displacement",
         "velocity",
@@ -138,11 +138,12 @@ def test_block_size_changes_no_bit(scene: rig.Scene, seed: int) -> None:
         "break_velocity",
         "break_acceleration",
     ):
-        joined = np.concatenate([getattr(part, field) for part in parts], axis=-1)
-        np.testing.assert_array_equal(joined, getattr(whole, field))
+        joined = np.concatenate([getattr(block_motion, field) for block_motion in blocks], axis=-1)
+        np.testing.assert_array_equal(joined, getattr(single_block, field))
     for field in ("break_sample", "break_offset", "events"):
         np.testing.assert_array_equal(
-            np.concatenate([getattr(part, field) for part in parts]), getattr(whole, field)
+            np.concatenate([getattr(block_motion, field) for block_motion in blocks]),
+            getattr(single_block, field),
         )
 
 
@@ -158,40 +159,44 @@ def test_impact_conserves_momentum(scene: rig.Scene, seed: int) -> None:
     mode = np.ones(system.dampers, dtype=int)
     mode[[int(e["damper"]) - 1 for e in motion.events if e["time"] == 0.0]] = 0
     events = [e for e in motion.events if e["time"] > 0.0]
-    # Breaks of one instant to within rounding: which of its events belongs to which, no list tells.
-    for breaks in np.split(np.arange(time.size), np.flatnonzero(np.diff(time) > SAME_INSTANT) + 1):
+    # Several breaks may coincide within rounding. No list assigns their events to them.
+    for breaks in np.split(np.arange(time.size), np.flatnonzero(np.diff(time) > SIMULTANEITY_S) + 1):
         if breaks.size:
-            here = [e for e in events if np.abs(time[breaks] - e["time"]).min() <= 1e-12]
-            left = _balanced(system, motion, breaks.tolist(), here, mode)
-            assert left is not None, f"no way to hand out {here} to breaks {breaks} keeps momentum"
-            mode = left
+            simultaneous = [e for e in events if np.abs(time[breaks] - e["time"]).min() <= 1e-12]
+            next_mode = modes_after_breaks(system, motion, breaks.tolist(), simultaneous, mode)
+            assert next_mode is not None, (
+                f"no assignment of {simultaneous} to breaks {breaks} conserves momentum"
+            )
+            mode = next_mode
 
 
 #: Impacts within this time, s, are treated as simultaneous in these tests.
-SAME_INSTANT = 1e-9
+SIMULTANEITY_S = 1e-9
 #: Wall velocities, m/s, below which the engine may hold a damper through an impact and let go right after: how far they
 #: would open the gap cannot be told from rounding.
-TOO_LOW = 1e-6
+MIN_SEPARATION_SPEED = 1e-6
 
 
-def _balanced(
+def modes_after_breaks(
     system: HybridSystem, motion: Motion, breaks: list[int], events: list[np.void], mode: np.ndarray
 ) -> np.ndarray | None:
     """Modes of the dampers after breaks whose momentum balances with the events in their order; None: none does."""
     if not breaks:
         return mode if not events else None
     for count in range(len(events) + 1):
-        after = _after(system, motion, breaks[0], events[:count], mode)
-        left = None if after is None else _balanced(system, motion, breaks[1:], events[count:], after)
-        if left is not None:
-            return left
+        after = modes_after_break(system, motion, breaks[0], events[:count], mode)
+        next_mode = (
+            None if after is None else modes_after_breaks(system, motion, breaks[1:], events[count:], after)
+        )
+        if next_mode is not None:
+            return next_mode
     return None
 
 
-def _after(
+def modes_after_break(
     system: HybridSystem, motion: Motion, k: int, events: list[np.void], mode: np.ndarray
 ) -> np.ndarray | None:
-    """Modes after one break in which these events fall; None if momentum is not kept so."""
+    """Return the modes after one break with these events; None if they do not conserve momentum."""
     before, after = motion.break_velocity[:, :, k]
     impulse = system.mass @ (after - before)
     scale = np.abs(system.mass @ np.abs(before)).max() + np.abs(impulse).max()
@@ -204,31 +209,31 @@ def _after(
             impacting[j] = float(event["speed"]) * (1.0 if event["kind"] == "floor" else -1.0)
             mode[j] = 1 if event["kind"] == "floor" else 2
     balance = impulse.copy()
-    doubtful: list[tuple[int, float]] = []
+    undecided: list[tuple[int, float]] = []
     for j in range(system.dampers):
         body = system.damper_coordinate[j]
         change = after[body] - before[body]
         if j in impacting:
             # Before the impact the damper moved slower than the floor by the closing speed.
             balance[body] += system.damper_mass[j] * (change + impacting[j])
-        elif mode[j] and not (j in lifted and _let_go(mode[j], change)):
+        elif mode[j] and not (j in lifted and separates(mode[j], change)):
             balance[body] += system.damper_mass[j] * change
-        elif mode[j] and abs(change) < TOO_LOW:
-            doubtful.append((body, system.damper_mass[j] * change))
+        elif mode[j] and abs(change) < MIN_SEPARATION_SPEED:
+            undecided.append((body, system.damper_mass[j] * change))
     mode[list(lifted)] = 0
-    for taken in product((0.0, 1.0), repeat=len(doubtful)):
-        shares = np.bincount(
-            [body for body, _ in doubtful],
-            [part * share for part, (_, share) in zip(taken, doubtful, strict=True)],
+    for choice in product((0.0, 1.0), repeat=len(undecided)):
+        held_impulse = np.bincount(
+            [body for body, _ in undecided],
+            [part * share for part, (_, share) in zip(choice, undecided, strict=True)],
             balance.size,
         )
-        if np.abs(balance + shares).max() < 1e-12 * max(scale, 1e-12):
+        if np.abs(balance + held_impulse).max() < 1e-12 * max(scale, 1e-12):
             return mode
     return None
 
 
-def _let_go(mode: int, change: float) -> bool:
-    """Whether a damper separates from a wall with this velocity jump."""
+def separates(mode: int, change: float) -> bool:
+    """Return whether a damper separates from a wall with this velocity jump."""
     return change < 0.0 if mode == 1 else change > 0.0
 
 
@@ -262,16 +267,19 @@ def test_dampers_settle_on_floors_at_static_sag() -> None:
 
 @pytest.mark.parametrize(("body", "clearance"), [(1, 0.5e-3), (2, 0.98e-3), (3, float("inf"))])
 def test_damper_split_in_two_moves_the_same(body: int, clearance: float) -> None:
-    whole = {"body": body, "mass_ratio": 0.1, "clearance": clearance}
-    piece = whole | {"mass_ratio": 0.05}
+    whole_damper = {"body": body, "mass_ratio": 0.1, "clearance": clearance}
+    half_damper = whole_damper | {"mass_ratio": 0.05}
     scene = rig.load("fig8-three-dampers").replace(
         test={"kind": "sine", "frequency": 33.0, "force": 2.6},
         shaker={"kind": "force", "body": 1},
         channels=None,
     )
-    one, two = (rig.simulate(scene.replace(dampers=each), 0.5) for each in ([whole], [piece, piece]))
-    assert one.events.size > 3
-    assert abs(one.displacement - two.displacement).max() < 1e-12 * abs(one.displacement).max()
+    motion, split_motion = (
+        rig.simulate(scene.replace(dampers=dampers), 0.5)
+        for dampers in ([whole_damper], [half_damper, half_damper])
+    )
+    assert motion.events.size > 3
+    assert abs(motion.displacement - split_motion.displacement).max() < 1e-12 * abs(motion.displacement).max()
     for number in (1, 2):
-        own = two.events[two.events["damper"] == number]
-        np.testing.assert_allclose(own["time"], one.events["time"], rtol=1e-12)
+        damper_events = split_motion.events[split_motion.events["damper"] == number]
+        np.testing.assert_allclose(damper_events["time"], motion.events["time"], rtol=1e-12)

@@ -14,7 +14,7 @@ OMEGA = 2 * np.pi * 10.0
 
 
 def single(damper: dict[str, object], damping: float = 0.01, **test: object) -> rig.Scene:
-    """One body of 1 kg at 10 Hz with a damper, driven by a force."""
+    """Return one body of 1 kg at 10 Hz with a damper, driven by a force."""
     return rig.Scene.model_validate(
         {
             "structure": {"masses": [1.0], "springs": [OMEGA**2], "damping": {"modal": damping}},
@@ -25,8 +25,10 @@ def single(damper: dict[str, object], damping: float = 0.01, **test: object) -> 
     )
 
 
-def free(masses: list[float], springs: list[float], velocity: list[float], **changes: object) -> rig.Scene:
-    """A chain set in motion from x = 0."""
+def free_chain(
+    masses: list[float], springs: list[float], velocity: list[float], **changes: object
+) -> rig.Scene:
+    """Return a chain that moves from x = 0 with initial velocities."""
     return rig.Scene.model_validate(
         {
             "structure": {"masses": masses, "springs": springs},
@@ -66,10 +68,10 @@ def test_identical_oscillators_hit_in_unison() -> None:
 
 def test_hundred_thousand_periods_do_not_drift() -> None:
     scene = single({"clearance": 1.5e-3}, frequency=8.0)
-    every, late = 128, 102_400
-    run = rig.simulate(scene, late / 8.0, rate=8.0 / every)
+    periods_per_sample, periods = 128, 102_400
+    run = rig.simulate(scene, periods / 8.0, rate=8.0 / periods_per_sample)
     settled = run.displacement[0, len(run.time) // 10 :]
-    assert len(run.events) > 2 * late
+    assert len(run.events) > 2 * periods
     assert np.ptp(settled) < 1e-16
 
 
@@ -77,8 +79,8 @@ def test_million_linear_periods_are_exact() -> None:
     scene = rig.load("bare-structure").replace(
         test={"kind": "sine", "frequency": 32.0, "force": 2.6}, shaker={"kind": "force", "body": 1}
     )
-    every = 8192
-    run = rig.simulate(scene, 123 * every / 32.0, rate=32.0 / every)
+    periods_per_sample = 8192
+    run = rig.simulate(scene, 123 * periods_per_sample / 32.0, rate=32.0 / periods_per_sample)
     exact = 2.6 * receptance(scene, [32.0])
     assert np.abs(run.displacement[:, -100:] - exact.imag).max() < 1e-12 * np.abs(exact).min()
 
@@ -92,11 +94,11 @@ def test_vanishing_mass_is_inelastic_bouncing_ball() -> None:
     separations = run.events["time"][run.events["kind"] == "separation"]
     landings = run.events["time"][run.events["kind"] == "floor"]
     # x = |X| sin(w t + angle): phases of the last flight against the closed forms.
-    turn = np.angle(amplitude) + np.pi / 2
+    phase = np.angle(amplitude) + np.pi / 2
     flight = fly(peak, take_off(peak))
-    off = separations[separations < landings[-1]][-1]
-    assert (omega * off + turn) % (2 * np.pi) == pytest.approx(flight.start, abs=1e-7)
-    assert omega * (landings[-1] - off) == pytest.approx(flight.end - flight.start, abs=1e-7)
+    take_off_time = separations[separations < landings[-1]][-1]
+    assert (omega * take_off_time + phase) % (2 * np.pi) == pytest.approx(flight.start, abs=1e-7)
+    assert omega * (landings[-1] - take_off_time) == pytest.approx(flight.end - flight.start, abs=1e-7)
 
 
 def test_heavy_damper_balances_energy() -> None:
@@ -116,7 +118,7 @@ def test_nanometre_clearance_moves_as_locked() -> None:
 
 
 def test_floating_chain_momentum_changes_by_weight_alone() -> None:
-    scene = free(
+    scene = free_chain(
         [1.0, 0.8],
         [0.0, 4e3],
         [1.0, -1.0],
@@ -135,25 +137,25 @@ def test_floating_chain_momentum_changes_by_weight_alone() -> None:
 
 
 def test_free_floating_chain_is_closed_form() -> None:
-    run = rig.simulate(free([1.0, 3.0], [0.0, 4e3], [1.0, 0.0]), 2.0, rate=100.0)
-    swing = np.sqrt(4e3 * (1 + 1 / 3))
-    centre = 0.25 * run.time
-    exact = centre + 0.75 * np.sin(swing * run.time) / swing
+    run = rig.simulate(free_chain([1.0, 3.0], [0.0, 4e3], [1.0, 0.0]), 2.0, rate=100.0)
+    angular_frequency = np.sqrt(4e3 * (1 + 1 / 3))
+    center_of_mass = 0.25 * run.time
+    exact = center_of_mass + 0.75 * np.sin(angular_frequency * run.time) / angular_frequency
     np.testing.assert_allclose(run.displacement[0], exact, atol=1e-12 * np.abs(exact).max())
 
 
 def test_extremely_stiff_spring_is_exact() -> None:
-    scene = free([0.74, 0.71, 0.64], [24.3e3, 1e9, 19.8e3], [0.1, 0.2, -0.1])
+    scene = free_chain([0.74, 0.71, 0.64], [24.3e3, 1e9, 19.8e3], [0.1, 0.2, -0.1])
     run = rig.simulate(scene, 0.01, rate=1000.0)
     segment = Segment(scene, ())
     exact = segment.after(segment.start(velocities=[0.1, 0.2, -0.1]), segment.gravity * 0 + run.time[-1])
     for body in range(3):
         assert run.displacement[body, -1] == pytest.approx(float(exact[body]), rel=1e-12)
-    loose = scene.replace(dampers=[{"body": 2, "mass_ratio": 0.1, "clearance": 1e-3}])
-    rattling = rig.simulate(loose, 0.2, rate=1000.0)
-    turnover = rattling.energy.stored_before
-    assert len(rattling.events) > 10
-    assert abs(rattling.energy.residual) < 1e-10 * turnover
+    scene_with_damper = scene.replace(dampers=[{"body": 2, "mass_ratio": 0.1, "clearance": 1e-3}])
+    motion_with_damper = rig.simulate(scene_with_damper, 0.2, rate=1000.0)
+    turnover = motion_with_damper.energy.stored_before
+    assert len(motion_with_damper.events) > 10
+    assert abs(motion_with_damper.energy.residual) < 1e-10 * turnover
 
 
 def test_restitution_bounces_end_in_finite_time() -> None:
@@ -170,8 +172,8 @@ def test_restitution_bounces_end_in_finite_time() -> None:
     settled = impacts[impacts["time"] > 2.0]
     speeds = settled["speed"][settled["speed"] > 1e-6]
     np.testing.assert_allclose(speeds[1:] / speeds[:-1], 0.95, rtol=1e-6)
-    ends = settled["time"][0] + 2 * 0.95 * settled["speed"][0] / scene.gravity / 0.05
-    assert impacts["time"][-1] == pytest.approx(ends, rel=1e-6)
+    end_time = settled["time"][0] + 2 * 0.95 * settled["speed"][0] / scene.gravity / 0.05
+    assert impacts["time"][-1] == pytest.approx(end_time, rel=1e-6)
     assert run.contact[0, -1] == 1
     assert 100 < len(impacts) < 1000
 
@@ -202,7 +204,7 @@ def test_hundred_bodies_balance_energy() -> None:
 
 
 def test_weightless_motion_passes_its_first_instants() -> None:
-    # Within a step what comes through the chain grows from 1e-44 m: rounding at its end hides its beginning.
+    # Within a step the motion transmitted by the chain grows from 1e-44 m. Rounding at its end hides its start.
     scene = rig.Scene.model_validate(
         {
             "structure": {

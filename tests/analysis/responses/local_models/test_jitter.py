@@ -11,7 +11,7 @@ import rig
 from analysis.responses.local_models.jitter import JITTER
 from rig.system.structural_model import receptance
 
-HITS = """
+HITS_SCENE = """
 structure: {{masses: [1 kg, 0.2 kg], springs: [395 kN/m, 2370 kN/m], damping: {{modal: 1 %}}}}
 test: {{kind: impulse, body: 1, peak: 100 N, width: 0.5 ms, repeats: {repeats}, interval: 1 s}}
 channels:
@@ -23,7 +23,7 @@ recording: {{display: false}}
 
 
 def response(path, **settings):
-    scene = rig.loads(HITS.format(**settings))
+    scene = rig.loads(HITS_SCENE.format(**settings))
     with daq.open(daq.record(scene, path)) as rec:
         [[frf]] = analysis.frequency_responses(rec, ["a2"])
         return frf, abs(frf.value - receptance(rec.scene, frf.frequency)[1])
@@ -32,12 +32,12 @@ def response(path, **settings):
 @pytest.mark.parametrize("repeats", [1, 3])
 def test_jitter_part_contains_error_by_jitter(repeats, tmp_path):
     frf, error = response(tmp_path / "a.mcap", repeats=repeats, jitter=", jitter: 1 us")
-    others = frf.without(JITTER)
-    assert np.mean(error <= others.bound()) < 0.8
+    without_jitter = frf.without(JITTER)
+    assert np.mean(error <= without_jitter.bound()) < 0.8
     assert np.mean(error <= frf.bound()) > 0.9
     # The part is twice the standard deviation.
-    large = error > others.bound()
-    assert 0.3 < np.sqrt(np.mean((error / frf.limits[JITTER])[large] ** 2)) < 0.9
+    exceeding = error > without_jitter.bound()
+    assert 0.3 < np.sqrt(np.mean((error / frf.limits[JITTER])[exceeding] ** 2)) < 0.9
 
 
 def test_response_without_jitter_has_no_part(tmp_path):

@@ -54,8 +54,8 @@ def test_slow_transient_is_separated_from_response():
     force, slow = gaussian(random, 2, BINS), 1.0 / (1j * np.arange(BINS) + 0.4)
     spectra = 2.0 * force + 50.0 * gaussian(random, 2, 1) * slow
     lines = np.arange(1, 40)
-    none = np.zeros((2, BINS))
-    fit = local_fit(Reading(spectra, np.ones(BINS), slow[None]), force, none, lines, 12)
+    zero_phase = np.zeros((2, BINS))
+    fit = local_fit(Reading(spectra, np.ones(BINS), slow[None]), force, zero_phase, lines, 12)
     np.testing.assert_allclose(fit.value, 2.0, rtol=1e-7)
 
 
@@ -73,10 +73,10 @@ def test_scatter_by_noise_equals_stated_variance(side, noise):
         coherences.append(fit.coherence)
         degrees.append(fit.degrees)
     # The mean of 1 / (chi^2 / degrees) is degrees / (degrees - 2).
-    free = np.median(degrees)
-    assert np.mean(ratios) == pytest.approx(free / (free - 2.0), rel=0.15)
+    degrees_of_freedom = np.median(degrees)
+    assert np.mean(ratios) == pytest.approx(degrees_of_freedom / (degrees_of_freedom - 2.0), rel=0.15)
     # Two for each equation, minus the unknowns: three for the response and for each transient (no denominator).
-    assert free == 2 * (segments * (2 * side + 1) - 3 - 3 * segments)
+    assert degrees_of_freedom == 2 * (segments * (2 * side + 1) - 3 - 3 * segments)
     assert np.mean(coherences) == pytest.approx(4.0 / (4.0 + noise**2), abs=0.01)
 
 
@@ -86,53 +86,53 @@ def test_reference_noise_scatters_at_narrow_peak():
     for _ in range(60):
         force = gaussian(random, 1, BINS)
         reading = Reading(resonance(1.5) * force, np.ones(BINS), np.zeros((0, BINS)))
-        read = force + noise * gaussian(random, 1, BINS)
-        fit = local_fit(reading, read, np.zeros((1, BINS)), middle, 12)
+        noisy_reference = force + noise * gaussian(random, 1, BINS)
+        fit = local_fit(reading, noisy_reference, np.zeros((1, BINS)), middle, 12)
         squares.append([abs(fit.value[0] - 1.0) ** 2 / 2.0, fit.variance[0], noise**2 * fit.noise_gain[0]])
-    error, residual, stated = np.median(squares, axis=0)
+    error, residual, predicted = np.median(squares, axis=0)
     # The median of half the square is ln 2 times its mean. The poles fit the noise, so that the residual is too small.
-    assert stated * np.log(2.0) == pytest.approx(error, rel=0.5)
-    assert residual < 0.5 * stated
+    assert predicted * np.log(2.0) == pytest.approx(error, rel=0.5)
+    assert residual < 0.5 * predicted
 
 
 def test_reference_noise_scatters_in_flat_response():
     random = np.random.default_rng(15)
     noise, lines, ratios = 0.03, np.arange(30, 370, 25), []
-    none = np.zeros((3, BINS))
+    zero_phase = np.zeros((3, BINS))
     for _ in range(40):
         force = gaussian(random, 3, BINS)
         reading = Reading(2.0 * force, np.ones(BINS), np.zeros((0, BINS)))
-        fit = local_fit(reading, force + noise * gaussian(random, 3, BINS), none, lines, 12)
+        fit = local_fit(reading, force + noise * gaussian(random, 3, BINS), zero_phase, lines, 12)
         ratios.append(abs(fit.value - 2.0) ** 2 / 2.0 / (noise**2 * fit.noise_gain))
     assert np.mean(ratios) == pytest.approx(1.0, rel=0.15)
 
 
 def test_error_in_end_bin_changes_nearby_fits():
     random = np.random.default_rng(17)
-    force, none, lines = gaussian(random, 2, BINS), np.zeros((2, BINS)), np.array([3, 200, BINS - 4])
+    force, zero_phase, lines = gaussian(random, 2, BINS), np.zeros((2, BINS)), np.array([3, 200, BINS - 4])
     for bin_, affected in ((0, [True, False, False]), (BINS - 1, [False, False, True])):
         spectra = 2.0 * force
         spectra[:, bin_] += 1.0
-        fit = local_fit(Reading(spectra, np.ones(BINS), np.zeros((0, BINS))), force, none, lines, 12)
+        fit = local_fit(Reading(spectra, np.ones(BINS), np.zeros((0, BINS))), force, zero_phase, lines, 12)
         assert (abs(fit.value - 2.0) > 1e-6).tolist() == affected
 
 
 def test_results_are_proportional_to_units():
     random = np.random.default_rng(16)
-    force, none, lines = gaussian(random, 2, BINS), np.zeros((2, BINS)), np.arange(100, 300, 20)
+    force, zero_phase, lines = gaussian(random, 2, BINS), np.zeros((2, BINS)), np.arange(100, 300, 20)
     spectra = force * resonance(30.0) + 0.01 * gaussian(random, 2, BINS)
 
     def fit(response_unit, force_unit):
         reading = Reading(response_unit * spectra, np.ones(BINS), np.zeros((0, BINS)))
-        return local_fit(reading, force_unit * force, none, lines, 12)
+        return local_fit(reading, force_unit * force, zero_phase, lines, 12)
 
-    usual, other = fit(1.0, 1.0), fit(3.0, 50.0)
-    np.testing.assert_allclose(other.value, usual.value * 3.0 / 50.0, rtol=1e-6)
-    np.testing.assert_allclose(other.model_error, usual.model_error * 3.0 / 50.0, rtol=1e-5)
-    np.testing.assert_allclose(other.variance, usual.variance * (3.0 / 50.0) ** 2, rtol=1e-6)
-    np.testing.assert_allclose(other.noise_gain, usual.noise_gain * (3.0 / 50.0**2) ** 2, rtol=1e-6)
+    base, scaled = fit(1.0, 1.0), fit(3.0, 50.0)
+    np.testing.assert_allclose(scaled.value, base.value * 3.0 / 50.0, rtol=1e-6)
+    np.testing.assert_allclose(scaled.model_error, base.model_error * 3.0 / 50.0, rtol=1e-5)
+    np.testing.assert_allclose(scaled.variance, base.variance * (3.0 / 50.0) ** 2, rtol=1e-6)
+    np.testing.assert_allclose(scaled.noise_gain, base.noise_gain * (3.0 / 50.0**2) ** 2, rtol=1e-6)
     for name in ("coherence", "degrees", "independent"):
-        np.testing.assert_allclose(getattr(other, name), getattr(usual, name), rtol=1e-6)
+        np.testing.assert_allclose(getattr(scaled, name), getattr(base, name), rtol=1e-6)
 
 
 def test_zero_padding_increases_the_variance():
@@ -140,13 +140,17 @@ def test_zero_padding_increases_the_variance():
     force = gaussian(random, 3, BINS)
     reading = Reading(force + 0.1 * gaussian(random, 3, BINS), np.ones(BINS), np.zeros((0, BINS)))
     lines = np.arange(50, 350, 7)
-    none = np.zeros((3, BINS))
-    whole, half = (local_fit(reading, force, none, lines, 12, used) for used in (1.0, 0.5))
-    same = whole.degrees - half.degrees == 75
-    assert same.mean() > 0.8
-    np.testing.assert_array_equal(whole.value[same], half.value[same])
-    ratio = whole.degrees[same] / half.degrees[same]
-    np.testing.assert_allclose(half.variance[same] / whole.variance[same], ratio)
+    zero_phase = np.zeros((3, BINS))
+    without_padding, half_padding = (
+        local_fit(reading, force, zero_phase, lines, 12, used) for used in (1.0, 0.5)
+    )
+    comparable = without_padding.degrees - half_padding.degrees == 75
+    assert comparable.mean() > 0.8
+    np.testing.assert_array_equal(without_padding.value[comparable], half_padding.value[comparable])
+    ratio = without_padding.degrees[comparable] / half_padding.degrees[comparable]
+    np.testing.assert_allclose(
+        half_padding.variance[comparable] / without_padding.variance[comparable], ratio
+    )
 
 
 def test_model_error_of_sharp_curve_is_stated():
@@ -158,10 +162,10 @@ def test_model_error_of_sharp_curve_is_stated():
     lines = np.arange(20, 380)
     fit = local_fit(reading, force, np.zeros((6, BINS)), lines, 12)
     error = abs(fit.value - truth[lines])
-    peaks, far = abs(OFFSET[lines]) < 8, abs(OFFSET[lines]) > 60
+    peaks, far_from_peaks = abs(OFFSET[lines]) < 8, abs(OFFSET[lines]) > 60
     scale = np.sqrt(np.mean(error[peaks] ** 2))
     assert 0.3 * scale < np.sqrt(np.mean(fit.model_error[peaks] ** 2)) < 3.0 * scale
-    assert fit.model_error[far].max() < 0.01 * scale
+    assert fit.model_error[far_from_peaks].max() < 0.01 * scale
 
 
 def test_batch_size_does_not_matter(monkeypatch):
@@ -171,11 +175,11 @@ def test_batch_size_does_not_matter(monkeypatch):
         force * resonance(30.0) + 0.01 * gaussian(random, 2, BINS), np.ones(BINS), np.zeros((0, BINS))
     )
     lines = np.arange(5, 395, 9)
-    whole = local_fit(reading, force, np.zeros((2, BINS)), lines, 10)
+    single_batch = local_fit(reading, force, np.zeros((2, BINS)), lines, 10)
     monkeypatch.setattr(local_rational, "_MAX_ELEMENTS", 3000)
-    parts = local_fit(reading, force, np.zeros((2, BINS)), lines, 10)
-    np.testing.assert_allclose(parts.value, whole.value, rtol=1e-9)
-    np.testing.assert_allclose(parts.model_error, whole.model_error, rtol=1e-6)
+    small_batches = local_fit(reading, force, np.zeros((2, BINS)), lines, 10)
+    np.testing.assert_allclose(small_batches.value, single_batch.value, rtol=1e-9)
+    np.testing.assert_allclose(small_batches.model_error, single_batch.model_error, rtol=1e-6)
 
 
 def test_lines_without_excitation_have_no_value():
@@ -189,9 +193,9 @@ def test_smooth_reference_resembles_a_transient():
     random = np.random.default_rng(21)
     smooth, ends = 1.0 + 2e-3 * np.arange(BINS)[None] ** 1.5, np.ones((1, BINS))
     for noise in (1e-3, 1e-1):
-        read = smooth * (1.0 + 0j) + noise * smooth * gaussian(random, 1, BINS)
+        noisy_reference = smooth * (1.0 + 0j) + noise * smooth * gaussian(random, 1, BINS)
         reading = Reading(2.0 * smooth * (1.0 + 0j), np.ones(BINS), np.zeros((0, BINS)))
-        fit = local_fit(reading, read, ends, np.arange(100, 300, 10), 12)
+        fit = local_fit(reading, noisy_reference, ends, np.arange(100, 300, 10), 12)
         assert np.median(fit.independent) < 2.0 * noise**2
         # If only noise distinguishes the reference from a smooth curve, the estimate tends to zero.
         assert np.median(abs(fit.value)) < 0.2

@@ -28,9 +28,9 @@ def test_low_bins_equal_whole_transform(count: int, start: int, zeros: int, bins
     size = fft.next_fast_len(count + zeros, real=True)
     block = samples[:, start : start + count]
     block = block - block.mean(axis=1, keepdims=True)
-    whole = fft.rfft(np.pad(block, ((0, 0), (size - count, 0))), axis=1)[:, :bins]
+    expected = fft.rfft(np.pad(block, ((0, 0), (size - count, 0))), axis=1)[:, :bins]
 
     spectra, squares = low_spectra(recording_of(samples), "ab", start, start + count, size, bins)
 
-    np.testing.assert_allclose(spectra, whole, atol=1e-11 * np.sqrt(np.mean(abs(whole) ** 2)))
+    np.testing.assert_allclose(spectra, expected, atol=1e-11 * np.sqrt(np.mean(abs(expected) ** 2)))
     np.testing.assert_allclose(squares, block.var(axis=1), rtol=1e-12)

@@ -52,13 +52,16 @@ class Tally:
 
     def add(self, number: int, ended: Ended, further: list[str]) -> None:
         """Count a case and print its faults."""
-        found = ended.faults + further
+        faults = ended.faults + further
         self.cases += 1
-        self.faults.update(found)
+        self.faults.update(faults)
         self.memory, self.seconds = max(self.memory, ended.memory), max(self.seconds, ended.seconds)
-        if found:
-            last = (ended.output.strip().splitlines() or [""])[-1]
-            print(f"  {number}: {' '.join(ended.command)!r}: {', '.join(found)}: {last[:160]!r}", flush=True)
+        if faults:
+            last_line = (ended.output.strip().splitlines() or [""])[-1]
+            print(
+                f"  {number}: {' '.join(ended.command)!r}: {', '.join(faults)}: {last_line[:160]!r}",
+                flush=True,
+            )
 
 
 def main() -> int:
@@ -76,43 +79,43 @@ def main() -> int:
         __import__(f"{package}.cli")
     tallies: dict[str, Tally] = {}
     try:
-        with tempfile.TemporaryDirectory(prefix="soak-") as folder, _counting() as bar:
+        with tempfile.TemporaryDirectory(prefix="soak-") as folder, progress_bar() as progress:
             print("making the recordings to be damaged", file=sys.stderr)
             bench = Bench(Path(folder))
             for kind in options.only or KINDS:
                 tallies[kind] = Tally()
                 numbers = range(options.seed, options.seed + (options.cases or CASES[kind]))
-                _run(bench, kind, numbers, 60.0 * options.minutes, tallies[kind], bar)
+                _run(bench, kind, numbers, 60.0 * options.minutes, tallies[kind], progress)
     except KeyboardInterrupt:
         print("\ninterrupted; so far:")
-        _show(tallies)
+        print_table(tallies)
         return 130
-    _show(tallies)
+    print_table(tallies)
     return 1 if any(tally.faults for tally in tallies.values()) else 0
 
 
 def _run(
-    bench: Bench, kind: str, numbers: Sequence[int], seconds: float, tally: Tally, bar: Progress
+    bench: Bench, kind: str, numbers: Sequence[int], seconds: float, tally: Tally, progress: Progress
 ) -> None:
     """Run the cases of a kind until their time limit."""
     print(f"{kind}:", flush=True)
-    task, until = bar.add_task(kind, total=len(numbers)), time.monotonic() + seconds
+    task, deadline = progress.add_task(kind, total=len(numbers)), time.monotonic() + seconds
     for number in numbers:
-        if time.monotonic() > until:
+        if time.monotonic() > deadline:
             break
         tally.add(number, *KINDS[kind](bench, random.Random(number)))
-        bar.update(task, advance=1, refresh=True)
+        progress.update(task, advance=1, refresh=True)
 
 
 @contextmanager
-def _counting() -> Iterator[Progress]:
+def progress_bar() -> Iterator[Progress]:
     """Show the progress of each kind, without a thread, which a fork could interrupt while it writes."""
     columns = *Progress.get_default_columns(), MofNCompleteColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=Console(stderr=True), auto_refresh=False) as bar:
-        yield bar
+    with Progress(*columns, console=Console(stderr=True), auto_refresh=False) as progress:
+        yield progress
 
 
-def _show(tallies: dict[str, Tally]) -> None:
+def print_table(tallies: dict[str, Tally]) -> None:
     """Print the table."""
     print(f"\n{'kind':12}{'cases':>7}{'longest s':>11}{'most MB':>9}   faults")
     for kind, tally in tallies.items():

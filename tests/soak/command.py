@@ -19,12 +19,14 @@ import psutil
 
 from rig.ending_signals import TERMINATION_SIGNALS
 
-# Longest time without output before a command counts as hanging, and longest time in all, s.
-SILENCE, LONGEST = 20.0, 60.0
+# Longest time without output before a command counts as hanging, s.
+SILENCE_LIMIT_S = 20.0
+# Longest time of a command, s.
+TIME_LIMIT_S = 60.0
 # Largest memory of a command, bytes.
-MEMORY = 1 << 30
+MEMORY_LIMIT_BYTES = 1 << 30
 # Interval between observations of a command, s.
-LOOK = 0.2
+OBSERVATION_INTERVAL_S = 0.2
 PACKAGES = ("rig", "daq", "analysis")
 
 
@@ -42,21 +44,21 @@ class Ended:
     @property
     def faults(self) -> list[str]:
         """Faults of the command."""
-        found = []
+        names = []
         if "Traceback (most recent call last)" in self.output or "Exception ignored" in self.output:
-            found.append("traceback")
+            names.append("traceback")
         if "this is a fault of shotrig" in self.output:
-            found.append("unexpected")
-        if self.silence > SILENCE:
-            found.append("silence")
-        if self.memory > MEMORY:
-            found.append("memory")
+            names.append("unexpected")
+        if self.silence > SILENCE_LIMIT_S:
+            names.append("silence")
+        if self.memory > MEMORY_LIMIT_BYTES:
+            names.append("memory")
         # A command that still shows progress at the time limit was killed here, which is no fault.
-        if self.code not in (0, 1, 2, 129, 130, 143) and self.seconds < LONGEST:
-            found.append(f"exit code {self.code}")
+        if self.code not in (0, 1, 2, 129, 130, 143) and self.seconds < TIME_LIMIT_S:
+            names.append(f"exit code {self.code}")
         if any(ord(letter) < 32 and letter not in "\n\t\r" for letter in self.output):
-            found.append("control character")
-        return found
+            names.append("control character")
+        return names
 
 
 def run(
@@ -65,7 +67,7 @@ def run(
     end: Callable[[int, float], None] | None = None,
     environment: dict[str, str] | None = None,
     prepare: Callable[[], None] | None = None,
-    longest: float = LONGEST,
+    longest: float = TIME_LIMIT_S,
 ) -> Ended:
     """Run `rig`, `daq` or `analysis` in a fork of this process, which has imported them already.
 
@@ -85,14 +87,14 @@ def run(
         Time after which it is killed, s.
     """
 
-    def act() -> None:
+    def run_command() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (12 << 30, 12 << 30))
         if prepare is not None:
             prepare()
         sys.argv = list(words)
         import_module(f"{words[0]}.cli").main()
 
-    return _watch(words, *_fork(folder, environment or {}, act), end, longest)
+    return _watch(words, *_fork(folder, environment or {}, run_command), end, longest)
 
 
 def run_afresh(
@@ -103,55 +105,56 @@ def run_afresh(
     `words`, `folder`, `end`: as of `run`; `module`: whether to run it by ``python -m``.
     """
     script = Path(sys.executable).with_name(words[0])
-    begin = [sys.executable, "-m", words[0]] if module or not script.exists() else [str(script)]
+    program = [sys.executable, "-m", words[0]] if module or not script.exists() else [str(script)]
 
-    def act() -> NoReturn:
-        os.execv(begin[0], [*begin, *words[1:]])
+    def run_command() -> NoReturn:
+        os.execv(program[0], [*program, *words[1:]])
 
-    return _watch(words, *_fork(folder, {}, act), end, LONGEST)
+    return _watch(words, *_fork(folder, {}, run_command), end, TIME_LIMIT_S)
 
 
-def ours(output: str) -> bool:
-    """Whether a traceback passes through a file of the packages; an interrupt may also hit Python's own start."""
+def is_own_traceback(output: str) -> bool:
+    """Return whether a traceback passes through a file of the packages, not only through the start of Python."""
     return any(
-        f'File "{Path(import_module(each).__file__ or "").parent}{os.sep}' in output for each in PACKAGES
+        f'File "{Path(import_module(package).__file__ or "").parent}{os.sep}' in output
+        for package in PACKAGES
     )
 
 
-def left_behind(process: int, seconds: float = 5.0) -> bool:
-    """Whether processes of a command still exist some time after its end."""
-    until = time.monotonic() + seconds
-    while time.monotonic() < until:
+def processes_remain(process: int, seconds: float = 5.0) -> bool:
+    """Return whether processes of a command still exist some time after its end."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
         try:
             os.killpg(process, 0)
         except ProcessLookupError:
             return False
-        time.sleep(LOOK)
+        time.sleep(OBSERVATION_INTERVAL_S)
     return True
 
 
-class _OwnTime:
+class ComputingTime:
     """Time of a command without that in which it waited for a processor."""
 
     def __init__(self, process: int) -> None:
         self.process = psutil.Process(process)
-        self.at, self.computed = time.monotonic(), 0.0
+        self.last_time, self.computed = time.monotonic(), 0.0
 
     def passed(self) -> float:
         """Return the time since the previous call, s."""
         now = time.monotonic()
-        span, self.at = now - self.at, now
+        span, self.last_time = now - self.last_time, now
         computed, ready = 0.0, False
         try:
-            for each in (self.process, *self.process.children(recursive=True)):
-                computed += sum(each.cpu_times()[:4])
-                ready |= each.status() in (psutil.STATUS_RUNNING, psutil.STATUS_DISK_SLEEP)
+            for child in (self.process, *self.process.children(recursive=True)):
+                computed += sum(child.cpu_times()[:4])
+                ready |= child.status() in (psutil.STATUS_RUNNING, psutil.STATUS_DISK_SLEEP)
         except psutil.Error:
             # The command or one of its children is ending.
             return 0.0
-        share, self.computed = max(computed - self.computed, 0.0), computed
+        cpu_time, self.computed = max(computed - self.computed, 0.0), computed
         # Background threads wake for moments even in a command that hangs.
-        return min(share, span) if ready or share > 0.02 * span else span
+        return min(cpu_time, span) if ready or cpu_time > 0.02 * span else span
 
 
 def _watch(
@@ -162,39 +165,47 @@ def _watch(
     longest: float,
 ) -> Ended:
     """Collect the output of a child until it ends."""
-    started = looked = time.monotonic()
-    own, heard, quiet, silence, said = _OwnTime(process), bytearray(), 0.0, 0.0, True
+    started = last_observation = time.monotonic()
+    computing_time, received, current_silence, silence, is_open = (
+        ComputingTime(process),
+        bytearray(),
+        0.0,
+        0.0,
+        True,
+    )
     try:
-        while said:
-            ready, _, _ = select.select([reading], [], [], 0.005 if end is not None else LOOK)
+        while is_open:
+            ready, _, _ = select.select(
+                [reading], [], [], 0.005 if end is not None else OBSERVATION_INTERVAL_S
+            )
             now = time.monotonic()
-            if now - looked >= LOOK:
-                quiet, looked = quiet + own.passed(), now
-                silence = max(silence, quiet)
+            if now - last_observation >= OBSERVATION_INTERVAL_S:
+                current_silence, last_observation = current_silence + computing_time.passed(), now
+                silence = max(silence, current_silence)
             if ready:
-                part = os.read(reading, 1 << 16)
-                heard += part
-                said, quiet = bool(part), 0.0
+                data = os.read(reading, 1 << 16)
+                received += data
+                is_open, current_silence = bool(data), 0.0
             if end is not None:
                 end(process, now - started)
             if now - started > longest:
                 break
     finally:
-        if said:
+        if is_open:
             os.killpg(process, signal.SIGKILL)
-        _, status, used = os.wait4(process, 0)
+        _, status, usage = os.wait4(process, 0)
         os.close(reading)
     return Ended(
         tuple(words),
         os.waitstatus_to_exitcode(status),
-        heard.decode(errors="replace"),
+        received.decode(errors="replace"),
         silence,
         time.monotonic() - started,
-        used.ru_maxrss * 1024,
+        usage.ru_maxrss * 1024,
     )
 
 
-def _fork(folder: Path, environment: dict[str, str], act: Callable[[], None]) -> tuple[int, int]:
+def _fork(folder: Path, environment: dict[str, str], run_command: Callable[[], None]) -> tuple[int, int]:
     """Start a child that acts in a folder; return its process number and the pipe of its output."""
     reading, writing = os.pipe()
     # Block signals until the child has the default handlers of a new process.
@@ -207,7 +218,7 @@ def _fork(folder: Path, environment: dict[str, str], act: Callable[[], None]) ->
         for number in signals:
             signal.signal(number, signal.SIG_DFL)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        _become(folder, writing, environment, act)
+        execute(folder, writing, environment, run_command)
     with suppress(OSError):
         # Parent and child both set the group, since either may run first.
         os.setpgid(process, process)
@@ -216,7 +227,9 @@ def _fork(folder: Path, environment: dict[str, str], act: Callable[[], None]) ->
     return process, reading
 
 
-def _become(folder: Path, writing: int, environment: dict[str, str], act: Callable[[], None]) -> NoReturn:
+def execute(
+    folder: Path, writing: int, environment: dict[str, str], run_command: Callable[[], None]
+) -> NoReturn:
     """Turn the child of a fork into the command."""
     code = 70
     try:
@@ -230,7 +243,7 @@ def _become(folder: Path, writing: int, environment: dict[str, str], act: Callab
         os.chdir(folder)
         os.environ.update(environment)
         code = 0
-        act()
+        run_command()
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else (0 if end.code is None else 1)
     except BaseException:

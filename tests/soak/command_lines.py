@@ -16,7 +16,7 @@ from tests.soak.command import PACKAGES
 from tests.soak.scenes import ODD_TEXTS
 
 # Valid values by the name of the option or argument; options that are not listed take a number.
-SOUND: dict[str, tuple[str, ...]] = {
+VALID_VALUES: dict[str, tuple[str, ...]] = {
     "scene": ("s.yaml", "fig9", "bare-structure"),
     "scenes": ("s.yaml", "fig9"),
     "file": ("r.mcap",),
@@ -61,7 +61,7 @@ SOUND: dict[str, tuple[str, ...]] = {
     "show": ("fig9",),
     "cluster": ("local",),
 }
-PLACES = (
+PATHS = (
     "folder",
     "folder/",
     "fifo",
@@ -148,7 +148,7 @@ TEXTS = (
 )
 
 
-def lay_out(folder: Path) -> None:
+def create_odd_files(folder: Path) -> None:
     """Create special, empty and invalid files in a folder."""
     (folder / "folder").mkdir()
     (folder / "folder" / "kept.txt").write_text("kept")
@@ -181,12 +181,12 @@ def _content(path: Path) -> str:
 
 def lost(before: dict[str, str], after: dict[str, str], words: list[str]) -> list[str]:
     """Name files that were lost or changed; only --overwrite may replace a regular file."""
-    found = [f"file lost: {name}" for name in before if name not in after]
+    messages = [f"file lost: {name}" for name in before if name not in after]
     for name in before.keys() & after.keys():
-        ordinary = len(before[name]) > 6 and len(after[name]) > 6
-        if before[name] != after[name] and not (ordinary and "--overwrite" in words):
-            found.append(f"file changed: {name}")
-    return sorted(found)
+        regular = len(before[name]) > 6 and len(after[name]) > 6
+        if before[name] != after[name] and not (regular and "--overwrite" in words):
+            messages.append(f"file changed: {name}")
+    return sorted(messages)
 
 
 def draw(chance: random.Random) -> list[str]:
@@ -194,36 +194,40 @@ def draw(chance: random.Random) -> list[str]:
     program = chance.choice(PACKAGES)
     commands: Any = typer.main.get_command(import_module(f"{program}.cli").app)
     name = chance.choice(list(commands.commands))
-    odd = chance.choice((0.2, 0.5, 0.9))
+    odd_ratio = chance.choice((0.2, 0.5, 0.9))
     options, arguments = [], []
-    for each in commands.commands[name].params:
-        if chance.random() > (0.95 if each.required else 0.25):
+    for parameter in commands.commands[name].params:
+        if chance.random() > (0.95 if parameter.required else 0.25):
             continue
-        if each.param_type_name == "argument":
+        if parameter.param_type_name == "argument":
             arguments += [
-                _value(each, odd, chance) for _ in range(chance.choice((1, 1, 2)) if each.nargs < 0 else 1)
+                _value(parameter, odd_ratio, chance)
+                for _ in range(chance.choice((1, 1, 2)) if parameter.nargs < 0 else 1)
             ]
-        elif each.is_flag:
-            options.append([each.opts[0]])
+        elif parameter.is_flag:
+            options.append([parameter.opts[0]])
         else:
             options.append(
-                [chance.choice(each.opts), *(_value(each, odd, chance) for _ in range(each.nargs))]
+                [
+                    chance.choice(parameter.opts),
+                    *(_value(parameter, odd_ratio, chance) for _ in range(parameter.nargs)),
+                ]
             )
     if chance.random() < 0.05:
         options.append([chance.choice(("--nonsense", "-x", "--help", "-o", "--", "--set"))])
     if chance.random() < 0.1:
         chance.shuffle(arguments)
     chance.shuffle(options)
-    rest = [word for option in options for word in option]
-    # A script's arguments are its own: what is for us stands before it.
-    return [program, name, *((*rest, *arguments) if name == "run" else (*arguments, *rest))]
+    option_words = [word for option in options for word in option]
+    # A script keeps all arguments after its name, so our options stand before it.
+    return [program, name, *((*option_words, *arguments) if name == "run" else (*arguments, *option_words))]
 
 
-def _value(option: Any, odd: float, chance: random.Random) -> str:
+def _value(option: Any, odd_ratio: float, chance: random.Random) -> str:
     """Give a value for an option or an argument."""
-    if chance.random() > odd:
-        return chance.choice(SOUND.get(option.name, ("1", "2", "0.5")))
-    pool = chance.random()
-    if pool < 0.4:
+    if chance.random() > odd_ratio:
+        return chance.choice(VALID_VALUES.get(option.name, ("1", "2", "0.5")))
+    kind = chance.random()
+    if kind < 0.4:
         return chance.choice(NUMBERS) + chance.choice(UNITS)
-    return chance.choice(PLACES if pool < 0.75 else TEXTS)
+    return chance.choice(PATHS if kind < 0.75 else TEXTS)

@@ -1,4 +1,4 @@
-"""Recordings as a failing disk leaves them, and as somebody writes them who means harm."""
+"""Recordings that are damaged as by a failing disk, and recordings with hostile contents."""
 
 from __future__ import annotations
 
@@ -37,37 +37,37 @@ ODD_JSON: tuple[Any, ...] = (
 
 
 def damage(source: bytes, chance: random.Random) -> bytes:
-    """Do to a file what disks, cables and people do to files."""
+    """Damage a file as disks, cables and people do."""
     data = bytearray(source)
     for _ in range(chance.choice((1, 1, 1, 2, 5))):
-        place = chance.randrange(len(data)) if data else 0
+        position = chance.randrange(len(data)) if data else 0
         kind = chance.randrange(9)
         if kind == 0:
-            data[place:] = b""
+            data[position:] = b""
         elif kind == 1 and data:
-            data[place] ^= 1 << chance.randrange(8)
+            data[position] ^= 1 << chance.randrange(8)
         elif kind == 2:
             size = chance.choice((1, 8, 512, 4096, 65536))
-            data[place : place + size] = bytes(len(data[place : place + size]))
+            data[position : position + size] = bytes(len(data[position : position + size]))
         elif kind == 3:
             size = chance.choice((1, 9, 512, 5000))
-            data[place : place + size] = chance.randbytes(len(data[place : place + size]))
+            data[position : position + size] = chance.randbytes(len(data[position : position + size]))
         elif kind == 4:
-            del data[place : place + chance.choice((1, 7, 512, 4096))]
+            del data[position : position + chance.choice((1, 7, 512, 4096))]
         elif kind == 5:
-            data[place:place] = chance.randbytes(chance.choice((1, 7, 512)))
+            data[position:position] = chance.randbytes(chance.choice((1, 7, 512)))
         elif kind == 6:
-            other, size = chance.randrange(len(data) + 1), chance.choice((16, 512, 4096))
-            data[place : place + size] = data[other : other + size]
+            source_position, size = chance.randrange(len(data) + 1), chance.choice((16, 512, 4096))
+            data[position : position + size] = data[source_position : source_position + size]
         elif kind == 7:
-            data[:place] = b""
-        elif len(data) > place + 8:
-            struct.pack_into("<Q", data, place, chance.choice((0, 1, 2**31, 2**63, 2**64 - 1, 2**40)))
+            data[:position] = b""
+        elif len(data) > position + 8:
+            struct.pack_into("<Q", data, position, chance.choice((0, 1, 2**31, 2**63, 2**64 - 1, 2**40)))
     return bytes(data)
 
 
 def hostile(source: Path, target: Path, chance: random.Random) -> str:
-    """Copy a recording, every checksum right, with something odd in what it says of itself; say what."""
+    """Copy a recording with an odd content but correct checksums; return a description of the content."""
     kind = chance.choice(
         (
             "channel",
@@ -83,7 +83,7 @@ def hostile(source: Path, target: Path, chance: random.Random) -> str:
             "many",
         )
     )
-    told = kind
+    description = kind
     with Container(source) as container, target.open("wb") as file:
         summary = container.summary
         copy = ChunkedFile(file, "soak", "zstd")
@@ -91,18 +91,18 @@ def hostile(source: Path, target: Path, chance: random.Random) -> str:
         for number, schema in summary.schemas.items():
             schemas[number] = copy.add_schema(schema.name, schema.encoding, schema.data)
         raw = [number for number, channel in summary.channels.items() if channel.topic.startswith(layout.RAW)]
-        chosen = chance.choice(raw)
+        changed_channel = chance.choice(raw)
         numbers = {}
         for number, channel in summary.channels.items():
             topic, metadata = channel.topic, dict(channel.metadata)
-            if kind == "channel" and number == chosen:
+            if kind == "channel" and number == changed_channel:
                 key = chance.choice([*metadata, "unit", "filter"])
                 metadata[key] = _odd_text(chance)
-                told = f"{key} = {metadata[key][:40]!r}"
+                description = f"{key} = {metadata[key][:40]!r}"
                 if chance.random() < 0.1:
                     del metadata[key]
-                    told = f"no {key}"
-            if kind == "name" and number == chosen:
+                    description = f"no {key}"
+            if kind == "name" and number == changed_channel:
                 topic = layout.RAW + chance.choice(ODD_TEXTS)
                 metadata["name"] = topic.removeprefix(layout.RAW)
             numbers[number] = copy.add_channel(
@@ -111,26 +111,31 @@ def hostile(source: Path, target: Path, chance: random.Random) -> str:
         if kind == "many":
             for extra in range(chance.choice((10, 3000))):
                 copy.add_channel(
-                    f"{layout.RAW}extra{extra}", "protobuf", schemas[summary.channels[chosen].schema_id], {}
+                    f"{layout.RAW}extra{extra}",
+                    "protobuf",
+                    schemas[summary.channels[changed_channel].schema_id],
+                    {},
                 )
         for chunk in range(len(summary.offsets)):
             messages = []
-            for each in container.messages(chunk):
-                channel, data = summary.channels[each.channel], bytes(each.data)
-                times = [each.log_time, each.publish_time]
+            for message in container.messages(chunk):
+                channel, data = summary.channels[message.channel], bytes(message.data)
+                times = [message.log_time, message.publish_time]
                 if kind == "marker" and channel.topic == layout.MARKERS:
                     data = _odd_object(data, chance)
                 if kind == "event" and channel.topic == layout.EVENTS:
                     data = _odd_object(data, chance)
-                if kind == "time" and each.channel in raw and chunk >= len(summary.offsets) // 2:
-                    data, times = _late(
+                if kind == "time" and message.channel in raw and chunk >= len(summary.offsets) // 2:
+                    data, times = shift_block(
                         data,
                         times,
                         chance_shift := 2 ** random.Random(str(summary.offsets)).choice((20, 27, 40, 62)),
                     )
-                    told = f"time shifted by {chance_shift} samples"
+                    description = f"time shifted by {chance_shift} samples"
                 messages.append(
-                    Message(numbers[each.channel], *(time % 2**64 for time in times), data, each.sequence)
+                    Message(
+                        numbers[message.channel], *(time % 2**64 for time in times), data, message.sequence
+                    )
                 )
             copy.add_chunk(messages)
         if kind == "chunk":
@@ -140,12 +145,12 @@ def hostile(source: Path, target: Path, chance: random.Random) -> str:
         records = container.metadata()
         name = chance.choice(list(records))
         for record, fields in records.items():
-            plain = {key: text for key, text in fields.items() if key != "crc32"}
+            changed = {key: text for key, text in fields.items() if key != "crc32"}
             if kind == "metadata" and record == name:
-                key = chance.choice(list(plain))
-                plain[key] = _odd_text(chance)
-                told = f"{record}.{key} = {plain[key][:40]!r}"
-            copy.add_metadata(record, checked(plain))
+                key = chance.choice(list(changed))
+                changed[key] = _odd_text(chance)
+                description = f"{record}.{key} = {changed[key][:40]!r}"
+            copy.add_metadata(record, checked(changed))
         scene = container.attachment(layout.SCENE_FILE) or b""
         if kind == "scene":
             from tests.soak.scenes import scene as odd_scene
@@ -153,7 +158,7 @@ def hostile(source: Path, target: Path, chance: random.Random) -> str:
             scene = odd_scene(chance).encode(errors="replace")
         copy.add_attachment(0, 0, layout.SCENE_FILE, "application/yaml", scene)
         copy.finish()
-    return told
+    return description
 
 
 def _odd_text(chance: random.Random) -> str:
@@ -172,8 +177,8 @@ def _odd_object(data: bytes, chance: random.Random) -> bytes:
     return json.dumps(content).encode()
 
 
-def _late(data: bytes, times: list[int], shift: int) -> tuple[bytes, list[int]]:
-    """Move a block to a sample far behind, consistently."""
+def shift_block(data: bytes, times: list[int], shift: int) -> tuple[bytes, list[int]]:
+    """Shift a block consistently to a much later sample."""
     from daq.recording.layout import Timebase
     from daq.recording.sample_block import decode, encode
 
@@ -195,7 +200,7 @@ def _late(data: bytes, times: list[int], shift: int) -> tuple[bytes, list[int]]:
 
 
 def _raw_chunk(file: Any, copy: ChunkedFile, content: bytes) -> None:
-    """Write a chunk that packs extremely well."""
+    """Write a chunk with an extreme compression ratio."""
     import zlib
 
     from mcap import records

@@ -163,12 +163,12 @@ def scene(chance: random.Random) -> str:
     """Return a scene file with one to three invalid or extreme entries."""
     content = _copy(chance.choice(BASES))
     if chance.random() < 0.08:
-        return _no_scene(chance)
+        return _not_a_scene(chance)
     if chance.random() < 0.1:
         _enlarge(content, chance)
     else:
         for _ in range(chance.choice((1, 1, 1, 2, 3))):
-            _spoil(content, chance)
+            _replace_entry(content, chance)
     return yaml.safe_dump(content, allow_unicode=True, sort_keys=False)
 
 
@@ -176,7 +176,7 @@ def _copy(content: Any) -> Any:
     return yaml.safe_load(yaml.safe_dump(content))
 
 
-def _no_scene(chance: random.Random) -> str:
+def _not_a_scene(chance: random.Random) -> str:
     return chance.choice(
         (
             "",
@@ -201,7 +201,7 @@ def _no_scene(chance: random.Random) -> str:
     )
 
 
-def _places(content: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+def _paths(content: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
     items = (
         content.items()
         if isinstance(content, dict)
@@ -210,26 +210,26 @@ def _places(content: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ..
         else ()
     )
     for key, value in items:
-        yield (*place, key)
-        yield from _places(value, (*place, key))
+        yield (*path, key)
+        yield from _paths(value, (*path, key))
 
 
-def _spoil(content: Any, chance: random.Random) -> None:
+def _replace_entry(content: Any, chance: random.Random) -> None:
     """Replace or remove one entry."""
-    *place, key = chance.choice(list(_places(content)))
-    for step in place:
-        content = content[step]
+    *path, key = chance.choice(list(_paths(content)))
+    for part in path:
+        content = content[part]
     if chance.random() < 0.1 and isinstance(content, dict):
         del content[key]
         return
     content[key] = _odd(content[key], chance)
 
 
-def _odd(before: Any, chance: random.Random) -> Any:
+def _odd(value: Any, chance: random.Random) -> Any:
     kind = chance.random()
     if kind < 0.55:
         number = chance.choice(ODD_NUMBERS)
-        unit = str(before).split(" ", 1)[-1] if " " in str(before) else ""
+        unit = str(value).split(" ", 1)[-1] if " " in str(value) else ""
         unit = chance.choice(UNITS) if chance.random() < 0.2 else unit
         return f"{number!r} {unit}".strip() if unit else number
     if kind < 0.75:
@@ -239,20 +239,20 @@ def _odd(before: Any, chance: random.Random) -> Any:
 
 def _enlarge(content: Any, chance: random.Random) -> None:
     """Make one part of the scene very large."""
-    many = chance.choice((300, 2_000, 20_000, 100_000, 1_000_000))
+    count = chance.choice((300, 2_000, 20_000, 100_000, 1_000_000))
     part = chance.choice(("bodies", "channels", "dampers", "steps"))
     if part == "bodies":
-        content["structure"] = {"masses": [1.0] * many, "springs": [1e4] * many}
+        content["structure"] = {"masses": [1.0] * count, "springs": [1e4] * count}
     elif part == "channels":
-        content["channels"] = [{"name": f"c{i}", "at": "body 1"} for i in range(min(many, 100_000))]
+        content["channels"] = [{"name": f"c{i}", "at": "body 1"} for i in range(min(count, 100_000))]
     elif part == "dampers":
-        content["dampers"] = [{"body": 1, "mass": 0.01, "clearance": 1e-3} for _ in range(min(many, 20_000))]
+        content["dampers"] = [{"body": 1, "mass": 0.01, "clearance": 1e-3} for _ in range(min(count, 20_000))]
     else:
         content["test"] = {
             "kind": "stepped_sine",
             "from": 10,
             "to": 20,
-            "points": min(many, 100_000),
+            "points": min(count, 100_000),
             "force": 1,
         }
         content["shaker"] = {"kind": "force", "body": 1}
@@ -261,14 +261,14 @@ def _enlarge(content: Any, chance: random.Random) -> None:
 def command(path: str, chance: random.Random) -> list[str]:
     """Return a command on a scene, often with an invalid option."""
     odd = chance.choice(ODD_NUMBERS)
-    pick = lambda *options: list(chance.choice(options))  # noqa: E731
+    choose = lambda *options: list(chance.choice(options))  # noqa: E731
     kinds: dict[str, list[str]] = {
         "explain": ["rig", "explain", path],
         "simulate": [
             "rig",
             "simulate",
             path,
-            *pick(
+            *choose(
                 ("--duration", "0.05 s"),
                 ("--duration", f"{odd} s"),
                 ("--rate", f"{odd} Hz"),
@@ -280,7 +280,7 @@ def command(path: str, chance: random.Random) -> list[str]:
             "rig",
             "response",
             path,
-            *pick(
+            *choose(
                 ("--points", "2"),
                 ("--from", "20 Hz", "--to", f"{odd} Hz"),
                 ("--points", str(odd)),
@@ -296,7 +296,7 @@ def command(path: str, chance: random.Random) -> list[str]:
             "2",
             "--points",
             "2",
-            *pick((), ("--least", f"{odd} N"), ("--over", "x"), ("--rows", "1000000000")),
+            *choose((), ("--least", f"{odd} N"), ("--over", "x"), ("--rows", "1000000000")),
         ],
         "record": [
             "daq",
@@ -305,7 +305,7 @@ def command(path: str, chance: random.Random) -> list[str]:
             "-o",
             "r.mcap",
             "--overwrite",
-            *pick((), ("--block", str(odd)), ("--block", "7")),
+            *choose((), ("--block", str(odd)), ("--block", "7")),
         ],
     }
     return kinds[chance.choices(list(kinds), (2, 3, 2, 1, 4))[0]]
@@ -332,7 +332,7 @@ def rarer_command(path: str, chance: random.Random) -> list[str]:
         f"daq serve {path} --port {odd}",
         f"daq scope {path} -F {odd} -o i.mcap",
     )
-    words = chance.choice(kinds).split()
+    arguments = chance.choice(kinds).split()
     if chance.random() < 0.1:
-        words = [*chance.choice((("rig", "help"), ("rig", "presets"), ("rig", "scenes", "--show"))), text]
-    return words
+        arguments = [*chance.choice((("rig", "help"), ("rig", "presets"), ("rig", "scenes", "--show"))), text]
+    return arguments

@@ -41,7 +41,7 @@ class Chain:
         return np.sqrt(square) / (2.0 * np.pi), shapes
 
 
-def drawn(seed: int) -> Chain:
+def random_chain(seed: int) -> Chain:
     """Draw a chain of 2 to 4 bodies."""
     random = np.random.default_rng(seed)
     bodies = int(random.integers(2, 5))

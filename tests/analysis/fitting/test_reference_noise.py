@@ -12,7 +12,7 @@ import yaml
 import analysis
 import daq
 import rig
-from tests.analysis.fitting.other_simulator import drawn, random_test
+from tests.analysis.fitting.other_simulator import random_chain, random_test
 
 pytestmark = pytest.mark.filterwarnings("ignore::daq.RunWarning")
 
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::daq.RunWarning")
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     """Return a chain of two bodies, its random test with noise in the force, and an initial guess."""
-    chain, folder = drawn(14), tmp_path_factory.mktemp("other")
+    chain, folder = random_chain(14), tmp_path_factory.mktemp("other")
     settings = random_test(chain, folder / "a.csv", 14, duration=40.0)
     scene = rig.loads(yaml.safe_dump(settings), where="the other simulator")
     return chain, daq.import_files(folder / "a.csv", scene, folder / "a.mcap"), scene

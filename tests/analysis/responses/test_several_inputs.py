@@ -37,7 +37,7 @@ MULTISINE = (
 MASSES, SPRINGS = "[0.74 kg, 0.71 kg, 0.64 kg]", "[24.3 kN/m, 21.8 kN/m, 19.8 kN/m]"
 
 
-def recorded(path, test, seed=0, noise=200, masses=MASSES, springs=SPRINGS):
+def record_scene(path, test, seed=0, noise=200, masses=MASSES, springs=SPRINGS):
     text = SCENE.format(test=test, seed=seed, noise=noise, masses=masses, springs=springs)
     return daq.record(rig.loads(text, where="two shakers"), path)
 
@@ -51,14 +51,14 @@ def exact(scene, frequency, bodies=(0, 2)):
 def share_within(path, **options):
     with daq.open(path) as rec:
         (response,) = analysis.frequency_responses(rec, **options)
-        truth = exact(rec.scene, response.frequency)
-    assert response.value.shape == truth.shape
-    return response, float(np.mean(abs(response.value - truth) <= response.bound()))
+        exact_response = exact(rec.scene, response.frequency)
+    assert response.value.shape == exact_response.shape
+    return response, float(np.mean(abs(response.value - exact_response) <= response.bound()))
 
 
 @pytest.fixture(scope="module")
 def random_path(tmp_path_factory):
-    return recorded(tmp_path_factory.mktemp("random") / "a.mcap", RANDOM)
+    return record_scene(tmp_path_factory.mktemp("random") / "a.mcap", RANDOM)
 
 
 @pytest.mark.parametrize("estimator", [None, "H1", "Hv"])
@@ -69,12 +69,12 @@ def test_bounds_hold_for_two_random_shakers(random_path, estimator):
 
 
 def test_bounds_hold_for_orthogonal_multisines(tmp_path):
-    response, share = share_within(recorded(tmp_path / "a.mcap", MULTISINE))
+    response, share = share_within(record_scene(tmp_path / "a.mcap", MULTISINE))
     assert 0.9 < share < 0.995 and np.nanmedian(response.coherence) > 0.9
 
 
 def test_error_bars_exist_without_overloaded_realisation(tmp_path):
-    with daq.open(recorded(tmp_path / "a.mcap", MULTISINE)) as rec:
+    with daq.open(record_scene(tmp_path / "a.mcap", MULTISINE)) as rec:
         last = [marker for marker in rec.markers if marker.kind == "measure"][-1]
         rec.markers.append(Marker("overload", last.first_sample, last.stop - 1, {"channel": "a1"}))
         (response,) = analysis.frequency_responses(rec)
@@ -83,12 +83,12 @@ def test_error_bars_exist_without_overloaded_realisation(tmp_path):
 
 @pytest.mark.thorough
 def test_bounds_hold_for_twenty_random_structures(tmp_path):
-    dice = np.random.default_rng(20)
+    random = np.random.default_rng(20)
     shares: dict[str, list[float]] = {"local rational": [], "multisine": [], "H1": [], "Hv": []}
     for number in range(20):
-        masses, springs = dice.uniform(0.5, 1.5, 3), dice.uniform(10.0, 40.0, 3)
-        path = recorded(
-            tmp_path / f"{number}.mcap", (RANDOM, MULTISINE)[number % 2], number, noise=dice.uniform(20, 500),
+        masses, springs = random.uniform(0.5, 1.5, 3), random.uniform(10.0, 40.0, 3)
+        path = record_scene(
+            tmp_path / f"{number}.mcap", (RANDOM, MULTISINE)[number % 2], number, noise=random.uniform(20, 500),
             masses=[f"{mass:.4f} kg" for mass in masses], springs=[f"{spring:.3f} kN/m" for spring in springs],
         )  # fmt: skip
         shares[("local rational", "multisine")[number % 2]].append(share_within(path)[1])
@@ -100,8 +100,8 @@ def test_bounds_hold_for_twenty_random_structures(tmp_path):
 
 
 def test_shaker_that_is_off_leaves_one_input(tmp_path):
-    one = recorded(tmp_path / "one.mcap", RANDOM.replace("also: [2], ", ""))
-    with daq.open(one) as rec:
+    first_input = record_scene(tmp_path / "one.mcap", RANDOM.replace("also: [2], ", ""))
+    with daq.open(first_input) as rec:
         (single,) = analysis.frequency_responses(rec)
         inputs = driven_forces(rec)
     assert not inputs and single.value.shape[2] == 1
@@ -110,7 +110,7 @@ def test_shaker_that_is_off_leaves_one_input(tmp_path):
         if marker.kind == "measure" else marker
         for marker in markers
     ]  # fmt: skip
-    with daq.open(one) as rec:
+    with daq.open(first_input) as rec:
         object.__setattr__(rec, "markers", marks(rec.markers))
         assert [point.name for point in driven_forces(rec)] == ["f1"]
         (selected,) = analysis.frequency_responses(rec)

@@ -12,8 +12,8 @@ import rig
 from rig.system.structural_model import structural_model, structure_matrices
 
 FLIGHT, FLOOR, CEILING = 0, 1, 2
-#: After a separation the gap is at rounding level: its guards sleep this long, s.
-BLIND = 2e-5
+#: After a separation the gap is at rounding level, so its guards are ignored for this time, s.
+GUARD_DELAY_S = 2e-5
 
 
 class Peer:
@@ -31,8 +31,8 @@ class Peer:
         self.force[[b - 1 for b in scene.shaker.bodies]] = scene.test.force
         self.mode = np.full(len(self.bed), FLOOR)
 
-    def _bodies(self, t: float, state: np.ndarray) -> np.ndarray:
-        """Accelerations of the bodies in the present configuration."""
+    def _body_accelerations(self, t: float, state: np.ndarray) -> np.ndarray:
+        """Return the accelerations of the bodies with the present contacts."""
         n = self.n
         mass = self.mass.copy()
         load = (
@@ -43,93 +43,99 @@ class Peer:
         load[self.body[riding]] -= self.bed[riding] * self.gravity
         return np.linalg.solve(mass, load)
 
-    def _slope(self, t: float, state: np.ndarray) -> np.ndarray:
+    def _derivative(self, t: float, state: np.ndarray) -> np.ndarray:
         n, d = self.n, len(self.bed)
-        acceleration = self._bodies(t, state)
-        own = np.where(self.mode == FLIGHT, state[2 * n + d :], state[n + self.body])
-        own_slope = np.where(self.mode == FLIGHT, -self.gravity, acceleration[self.body])
-        return np.concatenate([state[n : 2 * n], acceleration, own, own_slope])
+        acceleration = self._body_accelerations(t, state)
+        damper_speed = np.where(self.mode == FLIGHT, state[2 * n + d :], state[n + self.body])
+        damper_acceleration = np.where(self.mode == FLIGHT, -self.gravity, acceleration[self.body])
+        return np.concatenate([state[n : 2 * n], acceleration, damper_speed, damper_acceleration])
 
-    def _guards(self, blind: dict[tuple[int, int], float]) -> list[tuple[int, int, object]]:
+    def _guards(self, ignored_until: dict[tuple[int, int], float]) -> list[tuple[int, int, object]]:
         n = self.n
-        found: list[tuple[int, int, object]] = []
+        guards: list[tuple[int, int, object]] = []
         for j, body in enumerate(self.body):
             if self.mode[j] == FLIGHT:
-                found.append(
+                guards.append(
                     (
                         j,
                         FLOOR,
                         lambda t, s, j=j, b=body: (
-                            s[2 * n + j] - s[b] if t > blind.get((j, FLOOR), -1) else 1.0
+                            s[2 * n + j] - s[b] if t > ignored_until.get((j, FLOOR), -1) else 1.0
                         ),
                     )
                 )
                 if np.isfinite(self.clearance[j]):
-                    found.append(
+                    guards.append(
                         (
                             j,
                             CEILING,
                             lambda t, s, j=j, b=body: (
                                 self.clearance[j] - s[2 * n + j] + s[b]
-                                if t > blind.get((j, CEILING), -1)
+                                if t > ignored_until.get((j, CEILING), -1)
                                 else 1.0
                             ),
                         )
                     )
             else:
                 sign = 1.0 if self.mode[j] == FLOOR else -1.0
-                found.append(
-                    (j, FLIGHT, lambda t, s, b=body, sign=sign: sign * (self._bodies(t, s)[b] + self.gravity))
+                guards.append(
+                    (
+                        j,
+                        FLIGHT,
+                        lambda t, s, b=body, sign=sign: (
+                            sign * (self._body_accelerations(t, s)[b] + self.gravity)
+                        ),
+                    )
                 )
-        for _, _, guard in found:
+        for _, _, guard in guards:
             guard.terminal, guard.direction = True, -1
-        return found
+        return guards
 
     def events(self, duration: float) -> list[tuple[float, int, str]]:
-        """Events up to a time: (time, damper from 1, kind)."""
+        """Return the events up to a time: (time, damper from 1, kind)."""
         n, d = self.n, len(self.bed)
         state, t, out = np.zeros(2 * n + 2 * d), 0.0, []
-        blind: dict[tuple[int, int], float] = {}
+        ignored_until: dict[tuple[int, int], float] = {}
         while t < duration:
-            guards = self._guards(blind)
+            guards = self._guards(ignored_until)
             solution = solve_ivp(
-                self._slope, (t, duration), state, method="DOP853", rtol=1e-12, atol=1e-15,
+                self._derivative, (t, duration), state, method="DOP853", rtol=1e-12, atol=1e-15,
                 max_step=2 * np.pi / max(self.omega, 300.0) / 80, events=[g for _, _, g in guards],
             )  # fmt: skip
             t, state = solution.t[-1], solution.y[:, -1].copy()
             if solution.status != 1:
                 break
-            for (j, wall, _), hits in zip(guards, solution.t_events, strict=True):
-                if len(hits):
-                    self._change(t, state, j, wall, blind, out)
+            for (j, wall, _), crossings in zip(guards, solution.t_events, strict=True):
+                if len(crossings):
+                    self._apply_event(t, state, j, wall, ignored_until, out)
         return out
 
-    def _change(self, t, state, j, wall, blind, out) -> None:
+    def _apply_event(self, t, state, j, wall, ignored_until, out) -> None:
         n, d = self.n, len(self.bed)
         body = self.body[j]
         if wall == FLIGHT:
-            self._leave(t, state, j, blind)
+            self._separate(t, state, j, ignored_until)
             out.append((t, j + 1, "separation"))
             return
-        before = state[2 * n + d + j] - state[n + body]
-        impulse = (1 + self.restitution[j]) * before / (1 / self.mass[body, body] + 1 / self.bed[j])
+        closing_speed = state[2 * n + d + j] - state[n + body]
+        impulse = (1 + self.restitution[j]) * closing_speed / (1 / self.mass[body, body] + 1 / self.bed[j])
         state[n + body] += impulse / self.mass[body, body]
         out.append((t, j + 1, "floor" if wall == FLOOR else "ceiling"))
         self.mode[j] = wall
         if self.restitution[j] > 0:
-            self._leave(t, state, j, blind)
-            state[2 * n + d + j] = state[n + body] - self.restitution[j] * before
+            self._separate(t, state, j, ignored_until)
+            state[2 * n + d + j] = state[n + body] - self.restitution[j] * closing_speed
         for i in range(d):
             if self.mode[i] != FLIGHT:
                 sign = 1.0 if self.mode[i] == FLOOR else -1.0
-                if sign * (self._bodies(t, state)[self.body[i]] + self.gravity) < 0:
-                    self._leave(t, state, i, blind)
+                if sign * (self._body_accelerations(t, state)[self.body[i]] + self.gravity) < 0:
+                    self._separate(t, state, i, ignored_until)
                     out.append((t, i + 1, "separation"))
 
-    def _leave(self, t, state, j, blind) -> None:
+    def _separate(self, t, state, j, ignored_until) -> None:
         n, d = self.n, len(self.bed)
         body, wall = self.body[j], self.mode[j]
         state[2 * n + j] = state[body] + (self.clearance[j] if wall == CEILING else 0.0)
         state[2 * n + d + j] = state[n + body]
         self.mode[j] = FLIGHT
-        blind[(j, wall)] = t + BLIND
+        ignored_until[(j, wall)] = t + GUARD_DELAY_S

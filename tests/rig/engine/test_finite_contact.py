@@ -17,45 +17,45 @@ from rig.system.landing import duration_and_restitution, spring_damper
 from tests.rig.engine.finite_contact_exact import SwitchedMotion
 from tests.rig.landing_force import peak_force
 
-PER_PERIOD = 16
+SAMPLES_PER_PERIOD = 16
 
 
 def random_scene(seed: int, bodies: int) -> rig.Scene:
     """Return a driven chain with a damper in every body, whose walls are defined in one of four forms."""
-    draw = np.random.default_rng(seed)
-    masses, springs = draw.uniform(0.3, 1.2, bodies), draw.uniform(8e3, 4e4, bodies)
-    frequency = float(draw.uniform(0.5, 1.6) * math.sqrt(springs.mean() / masses.mean()) / (2 * math.pi))
+    random = np.random.default_rng(seed)
+    masses, springs = random.uniform(0.3, 1.2, bodies), random.uniform(8e3, 4e4, bodies)
+    frequency = float(random.uniform(0.5, 1.6) * math.sqrt(springs.mean() / masses.mean()) / (2 * math.pi))
 
     def duration() -> float:
-        return float(10 ** draw.uniform(-1.5, -0.5) / frequency)
+        return float(10 ** random.uniform(-1.5, -0.5) / frequency)
 
     def wall(bed: float) -> dict[str, float]:
         rate = math.pi / duration()
-        damping = 2 * bed * rate * 10 ** draw.uniform(-2.5, 0.3)
-        return {"stiffness": bed * rate**2, "damping": damping if draw.random() < 0.7 else 0.0}
+        damping = 2 * bed * rate * 10 ** random.uniform(-2.5, 0.3)
+        return {"stiffness": bed * rate**2, "damping": damping if random.random() < 0.7 else 0.0}
 
     dampers = []
     for body in range(1, bodies + 1):
-        bed = float(draw.uniform(0.03, 0.4) * masses[body - 1])
-        clearance = float(draw.uniform(2e-4, 2e-3)) if draw.random() < 0.7 else math.inf
+        bed = float(random.uniform(0.03, 0.4) * masses[body - 1])
+        clearance = float(random.uniform(2e-4, 2e-3)) if random.random() < 0.7 else math.inf
         forms = [
             {"contact": {"duration": duration()}},
-            {"contact": {"duration": duration()}, "restitution": float(draw.uniform(0.02, 0.95))},
+            {"contact": {"duration": duration()}, "restitution": float(random.uniform(0.02, 0.95))},
             {"contact": wall(bed)},
             {"contact": {"floor": wall(bed), "ceiling": wall(bed)}},
         ]
-        dampers.append({"body": body, "mass": bed, "clearance": clearance, **forms[draw.integers(4)]})
+        dampers.append({"body": body, "mass": bed, "clearance": clearance, **forms[random.integers(4)]})
     return rig.Scene.model_validate(
         {
             "structure": {
                 "masses": masses.tolist(),
                 "springs": springs.tolist(),
-                "damping": {"modal": float(draw.uniform(0.001, 0.02))},
+                "damping": {"modal": float(random.uniform(0.001, 0.02))},
             },
             "dampers": dampers,
-            "shaker": {"kind": "force", "body": int(draw.integers(1, bodies + 1))},
+            "shaker": {"kind": "force", "body": int(random.integers(1, bodies + 1))},
             "test": {
-                "kind": "sine", "frequency": frequency, "force": float(draw.uniform(5, 30)), "start": "empty",
+                "kind": "sine", "frequency": frequency, "force": float(random.uniform(5, 30)), "start": "empty",
                 "duration": 1.0,
             },
         }
@@ -66,9 +66,9 @@ def random_scene(seed: int, bodies: int) -> rig.Scene:
 @pytest.mark.parametrize(("seed", "bodies"), [(0, 1), (4, 1), (5, 2), (7, 1), (7314, 1)])
 def test_finite_contact_motion_agrees_to_forty_digits(seed: int, bodies: int) -> None:
     scene = random_scene(seed, bodies)
-    run = rig.simulate(scene, 3 / scene.test.frequency, rate=PER_PERIOD * scene.test.frequency)
+    run = rig.simulate(scene, 3 / scene.test.frequency, rate=SAMPLES_PER_PERIOD * scene.test.frequency)
     states = 2 * (bodies + len(scene.dampers))
-    exact, events = SwitchedMotion(scene).propagate([0.0] * states, len(run.time), PER_PERIOD)
+    exact, events = SwitchedMotion(scene).propagate([0.0] * states, len(run.time), SAMPLES_PER_PERIOD)
     error = np.abs(run.displacement - exact.astype(float)).max() / np.abs(run.displacement).max()
     kinds = [("touch" if mode else "release", damper + 1) for _, damper, mode in events]
     assert kinds == [(str(event["kind"]), int(event["damper"])) for event in run.events]
@@ -110,8 +110,8 @@ def test_largest_contact_force_is_closed_form(ratio: float) -> None:
     damping = 2.0 * ratio * mass * rate
     motion = np.array([[0.0, 1.0], [-stiffness / mass, -damping / mass]])
     states = [expm(motion * time / rate) @ (0.0, speed) for time in np.linspace(0.0, 2.0, 2001)]
-    largest = (np.array(states) @ (stiffness, damping)).max()
-    assert peak_force(stiffness, damping, mass, speed) == pytest.approx(largest, rel=1e-6)
+    expected = (np.array(states) @ (stiffness, damping)).max()
+    assert peak_force(stiffness, damping, mass, speed) == pytest.approx(expected, rel=1e-6)
 
 
 def test_residual_restitution_decreases_with_the_duration() -> None:
@@ -139,11 +139,11 @@ def test_free_landing_is_closed_form(restitution: float) -> None:
     assert release["kind"] == "release"
     assert release["time"] - landing["time"] == pytest.approx(2e-3, rel=1e-9)
     assert run.events[touch + 2]["speed"] == pytest.approx(restitution * landing["speed"], rel=1e-9)
-    during = (run.time >= landing["time"]) & (run.time <= release["time"])
+    in_contact = (run.time >= landing["time"]) & (run.time <= release["time"])
     system = assemble(scene)
     stiffness, damping = system.wall_stiffness[0, 0], system.wall_damping[0, 0]
     peak = peak_force(stiffness, damping, float(system.reduced_mass[0]), float(landing["speed"]))
-    assert np.abs(run.acceleration[0, during]).max() == pytest.approx(peak / 0.8, rel=2e-3)
+    assert np.abs(run.acceleration[0, in_contact]).max() == pytest.approx(peak / 0.8, rel=2e-3)
 
 
 def test_short_landings_converge_to_instant_contact() -> None:
@@ -176,14 +176,14 @@ def test_finite_contact_blocks_change_no_bit() -> None:
         dampers=[d.replace(contact={"duration": 1e-3}, restitution=0.2) for d in scene.dampers]
     )
     drive = 20.0 * np.random.default_rng(1).standard_normal((1, 600))
-    whole = rig.Plant(scene, 5120.0).advance(drive)
+    single_block = rig.Plant(scene, 5120.0).advance(drive)
     plant = rig.Plant(scene, 5120.0)
-    parts = [plant.advance(part) for part in np.split(drive, [1, 8, 250, 251], axis=1)]
-    assert {"touch", "release"} <= set(whole.events["kind"])
+    blocks = [plant.advance(block) for block in np.split(drive, [1, 8, 250, 251], axis=1)]
+    assert {"touch", "release"} <= set(single_block.events["kind"])
     for name in ("displacement", "velocity", "acceleration", "gap"):
         np.testing.assert_array_equal(
-            np.concatenate([getattr(part, name) for part in parts], axis=1), getattr(whole, name)
+            np.concatenate([getattr(block, name) for block in blocks], axis=1), getattr(single_block, name)
         )
-    np.testing.assert_array_equal(np.concatenate([part.events for part in parts]), whole.events)
+    np.testing.assert_array_equal(np.concatenate([block.events for block in blocks]), single_block.events)
     # Acceleration is finite: no break has a velocity jump.
-    np.testing.assert_array_equal(whole.break_velocity[0], whole.break_velocity[1])
+    np.testing.assert_array_equal(single_block.break_velocity[0], single_block.break_velocity[1])

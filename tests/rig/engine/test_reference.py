@@ -22,13 +22,13 @@ KINDS = {
 }
 
 
-def run_of(name: str, **changes: object) -> rig.Run:
+def simulate_scene(name: str, **changes: object) -> rig.Run:
     scene = rig.load(name).replace(**changes)
     return rig.simulate(scene, scene.test.duration, rate=2000.0)
 
 
-def single(**test: object) -> rig.Scene:
-    """One body of 1 kg at 10 Hz with a damper, driven by a force."""
+def single_body(**test: object) -> rig.Scene:
+    """Return one body of 1 kg at 10 Hz with a damper, driven by a force."""
     stiffness = (2 * np.pi * 10.0) ** 2
     return rig.Scene.model_validate(
         {
@@ -40,7 +40,7 @@ def single(**test: object) -> rig.Scene:
     )
 
 
-def proven_events() -> list[tuple[mpf, int, str]]:
+def reference_events() -> list[tuple[mpf, int, str]]:
     """Events of case A: 40-digit time, damper from 1, kind."""
     data = Path(__file__).parent / "data" / "reference-A-events.json"
     return [
@@ -51,28 +51,28 @@ def proven_events() -> list[tuple[mpf, int, str]]:
 
 @pytest.mark.usefixtures("tabulated")
 def test_reference_case_a_events_are_exact() -> None:
-    proven = proven_events()
-    events = run_of("reference-A").events
-    assert len(proven) == len(events) == 463
-    assert [(int(e["damper"]), str(e["kind"])) for e in events] == [event[1:] for event in proven]
-    assert np.abs(events["time"] - [float(event[0]) for event in proven]).max() < 1e-12
+    reference = reference_events()
+    events = simulate_scene("reference-A").events
+    assert len(reference) == len(events) == 463
+    assert [(int(e["damper"]), str(e["kind"])) for e in events] == [event[1:] for event in reference]
+    assert np.abs(events["time"] - [float(event[0]) for event in reference]).max() < 1e-12
 
 
 @pytest.mark.thorough
 def test_case_a_positions_agree_to_forty_digits() -> None:
     scene = rig.load("reference-A")
-    run = run_of("reference-A")
+    run = simulate_scene("reference-A")
     segments: dict[tuple[int, ...], Segment] = {}
-    riding, now, speeds = (0, 1, 2), mpf(0), {}
+    riding, current_time, speeds = (0, 1, 2), mpf(0), {}
     state = Segment(scene, riding).start()
     bed, body = (0.1 * mass for mass in scene.structure.masses), scene.structure.masses
-    ratio = [mpf(own) / (mpf(own) + mpf(mass)) for own, mass in zip(bed, body, strict=True)]
+    ratio = [mpf(bed_mass) / (mpf(bed_mass) + mpf(mass)) for bed_mass, mass in zip(bed, body, strict=True)]
     end = len(run.time) - 1
-    for time, damper, kind in [*proven_events(), (mpf(end) / 2000, 0, "end")]:
+    for time, damper, kind in [*reference_events(), (mpf(end) / 2000, 0, "end")]:
         segment = segments.setdefault(riding, Segment(scene, riding))
-        state = segment.after(state, time - now)
-        speeds = {j: speed - segment.gravity * (time - now) for j, speed in speeds.items()}
-        now, j = time, damper - 1
+        state = segment.after(state, time - current_time)
+        speeds = {j: speed - segment.gravity * (time - current_time) for j, speed in speeds.items()}
+        current_time, j = time, damper - 1
         if kind == "separation":
             speeds[j] = state[3 + j]
             riding = tuple(k for k in riding if k != j)
@@ -86,13 +86,13 @@ def test_case_a_positions_agree_to_forty_digits() -> None:
 @pytest.mark.usefixtures("tabulated")
 @pytest.mark.parametrize(("name", "count"), [("reference-B", 273), ("reference-C", 984)])
 def test_reference_cases_b_and_c_event_counts(name: str, count: int) -> None:
-    run = run_of(name)
+    run = simulate_scene(name)
     assert len(run.events) == count
     assert run.ambiguous == 0
 
 
 def test_case_b_hits_its_grazed_ceiling() -> None:
-    events = run_of("reference-B").events
+    events = simulate_scene("reference-B").events
     period = events["time"] * 312.4 / (2 * np.pi)
     graze = events[(period > 80) & (period < 81) & (events["kind"] == "ceiling")]
     assert len(graze) == 1
@@ -106,13 +106,13 @@ def test_independent_solver_has_the_same_events() -> None:
         scene = _random_scene(random)
         duration = 8 / scene.test.frequency
         events = rig.simulate(scene, duration, rate=100.0).events
-        peer = Peer(scene).events(duration)
-        assert [(d, kind) for _, d, kind in peer] == [(int(e["damper"]), str(e["kind"])) for e in events]
-        np.testing.assert_allclose([time for time, _, _ in peer], events["time"], atol=1e-8)
+        expected = Peer(scene).events(duration)
+        assert [(d, kind) for _, d, kind in expected] == [(int(e["damper"]), str(e["kind"])) for e in events]
+        np.testing.assert_allclose([time for time, _, _ in expected], events["time"], atol=1e-8)
 
 
 def _random_scene(random: np.random.Generator) -> rig.Scene:
-    """Draw from the ranges in which nothing may be missed or invented."""
+    """Draw a scene from the ranges in which the engine finds exactly the true events."""
     bodies = int(random.integers(1, 4))
     masses = random.uniform(0.5, 1.5, bodies)
     omega = np.exp(random.uniform(np.log(30.0), np.log(500.0)))
@@ -145,79 +145,79 @@ def _random_scene(random: np.random.Generator) -> rig.Scene:
     )
 
 
-def _highest_gap(scene: rig.Scene) -> tuple[mpf, mpf]:
-    """Largest gap of the first flight of damper 1, to 40 digits, and when it is reached."""
+def first_flight_peak(scene: rig.Scene) -> tuple[mpf, mpf]:
+    """Return the largest gap of the first flight of damper 1, to 40 digits, and its time."""
     run = rig.simulate(scene, 1.0, rate=20_000.0)
-    off, landing = run.events["time"][:2]
-    inside = (run.time > off) & (run.time < landing)
-    top = run.time[inside][np.argmax(run.gap[0, inside])]
+    separation, landing = run.events["time"][:2]
+    in_flight = (run.time > separation) & (run.time < landing)
+    peak_time = run.time[in_flight][np.argmax(run.gap[0, in_flight])]
     riding, flying = Segment(scene, (0,)), Segment(scene, ())
     start = riding.start()
     guard = lambda t: riding.acceleration(riding.after(start, t), 0) + riding.gravity  # noqa: E731
-    take_off = findroot(guard, (mpf(off), mpf(off) + mpf("1e-9")), tol=1e-60)
+    take_off = findroot(guard, (mpf(separation), mpf(separation) + mpf("1e-9")), tol=1e-60)
     begin = riding.after(start, take_off)
 
-    def rise(t: mpf) -> mpf:
+    def relative_velocity(t: mpf) -> mpf:
         state = flying.after(begin, t - take_off)
         return begin[1] - flying.gravity * (t - take_off) - state[1]
 
-    highest = findroot(rise, (mpf(top), mpf(top) + mpf("1e-7")), tol=1e-60)
-    flown = highest - take_off
-    height = begin[0] + begin[1] * flown - flying.gravity * flown**2 / 2
-    return height - flying.after(begin, flown)[0], highest
+    highest = findroot(relative_velocity, (mpf(peak_time), mpf(peak_time) + mpf("1e-7")), tol=1e-60)
+    flight_time = highest - take_off
+    height = begin[0] + begin[1] * flight_time - flying.gravity * flight_time**2 / 2
+    return height - flying.after(begin, flight_time)[0], highest
 
 
 @pytest.mark.parametrize("depth", [1e-6, 1e-9, 1e-12, 1e-15])
 def test_only_the_lower_ceiling_is_hit(
     depth: float,
 ) -> None:
-    scene = single(start="empty")
-    highest, when = _highest_gap(scene)
+    scene = single_body(start="empty")
+    highest, peak_time = first_flight_peak(scene)
     kinds = {}
     for sign in (1, -1):
         clearance = float(highest - sign * mpf(depth))
         damper = {"body": 1, "mass": 0.05, "clearance": clearance}
-        events = rig.simulate(scene.replace(dampers=[damper]), float(when) + 1e-3, rate=1000.0).events
+        events = rig.simulate(scene.replace(dampers=[damper]), float(peak_time) + 1e-3, rate=1000.0).events
         kinds[sign] = [str(kind) for kind in events["kind"]]
     assert kinds[1] == ["separation", "ceiling", "separation"]
     assert kinds[-1] == ["separation"]
 
 
 @pytest.mark.parametrize("depth", [1e-2, 1e-6, 1e-10, 1e-12])
-def test_separates_only_where_the_force_dips_below_zero(
+def test_separates_only_if_the_force_dips_below_zero(
     depth: float,
 ) -> None:
     # From its static equilibrium the riding damper's acceleration is F a(t), whatever gravity is: with the
     # largest fall of a(t) in a growing motion known, F sets how far the contact force dips below zero.
-    unit = single(force=1.0)
+    unit = single_body(force=1.0)
     riding = Segment(unit.replace(gravity=0.0), (0,))
     start = riding.start()
     run = rig.simulate(unit, 0.5, rate=20_000.0)
     guess = run.time[np.argmin(run.acceleration[0])]
-    when = findroot(
+    lowest_time = findroot(
         lambda t: riding.jerk(riding.after(start, t), 0), (mpf(guess), mpf(guess) + mpf("1e-6")), tol=1e-60
     )
-    lowest = riding.acceleration(riding.after(start, when), 0)
-    found = {}
+    lowest = riding.acceleration(riding.after(start, lowest_time), 0)
+    events = {}
     for sign in (1, -1):
         force = float(-mpf(unit.gravity) * (1 + sign * mpf(depth)) / lowest)
-        found[sign] = rig.simulate(single(force=force), float(when) + 1e-4, rate=1000.0).events
-    assert len(found[-1]) == 0
-    assert str(found[1]["kind"][0]) == "separation"
+        events[sign] = rig.simulate(single_body(force=force), float(lowest_time) + 1e-4, rate=1000.0).events
+    assert len(events[-1]) == 0
+    assert str(events[1]["kind"][0]) == "separation"
     # The dip lasts as long as the parabola there is below zero: it begins within that time.
-    assert 0.0 < float(when) - found[1]["time"][0] < 0.05 * np.sqrt(depth)
+    assert 0.0 < float(lowest_time) - events[1]["time"][0] < 0.05 * np.sqrt(depth)
 
 
 def test_undamped_resonance_grows_as_closed_form() -> None:
-    scene = single().replace(dampers=())
+    scene = single_body().replace(dampers=())
     structure = scene.structure.replace(damping=None)
     natural = np.sqrt(structure.springs[0]) / (2 * np.pi)
     scene = scene.replace(structure=structure, test={"kind": "sine", "frequency": natural, "force": 6.0})
     run = rig.simulate(scene, 10.0, rate=50.0)
     segment = Segment(scene, ())
-    state, before = segment.start(), 0
+    state, previous = segment.start(), 0
     for k in (1, 10, 100, 500):
-        state, before = segment.after(state, mpf(k - before) / 50), k
+        state, previous = segment.after(state, mpf(k - previous) / 50), k
         exact = float(state[0])
         envelope = 6.0 * run.time[k] / (2 * 2 * np.pi * natural)
         assert abs(run.displacement[0, k] - exact) < 1e-12 * envelope
@@ -248,7 +248,7 @@ def test_response_without_dampers_is_linear_receptance() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
         ({"duration": float("nan")}, "duration"),
         ({"duration": -1.0}, "duration"),
@@ -256,24 +256,24 @@ def test_response_without_dampers_is_linear_receptance() -> None:
         ({"frequency": 0.0}, "frequency"),
     ],
 )
-def test_bad_arguments_are_named(change: dict[str, object], words: str) -> None:
+def test_bad_arguments_are_named(change: dict[str, object], message: str) -> None:
     arguments = {"duration": 0.1, "rate": 1000.0, **change}
     with pytest.raises(SceneError) as error:
         rig.simulate("reference-A", **arguments)
-    assert words in str(error.value)
+    assert message in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("drive", "words"),
+    ("drive", "message"),
     [
         (np.full((1, 100), np.nan), "drive: nan at sample 0 of input shaker"),
         (np.zeros((2, 100)), "drive: the array has shape (2, 100). Give one of shape (1, samples)"),
     ],
 )
-def test_bad_drive_is_named(drive: np.ndarray, words: str) -> None:
+def test_bad_drive_is_named(drive: np.ndarray, message: str) -> None:
     with pytest.raises(RunError) as error:
         rig.simulate("reference-A", 0.1, 1000.0, drive=drive)
-    assert words in str(error.value)
+    assert message in str(error.value)
 
 
 def test_drive_sample_that_is_not_finite_is_named() -> None:
@@ -286,15 +286,15 @@ def test_drive_sample_that_is_not_finite_is_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("matrices", "words"),
+    ("matrices", "message"),
     [
         ({"mass": [[1.0, 2.0], [2.0, 1.0]], "stiffness": [[1e3, 0.0], [0.0, 1e3]]}, "mass"),
         ({"mass": [[1.0, 0.2], [0.1, 1.0]], "stiffness": [[1e3, 0.0], [0.0, 1e3]]}, "mass"),
         ({"mass": [[1.0, 0.0], [0.0, 1.0]], "stiffness": [[float("nan"), 0.0], [0.0, 1e3]]}, "stiffness"),
     ],
 )
-def test_impossible_matrices_are_named(matrices: dict[str, object], words: str) -> None:
-    with pytest.raises(SceneError, match=words):
+def test_impossible_matrices_are_named(matrices: dict[str, object], message: str) -> None:
+    with pytest.raises(SceneError, match=message):
         rig.load("bare-structure").replace(structure={"matrices": matrices}, channels=None)
 
 

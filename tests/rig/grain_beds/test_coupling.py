@@ -17,45 +17,47 @@ RATE = 2000.0
 
 
 def test_shaken_free_body_keeps_the_momentum() -> None:
-    free = {"matrices": {"mass": [[0.01]], "stiffness": [[0.0]]}}
+    free_body = {"matrices": {"mass": [[0.01]], "stiffness": [[0.0]]}}
     scene = with_grains(
-        structure=free, test={"kind": "sine", "frequency": 30.0, "force": 0.4, "start": "empty"}
+        structure=free_body, test={"kind": "sine", "frequency": 30.0, "force": 0.4, "start": "empty"}
     )
     coupled = CoupledPropagator(scene, 1.0 / RATE)
     time = np.arange(coupled.substeps * 80 + 1) * coupled.step
-    push = (0.4 * np.sin(188.5 * time) + 0.01 * 9.80665)[None]
-    coupled.place(coupled.system.initial, push[:, 0])
+    force = (0.4 * np.sin(188.5 * time) + 0.01 * 9.80665)[None]
+    coupled.place(coupled.system.initial, force[:, 0])
 
-    trajectory, beds = coupled.march(push)
+    trajectory, beds = coupled.march(force)
 
     assert beds.force[0, 1].min() < 0.0, "the bed never met the ceiling"
-    body = 0.01 * trajectory.state[-1, 1]
-    given = 0.5 * coupled.step * (push[0, :-1] + push[0, 1:]).sum()
-    weight = scene.dampers[0].mass * scene.gravity * time[-1]
-    exchanged = np.abs(beds.force.sum(axis=1)).sum() * coupled.step
-    assert body + coupled.momentum[0] == pytest.approx(given - weight, abs=1e-12 * exchanged)
-    assert np.abs(coupled.momentum_errors).max() < 1e-12 * exchanged
+    body_momentum = 0.01 * trajectory.state[-1, 1]
+    impulse = 0.5 * coupled.step * (force[0, :-1] + force[0, 1:]).sum()
+    weight_impulse = scene.dampers[0].mass * scene.gravity * time[-1]
+    contact_impulse = np.abs(beds.force.sum(axis=1)).sum() * coupled.step
+    assert body_momentum + coupled.momentum[0] == pytest.approx(
+        impulse - weight_impulse, abs=1e-12 * contact_impulse
+    )
+    assert np.abs(coupled.momentum_errors).max() < 1e-12 * contact_impulse
 
 
 def test_stiff_grain_moves_as_one_mass() -> None:
-    one = with_grains(
+    single_grain = with_grains(
         mass="3 g", grains={"diameter": "8 mm", "cavity": "9 mm", "restitution": 0.5, "modulus": "0.1 GPa"}
     )
 
-    grain = rig.simulate(one, duration=0.1, rate=RATE)
-    mass = rig.simulate(without_grains(one, restitution=0.5), duration=0.1, rate=RATE)
+    grain = rig.simulate(single_grain, duration=0.1, rate=RATE)
+    mass = rig.simulate(without_grains(single_grain, restitution=0.5), duration=0.1, rate=RATE)
 
     assert len(mass.events) > 4
-    largest = np.abs(mass.displacement).max()
-    assert np.abs(grain.displacement - mass.displacement).max() < 0.02 * largest
+    scale = np.abs(mass.displacement).max()
+    assert np.abs(grain.displacement - mass.displacement).max() < 0.02 * scale
     assert np.median(np.abs(grain.gap - mass.gap)) < 0.01 * 1e-3
 
 
 def test_energy_adds_up_beside_another_damper() -> None:
     chain = {"masses": [0.01, 0.02], "springs": [400.0, 500.0], "damping": {"modal": 0.01}}
     scene = with_grains(structure=chain)
-    other = {"body": 2, "mass": 2e-3, "clearance": 5e-4}
-    scene = scene.replace(dampers=[other, *scene.dampers])
+    mass_damper = {"body": 2, "mass": 2e-3, "clearance": 5e-4}
+    scene = scene.replace(dampers=[mass_damper, *scene.dampers])
 
     run = rig.simulate(scene, duration=0.1, rate=RATE)
 
@@ -70,22 +72,24 @@ def test_energy_adds_up_beside_another_damper() -> None:
 def test_blocks_give_the_same_bits() -> None:
     scene = with_grains()
     drive = 0.4 * np.sin(0.1 * np.arange(120))[None]
-    whole = rig.Plant(scene, RATE).advance(drive)
+    single_block = rig.Plant(scene, RATE).advance(drive)
     plant = rig.Plant(scene, RATE)
 
     blocks = [plant.advance(part) for part in np.split(drive, [1, 40, 41], axis=1)]
 
     for name in ("displacement", "acceleration", "gap", "contact"):
         joined = np.concatenate([getattr(block, name) for block in blocks], axis=1)
-        assert np.array_equal(joined, getattr(whole, name)), name
+        assert np.array_equal(joined, getattr(single_block, name)), name
 
 
 @pytest.mark.thorough
 def test_halved_step_agrees_within_2_percent() -> None:
     scene = with_grains(grains={"time_step": "10 us"})
-    fine = with_grains(grains={"time_step": "5 us"})
+    fine_scene = with_grains(grains={"time_step": "5 us"})
 
-    coarse_run, fine_run = (rig.simulate(each, duration=0.03, rate=RATE) for each in (scene, fine))
+    coarse_run, fine_run = (
+        rig.simulate(variant, duration=0.03, rate=RATE) for variant in (scene, fine_scene)
+    )
 
     assert coarse_run.energy.grains == pytest.approx(fine_run.energy.grains, rel=0.02)
     assert np.abs(coarse_run.displacement).max() == pytest.approx(
@@ -94,7 +98,7 @@ def test_halved_step_agrees_within_2_percent() -> None:
 
 
 @pytest.mark.parametrize(
-    "answer",
+    "function",
     [
         lambda scene: rig.frequency_response(scene, [30.0]),
         lambda scene: rig.periodic_orbit(scene, 30.0),
@@ -102,9 +106,9 @@ def test_halved_step_agrees_within_2_percent() -> None:
         lambda scene: rig.map_motion(scene, "force", [0.1, 0.2], [20.0, 30.0]),
     ],
 )
-def test_single_mass_commands_reject_grains(answer: object) -> None:
+def test_single_mass_commands_reject_grains(function: object) -> None:
     with pytest.raises(SceneError, match="grains"):
-        answer(with_grains())  # type: ignore[operator]
+        function(with_grains())  # type: ignore[operator]
 
 
 def test_scene_without_grains_leaves_lammps_unloaded() -> None:

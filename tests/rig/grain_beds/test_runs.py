@@ -25,62 +25,62 @@ def short_sections(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(grains_run, "STEPS_PER_SECTION", 400)
 
 
-def beside_a_mass(**changes: object) -> rig.Scene:
-    """Two bodies, one with a bed of grains and one with a mass."""
+def scene_with_two_dampers(**changes: object) -> rig.Scene:
+    """Return two bodies, one with a bed of grains and one with a mass."""
     chain = {"masses": [0.01, 0.02], "springs": [400.0, 500.0], "damping": {"modal": 0.01}}
     scene = with_grains(structure=chain, **changes)
-    other = {"body": 2, "mass": 2e-3, "clearance": 5e-4}
-    return scene.replace(dampers=[other, *scene.dampers])
+    mass_damper = {"body": 2, "mass": 2e-3, "clearance": 5e-4}
+    return scene.replace(dampers=[mass_damper, *scene.dampers])
 
 
-def assert_same_bits(one: Run, other: Run) -> None:
+def assert_same_bits(run: Run, reference: Run) -> None:
     for name in ("time", "displacement", "velocity", "acceleration", "gap", "contact", "events"):
-        assert np.array_equal(getattr(one, name), getattr(other, name)), name
-    assert one.energy == other.energy
-    assert one.ambiguous == other.ambiguous
+        assert np.array_equal(getattr(run, name), getattr(reference, name)), name
+    assert run.energy == reference.energy
+    assert run.ambiguous == reference.ambiguous
 
 
-class Stop:
-    """Progress that ends a run as Ctrl-C does, after so many stretches."""
+class InterruptAfter:
+    """Progress function that interrupts a run after a number of sections, as Ctrl-C does."""
 
-    def __init__(self, stretches: int) -> None:
-        self.left = stretches
+    def __init__(self, sections: int) -> None:
+        self.sections_left = sections
 
     def __call__(self, done: int, total: int) -> None:
-        self.left -= 1
-        if not self.left and done < total:
+        self.sections_left -= 1
+        if not self.sections_left and done < total:
             raise KeyboardInterrupt
 
 
 @pytest.mark.parametrize("test", [{}, {"test": SWEEP}], ids=["tone", "sweep"])
 def test_twice_stopped_run_has_the_same_bits(tmp_path: Path, test: dict[str, object]) -> None:
-    scene, kept = beside_a_mass(**test), tmp_path / "kept"
-    whole = rig.simulate(scene, DURATION, RATE)
-    for stretches in (1, 2):
+    scene, stored = scene_with_two_dampers(**test), tmp_path / "kept"
+    uninterrupted = rig.simulate(scene, DURATION, RATE)
+    for sections in (1, 2):
         with pytest.raises(KeyboardInterrupt):
-            rig.simulate(scene, DURATION, RATE, keep=kept, progress=Stop(stretches))
+            rig.simulate(scene, DURATION, RATE, keep=stored, progress=InterruptAfter(sections))
 
-    gone_on = rig.simulate(scene, DURATION, RATE, keep=kept)
+    resumed = rig.simulate(scene, DURATION, RATE, keep=stored)
 
-    assert len(whole.events) > 1
-    assert_same_bits(gone_on, whole)
-    assert_same_bits(rig.simulate(scene, DURATION, RATE, keep=kept), whole)
+    assert len(uninterrupted.events) > 1
+    assert_same_bits(resumed, uninterrupted)
+    assert_same_bits(rig.simulate(scene, DURATION, RATE, keep=stored), uninterrupted)
 
 
-def test_many_stretches_keep_momentum_and_energy() -> None:
-    scene = beside_a_mass()
+def test_many_sections_keep_momentum_and_energy() -> None:
+    scene = scene_with_two_dampers()
     coupled = CoupledPropagator(scene, 1.0 / RATE)
     drive = np.zeros((1, coupled.substeps * 20 + 1))
     drive[0] = 0.4 * np.sin(188.5 * coupled.step * np.arange(drive.shape[1]))
     coupled.place(coupled.system.initial, drive[:, 0])
-    exchanged = 0.0
+    contact_impulse = 0.0
 
     for start in range(0, drive.shape[1] - 1, coupled.substeps):
         coupled.state()
         _, beds = coupled.march(drive[:, start : start + coupled.substeps + 1])
-        exchanged += float(np.abs(beds.force).sum()) * coupled.step
+        contact_impulse += float(np.abs(beds.force).sum()) * coupled.step
 
-    assert np.abs(coupled.momentum_errors).max() < 1e-12 * exchanged
+    assert np.abs(coupled.momentum_errors).max() < 1e-12 * contact_impulse
     energy = rig.simulate(scene, DURATION, RATE).energy
     assert energy.grains > 0.01 * energy.work
     assert abs(energy.residual) < 1e-10 * energy.work
@@ -105,9 +105,9 @@ def test_read_bed_remembers_contact_stretch() -> None:
 
 def test_stopped_run_continues_and_keeps_its_output(tmp_path: Path) -> None:
     scene = with_grains()
-    simulate_to_file(tmp_path / "whole.npz", scene, DURATION, RATE, None, Stop(0))
+    simulate_to_file(tmp_path / "whole.npz", scene, DURATION, RATE, None, InterruptAfter(0))
     with pytest.raises(KeyboardInterrupt) as stopped:
-        simulate_to_file(tmp_path / "run.npz", scene, DURATION, RATE, None, Stop(2))
+        simulate_to_file(tmp_path / "run.npz", scene, DURATION, RATE, None, InterruptAfter(2))
     assert "run.npz.kept contains the computed part" in stopped.value.__notes__[0]
     assert [file.name for file in tmp_path.glob("run*")] == ["run.npz.kept"]
     reported: list[int] = []
@@ -122,27 +122,27 @@ def test_stopped_run_continues_and_keeps_its_output(tmp_path: Path) -> None:
 
 
 def test_foreign_beginning_names_the_difference(tmp_path: Path) -> None:
-    kept = tmp_path / "kept"
-    rig.simulate(with_grains(), 0.01, RATE, keep=kept)
+    stored = tmp_path / "kept"
+    rig.simulate(with_grains(), 0.01, RATE, keep=stored)
 
-    for scene, duration, frequency, differs in (
+    for scene, duration, frequency, difference in (
         (with_grains(mass="0.4 g"), 0.01, None, "scene"),
         (with_grains(seed=2), 0.01, None, "scene"),
         (with_grains(), 0.02, None, "duration"),
         (with_grains(), 0.01, 31.0, "drive"),
     ):
-        with pytest.raises(RunError, match=f"kept: .* another {differs}"):
-            rig.simulate(scene, duration, RATE, frequency=frequency, keep=kept)
+        with pytest.raises(RunError, match=f"kept: .* another {difference}"):
+            rig.simulate(scene, duration, RATE, frequency=frequency, keep=stored)
 
 
 @pytest.mark.parametrize("damage", [lambda whole: whole[:-200], lambda whole: b"", lambda whole: b"x" * 300])
 def test_damaged_beginning_is_reported_and_kept(tmp_path: Path, damage: object) -> None:
-    kept = tmp_path / "kept"
-    rig.simulate(with_grains(), 0.005, RATE, keep=kept)
-    kept.write_bytes(damage(kept.read_bytes()))  # type: ignore[operator]
-    left = kept.read_bytes()
+    stored = tmp_path / "kept"
+    rig.simulate(with_grains(), 0.005, RATE, keep=stored)
+    stored.write_bytes(damage(stored.read_bytes()))  # type: ignore[operator]
+    damaged = stored.read_bytes()
 
     with pytest.raises(RunError, match="Delete it to start again"):
-        rig.simulate(with_grains(), 0.005, RATE, keep=kept)
+        rig.simulate(with_grains(), 0.005, RATE, keep=stored)
 
-    assert kept.read_bytes() == left
+    assert stored.read_bytes() == damaged

@@ -93,10 +93,19 @@ def kernels(tmp_path: Path) -> Path:
 def run(package: Path, code: str = CALL, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run code in a process of its own."""
     paths = [str(package.parent), str(Path(__file__).parents[3])]
-    where = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "NUMBA_CACHE_DIR": str(package / "cache")}
+    variables = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(paths),
+        "NUMBA_CACHE_DIR": str(package / "cache"),
+    }
     # Python itself goes by the time and size of a file.
-    where |= {"PYTHONDONTWRITEBYTECODE": "1", "PYTHONPYCACHEPREFIX": str(package / "bytecode")} | environment
-    return subprocess.run([sys.executable, "-c", code], env=where, check=True, capture_output=True, text=True)
+    variables |= {
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "PYTHONPYCACHEPREFIX": str(package / "bytecode"),
+    } | environment
+    return subprocess.run(
+        [sys.executable, "-c", code], env=variables, check=True, capture_output=True, text=True
+    )
 
 
 def machine_code(package: Path) -> dict[str, int]:
@@ -133,18 +142,18 @@ def test_callee_is_compiled_once_per_type(kernels: Path) -> None:
 def test_other_checkout_uses_the_same_code(kernels: Path, tmp_path: Path) -> None:
     first = run(kernels)
     written = machine_code(kernels)
-    other = tmp_path / "other" / "kernels"
-    shutil.copytree(kernels, other, ignore=shutil.ignore_patterns("cache", "__pycache__"))
-    again = run(other, NUMBA_CACHE_DIR=str(kernels / "cache"))
-    assert float(first.stdout) == float(again.stdout) == 112.0
+    copied_package = tmp_path / "other" / "kernels"
+    shutil.copytree(kernels, copied_package, ignore=shutil.ignore_patterns("cache", "__pycache__"))
+    second = run(copied_package, NUMBA_CACHE_DIR=str(kernels / "cache"))
+    assert float(first.stdout) == float(second.stdout) == 112.0
     assert written and machine_code(kernels) == written
 
 
 def test_unwritable_cache_is_reported(kernels: Path) -> None:
     (kernels / "__pycache__").touch()
-    nowhere = str(kernels / "__pycache__" / "cache")
-    done = run(kernels, HOME=nowhere, XDG_CACHE_HOME=nowhere, NUMBA_CACHE_DIR="")
-    assert float(done.stdout) == 112.0 and "NUMBA_CACHE_DIR" in done.stderr
+    unwritable = str(kernels / "__pycache__" / "cache")
+    result = run(kernels, HOME=unwritable, XDG_CACHE_HOME=unwritable, NUMBA_CACHE_DIR="")
+    assert float(result.stdout) == 112.0 and "NUMBA_CACHE_DIR" in result.stderr
 
 
 def test_compiling_is_logged_for_own_kernels(kernels: Path) -> None:

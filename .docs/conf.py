@@ -16,13 +16,7 @@ EXAMPLES = ROOT / ".docs" / "examples"
 sys.path.insert(0, str(ROOT))
 
 project = "shotrig"
-extensions = [
-    "myst_parser",
-    "sphinx.ext.autodoc",
-    "sphinx.ext.mathjax",
-    "numpydoc",
-    "sphinx_gallery.gen_gallery",
-]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "numpydoc", "sphinx_gallery.gen_gallery"]
 root_doc = ".docs/index"
 include_patterns = [
     ".docs/index.md",

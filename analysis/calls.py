@@ -194,10 +194,7 @@ def compare(recordings: Sequence[OneRecording], progress: Progress | None = None
 
 
 def report(
-    recordings: Recordings,
-    output: str | Path | None = None,
-    overwrite: bool = False,
-    progress: Progress | None = None,
+    recordings: Recordings, output: str | Path | None = None, overwrite: bool = False, progress: Progress | None = None
 ) -> Path:
     """Write an interactive HTML page about recordings, as `analysis report`; return its path.
 
@@ -255,9 +252,7 @@ def export(
     return target
 
 
-def cost(
-    scene: SceneLike, frequency: Sequence[float] | None = None, progress: Progress | None = None
-) -> ChainStudy:
+def cost(scene: SceneLike, frequency: Sequence[float] | None = None, progress: Progress | None = None) -> ChainStudy:
     """Measure error and computing time of the measurement chain, one effect at a time, as `analysis cost`.
 
     Parameters

@@ -21,15 +21,11 @@ app = create_application("Curves, modes and reports from recordings.")
 Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings; several are overlaid.")]
 Output = Annotated[
     Path | None,
-    typer.Option(
-        "--output", "-o", metavar="DIR", help="Folder to write to. Default: that of the first FILE."
-    ),
+    typer.Option("--output", "-o", metavar="DIR", help="Folder to write to. Default: that of the first FILE."),
 ]
 Reference = Annotated[
     str,
-    typer.Option(
-        metavar="force|table", help="Input: the force on the structure, or the displacement of the table."
-    ),
+    typer.Option(metavar="force|table", help="Input: the force on the structure, or the displacement of the table."),
 ]
 Block = Annotated[float | None, typer.Option(metavar="S", help="Block length, for random tests and hits.")]
 Unit = Annotated[
@@ -37,16 +33,12 @@ Unit = Annotated[
     typer.Option(metavar="UNIT", help="Unit of responses in a .uff or .csv FILE that states none: g/N, m/N."),
 ]
 Count = Annotated[
-    int | None,
-    typer.Option("--modes", metavar="N", help="Number of modes to keep. Default: all stable ones."),
+    int | None, typer.Option("--modes", metavar="N", help="Number of modes to keep. Default: all stable ones.")
 ]
 Table = Annotated[
     Path,
     typer.Option(
-        "--output",
-        "-o",
-        metavar="FILE",
-        help="Table of results; settings that it contains are not computed again.",
+        "--output", "-o", metavar="FILE", help="Table of results; settings that it contains are not computed again."
     ),
 ]
 
@@ -56,15 +48,13 @@ def frf(
     files: Files,
     output: Output = None,
     response: Annotated[
-        list[str] | None,
-        typer.Option(metavar="CHANNEL", help="Response. May be repeated. Default: all bodies."),
+        list[str] | None, typer.Option(metavar="CHANNEL", help="Response. May be repeated. Default: all bodies.")
     ] = None,
     reference: Reference = "force",
     motion: Annotated[
         str,
         typer.Option(
-            metavar="QUANTITY",
-            help="Displacement (receptance), velocity (mobility) or acceleration (accelerance).",
+            metavar="QUANTITY", help="Displacement (receptance), velocity (mobility) or acceleration (accelerance)."
         ),
     ] = "displacement",
     estimator: Annotated[
@@ -79,8 +69,7 @@ def frf(
         float | None, typer.Option(metavar="SHARE", help="Overlap of neighbouring blocks. Default: 0.5.")
     ] = None,
     window: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Window of blocks: hann, none, ... Default: hann, for hits none."),
+        str | None, typer.Option(metavar="NAME", help="Window of blocks: hann, none, ... Default: hann, for hits none.")
     ] = None,
     unit: Unit = None,
     theory: Annotated[
@@ -93,18 +82,7 @@ def frf(
 
     with allow_overwriting(overwrite), count_progress("analysing") as progress:
         result = present_frf(
-            files,
-            output,
-            response,
-            reference,
-            motion,
-            estimator,
-            block,
-            theory,
-            progress,
-            overlap,
-            window,
-            unit,
+            files, output, response, reference, motion, estimator, block, theory, progress, overlap, window, unit
         )
     _show(result)
 
@@ -176,8 +154,7 @@ def fit(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="RECORDING...",
-            help="Recordings of one structure, without and with dampers, at any levels.",
+            metavar="RECORDING...", help="Recordings of one structure, without and with dampers, at any levels."
         ),
     ],
     scene: SceneName,
@@ -193,10 +170,7 @@ def fit(
     output: Annotated[
         Path,
         typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Fitted scene to write; the figures are written next to it.",
+            "--output", "-o", metavar="FILE", help="Fitted scene to write; the figures are written next to it."
         ),
     ] = Path("fitted.yaml"),
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE if it exists.")] = False,
@@ -216,10 +190,7 @@ def report(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output",
-            "-o",
-            metavar="DIR|FILE.html",
-            help="Folder to write to. Default: that of the first FILE.",
+            "--output", "-o", metavar="DIR|FILE.html", help="Folder to write to. Default: that of the first FILE."
         ),
     ] = None,
     overwrite: Overwrite = False,
@@ -250,24 +221,18 @@ def demo(
 def export(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The recording.")],
     output: Annotated[
-        Path,
-        typer.Option("-o", "--output", metavar="OUT", help="File to write: .uff, .mat, .csv, .npz or .wav."),
+        Path, typer.Option("-o", "--output", metavar="OUT", help="File to write: .uff, .mat, .csv, .npz or .wav.")
     ],
     channel: Annotated[
-        list[str] | None,
-        typer.Option(metavar="CHANNEL", help="Channel to export. May be repeated. Default: all."),
+        list[str] | None, typer.Option(metavar="CHANNEL", help="Channel to export. May be repeated. Default: all.")
     ] = None,
-    start: Annotated[
-        float | None, typer.Option("--from", metavar="S", help="Time at which to begin.")
-    ] = None,
+    start: Annotated[float | None, typer.Option("--from", metavar="S", help="Time at which to begin.")] = None,
     stop: Annotated[float | None, typer.Option("--to", metavar="S", help="Time at which to end.")] = None,
     speed: Annotated[float, typer.Option(metavar="X", help="Speed of sound files.")] = 1.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT if it exists.")] = False,
     what: Annotated[
         str,
-        typer.Option(
-            metavar="samples|frfs|modes", help="What to write; frfs and modes go into .uff (58, 55) or .mat."
-        ),
+        typer.Option(metavar="samples|frfs|modes", help="What to write; frfs and modes go into .uff (58, 55) or .mat."),
     ] = "samples",
 ) -> None:
     """Export a recording as UFF, MATLAB, CSV, NPZ or WAV file."""
@@ -279,9 +244,7 @@ def export(
 
     if what != "samples":
         if channel or start is not None or stop is not None or speed != 1.0:
-            raise typer.BadParameter(
-                "--channel, --from, --to and --speed are of samples; they do not go with --what"
-            )
+            raise typer.BadParameter("--channel, --from, --to and --speed are of samples; they do not go with --what")
         with count_progress("analysing") as progress:
             lines = export_results(file, output, what, overwrite, progress)
         print(*lines, sep="\n")
@@ -309,8 +272,7 @@ def cost(
         ),
     ] = None,
     output: Annotated[
-        Path,
-        typer.Option("--output", "-o", metavar="DIR", help="Folder for the figure and the table."),
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the figure and the table.")
     ] = Path(),
     overwrite: Overwrite = False,
 ) -> None:
@@ -356,8 +318,7 @@ def paper(
 def beds(
     output: Table = Path("recordings/beds.csv"),
     points: Annotated[
-        int | None,
-        typer.Option(min=1, help="Number of settings, spread over all of them; 6 take a few minutes."),
+        int | None, typer.Option(min=1, help="Number of settings, spread over all of them; 6 take a few minutes.")
     ] = None,
     cluster: Cluster = None,
 ) -> None:
@@ -373,10 +334,7 @@ def beds(
 
 
 @app.command(example="analysis contacts")
-def contacts(
-    output: Table = Path("recordings/contacts.csv"),
-    cluster: Cluster = None,
-) -> None:
+def contacts(output: Table = Path("recordings/contacts.csv"), cluster: Cluster = None) -> None:
     """Compare beds of grains with one mass on compliant walls.
 
     It uses the settings of `analysis beds` and takes minutes.

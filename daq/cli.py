@@ -66,9 +66,7 @@ def record(
     dry_run: Annotated[
         bool, _option(None, "Record nothing; print the expected maxima, limits and duration.", "--dry-run")
     ] = False,
-    anyway: Annotated[
-        bool, _option(None, "Start a test even if it is expected to abort.", "--anyway")
-    ] = False,
+    anyway: Annotated[bool, _option(None, "Start a test even if it is expected to abort.", "--anyway")] = False,
 ) -> None:
     """Run the tests of scenes and record them. Ctrl-C ends a test early (exit code 130) and keeps the recording."""
     from daq.foresight.announcement import refuse_certain_abort
@@ -84,9 +82,7 @@ def record(
         (scene, load_scene(scene, changes), path)
         for scene, path in zip(scenes, _recording_paths(scenes, output), strict=True)
     ]
-    complete = [
-        path for _, scene_settings, path in tests if not overwrite and is_recorded(scene_settings, path)
-    ]
+    complete = [path for _, scene_settings, path in tests if not overwrite and is_recorded(scene_settings, path)]
     for path in complete:
         print(f"{path}: already contains the complete test of this scene. --overwrite records it again.")
     tests = [
@@ -109,13 +105,11 @@ def import_recording(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FILE...",
-            help="Time histories: .tdms .uff .wav .csv .txt .npz .mat, or .mcap of another program.",
+            metavar="FILE...", help="Time histories: .tdms .uff .wav .csv .txt .npz .mat, or .mcap of another program."
         ),
     ],
     scene: Annotated[
-        str | None,
-        _option("SCENE", "The bench and its channels. Without it, the contents of FILE are listed."),
+        str | None, _option("SCENE", "The bench and its channels. Without it, the contents of FILE are listed.")
     ] = None,
     changes: Changes = None,
     table: Annotated[
@@ -155,12 +149,8 @@ def replay_recording(
         Path | None, _option("FILE.rrd", "Write a file for the viewer instead of opening a window.")
     ] = None,
     web: Web = False,
-    screenshot: Annotated[
-        Path | None, _option("FILE.png", "Draw a picture instead; needs no display.")
-    ] = None,
-    at: Annotated[
-        float | None, _option("S", "Time of the picture. Default: where the dampers fly highest.")
-    ] = None,
+    screenshot: Annotated[Path | None, _option("FILE.png", "Draw a picture instead; needs no display.")] = None,
+    at: Annotated[float | None, _option("S", "Time of the picture. Default: where the dampers fly highest.")] = None,
     start: Start = None,
     stop: Stop = None,
     speed: Annotated[float, _option("X", "Playback speed; 0.1 is slow motion.")] = 1.0,
@@ -190,9 +180,7 @@ def describe_recordings(
 
 @app.command(example="daq recover torn.mcap -o whole.mcap")
 def recover(
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="The incomplete or damaged recording; it is kept.")
-    ],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The incomplete or damaged recording; it is kept.")],
     output: Annotated[Path, _option("FIXED", "Recording to write.", "-o", "--output")],
     overwrite: Annotated[bool, _option(None, "Replace FIXED if it exists.", "--overwrite")] = False,
 ) -> None:
@@ -211,9 +199,7 @@ def recover(
 def run_scope(
     scene: SceneName,
     changes: Changes = None,
-    output: Annotated[
-        Path | None, _output("Recording to write. Default: recordings/SCENE-scope.mcap.")
-    ] = None,
+    output: Annotated[Path | None, _output("Recording to write. Default: recordings/SCENE-scope.mcap.")] = None,
     overwrite: Replace = False,
     frequency: Annotated[float | None, _option("HZ", "Initial drive frequency.", "-f", "--frequency")] = None,
     force: Annotated[float, _option("N", "Initial force amplitude.", "-F", "--force")] = 0.0,
@@ -226,9 +212,7 @@ def run_scope(
     default = Path("recordings") / f"{Path(scene).stem}-scope.mcap"
     path = _check_new_recording(output if output is not None else default, overwrite)
     with pause_reports():
-        scope(
-            load_scene(scene, changes), path, frequency=frequency, force=force, web=web, overwrite=overwrite
-        )
+        scope(load_scene(scene, changes), path, frequency=frequency, force=force, web=web, overwrite=overwrite)
     print(summary(path))
 
 
@@ -270,19 +254,15 @@ def serve_a_rig(
     changes: Changes = None,
     clock: Clock = None,
     address: Annotated[
-        str,
-        _option("HOST[:PORT]", "Address to listen on; other machines can connect only with certificates."),
+        str, _option("HOST[:PORT]", "Address to listen on; other machines can connect only with certificates.")
     ] = "127.0.0.1",
     port: Annotated[int, _option("N", "Port; 0 chooses a free one.")] = 31763,
     certificate: Annotated[Path | None, _option("FILE.pem", "The server's certificate, for TLS.")] = None,
     key: Annotated[Path | None, _option("FILE.pem", "The certificate's private key.")] = None,
     client_ca: Annotated[
-        Path | None,
-        _option("FILE.pem", "Accept only clients whose certificate this one signed (mutual TLS)."),
+        Path | None, _option("FILE.pem", "Accept only clients whose certificate this one signed (mutual TLS).")
     ] = None,
-    session_timeout: Annotated[
-        float, _option("S", "Time after which the tasks of a lost client are closed.")
-    ] = 30.0,
+    session_timeout: Annotated[float, _option("S", "Time after which the tasks of a lost client are closed.")] = 30.0,
     output: Annotated[Path | None, _output("Record all channels.")] = None,
     overwrite: Replace = False,
     viewer: Annotated[bool, _option(None, "Show all channels live in the viewer.", "--viewer")] = False,
@@ -298,17 +278,13 @@ def serve_a_rig(
     from daq.server.served_instrument import Limits
 
     if (certificate is None) != (key is None) or (client_ca is not None and certificate is None):
-        raise typer.BadParameter(
-            "--certificate, --key: one is missing. Give both. --client-ca requires both, too."
-        )
+        raise typer.BadParameter("--certificate, --key: one is missing. Give both. --client-ca requires both, too.")
     if overwrite and output is None:
         raise typer.BadParameter("--overwrite requires a recording. Give its name with -o FILE.")
     if not 0 <= port < 65536:
         raise typer.BadParameter(f"--port: {port} is out of range. Give 0 to 65535.")
     if session_timeout <= 0.0:
-        raise typer.BadParameter(
-            f"--session-timeout: {session_timeout:g} s is too short. Give a time above 0 s."
-        )
+        raise typer.BadParameter(f"--session-timeout: {session_timeout:g} s is too short. Give a time above 0 s.")
     certificates = None
     if certificate is not None and key is not None:
         certificates = Certificates(certificate, key, client_ca)
@@ -331,9 +307,7 @@ def bench_in_the_browser(
         str, _option("HOST[:PORT]", "Address of the page; a browser needs the printed token.")
     ] = "127.0.0.1",
     port: Annotated[int, _option("N", "Port of the page; 0 chooses a free one.")] = 8031,
-    device_port: Annotated[
-        int, _option("N", "Port of the device for NI clients; 0 chooses a free one.")
-    ] = 31763,
+    device_port: Annotated[int, _option("N", "Port of the device for NI clients; 0 chooses a free one.")] = 31763,
     browser: Annotated[bool, _option(None, "Open the page in the browser.", "--browser/--no-browser")] = True,
 ) -> None:
     """Run a rig live in the browser.
@@ -384,9 +358,7 @@ def _check_new_recording(path: Path, overwrite: bool) -> Path:
             f"{path}: cannot be created ({error.strerror}). Choose another file with -o FILE.mcap."
         ) from None
     if exists and not overwrite:
-        raise RecordingError(
-            f"{path}: exists. Give another name with -o, or replace the file with --overwrite."
-        )
+        raise RecordingError(f"{path}: exists. Give another name with -o, or replace the file with --overwrite.")
     return path
 
 

@@ -13,13 +13,7 @@ from rig.simulation.motion import Motion
 
 _POINTS = [f"body {number}" for number in (1, 2, 3)] + ["table"]
 # A sensor with limits and noise; converters with and without a decimation filter.
-_ACCELEROMETER = {
-    "noise": 1e-5,
-    "noise_corner": 10.0,
-    "saturation": 10.0,
-    "overload_recovery": 0.1,
-    "resonance": 3e4,
-}
+_ACCELEROMETER = {"noise": 1e-5, "noise_corner": 10.0, "saturation": 10.0, "overload_recovery": 0.1, "resonance": 3e4}
 _CHANNEL = {
     "accelerometer": {**_ACCELEROMETER, "bias": 1.0, "bias_settling": 1.0},
     "integrator": {"order": 2, "corner": 1.0},

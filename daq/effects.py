@@ -48,11 +48,7 @@ def measurement_effects(scene: Scene) -> Iterable[Effect]:
 
 # Keys of a device that are activated in one step, in the order of the signal path.
 _STEPS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-    (
-        "sensor",
-        "sensitivity",
-        ("sensitivity", "sensitivity_tolerance", "temperature_drift", "temperature_change"),
-    ),
+    ("sensor", "sensitivity", ("sensitivity", "sensitivity_tolerance", "temperature_drift", "temperature_change")),
     ("sensor", "sensor resonance", ("resonance", "q")),
     ("sensor", "transverse sensitivity", ("transverse", "lateral")),
     ("sensor", "sensor low cut-off", ("low_cutoff",)),
@@ -98,9 +94,7 @@ def _reduce_scene(scene: Scene, active_keys: dict[str, set[str]]) -> Scene:
     if settings.get("bits") is None and scene.recording.samples == "counts":
         scene = scene.replace(recording=scene.recording.replace(samples=None))
     channels = (
-        None
-        if scene.channels is None
-        else tuple(_reduce_channel(channel, active_keys) for channel in scene.channels)
+        None if scene.channels is None else tuple(_reduce_channel(channel, active_keys) for channel in scene.channels)
     )
     return scene.replace(channels=channels, converter=Converter(**settings))
 
@@ -113,9 +107,7 @@ def _reduce_channel(channel: Channel, active_keys: dict[str, set[str]]) -> Chann
         if device is not None:
             completed = complete_from_preset(device)
             settings = {
-                key: value
-                for key in active_keys["sensor"]
-                if (value := getattr(completed, key, None)) is not None
+                key: value for key in active_keys["sensor"] if (value := getattr(completed, key, None)) is not None
             }
             changes[name] = type(device)(**settings)
     if channel.integrator is not None:

@@ -40,31 +40,23 @@ Changes = Annotated[
 # Upper limit for numbers of frequencies or periods, to reject typing errors.
 MAX_COUNT = 100_000
 First = Annotated[
-    str | None,
-    typer.Option("--from", metavar="F", help="Lowest frequency, such as '8 Hz'. Default: that of the test."),
+    str | None, typer.Option("--from", metavar="F", help="Lowest frequency, such as '8 Hz'. Default: that of the test.")
 ]
-Last = Annotated[
-    str | None, typer.Option("--to", metavar="F", help="Highest frequency. Default: that of the test.")
-]
+Last = Annotated[str | None, typer.Option("--to", metavar="F", help="Highest frequency. Default: that of the test.")]
 Points = Annotated[
     int | None,
-    typer.Option(
-        min=2, max=MAX_COUNT, metavar="N", help="Number of frequencies. Default: those of the test."
-    ),
+    typer.Option(min=2, max=MAX_COUNT, metavar="N", help="Number of frequencies. Default: those of the test."),
 ]
 Cluster = Annotated[
     str | None,
     typer.Option(
-        metavar="ADDRESS",
-        help="Address of a Dask scheduler that distributes the computation; 'local' starts one.",
+        metavar="ADDRESS", help="Address of a Dask scheduler that distributes the computation; 'local' starts one."
     ),
 ]
 
 Overwrite = Annotated[
     bool,
-    typer.Option(
-        "--overwrite", help="Also replace files that were not written by this command from the same input."
-    ),
+    typer.Option("--overwrite", help="Also replace files that were not written by this command from the same input."),
 ]
 
 

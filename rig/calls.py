@@ -92,9 +92,7 @@ def grains(
     scene = scene_of(scene)
     band = number(first, FREQUENCY, "first"), number(last, FREQUENCY, "last")
     frequencies, _ = sweep_frequencies(scene, *band, points, None)
-    return bed_response(
-        scene, frequencies, periods, None if table is None else Path(table), cluster, progress
-    )
+    return bed_response(scene, frequencies, periods, None if table is None else Path(table), cluster, progress)
 
 
 def map(
@@ -141,16 +139,11 @@ def map(
     frequencies = columns(scene, *band, points)
     ends = (number(least, KIND_OF_UNIT[unit], "least"), number(most, KIND_OF_UNIT[unit], "most"))
     values = rows_of(scene, over, frequencies, *ends, rows)
-    return map_motion(
-        scene, over, values, frequencies, progress, cluster, None if kept is None else Path(kept)
-    )
+    return map_motion(scene, over, values, frequencies, progress, cluster, None if kept is None else Path(kept))
 
 
 def cost(
-    scene: SceneLike,
-    frequency: float | str | None = None,
-    periods: int = 20,
-    say: Callable[[str], None] | None = None,
+    scene: SceneLike, frequency: float | str | None = None, periods: int = 20, say: Callable[[str], None] | None = None
 ) -> Cost:
     """Measure error and computing time of every method on a scene; with beds of grains, of every model of the beds.
 

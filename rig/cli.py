@@ -62,9 +62,7 @@ def scenes(
 
 @app.command(example="rig presets")
 def presets(
-    name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="Name of a preset: print its values.")
-    ] = None,
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Name of a preset: print its values.")] = None,
 ) -> None:
     """List the presets of data sheets, or the values of one."""
     from rig.scene.data_sheets import data_sheets, describe_part
@@ -112,10 +110,7 @@ def explain(
     scene: SceneName,
     changes: Changes = None,
     measure: Annotated[
-        bool,
-        typer.Option(
-            "--measure", help="Also add the effects one by one and measure the computing time of each."
-        ),
+        bool, typer.Option("--measure", help="Also add the effects one by one and measure the computing time of each.")
     ] = False,
 ) -> None:
     """List expected maxima, effects and states of a scene."""
@@ -145,8 +140,7 @@ def simulate(
         str, typer.Option(metavar="RATE", help="Sample rate of the motion, such as '5120 Hz'.")
     ] = "5120 Hz",
     frequency: Annotated[
-        str | None,
-        typer.Option(metavar="F", help="Drive with a tone of this frequency at the level of the test."),
+        str | None, typer.Option(metavar="F", help="Drive with a tone of this frequency at the level of the test.")
     ] = None,
     output: Annotated[
         Path | None,
@@ -168,10 +162,7 @@ def simulate(
     from rig.simulation.run_output import simulate_to_file, summary
 
     setting = load_scene(scene, changes)
-    duration_s, tone_hz = (
-        _quantity(duration, TIME, "--duration"),
-        _quantity(frequency, FREQUENCY, "--frequency"),
-    )
+    duration_s, tone_hz = (_quantity(duration, TIME, "--duration"), _quantity(frequency, FREQUENCY, "--frequency"))
     sample_rate = _quantity(rate, FREQUENCY, "--rate") or 0.0
     with (
         allow_overwriting(overwrite),
@@ -194,13 +185,11 @@ def response(
     direction: Annotated[
         str | None,
         typer.Option(
-            metavar="up|down|both",
-            help="Order in which the frequencies are visited. Default: that of the test.",
+            metavar="up|down|both", help="Order in which the frequencies are visited. Default: that of the test."
         ),
     ] = None,
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FILE.csv", help="Table to write, with all digits."),
+        Path | None, typer.Option("-o", "--output", metavar="FILE.csv", help="Table to write, with all digits.")
     ] = None,
     overwrite: Overwrite = False,
     verbose: Annotated[bool, typer.Option("--verbose", help="Print every frequency.")] = False,
@@ -235,8 +224,7 @@ def grains(
     last: Last = None,
     points: Points = None,
     periods: Annotated[
-        int,
-        typer.Option(min=1, max=MAX_COUNT, metavar="N", help="Drive periods in each block that is averaged."),
+        int, typer.Option(min=1, max=MAX_COUNT, metavar="N", help="Drive periods in each block that is averaged.")
     ] = 20,
     cluster: Cluster = None,
     output: Annotated[
@@ -273,8 +261,7 @@ def cost(
     frequency: Annotated[
         str | None,
         typer.Option(
-            metavar="F",
-            help="Drive frequency. Default: frequency of the largest acceleration without impacts.",
+            metavar="F", help="Drive frequency. Default: frequency of the largest acceleration without impacts."
         ),
     ] = None,
     periods: Annotated[
@@ -312,17 +299,14 @@ def map_(
     over: Annotated[
         str | None,
         typer.Option(
-            metavar="force|drive|clearance",
-            help="Quantity of the second axis. Default: the level of the test.",
+            metavar="force|drive|clearance", help="Quantity of the second axis. Default: the level of the test."
         ),
     ] = None,
     least: Annotated[
         str | None, typer.Option(metavar="VALUE", help="Smallest level or clearance, such as '0.5 N'.")
     ] = None,
     most: Annotated[str | None, typer.Option(metavar="VALUE", help="Largest level or clearance.")] = None,
-    rows: Annotated[
-        int, typer.Option(min=2, max=1000, metavar="N", help="Number of levels or clearances.")
-    ] = 36,
+    rows: Annotated[int, typer.Option(min=2, max=1000, metavar="N", help="Number of levels or clearances.")] = 36,
     first: First = None,
     last: Last = None,
     points: Annotated[int, typer.Option(min=2, max=1000, metavar="N", help="Number of frequencies.")] = 48,
@@ -368,37 +352,29 @@ def design(
     budget: Annotated[
         str | None,
         typer.Option(
-            metavar="MASS|SHARE",
-            help="Largest mass to add, such as '50 g'. Default: '5 %' of the structure's mass.",
+            metavar="MASS|SHARE", help="Largest mass to add, such as '50 g'. Default: '5 %' of the structure's mass."
         ),
     ] = None,
     bodies: Annotated[
         str | None,
         typer.Option(
-            metavar="BODY,...",
-            help="Bodies that may carry a damper; name one twice for two dampers. Default: all.",
+            metavar="BODY,...", help="Bodies that may carry a damper; name one twice for two dampers. Default: all."
         ),
     ] = None,
     dampers: Annotated[
-        int,
-        typer.Option(
-            min=1, metavar="N", help="Largest number of dampers; fewer are chosen if they are as good."
-        ),
+        int, typer.Option(min=1, metavar="N", help="Largest number of dampers; fewer are chosen if they are as good.")
     ] = 1,
     clearance: Annotated[
-        str | None,
-        typer.Option(metavar="LOW,HIGH", help="Range of clearances to search, such as '0.2 mm, 3 mm'."),
+        str | None, typer.Option(metavar="LOW,HIGH", help="Range of clearances to search, such as '0.2 mm, 3 mm'.")
     ] = None,
     levels: Annotated[
         str | None,
         typer.Option(
-            metavar="F,F,...",
-            help="Force amplitudes to consider. Default: half, once and twice that of the test.",
+            metavar="F,F,...", help="Force amplitudes to consider. Default: half, once and twice that of the test."
         ),
     ] = None,
     band: Annotated[
-        str | None,
-        typer.Option(metavar="LOW,HIGH", help="Frequency band to consider. Default: that of the test."),
+        str | None, typer.Option(metavar="LOW,HIGH", help="Frequency band to consider. Default: that of the test.")
     ] = None,
     watched: Annotated[
         str | None, typer.Option(metavar="BODY,...", help="Bodies whose peaks to consider. Default: all.")
@@ -411,10 +387,7 @@ def design(
     ] = "0 %",
     cluster: Cluster = None,
     output: Annotated[
-        Path,
-        typer.Option(
-            "-o", "--output", metavar="DIR", help="Folder for the scene, the figures and the table."
-        ),
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the scene, the figures and the table.")
     ] = Path(),
     overwrite: Overwrite = False,
 ) -> None:

@@ -39,9 +39,7 @@ class GroupedCommand(TyperCommand):
         """Write arguments, then options by group, then all other options."""
         parameters = [(parameter, parameter.get_help_record(ctx)) for parameter in self.get_params(ctx)]
         options = [
-            (parameter, record)
-            for parameter, record in parameters
-            if parameter.param_type_name == "option" and record
+            (parameter, record) for parameter, record in parameters if parameter.param_type_name == "option" and record
         ]
         sections: dict[str, list[tuple[str, str]]] = {
             "Arguments": [
@@ -67,9 +65,7 @@ class GroupedCommand(TyperCommand):
 class Application(typer.Typer):
     """An application in which each command has an example."""
 
-    def command(
-        self, name: str | None = None, *, example: str | None = None, **settings: Any
-    ) -> Callable[..., Any]:
+    def command(self, name: str | None = None, *, example: str | None = None, **settings: Any) -> Callable[..., Any]:
         """Register a command.
 
         `name`: name of the command; omitted, the name of the function; `example`: a command line as a user types it;

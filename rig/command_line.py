@@ -54,9 +54,7 @@ def create_application(help_text: str) -> Application:
             print(f"shotrig {_version()}")
             raise typer.Exit
 
-    option = typer.Option(
-        False, "--version", callback=print_version, is_eager=True, help="Print the version."
-    )
+    option = typer.Option(False, "--version", callback=print_version, is_eager=True, help="Print the version.")
 
     @app.callback()
     def common(version: bool = option) -> None:

@@ -39,9 +39,7 @@ class _EscapingStream(io.TextIOBase):
             raise TypeError(f"this stream accepts text, not {type(text).__name__}")
         _EscapingStream.last_output_s = time.monotonic()
         encoding = self.encoding
-        self._forward(
-            self.terminal.write, escape_terminal(text).encode(encoding, "backslashreplace").decode(encoding)
-        )
+        self._forward(self.terminal.write, escape_terminal(text).encode(encoding, "backslashreplace").decode(encoding))
         return len(text)
 
     def flush(self) -> None:
@@ -105,9 +103,7 @@ def report_activity(cleanup: ExitStack) -> None:
     ended = threading.Event()
     cleanup.callback(ended.set)
     _Activity.description = ""
-    threading.Thread(
-        target=_report_periodically, args=(ended, sys.stderr), name="activity", daemon=True
-    ).start()
+    threading.Thread(target=_report_periodically, args=(ended, sys.stderr), name="activity", daemon=True).start()
 
 
 def _report_periodically(ended: threading.Event, stream: Any) -> None:

@@ -9,9 +9,7 @@ from types import FrameType
 Handler = Callable[[int, FrameType | None], object]
 
 # Ctrl-C, system shutdown, and a closed terminal; the last does not exist on every system.
-TERMINATION_SIGNALS = tuple(
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-)
+TERMINATION_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 # Numbers of the termination signals that this command has received, in order.
 received_signals: list[int] = []

@@ -32,9 +32,7 @@ def create_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise SceneError(
-            f"{folder}: cannot be written ({error.strerror}). Choose another folder with -o."
-        ) from None
+        raise SceneError(f"{folder}: cannot be written ({error.strerror}). Choose another folder with -o.") from None
     if not os.access(folder, os.W_OK):
         raise SceneError(f"{folder}: cannot be written. Choose another folder with -o.")
 
@@ -51,12 +49,8 @@ def resolve_output(path: Path, overwrite: bool, error_type: type[ShotrigError] =
         existing = file.stat() if os.path.lexists(file) else None
         if not file.parent.is_dir():
             if file.parent.exists():
-                raise error_type(
-                    f"cannot create {path}: {file.parent} is a file, not a folder. Choose another folder."
-                )
-            raise error_type(
-                f"cannot create {path}: the folder {file.parent} does not exist. Create it first."
-            )
+                raise error_type(f"cannot create {path}: {file.parent} is a file, not a folder. Choose another folder.")
+            raise error_type(f"cannot create {path}: the folder {file.parent} does not exist. Create it first.")
     except (OSError, ValueError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise error_type(f"cannot create {path}: {reason}. Choose another name or folder with -o.") from None
@@ -83,10 +77,7 @@ def atomic_write(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
     `SceneError` if `path` must not be written, see `destination`, or a protected file of that name was created in
     the meantime. Raises `RunError` if the disk is full or fails.
     """
-    marked, unmarked = (
-        overwrite is None and can_contain_mark(path),
-        overwrite is None and not can_contain_mark(path),
-    )
+    marked, unmarked = (overwrite is None and can_contain_mark(path), overwrite is None and not can_contain_mark(path))
     if overwrite is None:
         overwrite = may_overwrite() or is_unchanged_output(path)
         if marked and not overwrite and path.is_file():

@@ -126,9 +126,7 @@ def add_mark(path: Path) -> None:
     mark = f"shotrig {_source.get()} {_digest(content)}".encode()
     ending = path.suffix.lower()
     position = _mark_position(ending, content)
-    path.write_bytes(
-        content[: position - _replaced_bytes(ending)] + _delimited(ending, mark) + content[position:]
-    )
+    path.write_bytes(content[: position - _replaced_bytes(ending)] + _delimited(ending, mark) + content[position:])
 
 
 def _mark_of(path: Path) -> str:

@@ -25,7 +25,5 @@ def shadowing_files(folder: Path) -> list[str]:
             paths = [Path(location) for location in locations if location]
             if not paths or file in paths or package_file in paths:
                 continue
-            messages.append(
-                f"{file} is imported instead of the module {file.stem} ({paths[0]}). Rename the file."
-            )
+            messages.append(f"{file} is imported instead of the module {file.stem} ({paths[0]}). Rename the file.")
     return messages

@@ -69,9 +69,7 @@ class Workers:
     ) -> None:
         self._open.close()
 
-    def compute(
-        self, function: Callable[[Piece], Result], pieces: Sequence[Piece]
-    ) -> Iterator[tuple[int, Result]]:
+    def compute(self, function: Callable[[Piece], Result], pieces: Sequence[Piece]) -> Iterator[tuple[int, Result]]:
         """Compute the pieces in order; yield the number and result of each when it is complete.
 
         Further pieces may be appended during the iteration.

@@ -69,19 +69,9 @@ def main() -> int:
             venv.create(environment, with_pip=True)
             python = environment / ("Scripts/python" if sys.platform == "win32" else "bin/python")
             requirement = f"nidaqmx[grpc]=={release}"
-            command = [
-                str(python),
-                "-m",
-                "pip",
-                "install",
-                "--quiet",
-                "--disable-pip-version-check",
-                requirement,
-            ]
+            command = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", requirement]
             installed = subprocess.run(command, check=False).returncode == 0
-            passed = (
-                installed and subprocess.run([str(python), script, rig.address], check=False).returncode == 0
-            )
+            passed = installed and subprocess.run([str(python), script, rig.address], check=False).returncode == 0
             print(f"nidaqmx {release}: {'passes' if passed else 'FAILS'}", flush=True)
             failed += [] if passed else [release]
     return 1 if failed else 0

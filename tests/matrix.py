@@ -65,9 +65,7 @@ def dispatched_features() -> str:
         "from numpy._core._multiarray_umath import __cpu_features__ as f, __cpu_dispatch__ as d;"
         "print(' '.join(name for name in d if f[name]))"
     )
-    return subprocess.run(
-        [sys.executable, "-c", code], check=True, capture_output=True, text=True
-    ).stdout.strip()
+    return subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.strip()
 
 
 def supported_kernels(kernels: Iterable[str]) -> list[str]:
@@ -97,9 +95,7 @@ def lower_bounds() -> str:
     """Return the lowest versions that `pyproject.toml` allows as constraints for pip."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    requirements = [
-        requirement for extra in ("export", "tdms", "tables", "cluster") for requirement in extras[extra]
-    ]
+    requirements = [requirement for extra in ("export", "tdms", "tables", "cluster") for requirement in extras[extra]]
     bounds = [
         re.match(r"([\w-]+)(?:\[.*])?>=([\d.]+)", requirement)
         for requirement in (*project["dependencies"], *requirements)

@@ -40,9 +40,7 @@ class Case:
                 key, line = name, remainder
             sections[key] = f"{sections.get(key, '')} {line}"
         assert sections.get("Why hard"), f"{path}: the header lacks `Why hard`"
-        return cls(
-            path, {name: yaml.safe_load(text) for name, text in sections.items() if name != "Why hard"}
-        )
+        return cls(path, {name: yaml.safe_load(text) for name, text in sections.items() if name != "Why hard"})
 
     def scenes(self) -> Iterator[rig.Scene]:
         """The scene, or its variants."""
@@ -158,9 +156,7 @@ def sampled_drive(bench: Bench, settings: dict[str, Any] | None, samples: int) -
         return drive
     time = np.arange(samples) / bench.rate
     if "tone" in settings:
-        signal = parse(settings["level"], FORCE) * np.sin(
-            2 * np.pi * parse(settings["tone"], FREQUENCY) * time
-        )
+        signal = parse(settings["level"], FORCE) * np.sin(2 * np.pi * parse(settings["tone"], FREQUENCY) * time)
     else:
         signal = np.where(time >= parse(settings["at"], TIME), parse(settings["step"], VOLTAGE), 0.0)
     drive[0] = np.where(time < parse(settings.get("until", "1e9 s"), TIME), signal, 0.0)

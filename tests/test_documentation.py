@@ -32,10 +32,7 @@ def blocks(page: Path) -> list[tuple[str, str]]:
 
 def commands(page: Path, *kinds: str) -> list[list[str]]:
     lines = [
-        shlex.split(line, comments=True)
-        for kind, block in blocks(page)
-        if kind in kinds
-        for line in block.splitlines()
+        shlex.split(line, comments=True) for kind, block in blocks(page) if kind in kinds for line in block.splitlines()
     ]
     return [words for words in lines if words and words[0] in PROGRAMS]
 
@@ -45,9 +42,7 @@ def scenes() -> dict[str, str]:
     scene_texts = {}
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
-        for name, block in re.findall(
-            r"[Ss]ave this as `(\w+\.yaml)`:\n\n```yaml\n(.*?)^```", text, re.S | re.M
-        ):
+        for name, block in re.findall(r"[Ss]ave this as `(\w+\.yaml)`:\n\n```yaml\n(.*?)^```", text, re.S | re.M):
             scene_texts[name] = block
     return scene_texts
 
@@ -87,9 +82,7 @@ def test_readme_quotes_the_comparison_it_prints(folder) -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(
-    "page", [page for page in PAGES if "python" in dict(blocks(page))], ids=lambda page: page.stem
-)
+@pytest.mark.parametrize("page", [page for page in PAGES if "python" in dict(blocks(page))], ids=lambda page: page.stem)
 def test_python_of_pages_runs(page, folder) -> None:
     names: dict[str, object] = {}
     for kind, block in blocks(page):
@@ -118,8 +111,7 @@ def test_tests_of_the_guide_replace_the_scene_test(folder) -> None:
     for line in lines:
         kind = re.search(r"kind: (\w+)", line)
         assert (
-            kind is not None
-            and rig.load("mine.yaml", {"test": read_yaml(line).content["test"]}).test.kind == kind[1]
+            kind is not None and rig.load("mine.yaml", {"test": read_yaml(line).content["test"]}).test.kind == kind[1]
         )
 
 

@@ -46,15 +46,11 @@ def test_removed_channel_changes_no_other() -> None:
     np.testing.assert_array_equal(acquire_samples(fewer), acquire_samples(scene)[[0, 2, 3]])
 
 
-@pytest.mark.parametrize(
-    "part", [{"channels": None}, {"converter": {"rate": 5120.0}}, {"recording": {"truth": True}}]
-)
+@pytest.mark.parametrize("part", [{"channels": None}, {"converter": {"rate": 5120.0}}, {"recording": {"truth": True}}])
 def test_measurement_settings_do_not_change_motion(part: dict[str, object]) -> None:
     time = np.arange(800) / 5120.0
     drive = 8.0 * np.sin(2 * np.pi * 34.8 * time)[None]
-    with_it, without = (
-        Bench(scene).acquire(drive).motion for scene in (full_scene(), full_scene().replace(**part))
-    )
+    with_it, without = (Bench(scene).acquire(drive).motion for scene in (full_scene(), full_scene().replace(**part)))
     for field in ("displacement", "velocity", "acceleration", "gap", "break_offset", "events"):
         np.testing.assert_array_equal(getattr(without, field), getattr(with_it, field))
 
@@ -65,9 +61,7 @@ def test_display_and_truth_do_not_change_channels(part: str, tmp_path: Path) -> 
     recordings = []
     for enabled in (True, False):
         settings = {"display": True, "truth": True} | {part: enabled}
-        with daq.open(
-            daq.record(scene.replace(recording=settings), tmp_path / f"{enabled}.mcap")
-        ) as recording:
+        with daq.open(daq.record(scene.replace(recording=settings), tmp_path / f"{enabled}.mcap")) as recording:
             recordings.append(np.array([recording.read(name) for name in recording.channels]))
     np.testing.assert_array_equal(*recordings)
 

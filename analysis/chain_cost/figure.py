@@ -27,16 +27,12 @@ def table(study: ChainStudy) -> str:
     frequencies = ", ".join(f"{frequency:g}" for frequency in study.frequency)
     changes = [point for group in GROUPS for point in study.points if point.group == group]
     scene = study.unchanged
-    answer = (
-        f"The scene: relative error {scene.error:.0e}, {_milliseconds(scene)} ms for a second of the test."
-    )
+    answer = f"The scene: relative error {scene.error:.0e}, {_milliseconds(scene)} ms for a second of the test."
     measured = [point for point in changes if np.isfinite(point.error)]
     if measured:
         worst = max(measured, key=lambda point: point.error)
         answer += f" Largest error of the changes: {worst.error:.0e} ({worst.group}: {worst.setting})."
-    rows: list[tuple[str, ...]] = [
-        ("changed", "to", "ms for a second", "relative error", "correction", "note")
-    ]
+    rows: list[tuple[str, ...]] = [("changed", "to", "ms for a second", "relative error", "correction", "note")]
     rows += [_row(point) for point in (study.unchanged, study.without_noise, *changes)]
     return "\n".join(
         [

@@ -54,9 +54,7 @@ REFERENCE_TOLERANCE = 1e-10
 #: Largest relative difference of two motions that agree, for the choice of frequencies.
 SAME_MOTION_TOLERANCE = 1e-4
 #: Message for a scene whose unchanged chain gives no result.
-UNMEASURABLE = (
-    "the scene as it is cannot be measured: {}. Run `daq record` with it and remove what it reports."
-)
+UNMEASURABLE = "the scene as it is cannot be measured: {}. Run `daq record` with it and remove what it reports."
 
 
 @dataclass(frozen=True)
@@ -91,9 +89,7 @@ class ChainStudy:
 
 
 def chain_study(
-    scene: Scene,
-    frequencies: Sequence[float] | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    scene: Scene, frequencies: Sequence[float] | None = None, progress: Callable[[int, int], None] | None = None
 ) -> ChainStudy:
     """Measure the effect of each part of a measurement chain on the compliance, and its computing time.
 
@@ -116,9 +112,7 @@ def chain_study(
         if frequencies
         else steady_frequencies(base)
     )
-    base = base.replace(
-        test=_test(base, chosen), recording=base.recording.replace(display=False, truth=False)
-    )
+    base = base.replace(test=_test(base, chosen), recording=base.recording.replace(display=False, truth=False))
     peak_frequency = chosen[int(np.argmax(_accelerations(base, chosen)))]
     linear = assemble(base).dampers == 0
     with tempfile.TemporaryDirectory() as folder:
@@ -210,8 +204,7 @@ class _Bench:
             path = self._record(scene)
         with open_recording(path) as rec:
             return max(
-                float(np.nanmax(np.abs(rec.read(name)))) * info.sensitivity
-                for name, info in rec.channels.items()
+                float(np.nanmax(np.abs(rec.read(name)))) * info.sensitivity for name, info in rec.channels.items()
             )
 
     def measurement(self, variant: Variant) -> Measurement:
@@ -232,12 +225,8 @@ class _Bench:
             with open_recording(path) as rec:
                 reference = self._reference_compliance(rec)
                 measured = np.array([curve.value for curve in curves])
-                frequencies = [
-                    float(mark.fields["frequency"]) for mark in rec.markers if mark.kind == "measure"
-                ]
-                corrected = max(
-                    float(np.abs(info.response(frequencies) - 1.0).max()) for info in rec.channels.values()
-                )
+                frequencies = [float(mark.fields["frequency"]) for mark in rec.markers if mark.kind == "measure"]
+                corrected = max(float(np.abs(info.response(frequencies) - 1.0).max()) for info in rec.channels.values())
                 duration = rec.samples / rec.rate
                 if measured.shape != reference.shape or not np.isfinite(measured).all():
                     raise RunError(

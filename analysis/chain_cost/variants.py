@@ -61,9 +61,7 @@ def plain(scene: Scene) -> Scene:
             )
     elif channels is None:
         bodies = [f"body {number}" for number in range(1, scene.structure.bodies + 1)]
-        channels = tuple(
-            Channel(name=at.replace(" ", ""), at=at) for at in [*bodies, scene.at_driven("table")]
-        )
+        channels = tuple(Channel(name=at.replace(" ", ""), at=at) for at in [*bodies, scene.at_driven("table")])
     if channels is not None:
         channels = tuple(_written_out(channel) for channel in channels)
     return scene.replace(channels=channels, converter=converter)
@@ -90,14 +88,11 @@ def own_setting(scene: Scene, group: str) -> str:
     if group == "anti-alias filter":
         return "off" if converter.filter is None else "on"
     if group == "integrator":
-        texts = [
-            NAMES[0 if c.integrator is None else c.integrator.order] for c in channels if not c.measures_force
-        ]
+        texts = [NAMES[0 if c.integrator is None else c.integrator.order] for c in channels if not c.measures_force]
     elif group == "sensor":
         sensors = [channel.accelerometer for channel in channels if not channel.measures_force]
         texts = [
-            "no resonance" if s is None or s.resonance is None else f"resonance {s.resonance:.6g} Hz"
-            for s in sensors
+            "no resonance" if s is None or s.resonance is None else f"resonance {s.resonance:.6g} Hz" for s in sensors
         ]
     else:
         texts = []

@@ -83,18 +83,14 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
     predicted = _interpolate(f[others], inverse[others], f[[highest]])
     jump = five.size > 3 and abs(abs(1.0 / predicted[0]) / magnitude[highest] - 1.0) > _MAX_PREDICTION_ERROR
     if jump or f.size < 4 or np.any((in_band.omitted > f[highest - 1]) & (in_band.omitted < f[highest + 1])):
-        return Peak(
-            float(magnitude[highest]), inf, float(f[highest]), float(f[highest - 1]), float(f[highest + 1])
-        )
+        return Peak(float(magnitude[highest]), inf, float(f[highest]), float(f[highest - 1]), float(f[highest + 1]))
     grid = np.linspace(f[highest - 1], f[highest + 1], _GRID_POINTS)
     curve = abs(1.0 / _interpolate(f[three], inverse[three], grid))
     curve_of_five = abs(1.0 / _interpolate(f[five], inverse[five], grid))
     peak_index = int(np.argmax(curve))
     # Sensitivity of the interpolated 1/H at the peak to each point; the bounds are propagated to the peak.
     sensitivity = abs(_interpolate(f[three], np.eye(3), grid[[peak_index]]))[:, 0]
-    measured_bound = curve[peak_index] ** 2 * float(
-        sensitivity @ (point_bound[three] / magnitude[three] ** 2)
-    )
+    measured_bound = curve[peak_index] ** 2 * float(sensitivity @ (point_bound[three] / magnitude[three] ** 2))
     prediction_error = _prediction_error(f, inverse, scatter / magnitude**2, highest)
     interpolation_bound = 2.0 * float(
         abs(curve_of_five.max() - curve[peak_index]) + prediction_error * curve[peak_index]
@@ -222,9 +218,7 @@ def peak_changes(
                 continue
             as_read = None
             if curve.response in same_sensors:
-                before_as_read, after_as_read = (
-                    peak(response.without(SENSITIVITY), first, last) for response in pair
-                )
+                before_as_read, after_as_read = (peak(response.without(SENSITIVITY), first, last) for response in pair)
                 assert before_as_read is not None
                 assert after_as_read is not None
                 as_read = before_as_read, after_as_read
@@ -284,8 +278,7 @@ def coarse_step_warnings(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
     messages = []
     for _, by_response in sorted(coarse.items()):
         worst = max(
-            by_response.values(),
-            key=lambda peak_of_response: peak_of_response.between / peak_of_response.value,
+            by_response.values(), key=lambda peak_of_response: peak_of_response.between / peak_of_response.value
         )
         error = worst.between / worst.value
         responses, deviation = ", ".join(by_response), format_number(float(f"{100 * error:.2g}"))

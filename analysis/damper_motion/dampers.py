@@ -69,9 +69,7 @@ class Dampers(Result):
         motions = [body[i] for i in range(count) for body in self.bodies]
         # If impacts may have been missed, their number is unknown.
         floor, ceiling = (
-            np.array(
-                [getattr(motion, wall) if motion.repeats else np.nan for motion in motions], dtype=np.float64
-            )
+            np.array([getattr(motion, wall) if motion.repeats else np.nan for motion in motions], dtype=np.float64)
             for wall in ("floor", "ceiling")
         )
         if not self.bodies:
@@ -88,16 +86,13 @@ class Dampers(Result):
     def summary(self) -> str:
         """Return the frequency range, and the frequency at which the dampers dissipate most."""
         frequency = self.sweep.lines.frequency
-        text = (
-            f"{self.label}: {frequency.size} frequencies, {frequency.min():.4g} to {frequency.max():.4g} Hz"
-        )
+        text = f"{self.label}: {frequency.size} frequencies, {frequency.min():.4g} to {frequency.max():.4g} Hz"
         if self.energy is None or not np.isfinite(self.energy.dampers).any():
             return text
         largest = int(np.nanargmax(self.energy.dampers))
         share = 100.0 * self.energy.dampers[largest] / self.energy.supplied[largest]
         return (
-            f"{text}; the dampers dissipate most at {frequency[largest]:.4g} Hz "
-            f"({share:.2g} % of the energy supplied)"
+            f"{text}; the dampers dissipate most at {frequency[largest]:.4g} Hz ({share:.2g} % of the energy supplied)"
         )
 
     def draw(self, ax: Axes, **style: Any) -> None:
@@ -111,10 +106,7 @@ class Dampers(Result):
             ):
                 values = 1e3 * np.where(energy > 0.0, energy, np.nan)[order]
                 ax.semilogy(
-                    self.energy.frequency[order],
-                    values,
-                    ".-",
-                    **complete_style(style, label=f"{self.label}: {name}"),
+                    self.energy.frequency[order], values, ".-", **complete_style(style, label=f"{self.label}: {name}")
                 )
         ax.set(xlabel="frequency / Hz", ylabel="energy per period / mJ")
 

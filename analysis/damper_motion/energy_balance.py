@@ -69,10 +69,7 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
         frequency = orders * tone.frequency
         force_row = reference_of(rec, "force").row(rec, names, frequency)
         motion_rows = np.array(
-            [
-                motion_of(rec, bodies[f"body {body}"]).row(rec, names, frequency)
-                for body in range(1, count + 1)
-            ]
+            [motion_of(rec, bodies[f"body {body}"]).row(rec, names, frequency) for body in range(1, count + 1)]
         )
         force = np.sum(force_row * tone.amplitude, axis=0)
         motion = np.sum(motion_rows * tone.amplitude, axis=1)
@@ -82,8 +79,7 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
         structure.append(np.sum(velocity_squared * np.sum(motion.conj() * damping_force, axis=0).real))
         work = motion_rows[driven_body - 1].conj() * force - force_row.conj() * motion[driven_body - 1]
         gradients.append(
-            np.pi / 2j * orders * work
-            - velocity_squared * np.einsum("bck,bk->ck", motion_rows.conj(), damping_force)
+            np.pi / 2j * orders * work - velocity_squared * np.einsum("bck,bk->ck", motion_rows.conj(), damping_force)
         )
         compliance[index] = motion[driven_body - 1, 0] / force[0]
         force_contributions.append((force_row * tone.amplitude)[:, 0] / force[0])
@@ -96,11 +92,7 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
 
 
 def _bound(
-    rec: Recording,
-    sweep: Sweep,
-    gradients: list[ComplexArray],
-    compliance: ComplexArray,
-    of_force: ComplexArray,
+    rec: Recording, sweep: Sweep, gradients: list[ComplexArray], compliance: ComplexArray, of_force: ComplexArray
 ) -> Array:
     """Return the 95 % bound of the energy: root sum of squares of scatter and of all systematic errors.
 
@@ -160,10 +152,7 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
         inside = (events["time"] >= first / rec.rate) & (events["time"] < stop / rec.rate)
         out.append(loss[inside].sum() / ((stop - first) / rec.rate * frequency))
         for j in np.flatnonzero(
-            [
-                damper_settings.moves and damper_settings.contact is not None
-                for damper_settings in rec.scene.dampers
-            ]
+            [damper_settings.moves and damper_settings.contact is not None for damper_settings in rec.scene.dampers]
         ):
             out[-1] += damper[j] * _work_of_walls(rec, int(j), float(frequency), int(first), int(stop))
     return np.array(out)

@@ -183,11 +183,7 @@ def _flight(gravity: float, departure: _WallContact, arrival: _WallContact) -> t
 
 
 def _restitution_after_rest(
-    motion: BodyMotion,
-    departure: _WallContact,
-    arrival: _WallContact,
-    inelastic: float,
-    hidden_rebound: float,
+    motion: BodyMotion, departure: _WallContact, arrival: _WallContact, inelastic: float, hidden_rebound: float
 ) -> tuple[float, float] | None:
     """Estimate the restitution from a flight that began when the body fell away from a damper at rest."""
     rate, gravity = motion.rec.rate, motion.rec.scene.gravity
@@ -197,9 +193,7 @@ def _restitution_after_rest(
     weight = departure.away * (np.gradient(motion.velocity[between]) * rate + gravity)
     best_flight, relative_error = None, _MAX_HEIGHT_ERROR
     for begin in between.start + np.flatnonzero((weight[:-1] > 0.0) & (weight[1:] <= 0.0)):
-        time, height_error, closing = _flight(
-            gravity, motion.wall_at(begin / rate, departure.wall, 0.0), arrival
-        )
+        time, height_error, closing = _flight(gravity, motion.wall_at(begin / rate, departure.wall, 0.0), arrival)
         deviation = abs(height_error) / max(closing * time / 4.0, 1e-300)
         if deviation < relative_error:
             best_flight, relative_error = (closing, time), deviation
@@ -210,9 +204,7 @@ def _restitution_after_rest(
     lower = upper / (2.0 + upper) if upper > 0.0 else upper
     # An impact that is later by d changes the end height by w d, and the relative closing speed by 2 d / duration.
     relative_error = 0.5 * relative_error + motion.tolerance * gravity * time / closing
-    uncertainty = 0.5 * float(np.maximum(upper - lower, hidden_rebound / closing)) + relative_error * (
-        1.0 + upper
-    )
+    uncertainty = 0.5 * float(np.maximum(upper - lower, hidden_rebound / closing)) + relative_error * (1.0 + upper)
     return (0.5 * (lower + upper), uncertainty) if uncertainty < _MAX_UNCERTAINTY else None
 
 
@@ -255,9 +247,7 @@ def may_reach_ceiling(motion: BodyMotion, damper: Damper) -> bool:
     )
     impact_sample = impact_sample[chosen]
     weight = largest_factor * motion.acceleration + gravity
-    floor = _FloorMotion(
-        largest_factor * motion.displacement, largest_factor * motion.velocity, weight, rate, gravity
-    )
+    floor = _FloorMotion(largest_factor * motion.displacement, largest_factor * motion.velocity, weight, rate, gravity)
     pulse, flights = landing_pulse(motion.rec.scene, motion.info.at, rate), pairwise(impact_sample)
     if pulse is None:
         heights = [floor.height_from_rest(int(start) + _SMEARED_SAMPLES, int(end)) for start, end in flights]
@@ -265,8 +255,7 @@ def may_reach_ceiling(motion: BodyMotion, damper: Damper) -> bool:
         speeds = inelastic_closing_speeds(motion.rec.scene, detected, damper)[chosen]
         closing = largest_factor * speeds[1:] / (1.0 + pulse.restitution)
         heights = [
-            floor.height_before(int(start), end, speed)
-            for (start, end), speed in zip(flights, closing, strict=True)
+            floor.height_before(int(start), end, speed) for (start, end), speed in zip(flights, closing, strict=True)
         ]
     return bool(heights) and float(np.median(heights)) > (1.0 - _CEILING_DISTANCE_RATIO) * damper.clearance
 
@@ -293,9 +282,7 @@ class _FloorMotion:
             start = self.position[release] - self.speed[release] * delay - 0.5 * self.gravity * delay**2
             speed = self.speed[release] + self.gravity * delay
             time = delay + np.arange(1, last - release + 1) / self.rate
-            height = (
-                start + speed * time - 0.5 * self.gravity * time**2 - self.position[release + 1 : last + 1]
-            )
+            height = start + speed * time - 0.5 * self.gravity * time**2 - self.position[release + 1 : last + 1]
             landed = np.flatnonzero(height < 0.0)
             end = int(landed[0]) if landed.size else height.size
             highest = max(highest, float(height[:end].max(initial=0.0)))
@@ -315,6 +302,4 @@ class _FloorMotion:
         )
         height_above_floor = damper_position - self.position[last - np.arange(time.size)]
         landed = np.flatnonzero(height_above_floor < 0.0)
-        return float(
-            height_above_floor[: int(landed[0]) if landed.size else height_above_floor.size].max(initial=0.0)
-        )
+        return float(height_above_floor[: int(landed[0]) if landed.size else height_above_floor.size].max(initial=0.0))

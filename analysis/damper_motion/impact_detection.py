@@ -172,9 +172,7 @@ def impacts(
     rounding = 0.0 if info.volts_per_count is None else info.unit_per_count / 12.0**0.5
     noise_floor = max(rounding, 1e-14 * float(abs(samples).max()))
     if noise_floor == 0.0:
-        raise RecordingError(
-            f"{info.name}: reads zero throughout this segment. Check what it is connected to."
-        )
+        raise RecordingError(f"{info.name}: reads zero throughout this segment. Check what it is connected to.")
     rate, noise_floor = rec.rate / decimation, noise_floor / decimation**0.5
     readings, valid = _average_groups(samples, decimation), _average_groups(valid_samples, decimation) == 1.0
     search = MatchingPursuit(models, readings, valid, noise_floor, rate, CALM_SHARE)
@@ -202,23 +200,17 @@ def impacts(
         accepted, threshold = abs(jump) > threshold, threshold + DETECTION_MARGIN_SIGMAS * noise
     lost = (start + np.array(runs_of(~valid_samples), dtype=float).reshape(-1, 2)) / rec.rate
     unresolved = search.unresolved()
-    accepted &= ~((position[:, None] >= unresolved[:, 0]) & (position[:, None] < unresolved[:, 1])).any(
-        axis=1
-    )
+    accepted &= ~((position[:, None] >= unresolved[:, 0]) & (position[:, None] < unresolved[:, 1])).any(axis=1)
     resolution, duration = search.resolution() / rate, 0.0 if pulse is None else pulse.duration
     ringing = (search.model.separation + search.model.settling) / rate
     if pulse is not None:
         time = position / rate
         accepted &= ~_is_secondary(time, jump, resolution + RELEASE_DURATIONS * duration, ringing)
-        largest_nearby = np.where(abs(time[:, None] - time) < ringing, abs(jump), 0.0).max(
-            axis=1, initial=0.0
-        )
+        largest_nearby = np.where(abs(time[:, None] - time) < ringing, abs(jump), 0.0).max(axis=1, initial=0.0)
         error = np.hypot(error, _CONTACT_JUMP_ERROR * largest_nearby)
         added_error = _CONTACT_TIME_ERROR * pulse.width * rate + _CONTACT_SAMPLE_ERROR
         position_error = np.hypot(position_error, added_error * largest_nearby / abs(jump))
-    position, position_error, jump, error = (
-        values[accepted] for values in (position, position_error, jump, error)
-    )
+    position, position_error, jump, error = (values[accepted] for values in (position, position_error, jump, error))
     # The time of an average is that of its last sample.
     position, unresolved = ((values + 1.0) * decimation - 1.0 for values in (position, unresolved))
     excluded = float(np.sum(unresolved[:, 1] - unresolved[:, 0])) / rec.rate
@@ -274,9 +266,7 @@ def _acceleration(samples: Array, places: Array, info: ChannelInfo, duration: fl
     integrations = 2 - MOTIONS.index(info.quantity)
     # The high-pass filters of integrators are corrected, because they distort slow motion.
     zeros, poles = (tuple(r for r in roots if abs(r) < info.rate) for roots in (info.zeros, info.poles))
-    without_fast_poles = replace(
-        info, zeros=zeros, poles=poles, gain=1.0, average=False, filter={}, delay=0.0
-    )
+    without_fast_poles = replace(info, zeros=zeros, poles=poles, gain=1.0, average=False, filter={}, delay=0.0)
     samples = correct_motion(without_fast_poles, samples, info.quantity, _LOW_HZ, info.rate)
     # Samples during which the sensor rings are excluded. The average over an interval is assigned to its middle.
     slowest = min((-pole.real for pole in info.poles if abs(pole) > info.rate), default=np.inf)

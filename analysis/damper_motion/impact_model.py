@@ -232,9 +232,7 @@ def legendre_basis(length: int, degree: int) -> Array:
     return np.asarray(np.linalg.qr(basis)[0], dtype=np.float64)
 
 
-def impact_models(
-    info: ChannelInfo, pulse: Pulse | None = None, decimation: int = 1
-) -> tuple[ImpactModel, ...]:
+def impact_models(info: ChannelInfo, pulse: Pulse | None = None, decimation: int = 1) -> tuple[ImpactModel, ...]:
     """Compute the response of a channel to a jump from its data sheet; one model for each of `ORDERS`.
 
     `info`: acceleration, velocity or displacement channel; `pulse`: force pulse of finite-duration contact, which
@@ -297,13 +295,7 @@ def _impact_models(
 
 
 def _readings(
-    info: ChannelInfo,
-    integrations: int,
-    instants: int,
-    before: int,
-    after: int,
-    pulse: Pulse | None,
-    decimation: int,
+    info: ChannelInfo, integrations: int, instants: int, before: int, after: int, pulse: Pulse | None, decimation: int
 ) -> Array:
     """Compute samples 1 - before to after of unit jump, step and kink at each sub-sample time, as acceleration."""
     from scipy import fft

@@ -123,9 +123,7 @@ def estimate_errors(
     fit = _least_squares(np.concatenate([units, slopes[:, None]], axis=1), readings, ridge)
     degrees = model.window - model.order - 5
     error = (np.maximum(noise, np.sqrt(fit.remaining / degrees))[:, None]) * fit.error
-    return [
-        replace(jump, error=float(error[k, 0]), time_error=float(error[k, 3])) for k, jump in enumerate(jumps)
-    ]
+    return [replace(jump, error=float(error[k, 0]), time_error=float(error[k, 3])) for k, jump in enumerate(jumps)]
 
 
 def jump_error(model: ImpactModel, distance: int | None, noise: Deviations) -> float:

@@ -105,9 +105,7 @@ def landing_pulse(scene: Scene, location: str, rate: float) -> Pulse | None:
             pulses.append(Pulse(float(duration), float(ratio), float(angular)))
     longest = max(pulses, key=lambda pulse: pulse.duration)
     time = np.linspace(0.0, longest.duration, _INSTANTS)
-    if any(
-        abs(pulse.exchanged(time) - longest.exchanged(time)).max() > _MAX_PULSE_DIFFERENCE for pulse in pulses
-    ):
+    if any(abs(pulse.exchanged(time) - longest.exchanged(time)).max() > _MAX_PULSE_DIFFERENCE for pulse in pulses):
         raise RecordingError(
             f"{location}: contact durations or restitutions of floor, ceiling or dampers differ, so that the pulse of "
             "an impact is not known beforehand. Choose a body where they are equal."

@@ -208,9 +208,7 @@ class MatchingPursuit:
 
     def window_of(self, jump: Jump) -> int:
         """Return the index of the first difference of the window of a jump."""
-        return min(
-            max(int(np.floor(jump.time)) - self.window_offset, 0), self.residual.size - self.model.window
-        )
+        return min(max(int(np.floor(jump.time)) - self.window_offset, 0), self.residual.size - self.model.window)
 
     def _refine(self, jump: Jump, noise: Array, starts: tuple[float, ...] = (0.0,)) -> None:
         """Fit a jump jointly with overlapping jumps from several starts; drop it if the fit is as good without it."""
@@ -252,9 +250,7 @@ class MatchingPursuit:
 
     @property
     def _detection_limit(self) -> float:
-        return self.detection_limit(
-            self.jump_noise, max((abs(jump.sizes[0]) for jump in self.jumps), default=0.0)
-        )
+        return self.detection_limit(self.jump_noise, max((abs(jump.sizes[0]) for jump in self.jumps), default=0.0))
 
     def detection_limit(self, noise: float, largest: float) -> float:
         """Return the smallest jump that is reliably detected, m/s, except next to a larger jump.
@@ -271,10 +267,7 @@ class MatchingPursuit:
         noise = Deviations(float(np.median(self.noise())), *self.prior)
         max_error = _MAX_RESOLVED_ERROR_RATIO * jump_error(self.window_model, None, noise)
         distance = MIN_RESOLVED_SAMPLES
-        while (
-            distance < self.window_model.separation
-            and jump_error(self.window_model, distance, noise) > max_error
-        ):
+        while distance < self.window_model.separation and jump_error(self.window_model, distance, noise) > max_error:
             distance += 1
         return distance
 
@@ -299,9 +292,7 @@ class MatchingPursuit:
     def _unexplained_segments(self, jump: float) -> list[tuple[int, int]]:
         """Return the first and last window of each segment with a residual larger than a jump of this size, m/s."""
         first = self._windows()
-        large = (
-            self._residual_squares(self.window_model.order) > (jump * self.window_model.template_norm) ** 2
-        )
+        large = self._residual_squares(self.window_model.order) > (jump * self.window_model.template_norm) ** 2
         return [(int(first[begin]), int(first[end - 1])) for begin, end in runs_of(large)]
 
     def unresolved(self) -> Array:
@@ -310,9 +301,7 @@ class MatchingPursuit:
         limit = self._detection_limit
         for first, last in self._unexplained_segments(_UNRESOLVED_LIMIT_RATIO * limit):
             ends = first + self.window_offset - model.window / 2, last + self.window_offset + model.window / 2
-            largest = max(
-                (abs(jump.sizes[0]) for jump in self.jumps if ends[0] <= jump.time < ends[1]), default=0.0
-            )
+            largest = max((abs(jump.sizes[0]) for jump in self.jumps if ends[0] <= jump.time < ends[1]), default=0.0)
             residual_norm = np.linalg.norm(model.readings(self.residual[first : last + model.window]))
             if residual_norm > _UNRESOLVED_JUMP_RATIO * largest * model.template_norm:
                 limits.append(ends)
@@ -350,16 +339,12 @@ class MatchingPursuit:
         noise = max(float(self.noise()[first]), (sufficient / model.window) ** 0.5)
 
         def fit(jumps: list[Jump], iterations: int) -> tuple[list[Jump], float]:
-            return fit_within(
-                self.residual, model, jumps, difference_range, Deviations(noise, *self.prior), iterations
-            )
+            return fit_within(self.residual, model, jumps, difference_range, Deviations(noise, *self.prior), iterations)
 
         new_jumps, residual_square = search_group(fit, time_range, MIN_RESOLVED_SAMPLES, sufficient)
         if old_jumps:
             new_jumps = min(
-                (new_jumps, residual_square),
-                fit(old_jumps, ITERATIONS),
-                key=lambda candidate: cost(*candidate),
+                (new_jumps, residual_square), fit(old_jumps, ITERATIONS), key=lambda candidate: cost(*candidate)
             )[0]
         self._replace(old_jumps, new_jumps)
 

@@ -125,9 +125,7 @@ def damper_motion(
     return out
 
 
-def _motion_in_window(
-    motion: BodyMotion, numbers: list[int], frequency: float, amplitude: float
-) -> DamperMotion:
+def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, amplitude: float) -> DamperMotion:
     """Estimate the motion of the dampers `numbers` at a frequency, Hz, and an acceleration amplitude, m/s²."""
     detected, rate, gravity = motion.impacts, motion.rec.rate, motion.rec.scene.gravity
     dampers = [motion.rec.scene.dampers[number - 1] for number in numbers]
@@ -205,9 +203,7 @@ def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restit
     if detected.contact_duration:
         return np.inf
     restitution_bound = max((damper.restitution for damper in dampers), default=0.0)
-    if estimate is not None and (
-        restitution_bound > 0.0 or estimate.value > _RESTITUTION_SIGMAS * estimate.error
-    ):
+    if estimate is not None and (restitution_bound > 0.0 or estimate.value > _RESTITUTION_SIGMAS * estimate.error):
         restitution_bound = min(estimate.value + 2.0 * estimate.error, 1.0)
     if restitution_bound <= 0.0:
         return 0.0
@@ -215,10 +211,7 @@ def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restit
     speeds = [inelastic_closing_speeds(motion.rec.scene, at_ceiling, damper) for damper in dampers]
     # The duration of all bounces equals that of one bounce with the sum of their speeds (geometric series).
     return float(
-        np.max(speeds, initial=0.0)
-        * restitution_bound
-        / (1.0 + restitution_bound)
-        / max(1.0 - restitution_bound, 1e-9)
+        np.max(speeds, initial=0.0) * restitution_bound / (1.0 + restitution_bound) / max(1.0 - restitution_bound, 1e-9)
     )
 
 
@@ -236,9 +229,7 @@ def _least_acceleration(motion: BodyMotion, numbers: list[int], frequency: float
     count = rows[0].size
     for number in numbers:
         if scene.dampers[number - 1].contact is not None:
-            transfer = transmissibility(
-                scene, number, np.asarray(np.fft.rfftfreq(count, 1.0 / motion.rec.rate))
-            )
+            transfer = transmissibility(scene, number, np.asarray(np.fft.rfftfreq(count, 1.0 / motion.rec.rate)))
             rows.append(np.fft.irfft(np.fft.rfft(rows[0]) * transfer, count))
     # The correction mirrors the samples at the ends of a segment, so the results there are inaccurate.
     edge = min(int(np.ceil(motion.rec.rate / frequency)), count // 4)

@@ -96,9 +96,7 @@ class Decay(Result):
         """Return the channel, its largest acceleration, and the damping ratio of each mode at large amplitude."""
         modes = [f"{m.frequency_text()} ({100 * m.damping[0]:.3g} %)" for m in self.modes if m.damping.size]
         largest = float(abs(self.acceleration).max())
-        return (
-            f"{self.label}, {self.channel} after hit {self.hit}: from {largest:.3g} m/s²; {', '.join(modes)}"
-        )
+        return f"{self.label}, {self.channel} after hit {self.hit}: from {largest:.3g} m/s²; {', '.join(modes)}"
 
     def columns(self) -> dict[str, Array]:
         """Return time, acceleration, envelope and backward-integrated energy."""
@@ -215,14 +213,10 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     high = min(0.4 * rec.rate, 4.0 * highest)
     acceleration = correct_motion(info, samples, "acceleration", lowest, high)[: stop - read_start]
     decay_start = begin - read_start
-    peak_frequencies = spectral_peaks(
-        acceleration[decay_start:], rec.rate, max_modes, lowest, min(highest, high)
-    )
+    peak_frequencies = spectral_peaks(acceleration[decay_start:], rec.rate, max_modes, lowest, min(highest, high))
     clock = clock_deviation(rec)
     decays = tuple(
-        modal_decay(
-            acceleration, rec.rate, float(f), band_width(peak_frequencies, i), decay_start, clock=clock
-        )
+        modal_decay(acceleration, rec.rate, float(f), band_width(peak_frequencies, i), decay_start, clock=clock)
         for i, f in enumerate(peak_frequencies)
     )
     if len(decays) < max_modes:
@@ -244,8 +238,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
         # If the samples end in zeros, the energy is zero there, and its logarithm is undefined.
         energy = 10.0 * np.log10(
             np.maximum(
-                (backward_energy + energy_after_end) / (backward_energy[0] + energy_after_end),
-                _MIN_ENERGY_RATIO,
+                (backward_energy + energy_after_end) / (backward_energy[0] + energy_after_end), _MIN_ENERGY_RATIO
             )
         )
     if energy.min() > INITIAL_DECAY_DB[1]:
@@ -276,8 +269,7 @@ def _energy_after_end(acceleration: Array) -> float:
     """
     tenth = max(1, acceleration.size // 10)
     before, last = (
-        float(np.sum(tenth_part**2))
-        for tenth_part in (acceleration[-2 * tenth : -tenth], acceleration[-tenth:])
+        float(np.sum(tenth_part**2)) for tenth_part in (acceleration[-2 * tenth : -tenth], acceleration[-tenth:])
     )
     if before > last:
         return last * last / (before - last)

@@ -173,21 +173,13 @@ def modal_decay(
     # Half of the noise power is in phase with the signal and changes the envelope. The noise at the two levels is
     # independent.
     amplitude = np.exp(levels)
-    relative = (
-        np.hypot(np.exp(-_HALF_FALL), np.exp(_HALF_FALL))
-        * noise
-        / np.sqrt(2.0)
-        / amplitude
-        / (2.0 * _HALF_FALL)
-    )
+    relative = np.hypot(np.exp(-_HALF_FALL), np.exp(_HALF_FALL)) * noise / np.sqrt(2.0) / amplitude / (2.0 * _HALF_FALL)
     longer_response, longer_edge = _band_pass(acceleration, rate, frequency, width / _LONGER_RESPONSE_RATIO)
     longer_usable = slice(begin + longer_edge, max(acceleration.size - longer_edge, begin + longer_edge))
     smeared, natural_smeared, _ = _damping(longer_response[longer_usable], levels, _HALF_FALL)
     longer_fall, natural_longer, _ = _damping(analytic[usable], levels, _LONGER_FALL_RATIO * _HALF_FALL)
     # Subtract the residual that noise alone causes.
-    kink = np.sqrt(
-        np.maximum(kink**2 - (_KINK_ERROR_FACTOR * np.sqrt(1.5) * noise / amplitude / _HALF_FALL) ** 2, 0.0)
-    )
+    kink = np.sqrt(np.maximum(kink**2 - (_KINK_ERROR_FACTOR * np.sqrt(1.5) * noise / amplitude / _HALF_FALL) ** 2, 0.0))
     bias = _bias_bound(damping, smeared, longer_fall, kink)
     error = np.hypot(relative * damping, 0.5 * bias)
     # Phase and logarithm of the envelope have the same uncertainty, relative to a much larger change of the phase.
@@ -202,9 +194,7 @@ def modal_decay(
     hz_per_step = rate / (2.0 * np.pi)
     natural, natural_error = hz_per_step * natural[reported], hz_per_step * natural_error[reported]
     # An unresolved neighbour that decays more slowly dominates at small amplitudes; it is far from the peak.
-    plausible = np.flatnonzero(
-        np.isfinite(natural_error) & (abs(natural / frequency - 1.0) < _SAME_MODE_RATIO)
-    )
+    plausible = np.flatnonzero(np.isfinite(natural_error) & (abs(natural / frequency - 1.0) < _SAME_MODE_RATIO))
     frequency_estimate = frequency, float("nan")
     if plausible.size:
         k = plausible[np.argmin(natural_error[plausible])]
@@ -319,6 +309,4 @@ def _crossings(hull: Array, levels: Array) -> Array:
     high, low = hull[after - 1], hull[after]
     fraction = np.divide(high - levels, high - low, out=np.zeros(levels.shape), where=high > low)
     at_start = levels >= hull[0] - 1e-9
-    return np.where(
-        inside, after - 1 + fraction, np.where(at_start & (levels <= hull[0] + 1e-9), 0.0, np.nan)
-    )
+    return np.where(inside, after - 1 + fraction, np.where(at_start & (levels <= hull[0] + 1e-9), 0.0, np.nan))

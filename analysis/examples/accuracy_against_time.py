@@ -16,12 +16,7 @@ import daq
 import rig
 
 tone = {
-    "test": {
-        "kind": "stepped_sine",
-        "frequencies": ["34 Hz"],
-        "force": "0.05 N",
-        "settle": {"tolerance": "0.01 %"},
-    },
+    "test": {"kind": "stepped_sine", "frequencies": ["34 Hz"], "force": "0.05 N", "settle": {"tolerance": "0.01 %"}},
     "converter.rate": "800 Hz",
 }
 exact = rig.frequency_response(rig.load("fig8-no-damper", tone), ["34 Hz"]).compliance[2, 0]

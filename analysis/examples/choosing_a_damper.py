@@ -20,8 +20,7 @@ clearances = np.array([0.3, 0.6, 0.98, 1.6])  # mm
 def worst_peak(clearance_mm: float) -> float:
     """Return the highest compliance of any body in the band, µm/N."""
     scene = rig.load(
-        "fig9",
-        {"shaker": {"kind": "force", "body": 1}, "channels": None, "dampers.clearance": f"{clearance_mm} mm"},
+        "fig9", {"shaker": {"kind": "force", "body": 1}, "channels": None, "dampers.clearance": f"{clearance_mm} mm"}
     )
     return 1e6 * float(abs(rig.orbit_response(scene, frequencies).compliance).max())
 

@@ -31,10 +31,7 @@ SEP_QUANTITIES = {"acceleration": "a", "velocity": "v", "displacement": "d", "fo
 
 @takes_path
 def sep005(
-    recording: Recording,
-    channels: Sequence[str] | None = None,
-    from_s: float | None = None,
-    to_s: float | None = None,
+    recording: Recording, channels: Sequence[str] | None = None, from_s: float | None = None, to_s: float | None = None
 ) -> list[dict[str, Any]]:
     """Return channels as SEP-005 time series, the input format of the sdypy packages.
 
@@ -54,9 +51,7 @@ def sep005(
     segment = Slice.of(recording, channels, from_s, to_s)
     date = {}
     if recording.start_ns:
-        since = timedelta(
-            microseconds=recording.start_ns // 1000 + round(segment.start / recording.rate * 1e6)
-        )
+        since = timedelta(microseconds=recording.start_ns // 1000 + round(segment.start / recording.rate * 1e6))
         date = {"start_timestamp": (datetime(1970, 1, 1, tzinfo=UTC) + since).isoformat()}
     return [
         {
@@ -88,9 +83,7 @@ def write_npz(segment: Slice, path: Path) -> None:
     taken = {"channels", "units", "rate", "start_s"}
     if len({*members.values()} | taken) < len(members) + len(taken):
         names = ", ".join(members)
-        raise SceneError(
-            f"{segment.recording.path}: the channels {names} have equal names in .npz. Choose fewer."
-        )
+        raise SceneError(f"{segment.recording.path}: the channels {names} have equal names in .npz. Choose fewer.")
     with zipfile.ZipFile(path, "w") as archive:
         for name, member in members.items():
             with archive.open(_member(member), "w", force_zip64=True) as stream:
@@ -124,9 +117,7 @@ def write_wav(segment: Slice, path: Path, speed: float = 1.0) -> list[str]:
     segment.reject_gaps("a WAV file")
     name, count, rate = segment.recording.path, len(segment.channels), segment.recording.rate * speed
     if not (math.isfinite(rate) and 1 <= round(rate) < 2**31 // (3 * count)):
-        raise SceneError(
-            f"{name}: a WAV file cannot play {rate:g} samples per second. Choose another --speed."
-        )
+        raise SceneError(f"{name}: a WAV file cannot play {rate:g} samples per second. Choose another --speed.")
     if (size := (segment.stop - segment.start) * count * 3) >= 2**32 - 1024:
         raise SceneError(
             f"{name}: a WAV file is limited to 4 GB (these samples: {size / 1e9:.3g} GB). Export fewer channels or a "
@@ -170,9 +161,7 @@ def kind_of(path: Path) -> str:
     """
     kind = path.suffix.lower()
     if kind not in _BYTES:
-        raise SceneError(
-            f"{path}: unknown format {kind!r}. Choose a name that ends in one of {', '.join(_BYTES)}."
-        )
+        raise SceneError(f"{path}: unknown format {kind!r}. Choose a name that ends in one of {', '.join(_BYTES)}.")
     return kind
 
 

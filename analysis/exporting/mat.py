@@ -36,10 +36,7 @@ def write_mat(segment: Slice, path: Path) -> None:
     _save(
         path,
         {
-            **{
-                name: segment.read_channel(channel)
-                for name, channel in zip(names, segment.channels, strict=True)
-            },
+            **{name: segment.read_channel(channel) for name, channel in zip(names, segment.channels, strict=True)},
             "channels": np.array(names, dtype=object),
             "units": np.array([info.unit for info in segment.infos], dtype=object),
             "fs": rate,
@@ -52,9 +49,7 @@ def write_frfs(frfs: Sequence[Response], path: Path) -> None:
     """Write ``frequency`` [Hz], ``unit``, ``reference``, and value, bound and coherence of each response."""
     curves = [frf.sorted() for frf in frfs]
     first = curves[0]
-    names = variable_names(
-        [curve.response for curve in curves], {"frequency", "unit", "reference", "channels"}
-    )
+    names = variable_names([curve.response for curve in curves], {"frequency", "unit", "reference", "channels"})
     content: dict[str, Any] = {"frequency": first.frequency, "unit": first.unit, "reference": first.input}
     for name, curve in zip(names, curves, strict=True):
         content |= {name: curve.value, f"bound_{name}": curve.bound(), f"coherence_{name}": curve.coherence}

@@ -18,11 +18,7 @@ ENDINGS = (".uff", ".unv", ".mat")
 
 
 def export_results(
-    file: Path,
-    path: Path,
-    what: str,
-    overwrite: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    file: Path, path: Path, what: str, overwrite: bool = False, progress: Callable[[int, int], None] | None = None
 ) -> list[str]:
     """Write the FRFs or modes of a recording or of an FRF file, one output file for each sweep.
 
@@ -45,9 +41,7 @@ def export_results(
         with atomic_write(target, overwrite or None) as part:
             if what == "frfs":
                 first, names = curves[0], ", ".join(curve.response for curve in curves)
-                mat.write_frfs(curves, part) if kind == ".mat" else stack(curves).to_uff(
-                    part, nodes, [force_node]
-                )
+                mat.write_frfs(curves, part) if kind == ".mat" else stack(curves).to_uff(part, nodes, [force_node])
                 lines.append(f"{first.label}: {first.name} of {names} by {first.input}")
             else:
                 modes = identify(curves)
@@ -57,9 +51,7 @@ def export_results(
     return lines
 
 
-def _groups(
-    file: Path, progress: Callable[[int, int], None] | None
-) -> list[tuple[Sequence[Response], list[int], int]]:
+def _groups(file: Path, progress: Callable[[int, int], None] | None) -> list[tuple[Sequence[Response], list[int], int]]:
     """Return sets of responses, the nodes of their points, and the node of the force."""
     if is_frf_file(file):
         curves = read_frfs(file)
@@ -68,7 +60,4 @@ def _groups(
         groups = frequency_responses(rec, progress=progress)
         # A force that acts on several bodies has no single node.
         force_node = rec.scene.force_on[0] if len(rec.scene.force_on) == 1 else 0
-        return [
-            (group, [uff.node(rec.channels[curve.response].at) for curve in group], force_node)
-            for group in groups
-        ]
+        return [(group, [uff.node(rec.channels[curve.response].at) for curve in group], force_node) for group in groups]

@@ -45,13 +45,7 @@ def dampers_figure(dampers: Dampers) -> Figure:
             _energies(rows[1], energy, lines, dampers.true_impact_energy)
         for frequency in lines.left_out:
             rows[0].plot(
-                frequency,
-                0.0,
-                "x",
-                color="black",
-                ms=5,
-                clip_on=False,
-                transform=rows[0].get_xaxis_transform(),
+                frequency, 0.0, "x", color="black", ms=5, clip_on=False, transform=rows[0].get_xaxis_transform()
             )
         for axes in rows:
             frequency_axis(axes, low, high, axes is rows[-1])
@@ -91,13 +85,9 @@ def _energies(axes: Axes, energy: CycleEnergy, lines: Lines, true: np.ndarray | 
     determined = energy.dampers > energy.bound
     into = np.where(determined, energy.dampers, np.nan)
     curve(energy.supplied, color="#000000", marker="o", label="supplied by the force")
-    curve(
-        energy.structure, color="#777777", marker="o", label="into the structure's damping, as in the scene"
-    )
+    curve(energy.structure, color="#777777", marker="o", label="into the structure's damping, as in the scene")
     curve(into, color=COLORS[1], marker="o", label="into the dampers")
-    axes.errorbar(
-        energy.frequency, 1e3 * into, 1e3 * energy.bound, fmt="none", ecolor=COLORS[1], elinewidth=0.9
-    )
+    axes.errorbar(energy.frequency, 1e3 * into, 1e3 * energy.bound, fmt="none", ecolor=COLORS[1], elinewidth=0.9)
     limit = 1e3 * np.maximum(energy.dampers + energy.bound, 0.0)
     axes.plot(
         energy.frequency[~determined], limit[~determined], "v", mfc="none", ms=4.5, mew=0.8, color=COLORS[1],
@@ -109,9 +99,7 @@ def _energies(axes: Axes, energy: CycleEnergy, lines: Lines, true: np.ndarray | 
         curve(lost, color=COLORS[2], ls=":", marker="o", label="true loss in impacts")
         shown.append(1e3 * lost)
     if lines.unsteady is not None and lines.unsteady.any():
-        axes.plot(
-            energy.frequency[lines.unsteady], 1e3 * energy.supplied[lines.unsteady], "x", color="black", ms=6
-        )
+        axes.plot(energy.frequency[lines.unsteady], 1e3 * energy.supplied[lines.unsteady], "x", color="black", ms=6)
     log_axis(axes, shown)
     axes.set_ylabel("energy per period / mJ")
 

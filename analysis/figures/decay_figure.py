@@ -32,9 +32,7 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
     columns = _columns(decays)
     gravity = decays[0].gravity
     with new_figure(8.2) as figure:
-        rows = figure.add_gridspec(
-            3, max(len(columns), 1), height_ratios=[1.25, 1.0, 1.0 if columns else 0.02]
-        )
+        rows = figure.add_gridspec(3, max(len(columns), 1), height_ratios=[1.25, 1.0, 1.0 if columns else 0.02])
         trace = figure.add_subplot(rows[0, :])
         level = figure.add_subplot(rows[1, :], sharex=trace)
         duration, lowest = max(_relevant_duration(decay) for decay in decays), decays[0].gravity
@@ -50,9 +48,7 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
                 )  # fmt: skip
             level.plot(decay.time[keep], top[keep], color=shade, lw=1.2)
             lowest = min(lowest, float(top[keep].min()))
-            level.plot(
-                decay.time[keep], top[0] * 10.0 ** (decay.energy[keep] / 20.0), color=shade, lw=1.6, ls="--"
-            )
+            level.plot(decay.time[keep], top[0] * 10.0 ** (decay.energy[keep] / 20.0), color=shade, lw=1.6, ls="--")
         highest = max(float(decay.peak.max()) for decay in decays)
         trace.set_ylim(-1.1 * highest, 1.1 * highest)
         trace.set_xlim(0.0, duration)
@@ -77,9 +73,7 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
         return figure
 
 
-def _damping_row(
-    figure: Figure, rows: object, columns: list[list[tuple[int, ModalDecay]]], gravity: float
-) -> None:
+def _damping_row(figure: Figure, rows: object, columns: list[list[tuple[int, ModalDecay]]], gravity: float) -> None:
     first: Axes | None = None
     for column, members in enumerate(columns):
         axes = figure.add_subplot(rows[2, column], sharey=first)  # type: ignore[index]
@@ -119,9 +113,7 @@ def _damping_row(
 
 def _frequencies(members: list[tuple[int, ModalDecay]]) -> str:
     """List the frequencies of a mode in the order of the recordings, or their range if there are many."""
-    listed = list(
-        dict.fromkeys(f"{mode.frequency:.1f}" for _, mode in sorted(members, key=lambda member: member[0]))
-    )
+    listed = list(dict.fromkeys(f"{mode.frequency:.1f}" for _, mode in sorted(members, key=lambda member: member[0])))
     if len(listed) > _MAX_LISTED_FREQUENCIES:
         low, *_, high = sorted(listed, key=float)
         return f"{low} to {high} Hz"

@@ -30,10 +30,7 @@ THEORY, NOISE = "#555555", "#c4c4c4"
 
 
 def frf_figure(
-    frfs: Sequence[Response],
-    title: str,
-    theory: Sequence[Response] = (),
-    marks: Sequence[tuple[float, str]] = (),
+    frfs: Sequence[Response], title: str, theory: Sequence[Response] = (), marks: Sequence[tuple[float, str]] = ()
 ) -> Figure:
     """Draw measured frequency responses on common axes.
 
@@ -66,8 +63,7 @@ def frf_figure(
         unit, factor = frfs[0].shown_in
         log_axis(
             upper,
-            [factor * abs(frf.value) for frf in [*frfs, *theory]]
-            + [factor * _visible_edges(frf) for frf in frfs],
+            [factor * abs(frf.value) for frf in [*frfs, *theory]] + [factor * _visible_edges(frf) for frf in frfs],
         )
         for axes, last in ((upper, False), (middle, False), (lower, True)):
             frequency_axis(axes, low, high, last)
@@ -116,11 +112,7 @@ def _curve(frf: Response, shade: str, upper: Axes, middle: Axes, lower: Axes) ->
     few = frf.frequency.size <= MAX_MARKERS
     curve, frf = frf.sorted(), frf.with_gaps()
     clear = np.insert(exceeds_noise(curve), np.searchsorted(curve.frequency, np.sort(frf.omitted)), False)
-    line_style: dict[str, Any] = {
-        "marker": "o" if few else None,
-        "color": shade,
-        "zorder": 2.9 if downward else 3,
-    }
+    line_style: dict[str, Any] = {"marker": "o" if few else None, "color": shade, "zorder": 2.9 if downward else 3}
     if downward:
         line_style |= {"mfc": "none", "ms": 5.0, "mew": 0.9}
     factor = frf.shown_in[1]
@@ -132,9 +124,7 @@ def _curve(frf: Response, shade: str, upper: Axes, middle: Axes, lower: Axes) ->
             where=clear, color=shade, alpha=strength, lw=0,
         )  # fmt: skip
     for frequency in frf.omitted:
-        upper.plot(
-            frequency, 0.0, "x", color=shade, ms=5, clip_on=False, transform=upper.get_xaxis_transform()
-        )
+        upper.plot(frequency, 0.0, "x", color=shade, ms=5, clip_on=False, transform=upper.get_xaxis_transform())
     if not (clear | np.isnan(size)).all():
         # One extra point on either side makes the line continuous where its colour changes to grey.
         noisy = ~clear | ~np.roll(clear, 1) | ~np.roll(clear, -1)

@@ -39,16 +39,12 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
                 curve.frequency, 1e6 * abs(curve.value), "o" if few else "-", ms=2.4, color=shade,
                 lw=2.4, alpha=1.0 if few else 0.35, label=escape_figure(curve.response),
             )  # fmt: skip
-            fit.plot(
-                dense, 1e6 * abs(modes.receptance(dense)[index]), color=shade if few else "black", lw=0.9
-            )
+            fit.plot(dense, 1e6 * abs(modes.receptance(dense)[index]), color=shade if few else "black", lw=0.9)
         log_axis(fit, [1e6 * abs(modes.receptance(dense)), *(1e6 * abs(curve.value) for curve in curves)])
         frequency_axis(fit, low, high, False)
         fit.set_ylabel("|compliance| / (µm/N)")
         add_title(fit, title)
-        fit.legend(
-            loc="best", title=f"{'dots' if few else 'broad'}: measured, thin: model", title_fontsize=8.5
-        )
+        fit.legend(loc="best", title=f"{'dots' if few else 'broad'}: measured, thin: model", title_fontsize=8.5)
         kinds = ((False, "x", "#bbbbbb", "new pole"), (True, "o", "#009E73", "stable"))
         for stable, mark, shade, text in kinds:
             poles = np.array([(p.frequency, p.order) for p in modes.chart if p.stable == stable])
@@ -81,6 +77,5 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
 def _resonance_frequencies(modes: Modes) -> list[np.ndarray]:
     """Return dense frequencies around each resonance, so that the drawn model reaches its peaks."""
     return [
-        f * (1.0 + zeta * np.linspace(-8.0, 8.0, 161))
-        for f, zeta in zip(modes.frequency, modes.damping, strict=True)
+        f * (1.0 + zeta * np.linspace(-8.0, 8.0, 161)) for f, zeta in zip(modes.frequency, modes.damping, strict=True)
     ]

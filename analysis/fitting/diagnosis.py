@@ -179,11 +179,7 @@ def _try_damping(problem: Problem, bare: list[Curves]) -> _Explanations:
         form = ModalDamping(modal=tuple(float(max(each, 1e-4)) for each in modes.damping_ratio))
         text = "a ratio for each mode fits: give structure.damping: {modal: [...]}"
     model = problem.model.replace(structure=structure.replace(damping=form))
-    yield (
-        _fit_structure(problem, bare, model).variance,
-        f"The damping is not of the scene's form; {text}",
-        True,
-    )
+    yield (_fit_structure(problem, bare, model).variance, f"The damping is not of the scene's form; {text}", True)
 
 
 def _try_delays(problem: Problem, bare: list[Curves]) -> _Explanations:
@@ -258,14 +254,10 @@ def _omit_sensor(bare: list[Curves], sensor: Sensor) -> list[Curves]:
             return []
         root = np.linalg.inv(curves.whiten)
         covariance = (root @ root.conj().swapaxes(1, 2))[:, rows][:, :, rows]
-        remaining: dict[str, Any] = {
-            name: getattr(curves, name)[rows] for name in ("value", "rough", "smooth")
-        }
+        remaining: dict[str, Any] = {name: getattr(curves, name)[rows] for name in ("value", "rough", "smooth")}
         for name in ("sensors", "bodies", "frfs"):
             remaining[name] = tuple(getattr(curves, name)[k] for k in rows)
-        out.append(
-            replace(curves, whiten=inverse_root(covariance), errors=curves.errors.select(rows), **remaining)
-        )
+        out.append(replace(curves, whiten=inverse_root(covariance), errors=curves.errors.select(rows), **remaining))
     return out
 
 
@@ -279,8 +271,7 @@ def list_omitted_points(curves: Curves, used: NDArray[np.bool_], uncovered: Mapp
         reason = "the motion of the rig is irregular, or of another type than that of the model"
         if k in uncovered:
             reason = (
-                f"{uncovered[k]}, which a fit cannot compute (restitution 0 or contact: {{duration: "
-                "...} avoids this)"
+                f"{uncovered[k]}, which a fit cannot compute (restitution 0 or contact: {{duration: ...}} avoids this)"
             )
         reasons.setdefault(reason, []).append(f"{curves.frequency[k]:.4g}")
     return [f"{curves.label}: omitted {', '.join(at)} Hz, where {reason}." for reason, at in reasons.items()]

@@ -128,9 +128,7 @@ def _damped(
             changed = [group.choose_motions(problem, x, scene) for group in damped]
             if not any(changed) and round_number > 0:
                 break
-            x = solve(
-                problem, x, problem.groups, _MODEL_ERRORS[-2] if round_number == 0 else _ROBUST, active, 8
-            )
+            x = solve(problem, x, problem.groups, _MODEL_ERRORS[-2] if round_number == 0 else _ROBUST, active, 8)
             x = solve(problem, x, problem.groups, 0.0, active, 12)
         cost = _robust_cost(problem, x, damped)
         # A single point does not prove ceiling impacts: it may be in another kind of motion.
@@ -291,7 +289,4 @@ def _score_covariance(group: Group, jacobian: Array) -> Array:
     deviation = curves.rough[:, used].T[..., None] / np.sqrt(3.0)
     rough = (deviation * weights).reshape(-1, weights.shape[2])
     errors = curves.errors.at(used)
-    return (
-        errors.of_sums(weights)
-        + max(frf.uncertainty.shared for frf in curves.frfs) * (rough.conj().T @ rough).real
-    )
+    return errors.of_sums(weights) + max(frf.uncertainty.shared for frf in curves.frfs) * (rough.conj().T @ rough).real

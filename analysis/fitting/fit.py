@@ -150,9 +150,7 @@ class Fit(Result):
         """Return whether the scene fits, and how many values are determined."""
         statuses = [parameter.status for parameter in self.parameters]
         words = {"roughly": "roughly determined"}
-        counts = ", ".join(
-            f"{statuses.count(kind)} {words.get(kind, kind)}" for kind in dict.fromkeys(statuses)
-        )
+        counts = ", ".join(f"{statuses.count(kind)} {words.get(kind, kind)}" for kind in dict.fromkeys(statuses))
         return f"{self.scene.name}: {'does not fit; ' if self.misfit else ''}{counts}"
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -166,10 +164,7 @@ class Fit(Result):
             order = np.argsort(compared.curves.frequency, kind="stable")
             worst = np.where(compared.used, compared.misses.max(axis=0), np.nan)[order]
             ax.semilogy(
-                compared.curves.frequency[order],
-                worst,
-                ".-",
-                **complete_style(style, label=compared.curves.label),
+                compared.curves.frequency[order], worst, ".-", **complete_style(style, label=compared.curves.label)
             )
         ax.set(xlabel="frequency / Hz", ylabel="largest residual / standard deviation")
 
@@ -231,14 +226,10 @@ def fit(
     several: Sequence[Any] = recordings if isinstance(recordings, list | tuple) else [recordings]
     for recording in several:
         if not isinstance(recording, str | Path) and not hasattr(recording, "channels"):
-            raise RecordingError(
-                f"fit: {recording!r:.60} is not a recording. Give paths, or recordings from daq.open."
-            )
+            raise RecordingError(f"fit: {recording!r:.60} is not a recording. Give paths, or recordings from daq.open.")
     paths = [Path(each) if isinstance(each, str | Path) else each.path for each in several]
     for first, again in duplicate_files(paths):
-        raise SceneError(
-            f"{again}: the same content as {first}, which would count twice. Give each recording once."
-        )
+        raise SceneError(f"{again}: the same content as {first}, which would count twice. Give each recording once.")
     curves = [each for recording in several for each in _curves(recording)]
     if not curves:
         raise RecordingError("fit: no recordings. Give at least one.")
@@ -372,11 +363,7 @@ def _implausible_sensors(problem: Problem, x: Array) -> str:
         for sensor in problem.sensors
         if abs(error := problem.deviation(x, sensor)) > _MAX_SENSOR_DEVIATION * sensor.tolerance
     ]
-    return (
-        f"The curves fit only with sensors outside their tolerance: {', and '.join(sensors)}."
-        if sensors
-        else ""
-    )
+    return f"The curves fit only with sensors outside their tolerance: {', and '.join(sensors)}." if sensors else ""
 
 
 def _modes(problem: Problem, found: Estimate) -> tuple[Mode, ...]:

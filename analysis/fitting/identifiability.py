@@ -54,9 +54,7 @@ def damping_by_level(problem: Problem, found: Estimate) -> tuple[LevelDamping, .
         root = np.linalg.inv(np.linalg.qr(jacobian, mode="r"))
         half_width = COVERAGE_FACTOR * np.sqrt(variance) * np.linalg.norm(root, axis=1)
         value, known = problem.values(x)[active], half_width < _MAX_HALF_WIDTH
-        to_acceleration = (2.0 * np.pi * curves.frequency) ** (
-            2 if curves.reference in ("table", "force") else 0
-        )
+        to_acceleration = (2.0 * np.pi * curves.frequency) ** (2 if curves.reference in ("table", "force") else 0)
         acceleration = float((to_acceleration * curves.level * abs(curves.value)).max())
         value, bound = np.where(known, value, np.nan), np.where(known, value * half_width, np.nan)
         out.append(LevelDamping(curves.label, group.tones is not None, acceleration, keys, value, bound))
@@ -90,9 +88,7 @@ def coupled_values(problem: Problem, found: Estimate, statuses: Sequence[str]) -
         signs = np.sign(axis[large])
         direction = "by the same factor" if abs(signs.sum()) == large.size else "in opposite directions"
         related = found.correlation[known[large[0]]][count:]
-        sensors = [
-            s.name for s, r in zip(problem.sensors, related, strict=False) if abs(r) > _MIN_CORRELATION
-        ]
+        sensors = [s.name for s, r in zip(problem.sensors, related, strict=False) if abs(r) > _MIN_CORRELATION]
         cause = f" (their values depend on the calibration of {', '.join(sensors)})" if sensors else ""
         names = ", ".join(problem.parameters[known[k]].key for k in large)
         line = f"{names} can change {direction} by up to {half_width:.1%} with no visible change of the curves{cause}."

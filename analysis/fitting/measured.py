@@ -175,9 +175,7 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
     )
 
 
-def _limits(
-    frfs: Sequence[Response], names: Collection[str] | None = None, without: Collection[str] = ()
-) -> Array:
+def _limits(frfs: Sequence[Response], names: Collection[str] | None = None, without: Collection[str] = ()) -> Array:
     """Root of the sum of squares of the systematic errors of some names, or of all but some; shape (responses, n)."""
     return np.stack(
         [

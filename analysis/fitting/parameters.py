@@ -123,9 +123,7 @@ def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Par
         # The coil spring calibrates the force; it is free only on request.
         found = [one for one in found if one.place[0] != "shaker"]
     if not found:
-        raise SceneError(
-            f"scene {scene.name!r}: nothing to fit. Give masses, damping or dampers with values above 0."
-        )
+        raise SceneError(f"scene {scene.name!r}: nothing to fit. Give masses, damping or dampers with values above 0.")
     return found
 
 
@@ -146,9 +144,7 @@ def _put(node: Any, values: Mapping[Place, float]) -> Any:
     if isinstance(node, tuple):
         return tuple(_put(item, parts[k]) if k in parts else item for k, item in enumerate(node))
     assert isinstance(node, Settings)
-    return node.with_valid(
-        **{str(name): _put(getattr(node, str(name)), inside) for name, inside in parts.items()}
-    )
+    return node.with_valid(**{str(name): _put(getattr(node, str(name)), inside) for name, inside in parts.items()})
 
 
 def _candidates(scene: Scene) -> Iterator[Parameter]:
@@ -185,9 +181,7 @@ def _values(scene: Scene) -> Iterator[tuple[Place, float | None]]:
         yield ("shaker", "spring"), scene.shakers[0].spring
 
 
-def _wall_values(
-    place: Place, wall: Landing | SpringDamper | Walls | None
-) -> Iterator[tuple[Place, float | None]]:
+def _wall_values(place: Place, wall: Landing | SpringDamper | Walls | None) -> Iterator[tuple[Place, float | None]]:
     names = {Landing: ("duration",), SpringDamper: ("stiffness", "damping")}
     if isinstance(wall, Walls):
         yield from _wall_values((*place, "floor"), wall.floor)

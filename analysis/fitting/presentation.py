@@ -31,18 +31,14 @@ def present_fit(
     the recordings; the figure is written nevertheless.
     """
     if output.suffix not in (".yaml", ".yml"):
-        raise SceneError(
-            f"--output {output}: not the name of a scene file. Choose a name such as fitted.yaml."
-        )
+        raise SceneError(f"--output {output}: not the name of a scene file. Choose a name such as fitted.yaml.")
     with (
         allow_overwriting(overwrite),
         output_source("fit", scene.to_yaml(), *relative_paths(recordings, output.parent)),
     ):
         residuals = output.with_name(f"{output.stem}-residuals")
         create_folder(output.parent)
-        reject_foreign_files(
-            output, *(residuals.with_name(f"{residuals.name}.{ending}") for ending in ("png", "svg"))
-        )
+        reject_foreign_files(output, *(residuals.with_name(f"{residuals.name}.{ending}") for ending in ("png", "svg")))
         found = fit(list(recordings), scene, free)
         files = save_figure(fit_figure(found), residuals)
         if found.misfit:
@@ -50,9 +46,7 @@ def present_fit(
                 warnings.warn(warning, stacklevel=2)
             for path in files:
                 print_line(f"wrote {path}")
-            raise RunError(
-                f"{output}: not written, because the scene does not fit the recordings. {found.misfit}"
-            )
+            raise RunError(f"{output}: not written, because the scene does not fit the recordings. {found.misfit}")
         for line in describe(found):
             print_line(line)
         with atomic_write(output) as part:
@@ -86,9 +80,7 @@ def describe(result: Fit) -> list[str]:
             "undetermined" if isnan(value) else format_interval(value, bound)
             for value, bound in zip(level.value, level.bound, strict=True)
         )
-        levels.append(
-            (level.label, "in place" if level.damped else "none", f"{level.acceleration:.3g}", damping)
-        )
+        levels.append((level.label, "in place" if level.damped else "none", f"{level.acceleration:.3g}", damping))
     residuals = [("recording", "residual / % of the curves, rms")] + [
         (each.curves.label, f"{100 * each.relative:.2g}") for each in result.compared
     ]

@@ -105,10 +105,7 @@ class Problem:
         self.model, self.parameters = model, list(parameters)
         self.groups = [
             Group(
-                each,
-                SteadyTones(each) if each.moving else None,
-                np.ones(each.frequency.size, bool),
-                _local_peaks(each),
+                each, SteadyTones(each) if each.moving else None, np.ones(each.frequency.size, bool), _local_peaks(each)
             )
             for each in curves
         ]
@@ -170,9 +167,7 @@ class Problem:
     def predicted(self, x: Array, group: Group, scene: Scene, search: bool = True) -> ComplexArray:
         """Return the predicted readings, shape (responses, n); NaN where there is no steady motion."""
         own, gain = self.gains(x, group.curves)
-        return (
-            own[:, None] / gain * self._displacement_ratio(x, group, scene, search)[list(group.curves.bodies)]
-        )
+        return own[:, None] / gain * self._displacement_ratio(x, group, scene, search)[list(group.curves.bodies)]
 
     def _displacement_ratio(self, x: Array, group: Group, scene: Scene, search: bool = True) -> ComplexArray:
         """Return displacement of the bodies / reference, shape (bodies, n)."""
@@ -199,9 +194,7 @@ class Problem:
         white = white / np.sqrt(1.0 + (model_error * group.local_peak[used]) ** 2)
         return np.where(np.isfinite(white), white, _FAILED_RESIDUAL * (1 + 1j))
 
-    def residual(
-        self, x: Array, groups: Sequence[Group], model_error: float = 0.0, search: bool = True
-    ) -> Array:
+    def residual(self, x: Array, groups: Sequence[Group], model_error: float = 0.0, search: bool = True) -> Array:
         """Return residuals of groups (real and imaginary parts), then deviations of the unknowns from their priors."""
         scene = self.scene(x)
         parts = [self.normalized_residuals(x, group, scene, model_error, search) for group in groups]
@@ -220,14 +213,10 @@ class Problem:
         moving = [group for group in groups if group.tones is not None]
         following = iter(self._differences(x, moving, scene, model_error, chosen))
         parts = [
-            self._linear_slopes(x, group, scene, model_error, chosen)
-            if group.tones is None
-            else next(following)
+            self._linear_slopes(x, group, scene, model_error, chosen) if group.tones is None else next(following)
             for group in groups
         ]
-        flat = np.concatenate(
-            [np.zeros((0, len(chosen))), *(part.reshape(-1, len(chosen)) for part in parts)]
-        )
+        flat = np.concatenate([np.zeros((0, len(chosen))), *(part.reshape(-1, len(chosen)) for part in parts)])
         prior = np.zeros((self.size, len(chosen)))
         prior[chosen, range(len(chosen))] = 1.0 / self.prior_sd[chosen]
         return np.concatenate([flat.real, flat.imag, prior])
@@ -246,9 +235,7 @@ class Problem:
             moved[k] += _STEP * max(1.0, abs(x[k]))
             changed = self.scene(moved)
             for group, unchanged, column in zip(groups, base, columns, strict=True):
-                difference = (
-                    self.normalized_residuals(moved, group, changed, model_error, search=False) - unchanged
-                )
+                difference = self.normalized_residuals(moved, group, changed, model_error, search=False) - unchanged
                 column.append(difference / (moved[k] - x[k]))
         return [np.stack(column, axis=-1) for column in columns]
 
@@ -261,8 +248,7 @@ class Problem:
         acting = [
             k
             for k in chosen
-            if k < count
-            and (self.parameters[k].damper is None or self.parameters[k].what in ("mass", "mass_ratio"))
+            if k < count and (self.parameters[k].damper is None or self.parameters[k].what in ("mass", "mass_ratio"))
         ]
         benches = [self._neighbours(x, k, curves) for k in acting]
         frequency = self.operating_points(x, curves)[1]

@@ -45,9 +45,7 @@ def initial_unknowns(problem: Problem, groups: Sequence[Group]) -> Array:
     If the band of the test contains only some of the modes, the assignment with the smallest residual is used. The
     k-th fit uses the k-th most likely assignment of every group.
     """
-    identified = [
-        (group, _identify(group.curves.frfs, group.curves.scene.structure.bodies)) for group in groups
-    ]
+    identified = [(group, _identify(group.curves.frfs, group.curves.scene.structure.bodies)) for group in groups]
     modal_groups = [(group, modes) for group, modes in identified if modes is not None]
     x = problem.start.copy()
     active = [k for k, parameter in enumerate(problem.parameters) if parameter.place[0] == "structure"]

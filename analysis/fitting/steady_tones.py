@@ -182,9 +182,7 @@ class _OrbitSolver:
         elif self.spring:
             grounded = structural_model(bench).with_ground_springs(driven_bodies(bench), self.spring)
             matrices = Matrices(mass=grounded.mass, damping=grounded.damping, stiffness=grounded.stiffness)
-            bench = bench.replace(
-                structure=Structure(matrices=matrices), shaker=ForceShaker(body=shaker.body)
-            )
+            bench = bench.replace(structure=Structure(matrices=matrices), shaker=ForceShaker(body=shaker.body))
         self.bodies = bench.structure.bodies
         self.problem = OrbitProblem(bench.replace(test={"kind": "sine", "frequency": 1.0, level: 1.0}))
         if shaker.kind == "electrodynamic":
@@ -232,9 +230,7 @@ class _OrbitSolver:
         stored, ratio, reached = solution
         return stored, ratio if start.slope is None else ratio + start.slope * (level - reached)
 
-    def refine(
-        self, start: StoredOrbit, frequency: float, level: float, check: bool = True
-    ) -> OrbitResponse | None:
+    def refine(self, start: StoredOrbit, frequency: float, level: float, check: bool = True) -> OrbitResponse | None:
         """Refine an orbit at a setting; None without convergence or, if `check`, if it is inadmissible or unstable."""
         if self.table is None:
             solution = self._refine_at_drive(start, frequency, self._force(level), check)
@@ -319,15 +315,11 @@ class _OrbitSolver:
         stored = replace(start, unknowns=x, drive=float(drive))
         return stored, harmonic[: self.bodies] / reference, abs(reference)
 
-    def _newton(
-        self, start: StoredOrbit, setting: OperatingPoint
-    ) -> tuple[OrbitFamily, Array, Any, Any] | None:
+    def _newton(self, start: StoredOrbit, setting: OperatingPoint) -> tuple[OrbitFamily, Array, Any, Any] | None:
         """Return family, unknowns, equations and shooting result of the refined orbit; None without convergence."""
         family = OrbitFamily(self.problem, start.plan, setting, "frequency", start.unknowns)
         try:
-            equations, x, _, shooting, _, count = family.correct(
-                setting.frequency, start.unknowns, _MAX_CORRECTIONS
-            )
+            equations, x, _, shooting, _, count = family.correct(setting.frequency, start.unknowns, _MAX_CORRECTIONS)
         except np.linalg.LinAlgError:
             return None
         return None if count < 0 else (family, x, equations, shooting)

@@ -34,9 +34,7 @@ def doubts(
     if modes.model_error:
         stated = any(np.isfinite(curve.error).any() for curve in curves)
         expected = "error bars" if stated else "scatter"
-        found = (
-            f"the best linear fit leaves a residual of {100.0 * modes.model_error:.2g} % of the peak height"
-        )
+        found = f"the best linear fit leaves a residual of {100.0 * modes.model_error:.2g} % of the peak height"
         if modes.model_error > _NONLINEAR:
             yield (
                 f"The response is nonlinear: {found}, more than the {expected}. These modes are the linear equivalent "

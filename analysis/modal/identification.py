@@ -85,16 +85,11 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     curves = _remove_unbounded(thin_out([frf.to("displacement").sorted() for frf in frfs]))
     measured, sigma = _measured(curves)
     size = abs(measured.value)
-    weights = (
-        np.ones(sigma.shape) / size.max(axis=1, keepdims=True),
-        1.0 / np.hypot(sigma, _CHART_ERROR * size),
-    )
+    weights = (np.ones(sigma.shape) / size.max(axis=1, keepdims=True), 1.0 / np.hypot(sigma, _CHART_ERROR * size))
     charts = [chart(measured.frequency, measured.value, weight) for weight in weights]
     stable, candidates = merge_charts(measured.frequency, charts)
     stable, candidates = stable[:_MAX_INITIAL_POLES], candidates[:_MAX_CANDIDATES]
-    weighted, model, error = _best_model(
-        measured, sigma, stable, candidates, MAX_MODES if count is None else count
-    )
+    weighted, model, error = _best_model(measured, sigma, stable, candidates, MAX_MODES if count is None else count)
     weighted, model, dropped = _remove_spurious_poles(weighted, model, curves)
     refinement = None if error else _refine(weighted, model, curves)
     if refinement is not None:
@@ -112,9 +107,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     else:
         included, random = refinement.parts, refined_pole_errors(model.poles, refinement.covariance)
     systematic = systematic_pole_errors(curves, model.poles, included)
-    f_error, z_error = (
-        np.hypot(*pair) for pair in zip(random, (0.5 * part for part in systematic), strict=True)
-    )
+    f_error, z_error = (np.hypot(*pair) for pair in zip(random, (0.5 * part for part in systematic), strict=True))
     # The frequency of a pole is unknown if the uncertainty of the curves is unbounded.
     frequency: Array = np.asarray(abs(model.poles) / (2 * np.pi), dtype=float)
     unbounded = inside & (2.0 * f_error >= frequency)
@@ -197,9 +190,7 @@ def _remove_unbounded(curves: Sequence[Response]) -> list[Response]:
 def _measured(curves: Sequence[Response]) -> tuple[Curves, Array]:
     """Return the responses at lines where all are measured, and their standard deviations."""
     frequency = curves[0].frequency
-    if any(
-        curve.frequency.shape != frequency.shape or np.any(curve.frequency != frequency) for curve in curves
-    ):
+    if any(curve.frequency.shape != frequency.shape or np.any(curve.frequency != frequency) for curve in curves):
         raise SceneError(
             f"identify: {curves[0].label}: the responses have different frequencies. Identify one recording at a time."
         )
@@ -213,9 +204,7 @@ def _measured(curves: Sequence[Response]) -> tuple[Curves, Array]:
         )
     for curve, row in zip(curves, value[:, valid], strict=True):
         if not np.any(abs(row) > 0):
-            raise RecordingError(
-                f"{curve.label}: {curve.response} is zero throughout. Choose other channels."
-            )
+            raise RecordingError(f"{curve.label}: {curve.response} is zero throughout. Choose other channels.")
     sigma = sigma[:, valid]
     shared = max(curve.uncertainty.shared for curve in curves)
     resolution = max(curve.resolution for curve in curves)
@@ -228,10 +217,7 @@ def _best_model(
     """Return the best model, the curves with the weights of its fit, and its relative error beyond noise."""
     # Largest value around each point. Nonlinear errors are proportional to the peaks, not to the curve between them.
     f, value = measured.frequency, np.abs(measured.value)
-    low, high = (
-        np.searchsorted(f, f / _NEIGHBORHOOD_RATIO),
-        np.searchsorted(f, f * _NEIGHBORHOOD_RATIO, side="right"),
-    )
+    low, high = (np.searchsorted(f, f / _NEIGHBORHOOD_RATIO), np.searchsorted(f, f * _NEIGHBORHOOD_RATIO, side="right"))
     size = np.stack([value[:, a:b].max(axis=1) for a, b in zip(low, high, strict=True)], axis=1)
     models: list[tuple[Curves, Fit]] = []
     for error in _MODEL_ERRORS:
@@ -261,9 +247,7 @@ def _best_model(
     return curves, model, float(relative_error) if is_nonlinear else 0.0
 
 
-def _remove_spurious_poles(
-    curves: Curves, model: Fit, frfs: Sequence[Response]
-) -> tuple[Curves, Fit, list[float]]:
+def _remove_spurious_poles(curves: Curves, model: Fit, frfs: Sequence[Response]) -> tuple[Curves, Fit, list[float]]:
     """Remove poles that are not modes; also return their frequencies, in Hz.
 
     A pole is not a mode if its damping is undetermined, or if its peak is below the systematic uncertainty of every

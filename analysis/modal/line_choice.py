@@ -87,9 +87,7 @@ def in_gaps(frequency: Array, poles: ComplexArray) -> NDArray[np.bool_]:
     in_band = (above > 0) & (above < frequency.size)
     step = np.clip(above - 1, 0, steps.size - 1)
     nearest = np.minimum(abs(natural - frequency[step]), abs(frequency[step + 1] - natural))
-    return np.asarray(
-        in_band & (steps[step] > _GAP_RATIO * neighbours[step]) & (nearest > -poles.real / (2 * np.pi))
-    )
+    return np.asarray(in_band & (steps[step] > _GAP_RATIO * neighbours[step]) & (nearest > -poles.real / (2 * np.pi)))
 
 
 def is_peak(size: Array, line: int) -> bool:

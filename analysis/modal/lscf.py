@@ -47,8 +47,7 @@ def poles_by_order(
     phase = np.pi * (frequency - low) / (high - low)
     basis = np.exp(-1j * phase[:, None] * np.arange(max(orders) + 1))
     bases = [
-        (basis * scale[:, None], -basis * (row * scale)[:, None])
-        for row, scale in zip(value, weight, strict=True)
+        (basis * scale[:, None], -basis * (row * scale)[:, None]) for row, scale in zip(value, weight, strict=True)
     ]
     for order in orders:
         reduced = np.zeros((order + 1, order + 1), dtype=complex)

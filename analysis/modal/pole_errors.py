@@ -84,9 +84,7 @@ def propagate(poles: ComplexArray, factors: Sequence[Array]) -> tuple[Array, Arr
         to_f = np.array([decay[i], damped[i]]) * decay[i] / size[i] / (2 * np.pi)
         to_z = np.array([damped[i] ** 2, -decay[i] * damped[i]]) * decay[i] / size[i] ** 3
         pairs = [factor[[i, i + count]] for factor in factors]
-        f_error[i], z_error[i] = (
-            max(float(np.linalg.norm(to @ pair)) for pair in pairs) for to in (to_f, to_z)
-        )
+        f_error[i], z_error[i] = (max(float(np.linalg.norm(to @ pair)) for pair in pairs) for to in (to_f, to_z))
     return f_error, z_error
 
 
@@ -107,9 +105,7 @@ def systematic_pole_errors(
     widening = np.minimum(LEAKAGE_FACTOR * resolution**2 / half, _MAX_WIDENING * resolution)
     z_error = 2.0 * np.pi * widening / abs(poles)
     for curve in frfs:
-        stiffness, phase, width = (
-            _relative(curve, names) for names in (_STIFFNESS_PARTS, _PHASE_PARTS, width_parts)
-        )
+        stiffness, phase, width = (_relative(curve, names) for names in (_STIFFNESS_PARTS, _PHASE_PARTS, width_parts))
         for i, p in enumerate(poles):
             natural = abs(p) / (2.0 * np.pi)
             distance = abs(curve.frequency - natural - 1j * half[i])

@@ -121,9 +121,7 @@ def misfits_with(curves: Curves, poles: ComplexArray, added: ComplexArray) -> Ar
         columns = columns - basis @ (np.swapaxes(basis, 1, 2) @ columns)
     scores = (np.swapaxes(columns, 1, 2) @ residual)[..., 0]
     first, second = columns[..., ::2], columns[..., 1::2]
-    a, b, c = (
-        np.einsum("ojk,ojk->ok", *pair) for pair in ((first, first), (first, second), (second, second))
-    )
+    a, b, c = (np.einsum("ojk,ojk->ok", *pair) for pair in ((first, first), (first, second), (second, second)))
     u, v = scores[:, ::2], scores[:, 1::2]
     reduction = np.where(a > _ROUNDING, u**2 / np.maximum(a, _ROUNDING), 0.0)
     # Part of the second column that is orthogonal to the first.
@@ -181,8 +179,7 @@ class Projection:
         """Convert parameters to poles: logarithms of the decay rates (for stability), frequencies in decay rates."""
         count = self.start.size
         return np.asarray(
-            -self.scale * np.exp(np.clip(x[:count], -30.0, 30.0))
-            + 1j * (self.start.imag + self.scale * x[count:])
+            -self.scale * np.exp(np.clip(x[:count], -30.0, 30.0)) + 1j * (self.start.imag + self.scale * x[count:])
         )
 
     def columns(self, poles: ComplexArray) -> ComplexArray:
@@ -240,9 +237,7 @@ class Projection:
         residue = (unknown[:, 0 : 2 * count : 2] + 1j * unknown[:, 1 : 2 * count : 2])[..., None]
         direct = residue / (self.s - poles) ** 2
         mirror = residue.conj() / (self.s - poles.conj()) ** 2
-        change = np.concatenate(
-            [poles.real * (direct + mirror), 1j * self.scale[:, None] * (direct - mirror)], axis=1
-        )
+        change = np.concatenate([poles.real * (direct + mirror), 1j * self.scale[:, None] * (direct - mirror)], axis=1)
         block = _real_rows(np.swapaxes(change * self.weight[:, None], 1, 2), 1)
         return np.asarray(q @ (np.swapaxes(q, 1, 2) @ block) - block)
 

@@ -56,8 +56,7 @@ def refine(curves: Curves, model: Fit, errors: Covariance, rough: Array) -> Refi
     count = 2 * model.poles.size
     if (
         not count
-        or curves.value.size * curves.value.shape[0] * (count + 1 + curves.upper_terms) ** 2
-        > _MAX_MULTIPLICATIONS
+        or curves.value.size * curves.value.shape[0] * (count + 1 + curves.upper_terms) ** 2 > _MAX_MULTIPLICATIONS
     ):
         return None
     misfit = problem.misfit(model)
@@ -110,9 +109,7 @@ class Likelihood:
     def misfit(self, model: Fit) -> float:
         """Compute the sum of squares in standard deviations."""
         residual = self.residual(model)
-        return float(
-            np.einsum("ka,kab,kb->", residual.conj(), self.information, residual, optimize=True).real
-        )
+        return float(np.einsum("ka,kab,kb->", residual.conj(), self.information, residual, optimize=True).real)
 
     def _slopes(self, model: Fit, part: slice) -> tuple[ComplexArray, ComplexArray]:
         """Differentiate the model at some lines.
@@ -125,10 +122,7 @@ class Likelihood:
         direct_slope = direct[:, None] ** 2 * model.residue
         mirror_slope = mirror[:, None] ** 2 * model.residue.conj()
         by_pole = np.concatenate(
-            [
-                model.poles.real * (direct_slope + mirror_slope),
-                -1j * model.poles.real * (direct_slope - mirror_slope),
-            ],
+            [model.poles.real * (direct_slope + mirror_slope), -1j * model.poles.real * (direct_slope - mirror_slope)],
             axis=2,
         )
         return by_pole, np.concatenate([direct + mirror, 1j * (direct - mirror), self.terms[part]], axis=1)
@@ -153,9 +147,7 @@ class Likelihood:
             weighted = information @ by_pole
             flat = by_pole.reshape(-1, poles)
             corner += (weighted.conj().reshape(-1, poles).T @ flat).real
-            side += (weighted.conj().transpose(2, 1, 0).reshape(-1, len(by_own)) @ by_own).real.reshape(
-                side.shape
-            )
+            side += (weighted.conj().transpose(2, 1, 0).reshape(-1, len(by_own)) @ by_own).real.reshape(side.shape)
             # The information is Hermitian, so the real part of the product needs two real products only.
             pairs = (by_own.conj()[:, :, None] * by_own[:, None]).reshape(len(by_own), -1).T
             lines = information.reshape(len(by_own), -1)
@@ -186,9 +178,7 @@ class Likelihood:
 def _inverse(normal: Array) -> Array:
     """Invert a normal matrix, scaled to unit diagonal; dependent unknowns get the smallest values."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return np.asarray(
-        scale[:, None] * np.linalg.pinv(normal * np.outer(scale, scale), hermitian=True) * scale
-    )
+    return np.asarray(scale[:, None] * np.linalg.pinv(normal * np.outer(scale, scale), hermitian=True) * scale)
 
 
 def take_step(curves: Curves, model: Fit, step: Array) -> Fit:

@@ -24,9 +24,7 @@ _DETECTION_SIGMAS = 5.0
 _MIN_RATIO = 0.02
 
 
-def separate(
-    modes: Modes, outputs: tuple[str, ...], inputs: tuple[str, ...], places: tuple[str, ...]
-) -> Modes:
+def separate(modes: Modes, outputs: tuple[str, ...], inputs: tuple[str, ...], places: tuple[str, ...]) -> Modes:
     """Separate the modes of each pole by the singular values of its residues.
 
     `modes`: identified from all elements of a matrix, in the order of the outputs; `places`: positions of the
@@ -53,10 +51,7 @@ def separate(
     notes = (f"Repeated modes, with one pole each: {', '.join(repeated)}.",) if repeated else ()
     return replace(
         modes,
-        **{
-            name: getattr(modes, name)[poles]
-            for name in ("frequency", "frequency_error", "damping", "damping_error")
-        },
+        **{name: getattr(modes, name)[poles] for name in ("frequency", "frequency_error", "damping", "damping_error")},
         shape_error=error,
         residue=shapes * participation[reference],
         responses=outputs,

@@ -128,8 +128,7 @@ def compare_peaks(paths: Sequence[Path], progress: Progress | None = None) -> Co
         notes += with_recording_name(path, group[0].warnings)
         changes = peak_changes(modes, bare, group, same_sensors)
         notes += with_recording_name(
-            paths[0],
-            coarse_step_warnings([(change.mode, change.response, change.bare) for change in changes]),
+            paths[0], coarse_step_warnings([(change.mode, change.response, change.bare) for change in changes])
         )
         notes += with_recording_name(
             path, coarse_step_warnings([(change.mode, change.response, change.damped) for change in changes])
@@ -144,9 +143,7 @@ def compare_peaks(paths: Sequence[Path], progress: Progress | None = None) -> Co
         lines += _uncompared_peaks(changes, ((paths[0], bare), (path, group)), modes)
         jumps |= any(isinf(change.bare.bound + change.damped.bound) for change in changes)
         all_changes += [(bare[0], group[0], change) for change in changes]
-    return Comparison(
-        tuple(all_changes), tuple(lines), (*dict.fromkeys(notes), *((_JUMPS,) if jumps else ()))
-    )
+    return Comparison(tuple(all_changes), tuple(lines), (*dict.fromkeys(notes), *((_JUMPS,) if jumps else ())))
 
 
 def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
@@ -171,9 +168,7 @@ def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
             continue
         open_ended = [name for name, peak in (("before", bare), ("after", damped)) if isinf(peak.bound)]
         equivalent = "" if open_ended else f"{100 * change.equivalent_damping:.2g}"
-        rows.append(
-            (*cells, after, *_format_change(change.decibel, 1), *_format_change(change.shift, 2), equivalent)
-        )
+        rows.append((*cells, after, *_format_change(change.decibel, 1), *_format_change(change.shift, 2), equivalent))
         remarks += [
             f"{change.response}, mode at {change.mode:.2f} Hz: the peak {name} may be higher than measured"
             for name in open_ended
@@ -193,16 +188,12 @@ def _format_change(value: tuple[float, float, float], digits: int) -> tuple[str,
     return estimate, f"{low} to {high}"
 
 
-def present_compare(
-    paths: Sequence[Path], output: Path | None = None, progress: Progress | None = None
-) -> Result:
+def present_compare(paths: Sequence[Path], output: Path | None = None, progress: Progress | None = None) -> Result:
     """Print and tabulate the results of `compare_peaks`; the default folder is that of the first recording."""
     check_outputs(paths, output, "compare", "csv")
     comparison = compare_peaks(paths, progress)
     with output_stem(paths, output, "compare", "csv") as stem:
-        table = write_table(
-            with_ending(stem, "csv"), _HEADING, (_row(*change) for change in comparison.changes)
-        )
+        table = write_table(with_ending(stem, "csv"), _HEADING, (_row(*change) for change in comparison.changes))
     return Result((table,), comparison.lines, comparison.warnings)
 
 

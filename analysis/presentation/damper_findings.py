@@ -35,9 +35,7 @@ _HEADING = (
 )  # fmt: skip
 
 
-def present_dampers(
-    paths: Sequence[Path], output: Path | None = None, progress: Progress | None = None
-) -> Result:
+def present_dampers(paths: Sequence[Path], output: Path | None = None, progress: Progress | None = None) -> Result:
     """Report the motion of the dampers at each frequency of stepped-sine tests as text, figures and tables.
 
     `paths`: recordings of stepped-sine tests with dampers; `output`: folder for figures and tables; default: the
@@ -78,9 +76,7 @@ def describe(dampers: Dampers) -> list[str]:
     """Describe one sweep: a table of the motions, restitution, detection limits and energies."""
     lines = [dampers.label, *(f"  {reason}" for reason in dampers.missing)]
     if dampers.bodies:
-        lines += [
-            f"  {line}" for line in describe_motions(dampers.bodies, dampers.sweep.lines.left_out.tolist())
-        ]
+        lines += [f"  {line}" for line in describe_motions(dampers.bodies, dampers.sweep.lines.left_out.tolist())]
     if dampers.energy is not None:
         lines += [f"  {line}" for line in describe_energy(dampers.energy, dampers.true_impact_energy)]
     return lines
@@ -123,9 +119,7 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], left_out: Sequence[fl
 
 def _motion_rows(motions: list[DamperMotion], left_out: Sequence[float]) -> list[tuple[str, str, str]]:
     """Return the rows of one body: each kind of motion with its frequencies; dampers at rest come last."""
-    kind_at_frequency = [(motion.frequency, _kind(motion)) for motion in motions] + [
-        (f, "") for f in left_out
-    ]
+    kind_at_frequency = [(motion.frequency, _kind(motion)) for motion in motions] + [(f, "") for f in left_out]
     kinds = dict.fromkeys(kind for _, kind in kind_at_frequency if kind)
     if len(kinds) - (_AT_REST in kinds) > _MAX_KINDS:
         separate_kinds = (*_TYPES, _AT_REST, _NEAR_GRAVITY, "")
@@ -174,13 +168,9 @@ def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list
     heading = ["frequency / Hz", "supplied / mJ", "into dampers / %", "per 10 % of scene damping / %"]
     rows = [heading if true is None else [*heading, "true impact loss / %"]]
     for i in indices:
-        share, bound = (
-            100.0 * energies[i] / energy.supplied[i] for energies in (energy.dampers, energy.bound)
-        )
+        share, bound = (100.0 * energies[i] / energy.supplied[i] for energies in (energy.dampers, energy.bound))
         damper_share = (
-            format_interval(share, bound)
-            if not abs(share) <= bound
-            else f"below {format_number(share + bound)}"
+            format_interval(share, bound) if not abs(share) <= bound else f"below {format_number(share + bound)}"
         )
         damping_share = 10.0 * energy.structure[i] / energy.supplied[i]
         row = [

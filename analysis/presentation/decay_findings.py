@@ -54,17 +54,13 @@ def present_decay(
         files = save_figure(decay_figure(decays, title), stem)
         files.append(envelope_table(stem.with_name(stem.name + "-envelope.csv"), decays))
         files.append(damping_table(stem.with_name(stem.name + "-damping.csv"), decays))
-    return Result(
-        tuple(files), tuple(line for result in decays for line in describe_decay(result)), tuple(notes)
-    )
+    return Result(tuple(files), tuple(line for result in decays for line in describe_decay(result)), tuple(notes))
 
 
 def describe_decay(decay: Decay) -> list[str]:
     """Describe a decay: the time from which it stays below 1 g, and the damping ratio of each mode with 95 % bounds."""
     time_below_gravity = decay.quiet_from
-    until = (
-        "not within the recording" if np.isnan(time_below_gravity) else f"after {time_below_gravity:.3g} s"
-    )
+    until = "not within the recording" if np.isnan(time_below_gravity) else f"after {time_below_gravity:.3g} s"
     falls = (
         f"does not fall by {-INITIAL_DECAY_DB[1]:.0f} dB within the recording"
         if np.isnan(decay.halving)

@@ -49,17 +49,13 @@ def demonstrate(folder: Path, say: Callable[[str], None], at: Sequence[float] | 
     say("Recording two stepped sines (without and with three dampers) and two impulse tests ...")
     recordings = {name: folder / f"{name}.mcap" for name in (*SWEEPS, *IMPULSES)}
     for name, path in recordings.items():
-        if path.exists() and not (
-            may_overwrite() or is_recorded(_scene(name, tuple(at or frequencies())), path)
-        ):
+        if path.exists() and not (may_overwrite() or is_recorded(_scene(name, tuple(at or frequencies())), path)):
             raise SceneError(
                 f"{path} exists and is not the demonstration's: it is left as it is. Choose another folder with "
                 "--output, or pass --overwrite"
             )
     for name, seconds in _record_all(recordings, tuple(at or frequencies())):
-        say(
-            f"  {recordings[name]} contains {seconds:.0f} s ({time.monotonic() - start:.0f} s after the start)"
-        )
+        say(f"  {recordings[name]} contains {seconds:.0f} s ({time.monotonic() - start:.0f} s after the start)")
     files = list(recordings.values())
     say("Reading the recordings, and nothing else, for compliance, decay and modes ...")
     sweeps, hits = [recordings[name] for name in SWEEPS], [recordings[name] for name in IMPULSES]

@@ -31,14 +31,10 @@ def expect(rec: Recording, path: Path, command: str) -> None:
             f"{path}: {test.name} contains no free decay. Use `analysis frf {file}` for its frequency responses."
         )
     if command in ("frf", "modes", "dampers") and not test.drives:
-        raise RecordingError(
-            f"{path}: no force drives {test.name}. Use `analysis decay {file}` for its decay."
-        )
+        raise RecordingError(f"{path}: no force drives {test.name}. Use `analysis decay {file}` for its decay.")
     if command == "dampers":
         if not rec.scene.dampers:
-            raise RecordingError(
-                f"{path}: no dampers in its scene. Use `analysis frf {file}` for its responses."
-            )
+            raise RecordingError(f"{path}: no dampers in its scene. Use `analysis frf {file}` for its responses.")
         if test.kind not in (TestKind.TONES, TestKind.NONE):
             suits = "decay" if test.decays else "frf"
             raise RecordingError(
@@ -63,9 +59,7 @@ def expect_all(
     Returns warnings: files given twice, and options that have no effect on some of the files, with the reason.
     """
     requested = {**vars(blocks), "theory": theory or None, "unit": unit}
-    without_effect: dict[str, list[str]] = {
-        name: [] for name, value in requested.items() if value is not None
-    }
+    without_effect: dict[str, list[str]] = {name: [] for name, value in requested.items() if value is not None}
     for path in paths:
         effective: tuple[str, ...]
         if is_frf_file(path):
@@ -76,9 +70,7 @@ def expect_all(
                 kind = rec.test.kind
             effective, reason = ("theory", *BY_KIND[kind].options), BY_KIND[kind].method
         for name in without_effect.keys() - {*effective}:
-            without_effect[name].append(
-                f"{path.name}: {reason if name != 'unit' else 'a recording states its units'}"
-            )
+            without_effect[name].append(f"{path.name}: {reason if name != 'unit' else 'a recording states its units'}")
     for name, files in without_effect.items():
         if len(files) == len(paths):
             raise SceneError(f"--{name}: without effect ({files[0]}). Leave it out.")

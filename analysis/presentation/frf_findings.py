@@ -91,15 +91,9 @@ def describe_frfs(curves: Sequence[Response]) -> list[str]:
                 continue
             peak_index = frf.peak_line()
             size, bound = factor * float(abs(frf.value[peak_index])), factor * float(frf.bound()[peak_index])
-            force = (
-                ""
-                if frf.amplitude is None or frf.reference != "force"
-                else f"{frf.amplitude[peak_index]:.4g}"
-            )
+            force = "" if frf.amplitude is None or frf.reference != "force" else f"{frf.amplitude[peak_index]:.4g}"
             cause = frf.parts()[peak_index] if bound > 0.0 else ""
-            rows.append(
-                (frf.response, format_interval(size, bound), f"{frf.frequency[peak_index]:.4g}", force, cause)
-            )
+            rows.append((frf.response, format_interval(size, bound), f"{frf.frequency[peak_index]:.4g}", force, cause))
             remarks += [f"{frf.response}: {text}" for text in frf.uncertain_peak()]
         lines += [title, *(f"  {line}" for line in (*table_lines(rows, "<>>><"), *remarks))]
     return lines
@@ -116,8 +110,7 @@ def _draw_figures(curves: Sequence[Response], exact: Sequence[Response], stem: P
     if len(settings) == 1:
         shown = [replace(frf, label=frf.ratio) for frf in curves]
         return save_figure(
-            frf_figure(shown, f"{quantity}: {settings[0]}", _without_duplicates(exact), _jump_marks(shown)),
-            stem,
+            frf_figure(shown, f"{quantity}: {settings[0]}", _without_duplicates(exact), _jump_marks(shown)), stem
         )
     inputs = {shown[0].input for shown in groups}
     files = []
@@ -127,9 +120,7 @@ def _draw_figures(curves: Sequence[Response], exact: Sequence[Response], stem: P
         name = first.response if len(inputs) == 1 else first.ratio.replace(" / ", "-by-").replace(" ", "-")
         part = stem if len(groups) == 1 else of_part(stem, name)
         files += save_figure(
-            frf_figure(
-                shown, f"{quantity}, {first.ratio}", _without_duplicates(theory_curves), _jump_marks(shown)
-            ),
+            frf_figure(shown, f"{quantity}, {first.ratio}", _without_duplicates(theory_curves), _jump_marks(shown)),
             part,
         )
     return files

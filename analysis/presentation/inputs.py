@@ -18,9 +18,7 @@ def labels(paths: Sequence[Path]) -> list[str]:
     return [recording_labels.get(path, path.stem) for path in paths]
 
 
-def read_curves(
-    path: Path, reference: str, channels: Sequence[str] | None, unit: str | None
-) -> list[Response]:
+def read_curves(path: Path, reference: str, channels: Sequence[str] | None, unit: str | None) -> list[Response]:
     """Read FRFs of another program; `reference` is the node and direction of the force."""
     curves = read_frfs(path, None if reference == "force" else reference, unit)
     missing = [name for name in channels or () if name not in {curve.response for curve in curves}]

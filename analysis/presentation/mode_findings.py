@@ -77,12 +77,8 @@ def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
     """List natural frequency, damping ratio, shape and, with a theory, the MAC of each mode."""
     count = modes.frequency.size
     bodies = modes.of_bodies()
-    rows = [
-        ("frequency / Hz", "damping ratio / %", "MAC with theory", *(f"at {name}" for name in bodies.names))
-    ]
-    agreement = (
-        [""] * count if theory is None else [f"{mac_value:.4f}" for mac_value in nearest_mac(modes, theory)]
-    )
+    rows = [("frequency / Hz", "damping ratio / %", "MAC with theory", *(f"at {name}" for name in bodies.names))]
+    agreement = [""] * count if theory is None else [f"{mac_value:.4f}" for mac_value in nearest_mac(modes, theory)]
     for i, frequency in enumerate(modes.frequency):
         elements = zip(bodies.shapes[:, i].real, 2.0 * bodies.errors[:, i], strict=True)
         ratio = modes.damping_text(i).strip("(%) ")

@@ -9,13 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rig.errors import RunError
-from rig.provenance import (
-    is_from_another_source,
-    may_overwrite,
-    output_source,
-    reject_foreign_files,
-    relative_paths,
-)
+from rig.provenance import is_from_another_source, may_overwrite, output_source, reject_foreign_files, relative_paths
 
 # Maximum number of characters of a channel name in a file name.
 _MAX_PART_LENGTH = 40
@@ -37,10 +31,7 @@ def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *endings:
     """
     folder = output if output is not None else paths[0].parent
     with output_source(kind, *relative_paths(paths, folder)):
-        for name in (
-            join_names([path.stem for path in paths]),
-            join_names([_with_folder(path) for path in paths]),
-        ):
+        for name in (join_names([path.stem for path in paths]), join_names([_with_folder(path) for path in paths])):
             stem = folder / f"{name}-{kind}"
             files = [with_ending(stem, ending) for ending in endings]
             if may_overwrite() or not any(is_from_another_source(file) for file in files):
@@ -81,9 +72,7 @@ def of_part(stem: Path, part: str) -> Path:
     >>> of_part(Path("run-frf"), "body1").name, of_part(Path("run-frf"), "../../etc/passwd").name
     ('run-frf-body1', 'run-frf-.._.._etc_passwd-3754')
     """
-    safe = "".join(letter if letter.isalnum() or letter in " -_.+" else "_" for letter in part)[
-        :_MAX_PART_LENGTH
-    ]
+    safe = "".join(letter if letter.isalnum() or letter in " -_.+" else "_" for letter in part)[:_MAX_PART_LENGTH]
     return stem.with_name(f"{stem.name}-{safe}" + ("" if safe == part else f"-{_digest(part)[:4]}"))
 
 

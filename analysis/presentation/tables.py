@@ -72,9 +72,7 @@ def envelope_table(path: Path, decays: Sequence[Decay]) -> Path:
         for start in range(0, decay.time.size - step + 1, step):
             part = slice(start, start + step)
             largest = float(abs(decay.acceleration[part]).max()), float(decay.envelope[part].max())
-            rows.append(
-                (decay.label, decay.channel, decay.hit, decay.time[start], *largest, decay.energy[start])
-            )
+            rows.append((decay.label, decay.channel, decay.hit, decay.time[start], *largest, decay.energy[start]))
     return write_table(path, heading, rows)
 
 

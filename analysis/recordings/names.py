@@ -32,11 +32,7 @@ def opened(path: Path) -> Recording:
 
     if not path.exists():
         made_path = "recordings" / Path(path.name)
-        hint = (
-            f". Did you mean '{made_path}'?"
-            if made_path.exists()
-            else f". Make one: `daq record SCENE -o {path}`."
-        )
+        hint = f". Did you mean '{made_path}'?" if made_path.exists() else f". Make one: `daq record SCENE -o {path}`."
         raise RecordingError(f"{path}: no such file{hint}")
     return daq.open(path)
 
@@ -47,9 +43,7 @@ def takes_path(
     """Allow a path instead of an open recording; the recording is open while the function runs."""
 
     @wraps(function)
-    def opening(
-        recording: Recording | str | Path, /, *args: Parameters.args, **kwargs: Parameters.kwargs
-    ) -> Returned:
+    def opening(recording: Recording | str | Path, /, *args: Parameters.args, **kwargs: Parameters.kwargs) -> Returned:
         if isinstance(recording, str | Path):
             with opened(Path(recording)) as rec:
                 return function(rec, *args, **kwargs)
@@ -77,9 +71,7 @@ def distinct_names(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
     pairs = list(zip(names, paths, strict=True))
     by_stem = [f"{name} ({path.stem})" if names.count(name) > 1 else name for name, path in pairs]
     by_path = [f"{name} ({path.as_posix()})" for name, path in pairs]
-    return [
-        longer if by_stem.count(label) > 1 else label for label, longer in zip(by_stem, by_path, strict=True)
-    ]
+    return [longer if by_stem.count(label) > 1 else label for label, longer in zip(by_stem, by_path, strict=True)]
 
 
 def scene_labels(paths: Sequence[Path]) -> list[str]:

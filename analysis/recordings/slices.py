@@ -76,14 +76,8 @@ class Slice:
     def reject_gaps(self, file_format: str) -> None:
         """Reject a segment with lost samples for a format that cannot represent them."""
         for gap in self.recording.gaps:
-            if (
-                gap.first_sample < self.stop
-                and gap.last_sample >= self.start
-                and set(gap.channels) & {*self.channels}
-            ):
-                first, last = (
-                    sample / self.recording.rate for sample in (gap.first_sample, gap.last_sample + 1)
-                )
+            if gap.first_sample < self.stop and gap.last_sample >= self.start and set(gap.channels) & {*self.channels}:
+                first, last = (sample / self.recording.rate for sample in (gap.first_sample, gap.last_sample + 1))
                 raise RecordingError(
                     f"{self.recording.path}: the samples of {', '.join(gap.channels)} from {first:.6g} to "
                     f"{last:.6g} s are lost, which {file_format} cannot represent. Export another part (--from, --to), "
@@ -91,9 +85,7 @@ class Slice:
                 )
 
 
-def read_slices(
-    rec: Recording, channels: Sequence[str], bounds: Iterable[tuple[int, int]]
-) -> Iterator[Array]:
+def read_slices(rec: Recording, channels: Sequence[str], bounds: Iterable[tuple[int, int]]) -> Iterator[Array]:
     """Yield the samples of each segment ``[start, stop)``.
 
     The starts do not decrease; segments may overlap. Yields shape (channels, stop - start). Samples that are lost or
@@ -102,10 +94,7 @@ def read_slices(
     stored: dict[int, Array] = {}
     for start, stop in bounds:
         numbers = range(start // PIECE, -(-min(stop, rec.samples) // PIECE))
-        stored = {
-            number: stored[number] if number in stored else _piece(rec, channels, number)
-            for number in numbers
-        }
+        stored = {number: stored[number] if number in stored else _piece(rec, channels, number) for number in numbers}
         out = np.full((len(channels), stop - start), np.nan)
         for number, piece in stored.items():
             first = number * PIECE

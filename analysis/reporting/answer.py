@@ -16,9 +16,7 @@ from rig.results import format_frequencies
 _MAX_SENTENCES = 3
 
 
-def answer(
-    measurements: Sequence[Measured], changes: Sequence[tuple[Measured, Measured, PeakChange]]
-) -> list[str]:
+def answer(measurements: Sequence[Measured], changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> list[str]:
     """Summarize the results: decays, then comparisons, then resonances and dampers.
 
     `measurements`: all recordings of the report; `changes`: result of `Measurements.changes`.
@@ -39,9 +37,7 @@ def _comparisons(changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> li
         bounded = [pair for pair in here if all(map(isfinite, pair[1].decibel))]
         first, highest = max(here, key=lambda pair: pair[1].bare.value)
         if not bounded:
-            sentences.append(
-                f"“{label}” against “{first.label}”: the measured points determine no change of a peak."
-            )
+            sentences.append(f"“{label}” against “{first.label}”: the measured points determine no change of a peak.")
             continue
         _, change = max(bounded, key=lambda pair: pair[1].bare.value)
         best, low, high = change.decibel
@@ -68,9 +64,7 @@ def _resonances(measured: Measured) -> list[str]:
         if modes is None or not modes.frequency.size:
             continue
         pairs = sorted(zip(modes.frequency, modes.damping, strict=True))
-        listed = ", ".join(
-            f"{frequency:.4g} Hz ({100 * damping:.2g} % damping)" for frequency, damping in pairs
-        )
+        listed = ", ".join(f"{frequency:.4g} Hz ({100 * damping:.2g} % damping)" for frequency, damping in pairs)
         plural = "s" * (modes.frequency.size != 1)
         text = f"“{measured.label}”: {modes.frequency.size} resonance{plural} at {listed}"
         if each.highest is not None:
@@ -90,9 +84,7 @@ def _dampers(measured: Measured, result: Dampers) -> list[str]:
     if not result.bodies:
         return []
     if not hit.any():
-        return [
-            f"“{measured.label}”: no impact of a damper was detected at any of {frequency.size} frequencies."
-        ]
+        return [f"“{measured.label}”: no impact of a damper was detected at any of {frequency.size} frequencies."]
     text = (
         f"“{measured.label}”: damper impacts at {int(hit.sum())} of {frequency.size} frequencies "
         f"({format_frequencies(frequency.tolist(), hit.tolist())})"
@@ -115,8 +107,6 @@ def _decays(measurements: Sequence[Measured]) -> list[str]:
             continue
         quiet = found.quiet_from
         below = "stays above 1 g" if np.isnan(quiet) else f"falls below 1 g after {quiet:.3g} s"
-        falls = (
-            "" if np.isnan(found.halving) else f" and loses its first 6 dB of energy in {found.halving:.3g} s"
-        )
+        falls = "" if np.isnan(found.halving) else f" and loses its first 6 dB of energy in {found.halving:.3g} s"
         parts.append(f"“{measured.label}”: after the hit, {found.channel} {below}{falls}")
     return [f"{'; '.join(parts)}."] if parts else []

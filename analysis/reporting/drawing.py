@@ -42,9 +42,7 @@ def rig_drawing(scene: Scene) -> str:
         parts += _body(scene, body, tops[body - 1])
     for number, shaker in enumerate(scene.shakers, 1):
         for body in shaker.bodies:
-            parts += _shaker(
-                shaker, tops[body - 1] + _BODY_HEIGHT / 2, number if len(scene.shakers) > 1 else None
-            )
+            parts += _shaker(shaker, tops[body - 1] + _BODY_HEIGHT / 2, number if len(scene.shakers) > 1 else None)
     parts += _sensors(scene, tops)
     names = ", ".join(structure.labels)
     return (
@@ -73,9 +71,7 @@ def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
         yield _spring(_LEFT + 24, top + _BODY_HEIGHT, top + _BODY_HEIGHT + _SPACING)
         yield f'<text x="{_LEFT + 40}" y="{top + _BODY_HEIGHT + 28:g}">{stiffness / 1e3:.4g} kN/m</text>'
     elif stiffness is None:
-        yield (
-            f'<path stroke="currentColor" stroke-dasharray="3 4" d="M{middle} {top + _BODY_HEIGHT:g}v{_SPACING}"/>'
-        )
+        yield (f'<path stroke="currentColor" stroke-dasharray="3 4" d="M{middle} {top + _BODY_HEIGHT:g}v{_SPACING}"/>')
     inside = [damper for damper in scene.dampers if damper.body == body]
     for k, damper in enumerate(inside):
         x = _LEFT + 12 + k * (_BODY_WIDTH - 24) / max(len(inside), 1)
@@ -85,12 +81,8 @@ def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
             f'<circle cx="{x + 13:g}" cy="{top + 40:g}" r="7" fill="#d67a2e"/></g>'
         )
         if len(inside) == 1:
-            clearance = (
-                f", {format_number(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else ", open"
-            )
-            size = (
-                f"{1e3 * damper.mass:.4g} g" if damper.mass is not None else f"ratio {damper.mass_ratio:.3g}"
-            )
+            clearance = f", {format_number(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else ", open"
+            size = f"{1e3 * damper.mass:.4g} g" if damper.mass is not None else f"ratio {damper.mass_ratio:.3g}"
             locked = ", locked" if damper.locked else ""
             yield f'<text x="{x + 32:g}" y="{top + 44:g}">{size}{locked}{clearance}</text>'
 
@@ -103,9 +95,7 @@ def _spring(x: float, top: float, bottom: float) -> str:
 
 def _shaker(shaker: Shaker, y: float, number: int | None) -> Iterator[str]:
     """Shaker to the left of the body that it drives, with its spring if it has one."""
-    title = {"force": "force", "table": "shaker table", "electrodynamic": "electrodynamic shaker"}[
-        shaker.kind
-    ]
+    title = {"force": "force", "table": "shaker table", "electrodynamic": "electrodynamic shaker"}[shaker.kind]
     yield f'<text x="4" y="{y - 30:g}">{escape_html(title)}{"" if number is None else f" {number}"}</text>'
     if shaker.kind != "force":
         coils = "".join(f"l8 {9 if k % 2 else -9}" for k in range(_COILS))

@@ -77,9 +77,7 @@ def spectrograms(rec: Recording) -> list[Chart]:
     block = int(min(rec.samples, rec.rate * _LINES / highest))
     if block < _MIN_BLOCK:
         return []
-    starts = np.linspace(0, rec.samples - block, min(_SPECTRA, max(rec.samples // (block // 4), 1))).astype(
-        int
-    )
+    starts = np.linspace(0, rec.samples - block, min(_SPECTRA, max(rec.samples // (block // 4), 1))).astype(int)
     window = np.hanning(block)
     lines = int(block * highest / rec.rate)
     charts = []

@@ -153,8 +153,4 @@ def _changes(first: Measured, other: Measured) -> list[PeakChange]:
     before, after = MeasurementPoints.of(first.path, first.rec), MeasurementPoints.of(other.path, other.rec)
     after.comparable_with(before)
     same = after.same_sensors(before)
-    return [
-        change
-        for each in other.passes
-        for change in peak_changes(modes, first.passes[0].frfs, each.frfs, same)
-    ]
+    return [change for each in other.passes for change in peak_changes(modes, first.passes[0].frfs, each.frfs, same)]

@@ -141,9 +141,7 @@ def _commands(paths: Sequence[Path], found: Sequence[Measured]) -> list[str]:
         if which
     ]
     lines.append(f"analysis report {every}")
-    made = (
-        f"Made with shotrig {version('shotrig')}. The scene file of each recording is above, with its seed."
-    )
+    made = f"Made with shotrig {version('shotrig')}. The scene file of each recording is above, with its seed."
     return [
         "<h2>How to repeat this</h2>",
         f"<pre>{escape_html(chr(10).join(lines))}</pre>",

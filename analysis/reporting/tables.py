@@ -67,9 +67,7 @@ def with_bound(value: float, bound: float) -> str:
     """
     if not isfinite(bound):
         return f"{value:.4g} (unbounded)"
-    return (
-        f"{round_to_bound(value, bound)} ± {round_to_bound(bound, bound)}" if bound > 0.0 else f"{value:.4g}"
-    )
+    return f"{round_to_bound(value, bound)} ± {round_to_bound(bound, bound)}" if bound > 0.0 else f"{value:.4g}"
 
 
 def changes_table(found: Sequence[tuple[Measured, Measured, PeakChange]]) -> str:
@@ -81,9 +79,7 @@ def changes_table(found: Sequence[tuple[Measured, Measured, PeakChange]]) -> str
             rows.append((pair,))
         best, low, high = change.decibel
         shift, down, up = change.shift
-        exceeds = (
-            "yes" if low > 0.0 or high < 0.0 else "no" if isfinite(low) and isfinite(high) else "not bounded"
-        )
+        exceeds = "yes" if low > 0.0 or high < 0.0 else "no" if isfinite(low) and isfinite(high) else "not bounded"
         decibel = f"{best:+.1f}" if isfinite(low) or isfinite(high) else "unknown"
         shift_text = f"{shift:+.2f} ({down:+.2f} to {up:+.2f})"
         where = f"{change.response}, {change.mode:.2f} Hz"
@@ -169,8 +165,7 @@ def settings(measured: Measured) -> str:
         ("seed", str(scene.seed)),
     ]
     about = "".join(
-        f"<tr><th>{escape_html(key)}</th><td class='text'>{escape_html(value)}</td></tr>"
-        for key, value in facts
+        f"<tr><th>{escape_html(key)}</th><td class='text'>{escape_html(value)}</td></tr>" for key, value in facts
     )
     middle = _middle_frequency(measured)
     channels = [
@@ -204,11 +199,7 @@ def _middle_frequency(measured: Measured) -> float:
 
 def _damper(damper: Damper, body: str) -> str:
     mass = f"{damper.mass:.4g} kg" if damper.mass is not None else f"mass ratio {damper.mass_ratio:.3g}"
-    clearance = (
-        f"clearance {format_number(1e3 * damper.clearance)} mm"
-        if isfinite(damper.clearance)
-        else "no ceiling"
-    )
+    clearance = f"clearance {format_number(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else "no ceiling"
     return f"{body}: {mass}, {clearance}{', locked' if damper.locked else ''}"
 
 

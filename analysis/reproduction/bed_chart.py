@@ -56,11 +56,7 @@ def beds(parts: Parts) -> Figure:
         for axes in panels[-1]:
             axes.set_xlabel("clearance / mm")
         figure.colorbar(
-            image,
-            ax=list(panels.flat),
-            label="deviation of grains from one mass / %",
-            extend="both",
-            aspect=40,
+            image, ax=list(panels.flat), label="deviation of grains from one mass / %", extend="both", aspect=40
         )
     return figure
 
@@ -79,18 +75,12 @@ def modes(parts: Parts) -> Figure:
             axes.set(xlabel="clearance / mm" if row == len(layers) - 1 else "")
             axes.set_title(f"Compliance at {frequency:g} Hz" if row == 0 else "")
         figure.colorbar(
-            image,
-            ax=list(panels.flat),
-            label="deviation of grains from one mass / %",
-            extend="both",
-            aspect=40,
+            image, ax=list(panels.flat), label="deviation of grains from one mass / %", extend="both", aspect=40
         )
     return figure
 
 
-def _draw_panel(
-    axes: Axes, data: Columns, chosen: np.ndarray, deviations: np.ndarray, error: np.ndarray
-) -> AxesImage:
+def _draw_panel(axes: Axes, data: Columns, chosen: np.ndarray, deviations: np.ndarray, error: np.ndarray) -> AxesImage:
     levels, clearances = np.unique(data["level"]), np.unique(data["clearance"])
     values = np.full((len(levels), len(clearances)), np.nan)
     for k in np.flatnonzero(chosen):
@@ -104,14 +94,7 @@ def _draw_panel(
             color="white" if abs(deviations[k]) > 0.65 * _COLOR_LIMIT else BLACK,
             weight="bold" if abs(deviations[k]) <= 100.0 * MAX_DEVIATION else "normal",
         )  # fmt: skip
-    image = axes.imshow(
-        values,
-        origin="lower",
-        aspect="auto",
-        cmap="RdBu_r",
-        vmin=-_COLOR_LIMIT,
-        vmax=_COLOR_LIMIT,
-    )
+    image = axes.imshow(values, origin="lower", aspect="auto", cmap="RdBu_r", vmin=-_COLOR_LIMIT, vmax=_COLOR_LIMIT)
     axes.grid(False)
     axes.set_xticks(range(len(clearances)), [f"{1e3 * c:g}" if np.isfinite(c) else "∞" for c in clearances])
     axes.set_yticks(range(len(levels)), [f"{level:g}" for level in levels])

@@ -120,9 +120,7 @@ def verdict(beds: Columns) -> str:
 
 def _describe_settings(beds: Columns) -> str:
     repeated, max_seeds = int((beds["seeds"] > 1).sum()), int(beds["seeds"].max())
-    packings = (
-        f"; {repeated} of them with up to {max_seeds} packings, which give the errors" if repeated else ""
-    )
+    packings = f"; {repeated} of them with up to {max_seeds} packings, which give the errors" if repeated else ""
     grain_counts = [BEDS[layers][0] for layers in np.unique(beds["layers"]).tolist()]
     level, depth, clearance = (
         f"{values.min():.3g} to {values.max():.3g}"
@@ -165,10 +163,7 @@ def _describe_counts(beds: Columns) -> str:
 def _describe_mode(beds: Columns, frequency: float) -> str:
     """Compare grains with one mass at another resonance."""
     at_frequency = select(beds, beds["frequency"] == frequency)
-    deviations, without_ceiling = (
-        100.0 * deviation(at_frequency, "compliance"),
-        np.isinf(at_frequency["clearance"]),
-    )
+    deviations, without_ceiling = (100.0 * deviation(at_frequency, "compliance"), np.isinf(at_frequency["clearance"]))
     parts = (
         f"{label} {_count_within(deviations[selected], 100 * MAX_DEVIATION)} of {int(selected.sum())} within "
         f"{100 * MAX_DEVIATION:g} %, median {np.median(deviations[selected]):+.0f} %, from "
@@ -206,10 +201,7 @@ def _describe_contact(beds: Columns, contacts: Columns) -> str:
         deviation_on_contact(contact, limited, contacts),
         cross_validated_deviation(limited, contacts),
     )
-    all_deviations, instantaneous = (
-        deviation_on_contact(contact, beds, contacts),
-        deviation(beds, "compliance"),
-    )
+    all_deviations, instantaneous = (deviation_on_contact(contact, beds, contacts), deviation(beds, "compliance"))
     has_ceiling = np.isfinite(beds["clearance"])
     ceiling_impulse = ceiling_impulse_on_contact(contact, limited, contacts)
     floor_deviations = (1.0 + limited["grains_ceiling_impulse"]) / (1.0 + ceiling_impulse) - 1.0

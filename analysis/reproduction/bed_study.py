@@ -114,9 +114,7 @@ def settings() -> list[Setting]:
     listed += [Setting(*point) for point in of_max_layers]
     listed += [
         Setting(level, clearance, layers, seed, frequency)
-        for seed, layers, (frequency, clearances) in product(
-            SEEDS, LAYERS_OF_MODES, SETTINGS_OF_MODES.items()
-        )
+        for seed, layers, (frequency, clearances) in product(SEEDS, LAYERS_OF_MODES, SETTINGS_OF_MODES.items())
         for clearance, levels in clearances.items()
         for level in levels
     ]
@@ -199,10 +197,7 @@ def table(path: Path | None = None) -> Arrays:
             ]
         out[f"mass_{name}"], out[f"grains_{name}"] = mass, np.array([values.mean() for values in of_seeds])
         out[f"error_{name}"] = np.array(
-            [
-                values.std(ddof=1) / math.sqrt(len(values)) if len(values) > 1 else math.inf
-                for values in of_seeds
-            ]
+            [values.std(ddof=1) / math.sqrt(len(values)) if len(values) > 1 else math.inf for values in of_seeds]
         )
     for bed in ("grains", "mass"):
         out[f"{bed}_type"] = np.array(

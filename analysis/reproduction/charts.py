@@ -60,9 +60,7 @@ def design(parts: Parts) -> Figure:
         ):  # fmt: skip
             data = parts[name]
             # A tilde marks peaks of irregular motion, which are simulated and averaged; all others are exact orbits.
-            cells = zip(
-                data["peak"].flat, abbreviate_types(data["type_there"]).flat, data["exact"].flat, strict=True
-            )
+            cells = zip(data["peak"].flat, abbreviate_types(data["type_there"]).flat, data["exact"].flat, strict=True)
             labels = [f"{'' if exact else '~'}{1e6 * peak:.0f}\n{kind}" for peak, kind, exact in cells]
             texts, peak = np.array(labels).reshape(data["peak"].shape), data["peak"]
             image = _map(axes, data, 1e6 * peak, "magma_r", 40.0, 450.0, texts, peak > 2.4e-4, 7)
@@ -143,9 +141,7 @@ def _map(
     """Draw values as colors over clearance and force, with a text in each cell, white where `light` is true."""
     image = axes.imshow(values, origin="lower", aspect="auto", cmap=colours, vmin=low, vmax=high)
     for (i, j), text in np.ndenumerate(texts):
-        axes.text(
-            j, i, text, ha="center", va="center", fontsize=size, color="white" if light[i, j] else BLACK
-        )
+        axes.text(j, i, text, ha="center", va="center", fontsize=size, color="white" if light[i, j] else BLACK)
     axes.grid(False)
     axes.set_xticks(range(values.shape[1]), [f"{1e3 * c:g}" for c in data["clearance"]])
     axes.set_yticks(range(values.shape[0]), [f"{f:g}" for f in data["force"]])

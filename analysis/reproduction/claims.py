@@ -41,8 +41,7 @@ def _c1(parts: Parts) -> Claim:
     holds = omega_error < 2e-3 and identified_error < 1e-3 and shape_error < 0.02
     return Claim(
         "C1",
-        "Natural frequencies 81.9, 218.8, 312.4 rad/s and their shapes; responses of the three masses without "
-        "dampers.",
+        "Natural frequencies 81.9, 218.8, 312.4 rad/s and their shapes; responses of the three masses without dampers.",
         (
             Evidence(
                 f"The chain of the paper's masses and springs has {_list(theory['omega'], 3)} rad/s, within "
@@ -79,9 +78,7 @@ def _c2(parts: Parts) -> Claim:
         if len(median_clearance) > 1 and (np.diff(median_clearance) > 0).all()
         else ""
     )
-    figure_cell = [
-        int(np.abs(grid - value).argmin()) for grid, value in zip((force, clearance), FIGURE_5, strict=True)
-    ]
+    figure_cell = [int(np.abs(grid - value).argmin()) for grid, value in zip((force, clearance), FIGURE_5, strict=True)]
     verdict = (
         f"holds for these parameters: {int(cells.sum())} of {cells.size} combinations of force and clearance"
         if cells.any()
@@ -132,11 +129,7 @@ def _enhanced(single: Columns) -> str:
     return (
         "With one damper, at the same force, the median peak of Type III is "
         f"{min(factors):.1f} to {max(factors):.1f} times that of the other motions: Type III "
-        + (
-            "enhances the motion, as the paper says."
-            if min(factors) > 1.0
-            else "does not always enhance the motion."
-        )
+        + ("enhances the motion, as the paper says." if min(factors) > 1.0 else "does not always enhance the motion.")
     )
 
 
@@ -162,18 +155,12 @@ def _c3(parts: Parts) -> Claim:
     first_is_least = scanned["share"][..., 0] > scanned["share"][..., 1:].max(axis=-1)
     at_level = first_is_least[:, :, int(np.abs(scanned["force"] - FORCE_C3_N).argmin())]
     up_to_force = np.logical_and.accumulate(first_is_least.all(axis=(0, 1)))
-    largest = (
-        f"up to {scanned['force'][up_to_force].max():g} N"
-        if up_to_force.any()
-        else "at none of the forces tried"
-    )
+    largest = f"up to {scanned['force'][up_to_force].max():g} N" if up_to_force.any() else "at none of the forces tried"
     by_force = ", ".join(
         f"{force:g} N {int(cells.sum())} of {cells.size}"
         for force, cells in zip(scanned["force"], np.moveaxis(first_is_least, 2, 0), strict=True)
     )
-    dampings, ratios = (
-        ", ".join(f"{100 * value:g}" for value in scanned[name]) for name in ("damping", "mass_ratio")
-    )
+    dampings, ratios = (", ".join(f"{100 * value:g}" for value in scanned[name]) for name in ("damping", "mass_ratio"))
     failures = [
         text
         for ok, text in (
@@ -235,8 +222,7 @@ def _c5(parts: Parts) -> Claim:
                 names,
             ),
             Evidence(
-                "The recordings differ in nothing else than that noise, so what grows with it is due to it.",
-                names,
+                "The recordings differ in nothing else than that noise, so what grows with it is due to it.", names
             ),
         ),
         f"holds for accelerometers of {min(differing_noises)} ug/√Hz and more, of those tried; the paper names none"

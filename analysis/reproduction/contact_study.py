@@ -17,14 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.reproduction.bed_study import (
-    BEDS,
-    FREQUENCY,
-    SETTINGS,
-    Setting,
-    compliance_at_peak,
-    scene_of_bed,
-)
+from analysis.reproduction.bed_study import BEDS, FREQUENCY, SETTINGS, Setting, compliance_at_peak, scene_of_bed
 from analysis.reproduction.store import Arrays
 from analysis.reproduction.stored_table import Row, Table, complete
 from rig.arrays import Array
@@ -122,9 +115,7 @@ def _ceiling_force(scene: Scene, run: Run) -> float:
     stiffness, damping = system.wall_stiffness[0, 1], system.wall_damping[0, 1]
     push = stiffness * (run.gap[0] - clearance) + damping * np.gradient(run.gap[0], run.time)
     return float(
-        np.where(run.contact[0] == 2, np.maximum(push, 0.0), 0.0)[
-            -_AVERAGED_PERIODS * _SAMPLES_PER_PERIOD :
-        ].mean()
+        np.where(run.contact[0] == 2, np.maximum(push, 0.0), 0.0)[-_AVERAGED_PERIODS * _SAMPLES_PER_PERIOD :].mean()
     )
 
 
@@ -146,10 +137,7 @@ def fit_contact(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarra
         for duration in np.unique(contacts["duration_s"]).tolist()
         for share in SHARES
     ]
-    errors = [
-        float(np.abs(np.log1p(deviation_on_contact(contact, beds, contacts))).mean())
-        for contact in candidates
-    ]
+    errors = [float(np.abs(np.log1p(deviation_on_contact(contact, beds, contacts))).mean()) for contact in candidates]
     return candidates[int(np.argmin(errors))]
 
 
@@ -203,9 +191,7 @@ def select(beds: Mapping[str, np.ndarray], chosen: NDArray[np.bool_]) -> Arrays:
 def _column_at_settings(
     name: str, contact: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
 ) -> Array:
-    of_contact = (contacts["restitution"] == contact.restitution) & (
-        contacts["duration_s"] == contact.duration
-    )
+    of_contact = (contacts["restitution"] == contact.restitution) & (contacts["duration_s"] == contact.duration)
     by_setting = {
         (level, clearance): value
         for level, clearance, value in zip(

@@ -16,8 +16,7 @@ def fig9_claim(parts: Parts) -> Claim:
     approximate, exact, measured = parts["approx-fig9"], parts["orbit-fig9"], parts["rec-fig9"]
     admissible = approximate["valid"] & approximate["stable"]
     spans = {
-        kind: [_span(approximate, admissible, kind), _span(exact, exact["stable"], kind)]
-        for kind in ("II", "III")
+        kind: [_span(approximate, admissible, kind), _span(exact, exact["stable"], kind)] for kind in ("II", "III")
     }
     approximate_peak = np.abs(approximate["compliance"][admissible]).max()
     exact_peak = np.abs(exact["compliance"][exact["stable"], 1]).max()
@@ -74,10 +73,7 @@ def fig9_claim(parts: Parts) -> Claim:
         if only_type_2
         else "Type III, with a short stay at the ceiling, takes the top of the resonance at 0.98 mm for our damping of "
         f"0.5 %, but is absent there for {free_from}",
-        *(
-            f"the {name}'s peak is that of exact motion within {100 * MAX_PEAK_DIFFERENCE:g} %"
-            for name in agreements
-        ),
+        *(f"the {name}'s peak is that of exact motion within {100 * MAX_PEAK_DIFFERENCE:g} %" for name in agreements),
         *disagreements,
     ]
     return Claim(

@@ -39,9 +39,7 @@ def figure_4(parts: Parts) -> Figure:
         for body, shade in enumerate(COLORS[:3]):
             plot_body(upper, theory, body, color=shade, lw=0.9)
             plot_body(upper, measured, body, "o", color=shade, ms=2.2, label=f"body {body + 1}")
-            lower.plot(
-                measured["frequency"], abs(measured["transfer"][body]), "o-", color=shade, ms=2.2, lw=0.7
-            )
+            lower.plot(measured["frequency"], abs(measured["transfer"][body]), "o-", color=shade, ms=2.2, lw=0.7)
         for omega in theory["omega"]:
             upper.axvline(omega / (2 * np.pi), color=GREY, lw=0.7, ls=":")
             upper.annotate(
@@ -226,9 +224,7 @@ def figure_10b(parts: Parts) -> Figure:
         for name, shade, label in (("none", GREY, "no damper"), ("three", BLUE, "three dampers")):
             data = parts[f"rec-hit-{name}"]
             axes.plot(data["time"], data["acceleration"], color=shade, lw=0.5)
-            envelope = outline(
-                data["acceleration"], 1.0 / (LOWEST_MODE_HZ * (data["time"][1] - data["time"][0]))
-            )
+            envelope = outline(data["acceleration"], 1.0 / (LOWEST_MODE_HZ * (data["time"][1] - data["time"][0])))
             for side, entry in ((envelope, label), (-envelope, "")):
                 axes.plot(data["time"], side, color=shade, lw=1.4, label=entry)
         limits: dict[str, Any] = {"color": ORANGE, "alpha": 0.2, "lw": 0, "label": "within 1 g: dampers rest"}
@@ -239,9 +235,7 @@ def figure_10b(parts: Parts) -> Figure:
     return figure
 
 
-def _draw_branches(
-    axes: Axes, data: Columns, values: np.ndarray, shade: str, label: str, selected: Any
-) -> None:
+def _draw_branches(axes: Axes, data: Columns, values: np.ndarray, shade: str, label: str, selected: Any) -> None:
     """Draw each branch, stable sections bold and unstable sections thin; wrapped phases are not joined."""
     for number in np.unique(data["branch"]):
         on_branch = data["branch"] == number

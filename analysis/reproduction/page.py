@@ -46,9 +46,7 @@ def _note_monotonic_mass(optimum: Columns) -> str:
     ratios = optimum["mass_ratios"]
     if optimum["mass_ratio"] < ratios.max():
         return ""
-    worst_peaks = [
-        f"{100 * r:.3g} % {1e6 * optimum['worst'][ratios == r].min():.0f}" for r in np.unique(ratios)
-    ]
+    worst_peaks = [f"{100 * r:.3g} % {1e6 * optimum['worst'][ratios == r].min():.0f}" for r in np.unique(ratios)]
     return f" The worst peak falls with the mass ratio. Peaks in µm/N: {', '.join(worst_peaks)}."
 
 
@@ -80,9 +78,7 @@ def beyond_the_paper(parts: Parts) -> list[Evidence]:
     scans = (parts["scan-single"]["exact"], parts["scan-three"]["exact"])
     exact_cells = " and ".join(f"{int(cells.sum())} of {cells.size}" for cells in scans)
     exact = parts["orbit-fig9"]
-    specials = [
-        f"{kind} at {f:.4f} Hz" for kind, f in zip(exact["special"], exact["special_frequency"], strict=True)
-    ]
+    specials = [f"{kind} at {f:.4f} Hz" for kind, f in zip(exact["special"], exact["special_frequency"], strict=True)]
     kinds = sorted(set(exact["type"].tolist()))
     clearances = tuple(name for name in sorted(parts) if name.startswith("best-"))
     lines = [
@@ -108,9 +104,7 @@ def beyond_the_paper(parts: Parts) -> list[Evidence]:
             f"{len(specials)} special points, among them {'; '.join(specials[:6])}.",
             ("orbit-fig9",),
         ),
-        Evidence(
-            _compare_weightings(parts), tuple(name for name in sorted(parts) if name.startswith("weights-"))
-        ),
+        Evidence(_compare_weightings(parts), tuple(name for name in sorted(parts) if name.startswith("weights-"))),
     ]
     lines += [Evidence(f"Not found: {text}", ("orbit-fig9",)) for text in exact["failures"]]
     return lines

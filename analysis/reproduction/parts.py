@@ -42,12 +42,7 @@ THIRD_RESONANCE_GRID = np.unique(np.concatenate([np.linspace(45.5, 53.0, 16), np
 SWEEP_GRID = np.unique(
     np.round(
         np.concatenate(
-            [
-                np.linspace(8, 60, 80),
-                np.linspace(12, 13.8, 28),
-                np.linspace(31.5, 36, 28),
-                np.linspace(45.5, 51, 28),
-            ]
+            [np.linspace(8, 60, 80), np.linspace(12, 13.8, 28), np.linspace(31.5, 36, 28), np.linspace(45.5, 51, 28)]
         ),
         3,
     )
@@ -62,23 +57,14 @@ EFFORT = {
 # Clearances at which a body on a spring shows each type of motion at one force and frequency, in Fig 3.
 TYPES = {"I": 0.98e-3, "II": 0.5e-3, "III": 0.25e-3}
 # Points of Fig 5 whose waveforms Fig 6 shows.
-WAVES = {
-    "a": ("fig5-single-damper", 48.25),
-    "b": ("fig5-three-dampers", 48.0),
-    "c": ("fig5-three-dampers", 49.75),
-}
+WAVES = {"a": ("fig5-single-damper", 48.25), "b": ("fig5-three-dampers", 48.0), "c": ("fig5-three-dampers", 49.75)}
 
 
 def all_parts(folder: Path) -> list[PaperPart]:
     """List the parts."""
     single, three = rig.load("fig5-single-damper"), rig.load("fig5-three-dampers")
     fig9, fig10a = rig.load("fig9"), rig.load("fig10a")
-    grid = {
-        "forces": FORCES,
-        "clearances": CLEARANCES,
-        "frequencies": THIRD_RESONANCE_GRID,
-        "mass_ratio": 0.10,
-    }
+    grid = {"forces": FORCES, "clearances": CLEARANCES, "frequencies": THIRD_RESONANCE_GRID, "mass_ratio": 0.10}
     robust: dict[str, Any] = {"force": 3.3, "frequencies": THIRD_RESONANCE_GRID}
     wide_band, dense_grid = {"band": (46.0, 54.0)}, {"frequencies": np.linspace(*THIRD_MODE_BAND_HZ, 109)}
     jobs: list[tuple[str, str, Any, Scene, dict[str, Any]]] = [
@@ -150,9 +136,7 @@ def all_parts(folder: Path) -> list[PaperPart]:
         ),
     ]  # fmt: skip
     bundled = [
-        PaperPart(
-            name, f"{name}\n{study.TABLE.bundled.read_text(encoding='utf-8')}", study.table, {}, title, 0.1
-        )
+        PaperPart(name, f"{name}\n{study.TABLE.bundled.read_text(encoding='utf-8')}", study.table, {}, title, 0.1)
         for name, study, title in (
             ("beds", bed_study, "beds of grains against one mass, stored"),
             ("contacts", contact_study, "one mass on finite-duration contacts, stored"),
@@ -172,12 +156,7 @@ def _one_body(clearance: float) -> Scene:
 
 def _experiments(folder: Path) -> list[PaperPart]:
     fig10a, without_display = rig.load("fig10a"), {"display": False}
-    test = {
-        "kind": "stepped_sine",
-        "frequencies": SWEEP_GRID.tolist(),
-        "force": 2.6,
-        "settle": {"longest": 20.0},
-    }
+    test = {"kind": "stepped_sine", "frequencies": SWEEP_GRID.tolist(), "force": 2.6, "settle": {"longest": 20.0}}
     noise_test = test | {"frequencies": np.sort(NOISE_GRID).tolist()}
     jobs: list[tuple[str, Scene, Any]] = [
         (name, scene.replace(test=test, recording=without_display), compute)
@@ -198,8 +177,7 @@ def _experiments(folder: Path) -> list[PaperPart]:
         ("rec-hit-three", rig.load("fig10b-three-dampers"), experiment.ring_down),
     ]
     return [
-        _part(name, f"virtual experiment: {scene.name}", compute, scene, {}, folder)
-        for name, scene, compute in jobs
+        _part(name, f"virtual experiment: {scene.name}", compute, scene, {}, folder) for name, scene, compute in jobs
     ]
 
 
@@ -207,9 +185,7 @@ def _with_noise(scene: Scene, density: float) -> Scene:
     """Set the noise density of all accelerometers of a scene, ug/sqrt(Hz)."""
     noise = f"{density:g} ug/sqrt(Hz)"
     channels = [
-        channel.replace(accelerometer=channel.accelerometer.replace(noise=noise))
-        if channel.accelerometer
-        else channel
+        channel.replace(accelerometer=channel.accelerometer.replace(noise=noise)) if channel.accelerometer else channel
         for channel in scene.channels or ()
     ]
     return scene.replace(channels=tuple(channels))
@@ -220,8 +196,7 @@ def _part(
 ) -> PaperPart:
     """Return a part; `folder`: of the recording that the part makes, on which its results do not depend."""
     serialized = {
-        key: value if isinstance(value, dict) else np.asarray(value).tolist()
-        for key, value in arguments.items()
+        key: value if isinstance(value, dict) else np.asarray(value).tolist() for key, value in arguments.items()
     }
     depends = f"{name}\n{scene.to_si_yaml()}\n{serialized}"
     inputs = {"scene": scene, **arguments}

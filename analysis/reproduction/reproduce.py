@@ -70,11 +70,7 @@ def reproduce(
     effort = sum(part.effort for part in missing) / cores()
     say(
         f"{len(stored)} of {len(parts)} parts are stored, {len(missing)} are to be computed"
-        + (
-            f": about {_format_duration(effort)} on {cores()} free cores, the longest parts first."
-            if missing
-            else "."
-        )
+        + (f": about {_format_duration(effort)} on {cores()} free cores, the longest parts first." if missing else ".")
     )
     if missing:
         progress = _Progress(missing, say)
@@ -93,9 +89,7 @@ def reproduce(
     return files
 
 
-def compute(
-    parts: Sequence[PaperPart], folder: Path, cluster: str | None = None
-) -> Iterator[tuple[PaperPart, Arrays]]:
+def compute(parts: Sequence[PaperPart], folder: Path, cluster: str | None = None) -> Iterator[tuple[PaperPart, Arrays]]:
     """Compute parts on all cores or a cluster, longest first, and store each result when it is complete."""
     waiting = sorted(parts, key=lambda part: -part.effort)
     with Workers(cluster) as workers:

@@ -37,9 +37,7 @@ def structure_numbers(scene: Scene, frequencies: Array) -> Arrays:
 
 def simulated(scene: Scene, frequencies: Array, direction: str = "up", tolerance: float = 1e-6) -> Arrays:
     """Compute the steady response to a purely sinusoidal force, frequency by frequency."""
-    response = frequency_response(
-        with_ideal_force(scene), frequencies, direction, tolerance=tolerance, longest=4000
-    )
+    response = frequency_response(with_ideal_force(scene), frequencies, direction, tolerance=tolerance, longest=4000)
     return {
         "frequency": response.frequency,
         "compliance": response.compliance,

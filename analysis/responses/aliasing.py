@@ -129,9 +129,7 @@ def _image_ratio(
     return np.asarray(drive / abs(image_per_motion + image_per_force * shaker.spring))
 
 
-def _required_drive(
-    shaker: TableShaker | ElectrodynamicShaker, frequency: Array
-) -> tuple[ComplexArray, ComplexArray]:
+def _required_drive(shaker: TableShaker | ElectrodynamicShaker, frequency: Array) -> tuple[ComplexArray, ComplexArray]:
     """Return the drive, up to a constant gain, per metre of table motion and per newton of force on the table."""
     s: ComplexArray = np.asarray(2j * np.pi * frequency, dtype=np.complex128)
     if isinstance(shaker, TableShaker):

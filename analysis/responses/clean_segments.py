@@ -50,9 +50,7 @@ def flaws(rec: Recording, channels: Collection[str], first: int, stop: int) -> l
         for gap in rec.gaps
         if set(gap.channels) & set(channels)
     ]
-    return sorted(
-        (flaw for flaw in found if flaw.first < stop and flaw.stop > first), key=lambda flaw: flaw.first
-    )
+    return sorted((flaw for flaw in found if flaw.first < stop and flaw.stop > first), key=lambda flaw: flaw.first)
 
 
 def clean_segments(found: list[Flaw], first: int, stop: int) -> list[tuple[int, int]]:
@@ -94,9 +92,7 @@ def remedy(rec: Recording, found: Sequence[Flaw]) -> str:
             if kind is None or info.range is None or parse(text, kind) * info.sensitivity < info.range:
                 limits.append(f"{name} up to {text}")
     sensor = f", or use a sensor of a larger range ({', '.join(limits)})" if limits else ""
-    remedies = (
-        [] if reasons == {SETTLING} else [f"lower the level, widen the range (converter: range){sensor}"]
-    )
+    remedies = [] if reasons == {SETTLING} else [f"lower the level, widen the range (converter: range){sensor}"]
     if SETTLING in reasons:
         remedies.append("switch the sensors on earlier before the test")
     text = ", and ".join(remedies)

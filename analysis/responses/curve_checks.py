@@ -71,14 +71,9 @@ def jumps(frf: Response) -> list[tuple[float, str]]:
     relative = np.nan_to_num(frf.error / abs(frf.value), nan=np.inf)
     noise = np.hypot(relative[1:], relative[:-1])
     is_jump = (
-        (step > _MIN_STEP)
-        & (step > _MIN_RATIO_TO_NEIGHBORS * np.maximum(before, after))
-        & (step > _MIN_SIGMAS * noise)
+        (step > _MIN_STEP) & (step > _MIN_RATIO_TO_NEIGHBORS * np.maximum(before, after)) & (step > _MIN_SIGMAS * noise)
     )
     return [
-        (
-            float(0.5 * (frf.frequency[i] + frf.frequency[i + 1])),
-            "jump up" if steps[i].real > 0 else "jump down",
-        )
+        (float(0.5 * (frf.frequency[i] + frf.frequency[i + 1])), "jump up" if steps[i].real > 0 else "jump down")
         for i in np.flatnonzero(is_jump)
     ]

@@ -73,9 +73,7 @@ class Averages:
 
     estimator: str = "H1"  # or ``"H2"``, ``"Hv"``
 
-    def frf(
-        self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
-    ) -> Response:
+    def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
         """Estimate a frequency response with coherence; error bars after Bendat and Piersol, eq. 9.90."""
         above = motion_of(rec, response, motion)
         upper = above.row(rec, self.channels, self.frequency)
@@ -89,24 +87,18 @@ class Averages:
         value = estimate(self.estimator, sxx, sff, sxf)
         # Ratio of incoherent to coherent power of the response.
         with np.errstate(divide="ignore", invalid="ignore"):
-            incoherence = np.sum(np.square(np.abs(x - (sxf / sff)[:, None] * f)), axis=1) / (
-                abs(sxf) ** 2 / sff
-            )
+            incoherence = np.sum(np.square(np.abs(x - (sxf / sff)[:, None] * f)), axis=1) / (abs(sxf) ** 2 / sff)
         coherence = 1.0 / (1.0 + incoherence)
         # Reading of each channel per unit of the reference.
         readings = np.einsum("nij,jn->in", self.cross, lower.conj()) / sff
         # Coherence from few blocks is biased towards 1; the scatter has averages - 1 degrees of freedom.
         free = self.averages - 1.0
-        error = (
-            abs(value) * np.sqrt(incoherence / (2.0 * free)) if free > 0.0 else np.full(value.shape, np.nan)
-        )
+        error = abs(value) * np.sqrt(incoherence / (2.0 * free)) if free > 0.0 else np.full(value.shape, np.nan)
         causes: dict[str, Array] = {}
         if self.unsmeared is not None:
             sharp = self.unsmeared.frf(rec, response, reference, motion)
             causes[LEAKAGE] = leakage(self.frequency, value, error, sharp)
-        shares = ReadingShares(
-            self.channels, self.frequency, motion, value, upper * readings, lower * readings
-        )
+        shares = ReadingShares(self.channels, self.frequency, motion, value, upper * readings, lower * readings)
         incoherent = reference_noise_part(value, coherence)
         if len(below.channels) > 1:
             noise = self._incoherent_power(below.channels)

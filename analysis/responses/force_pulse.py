@@ -57,6 +57,4 @@ def slow_and_fast(info: ChannelInfo) -> tuple[list[complex], list[complex]]:
 
 def _high_pass(pole: complex, rate: float) -> tuple[ComplexArray, ComplexArray]:
     """Return numerator and denominator of s / (s - pole) by the bilinear transform."""
-    return np.array([2.0 * rate, -2.0 * rate], dtype=complex), np.array(
-        [2.0 * rate - pole, -2.0 * rate - pole]
-    )
+    return np.array([2.0 * rate, -2.0 * rate], dtype=complex), np.array([2.0 * rate - pole, -2.0 * rate - pole])

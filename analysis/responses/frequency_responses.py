@@ -76,9 +76,7 @@ class Request:
 class Source(Protocol):
     """Readings of one pass of a test, from which responses are estimated."""
 
-    def frf(
-        self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
-    ) -> Response:
+    def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
         """Estimate one response."""
 
 
@@ -125,9 +123,7 @@ def _multisine(request: Request) -> list[Response]:
     from analysis.responses.multisine import best_linear_approximation
 
     rec, measured, progress = request.rec, request.measured, request.progress
-    return request.compute(
-        [best_linear_approximation(rec, measured, request.channels, request.reference, progress)]
-    )
+    return request.compute([best_linear_approximation(rec, measured, request.channels, request.reference, progress)])
 
 
 def _hits(request: Request) -> list[Response]:
@@ -153,9 +149,7 @@ BY_KIND = {
         frozenset({"estimator", "block", "overlap", "window"}),
     ),
     TestKind.MULTISINE: Estimator(_multisine, "whole periods of a multisine are averaged"),
-    TestKind.HITS: Estimator(
-        _hits, "a block belongs to one hit", frozenset({"estimator", "block", "window"})
-    ),
+    TestKind.HITS: Estimator(_hits, "a block belongs to one hit", frozenset({"estimator", "block", "window"})),
 }
 
 
@@ -212,28 +206,20 @@ def frequency_responses(
         raise SceneError(f"unknown motion {motion!r}: expected {', '.join(MOTIONS)}")
     names, kind = select_channels(rec, channels), rec.test.kind
     if not names:
-        raise RecordingError(
-            f"{rec.path}: no channel measures a body's motion. Add one to the scene's channels."
-        )
+        raise RecordingError(f"{rec.path}: no channel measures a body's motion. Add one to the scene's channels.")
     if not {name for name, value in vars(blocks).items() if value is not None} <= BY_KIND[kind].options:
         method = rec.test.name if kind in _KINDS_WITHOUT_ESTIMATOR else BY_KIND[kind].method
-        raise SceneError(
-            f"{rec.path}: {method}. Blocks, H1, H2 and Hv are for random tests and hits; leave them out."
-        )
+        raise SceneError(f"{rec.path}: {method}. Blocks, H1, H2 and Hv are for random tests and hits; leave them out.")
     measured = [marker for marker in rec.markers if marker.kind == "measure"]
     if kind in _MARKED_KINDS and not measured:
         raise RecordingError(f"{rec.path}: {rec.test.name} ended before a measurement. Record it again.")
     inputs = driven_forces(rec) if reference == "force" else ()
     if len(inputs) > 1:
         used = [*names, *(point.name for point in inputs)]
-        computed = [
-            response_matrix(rec, names, inputs, motion, estimator, block, overlap or 0.5, window or "hann")
-        ]
+        computed = [response_matrix(rec, names, inputs, motion, estimator, block, overlap or 0.5, window or "hann")]
     else:
         used = required_channels(rec, names, reference)
-        computed = BY_KIND[kind].estimate(
-            Request(rec, names, reference, motion, blocks, progress, used, measured)
-        )
+        computed = BY_KIND[kind].estimate(Request(rec, names, reference, motion, blocks, progress, used, measured))
     unfiltered = [name for name in used if not rec.channels[name].filter]
     if not rec.source or not unfiltered:
         return computed
@@ -246,10 +232,7 @@ def frequency_responses(
 
 def annotate(rec: Recording, curves: Sequence[Response]) -> list[Response]:
     """Add positions to the curves of one sweep, and a warning to all of them if the force has the wrong sign."""
-    curves = [
-        curve.placed(location_of(rec, curve.response), input_location(rec, curve.reference))
-        for curve in curves
-    ]
+    curves = [curve.placed(location_of(rec, curve.response), input_location(rec, curve.reference)) for curve in curves]
     warning = reversed_force(curves)
     return [curve.warn(warning) for curve in curves] if warning else curves
 
@@ -298,9 +281,7 @@ def frfs(
     names = select_channels(rec, channels)
     if rec.test.kind not in (TestKind.TONES, TestKind.NONE):
         if level is not None or direction is not None:
-            raise SceneError(
-                f"{rec.path}: no sweeps of steady tones to choose from. Leave out level and direction."
-            )
+            raise SceneError(f"{rec.path}: no sweeps of steady tones to choose from. Leave out level and direction.")
         (group,) = frequency_responses(rec, names, reference, motion)
         return group
     force_level = number(level, FORCE, "level")

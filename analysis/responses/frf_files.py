@@ -112,9 +112,7 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
         raise RecordingError(f"{path}: no frequency response (data set 58, function type 4).{remedy}")
     references = list(dict.fromkeys(uff.point(data_set, "ref") for data_set in frf_sets))
     if reference is None and len(references) > 1:
-        raise SceneError(
-            f"{path}: {len(references)} references. Choose one of {', '.join(references)[:300]}."
-        )
+        raise SceneError(f"{path}: {len(references)} references. Choose one of {', '.join(references)[:300]}.")
     selected = [data_set for data_set in frf_sets if reference in (None, uff.point(data_set, "ref"))]
     if not selected:
         raise SceneError(f"{path}: no reference {reference!r}. Choose one of {', '.join(references)[:300]}.")
@@ -136,10 +134,7 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
         above, below = uff.label(data_set, "ordinate"), uff.label(data_set, "orddenom")
         label = f"({above})/({below})" if above and below else above
         motion, scale = _ratio(f"{path}: {name}", unit or label)
-        points, line = (
-            (uff.point(data_set, "rsp"), uff.point(data_set, "ref")),
-            str(data_set.get("id4") or ""),
-        )
+        points, line = ((uff.point(data_set, "rsp"), uff.point(data_set, "ref")), str(data_set.get("id4") or ""))
         stated = deviation.get((points, f"{DEVIATION_LINE} {uff.title(data_set)}"))
         error = None if stated is None else scale * stated
         resolution = _stated_resolution(line)
@@ -169,10 +164,7 @@ def _stated_resolution(line: str) -> float | None:
 
 def _names(sets: Sequence[Mapping[str, Any]]) -> list[str]:
     """Name responses by the first distinct attribute: titles, positions or numbers."""
-    for names in (
-        [uff.title(data_set) for data_set in sets],
-        [uff.point(data_set, "rsp") for data_set in sets],
-    ):
+    for names in ([uff.title(data_set) for data_set in sets], [uff.point(data_set, "rsp") for data_set in sets]):
         if len(set(names)) == len(names):
             return names
     return [f"{uff.point(data_set, 'rsp')} #{number}" for number, data_set in enumerate(sets, 1)]
@@ -222,15 +214,11 @@ def _long_curves(path: Path, unit: str | None) -> list[Response]:
         for line in reader:
             try:
                 value = scale * complex(float(line[real]), float(line[imag]))
-                columns = (
-                    float(line.get(name) or "nan") for name in (deviation, "coherence", "resolution_Hz")
-                )
+                columns = (float(line.get(name) or "nan") for name in (deviation, "coherence", "resolution_Hz"))
                 error, coherence, resolution = columns
                 point = float(line["frequency_Hz"]), value, scale * error, coherence, resolution
             except (TypeError, ValueError):
-                raise RecordingError(
-                    f"{path}:{reader.line_num}: a cell is not a number. Correct it."
-                ) from None
+                raise RecordingError(f"{path}:{reader.line_num}: a cell is not a number. Correct it.") from None
             name = f"{line.get('scene') or ''}\0{line['response']}"
             rows.setdefault(name, []).append(point)
             inputs[name] = (line.get("reference") or "").removeprefix("force at ")
@@ -260,9 +248,7 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
     for name, column_unit, values in columns:
         match = _PART.fullmatch(name)
         if match is None:
-            raise RecordingError(
-                f"{path}: column {name!r}; expected names that end in real, imag, magnitude or phase"
-            )
+            raise RecordingError(f"{path}: column {name!r}; expected names that end in real, imag, magnitude or phase")
         kind = _KINDS[match[2][0].lower()]
         parts.setdefault(match[1] or "response", {})[kind] = (match[3] or column_unit, values)
     curves = []

@@ -83,9 +83,7 @@ class Hits:
             force = rec.read(channel, begin, stop)
             noise = np.sqrt(np.nanmedian(np.diff(force) ** 2))
             force = abs(force - np.nanmedian(force))
-            marked, largest = (
-                float(np.nanmax(part, initial=0.0)) for part in (force[: end - begin + 1], force)
-            )
+            marked, largest = (float(np.nanmax(part, initial=0.0)) for part in (force[: end - begin + 1], force))
             if marked < _MIN_MARKED_RATIO * largest:
                 reason = (
                     f"reads at most {marked:.3g} N at the marker of the hit, {begin / rec.rate:.4g} s, and "
@@ -93,9 +91,7 @@ class Hits:
                 )
                 unmarked.append(Flaw(begin, stop, channel, reason))
             # Rebounds of the hammer are part of the hit.
-            last = int(
-                np.flatnonzero(force > max(_MIN_REBOUND_RATIO * marked, _REBOUND_SIGMAS * noise))[-1:].sum()
-            )
+            last = int(np.flatnonzero(force > max(_MIN_REBOUND_RATIO * marked, _REBOUND_SIGMAS * noise))[-1:].sum())
             spread = 2 * int(np.ceil(info.filter.get("delay", 0.0))) + 2
             windows.append((begin, min(max(end, begin + last + spread), stop - 1)))
         arrivals = windows
@@ -207,17 +203,11 @@ class Hits:
                 counts = np.rint(block[:, first : first + after_hit] / step)
                 largest = np.maximum(largest, abs(counts).max(axis=1, keepdims=True))
                 for error, (steps, ratio) in zip(errors, _COARSER, strict=True):
-                    error += (
-                        abs(fft.rfft(steps * np.rint(counts / steps) - counts, size, axis=1)) ** 2 / ratio
-                    )
-                before = [
-                    rec.read(name, max(start, begin - int(PRE_HIT_S * rec.rate)), begin) for name in names
-                ]
+                    error += abs(fft.rfft(steps * np.rint(counts / steps) - counts, size, axis=1)) ** 2 / ratio
+                before = [rec.read(name, max(start, begin - int(PRE_HIT_S * rec.rate)), begin) for name in names]
                 if before[0].size > 2:
                     noise.append(np.mean(np.diff(before, axis=1) ** 2, axis=1, keepdims=True) / 2.0)
-        reproducible = reproducible_rounding(
-            np.mean(noise, axis=0) / step**2 if noise else np.zeros(count.shape)
-        )
+        reproducible = reproducible_rounding(np.mean(noise, axis=0) / step**2 if noise else np.zeros(count.shape))
         # Average over one tooth spacing of the comb spectrum of several hits and no farther: peaks do not represent
         # valleys.
         window = 2 * -(-side // SIDE) + 1
@@ -227,9 +217,7 @@ class Hits:
             # The square of a normal error with two components is below three times its mean with 95 % probability.
             gain = (step * np.sqrt(3.0 * errors / mean_power))[:, lines]
         gain = np.where((largest < _MIN_COUNTS) & (reproducible > _MAX_REPRODUCIBLE), np.inf, gain)
-        return np.asarray(
-            np.where(count > 0.0, reproducible * np.nan_to_num(gain, nan=np.inf, posinf=np.inf), 0.0)
-        )
+        return np.asarray(np.where(count > 0.0, reproducible * np.nan_to_num(gain, nan=np.inf, posinf=np.inf), 0.0))
 
     def highest_frequency(self, rec: Recording) -> float:
         """Compute the highest frequency in Hz that the hits excite."""
@@ -249,6 +237,4 @@ def _amplitude(reading: Array) -> float:
     noise = 0.5 * np.mean(np.diff(reading) ** 2)
     middle, sigmas = reading.size // 2, _DETECTION_SIGMAS / np.sqrt(reading.size)
     drift = abs(reading[:middle].mean() - reading[middle:].mean()) - 2.0 * sigmas * np.sqrt(noise)
-    return float(
-        max(drift, np.sqrt(2.0 * max(reading.var() - (1.0 + sigmas * np.sqrt(2.0)) * noise, 0.0)), 0.0)
-    )
+    return float(max(drift, np.sqrt(2.0 * max(reading.var() - (1.0 + sigmas * np.sqrt(2.0)) * noise, 0.0)), 0.0))

@@ -37,9 +37,7 @@ def segment_fits(rec: Recording, channels: Sequence[str]) -> SegmentFits:
     )  # fmt: skip
 
 
-def averages(
-    rec: Recording, channels: Sequence[str], block: float | None = None, window: str = "none"
-) -> Averages:
+def averages(rec: Recording, channels: Sequence[str], block: float | None = None, window: str = "none") -> Averages:
     """Average the spectra of one block for each hit, as most programs do.
 
     `block`: length of a block in s; if omitted, the shortest time from a hit to the next hit, or to the end.
@@ -65,9 +63,7 @@ def averages(
     if averaged.used < len(begins):
         notes.append(f"{len(begins) - averaged.used} of {len(begins)} hits left out: {reasons}.")
     if averaged.used == 1:
-        notes.append(
-            "One block: its coherence is 1 for any noise, and the scatter is unknown. Record more hits."
-        )
+        notes.append("One block: its coherence is 1 for any noise, and the scatter is unknown. Record more hits.")
     leaks = averaged.remaining > _MAX_REMAINING_RATIO
     if leaks:
         notes.append(

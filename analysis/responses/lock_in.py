@@ -144,9 +144,7 @@ class LockIn:
 
     def _tones(self, sample: int) -> Array:
         """Return the rows cos k, -sin k of the tones at a sample of a part."""
-        angle = (
-            2 * np.pi * np.fmod(np.arange(1, self.harmonics + 1) * self.frequency * sample / self.rate, 1.0)
-        )
+        angle = 2 * np.pi * np.fmod(np.arange(1, self.harmonics + 1) * self.frequency * sample / self.rate, 1.0)
         return np.column_stack([np.cos(angle), -np.sin(angle)]).ravel()
 
     def _gram(self, length: int) -> tuple[Array, Array]:

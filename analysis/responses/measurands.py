@@ -31,9 +31,7 @@ def find_channel(rec: Recording, name: str) -> ChannelInfo:
             return info
     if number is not None:
         raise RecordingError(f"{rec.path}: no channel at {name}. Choose one of {', '.join(channels)}.")
-    similar = difflib.get_close_matches(
-        str(name), [*channels, *(info.at for info in channels.values()), *bodies], n=1
-    )
+    similar = difflib.get_close_matches(str(name), [*channels, *(info.at for info in channels.values()), *bodies], n=1)
     hint = f" Did you mean {similar[0]!r}?" if similar else ""
     raise RecordingError(f"{rec.path}: no channel {name!r}.{hint} The channels are {', '.join(channels)}.")
 
@@ -58,16 +56,12 @@ def select_channels(rec: Recording, channels: Sequence[str] | str | None) -> lis
 
 def motion_channel_at(rec: Recording, location: str) -> ChannelInfo | None:
     """Return the first motion channel at a position (``"body 1"``, ``"table"``), or None."""
-    return next(
-        (info for info in rec.channels.values() if info.at == location and info.quantity in MOTIONS), None
-    )
+    return next((info for info in rec.channels.values() if info.at == location and info.quantity in MOTIONS), None)
 
 
 def responses(rec: Recording) -> list[str]:
     """Return the names of the channels that measure a body's motion, in the recording's order."""
-    return [
-        name for name, info in rec.channels.items() if info.quantity in MOTIONS and info.at.startswith("body")
-    ]
+    return [name for name, info in rec.channels.items() if info.quantity in MOTIONS and info.at.startswith("body")]
 
 
 @dataclass(frozen=True)
@@ -78,9 +72,7 @@ class Measurand:
     weights: tuple[float, ...]  # factor of each channel's true quantity
     motion: str  # quantity of each channel: displacement, velocity, acceleration or force
 
-    def row(
-        self, rec: Recording, names: Sequence[str], frequency: NDArray[np.float64]
-    ) -> NDArray[np.complex128]:
+    def row(self, rec: Recording, names: Sequence[str], frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
         """Compute the weights of the recorded amplitudes of `names`, shape (channels, frequencies).
 
         The weights contain the inverse response of sensor, amplifier and converter, and the powers of j omega that
@@ -145,9 +137,7 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
         hint = "Drive the structure through a coil spring, shaker: {kind: table, body: 1, spring: 6.6 kN/m}."
         if shaker is not None:
             hint = f"Add {{name: force, at: {rec.scene.at_driven('shaker')}}} to the scene's channels."
-        raise RecordingError(
-            f"{rec.path}: no channel measures the force ({_places(rec)}; no coil spring). {hint}"
-        )
+        raise RecordingError(f"{rec.path}: no channel measures the force ({_places(rec)}; no coil spring). {hint}")
     ends = []
     for at in (rec.scene.at_driven("table"), f"body {shaker.body}"):
         info = motion_channel_at(rec, at)

@@ -65,9 +65,7 @@ def best_linear_approximation(
     notes = [note for spectra in all_spectra for note in spectra.notes]
     complete = [spectra for spectra in all_spectra if len(spectra.spectra)]
     if not complete:
-        raise RecordingError(
-            f"{rec.path}: no realisation of the multisine has two whole periods. {' '.join(notes)}"
-        )
+        raise RecordingError(f"{rec.path}: no realisation of the multisine has two whole periods. {' '.join(notes)}")
     count, frequency = len(complete), complete[0].frequency
     row = reference_of(rec, reference).row(rec, names, frequency)
     means, noises = [], []
@@ -113,9 +111,7 @@ def best_linear_approximation(
 def _undistorted(rec: Recording, total: Lines, reference: str) -> str:
     """Return the warning for a test without detected distortion, with the force of a tone that lifts a damper."""
     lifting_forces = [(np.inf, np.nan)]
-    row = (
-        reference_of(rec, "force").row(rec, total.channels, total.frequency) if reference == "force" else 0.0
-    )
+    row = reference_of(rec, "force").row(rec, total.channels, total.frequency) if reference == "force" else 0.0
     force: Array = np.asarray(abs(np.sum(row * total.mean, axis=0)))
     for body in {damper.body for damper in rec.scene.dampers if not damper.locked}:
         info = motion_channel_at(rec, f"body {body}")
@@ -157,17 +153,13 @@ def period_spectra(rec: Recording, names: Sequence[str], marker: Marker) -> Peri
     frequency = lines * rec.rate / size
     bounds = [(marker.first_sample + k * size, marker.first_sample + (k + 1) * size) for k in range(periods)]
     all_flaws = [flaws(rec, names, *bound) for bound in bounds]
-    clean = [
-        bound for bound, found in zip(bounds, all_flaws, strict=True) if not found and bound[1] <= rec.samples
-    ]
+    clean = [bound for bound, found in zip(bounds, all_flaws, strict=True) if not found and bound[1] <= rec.samples]
     notes = []
     if marker.fields.get("settled") is False:
         notes.append(f"Realisation {number} was measured before steady state. Increase test: settle.")
     if len(clean) < periods:
         reasons = describe_flaws(rec, [flaw for found in all_flaws for flaw in found])
-        notes.append(
-            f"{periods - len(clean)} of {periods} periods of realisation {number} left out: {reasons}."
-        )
+        notes.append(f"{periods - len(clean)} of {periods} periods of realisation {number} left out: {reasons}.")
     if len(clean) < 2:
         notes.append(f"Realisation {number} left out: fewer than two whole periods.")
         empty = np.zeros((0, len(names), 0))
@@ -192,7 +184,5 @@ def _distorted(total: Lines, noise: Lines) -> bool:
     """Return whether realisations scatter more than by noise, residual transients and rounding to counts."""
     scatter, expected = (np.linalg.norm(lines.scatter.rows, axis=0) for lines in (total, noise))
     limits = [part for part in (total.remainder, total.resolution) if part is not None]
-    distorted = (scatter > _NOISE_RATIO * expected + np.sum(limits, axis=0)) & (
-        scatter > _MEAN_RATIO * abs(total.mean)
-    )
+    distorted = (scatter > _NOISE_RATIO * expected + np.sum(limits, axis=0)) & (scatter > _MEAN_RATIO * abs(total.mean))
     return bool(np.max(distorted.mean(axis=1)) > _MIN_DISTORTED_LINES)

@@ -59,16 +59,10 @@ class MeanErrors:
 
     def joined(self, others: Sequence[RandomErrors]) -> MeanErrors | None:
         """Join the errors of these and other elements."""
-        same = [
-            other
-            for other in others
-            if isinstance(other, MeanErrors) and other.means.shape == self.means.shape
-        ]
+        same = [other for other in others if isinstance(other, MeanErrors) and other.means.shape == self.means.shape]
         if len(same) < len(others):
             return None
-        return replace(
-            self, weights=np.concatenate([self.weights, *(other.weights for other in same)], axis=1)
-        )
+        return replace(self, weights=np.concatenate([self.weights, *(other.weights for other in same)], axis=1))
 
     def covariance(self, error: Array, shared: float) -> LineCovariance:
         """Compute the covariance over elements; the stated variances include information from neighbouring lines."""
@@ -176,9 +170,7 @@ class LocalErrors:
         for begin in range(0, count, step):
             part = slice(begin, begin + step)
             local_noise, influence = noise[first[part, None] + np.arange(width)], self.influence[part]
-            lines[part] = np.einsum(
-                "kasw,kwac,kcsw->kac", influence, local_noise, influence.conj(), optimize=True
-            )
+            lines[part] = np.einsum("kasw,kwac,kcsw->kac", influence, local_noise, influence.conj(), optimize=True)
         lines = lines / self.used + 2.0 * self.common[:, :, None] * self.common[:, None].conj()
         if reference_ratio is None:
             # The fit reproduces part of the noise of known power, so the residuals underestimate it.
@@ -236,9 +228,7 @@ class LocalCovariance:
             total += np.einsum("pbi,bij,qbj->pq", by_bin, self.noise, by_bin.conj(), optimize=True).real
         common = np.einsum("kap,ka->p", weights.conj(), errors.common)
         total *= 0.5 * errors.shared / errors.used
-        own = np.einsum("kaa->ka", self.lines).real * (
-            0.5 * self.shared * _UNCORRELATED / (1.0 + _UNCORRELATED)
-        )
+        own = np.einsum("kaa->ka", self.lines).real * (0.5 * self.shared * _UNCORRELATED / (1.0 + _UNCORRELATED))
         total += np.einsum("kap,ka,kaq->pq", weights.conj(), own, weights, optimize=True).real
         return np.asarray(total + np.outer(common.real, common.real) + np.outer(common.imag, common.imag))
 

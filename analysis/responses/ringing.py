@@ -59,11 +59,7 @@ def ringing(value: ComplexArray, frequency: Array, waited: Array, lasted: Array,
         distance = 1j * omega[k] - pole
         change = abs(residue) * abs(1.0 / distance - 1.0 / (1j * omega[k - 1] - pole))
         limit = max(noise, _ROUNDING_RATIO * abs(value[k]))
-        relevant = (
-            (pole.real < 0.0)
-            & (abs(distance.imag) < _MAX_HALF_WIDTHS * abs(distance.real))
-            & (change > limit)
-        )
+        relevant = (pole.real < 0.0) & (abs(distance.imag) < _MAX_HALF_WIDTHS * abs(distance.real)) & (change > limit)
         relevant &= abs(omega[k] - omega[k - 1]) < _MAX_SPACING_RATIO * abs(distance)
         wait = max(waited[k] - _TRANSITION_RATIO * lasted[k], 0.0)
         exponent = -distance[relevant] * lasted[k]

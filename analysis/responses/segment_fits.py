@@ -65,9 +65,7 @@ class SegmentFits:
     # stored spectra by channels, and the motion before the hits of each segment
     computed: dict[tuple[str, ...], tuple[LocalSpectra, list[float]]] = field(default_factory=dict)
 
-    def frf(
-        self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
-    ) -> Response:
+    def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
         """Estimate the frequency response with coherence, random and systematic errors."""
         above, below = motion_of(rec, response, motion), reference_of(rec, reference)
         names, noise = self.channels, None
@@ -100,13 +98,9 @@ class SegmentFits:
                 advice = "the test is too short to average. Record longer"
             elif others and not flawed & set(references):
                 advice += f", or use only the other channels: --response {' --response '.join(others)}"
-            raise RecordingError(
-                f"{rec.path}: {' '.join([*notes, f'No response can be estimated: {advice}.'])}"
-            )
+            raise RecordingError(f"{rec.path}: {' '.join([*notes, f'No response can be estimated: {advice}.'])}")
         if names not in self.computed:
-            moving = (
-                [] if self.hits is None else [self.hits.moving(rec, names, *bounds) for bounds in segments]
-            )
+            moving = [] if self.hits is None else [self.hits.moving(rec, names, *bounds) for bounds in segments]
             self.computed[names] = self._spectra(rec, names, segments, moving), moving
         return *self.computed[names], segments, notes
 
@@ -123,8 +117,7 @@ class SegmentFits:
             clean = [
                 (start, stop)
                 for start, stop in clean
-                if np.sum((np.arange(start, stop) - self.first) % period < on)
-                > max(4 * SIDE, _MIN_BURST * on)
+                if np.sum((np.arange(start, stop) - self.first) % period < on) > max(4 * SIDE, _MIN_BURST * on)
             ]
         # The frequency range of a fit must be smaller than the band.
         min_length_s = 2 * SIDE / (self.high - self.low) if self.hits is None else 0.2
@@ -138,9 +131,7 @@ class SegmentFits:
             return [], [f"No segment longer than {longest / rec.rate:.3g} s is clean."]
         return selected, []
 
-    def _limit_memory(
-        self, segments: list[tuple[int, int]], rate: float
-    ) -> tuple[list[tuple[int, int]], list[str]]:
+    def _limit_memory(self, segments: list[tuple[int, int]], rate: float) -> tuple[list[tuple[int, int]], list[str]]:
         """Limit hits to the first hits that fit into memory; random tests are read in pieces."""
         if self.hits is None:
             return segments, []
@@ -167,11 +158,7 @@ class SegmentFits:
         ]
 
     def _spectra(
-        self,
-        rec: Recording,
-        names: Sequence[str],
-        segments: Sequence[tuple[int, int]],
-        moving: Sequence[float],
+        self, rec: Recording, names: Sequence[str], segments: Sequence[tuple[int, int]], moving: Sequence[float]
     ) -> LocalSpectra:
         """Compute the spectra of all segments, zero-padded at the beginning to the length of the longest."""
         # Zeros before each segment separate the residual vibration at its end from the response to its hit.
@@ -194,8 +181,7 @@ class SegmentFits:
             gain = np.repeat(noise_gain(in_counts(rec, names, power))[:, None], lines.size, axis=1)
         else:
             at_rest = [
-                self.hits.at_rest(motion, *bounds, size)
-                for bounds, motion in zip(segments, moving, strict=True)
+                self.hits.at_rest(motion, *bounds, size) for bounds, motion in zip(segments, moving, strict=True)
             ]
             blocks = []
             for (start, stop), rest in zip(segments, at_rest, strict=True):
@@ -252,15 +238,9 @@ def _with_motion_before(frf: Response, moving: Sequence[float]) -> Response:
     )
     # The spectrum of a free decay decreases with the distance from its resonance in proportion to the response to the
     # hit. Every line is therefore treated as a resonance with the magnitude and width of the curve at this line.
-    to_acceleration = (2.0 * np.pi * frf.frequency) ** {"displacement": 2, "velocity": 1, "acceleration": 0}[
-        frf.motion
-    ]
+    to_acceleration = (2.0 * np.pi * frf.frequency) ** {"displacement": 2, "velocity": 1, "acceleration": 0}[frf.motion]
     skirt = 1.0 / (np.pi * (np.abs(np.arange(1 - frf.value.size, frf.value.size)) + 1.0))
-    error = (
-        largest
-        * scipy.signal.fftconvolve(skirt, abs(frf.value) * to_acceleration, mode="valid")
-        / to_acceleration
-    )
+    error = largest * scipy.signal.fftconvolve(skirt, abs(frf.value) * to_acceleration, mode="valid") / to_acceleration
     limited = frf.with_limits({MOTION_BEFORE: error})
     return limited.warn(warning) if largest > _MAX_MOTION_RATIO else limited
 

@@ -66,9 +66,7 @@ COHERENT_INPUTS = (
 
 def driven_forces(rec: Recording) -> tuple[Point, ...]:
     """Return the force channels of all shakers that were driven simultaneously; at most one for a single input."""
-    marker = next(
-        (marker for marker in rec.markers if "shakers" in marker.fields and marker.kind == "measure"), None
-    )
+    marker = next((marker for marker in rec.markers if "shakers" in marker.fields and marker.kind == "measure"), None)
     if marker is None:
         return ()
     forces: list[Point] = []
@@ -84,9 +82,7 @@ def driven_forces(rec: Recording) -> tuple[Point, ...]:
         forces.append(Point(name, "force", " and ".join(bodies)))
     stop = min(marker.stop, rec.samples)
     power = [float(np.nanvar(rec.read(point.name, marker.first_sample, stop))) for point in forces]
-    return tuple(
-        p for p, square in zip(forces, power, strict=True) if square > _MIN_FORCE_POWER_RATIO * max(power)
-    )
+    return tuple(p for p, square in zip(forces, power, strict=True) if square > _MIN_FORCE_POWER_RATIO * max(power))
 
 
 def response_matrix(
@@ -206,9 +202,7 @@ class SpectralMatrix:
                 smeared[:, a, k] = leakage(self.frequency, value[:, a, k], error[:, a, k], sharp)
         points, degrees = (self.outputs, self.inputs), np.full(value.shape, 2.0 * count)
         causes = {REFERENCE_NOISE: bias, LEAKAGE: smeared}
-        budget = _matrix_budget(
-            rec, self.frequency, value, points, error, degrees, causes, MatrixErrors(covariance)
-        )
+        budget = _matrix_budget(rec, self.frequency, value, points, error, degrees, causes, MatrixErrors(covariance))
         response = Response(
             self.frequency, value, *points, budget, self.multiple_coherence(),
             label=averages.label, resolution=averages.resolution, warnings=averages.warnings,
@@ -230,10 +224,7 @@ def input_output_spectra(
     channels = [*dict.fromkeys([*names, *(point.name for point in inputs)])]
     averages = random.averages(rec, marker, channels, block, overlap, window=window)
     rows = np.stack(
-        [
-            quantity.row(rec, channels, averages.frequency)
-            for quantity in _measurands(rec, names, inputs, motion)
-        ]
+        [quantity.row(rec, channels, averages.frequency) for quantity in _measurands(rec, names, inputs, motion)]
     )
     power = np.einsum("acn,ncd,bdn->nab", rows, averages.cross, rows.conj(), optimize=True)
     sharp = _by_local_fits(rec, marker, names, inputs, motion)
@@ -246,9 +237,7 @@ def _unit_power(spectra: ComplexArray) -> tuple[ComplexArray, Array]:
     return np.asarray(spectra / (scale[:, :, None] * scale[:, None])), scale
 
 
-def _measurands(
-    rec: Recording, names: Sequence[str], inputs: Sequence[Point], motion: str
-) -> list[Measurand]:
+def _measurands(rec: Recording, names: Sequence[str], inputs: Sequence[Point], motion: str) -> list[Measurand]:
     forces = [Measurand((point.name,), (1.0,), "force") for point in inputs]
     return [*(motion_of(rec, name, motion) for name in names), *forces]
 
@@ -269,16 +258,12 @@ def _matrix_budget(
             limits = {name: limit[:, a, k] for name, limit in causes.items()}
             scale = common_scale(rec, [output.name], [force.name])
             budgets.append(
-                assemble_budget(
-                    rec, shares, error[:, a, k], degrees[:, a, k], limits, shared=shared, scale=scale
-                )
+                assemble_budget(rec, shares, error[:, a, k], degrees[:, a, k], limits, shared=shared, scale=scale)
             )
     return replace(stacked(budgets, value.shape), errors=errors)
 
 
-def _element_shares(
-    output: str, force: str, frequency: Array, motion: str, value: ComplexArray
-) -> ReadingShares:
+def _element_shares(output: str, force: str, frequency: Array, motion: str, value: ComplexArray) -> ReadingShares:
     """Return the contributions of the two channels to an element of the matrix."""
     zero = np.zeros(frequency.size, dtype=complex)
     shares = np.stack([value, zero]), np.stack([zero, zero + 1.0])
@@ -321,9 +306,7 @@ def _by_local_fits(
         coherence[:, a] = np.clip(1.0 - fit.noise / np.maximum(local_power, 1e-300), 0.0, 1.0)
     # Upper limit of the noise power of each force: its power that is not coherent with an output.
     force_power = np.stack([_mean_square(force, spectra.side)[spectra.lines] for force in forces], axis=1)
-    noise_limit = np.minimum(
-        np.min(noise[:, :, None] / np.maximum(abs(value) ** 2, 1e-300), axis=1), force_power
-    )
+    noise_limit = np.minimum(np.min(noise[:, :, None] / np.maximum(abs(value) ** 2, 1e-300), axis=1), force_power)
     bias = abs(value) * (noise_limit / np.maximum(force_power, 1e-300))[:, None]
     # Covariance of the residuals of the outputs, propagated through the fits to the elements at each line.
     residual, influence = np.stack(residuals, axis=1), np.stack(influences, axis=1)
@@ -377,17 +360,13 @@ def _from_experiments(
         forces[np.linalg.cond(scaled) ** 2 > MAX_CONDITION_NUMBER] = np.nan
         inverse = np.linalg.inv(forces)
         value = outputs @ inverse
-        weights = np.einsum("acn->nac", rows[: len(names)]) - np.einsum(
-            "nam,mcn->nac", value, rows[len(names) :]
-        )
+        weights = np.einsum("acn->nac", rows[: len(names)]) - np.einsum("nam,mcn->nac", value, rows[len(names) :])
         noise: ComplexArray = np.zeros((frequency.size, value[0].size, value[0].size), dtype=complex)
         transient = np.zeros(value.shape)
         residual_power, output_power = np.zeros(value.shape[:2]), np.zeros(value.shape[:2])
         for e, experiment in enumerate(experiments):
             periods = len(experiment.spectra)
-            residual = np.einsum(
-                "nac,rcn->ran", weights, experiment.spectra - experiment.spectra.mean(axis=0)
-            )
+            residual = np.einsum("nac,rcn->ran", weights, experiment.spectra - experiment.spectra.mean(axis=0))
             cross = np.einsum("ran,rbn->nab", residual, residual.conj()) / (periods * (periods - 1.0))
             residual_power += periods * np.einsum("naa->na", cross).real
             output_power += np.square(abs(outputs[:, :, e]))
@@ -444,10 +423,7 @@ def reciprocity(response: Response) -> tuple[Reciprocity, ...]:
             a, b = places[input_k.place], places[input_m.place]
             first, second = response.value[:, a, m], response.value[:, b, k]
             valid = np.isfinite(first) & np.isfinite(second)
-            difference, limit = (
-                abs(first - second)[valid],
-                (uncertainty[:, a, m] + uncertainty[:, b, k])[valid],
-            )
+            difference, limit = (abs(first - second)[valid], (uncertainty[:, a, m] + uncertainty[:, b, k])[valid])
             mean = np.maximum(0.5 * abs(first + second)[valid], 1e-300)
             within, deviation = float(np.mean(difference <= limit)), float(np.median(difference / mean))
             pairs.append(Reciprocity((input_k.place, input_m.place), within, deviation))

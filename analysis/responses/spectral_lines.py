@@ -70,9 +70,7 @@ class Lines:
     waited: Array | None = None
     lasted: Array | None = None
 
-    def frf(
-        self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
-    ) -> Response:
+    def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
         """Divide the mean response by the mean reference; their covariance propagates to first order."""
         names: Sequence[str] = self.channels
         above = motion_of(rec, response, motion)
@@ -105,9 +103,7 @@ class Lines:
             averages = 1.0 + self.scatter.degrees / 2.0
             coherence = 1.0 / (1.0 + averages * variance / abs(value) ** 2)
         means = np.einsum("rin,rjn->nij", self.scatter.rows, self.scatter.rows.conj())
-        shares = ReadingShares(
-            names, self.frequency, motion, value, upper * self.mean / f, lower * self.mean / f
-        )
+        shares = ReadingShares(names, self.frequency, motion, value, upper * self.mean / f, lower * self.mean / f)
         amplitude = None if self.unsteady is None else abs(f)
         return measured_curve(
             rec, shares, above, below, reference, error, degrees, causes, doubts, MeanErrors(weights.T[:, None], means),
@@ -146,9 +142,7 @@ def _sum_of_neighbors(values: NDArray[Any]) -> NDArray[Any]:
     """Sum each row of values over `_COMMON_DECAY_LINES` lines around each line."""
     side = _COMMON_DECAY_LINES // 2
     padded = np.pad(values, ((0, 0), (side, side)))
-    return np.asarray(
-        np.lib.stride_tricks.sliding_window_view(padded, _COMMON_DECAY_LINES, axis=1).sum(axis=-1)
-    )
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, _COMMON_DECAY_LINES, axis=1).sum(axis=-1))
 
 
 def remainder(successive: ComplexArray) -> Array:

@@ -50,8 +50,7 @@ def sweeps(
 ) -> list[Sweep]:
     """Apply lock-in detection to every window marked ``measure``; group the results by level and direction."""
     markers = sorted(
-        (m for m in rec.markers if m.kind == "measure" and "frequency" in m.fields),
-        key=lambda m: m.first_sample,
+        (m for m in rec.markers if m.kind == "measure" and "frequency" in m.fields), key=lambda m: m.first_sample
     )
     names = list(rec.channels if channels is None else channels)
     runs: dict[_Setting, list[_Point]] = {}
@@ -89,19 +88,13 @@ def sweeps(
         if progress is not None:
             progress(done, len(markers))
     if not runs:
-        raise RecordingError(
-            f"{rec.path}: {_why_nothing(rec, [each for some in left_out.values() for each in some])}"
-        )
+        raise RecordingError(f"{rec.path}: {_why_nothing(rec, [each for some in left_out.values() for each in some])}")
     several = len(runs.keys() | left_out.keys()) > 1
-    notes = {
-        key: _notes(key, runs.get(key, []), left_out.get(key, []), several) for key in {**runs, **left_out}
-    }
+    notes = {key: _notes(key, runs.get(key, []), left_out.get(key, []), several) for key in {**runs, **left_out}}
     # A sweep without any point cannot have notes of its own; the first sweep reports them.
     notes[next(iter(runs))] += [note for key, lost in notes.items() if key not in runs for note in lost]
     return [
-        _sweep(
-            rec, key, points, notes[key], [each[0] for each in left_out.get(key, [])], several, tuple(names)
-        )
+        _sweep(rec, key, points, notes[key], [each[0] for each in left_out.get(key, [])], several, tuple(names))
         for key, points in runs.items()
     ]
 
@@ -179,16 +172,12 @@ def _sweep(
         frequency=np.array([tone.frequency for tone in tones]),
         mean=np.stack([tone.amplitude[:, 0] for tone in tones], axis=1),
         scatter=Scatter(
-            stacked([tone.scatter() for tone in tones]),
-            np.array([2.0 * (len(tone.parts) - 1.0) for tone in tones]),
+            stacked([tone.scatter() for tone in tones]), np.array([2.0 * (len(tone.parts) - 1.0) for tone in tones])
         ),
         label=f"{rec.scene.name}{f', {format_number(level)} N {direction}' if several else ''}",
         warnings=tuple(notes),
         remainder=np.stack(
-            [
-                np.maximum(remainder(tone.parts[:, :, None])[:, 0], hidden * abs(tone.amplitude[:, 0]))
-                for tone in tones
-            ],
+            [np.maximum(remainder(tone.parts[:, :, None])[:, 0], hidden * abs(tone.amplitude[:, 0])) for tone in tones],
             axis=1,
         ),
         resolution=np.stack([_resolution(rec, names, tone) for tone in tones], axis=1),

@@ -60,9 +60,7 @@ class SweptTone:
     on_floor: NDArray[np.bool_]
     shared: float = 1.0  # number of neighbouring frequencies that use the same lines of their spectra
 
-    def frf(
-        self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
-    ) -> Response:
+    def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
         """Estimate the frequency response with coherence, random and systematic errors."""
         above, below = motion_of(rec, response, motion), reference_of(rec, reference)
         frf = self.spectra.frf(rec, above, below, reference, motion, self.label, self.warnings)
@@ -99,10 +97,7 @@ class SweptTone:
 
 
 def sweep_spectra(
-    rec: Recording,
-    marker: Marker,
-    channels: Sequence[str],
-    progress: Callable[[int, int], None] | None = None,
+    rec: Recording, marker: Marker, channels: Sequence[str], progress: Callable[[int, int], None] | None = None
 ) -> SweptTone:
     """Compute the spectra of a sweep around each frequency, over the segment in which the tone is near it.
 
@@ -122,9 +117,7 @@ def sweep_spectra(
     ]
     notes = []
     if not all(is_clean):
-        notes.append(
-            f"{is_clean.count(False)} of {_POINTS} frequencies left out: {describe_flaws(rec, all_flaws)}."
-        )
+        notes.append(f"{is_clean.count(False)} of {_POINTS} frequencies left out: {describe_flaws(rec, all_flaws)}.")
     if not any(is_clean):
         raise RecordingError(
             f"{rec.path}: no part of the sweep can be used ({describe_flaws(rec, all_flaws) or 'it is too short'}). "
@@ -152,9 +145,7 @@ def sweep_spectra(
         quiet_line = line + direction * (int(_RATIO_INCREASE * half_range) + 2 * SIDE)
         has_noise = SIDE < quiet_line < size // 2 - SIDE
         quiet_lines = (
-            np.arange(quiet_line - SIDE - 1, quiet_line + SIDE + 2)
-            if has_noise
-            else np.zeros(0, dtype=np.int64)
+            np.arange(quiet_line - SIDE - 1, quiet_line + SIDE + 2) if has_noise else np.zeros(0, dtype=np.int64)
         )
         lines = np.concatenate([line + around, quiet_lines])
         spectrum = spectrum_at_lines(block - block.mean(axis=1, keepdims=True), lines, shift)
@@ -172,9 +163,7 @@ def sweep_spectra(
     noise = _interpolate_noise(noise_levels, frequency[clean_points], len(names))
     # The smallest noise over all frequencies determines the randomization of the rounding error.
     counts = in_counts(rec, names, noise.min(axis=1))
-    gain = reproducible_rounding(counts)[:, None] * tone_gain(
-        in_counts(rec, names, variances[:, clean_points])
-    )
+    gain = reproducible_rounding(counts)[:, None] * tone_gain(in_counts(rec, names, variances[:, clean_points]))
     spectra = LocalSpectra(
         names,
         np.moveaxis(samples[clean_points], 0, 1).reshape(1, len(names), -1),
@@ -193,9 +182,7 @@ def sweep_spectra(
     return SweptTone(spectra, speed[clean_points], rec.scene.name, tuple(notes), on_floor, shared)
 
 
-def _dampers_on_floor(
-    rec: Recording, names: Sequence[str], frequency: Array, variances: Array
-) -> NDArray[np.bool_]:
+def _dampers_on_floor(rec: Recording, names: Sequence[str], frequency: Array, variances: Array) -> NDArray[np.bool_]:
     """Return whether no damper lifts at each frequency, from the variances of the channels on their bodies."""
     on_floor = np.ones(frequency.size, dtype=bool)
     infos = [rec.channels[name] for name in names]
@@ -205,9 +192,7 @@ def _dampers_on_floor(
             if info.at != f"body {damper.body}" or info.quantity not in MOTIONS:
                 continue
             order = 2 - MOTIONS.index(info.quantity)
-            acceleration = (
-                (2.0 * variance) ** 0.5 / abs(info.response(frequency)) * (2 * np.pi * frequency) ** order
-            )
+            acceleration = (2.0 * variance) ** 0.5 / abs(info.response(frequency)) * (2 * np.pi * frequency) ** order
             largest = np.minimum(largest, acceleration * (1.0 + tolerance(info)))
         on_floor &= damper.locked | (largest < _MAX_FLOOR_ACCELERATION * rec.scene.gravity)
     return on_floor

@@ -49,9 +49,7 @@ class ReadingShares:
     motion: str  # quantity of the response
     value: ComplexArray  # response, the sum of `upper`; shape (lines,)
     upper: ComplexArray  # contribution of each channel to the response, shape (channels, lines)
-    lower: (
-        ComplexArray  # contribution of each channel to the reference, with the sum 1; shape (channels, lines)
-    )
+    lower: ComplexArray  # contribution of each channel to the reference, with the sum 1; shape (channels, lines)
 
     @property
     def difference(self) -> ComplexArray:
@@ -126,8 +124,7 @@ def gain_error_limit(gain: Array, gain_reading: Array, shares: ReadingShares) ->
             deviation = parts[row] * own + np.sum(zero_times(parts[others], other_error), axis=0)
             quotients.append([deviation, np.sum(zero_times(in_reference[others], difference), axis=0)])
         limits = [
-            np.where(doubt < 1.0, deviation / np.maximum(1.0 - doubt, 1e-300), np.inf)
-            for deviation, doubt in quotients
+            np.where(doubt < 1.0, deviation / np.maximum(1.0 - doubt, 1e-300), np.inf) for deviation, doubt in quotients
         ]
     return np.asarray(np.nanmin(limits, axis=0))
 
@@ -260,9 +257,7 @@ def _change_by_shift(frequency: Array, value: ComplexArray, shift: Array) -> Arr
     the chord across.
     """
     spacing = np.diff(frequency)
-    chords = np.divide(
-        np.diff(value), spacing, out=np.zeros(spacing.size, dtype=complex), where=spacing > 0.0
-    )
+    chords = np.divide(np.diff(value), spacing, out=np.zeros(spacing.size, dtype=complex), where=spacing > 0.0)
     steps = abs(chords)
     change = shift * np.maximum(np.append(steps, 0.0), np.append(0.0, steps))
     if frequency.size < 3 or np.any(spacing == 0.0):

@@ -62,9 +62,7 @@ def bench(
     try:
         import nicegui  # noqa: F401
     except ImportError:
-        raise RunError(
-            "the page needs NiceGUI, which is missing. Run: pip install 'shotrig[bench]'"
-        ) from None
+        raise RunError("the page needs NiceGUI, which is missing. Run: pip install 'shotrig[bench]'") from None
     host, port = parse_address(host, port)
     chassis = connect_scene(scene, "real")
     with contextlib.ExitStack() as stack:
@@ -109,9 +107,7 @@ def _served(shown: LiveBench, host: str, port: int) -> Any:
     application = FastAPI()
     ui.run_with(application, reconnect_timeout=RECONNECT_S)
     gate = TokenGate(application, f"shotrig_bench_{port}")
-    config = uvicorn.Config(
-        gate, host=host.strip("[]"), port=port, log_level="critical", timeout_graceful_shutdown=1
-    )
+    config = uvicorn.Config(gate, host=host.strip("[]"), port=port, log_level="critical", timeout_graceful_shutdown=1)
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, name="page", daemon=True)
     thread.start()
@@ -119,9 +115,7 @@ def _served(shown: LiveBench, host: str, port: int) -> Any:
     while not server.started and thread.is_alive() and time.monotonic() < deadline:
         thread.join(0.05)
     if not server.started:
-        raise SceneError(
-            f"cannot listen at {host}:{port}. Choose another port with --port, or another --address."
-        )
+        raise SceneError(f"cannot listen at {host}:{port}. Choose another port with --port, or another --address.")
     bound = server.servers[0].sockets[0].getsockname()[1]
     name = f"[{host}]" if ":" in host else host
     try:

@@ -60,12 +60,7 @@ class LiveFrf:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        channels: Sequence[ChannelInfo],
-        rate: float,
-        block: float,
-        band: tuple[float, float],
+        self, scene: Scene, channels: Sequence[ChannelInfo], rate: float, block: float, band: tuple[float, float]
     ) -> None:
         self._size = round(block * rate)
         frequency = np.fft.rfftfreq(self._size, 1.0 / rate)
@@ -133,7 +128,5 @@ def _force_weights(station: Station, frequency: Array) -> ComplexArray:
     shaker = station.scene.driven_shaker
     if hammer or shaker is None or shaker.spring is None:
         place = "hammer" if hammer else "shaker"
-        raise SceneError(
-            f"channels: no channel measures the force at the {place}. Add {{name: force, at: {place}}}."
-        )
+        raise SceneError(f"channels: no channel measures the force at the {place}. Add {{name: force, at: {place}}}.")
     return station.force_weights(frequency)

@@ -148,9 +148,7 @@ class Operator:
             if double is not None and double.hits is not None:
                 numbers = tuple(number for number in double.hits if number <= own.hits)
                 double = double.replace(hits=numbers) if numbers else None
-            hit = hammer.replace(
-                peak=own.level, repeats=int(own.hits), interval=own.duration, double_hit=double
-            )
+            hit = hammer.replace(peak=own.level, repeats=int(own.hits), interval=own.duration, double_hit=double)
             return self._scene.replace(test=hit), excitation, None
         if own.kind == "sine":
             test = {"kind": "sine", "frequency": own.frequency, "force": own.level}
@@ -191,9 +189,7 @@ class Operator:
     def _mark_hits(self) -> None:
         judged = () if self._monitor.judge is None else self._monitor.judge.hits
         for first, stop, fields in self._hits:
-            hit = next(
-                (each for each in judged if each.first <= stop and first <= each.first + each.size), None
-            )
+            hit = next((each for each in judged if each.first <= stop and first <= each.first + each.size), None)
             rejected = hit is not None and not hit.accepted
             reason = {"reason": ", ".join(hit.faults) or "operator"} if hit is not None and rejected else {}
             self._recordings.mark("rejected" if rejected else "hit", first, stop, **fields, **reason)

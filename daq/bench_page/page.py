@@ -70,9 +70,7 @@ def envelope(time: Array, values: Array, columns: int) -> tuple[Array, Array]:
     first = values.size % width
     parts = values[first:].reshape(-1, width)
     start = first + width * np.arange(len(parts))
-    at = np.sort(
-        np.column_stack([parts.argmin(axis=1) + start, parts.argmax(axis=1) + start]), axis=1
-    ).ravel()
+    at = np.sort(np.column_stack([parts.argmin(axis=1) + start, parts.argmax(axis=1) + start]), axis=1).ravel()
     return time[at], values[at]
 
 
@@ -99,9 +97,7 @@ def peaks(frequency: Array, values: Array) -> tuple[Array, Array]:
 class Chart:
     """A line chart with a series for each name and an axis for each unit."""
 
-    def __init__(
-        self, title: str, x: dict[str, Any], series: list[tuple[str, str, str]], y: dict[str, Any]
-    ) -> None:
+    def __init__(self, title: str, x: dict[str, Any], series: list[tuple[str, str, str]], y: dict[str, Any]) -> None:
         units = list(dict.fromkeys(unit for _, unit, _ in series)) or [""]
         axes = [
             {"type": "value", "name": unit, "scale": True, "position": "right" if place else "left",

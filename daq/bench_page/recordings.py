@@ -85,9 +85,7 @@ class BenchRecordings:
                 self.problem, self.wanted = str(error), False
                 self._recorder = self._overloads = None
 
-    def _write(
-        self, bench: Any, channels: Any, block: Any, test: tuple[Scene, TestKind] | None, time: int
-    ) -> None:
+    def _write(self, bench: Any, channels: Any, block: Any, test: tuple[Scene, TestKind] | None, time: int) -> None:
         if channels is not self._settings:
             self._complete()
             self._settings = channels

@@ -49,21 +49,15 @@ class RigDrawing:
     def _draw(self, view: RigView) -> str:
         scene, parts = self._scene, [_box(0.0, -0.01, 0.44, 0.02, GROUND)]
         for table in view.shaker_tables:
-            parts.append(
-                _box(table.x, (table.top - PLATE) / 2, 0.07, table.top - PLATE - 0.012, (96, 104, 116))
-            )
-            plate = _box(table.x, -PLATE / 2, 0.085, PLATE, DRIVE) + _text(
-                table.x + 0.05, -0.03, table.point, DRIVE
-            )
+            parts.append(_box(table.x, (table.top - PLATE) / 2, 0.07, table.top - PLATE - 0.012, (96, 104, 116)))
+            plate = _box(table.x, -PLATE / 2, 0.085, PLATE, DRIVE) + _text(table.x + 0.05, -0.03, table.point, DRIVE)
             parts.append(_group(table.entity("table"), plate))
             parts.append(_group(table.entity("coil_spring"), _coil(table.x, COIL_LENGTH, DRIVE)))
         masses = scene.structure.masses
         for body in range(1, scene.structure.bodies + 1):
             height, colour = view.stack.heights[body - 1], body_colour(body)
             if view.sprung[body - 1]:
-                springs = "".join(
-                    _coil(x, view.stack.lengths[body - 1], STEEL) for x in (-0.3 * WIDTH, 0.3 * WIDTH)
-                )
+                springs = "".join(_coil(x, view.stack.lengths[body - 1], STEEL) for x in (-0.3 * WIDTH, 0.3 * WIDTH))
                 parts.append(_group(f"rig/spring_{body}", springs))
             inside = view.stack.cavities[body - 1]
             frame = _box(0.0, height / 2, WIDTH, height, colour, filled=not inside)
@@ -78,11 +72,7 @@ class RigDrawing:
             parts.append(_group(f"rig/body_{body}", frame))
         parts.append(_text(-0.215, -0.035, f"motion × {view.magnification:g}", MARK))
         top = SCALE * (view.stack.top + 0.1)
-        return (
-            f'<svg id="rig" viewBox="-230 {-top:.0f} 460 {top + 60:.0f}" role="img">'
-            + "".join(parts)
-            + "</svg>"
-        )
+        return f'<svg id="rig" viewBox="-230 {-top:.0f} 460 {top + 60:.0f}" role="img">' + "".join(parts) + "</svg>"
 
 
 def identifier(entity: str) -> str:

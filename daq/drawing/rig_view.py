@@ -12,18 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.drawing.palette import (
-    DARK_STEEL,
-    DRIVE,
-    GLUED,
-    GROUND,
-    HAMMER,
-    LEAD,
-    MARK,
-    STEEL,
-    Colour,
-    body_colour,
-)
+from daq.drawing.palette import DARK_STEEL, DRIVE, GLUED, GROUND, HAMMER, LEAD, MARK, STEEL, Colour, body_colour
 from daq.drawing.shapes import Point, arrow, boxes, coils, cylinder, label, lines
 from daq.drawing.stack import (
     COIL_LENGTH,
@@ -59,9 +48,7 @@ class RigPose:
 
     displacement: Array  # of each body, m, up positive; shape (bodies, instants)
     tables: Array  # of each shaker's table, m; shape (tables, instants)
-    gap: Array | None = (
-        None  # height of each damper over its floor, m; shape (dampers, instants); None: not known
-    )
+    gap: Array | None = None  # height of each damper over its floor, m; shape (dampers, instants); None: not known
 
 
 @dataclass(frozen=True)
@@ -128,9 +115,7 @@ class RigView:
     drawn pale and at rest, with a note.
     """
 
-    def __init__(
-        self, scene: Scene, extremes: Extremes, gaps_known: bool, unknown: Collection[str] = ()
-    ) -> None:
+    def __init__(self, scene: Scene, extremes: Extremes, gaps_known: bool, unknown: Collection[str] = ()) -> None:
         from rig.system.structural_model import structural_model
 
         self.scene = scene
@@ -159,9 +144,7 @@ class RigView:
         for table in self.shaker_tables:
             yield from self._shaker(table)
         # Arrows on the bodies on which a force acts directly: kind force, and the hammer.
-        forced_bodies = [
-            body for shaker in self.scene.shakers if shaker.kind == "force" for body in shaker.bodies
-        ]
+        forced_bodies = [body for shaker in self.scene.shakers if shaker.kind == "force" for body in shaker.bodies]
         for body in dict.fromkeys(forced_bodies):
             yield from self._force_arrow(f"rig/body_{body}/drive", 0.045, "force", DRIVE)
         test = self.scene.test
@@ -238,9 +221,7 @@ class RigView:
         yield table.entity("coil_spring"), coils([table.x], COIL_LENGTH, DRIVE)
 
     @staticmethod
-    def _force_arrow(
-        entity: str, x: float, text: str, colour: Colour
-    ) -> Iterator[tuple[str, rr.AsComponents]]:
+    def _force_arrow(entity: str, x: float, text: str, colour: Colour) -> Iterator[tuple[str, rr.AsComponents]]:
         """Draw an upward arrow at the front of a body's underside, with its name."""
         foot = (x, -DEPTH / 2 - 0.02, -0.055)
         yield entity, arrow(foot, 0.055, colour)
@@ -249,15 +230,11 @@ class RigView:
     def _rest_marks(self) -> Iterator[tuple[str, rr.AsComponents]]:
         """Draw the scale at the left: rest positions of the bodies, a drawn length, and the exaggeration."""
         x, y = -WIDTH / 2 - 0.032, -DEPTH / 2
-        middles = [
-            bottom + height / 2 for bottom, height in zip(self.stack.bottoms, self.stack.heights, strict=True)
-        ]
+        middles = [bottom + height / 2 for bottom, height in zip(self.stack.bottoms, self.stack.heights, strict=True)]
         yield "rig/rest", lines([[(x - 0.030, y, z), (x, y, z)] for z in middles], MARK, 0.0008)
         length = _scale_bar(self.magnification)
         height, x, z = length * self.magnification, x - 0.07, middles[0]
-        ends: list[list[Point]] = [
-            [(x - 0.008, y, z + end), (x + 0.008, y, z + end)] for end in (0.0, height)
-        ]
+        ends: list[list[Point]] = [[(x - 0.008, y, z + end), (x + 0.008, y, z + end)] for end in (0.0, height)]
         yield "rig/scale", lines([[(x, y, z), (x, y, z + height)], *ends], MARK, 0.0010)
         text = f"{length * 1e3:g} mm, drawn × {self.magnification:g}"
         yield "rig/scale/text", label((x, y, z - 0.006), text, MARK)

@@ -30,9 +30,7 @@ def cylinder(middle: Point, height: float, radius: float, colour: Colour) -> rr.
     """Draw an upright solid cylinder."""
     import rerun as rr
 
-    return rr.Cylinders3D(
-        centers=[middle], lengths=[height], radii=[radius], colors=[colour], fill_mode="solid"
-    )
+    return rr.Cylinders3D(centers=[middle], lengths=[height], radii=[radius], colors=[colour], fill_mode="solid")
 
 
 def label(at: Point, text: str, colour: Colour) -> rr.Points3D:
@@ -62,9 +60,7 @@ def coils(places: Sequence[float], length: float, colour: Colour) -> rr.LineStri
 
     along = np.linspace(0.0, 1.0, 24 * COIL_TURNS + 1)
     turn = 2 * np.pi * COIL_TURNS * along
-    helix = np.column_stack(
-        [COIL_RADIUS * np.cos(turn), COIL_RADIUS * np.sin(turn), length * (0.08 + 0.84 * along)]
-    )
+    helix = np.column_stack([COIL_RADIUS * np.cos(turn), COIL_RADIUS * np.sin(turn), length * (0.08 + 0.84 * along)])
     ends = np.array([[0.0, 0.0, at * length] for at in (0.0, 0.08, 0.92, 1.0)])
     strip = np.vstack([ends[:2], helix, ends[2:]])
     return rr.LineStrips3D([strip + np.array([x, 0.0, 0.0]) for x in places], colors=[colour], radii=[0.0028])

@@ -30,9 +30,7 @@ def part_workspace(size: int) -> PartWorkspace:
 
 
 @unfused_kernel
-def through_parts(
-    pieces: CubicInput, part: int, tables: Tables, state: Array, workspace: PartWorkspace
-) -> int:
+def through_parts(pieces: CubicInput, part: int, tables: Tables, state: Array, workspace: PartWorkspace) -> int:
     """Propagate the circuit's vector in the workspace over an interval with breaks; return the next part."""
     vector, work = workspace.vector, workspace.work
     interval = pieces.broken[part]

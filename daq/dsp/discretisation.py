@@ -28,12 +28,7 @@ MOST_NORM = 50.0
 # Start, end, mean and moment of a piece (see `Pieces`) -> derivatives of the cubic at its start, when the
 # piece is as long as the unit of time.
 CUBIC = np.array(
-    [
-        [1.0, 0.0, 0.0, 0.0],
-        [-9.0, 3.0, -24.0, 60.0],
-        [36.0, -24.0, 168.0, -360.0],
-        [-60.0, 60.0, -360.0, 720.0],
-    ]
+    [[1.0, 0.0, 0.0, 0.0], [-9.0, 3.0, -24.0, 60.0], [36.0, -24.0, 168.0, -360.0], [-60.0, 60.0, -360.0, 720.0]]
 )
 
 
@@ -123,9 +118,7 @@ def with_disturbances(
     return bigger, start
 
 
-def discretise(
-    circuit: Circuit, gain: float, rate: float, integrals: int, entries: Sequence[Entry]
-) -> Tables:
+def discretise(circuit: Circuit, gain: float, rate: float, integrals: int, entries: Sequence[Entry]) -> Tables:
     """Return the tables of a circuit behind a gain in V per unit, with moments of the output (1: the average)."""
     states = circuit.c.size
     width = states + integrals

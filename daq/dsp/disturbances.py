@@ -96,9 +96,7 @@ class Disturbances:
                 voltages[row - 1] += middle * voltages[row]
                 voltages[row] *= length
             elif degree == 2:
-                voltages[row - 2] += (0.5 * (3.0 * middle * middle - 1.0) + 0.5 * length * length) * voltages[
-                    row
-                ]
+                voltages[row - 2] += (0.5 * (3.0 * middle * middle - 1.0) + 0.5 * length * length) * voltages[row]
                 voltages[row - 1] += 3.0 * middle * length * voltages[row]
                 voltages[row] *= length * length
 

@@ -123,9 +123,7 @@ def put(values: Array, place: Array) -> None:
 
 
 @unfused_kernel
-def _smooth(
-    acceleration: Array, velocity: Array, displacement: Array, last: Array, rate: float, smooth: Array
-) -> None:
+def _smooth(acceleration: Array, velocity: Array, displacement: Array, last: Array, rate: float, smooth: Array) -> None:
     """Describe every interval as one piece; `last` holds the last sample, and is updated."""
     end = acceleration.size
     start, mean, moment = smooth[0], smooth[2], smooth[3]

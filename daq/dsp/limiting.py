@@ -216,13 +216,9 @@ def follow_closely(
     Moments are in the workspace's vector, the severity of the interval in `overload` (see
     `daq.dsp.propagation.propagate`).
     """
-    after, excess, near, reached = _in_steps(
-        COARSE, pieces, part, interval, tables, limits, state, held, workspace
-    )
+    after, excess, near, reached = _in_steps(COARSE, pieces, part, interval, tables, limits, state, held, workspace)
     if near:
-        after, excess, near, reached = _in_steps(
-            FINE, pieces, part, interval, tables, limits, state, held, workspace
-        )
+        after, excess, near, reached = _in_steps(FINE, pieces, part, interval, tables, limits, state, held, workspace)
     vector = workspace.vector
     form_moments(tables, vector, workspace.work)
     for e in range(held.shape[0]):

@@ -43,9 +43,7 @@ class Noise:
     '5.06e-05'
     """
 
-    def __init__(
-        self, density: float, corner: float | None, rate: float, random: np.random.Generator
-    ) -> None:
+    def __init__(self, density: float, corner: float | None, rate: float, random: np.random.Generator) -> None:
         self._deviation = density * np.sqrt(0.5 * rate)
         self._random = random
         # Of the filter that colours it.
@@ -53,9 +51,7 @@ class Noise:
         if corner is not None:
             loss, weight, self._gain = flicker_filter(corner, rate)
             self.states = loss.size
-            self._retained, self._weight, self._states = (
-                aligned_zeros(padded_length(loss.size)) for _ in range(3)
-            )
+            self._retained, self._weight, self._states = (aligned_zeros(padded_length(loss.size)) for _ in range(3))
             self._retained[: loss.size], self._weight[: loss.size] = 1.0 - loss, weight
 
     def fill(self, samples: Array) -> None:

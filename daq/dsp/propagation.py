@@ -33,9 +33,7 @@ def scratch_for(tables: Tables) -> CircuitWorkspace:
     # Rows a little longer than needed: for the state at the end, and because at powers of two they would compete for
     # the same lines of a cache.
     course, sizes = (aligned_zeros(tables.spread.shape[0], STRETCH + LANES) for _ in range(2))
-    return CircuitWorkspace(
-        part_workspace(tables.generator.shape[1]), course, sizes, aligned_zeros(2, STRETCH)
-    )
+    return CircuitWorkspace(part_workspace(tables.generator.shape[1]), course, sizes, aligned_zeros(2, STRETCH))
 
 
 @unfused_kernel
@@ -92,9 +90,7 @@ def propagate(
                 factored_sums(tables.spread, course, 0, course.shape[1], 1, averages, first, stop - first)
         if broken or close:
             if close and limits is not None:
-                part, excess = follow_closely(
-                    pieces, part, first, tables, limits, state, held, overload, scratch.parts
-                )
+                part, excess = follow_closely(pieces, part, first, tables, limits, state, held, overload, scratch.parts)
             else:
                 part = through_parts(pieces, part, tables, state, scratch.parts)
                 _disturb(tables, state, held[:, first], scratch.parts.vector)
@@ -128,14 +124,10 @@ def _through_stretch(tables: Tables, state: Array, course: Array, sums: Array, c
         known = behind + begin
         weighted_sums(course, 0, 0, tables.weights[begin], known, sums[0], count)
         if end == begin + 1:
-            state[begin] = _first_order(
-                tables.step[begin, begin], state[begin], sums[0][:count], course[known]
-            )
+            state[begin] = _first_order(tables.step[begin, begin], state[begin], sums[0][:count], course[known])
         else:
             weighted_sums(course, 0, 0, tables.weights[begin + 1], known, sums[1], count)
-            _second_order(
-                tables.step, begin, state, sums[0][:count], sums[1], course[known], course[known + 1]
-            )
+            _second_order(tables.step, begin, state, sums[0][:count], sums[1], course[known], course[known + 1])
 
 
 @unfused_kernel
@@ -150,9 +142,7 @@ def _first_order(own: float, first: float, added: Array, path: Array) -> float:
 
 
 @unfused_kernel
-def _second_order(
-    step: Array, begin: int, state: Array, added: Array, also: Array, path: Array, other: Array
-) -> None:
+def _second_order(step: Array, begin: int, state: Array, added: Array, also: Array, path: Array, other: Array) -> None:
     """Propagate both states of a section of second order."""
     aa, ab = step[begin, begin], step[begin + 1, begin]
     ba, bb = step[begin, begin + 1], step[begin + 1, begin + 1]

@@ -24,9 +24,7 @@ def delays(skew: float | tuple[float, ...] | None, channels: int, rate: float) -
         return (0.0,) * channels
     late = skew if isinstance(skew, tuple) else tuple(k * skew for k in range(channels))
     if len(late) != channels:
-        raise SceneError(
-            f"converter.skew: got {len(late)} values; expected {channels}, one for each channel."
-        )
+        raise SceneError(f"converter.skew: got {len(late)} values; expected {channels}, one for each channel.")
     latest = max(late)
     if latest - min(late) >= 1.0 / rate:
         raise SceneError(

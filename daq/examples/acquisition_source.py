@@ -25,9 +25,7 @@ class VirtualRig:
         self.task = nidaqmx.Task(grpc_options=self.rig)
         for number, name in enumerate(self.channel_names):
             limit = min(500.0, self.rig.sensors[number].range or 500.0)
-            self.task.ai_channels.add_ai_voltage_chan(
-                f"cDAQ1Mod1/ai{number}", name, min_val=-limit, max_val=limit
-            )
+            self.task.ai_channels.add_ai_voltage_chan(f"cDAQ1Mod1/ai{number}", name, min_val=-limit, max_val=limit)
         self.task.timing.cfg_samp_clk_timing(self.sample_rate, sample_mode=AcquisitionType.CONTINUOUS)
         # The clock may not support the requested rate: use the actual rate for all time axes.
         self.sample_rate = self.task.timing.samp_clk_rate

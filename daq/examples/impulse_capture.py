@@ -29,10 +29,7 @@ def main() -> None:
         trigger_index = int(np.argmax(force > LEVEL))
         print(f"first sample above {LEVEL:g} N: index {trigger_index}; {force.max():.1f} N at most")
         for name, samples in zip(task.channel_names[1:], bodies, strict=True):
-            before_hit, after_hit = (
-                np.abs(samples[: PRETRIGGER - 32]).max(),
-                np.abs(samples[PRETRIGGER:]).max(),
-            )
+            before_hit, after_hit = (np.abs(samples[: PRETRIGGER - 32]).max(), np.abs(samples[PRETRIGGER:]).max())
             print(f"{name}: up to {before_hit:.4f} g before the hit, {after_hit:.2f} g after it")
 
 

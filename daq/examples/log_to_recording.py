@@ -28,9 +28,7 @@ def main(folder: str | None = None) -> None:
             for row, (name, channel) in enumerate(recording.channels.items()):
                 logged = recording.read(name)
                 is_equal = np.allclose(logged * channel.sensitivity, read_samples[row], rtol=1e-12, atol=0.0)
-                print(
-                    f"{name}: {logged.size} samples in {channel.unit}, {'as' if is_equal else 'NOT as'} read"
-                )
+                print(f"{name}: {logged.size} samples in {channel.unit}, {'as' if is_equal else 'NOT as'} read")
 
 
 if __name__ == "__main__":

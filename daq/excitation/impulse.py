@@ -87,13 +87,9 @@ def settling_time(info: ChannelInfo) -> float:
     """
     if not any(key.endswith(".bias") for key in info.sensor):
         return 0.0
-    bias = next(
-        (parse(text, TIME) for key, text in info.sensor.items() if key.endswith(".bias_settling")), 0.0
-    )
+    bias = next((parse(text, TIME) for key, text in info.sensor.items() if key.endswith(".bias_settling")), 0.0)
     # High-pass filters, the slowest poles, pass the step at power-on, which then decays.
-    slow_rates = sorted(abs(pole.real) for pole in info.poles if pole)[
-        : sum(zero == 0 for zero in info.zeros)
-    ]
+    slow_rates = sorted(abs(pole.real) for pole in info.poles if pole)[: sum(zero == 0 for zero in info.zeros)]
     return min(_MAX_TIME_CONSTANTS * (bias + sum(1.0 / rate for rate in slow_rates)), _MAX_SETTLING_S)
 
 

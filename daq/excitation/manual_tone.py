@@ -57,9 +57,7 @@ class Knobs:
 
     def _set(self, frequency: float, force: float) -> None:
         if not 0.0 < frequency <= self.highest:
-            raise SceneError(
-                f"f {frequency:g}: out of range. Give a frequency above 0 and up to {self.highest:g} Hz."
-            )
+            raise SceneError(f"f {frequency:g}: out of range. Give a frequency above 0 and up to {self.highest:g} Hz.")
         if not 0.0 <= force < np.inf:
             raise SceneError(f"F {force:g}: out of range. Give a force amplitude of 0 N or more.")
         self.asked = frequency, force
@@ -149,13 +147,9 @@ class HandTone:
         finally:
             self._is_steady = False
             if station.now > first:
-                station.mark(
-                    "measure", first, station.now, drive=tone.amplitude, force=force, settled=settled, **facts
-                )
+                station.mark("measure", first, station.now, drive=tone.amplitude, force=force, settled=settled, **facts)
 
-    def _reading(
-        self, tone: SteadyTone, readings: Array, phase: float, asked: tuple[float, float]
-    ) -> ToneReading:
+    def _reading(self, tone: SteadyTone, readings: Array, phase: float, asked: tuple[float, float]) -> ToneReading:
         motions, station = tone.amplitudes(readings, phase), tone.station
         # The drive is amplitude * sin(phase), and a complex amplitude A represents Re(A e^{i phase}).
         force = -1j * tone.amplitude

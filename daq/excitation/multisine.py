@@ -63,14 +63,10 @@ def excite(station: Station, test: Multisine) -> Excitation:
             station.mark("settle", first, station.now, realisation=realisation, settled=settled)
             if not settled:
                 max_wait_s = _max_wait(station, period) / station.rate
-                station.warn(
-                    f"{message}: not periodic within {max_wait_s:g} s. Its periods are marked as not settled."
-                )
+                station.warn(f"{message}: not periodic within {max_wait_s:g} s. Its periods are marked as not settled.")
             first, step = station.now, 1.0 / test.realisations / len(shakers)
             for period_index in range(test.periods):
-                station.report(
-                    fraction + period_index / test.periods * step, f"{message}, period {period_index + 1}"
-                )
+                station.report(fraction + period_index / test.periods * step, f"{message}, period {period_index + 1}")
                 yield station.drives(waves)
             station.mark(
                 "measure", first, station.now, realisation=realisation, **experiment_fields, period=period,

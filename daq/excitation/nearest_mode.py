@@ -65,9 +65,7 @@ class NearestMode:
         self._step = _INITIAL_STEP
         self.pole, self.gain, self.residual_term = 0j, 0j, 0j
 
-    def add(
-        self, time: float, angular_frequency: float, motion: complex, force: complex, memory: float
-    ) -> None:
+    def add(self, time: float, angular_frequency: float, motion: complex, force: complex, memory: float) -> None:
         """Add an observation: time in s, angular frequency of the tone in rad/s, X in m, F in N; memory in s."""
         self._observations.append((time, angular_frequency, motion, force))
         while time - self._observations[0][0] >= _MAX_AGE_RATIO * memory:
@@ -123,19 +121,13 @@ def _fit_poles(
     decayed = np.exp(decay)
     is_small = abs(decay) < _MIN_EXPONENT
     mean = np.where(is_small, 1 + decay / 2, (decayed - 1) / np.where(is_small, 1, decay))
-    force, motion, earlier = (
-        force[1:] * weight,
-        motion[1:] * weight,
-        (force[:-1] * weight, motion[:-1] * weight),
-    )
+    force, motion, earlier = (force[1:] * weight, motion[1:] * weight, (force[:-1] * weight, motion[:-1] * weight))
     gain_column = mean * (step / 2 * (force + earlier[0]))
     residual_column = force - decayed * earlier[0]
     response = motion - decayed * earlier[1]
 
     dot = np.vecdot
-    gain_gain, residual_residual = (
-        (1 + _RIDGE) * dot(term, term).real for term in (gain_column, residual_column)
-    )
+    gain_gain, residual_residual = ((1 + _RIDGE) * dot(term, term).real for term in (gain_column, residual_column))
     cross, gain_response, residual_response = (
         dot(gain_column, residual_column),
         dot(gain_column, response),
@@ -145,8 +137,7 @@ def _fit_poles(
     gain = (residual_residual * gain_response - cross * residual_response) / determinant
     residual_term = (gain_gain * residual_response - cross.conj() * gain_response) / determinant
     residual = (
-        dot(response, response).real
-        - (gain.conj() * gain_response + residual_term.conj() * residual_response).real
+        dot(response, response).real - (gain.conj() * gain_response + residual_term.conj() * residual_response).real
     )
     return gain, residual_term, residual
 

@@ -54,9 +54,7 @@ class ShakerLaw:
         """Return the drive per newton of spring force, and per meter of body displacement, with X0 = X1 + F / k0."""
         delay_factor = np.exp(s * self.delay)
         motion = delay_factor * polynomial.polyval(s, self.motion)
-        return complex(motion / self.spring + delay_factor * polynomial.polyval(s, self.pull)), complex(
-            motion
-        )
+        return complex(motion / self.spring + delay_factor * polynomial.polyval(s, self.pull)), complex(motion)
 
     def slope(self, s: complex) -> tuple[complex, complex]:
         """Return the derivatives of both with respect to s, for the additional drive of a changing amplitude."""
@@ -65,14 +63,10 @@ class ShakerLaw:
         return (after[0] - before[0]) / (2 * step), (after[1] - before[1]) / (2 * step)
 
 
-def pretest(
-    station: Station, lowest: float, highest: float, level: float
-) -> Generator[Array, Array, ShakerLaw]:
+def pretest(station: Station, lowest: float, highest: float, level: float) -> Generator[Array, Array, ShakerLaw]:
     """Play a short burst of weak tones and estimate the drive law of the shaker, for a band in Hz and a level in N."""
     period = station.samples(max(_MIN_BURST_S, _MIN_BURST_PERIODS / lowest))
-    lines = lines_between(
-        lowest / _BAND_MARGIN, min(_BAND_MARGIN * highest, 0.45 * station.rate), period, station.rate
-    )
+    lines = lines_between(lowest / _BAND_MARGIN, min(_BAND_MARGIN * highest, 0.45 * station.rate), period, station.rate)
     # Random phases spread every tone over the whole burst; low tones are most sensitive to noise.
     phases = station.generator("pretest").uniform(0.0, 2 * pi, lines.size)
     wave = wave_of(lines, np.asarray(lines**-_TILT, dtype=np.float64), phases, period)

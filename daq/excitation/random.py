@@ -48,9 +48,7 @@ def excite(station: Station, test: Random) -> Excitation:
     sources = [random, *(station.generator(f"random {number}") for number in station.shakers[1:])]
 
     def shaped_noise() -> Array:
-        white = [
-            rfft(source.standard_normal(period // rate_divisor), length // rate_divisor) for source in sources
-        ]
+        white = [rfft(source.standard_normal(period // rate_divisor), length // rate_divisor) for source in sources]
         return np.asarray([irfft(source * spectrum, length)[: 2 * period - 1] for source in white])
 
     tails = shaped_noise()[:, period:]

@@ -157,9 +157,7 @@ class Settling:
         if self.count < _NOISE_OBSERVATIONS:
             return np.zeros(self._observations[-1].size)
         latest = self._observations[-_NOISE_OBSERVATIONS // 2 :]
-        return (
-            np.sqrt(np.mean(abs(latest - latest.mean(axis=0)) ** 2, axis=0) / len(latest)) / self._magnitude()
-        )
+        return np.sqrt(np.mean(abs(latest - latest.mean(axis=0)) ** 2, axis=0) / len(latest)) / self._magnitude()
 
     def _magnitude(self) -> Array:
         return np.maximum(abs(self._observations[-1]), sys.float_info.min)
@@ -186,14 +184,11 @@ class Settling:
         halves = self._observations[-count:-half], self._observations[-half:]
         means = [_mean(part) for part in halves]
         early, late = (
-            np.sqrt(_SUM(abs(part - mean) ** 2, axis=0) / half)
-            for part, mean in zip(halves, means, strict=True)
+            np.sqrt(_SUM(abs(part - mean) ** 2, axis=0) / half) for part, mean in zip(halves, means, strict=True)
         )
         error, magnitude = np.hypot(early, late) / np.sqrt(half), self._magnitude()
         agree = abs(means[1] - means[0]) < np.maximum(2.0 * error, self.tolerance * magnitude)
-        return (
-            agree & (late > _MIN_SCATTER_RATIO * early) & (np.maximum(early, late) < max_scatter * magnitude)
-        )
+        return agree & (late > _MIN_SCATTER_RATIO * early) & (np.maximum(early, late) < max_scatter * magnitude)
 
 
 def _mean(observations: ComplexArray) -> ComplexArray:

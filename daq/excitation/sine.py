@@ -27,9 +27,7 @@ def excite(station: Station, test: Sine) -> Excitation:
     if station.controlled:
         facts = {"frequency": test.frequency, "level": level}
         station.report(0.0, f"{test.frequency:.2f} Hz, settling at {level:g} N")
-        settled = yield from tone.settle_and_mark(
-            test.frequency, tone.start(level), _TOLERANCE, _MAX_WAIT_S, facts
-        )
+        settled = yield from tone.settle_and_mark(test.frequency, tone.start(level), _TOLERANCE, _MAX_WAIT_S, facts)
         if not settled:
             station.warn(
                 f"{test.frequency:.3f} Hz, {level:g} N: no steady state within {_MAX_WAIT_S:g} s. "
@@ -52,6 +50,4 @@ def excite(station: Station, test: Sine) -> Excitation:
             steady = station.now if detector.settled else None
     settled = steady is not None and station.now - steady >= window
     begin = steady if settled else first + total // 2
-    station.mark(
-        "measure", begin, station.now, frequency=test.frequency, level=level, drive=level, settled=settled
-    )
+    station.mark("measure", begin, station.now, frequency=test.frequency, level=level, drive=level, settled=settled)

@@ -73,9 +73,7 @@ class SteadyTone(Tone):
         super().__init__(station.rate, frequency)
         self.station, self._controlled = station, controlled
         self.control: AmplitudeControl | None = None
-        self._rows = [
-            row for row, info in enumerate(station.channels) if info.quantity not in ("force", "voltage")
-        ]
+        self._rows = [row for row, info in enumerate(station.channels) if info.quantity not in ("force", "voltage")]
         self._weights_at, self._weights = -1.0, np.zeros((0, len(station.channels)), dtype=complex)
 
     def start(self, level: float) -> float:
@@ -117,9 +115,7 @@ class SteadyTone(Tone):
             total, left = (total + read if total.size else read), left - size
         return total
 
-    def settle(
-        self, frequency: float, drive: float, tolerance: float, longest: float
-    ) -> Generator[Array, Array, bool]:
+    def settle(self, frequency: float, drive: float, tolerance: float, longest: float) -> Generator[Array, Array, bool]:
         """Glide to a frequency in Hz and wait for the steady state; return whether it was reached at the level.
 
         `tolerance` is the permitted relative change of any amplitude, `longest` the longest wait in s.
@@ -221,9 +217,7 @@ class AmplitudeControl:
 
     def is_at_level(self, force: float, standard_error: float = 0.0) -> bool:
         """Return whether a force amplitude with a relative standard error `standard_error` is at the level."""
-        return abs(force / self.level - 1.0) <= min(
-            max(FORCE_TOLERANCE, 2.0 * standard_error), WORST_TOLERANCE
-        )
+        return abs(force / self.level - 1.0) <= min(max(FORCE_TOLERANCE, 2.0 * standard_error), WORST_TOLERANCE)
 
     def cut(self, drive: float, force: float) -> float | None:
         """Return an immediately reduced drive; None if a much smaller drive did not reduce the force."""

@@ -70,8 +70,7 @@ def extrapolated(reached: Sequence[tuple[float, float]], frequency: float) -> fl
     if len(reached) < 3 or len(set(frequencies)) < 3:
         return float(np.exp(drives[-1]))
     weights = [
-        np.prod([(frequency - other) / (own - other) for other in frequencies if other != own])
-        for own in frequencies
+        np.prod([(frequency - other) / (own - other) for other in frequencies if other != own]) for own in frequencies
     ]
     change = float(np.dot(weights, drives) - drives[-1])
     return float(np.exp(drives[-1] + (change if abs(change) < _MAX_LOG_CHANGE else 0.0)))

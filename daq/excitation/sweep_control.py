@@ -98,9 +98,7 @@ class SweepControl:
             memory,
         )
         envelope, force = self._present_envelopes(observation)
-        return self._limit_drive(
-            self._target_drive(observation, window, envelope, force), abs(observation.force)
-        )
+        return self._limit_drive(self._target_drive(observation, window, envelope, force), abs(observation.force))
 
     def _present_envelopes(self, observation: Observation) -> tuple[complex, complex]:
         """Return the envelopes of mode and force at the end of the observation, from the drive since its middle."""
@@ -130,9 +128,7 @@ class SweepControl:
             force = after
         return envelope, force
 
-    def _target_drive(
-        self, observation: Observation, window: float, envelope: complex, force: complex
-    ) -> complex:
+    def _target_drive(self, observation: Observation, window: float, envelope: complex, force: complex) -> complex:
         """Return the drive of a steady force at the level at the end of the window."""
         assert self._goal is not None
         mode, goal = self._mode, self._goal
@@ -142,11 +138,7 @@ class SweepControl:
         end = 1j * observation.angular_frequency(observation.end + window)
         (per_force, per_motion), (_, motion_slope) = self._law.at(end), self._law.slope(end)
         change = (mode.pole - end) * envelope + mode.gain * goal
-        return (
-            (per_force + per_motion * mode.residual_term) * goal
-            + per_motion * envelope
-            + motion_slope * change
-        )
+        return (per_force + per_motion * mode.residual_term) * goal + per_motion * envelope + motion_slope * change
 
     def _limit_drive(self, target: complex, force: float) -> complex:
         """Limit the steps of the drive, its growth at an excessive force, and its amplitude."""

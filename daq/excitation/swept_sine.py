@@ -87,12 +87,7 @@ def excite(station: Station, test: SweptSine) -> Excitation:
 
 
 def _sweep_controlled(
-    station: Station,
-    test: SweptSine,
-    start: float,
-    amplitude: complex,
-    control: SweepControl,
-    watch: LevelWatch,
+    station: Station, test: SweptSine, start: float, amplitude: complex, control: SweepControl, watch: LevelWatch
 ) -> Generator[Array, Array, complex]:
     """Sweep with a constant force amplitude; return the final amplitude of the drive."""
     total, done, rate = station.samples(test.duration), 0, station.rate

@@ -40,12 +40,8 @@ def without_limits(scene: Scene) -> Scene:
         converter = converter.replace(range=_NO_LIMIT)
     elif completed.range is not None and completed.bits is not None:
         # The size of a count does not change.
-        converter = converter.replace(
-            range=completed.range * 2.0 ** (_MAX_BITS - completed.bits), bits=_MAX_BITS
-        )
-    channels = (
-        None if scene.channels is None else tuple(_without_limits(channel) for channel in scene.channels)
-    )
+        converter = converter.replace(range=completed.range * 2.0 ** (_MAX_BITS - completed.bits), bits=_MAX_BITS)
+    channels = None if scene.channels is None else tuple(_without_limits(channel) for channel in scene.channels)
     return scene.replace(channels=channels, converter=converter)
 
 

@@ -39,9 +39,7 @@ def _acceleration_per_level(scene: Scene, system: HybridSystem, frequencies: Arr
         return np.zeros((0, 0))
 
 
-def flight_lines(
-    scene: Scene, system: HybridSystem, level: float, parts: Sequence[Rehearsal]
-) -> tuple[str, ...]:
+def flight_lines(scene: Scene, system: HybridSystem, level: float, parts: Sequence[Rehearsal]) -> tuple[str, ...]:
     """State for each moving damper whether it flies, and at which frequencies or time."""
     frequencies = test_frequencies(scene.test, _N_FREQUENCIES)
     above = level * _acceleration_per_level(scene, system, frequencies) > system.gravity
@@ -54,14 +52,10 @@ def flight_lines(
             impact_tones = {part.frequency_at(round(time * part.rate)) for part, time in impacts} - {None}
             has_impact = [any(abs(f - tone) < 1e-3 * f for tone in impact_tones if tone) for f in frequencies]
             flags = above[row] | np.array(has_impact)
-            flight_range = (
-                f" at {format_frequencies(frequencies.tolist(), flags.tolist())}" if flags.any() else ""
-            )
+            flight_range = f" at {format_frequencies(frequencies.tolist(), flags.tolist())}" if flags.any() else ""
         elif impacts:
             flight_range = f" first at {min(time for _, time in impacts):.2f} s"
-        names_by_range.setdefault(flight_range, []).append(
-            f"damper {number} (body {scene.dampers[number - 1].body})"
-        )
+        names_by_range.setdefault(flight_range, []).append(f"damper {number} (body {scene.dampers[number - 1].body})")
     lines = []
     for flight_range, names in names_by_range.items():
         verb, plural = ("flies", "fly") if flight_range else ("stays on its floor", "stay on their floors")

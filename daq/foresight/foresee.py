@@ -102,10 +102,7 @@ class RehearsedTest:
     def largest(self, quantity: str, row: int) -> tuple[float, float | None, float | None]:
         """Return the largest extreme of all parts in a row of a quantity, with its frequency or its time."""
         part = max(self.parts, key=lambda rehearsal: getattr(rehearsal, quantity).magnitude[row])
-        magnitude, sample = (
-            float(getattr(part, quantity).magnitude[row]),
-            int(getattr(part, quantity).sample[row]),
-        )
+        magnitude, sample = (float(getattr(part, quantity).magnitude[row]), int(getattr(part, quantity).sample[row]))
         frequency = part.frequency_at(sample)
         return magnitude * self.extension, frequency, sample / part.rate if frequency is None else None
 
@@ -203,9 +200,7 @@ class _Assessment:
             if _POWER_ON_RATIO * settling_time(info) > self.free.reading_time(row):
                 # The reading of a sensor while its bias settles is no response to the tone.
                 frequency, time = None, self.free.reading_time(row)
-                driven = max(
-                    (float(part.readings.magnitude[row]) for part in self.free.parts[1:]), default=largest
-                )
+                driven = max((float(part.readings.magnitude[row]) for part in self.free.parts[1:]), default=largest)
             recorded = min(self.played.largest("readings", row)[0], np.inf if info.range is None else limit)
             yield Expectation(
                 info.name, info.unit, largest, frequency, time, limit, part, largest > limit, recorded, driven
@@ -328,8 +323,7 @@ class _Assessment:
             period = estimate(self.scene).seconds / (test.realisations * test.periods)
             realisation_ratio = test.realisations / rehearsed.realisations
             return (
-                realisation_ratio * rehearsed_seconds
-                + test.realisations * (test.periods - rehearsed.periods) * period
+                realisation_ratio * rehearsed_seconds + test.realisations * (test.periods - rehearsed.periods) * period
             )
         if not isinstance(test, SteppedSine):
             parts_seconds = sum(estimate(part.scene).seconds for part in played.parts)

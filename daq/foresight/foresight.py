@@ -118,9 +118,7 @@ class Foresight(Result):
         elif worst.share >= 1.0:
             statement = f"the test overloads {_describe_limit(worst)}"
         else:
-            statement = (
-                f"the test fits; nearest to its limit is {_describe_limit(worst)} ({_percent(worst.share)})"
-            )
+            statement = f"the test fits; nearest to its limit is {_describe_limit(worst)} ({_percent(worst.share)})"
         if self.limited_by is None or not np.isfinite(self.largest_level):
             return statement
         about = "about " if self.nonlinear else ""
@@ -147,11 +145,7 @@ class Foresight(Result):
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the share of each limit that is used, as bars."""
         limited = [entry for entry in self.expectations if np.isfinite(entry.limit)]
-        ax.barh(
-            [entry.name for entry in limited],
-            [100.0 * entry.share for entry in limited],
-            **style,
-        )
+        ax.barh([entry.name for entry in limited], [100.0 * entry.share for entry in limited], **style)
         ax.axvline(100.0, color="black", lw=0.8)
         ax.set(xlabel="share of the limit / %")
 
@@ -164,21 +158,10 @@ class Foresight(Result):
                 limit = f"{entry.limited_by}, {in_words(entry.limit, entry.unit)}"
                 share = "over" if entry.share >= 1.0 else _percent(entry.share)
             signal = str(self.signals[entry.name]) if entry.name in self.signals else ""
-            rows.append(
-                (
-                    entry.name,
-                    in_words(entry.largest, entry.unit),
-                    entry.place,
-                    limit,
-                    share,
-                    signal,
-                )
-            )
+            rows.append((entry.name, in_words(entry.largest, entry.unit), entry.place, limit, share, signal))
         about = "about " if self.rehearsed else ""
         facts = [*self.unread, *self.flights, *self.outside]
-        facts.append(
-            f"takes {about}{duration_text(self.seconds)} on the bench, about {self.disk / 1e6:.3g} MB"
-        )
+        facts.append(f"takes {about}{duration_text(self.seconds)} on the bench, about {self.disk / 1e6:.3g} MB")
         if self.rehearsed:
             facts.append(f"rehearsed: {self.rehearsed}")
         return "\n".join([self.summary(), *facts, "", *table_lines(rows, "<" * len(header))])

@@ -10,16 +10,7 @@ import numpy as np
 from daq.signal_chain.channel import ChannelInfo
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
-from rig.scene.excitation import (
-    Impulse,
-    Multisine,
-    Random,
-    Sine,
-    SteppedSine,
-    SweptSine,
-    Test,
-    spaced_frequencies,
-)
+from rig.scene.excitation import Impulse, Multisine, Random, Sine, SteppedSine, SweptSine, Test, spaced_frequencies
 from rig.scene.measurement_chain import Channel
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
@@ -54,9 +45,7 @@ def test_frequencies(test: Test | None, points: int) -> Array:
     return np.array(spaced_frequencies(*band, points, "log"))
 
 
-def states_per_level(
-    scene: Scene, system: HybridSystem, frequencies: Array
-) -> tuple[ComplexArray, ComplexArray]:
+def states_per_level(scene: Scene, system: HybridSystem, frequencies: Array) -> tuple[ComplexArray, ComplexArray]:
     """Return states (states, frequencies) and drive (frequencies,) for one unit of the test's level."""
     omega = 2.0 * np.pi * frequencies
     gain = np.broadcast_to(drive_per_level(scene, system, omega), omega.shape).astype(np.complex128)
@@ -162,9 +151,7 @@ def _noise_density(scene: Scene, channel: Channel | None, info: ChannelInfo, fre
         data_sheet = complete_from_preset(sensor)
         integrated = (2.0 * np.pi * frequencies) ** (2 - (info.derivative or 0))
         flicker = 1.0 + (data_sheet.noise_corner or 0.0) / frequencies
-        noise_power += (
-            (data_sheet.noise or 0.0) * abs(info.response(frequencies)) / integrated
-        ) ** 2 * flicker
+        noise_power += ((data_sheet.noise or 0.0) * abs(info.response(frequencies)) / integrated) ** 2 * flicker
     elif channel is not None and channel.hammer is not None:
         noise_power += (complete_from_preset(channel.hammer).noise or 0.0) ** 2
     return np.asarray(np.sqrt(noise_power + voltage_noise_power / info.sensitivity**2))

@@ -74,9 +74,7 @@ def affordable_seconds(scene: Scene) -> float:
     system = assemble(scene)
     channels = system.coordinates if scene.channels is None else len(scene.channels)
     states = system.states + system.dampers
-    channel = _CHANNEL_S * (
-        1.0 if complete_from_preset(scene.converter).filter is None else _FILTER_TIME_RATIO
-    )
+    channel = _CHANNEL_S * (1.0 if complete_from_preset(scene.converter).filter is None else _FILTER_TIME_RATIO)
     sample = _SAMPLE_S + _STATE_S * states + _ELEMENT_S * states**2 + channel * channels
     return BUDGET_S / (scene.converter.true_rate * oversampling(scene) * sample)
 
@@ -101,9 +99,7 @@ def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...]) -> Rehearsal
     elif isinstance(test, Multisine):
         single_period = test.replace(periods=1)
         share = seconds / expected_seconds(scene.replace(test=single_period))
-        part = single_period.replace(
-            realisations=max(1, min(test.realisations, int(share * test.realisations)))
-        )
+        part = single_period.replace(realisations=max(1, min(test.realisations, int(share * test.realisations))))
     else:
         part = _first_hits(test, seconds)
     return RehearsalPlan(((scene.replace(test=part), 0),))
@@ -148,10 +144,7 @@ def plan_about_peaks(
         settle, periods = test.settle, test.measure.periods
         level = max(test.levels)
     else:
-        frequencies, direction = (
-            test_frequencies(test, _SWEEP_POINTS),
-            "up" if test.from_ < test.to else "down",
-        )
+        frequencies, direction = (test_frequencies(test, _SWEEP_POINTS), "up" if test.from_ < test.to else "down")
         settle, periods = SteppedSine.model_fields["settle"].default, 5
         level = test.force or test.drive or 0.0
     settings = _stepped_sine_settings(test, direction, level, settle, {"periods": periods})
@@ -173,9 +166,7 @@ def plan_about_peaks(
         if direction != "up" and not is_beginning:
             last = min(last + _EXCLUDED_STEPS, frequencies.size - 1)
         group = np.unique(frequencies[first : last + 1]).tolist()
-        excluded_steps = (
-            last - int(group_indices[-1]) if direction == "down" else int(group_indices[0]) - first
-        )
+        excluded_steps = last - int(group_indices[-1]) if direction == "down" else int(group_indices[0]) - first
         # A part with the first tone of the test begins as the test does.
         part = _with_settled_bias(scene) if excluded_steps else scene
         parts.append((part.replace(test={**settings, "frequencies": group}), excluded_steps))
@@ -210,9 +201,7 @@ def _peak_indices(
             padded = np.concatenate([[-1.0], curve, [-1.0]])
             peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
             for peak in peaks[curve[peaks] >= _MIN_PEAK_RATIO * largest].tolist():
-                peak_heights[peak] = max(
-                    peak_heights.get(peak, 0.0), curve[peak] / largest if largest else 0.0
-                )
+                peak_heights[peak] = max(peak_heights.get(peak, 0.0), curve[peak] / largest if largest else 0.0)
     ranked = sorted(peak_heights, key=lambda peak: -peak_heights[peak])[:max_count]
     indices = set(ranked)
     distance = 1

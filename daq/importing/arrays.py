@@ -19,9 +19,7 @@ from rig.errors import RecordingError, ShotrigError
 from rig.numerics.memory import require_memory_with_program
 
 # Names of the sample rate, the sample interval and the times.
-_RATES = re.compile(
-    r"(.*[._])?(f_?s|sr|rate|(samp|sample|sampling)_?(rate|freq|frequency))(_?hz)?", re.IGNORECASE
-)
+_RATES = re.compile(r"(.*[._])?(f_?s|sr|rate|(samp|sample|sampling)_?(rate|freq|frequency))(_?hz)?", re.IGNORECASE)
 _INTERVALS = re.compile(r"(.*[._])?(dt|ts|increment|delta_?t|sample_?interval|x?delta)(_?s)?", re.IGNORECASE)
 _TIMES = re.compile(r"(.*[._])?(t|time|times|zeit)(_s)?", re.IGNORECASE)
 # Shorter arrays are settings, not samples.
@@ -44,9 +42,7 @@ def numpy_signals(path: Path, _stack: ExitStack) -> list[Signal]:
                 return _signals(path, {"array": np.load(path, mmap_mode="r", allow_pickle=False)})
         # An archive of zeros is a thousandth of its content.
         with zipfile.ZipFile(path) as packed:
-            require_memory_with_program(
-                sum(each.file_size for each in packed.infolist()), f"{path}: importing it"
-            )
+            require_memory_with_program(sum(each.file_size for each in packed.infolist()), f"{path}: importing it")
         with np.load(path, allow_pickle=False) as archive:
             return _signals(path, {name: archive[name] for name in archive.files})
     except (OSError, MemoryError, ShotrigError):
@@ -94,11 +90,7 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
     rows: dict[str, NDArray[Any]] = {}
     clocks: dict[str, Clock] = {}
     for name, array in numbers.items():
-        if (
-            array.size < _MIN_SAMPLES
-            or array.ndim > 2
-            or (array.ndim == 2 and min(array.shape) > _MAX_CHANNELS)
-        ):
+        if array.size < _MIN_SAMPLES or array.ndim > 2 or (array.ndim == 2 and min(array.shape) > _MAX_CHANNELS):
             continue
         where = f"{path}: {name!r}"
         if array.ndim == 1 and not _TIMES.fullmatch(name):

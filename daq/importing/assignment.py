@@ -55,9 +55,7 @@ class Choice:
     column: Column
 
 
-def choose(
-    scene: Scene, signals: Sequence[Signal], table: Mapping[str, Column]
-) -> tuple[list[Choice], list[str]]:
+def choose(scene: Scene, signals: Sequence[Signal], table: Mapping[str, Column]) -> tuple[list[Choice], list[str]]:
     """Choose the signal of each channel of the scene, by the table or by name; return also notes on the others.
 
     Raises `SceneError` with all mistakes at once.
@@ -206,9 +204,7 @@ def _sensitivity(channel: Channel, info: ChannelInfo, column: Column) -> float:
             )
         value = parse(column.sensitivity, kinds[info.quantity])
         if not 0 < value < float("inf"):
-            raise ValueError(
-                f"sensitivity: {column.sensitivity!r} is not above 0. Reverse a sensor with sign: -1."
-            )
+            raise ValueError(f"sensitivity: {column.sensitivity!r} is not above 0. Reverse a sensor with sign: -1.")
         return value
     if not _has_sensitivity(channel):
         raise ValueError(
@@ -221,10 +217,7 @@ def _sensitivity(channel: Channel, info: ChannelInfo, column: Column) -> float:
 def _has_sensitivity(channel: Channel) -> bool:
     if channel.measures_force:
         return channel.hammer is not None and complete_from_preset(channel.hammer).sensitivity is not None
-    return (
-        channel.accelerometer is not None
-        and complete_from_preset(channel.accelerometer).sensitivity is not None
-    )
+    return channel.accelerometer is not None and complete_from_preset(channel.accelerometer).sensitivity is not None
 
 
 def _by_column(column: Column, signals: Sequence[Signal]) -> Sequence[Signal]:
@@ -253,8 +246,7 @@ def _matches(name: str, signals: Sequence[Signal]) -> list[Signal]:
     return exact or [
         signal
         for signal in signals
-        if spelling(name)
-        in {spelling(signal.name), *(spelling(signal.name.rpartition(mark)[2]) for mark in "/.")}
+        if spelling(name) in {spelling(signal.name), *(spelling(signal.name.rpartition(mark)[2]) for mark in "/.")}
     ]
 
 

@@ -66,9 +66,7 @@ def rate_of_interval(interval: float, resolution: float = 0.0) -> float:
     stated = 1.0 / interval
     rate, digits = _shortest_number(stated * (1.0 - error), stated * (1.0 + error))
     # An interval of few digits, such as 39 µs, is exact itself.
-    _, digits_of_interval = _shortest_number(
-        interval * (1.0 - _RATE_ROUNDING), interval * (1.0 + _RATE_ROUNDING)
-    )
+    _, digits_of_interval = _shortest_number(interval * (1.0 - _RATE_ROUNDING), interval * (1.0 + _RATE_ROUNDING))
     return rate if digits <= digits_of_interval else stated
 
 

@@ -45,9 +45,7 @@ def signals_of(path: Path, stack: ExitStack) -> list[Signal]:
             f"{path}: files of this type cannot be imported. Export it as one of {', '.join(READERS)}."
         )
     module, function = READERS[path.suffix.lower()]
-    read: Callable[[Path, ExitStack], list[Signal]] = getattr(
-        import_module(f"daq.importing.{module}"), function
-    )
+    read: Callable[[Path, ExitStack], list[Signal]] = getattr(import_module(f"daq.importing.{module}"), function)
     try:
         signals = [signal for signal in read(path, stack) if signal.samples > 1]
     except OSError as error:

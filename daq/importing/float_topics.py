@@ -83,13 +83,7 @@ def mcap_signals(path: Path, _stack: ExitStack) -> list[Signal]:
         )
     fields_per_topic = Counter(topic for topic, _ in topics.fields)
     return [
-        _signal(
-            path,
-            number,
-            f"{topic}.{name}" if fields_per_topic[topic] > 1 else topic,
-            each,
-            topics.units[topic],
-        )
+        _signal(path, number, f"{topic}.{name}" if fields_per_topic[topic] > 1 else topic, each, topics.units[topic])
         for number, ((topic, name), each) in enumerate(topics.fields.items(), 1)
     ]
 
@@ -147,9 +141,7 @@ class _Topics:
             raise Damage(f"a message belongs to channel {message.channel}, which no record before describes")
         schema = self._known[Opcode.SCHEMA].get(channel.schema_id)
         if channel.topic.startswith(layout.RAW) and schema is not None and schema.name.startswith("shotrig."):
-            raise RecordingError(
-                f"{self._path} is a recording already. Use it directly with `analysis` and `daq`."
-            )
+            raise RecordingError(f"{self._path} is a recording already. Use it directly with `analysis` and `daq`.")
         if message.channel not in self._decoders:
             self._decoders[message.channel] = _decoder(schema, channel.message_encoding)
         decoder = self._decoders[message.channel]

@@ -210,9 +210,7 @@ def _ends(phase: Array) -> tuple[int, int]:
 def _share(pieces: Sequence[_Piece], track: Track) -> float:
     """Share of the time with a signal in which a tone is held."""
     silence = _SILENCE_RATIO * float(np.median([piece.amplitude for piece in pieces]))
-    return sum(piece.stop - piece.first for piece in pieces) / (
-        track.hop * max(int(np.sum(track.levels > silence)), 1)
-    )
+    return sum(piece.stop - piece.first for piece in pieces) / (track.hop * max(int(np.sum(track.levels > silence)), 1))
 
 
 def _settled(piece: _Piece, tolerance: float) -> HeldTone:

@@ -141,18 +141,12 @@ def import_files(
         rate = _common_rate(chosen, bench)
         assigned = _cut(_with_start_delays(assign(bench, chosen, rate)), rate, from_s, to_s)
         longest = max(each.signal.samples for each in assigned)
-        short = [
-            f"{each.channel.name} ({each.signal.samples})"
-            for each in assigned
-            if each.signal.samples < longest
-        ]
+        short = [f"{each.channel.name} ({each.signal.samples})" for each in assigned if each.signal.samples < longest]
         if short:
             notes.append(f"{', '.join(short)} have fewer than {longest} samples; the rest is marked as lost")
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", RunWarning)
-            notes += _Import(_as_measured(bench, assigned, rate), assigned, rate).run(
-                target, overwrite, progress
-            )
+            notes += _Import(_as_measured(bench, assigned, rate), assigned, rate).run(target, overwrite, progress)
     for note in dict.fromkeys([*notes, *(str(each.message) for each in caught)]):
         warnings.warn(note, RunWarning, stacklevel=2)
     return target
@@ -170,9 +164,7 @@ def _common_rate(chosen: Sequence[Choice], scene: Scene) -> float:
 
     table_rates = {each.column.rate for each in chosen if each.column.rate is not None}
     if len(table_rates) > 1:
-        raise SceneError(
-            f"the table gives several rates, {listed(table_rates)}. Give one rate: a recording has one."
-        )
+        raise SceneError(f"the table gives several rates, {listed(table_rates)}. Give one rate: a recording has one.")
     if table_rates:
         return table_rates.pop()
     converter = scene.converter
@@ -221,9 +213,7 @@ def _with_start_delays(assigned: Sequence[Assigned]) -> list[Assigned]:
     return delayed
 
 
-def _cut(
-    assigned: Sequence[Assigned], rate: float, from_s: float | None, to_s: float | None
-) -> Sequence[Assigned]:
+def _cut(assigned: Sequence[Assigned], rate: float, from_s: float | None, to_s: float | None) -> Sequence[Assigned]:
     """Select the samples between two times."""
     if from_s is None and to_s is None:
         return assigned
@@ -232,9 +222,7 @@ def _cut(
     start = 0 if from_s is None else max(0, math.ceil(from_s * rate))
     stop = longest if to_s is None else min(longest, math.ceil(to_s * rate))
     if stop - start < 2:
-        raise SceneError(
-            f"no samples between --from and --to. Give times from 0 s to {longest / rate:.6g} s."
-        )
+        raise SceneError(f"no samples between --from and --to. Give times from 0 s to {longest / rate:.6g} s.")
 
     def within(signal: Signal) -> Signal:
         return replace(
@@ -281,9 +269,7 @@ class _Import:
         self._forces = {row: ForcePulses() for row in forces if isinstance(scene.test, Impulse | None)}
         # The power of the only channel of force and the motion where it acts.
         places = [f"body {number}" for number in scene.force_on]
-        motions = [
-            row for row, info in enumerate(self._infos) if info.quantity in MOTIONS and [info.at] == places
-        ]
+        motions = [row for row, info in enumerate(self._infos) if info.quantity in MOTIONS and [info.at] == places]
         self._powered = [forces[0], motions[0]] if len(forces) == 1 and motions else []
         self._power = DrivingPower(*(self._infos[row] for row in self._powered)) if self._powered else None
         held = isinstance(scene.test, Sine | SteppedSine)

@@ -34,21 +34,14 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
     memory = str(int(max(memory_limit() - PROGRAM_BYTES, memory_limit() / 2)))
     # The search path is that of this process: -m alone would search the user's folder first.
     program = [sys.executable, "-P", "-m", __name__, str(path.resolve()), memory]
-    environment = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path),
-    }
-    with subprocess.Popen(
-        program, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
-    ) as reader:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)}
+    with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment) as reader:
         assert reader.stdout is not None
         try:
             content: dict[str, Any] | str = pickle.load(reader.stdout)
         except (EOFError, pickle.UnpicklingError):
             code = reader.wait()
-            raise RecordingError(
-                f"{path} is damaged: reading it ended with code {code}. Save it again."
-            ) from None
+            raise RecordingError(f"{path} is damaged: reading it ended with code {code}. Save it again.") from None
     if content == _NEEDS_H5PY:
         raise RunError(
             f"{path} is a MATLAB file of version 7.3 (HDF5), which needs the package h5py: pip install "
@@ -115,8 +108,7 @@ class _HdfItems:
             fields = {name: self.value(item[name], depth + 1) for name in item}
             # Each field of an array of structures is a list of references, one for each structure.
             array = all(
-                not hasattr(each, "keys") and each.dtype.kind == "O" and not _kind(each)
-                for each in item.values()
+                not hasattr(each, "keys") and each.dtype.kind == "O" and not _kind(each) for each in item.values()
             )
             if not (fields and array):
                 return fields

@@ -110,9 +110,7 @@ class Overloads:
         for rail in self._rails:
             rail.add(first, samples)
         if self.limit is not None and len(self._over) < _MAX_STORED:
-            self._over += [
-                (first + a, first + b) for a, b in runs_of(abs(samples) >= _CLIPPED_RATIO * self.limit)
-            ]
+            self._over += [(first + a, first + b) for a, b in runs_of(abs(samples) >= _CLIPPED_RATIO * self.limit)]
 
     def spans(self) -> list[tuple[int, int]]:
         """Return the segments [first, stop) in which the signal was clipped, in order."""

@@ -50,14 +50,7 @@ def import_and_report(
         warnings.simplefilter("always", RunWarning)
         with progress(f"importing {files[0].name}") as report_progress:
             import_files(
-                files,
-                scene,
-                path,
-                table=table,
-                from_s=from_s,
-                to_s=to_s,
-                overwrite=overwrite,
-                progress=report_progress,
+                files, scene, path, table=table, from_s=from_s, to_s=to_s, overwrite=overwrite, progress=report_progress
             )
     for warning in caught:
         print(f"warning: {warning.message}", file=sys.stderr)

@@ -34,23 +34,12 @@ class Signal:
 
     @classmethod
     def of_array(
-        cls,
-        path: Path,
-        number: int,
-        name: str,
-        unit: str,
-        values: NDArray[Any],
-        clock: Clock,
-        start_ns: int = 0,
+        cls, path: Path, number: int, name: str, unit: str, values: NDArray[Any], clock: Clock, start_ns: int = 0
     ) -> Signal:
         """Make a signal of samples in memory; raise `RecordingError` unless they are a row of real numbers."""
         if values.ndim != 1 or values.dtype.kind not in "fiub":
-            content = (
-                "complex numbers" if values.dtype.kind == "c" else f"{values.dtype} of shape {values.shape}"
-            )
-            raise RecordingError(
-                f"{path}: {name!r} (number {number}) holds {content}; expected a row of real numbers"
-            )
+            content = "complex numbers" if values.dtype.kind == "c" else f"{values.dtype} of shape {values.shape}"
+            raise RecordingError(f"{path}: {name!r} (number {number}) holds {content}; expected a row of real numbers")
 
         def read(first: int, stop: int) -> Array:
             return values[first:stop].astype(np.float64)

@@ -37,12 +37,7 @@ class StepFinder:
         table = scene.at_driven("table") if scene.driven_shaker is not None else "table"
         shown = [
             *(row for row, info in enumerate(infos) if info.quantity == "force"),
-            *(
-                row
-                for place in ("drive", table)
-                for row, info in enumerate(infos)
-                if info.at.startswith(place)
-            ),
+            *(row for place in ("drive", table) for row, info in enumerate(infos) if info.at.startswith(place)),
         ]
         self.row = shown[0] if shown else 0
         self._info = infos[self.row]
@@ -127,11 +122,7 @@ def _refined(tones: Sequence[HeldTone], read: Callable[[int, int], Array], rate:
         if size < fewest_samples(frequency, rate) or 2 * size > length:
             size = length // 2
         plans.append((tone, size))
-    bounds = [
-        (start, start + size)
-        for tone, size in plans
-        for start in range(tone.first, tone.stop - size + 1, size)
-    ]
+    bounds = [(start, start + size) for tone, size in plans for start in range(tone.first, tone.stop - size + 1, size)]
     samples = _read_segments(read, bounds)
     return [replace(tone, frequency=_frequency(tone, size, samples, rate)) for tone, size in plans]
 
@@ -141,9 +132,7 @@ def _frequency(tone: HeldTone, size: int, samples: Iterator[Array], rate: float)
     starts = np.arange(tone.first, tone.stop - size + 1, size)
     phases = np.array([lock_in(next(samples)[None], tone.frequency * rate, rate)[0] for _ in starts])
     # Residual phase after the turns of the present frequency.
-    residual = np.unwrap(
-        np.angle(phases * np.exp(-2j * np.pi * np.fmod(tone.frequency * (starts - starts[0]), 1.0)))
-    )
+    residual = np.unwrap(np.angle(phases * np.exp(-2j * np.pi * np.fmod(tone.frequency * (starts - starts[0]), 1.0))))
     residual, starts = residual[np.isfinite(residual)], starts[np.isfinite(residual)]
     if residual.size < 2:
         return tone.frequency

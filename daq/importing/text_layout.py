@@ -94,9 +94,7 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
                 # A delimiter behind the last number of each line.
                 width, read = width - 1, tuple(range(width - 1))
             return Layout(encoding, delimiter, comma, heading, *_heading(above, width), read)
-    raise RecordingError(
-        f"{path}: no line of numbers among its first {len(lines)} lines; expected a table of numbers"
-    )
+    raise RecordingError(f"{path}: no line of numbers among its first {len(lines)} lines; expected a table of numbers")
 
 
 def _heading(above: list[list[str]], width: int) -> tuple[list[str], list[str]]:
@@ -222,9 +220,7 @@ def labview_heading(lines: Sequence[str], where: str) -> LabviewHeading:
             raise ValueError(f"{count} channels under {len(names)} names")
         channels = [_channel(segment, names[1 + step * k], step * k, comma) for k in range(count)]
     except ValueError as error:
-        raise RecordingError(
-            f"{where}: its LabVIEW heading contradicts itself: {error}. Export it again."
-        ) from None
+        raise RecordingError(f"{where}: its LabVIEW heading contradicts itself: {error}. Export it again.") from None
     return LabviewHeading(separator, comma, ends[1] + 2, columns == "One", channels)
 
 

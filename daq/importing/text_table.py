@@ -72,9 +72,7 @@ def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
     if len(columns) > 1 and (named or table.has_stamps or table.begins_with_times()):
         clock, first = table.take_clock(layout.units[0]), 1
     if not table.rows:
-        raise RecordingError(
-            f"{path} contains no line of numbers. Export time histories as columns of numbers."
-        )
+        raise RecordingError(f"{path} contains no line of numbers. Export time histories as columns of numbers.")
     return [
         table.signal(place, name, unit, first + place - 1, clock)
         for place, (name, unit) in enumerate(columns[first:], 1)
@@ -130,9 +128,7 @@ class _Table:
 
     def __init__(self, path: Path, layout: Layout, stack: ExitStack) -> None:
         self._path, self._layout = path, layout
-        self._file: IO[str] = stack.enter_context(
-            path.open(encoding=layout.encoding, errors="replace", newline="")
-        )
+        self._file: IO[str] = stack.enter_context(path.open(encoding=layout.encoding, errors="replace", newline=""))
         self._grid: tuple[Clock, float, float] | None = None  # Clock, resolution and unit of the times, s
         self._samples: list[str] = []  # first lines, and the last line
         self.rows = 0
@@ -219,9 +215,7 @@ class _Table:
         value = number(cell.strip(' "\r\n'), self._layout.decimal_comma)
         return self._row(line_number, line)[0] if value is None else value
 
-    def signal(
-        self, place: int, name: str, unit: str, column: int, clock: Clock, samples: int | None = None
-    ) -> Signal:
+    def signal(self, place: int, name: str, unit: str, column: int, clock: Clock, samples: int | None = None) -> Signal:
         """Make a signal of a column."""
 
         def read(start: int, stop: int) -> Array:
@@ -270,9 +264,7 @@ class _Table:
         texts = [line.replace(",", ".") if layout.decimal_comma else line for _, line in lines]
         shape = len(lines), len(layout.names)
         try:
-            values = np.loadtxt(
-                texts, delimiter=layout.delimiter, comments=None, ndmin=2, usecols=layout.cells
-            )
+            values = np.loadtxt(texts, delimiter=layout.delimiter, comments=None, ndmin=2, usecols=layout.cells)
             if values.shape == shape:
                 return values
         except ValueError:
@@ -297,8 +289,6 @@ class _Table:
             if value is None and column == 1:
                 value = seconds_of_stamp(cell)
             if value is None:
-                raise RecordingError(
-                    f"{where}, column {column}: {cell!r:.40} is not a number. Correct or remove it."
-                )
+                raise RecordingError(f"{where}, column {column}: {cell!r:.40} is not a number. Correct or remove it.")
             values.append(value)
         return values

@@ -120,13 +120,7 @@ class _Blocks:
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = spectra / reference_spectrum
         self._tones.append(
-            (
-                self._done + resolved,
-                line[resolved] / HOPS,
-                np.angle(reference_spectrum),
-                at[resolved] / gain,
-                ratio,
-            )
+            (self._done + resolved, line[resolved] / HOPS, np.angle(reference_spectrum), at[resolved] / gain, ratio)
         )
 
     def track(self) -> Track:

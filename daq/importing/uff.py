@@ -60,8 +60,7 @@ def functions(path: Path) -> list[dict[str, Any]]:
         stream.seek(max(0, size - 4096))
         if not stream.read().rstrip().endswith(b"-1"):
             raise RecordingError(
-                f"{path} is not a Universal File, or it is cut off: it does not end with the mark -1. Export it "
-                "again."
+                f"{path} is not a Universal File, or it is cut off: it does not end with the mark -1. Export it again."
             )
     try:
         file = pyuff.UFF(str(path))
@@ -122,9 +121,7 @@ def label(each: Mapping[str, Any], axis: str) -> str:
 def is_time(each: Mapping[str, Any]) -> bool:
     """Return whether a function is a function of time."""
     kind = int(each["func_type"])
-    return kind == TIME_RESPONSE or (
-        kind == GENERAL and int(each["abscissa_spec_data_type"]) == _ABSCISSA_TIME
-    )
+    return kind == TIME_RESPONSE or (kind == GENERAL and int(each["abscissa_spec_data_type"]) == _ABSCISSA_TIME)
 
 
 def _signal(path: Path, number: int, name: str, each: Mapping[str, Any]) -> Signal:

@@ -81,9 +81,7 @@ def _chunks(path: Path) -> tuple[bytes, int, int]:
             elif name == b"data":
                 size = large or size if size == _UNKNOWN or head[:4] == b"RF64" else size
                 if len(form) < 16:
-                    raise RecordingError(
-                        f"{path}: no format before its samples: the file is damaged. Export it again."
-                    )
+                    raise RecordingError(f"{path}: no format before its samples: the file is damaged. Export it again.")
                 if size != _UNKNOWN and at + size > end:
                     raise RecordingError(
                         f"{path} is cut off: its header states {size} bytes of samples, it contains "

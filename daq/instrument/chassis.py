@@ -332,9 +332,7 @@ class Chassis:
         waiting = [
             run.plan.start
             for run in self.outputs.values()
-            if run.first_tick is None
-            and isinstance(run.plan.start, OtherTask)
-            and run.plan.start.kind == "ai"
+            if run.first_tick is None and isinstance(run.plan.start, OtherTask) and run.plan.start.kind == "ai"
         ]
         return min(
             (

@@ -133,9 +133,7 @@ class Clock:
     def pass_query(self, bench: Timeline) -> None:
         """Let a short time pass for a query, on a clock that advances only while a call waits."""
 
-    def wait(
-        self, bench: Timeline, ready: Callable[[], bool], wanted: Callable[[], int], timeout: float
-    ) -> bool:
+    def wait(self, bench: Timeline, ready: Callable[[], bool], wanted: Callable[[], int], timeout: float) -> bool:
         """Wait until a condition is met.
 
         `bench`: the bench; the caller holds its lock; `ready`: returns whether the condition is met; `wanted`: lower
@@ -158,9 +156,7 @@ class FastClock(Clock):
         """Let 10 ms pass, so that a loop which only queries the progress terminates."""
         bench.advance(max(1, int(bench.rate / 100)))
 
-    def wait(
-        self, bench: Timeline, ready: Callable[[], bool], wanted: Callable[[], int], timeout: float
-    ) -> bool:
+    def wait(self, bench: Timeline, ready: Callable[[], bool], wanted: Callable[[], int], timeout: float) -> bool:
         """See `Clock.wait`."""
         end = math.inf if timeout < 0 else bench.position + math.ceil(timeout * bench.rate - 1e-6)
         turn = time.monotonic() + self.TURN_S
@@ -222,13 +218,9 @@ class RealClock(Clock):
             if bench in self._moving:
                 return
             self._moving.add(bench)
-        threading.Thread(
-            target=_follow, args=(weakref.ref(bench), self._moving), name="bench", daemon=True
-        ).start()
+        threading.Thread(target=_follow, args=(weakref.ref(bench), self._moving), name="bench", daemon=True).start()
 
-    def wait(
-        self, bench: Timeline, ready: Callable[[], bool], wanted: Callable[[], int], timeout: float
-    ) -> bool:
+    def wait(self, bench: Timeline, ready: Callable[[], bool], wanted: Callable[[], int], timeout: float) -> bool:
         """See `Clock.wait`."""
         self.start(bench)
         end = math.inf if timeout < 0 else bench.position + timeout * bench.rate
@@ -309,9 +301,7 @@ def _follow(reference: weakref.ref[Timeline], moving: weakref.WeakSet[Timeline])
                     bench.fail(error)
                     return
                 # Kernels used for the first time may be compiled; the scene does not cause this delay.
-                compiled = (
-                    compilations < _MAX_COMPILATIONS and time.monotonic_ns() - now > _COMPILATION_S * 1e9
-                )
+                compiled = compilations < _MAX_COMPILATIONS and time.monotonic_ns() - now > _COMPILATION_S * 1e9
                 compilations += compiled
                 if compiled or bench.report_delay(due / bench.rate):
                     origin, due = None, 0

@@ -10,13 +10,7 @@ import rig
 from daq.instrument.chassis import Chassis
 from daq.instrument.clock import Clock
 from daq.instrument.clock import clock as make_clock
-from daq.instrument.devices.modules import (
-    CHASSIS_CATEGORY,
-    COMPACT_DAQ_BUS,
-    SOUND_AND_VIBRATION,
-    USB_BUS,
-    Module,
-)
+from daq.instrument.devices.modules import CHASSIS_CATEGORY, COMPACT_DAQ_BUS, SOUND_AND_VIBRATION, USB_BUS, Module
 from daq.instrument.terminals import Terminals
 from daq.instrument.values import Coupling, Wiring
 from rig.scene.modules import Module as Sheet
@@ -61,10 +55,7 @@ def _modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
         described.append(_IDEAL_OUTPUTS)
     usb, compact = ([each for each in described if each.bus == bus] for bus in (USB_BUS, COMPACT_DAQ_BUS))
     own = [replace(each, name=f"Dev{number}") for number, each in enumerate(usb, 1)]
-    slots = [
-        replace(each, name=f"cDAQ1Mod{slot}", chassis="cDAQ1", slot=slot)
-        for slot, each in enumerate(compact, 1)
-    ]
+    slots = [replace(each, name=f"cDAQ1Mod{slot}", chassis="cDAQ1", slot=slot) for slot, each in enumerate(compact, 1)]
     chassis = [Module("cDAQ1", "cDAQ-9178", category=CHASSIS_CATEGORY, bus=USB_BUS)] if slots else []
     everything = replace(
         (own or slots)[0],
@@ -80,11 +71,7 @@ def _modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
 
 
 _IDEAL_OUTPUTS = Module("", "shotrig outputs")
-_WIRINGS = {
-    "pseudo_differential": Wiring.PSEUDO_DIFFERENTIAL,
-    "differential": Wiring.DIFFERENTIAL,
-    "rse": Wiring.RSE,
-}
+_WIRINGS = {"pseudo_differential": Wiring.PSEUDO_DIFFERENTIAL, "differential": Wiring.DIFFERENTIAL, "rse": Wiring.RSE}
 
 
 def _inputs(scene: rig.Scene, terminals: Terminals) -> list[Module]:

@@ -106,6 +106,5 @@ def unsupported(what: str, instead: str = "") -> DaqError:
     """Return the error for a function that this instrument does not support (-200452)."""
     hint = f" {instead}" if instead else ""
     return DaqError(
-        f"{what} is not supported by the rig's instrument.{hint}",
-        Code.ATTRIBUTE_NOT_SUPPORTED_IN_TASK_CONTEXT,
+        f"{what} is not supported by the rig's instrument.{hint}", Code.ATTRIBUTE_NOT_SUPPORTED_IN_TASK_CONTEXT
     )

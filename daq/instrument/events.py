@@ -45,8 +45,7 @@ class Events:
             return
         if event != (EverySamples.TRANSFERRED if outputs else EverySamples.ACQUIRED):
             raise DaqError(
-                f"an event for samples {event.name.lower()}: the task has "
-                f"{'outputs' if outputs else 'inputs'}",
+                f"an event for samples {event.name.lower()}: the task has {'outputs' if outputs else 'inputs'}",
                 _NOT_SUPPORTED[event],
             )
         if self._every is not None:

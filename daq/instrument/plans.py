@@ -29,9 +29,7 @@ if TYPE_CHECKING:
     from daq.instrument.settings.task_settings import TaskSettings
     from daq.virtual_bench.bench import Bench
 
-_OWN_CLOCK = re.compile(
-    r"|OnboardClock|.*/OnboardClock|/?([^/]+/)?(a[io]/)?SampleClock(Timebase)?", re.IGNORECASE
-)
+_OWN_CLOCK = re.compile(r"|OnboardClock|.*/OnboardClock|/?([^/]+/)?(a[io]/)?SampleClock(Timebase)?", re.IGNORECASE)
 
 
 def check_timing(task: TaskSettings) -> None:
@@ -45,11 +43,7 @@ def check_timing(task: TaskSettings) -> None:
         ("ai", "on_demand", "cannot be read on demand"),
         ("ao", "output_on_demand", "has no on-demand output"),
     ):
-        if (
-            task.kind == side
-            and not task.clocked
-            and not all(getattr(each.module, has) for each in task.channels)
-        ):
+        if task.kind == side and not task.clocked and not all(getattr(each.module, has) for each in task.channels):
             raise DaqError(
                 f"{task.channels[0].module.product_type} {lacks}: call timing.cfg_samp_clk_timing first",
                 Code.SAMP_CLK_RATE_MUST_BE_SPECD,
@@ -92,8 +86,7 @@ def sources(task: TaskSettings, chassis: Chassis) -> tuple[Source | None, Source
     kinds = [settings[f"{name}_trig_type"] for name in ("start", "ref")]
     if any(kind != TriggerType.NONE for kind in kinds) and not task.clocked:
         raise DaqError(
-            "a trigger needs a sample clock. Call timing.cfg_samp_clk_timing.",
-            Code.TRIG_WHEN_ON_DEMAND_SAMP_TIMING,
+            "a trigger needs a sample clock. Call timing.cfg_samp_clk_timing.", Code.TRIG_WHEN_ON_DEMAND_SAMP_TIMING
         )
     for name in ("start", "ref"):
         if settings[f"{name}_trig_delay"]:
@@ -110,8 +103,7 @@ def sources(task: TaskSettings, chassis: Chassis) -> tuple[Source | None, Source
         )
     if not 0 <= before < samples:
         raise DaqError(
-            f"{before} pretrigger samples: expected from 0 to {samples - 1}, as {samples} samples are acquired "
-            "in all",
+            f"{before} pretrigger samples: expected from 0 to {samples - 1}, as {samples} samples are acquired in all",
             Code.TOO_MANY_PRETRIG_PLUS_MIN_POST_TRIG_SAMPS,
         )
     return start, reference
@@ -155,24 +147,18 @@ def _source(task: TaskSettings, name: str, chassis: Chassis) -> Source | None:
         names, slopes, levels = unflatten(own("srcs")), own("slopes"), own("lvls")
         if not len(names) == len(slopes) == len(levels):
             raise DaqError(
-                f"{len(names)} trigger sources, {len(slopes)} slopes and {len(levels)} levels: give as many of "
-                "each",
+                f"{len(names)} trigger sources, {len(slopes)} slopes and {len(levels)} levels: give as many of each",
                 Code.MISMATCHED_INPUT_ARRAY_SIZES,
             )
         conditions = [
-            edge(enum_member(Slope, slope, "trigger_slope"), level)
-            for slope, level in zip(slopes, levels, strict=True)
+            edge(enum_member(Slope, slope, "trigger_slope"), level) for slope, level in zip(slopes, levels, strict=True)
         ]
         return AnalogSource(tuple(map(on_channel, names, conditions)))
     raise unsupported(f"a {name} trigger of type {kind}")
 
 
 def input_plan(
-    task: TaskSettings,
-    bench: Bench,
-    start: Source | None,
-    reference: Source | None,
-    on_demand: int | None = None,
+    task: TaskSettings, bench: Bench, start: Source | None, reference: Source | None, on_demand: int | None = None
 ) -> InputPlan:
     """Return the plan of an acquisition.
 
@@ -186,9 +172,7 @@ def input_plan(
     volts = [bench.channels[each.row].volts_per_count or 1.0 for each in task.channels]
     return InputPlan(
         rows=tuple(each.row for each in task.channels),
-        factors=np.array(
-            [volt / each.volts_per_unit for volt, each in zip(volts, task.channels, strict=True)]
-        ),
+        factors=np.array([volt / each.volts_per_unit for volt, each in zip(volts, task.channels, strict=True)]),
         scales=tuple(task.scale_of(each) for each in task.channels),
         rate=rate,
         samples=samples,
@@ -197,15 +181,11 @@ def input_plan(
         start=start,
         reference=reference,
         pretrigger=task.groups["trig"]["ref_trig_pretrig_samples"] if reference is not None else 0,
-        rearms=bool(
-            task.groups["trig"]["start_trig_retriggerable"] and start is not None and samples is not None
-        ),
+        rearms=bool(task.groups["trig"]["start_trig_retriggerable"] and start is not None and samples is not None),
     )
 
 
-def output_plan(
-    task: TaskSettings, ticks: float, start: Source | None
-) -> tuple[OutputPlan, OtherTask | None]:
+def output_plan(task: TaskSettings, ticks: float, start: Source | None) -> tuple[OutputPlan, OtherTask | None]:
     """Return the plan of a generation, and the task whose clock it uses, if any.
 
     An output on the clock of the inputs starts with the inputs.

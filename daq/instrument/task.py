@@ -74,8 +74,7 @@ class Task:
         self.check_idle("start")
         if not self.settings.channels:
             raise DaqError(
-                "the task has no channels. Add some before starting it.",
-                Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK,
+                "the task has no channels. Add some before starting it.", Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK
             )
         with self.chassis.changed:
             self.reserve()
@@ -143,9 +142,7 @@ class Task:
     def control(self, action: int) -> int:
         """Change the state of the task; COMMIT and RESERVE keep its modules reserved until UNRESERVE or close."""
         if action not in list(TaskMode):
-            raise invalid_value(
-                f"task mode {action}: expected one of {', '.join(each.name for each in TaskMode)}"
-            )
+            raise invalid_value(f"task mode {action}: expected one of {', '.join(each.name for each in TaskMode)}")
         if action == TaskMode.START:
             self.start()
         elif action == TaskMode.STOP:
@@ -237,8 +234,7 @@ class Task:
             if not self.settings.finite:
                 hint = "Stop it: a continuous task does not end."
             raise DaqError(
-                f"the task is not done after {timeout:g} s. {hint}",
-                Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE,
+                f"the task is not done after {timeout:g} s. {hint}", Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE
             )
 
     # Interface for the chassis (`Runner`)
@@ -267,11 +263,7 @@ class Task:
     # Samples
 
     def read(
-        self,
-        samples: int,
-        timeout: float,
-        raw: bool = False,
-        check: Callable[[int], None] = lambda samples: None,
+        self, samples: int, timeout: float, raw: bool = False, check: Callable[[int], None] = lambda samples: None
     ) -> Reading:
         """Read samples; starts the task where necessary.
 

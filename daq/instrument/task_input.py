@@ -210,9 +210,7 @@ class TaskInput:
             )
         run.position = position
 
-    def _collect(
-        self, run: Acquisition, rows: Sequence[int], out: NDArray[Any], timeout: float, raw: bool
-    ) -> Reading:
+    def _collect(self, run: Acquisition, rows: Sequence[int], out: NDArray[Any], timeout: float, raw: bool) -> Reading:
         """Read from the present position into `out`, shape (len(rows), n); the caller holds the chassis's lock."""
         chassis, channels = self._chassis, self._settings.channels
         requested, began, got, first = out.shape[1], chassis.clock.now(chassis), 0, run.position
@@ -239,9 +237,7 @@ class TaskInput:
                 first = first if got else run.position
                 samples = run.take_out(take)
                 for index, row in enumerate(rows):
-                    read = (
-                        _counts(channels[row], samples[row]) if raw else run.plan.reading(row, samples[row])
-                    )
+                    read = _counts(channels[row], samples[row]) if raw else run.plan.reading(row, samples[row])
                     out[index, got : got + take] = read
                 got += take
                 if self.log is not None:
@@ -278,8 +274,7 @@ def _counts(channel: Channel, samples: NDArray[Any]) -> NDArray[Any]:
     bits = channel.module.bits
     if bits is None or not np.isfinite(channel.range):
         raise unsupported(
-            "an unscaled read",
-            "The scene's converter has no counts: give it bits and a range, or read volts.",
+            "an unscaled read", "The scene's converter has no counts: give it bits and a range, or read volts."
         )
     full = 2.0 ** (bits - 1)
     return np.clip(np.rint(samples / channel.range * full), -full, full - 1)

@@ -95,18 +95,12 @@ class TaskOutput:
     @property
     def size(self) -> int:
         """Samples per channel that fit into the buffer."""
-        return (
-            int(self._settings.groups["buffer"]["output_buf_size"])
-            if self.buffer is None
-            else self.buffer.size
-        )
+        return int(self._settings.groups["buffer"]["output_buf_size"]) if self.buffer is None else self.buffer.size
 
     @property
     def space(self) -> int:
         """Samples per channel for which the buffer has room."""
-        return (
-            self.size if self.buffer is None else min(self._free(self.buffer, self.samples_passed), 1 << 31)
-        )
+        return self.size if self.buffer is None else min(self._free(self.buffer, self.samples_passed), 1 << 31)
 
     # Writes
 
@@ -159,9 +153,7 @@ class TaskOutput:
             if run is not None and run.error is not None:
                 raise DaqError(str(run.error), run.error.code, done)
             if run is not None and run.done:
-                raise DaqError(
-                    "the output has ended. Start the task again.", Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN, done
-                )
+                raise DaqError("the output has ended. Start the task again.", Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN, done)
             take = min(free(), requested - done)
             if take > 0:
                 buffer.write(volts[:, done : done + take], run is not None)

@@ -122,8 +122,7 @@ def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
         guess = max(1, int(task.chassis.rate / 100))
         if not task.chassis.wait(lambda: tick() is not None, lambda: guess, seconds(timeout)):
             raise DaqError(
-                f"the task has not been started or triggered within {timeout:g} s",
-                Code.SAMPLES_NOT_YET_AVAILABLE,
+                f"the task has not been started or triggered within {timeout:g} s", Code.SAMPLES_NOT_YET_AVAILABLE
             )
         event_tick = tick()
         assert event_tick is not None
@@ -167,9 +166,7 @@ def _run_input(task: Task, value: Callable[[Any], int]) -> int:
 def _module(task: Task) -> Module:
     """Return the module whose clock the task uses; with -200478, if it has no channels."""
     if not task.settings.channels:
-        raise DaqError(
-            "the task has no channels: add some first", Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK
-        )
+        raise DaqError("the task has no channels: add some first", Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK)
     return task.settings.channels[0].module
 
 
@@ -211,9 +208,7 @@ _COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {
     ("write", "num_chans"): lambda task: len(task.settings.channels),
     ("write", "space_avail"): _counter("space", lambda task: task.output.space),
     ("write", "curr_write_pos"): lambda task: task.output.written,
-    ("write", "total_samp_per_chan_generated"): _counter(
-        "generated", lambda task: task.output.samples_passed
-    ),
+    ("write", "total_samp_per_chan_generated"): _counter("generated", lambda task: task.output.samples_passed),
     **{
         ("trig", name): partial(_edge_source, name=name)
         for kind in ("anlg_edge", "anlg_win", "dig_edge")

@@ -46,9 +46,7 @@ class Terminals:
         sheets = [None if shaker.output is None else shaker.output.preset for shaker in scene.shakers]
         inputs = None if named is None else module(named).inputs
         outputs = [None if name is None else module(name).outputs for name in sheets]
-        fastest, *others = (
-            DIVIDED.fastest if each is None else each.rates.fastest for each in (inputs, *outputs)
-        )
+        fastest, *others = (DIVIDED.fastest if each is None else each.rates.fastest for each in (inputs, *outputs))
         needed = [own * oversampling(scene), *others]
         if fastest > own:
             needed.append(fastest * oversampling(at_rate(scene, fastest)))
@@ -71,9 +69,7 @@ class Terminals:
         """Limit a number of ticks to the known drive of the test."""
         return self._test.horizon(ticks)
 
-    def advance(
-        self, volts: NDArray[np.float64] | None, ticks: int, rates: Collection[float]
-    ) -> Mapping[float, Block]:
+    def advance(self, volts: NDArray[np.float64] | None, ticks: int, rates: Collection[float]) -> Mapping[float, Block]:
         """Advance the bench with output voltages, shape (outputs, ticks), or with the test alone for None.
 
         The samples are those of `Bench.advance`.
@@ -147,9 +143,7 @@ class Terminals:
     def supply(self, row: int) -> float | None:
         """Return the present supply current of a channel's sensor, A; None if not needed or not modeled."""
         channel = self.bench.wiring[row]
-        return (
-            input_settings(self.bench.scene.converter, channel).excitation if needs_supply(channel) else None
-        )
+        return input_settings(self.bench.scene.converter, channel).excitation if needs_supply(channel) else None
 
     def data_sheet(self, row: int) -> bytes | None:
         """Return the electronic data sheet of a channel's sensor; None without a readable data sheet."""

@@ -79,18 +79,14 @@ Coupling = IntEnum("Coupling", {"AC": 10045, "DC": 10050, "GND": 10066})
 Excitation = IntEnum("Excitation", {"INTERNAL": 10200, "EXTERNAL": 10167, "NONE": 10230})
 # Terminal configuration of an input.
 Wiring = IntEnum(
-    "Wiring",
-    {"DEFAULT": -1, "RSE": 10083, "NRSE": 10078, "DIFFERENTIAL": 10106, "PSEUDO_DIFFERENTIAL": 12529},
+    "Wiring", {"DEFAULT": -1, "RSE": 10083, "NRSE": 10078, "DIFFERENTIAL": 10106, "PSEUDO_DIFFERENTIAL": 12529}
 )
 # Signals that can be exported or registered for as events.
 Signal = IntEnum(
-    "Signal",
-    {"SAMPLE_CLOCK": 12487, "REFERENCE_TRIGGER": 12490, "START_TRIGGER": 12491, "SAMPLE_COMPLETE": 12530},
+    "Signal", {"SAMPLE_CLOCK": 12487, "REFERENCE_TRIGGER": 12490, "START_TRIGGER": 12491, "SAMPLE_COMPLETE": 12530}
 )
 # Events whose time can be queried.
-TimestampEvent = IntEnum(
-    "TimestampEvent", {"START_TRIGGER": 12491, "REFERENCE_TRIGGER": 12490, "FIRST_SAMPLE": 16130}
-)
+TimestampEvent = IntEnum("TimestampEvent", {"START_TRIGGER": 12491, "REFERENCE_TRIGGER": 12490, "FIRST_SAMPLE": 16130})
 # Samples that an event counts: acquired or generated.
 EverySamples = IntEnum("EverySamples", {"ACQUIRED": 1, "TRANSFERRED": 2})
 

@@ -40,9 +40,7 @@ class Screen:
     `stream`: stream with a sink.
     """
 
-    def __init__(
-        self, stream: rr.RecordingStream, scene: Scene, channels: Sequence[ChannelInfo], rate: float
-    ) -> None:
+    def __init__(self, stream: rr.RecordingStream, scene: Scene, channels: Sequence[ChannelInfo], rate: float) -> None:
         self._stream, self._scene, self._rate = stream, scene, rate
         self._names = [info.name for info in channels]
         by_name = {info.name: info for info in channels}
@@ -50,9 +48,7 @@ class Screen:
         self._recent: list[tuple[int, Extremes]] = []
         self._draw(Extremes(body=1e-3, spring=1e-3, coil=1e-3, gap=1e-3))
         stream.send_blueprint(
-            live_layout(plots(by_name), len(scene.dampers), self._view.eye),
-            make_active=True,
-            make_default=True,
+            live_layout(plots(by_name), len(scene.dampers), self._view.eye), make_active=True, make_default=True
         )
         self._traces = Traces(stream, rate, by_name, scene.dampers)
         self._next_reading = 0
@@ -100,9 +96,7 @@ class Screen:
         since = self._position - round(_MEMORY_S * self._rate)
         self._recent = [(at, extremes) for at, extremes in self._recent if at >= since]
         self._recent.append((self._position, present))
-        largest = Extremes(
-            *(max(values) for values in zip(*(vars(e).values() for _, e in self._recent), strict=True))
-        )
+        largest = Extremes(*(max(values) for values in zip(*(vars(e).values() for _, e in self._recent), strict=True)))
         fit = exaggeration(largest)
         settled = self._position - self._recent[0][0] >= 0.9 * _MEMORY_S * self._rate
         if fit < self._view.magnification or (settled and fit > _QUIETER_RATIO * self._view.magnification):

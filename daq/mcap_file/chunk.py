@@ -40,9 +40,7 @@ class Stored(NamedTuple):
     data: memoryview
 
 
-def unpack_chunk(
-    content: memoryview, checksum_needed: bool = False, largest: int | None = None
-) -> memoryview:
+def unpack_chunk(content: memoryview, checksum_needed: bool = False, largest: int | None = None) -> memoryview:
     """Unpack the content of a chunk record, without opcode and length, and verify its checksum.
 
     `largest` limits the unpacked bytes at any ratio; by default `LARGEST_CHUNK` and the ratio do. Raises `Damage`.
@@ -109,9 +107,7 @@ def _decompressor() -> Any:
     return _of_thread.zstd
 
 
-def record_at(
-    read: Callable[[int, int], bytes], place: int, end: int, largest: int
-) -> tuple[int, memoryview]:
+def record_at(read: Callable[[int, int], bytes], place: int, end: int, largest: int) -> tuple[int, memoryview]:
     """Read opcode and content of the record at a place in a file of `end` bytes; raise `Damage` if it is malformed.
 
     ``read(place, length)`` gives bytes; content of more than `largest` bytes is rejected.

@@ -105,14 +105,8 @@ class DamagedFile:
             try:
                 return Intact(parse(opcode, self._read(place + RECORD_HEAD.size, length), True), length), end
             except Damage as damage:
-                return (
-                    (Unreadable(place, end, str(damage)), end) if self._is_consistent(end) else (None, None)
-                )
-        if (
-            opcode in (Opcode.HEADER, Opcode.MESSAGE_INDEX)
-            and self._is_consistent(place)
-            and end <= self.size
-        ):
+                return (Unreadable(place, end, str(damage)), end) if self._is_consistent(end) else (None, None)
+        if opcode in (Opcode.HEADER, Opcode.MESSAGE_INDEX) and self._is_consistent(place) and end <= self.size:
             return None, end
         if (
             end > self.size

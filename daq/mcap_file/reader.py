@@ -68,9 +68,7 @@ class Container:
         if self.size == 0:
             raise RecordingError(f"{self.path}: the file is empty. Record it again.")
         if self.read(0, len(MAGIC)) != MAGIC:
-            raise RecordingError(
-                f"{self.path}: not an MCAP file (no MCAP signature). Give the path of a recording."
-            )
+            raise RecordingError(f"{self.path}: not an MCAP file (no MCAP signature). Give the path of a recording.")
         data = self.read(max(self.size - tail, 0), tail)
         if len(data) < tail or not data.endswith(MAGIC) or data[0] != Opcode.FOOTER:
             raise self.error("was not closed properly (it has no end; the recording may have been cut off)")
@@ -82,9 +80,7 @@ class Container:
         if not len(MAGIC) <= start <= self.size - tail:
             raise Damage("its footer points outside the file")
         if self.size - tail - start > LARGEST_SUMMARY:
-            raise Damage(
-                f"its summary has {self.size - tail - start} bytes; at most {LARGEST_SUMMARY} are read"
-            )
+            raise Damage(f"its summary has {self.size - tail - start} bytes; at most {LARGEST_SUMMARY} are read")
         section = self.read(start, self.size - tail - start)
         self._summary_has_checksum = checksum != 0
         if checksum and checksum != zlib.crc32(data[: FOOTER_RECORD.size - 4], zlib.crc32(section)):

@@ -164,16 +164,12 @@ class ChunkedFile:
         before = self._times or (earliest, latest)
         self._times = min(before[0], earliest), max(before[1], latest)
         known = _CHUNK_INDEX.size - RECORD_HEAD.size + _PLACE.size * len(places) + self._chunk_sizes.size
-        front = _CHUNK_INDEX.pack(
-            _CHUNK_INDEX_CODE, known, earliest, latest, begin, length, _PLACE.size * len(places)
-        )
+        front = _CHUNK_INDEX.pack(_CHUNK_INDEX_CODE, known, earliest, latest, begin, length, _PLACE.size * len(places))
         sizes = self._chunk_sizes.pack(end - begin - length, len(name), name, len(packed), size)
         self._chunks.append(b"".join((front, *places, sizes)))
         return True
 
-    def add_attachment(
-        self, create_time: int, log_time: int, name: str, media_type: str, data: bytes
-    ) -> None:
+    def add_attachment(self, create_time: int, log_time: int, name: str, media_type: str, data: bytes) -> None:
         """Write an attachment."""
         begin = self._stream.tell()
         length = self._put(records.Attachment(create_time, log_time, name, media_type, data))

@@ -37,14 +37,7 @@ class BenchLoop(ABC):
         self.bench = bench = Bench(scene)
         self.warnings: list[str] = []
         self.station = Station(
-            scene,
-            bench.channels,
-            bench.inputs,
-            bench.rate,
-            self.mark,
-            self.report,
-            self.warnings.append,
-            bench.latency,
+            scene, bench.channels, bench.inputs, bench.rate, self.mark, self.report, self.warnings.append, bench.latency
         )
         self.ended: int | None = None  # sample at which a limit ended the test
         self._block = block

@@ -41,9 +41,7 @@ class Estimate:
     waits: bool  # for the steady state at each frequency, for an unknown time
 
     def __str__(self) -> str:
-        more = (
-            "; waiting for steady motion comes on top, which may be many times as long" if self.waits else ""
-        )
+        more = "; waiting for steady motion comes on top, which may be many times as long" if self.waits else ""
         return (
             f"the test takes at least {duration_text(self.seconds)} on the bench: {self.samples:.3g} samples a "
             f"channel, about {_size(self.disk)}{more}"
@@ -83,9 +81,7 @@ def check_resources(resources: Estimate, path: Path) -> None:
             f"test: {duration_text(resources.seconds)} and {resources.samples:.3g} samples of each channel are too "
             f"many (at most {MOST_SAMPLES:.0e}). Choose a shorter test or a lower rate."
         )
-    require_memory(
-        resources.memory, "the test with half a second of all its channels, as held before it is written,"
-    )
+    require_memory(resources.memory, "the test with half a second of all its channels, as held before it is written,")
     folder = next(folder for folder in path.absolute().parents if folder.is_dir())
     free = shutil.disk_usage(folder).free
     if resources.disk * FEWEST + RESERVE > free:

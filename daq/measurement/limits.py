@@ -117,9 +117,7 @@ class Limits:
             return None
         sample = int(np.argmax(beyond.any(axis=0)))
         row = int(np.argmax(beyond[:, sample]))
-        return Trip(
-            first + sample, self._channels[row], float(readings[row, sample]), float(self._abort[row, 0])
-        )
+        return Trip(first + sample, self._channels[row], float(readings[row, sample]), float(self._abort[row, 0]))
 
     def close(self) -> None:
         """Mark the open alarms."""

@@ -243,9 +243,7 @@ def missing_force_reference(scene: Scene, channels: Sequence[ChannelInfo]) -> st
     shaker = scene.driven_shaker
     assert shaker is not None
     names = ["force" if shaker.kind == "force" else place.replace(" ", "") for place in places]
-    missing = " and ".join(
-        f"{{name: {name}, at: {place}}}" for name, place in zip(names, places, strict=True)
-    )
+    missing = " and ".join(f"{{name: {name}, at: {place}}}" for name, place in zip(names, places, strict=True))
     return (
         "no channel measures the force on the structure, so `analysis frf` has no reference. "
         f"Add {missing} to the scene's channels."

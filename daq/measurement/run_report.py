@@ -32,10 +32,7 @@ def record_and_report(name: str, scene: Scene, path: Path, overwrite: bool, bloc
     requested, rate = scene.converter.rate, scene.converter.sample_rate
     if rate != requested:
         module = scene.converter.preset
-        print(
-            f"{module} samples at {rate:.10g} Hz, the next rate of its clock above {requested:g} Hz",
-            file=sys.stderr,
-        )
+        print(f"{module} samples at {rate:.10g} Hz, the next rate of its clock above {requested:g} Hz", file=sys.stderr)
     resources = estimate(scene)
     if resources.seconds > ANNOUNCED_S:
         print(resources, file=sys.stderr)
@@ -95,9 +92,7 @@ def summary(path: Path) -> str:
         deviations = [mark for mark in rec.markers if mark.kind == "level"]
         if deviations:
             seconds = sum(mark.stop - mark.first_sample for mark in deviations) / rec.rate
-            lines.append(
-                f"force off its level: {seconds:.2f} s in all (markers 'level' say where and by how much)"
-            )
+            lines.append(f"force off its level: {seconds:.2f} s in all (markers 'level' say where and by how much)")
         lines += [f"aborted: {mark.fields['reason']}" for mark in rec.markers if mark.kind == "abort"]
         lines.append(f"next: {'   or: '.join(next_steps(rec))}")
     return "\n".join(lines)
@@ -125,9 +120,7 @@ def next_steps(rec: Recording) -> list[str]:
 def _overloads(rec: Recording) -> list[str]:
     """Describe the overloads: a line, and a table with times, frequencies and limits of each channel."""
     by_channel: dict[str, list[Marker]] = {}
-    for mark in sorted(
-        (mark for mark in rec.markers if mark.kind == "overload"), key=lambda mark: mark.first_sample
-    ):
+    for mark in sorted((mark for mark in rec.markers if mark.kind == "overload"), key=lambda mark: mark.first_sample):
         by_channel.setdefault(str(mark.fields["channel"]), []).append(mark)
     if not by_channel:
         return ["overloads: none"]
@@ -177,9 +170,7 @@ def _sudden_landings(rec: Recording, overloaded: Iterable[str]) -> str:
         return ""
     beds = [damper.contact is None and damper.grains is None for damper in scene.dampers]
     sensors = {each.name: each.accelerometer for each in scene.channels or () if each.name in set(overloaded)}
-    if not any(beds) or all(
-        each is None or complete_from_preset(each).saturation is None for each in sensors.values()
-    ):
+    if not any(beds) or all(each is None or complete_from_preset(each).saturation is None for each in sensors.values()):
         return ""
     return (
         f". An impact of zero duration overloads most real sensors. Set dampers[{beds.index(True) + 1}].contact: "

@@ -115,9 +115,7 @@ class Series:
     def _check(self, block: SampleBlock, log_time: int, clock: Timebase) -> None:
         """Compare a block with the layout, on which the search for samples relies."""
         if block.stop > MAX_SAMPLES:
-            raise self._error(
-                f"a block begins at sample {block.first_sample}; expected at most {MAX_SAMPLES}."
-            )
+            raise self._error(f"a block begins at sample {block.first_sample}; expected at most {MAX_SAMPLES}.")
         begins = (block.t0_ns - clock.start_ns) * clock.rate * 1e-9 - block.first_sample
         ends = (log_time - clock.start_ns) * clock.rate * 1e-9 - block.stop
         if block.rate != clock.rate or not (abs(begins) < 0.5 and abs(ends) < 0.5):

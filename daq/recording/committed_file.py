@@ -45,9 +45,7 @@ class Disk:
                 self.at = _unused(self._final)
             self._file = self.at.open("xb", buffering=0)
         except FileExistsError:
-            raise RecordingError(
-                f"{path}: another process created it in the meantime. Choose another name."
-            ) from None
+            raise RecordingError(f"{path}: another process created it in the meantime. Choose another name.") from None
         except OSError as error:
             raise RecordingError(f"{path}: cannot create ({_reason(error, path.parent)}") from error
         _lock(self._file, path)

@@ -34,14 +34,10 @@ class MotionSource:
         if self.quantity == "displacement":
             return f"channel {self.channel}"
         times = _INTEGRATIONS[self.quantity]
-        return (
-            f"channel {self.channel}, {self.quantity} integrated {times} (high-passed at {HIGH_PASS_HZ:g} Hz)"
-        )
+        return f"channel {self.channel}, {self.quantity} integrated {times} (high-passed at {HIGH_PASS_HZ:g} Hz)"
 
 
-def motion_sources(
-    points: Iterable[str], channels: Sequence[ChannelInfo], truth: bool
-) -> tuple[MotionSource, ...]:
+def motion_sources(points: Iterable[str], channels: Sequence[ChannelInfo], truth: bool) -> tuple[MotionSource, ...]:
     """Choose the source of each point: a displacement channel, else truth, else a channel that is integrated."""
     sources = []
     for point in points:

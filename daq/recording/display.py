@@ -120,9 +120,7 @@ class DisplayDecimator:
     def finish(self) -> tuple[NDArray[np.int64], Array]:
         """Give the remaining values of the samples so far, at least one; the next samples start a new signal."""
         assert self.stop is not None
-        self._samples = np.concatenate(
-            [self._samples, np.repeat(self._samples[:, -1:], self._half, axis=1)], axis=1
-        )
+        self._samples = np.concatenate([self._samples, np.repeat(self._samples[:, -1:], self._half, axis=1)], axis=1)
         output = self._output_until((self.stop - 1) // self.step)
         self.stop = None
         return output
@@ -167,12 +165,7 @@ class Display:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        channels: Sequence[ChannelInfo],
-        clock: Timebase,
-        truth: Truth | None,
-        register: Register,
+        self, scene: Scene, channels: Sequence[ChannelInfo], clock: Timebase, truth: Truth | None, register: Register
     ) -> None:
         from daq.recording.robot_description import TRANSFORMS_SCHEMA, RobotDescription
 
@@ -216,9 +209,7 @@ class Display:
         rate = self._clock.rate / self._decimator.step
         return {
             "rate_hz": repr(rate),
-            "low_pass": f"linear-phase FIR, -6 dB at {CUTOFF * rate:.4g} Hz"
-            if self._decimator.step > 1
-            else "none",
+            "low_pass": f"linear-phase FIR, -6 dB at {CUTOFF * rate:.4g} Hz" if self._decimator.step > 1 else "none",
             "transforms_rate_hz": repr(rate / TRANSFORM_STEP),
             "exaggeration": f"{self._robot.exaggeration:g}",
             **sources,

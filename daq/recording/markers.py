@@ -98,9 +98,7 @@ class Marker:
     kind: str  # `settle`, `measure`, `hit`, `overload`, `gap`, `lost`, ...
     first_sample: int  # its first sample
     last_sample: int | None = None  # its last sample, included; None for an instant
-    fields: Mapping[str, Any] = field(
-        default_factory=dict
-    )  # further fields of this kind of marker, in SI units
+    fields: Mapping[str, Any] = field(default_factory=dict)  # further fields of this kind of marker, in SI units
 
     @property
     def end(self) -> int:
@@ -212,9 +210,7 @@ def event_from_json(data: memoryview) -> tuple[float, int, str, float]:
 
 def _json(content: Mapping[str, Any]) -> bytes:
     """Encode compactly and reproducibly, numpy included; NaN and infinity, which JSON lacks, are rejected."""
-    return json.dumps(
-        content, separators=(",", ":"), allow_nan=False, default=_plain, ensure_ascii=False
-    ).encode()
+    return json.dumps(content, separators=(",", ":"), allow_nan=False, default=_plain, ensure_ascii=False).encode()
 
 
 def _plain(value: Any) -> Any:

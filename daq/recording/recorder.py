@@ -157,9 +157,7 @@ class Recorder:
         self._need_truth(samples.shape[1])
         counts = np.issubdtype(samples.dtype, np.integer)
         if self._stored == "counts" and not counts:
-            raise RunError(
-                "recording.samples: counts, but the samples are volts. Give the converter bits and a range."
-            )
+            raise RunError("recording.samples: counts, but the samples are volts. Give the converter bits and a range.")
         if self._stored != "counts" and counts:
             samples = samples * np.array([[info.volts_per_count or 1.0] for info in self.channels])
         taken = 0
@@ -249,9 +247,7 @@ class Recorder:
     def _need_truth(self, samples: int) -> None:
         """Raise `RunError` unless the truth of the next samples was written: they are committed together."""
         if self._truth is not None and self._truth.position < self._raw.position + samples:
-            raise RunError(
-                "recording.truth: the true motion of these samples is missing. Write it before them."
-            )
+            raise RunError("recording.truth: the true motion of these samples is missing. Write it before them.")
 
     # -- the beginning and the end of the file -----------------------------------------------------------
 
@@ -264,9 +260,7 @@ class Recorder:
         common = {"stored": self._stored, "start_ns": str(self.clock.start_ns), "layout": layout.VERSION}
         schema = block_schema(SCHEMAS[self._stored][0])
         self._topics = [
-            self._register(
-                f"{layout.RAW}{info.name}", schema, info.to_metadata() | common | {"scale": repr(scale)}
-            )
+            self._register(f"{layout.RAW}{info.name}", schema, info.to_metadata() | common | {"scale": repr(scale)})
             for info, scale in zip(self.channels, self._scale[:, 0].tolist(), strict=True)
         ]
         self._truth = self._display = None
@@ -287,17 +281,13 @@ class Recorder:
     def _describe(self) -> None:
         """Write the metadata records and the scene."""
         scene, start = self._scene, str(self.clock.start_ns)
-        converter = {
-            f"converter.{key}": json.dumps(value) for key, value in scene.converter.model_dump().items()
-        }
+        converter = {f"converter.{key}": json.dumps(value) for key, value in scene.converter.model_dump().items()}
         sizes = {"block_samples": str(self._block), "flush_samples": str(self._group), "stored": self._stored}
         records = {"daq": converter | sizes | {"rate_hz": repr(self.clock.rate), "start_ns": start}}
         for info in self.channels:
             sheet = {"name": info.name, "at": info.at, "quantity": info.quantity, "unit": info.unit}
             sheet |= {"direction": "up", "sensitivity_V_per_unit": repr(info.sensitivity)}
-            records[f"sensor {info.name}"] = {
-                f"sensor.{key}": text for key, text in info.sensor.items()
-            } | sheet
+            records[f"sensor {info.name}"] = {f"sensor.{key}": text for key, text in info.sensor.items()} | sheet
         if self._display is not None:
             records["display"] = self._display.description()
         run = SceneOutline.of(scene).to_metadata() | {"seed": str(scene.seed), "layout": layout.VERSION}
@@ -377,9 +367,7 @@ class Recorder:
         if self._truth is not None:
             streams = [[] if group is None else self._blocks(group) for group in self._truth.take(number)]
             for chunk in self._truth.chunks:
-                self._send(
-                    each for stream, row, topic in chunk for each in of_row(streams[stream], row, topic)
-                )
+                self._send(each for stream, row, topic in chunk for each in of_row(streams[stream], row, topic))
             self._send(self._truth.events_before((number + 1) * self._group))
         self._commit()
         if raw is not None:

@@ -132,9 +132,7 @@ class Recording(Result):
         if "quantity" not in given:
             given["quantity"] = next((key for key, unit in UNITS.items() if unit == given.get("unit")), "")
         if given["quantity"] not in UNITS:
-            raise RecordingError(
-                f"{where}: its metadata state no quantity; expected one of {', '.join(UNITS)}."
-            )
+            raise RecordingError(f"{where}: its metadata state no quantity; expected one of {', '.join(UNITS)}.")
         if series.clock != next(iter(self._series.values())).clock:
             raise RecordingError(f"{where}: another sample clock; expected one clock for all channels.")
         try:
@@ -157,9 +155,7 @@ class Recording(Result):
 
     def _repr_html_(self) -> str:
         """Show the recording and its channels."""
-        channels = [
-            f"  {name}: {info.quantity} of {info.at}, {info.unit}" for name, info in self.channels.items()
-        ]
+        channels = [f"  {name}: {info.quantity} of {info.at}, {info.unit}" for name, info in self.channels.items()]
         return f"<pre>{escape_html(chr(10).join([self.summary(), *channels]))}</pre>"
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -202,15 +198,11 @@ class Recording(Result):
         if channel not in self._series:
             near = get_close_matches(str(channel), self._series, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else "."
-            raise RecordingError(
-                f"{self.path}: no channel {channel!r}{hint} Choose one of {', '.join(self._series)}."
-            )
+            raise RecordingError(f"{self.path}: no channel {channel!r}{hint} Choose one of {', '.join(self._series)}.")
         start, stop = self._range(start, stop)
         return self._series[channel].read(start, stop)
 
-    def blocks(
-        self, channels: Sequence[str] | None = None, size: int = 1 << 16
-    ) -> Iterator[tuple[int, Array]]:
+    def blocks(self, channels: Sequence[str] | None = None, size: int = 1 << 16) -> Iterator[tuple[int, Array]]:
         """Read channels piece by piece, in bounded memory.
 
         Parameters
@@ -293,9 +285,7 @@ class Recording(Result):
         """The markers of the test, by their first samples."""
         with add_path(self.path):
             found = [Marker.from_json(data) for data in self._messages(layout.MARKERS)]
-        return sorted(
-            (marker for marker in found if marker.kind != "start"), key=lambda marker: marker.first_sample
-        )
+        return sorted((marker for marker in found if marker.kind != "start"), key=lambda marker: marker.first_sample)
 
     @cached_property
     def gaps(self) -> list[Gap]:
@@ -393,9 +383,7 @@ class Recording(Result):
         try:
             return loads_si(text.decode(), f"{self.path}: {layout.SCENE_FILE}")
         except UnicodeDecodeError as error:
-            raise RecordingError(
-                f"{self.path}: {layout.SCENE_FILE} is not text ({error}). Record it again."
-            ) from error
+            raise RecordingError(f"{self.path}: {layout.SCENE_FILE} is not text ({error}). Record it again.") from error
 
     def check(self) -> None:
         """Read the whole file, and check every record and that missing samples are marked.

@@ -73,9 +73,7 @@ def encode(clock: Timebase, first_sample: int, samples: NDArray[Any]) -> NDArray
     _, blocks, length = samples.shape
     size, (tag0, tag1, tag2, tag3) = varint(length * samples.itemsize), _TAGS
     firsts = [first_sample + block * length for block in range(blocks)]
-    heads = [
-        _HEAD.pack(tag0, clock.time_ns(first), tag1, first, tag2, clock.rate, tag3) + size for first in firsts
-    ]
+    heads = [_HEAD.pack(tag0, clock.time_ns(first), tag1, first, tag2, clock.rate, tag3) + size for first in firsts]
     messages = np.empty((len(samples), blocks, len(heads[0]) + length * samples.itemsize), np.uint8)
     messages[..., : len(heads[0])] = np.frombuffer(b"".join(heads), np.uint8).reshape(blocks, -1)
     messages[..., len(heads[0]) :] = np.ascontiguousarray(samples).view(np.uint8)
@@ -93,9 +91,7 @@ def decode(data: memoryview, schema: str) -> SampleBlock:
             try:
                 return SampleBlock(t0_ns, first, rate, np.frombuffer(data, kind, offset=place))
             except ValueError:
-                raise RecordingError(
-                    f"{len(data) - place} bytes are not a whole number of {schema} samples"
-                ) from None
+                raise RecordingError(f"{len(data) - place} bytes are not a whole number of {schema} samples") from None
     return _decode_any(data, schema)
 
 

@@ -35,11 +35,7 @@ class Group:
             stop = start + samples.shape[1]
             whole = min(start + -start % length, stop)
             rest = max(whole, stop - stop % length)
-            for begin, end, size in (
-                (start, whole, whole - start),
-                (whole, rest, length),
-                (rest, stop, stop - rest),
-            ):
+            for begin, end, size in ((start, whole, whole - start), (whole, rest, length), (rest, stop, stop - rest)):
                 if begin < end:
                     part = samples[:, begin - start : end - start]
                     yield begin, part.reshape(len(part), (end - begin) // size, size)

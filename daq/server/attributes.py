@@ -10,14 +10,7 @@ from daq.instrument.devices.modules import WIRING_BITS
 from daq.instrument.devices.names import parse_port
 from daq.instrument.errors import Code, DaqError, unsupported
 from daq.instrument.settings.storage import Storage
-from daq.instrument.task_properties import (
-    get_channel,
-    get_value,
-    reset_channel,
-    reset_value,
-    set_channel,
-    set_value,
-)
+from daq.instrument.task_properties import get_channel, get_value, reset_channel, reset_value, set_channel, set_value
 from daq.server.protocol import attribute_name, decode
 
 if TYPE_CHECKING:

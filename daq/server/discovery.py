@@ -32,10 +32,7 @@ class Discovery:
         self._health = health.HealthServicer()
         for name in ("", *names):
             self._health.set(name, health_pb2.HealthCheckResponse.SERVING)
-        self.handlers = (
-            _handler(_HEALTH, self._health),
-            _handler(_REFLECTION, reflection.ReflectionServicer(names)),
-        )
+        self.handlers = (_handler(_HEALTH, self._health), _handler(_REFLECTION, reflection.ReflectionServicer(names)))
 
     def end(self) -> None:
         """Report the end of the server to all watching clients."""
@@ -47,8 +44,7 @@ def _handler(service: Any, servicer: Any) -> grpc.GenericRpcHandler:
     # Some releases of the packages describe calls that their servicers do not implement.
     described = [each for each in service.methods if each.name in vars(type(servicer))]
     return grpc.method_handlers_generic_handler(
-        service.full_name,
-        {each.name: _method_handler(each, getattr(servicer, each.name)) for each in described},
+        service.full_name, {each.name: _method_handler(each, getattr(servicer, each.name)) for each in described}
     )
 
 
@@ -59,9 +55,7 @@ def _method_handler(method: Any, answer: Callable[..., Any]) -> Any:
         try:
             return request.FromString(data)
         except DecodeError:
-            return context.abort(
-                grpc.StatusCode.INVALID_ARGUMENT, f"expected a {request.DESCRIPTOR.full_name}"
-            )
+            return context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"expected a {request.DESCRIPTOR.full_name}")
 
     def respond(given: Any, context: grpc.ServicerContext) -> Any:
         if method.client_streaming:
@@ -98,8 +92,6 @@ def write_proto_files(folder: Path) -> list[Path]:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(text.encode())
         except OSError as error:
-            raise SceneError(
-                f"{path}: {error.strerror}. Give --proto a folder that can be written."
-            ) from None
+            raise SceneError(f"{path}: {error.strerror}. Give --proto a folder that can be written.") from None
         paths.append(path)
     return paths

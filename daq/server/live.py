@@ -79,9 +79,7 @@ class LiveRecording:
             # The truth of a scene belongs to a complete test.
             scene = bench.scene.replace(recording=bench.scene.recording.replace(truth=False))
             self._channels = bench.channels
-            self._recorder = Recorder(
-                self.paths[-1], scene, bench.channels, bench.rate, start, self._overwrite
-            )
+            self._recorder = Recorder(self.paths[-1], scene, bench.channels, bench.rate, start, self._overwrite)
         assert self._recorder is not None
         self._recorder.write(block.samples)
 

@@ -66,9 +66,7 @@ def _message(message: Any, scope: str) -> Iterator[str]:
             body.append(_field(field, maps))
         elif field.oneof_index not in written:
             written.add(field.oneof_index)
-            members = [
-                each for each in message.field if _in_choice(each) and each.oneof_index == field.oneof_index
-            ]
+            members = [each for each in message.field if _in_choice(each) and each.oneof_index == field.oneof_index]
             name = message.oneof_decl[field.oneof_index].name
             body += _block(f"oneof {name}", [_field(each, maps) for each in members])
     return _block(f"message {message.name}", body)

@@ -22,9 +22,7 @@ from daq.recording.protobuf import varint
 
 SERVICE = nidaqmx_pb2.DESCRIPTOR.services_by_name["NiDAQmx"]
 # The service of NI's server for devices of any driver.
-_SESSION_FILE = next(
-    each for each in nidaqmx_pb2.DESCRIPTOR.dependencies if each.name.endswith("session.proto")
-)
+_SESSION_FILE = next(each for each in nidaqmx_pb2.DESCRIPTOR.dependencies if each.name.endswith("session.proto"))
 SESSION_SERVICE = _SESSION_FILE.services_by_name["SessionUtilities"]
 # Maximum number of entries of a list other than samples.
 _MAX_ENTRIES = 10_000
@@ -146,9 +144,7 @@ def encode(response: Any, values: Mapping[str, Any]) -> bytes:
                 data = value.astype("<f8").tobytes()
                 samples += varint(field.number << 3 | 2) + varint(len(data)) + data
             elif _is_list(field):
-                getattr(response, each).extend(
-                    value.ravel().tolist() if isinstance(value, np.ndarray) else value
-                )
+                getattr(response, each).extend(value.ravel().tolist() if isinstance(value, np.ndarray) else value)
             else:
                 setattr(response, each, value)
     return bytes(response.SerializeToString()) + samples

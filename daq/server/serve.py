@@ -191,9 +191,7 @@ def wait_for_signal() -> None:
     ended = threading.Event()
     # Under nohup the server must continue.
     heard = [
-        each
-        for each in TERMINATION_SIGNALS
-        if each == signal.SIGINT or signal.getsignal(each) is not signal.SIG_IGN
+        each for each in TERMINATION_SIGNALS if each == signal.SIGINT or signal.getsignal(each) is not signal.SIG_IGN
     ]
     before = {each: signal.signal(each, lambda *_: ended.set()) for each in heard}
     try:

@@ -56,9 +56,7 @@ class Server:
         self._answering, self._counting = Counter[str](), threading.Lock()
         self._closing = threading.Event()
         self._server = grpc.server(
-            ThreadPoolExecutor(
-                self.limits.all_calls, thread_name_prefix="client", initializer=raise_priority
-            ),
+            ThreadPoolExecutor(self.limits.all_calls, thread_name_prefix="client", initializer=raise_priority),
             maximum_concurrent_rpcs=self.limits.all_calls,
             options=[
                 ("grpc.max_receive_message_length", self.limits.message),
@@ -124,9 +122,7 @@ class Server:
             call.fields = decode(call.message)
             yield call
         except DecodeError:
-            context.abort(
-                grpc.StatusCode.INVALID_ARGUMENT, f"{name}: the message is not a request of this call"
-            )
+            context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"{name}: the message is not a request of this call")
         except DaqError as error:
             task = self.sessions.task_name(call.fields.get("task", ""))
             message = error_text(error, task)
@@ -173,8 +169,7 @@ class Server:
                 task, given = call.task, call.fields
                 with task.chassis.changed:
                     task.check_idle(
-                        "registering an event",
-                        Code.CANNOT_REGISTER_DA_QMX_SOFTWARE_EVENT_WHILE_TASK_IS_RUNNING,
+                        "registering an event", Code.CANNOT_REGISTER_DA_QMX_SOFTWARE_EVENT_WHILE_TASK_IS_RUNNING
                     )
                     register(task, given, values.put)
             task.events.at_end(values.put)
@@ -205,10 +200,7 @@ _EVENTS: dict[str, tuple[Callable[[Task, dict[str, Any], Any], None], Callable[.
         lambda task, given, put: task.events.listen_every(
             given["every_n_samples_event_type"], given["n_samples"], put, outputs=task.settings.kind == "ao"
         ),
-        lambda given, value: {
-            "n_samples": value,
-            "every_n_samples_event_type": given["every_n_samples_event_type"],
-        },
+        lambda given, value: {"n_samples": value, "every_n_samples_event_type": given["every_n_samples_event_type"]},
     ),
     "RegisterDoneEvent": (
         lambda task, given, put: task.events.listen_done(put),

@@ -73,8 +73,7 @@ class Sessions:
                 raise DaqError(f"there is no session {name!r} to attach to", Code.INVALID_TASK)
             if sum(each.owner == peer for each in self._open.values()) >= self._most:
                 raise DaqError(
-                    f"this client has {self._most} open tasks, the maximum. Close some.",
-                    Code.PAL_RESOURCE_RESERVED,
+                    f"this client has {self._most} open tasks, the maximum. Close some.", Code.PAL_RESOURCE_RESERVED
                 )
             task = Task(self._chassis, name, self._storage.scales)
             session = name or f"session_{next(self._numbers)}"
@@ -99,8 +98,7 @@ class Sessions:
         """Check that no task has the name; with -200089."""
         if name in self._chassis.tasks:
             raise DaqError(
-                f"there is a task named {name!r} already. Close it first, or choose another name.",
-                Code.DUPLICATE_TASK,
+                f"there is a task named {name!r} already. Close it first, or choose another name.", Code.DUPLICATE_TASK
             )
 
     def find(self, name: str, peer: str) -> Task:
@@ -108,9 +106,7 @@ class Sessions:
         with self._lock:
             session = self._open.get(name)
             if session is None:
-                raise DaqError(
-                    "the task does not exist, or has been closed. Create another task.", Code.INVALID_TASK
-                )
+                raise DaqError("the task does not exist, or has been closed. Create another task.", Code.INVALID_TASK)
             session.users.add(peer)
             session.left_at = None
             return session.task

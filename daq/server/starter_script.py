@@ -38,9 +38,7 @@ def starter_script(chassis: Chassis, channel: str) -> list[str]:
     statements: list[str] = []
     for module in in_task:
         # Equal neighbors are one statement.
-        numbered = [
-            (_create_channel(chassis, module, row), number) for number, row in enumerate(module.inputs)
-        ]
+        numbered = [(_create_channel(chassis, module, row), number) for number, row in enumerate(module.inputs)]
         for statement, group in groupby(numbered, key=lambda each: each[0]):
             numbers = [number for _, number in group]
             span = f"{numbers[0]}:{numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
@@ -76,11 +74,7 @@ def _create_channel(chassis: Chassis, module: Module, row: int) -> str:
     if not needs_supply:
         return call
     # With an integrating amplifier the channel is a voltage, whose call has no argument for the excitation.
-    lines = [
-        f"made = {call}",
-        "made.ai_excit_src = ExcitationSource.INTERNAL",
-        f"made.ai_excit_val = {current!r}",
-    ]
+    lines = [f"made = {call}", "made.ai_excit_src = ExcitationSource.INTERNAL", f"made.ai_excit_val = {current!r}"]
     if module.supply_coupling == "AC":
         lines.append("made.ai_coupling = Coupling.AC")
     return "\n".join(lines)

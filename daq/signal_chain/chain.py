@@ -70,9 +70,7 @@ class Chain:
         scene, delay = self._scene, self._delays[row]
         settings, converter = input_settings(scene.converter, channel), complete_from_preset(scene.converter)
         devices = stages(channel, settings, scene.seed)
-        path = SignalPath(
-            channel.name, devices, converter, self._oversampling, delay, scene.seed, self._buffers
-        )
+        path = SignalPath(channel.name, devices, converter, self._oversampling, delay, scene.seed, self._buffers)
         info = channel_info(channel.name, channel.at, devices, settings, converter.sample_rate, delay)
         effects = channel_effects(devices, converter, delay)
         if "1/f noise" in effects:
@@ -134,13 +132,9 @@ def _source(channel: Channel, scene: Scene) -> tuple[str, float]:
     return at_shaker("shaker", number, len(scene.shakers)), 1.0 / DRIVE_PER_VOLT[unit]
 
 
-def _interpolator(
-    channel: Channel, rate: float, points: Sequence[str]
-) -> MotionInterpolator | ForceInterpolator:
+def _interpolator(channel: Channel, rate: float, points: Sequence[str]) -> MotionInterpolator | ForceInterpolator:
     if channel.measures_force or channel.measures_voltage:
         return ForceInterpolator()
     if channel.at not in points:
-        raise SceneError(
-            f"channel {channel.name!r}: the rig has no {channel.at}. Choose {', '.join(points)}."
-        )
+        raise SceneError(f"channel {channel.name!r}: the rig has no {channel.at}. Choose {', '.join(points)}.")
     return MotionInterpolator(list(points).index(channel.at), rate)

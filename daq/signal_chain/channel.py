@@ -16,13 +16,7 @@ from rig.errors import RecordingError
 
 Quantity = Literal["acceleration", "velocity", "displacement", "force", "voltage"]
 
-UNITS: dict[str, str] = {
-    "acceleration": "m/s^2",
-    "velocity": "m/s",
-    "displacement": "m",
-    "force": "N",
-    "voltage": "V",
-}
+UNITS: dict[str, str] = {"acceleration": "m/s^2", "velocity": "m/s", "displacement": "m", "force": "N", "voltage": "V"}
 
 
 @dataclass(frozen=True)

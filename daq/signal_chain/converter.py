@@ -37,9 +37,7 @@ class Quantiser:
         settings = complete_from_preset(settings)
         self._bits, self._range = settings.bits, settings.range
         self._count = volts_per_count(settings)
-        dropped = [
-            (round(block.at * settings.sample_rate), block.samples) for block in settings.dropped_blocks
-        ]
+        dropped = [(round(block.at * settings.sample_rate), block.samples) for block in settings.dropped_blocks]
         self.lost = _merge_blocks((first, first + samples - 1) for first, samples in sorted(dropped))
 
     def convert(self, volts: Array) -> tuple[Array | NDArray[np.int32], NDArray[np.bool_]]:

@@ -31,9 +31,7 @@ def stages(channel: Channel, converter: Converter, seed: int) -> tuple[Stage, ..
     if channel.measures_force:
         sensor = force_sensor(complete_from_preset(channel.hammer or Hammer()), seed, channel.name)
     else:
-        sensor = accelerometer(
-            complete_from_preset(channel.accelerometer or Accelerometer()), seed, channel.name
-        )
+        sensor = accelerometer(complete_from_preset(channel.accelerometer or Accelerometer()), seed, channel.name)
     if needs_supply(channel) and converter.excitation == 0.0:
         # The output of an amplifier without supply is zero.
         sensor = replace(sensor, deviation=-1.0, noise=None, noise_corner=None, offset=None, settling=None)

@@ -31,11 +31,7 @@ def check(fields: Mapping[str, Any], checks: Mapping[str, Check]) -> None:
     """
     for key, value in fields.items():
         if key in checks and not checks[key].is_valid(value):
-            text = (
-                repr(value)
-                if not isinstance(value, int) or abs(value) < 1e60
-                else "a number of hundreds of digits"
-            )
+            text = repr(value) if not isinstance(value, int) or abs(value) < 1e60 else "a number of hundreds of digits"
             raise RecordingError(f"{key} = {text[:80]}; expected {checks[key].expected}")
 
 

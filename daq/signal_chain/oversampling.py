@@ -63,9 +63,7 @@ def oversampling(scene: Scene) -> int:
     if filtered:
         image_ratio = max_frequency / rate + STOP
         resolved_band = max(max_frequency, MIN_BAND_HZ) / rate
-        required = max(
-            image_ratio, (resolved_band if has_limit else min(resolved_band, PASS)) / MAX_RESOLVED_RATIO
-        )
+        required = max(image_ratio, (resolved_band if has_limit else min(resolved_band, PASS)) / MAX_RESOLVED_RATIO)
         # The drive is piecewise linear; its corners excite a table up to its bandwidth.
         bandwidths = (shaker.bandwidth for shaker in scene.shakers if isinstance(shaker, TableShaker))
         required = max(required, max(bandwidths, default=0.0) / rate / MAX_RESOLVED_RATIO)

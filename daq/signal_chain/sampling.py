@@ -58,9 +58,7 @@ class AverageSampler:
 
     moments = 1
 
-    def __init__(
-        self, circuit: Circuit, oversampling: int, delay_intervals: int, buffers: BlockBuffers
-    ) -> None:
+    def __init__(self, circuit: Circuit, oversampling: int, delay_intervals: int, buffers: BlockBuffers) -> None:
         self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
         self._oversampling, self._past = oversampling, History(oversampling - 1 + delay_intervals)
         self.intervals = oversampling + delay_intervals
@@ -77,9 +75,7 @@ class AverageSampler:
         self._past.place(points.shape[1])[:] = self._averages[: points.shape[1], 0]
         samples = self._past.samples[sample_ends].copy()
         for offset in range(1, self._oversampling):
-            samples += self._past.samples[
-                sample_ends.start + offset : sample_ends.stop + offset : sample_ends.step
-            ]
+            samples += self._past.samples[sample_ends.start + offset : sample_ends.stop + offset : sample_ends.step]
         samples /= self._oversampling
         return samples
 
@@ -90,12 +86,7 @@ class FilteredSampler:
     moments = MOMENTS
 
     def __init__(
-        self,
-        circuit: Circuit,
-        low_pass: Decimation,
-        oversampling: int,
-        delay_intervals: int,
-        buffers: BlockBuffers,
+        self, circuit: Circuit, low_pass: Decimation, oversampling: int, delay_intervals: int, buffers: BlockBuffers
     ) -> None:
         self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
         self._filter = Decimator(taps_of(low_pass, oversampling), delay_intervals, buffers)

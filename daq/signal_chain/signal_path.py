@@ -92,9 +92,7 @@ class SignalPath:
             noise_generator = generator(seed, name, "converter noise")
             self._noise = Noise(converter.noise, None, sample_rate, noise_generator)
 
-    def measure(
-        self, pieces: CubicInput, timing_error: Array | None
-    ) -> tuple[Array, NDArray[np.bool_] | bool]:
+    def measure(self, pieces: CubicInput, timing_error: Array | None) -> tuple[Array, NDArray[np.bool_] | bool]:
         """Return the volts at the samples that end intervals of a block, and where a limit has affected them.
 
         `timing_error`: delay of each sample, in standard deviations of the jitter.

@@ -112,8 +112,7 @@ def channel_info(
         filter={} if low_pass is None else low_pass.design,
         volts_per_count=volts_per_count(converter),
         range=converter.range,
-        sensor={key: text for stage in stages for key, text in stage.data.items()}
-        | data_sheet("converter", converter),
+        sensor={key: text for stage in stages for key, text in stage.data.items()} | data_sheet("converter", converter),
     )
 
 

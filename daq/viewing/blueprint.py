@@ -39,9 +39,7 @@ def layout(
     # By default the viewer shows about a minute around the cursor.
     begin, end = (rrb.TimeRangeBoundary.absolute(seconds=at) for at in span_s)
     axis = rrb.TimeAxis(view_range=rrb.TimeRange(start=begin, end=end))
-    whole = rrb.TimeSeriesView(
-        origin=entity, name=f"{title}, whole recording", plot_legend=_legend(), axis_x=axis
-    )
+    whole = rrb.TimeSeriesView(origin=entity, name=f"{title}, whole recording", plot_legend=_legend(), axis_x=axis)
     phases = rrb.StateTimelineView(
         origin="test",
         contents=["test/phase", f"{OVERLOADS}/**"],

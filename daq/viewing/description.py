@@ -77,9 +77,7 @@ class Info(Result):
 
     def __str__(self) -> str:
         steps = [f"  {'' if place else 'next':9} {step}" for place, step in enumerate(self.next_steps)]
-        checked = (
-            ["  checked   all checksums match, and all records agree with each other"] if self.checked else []
-        )
+        checked = ["  checked   all checksums match, and all records agree with each other"] if self.checked else []
         return "\n".join([*self.lines, *steps, *checked])
 
 
@@ -191,17 +189,12 @@ def about(recording: Recording, motion: RecordedMotion, view: RigView) -> str:
         f"{recording.samples / rate:.3f} s at {rate:g} Hz, {len(recording.channels)} channels",
         "",
         f"## In the drawing, motion is {view.magnification:g} times as large",
-        *[
-            f"- {escape_markdown(source.point)}: {escape_markdown(source.sentence)}"
-            for source in motion.sources
-        ],
+        *[f"- {escape_markdown(source.point)}: {escape_markdown(source.sentence)}" for source in motion.sources],
     ]
     if scene.dampers:
         source = "recorded truth"
         if not motion.gaps_known:
-            source = (
-                "not recorded, drawn on their floors (a scene with recording: {truth: true} records them)"
-            )
+            source = "not recorded, drawn on their floors (a scene with recording: {truth: true} records them)"
         lines.append(f"- dampers: {source}")
         lines += [
             "",

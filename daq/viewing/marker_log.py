@@ -11,13 +11,7 @@ if TYPE_CHECKING:
 UNITS = {"frequency": "Hz", "force": "N", "peak": "N", "width": "s", "amplitude": "m"}
 WARNINGS = ("overload", "gap", "lost", "abort", "double_hit", "level")
 NOT_PHASES = ("overload", "alarm", "level")
-COLOURS = {
-    "settle": 0x55606EFF,
-    "measure": 0x3D8B5FFF,
-    "hit": 0x3D8B5FFF,
-    "gap": 0xC4453BFF,
-    "lost": 0xC4453BFF,
-}
+COLOURS = {"settle": 0x55606EFF, "measure": 0x3D8B5FFF, "hit": 0x3D8B5FFF, "gap": 0xC4453BFF, "lost": 0xC4453BFF}
 OTHER_COLOUR = 0x7A6AA8FF
 OVERLOAD_COLOUR = 0xC4453BFF
 
@@ -48,9 +42,7 @@ def log_lines(recording: Recording, start: int, stop: int) -> list[Line]:
         duration = ""
         if mark.last_sample is not None:
             duration = f"for {(mark.stop - mark.first_sample) / recording.rate:.3f} s"
-        text = ", ".join(
-            part for part in (f"{mark.kind} {duration}".strip(), format_fields(mark.fields)) if part
-        )
+        text = ", ".join(part for part in (f"{mark.kind} {duration}".strip(), format_fields(mark.fields)) if part)
         lines.append(Line(mark.first_sample, "WARN" if mark.kind in WARNINGS else "INFO", text))
     return sorted(lines)
 
@@ -62,9 +54,7 @@ def phases(recording: Recording, start: int, stop: int) -> list[MarkedSlice]:
     Overloads, alarms and levels are not phases of the test.
     """
     slices: list[MarkedSlice] = []
-    segments = [
-        mark for mark in recording.markers if mark.last_sample is not None and mark.kind not in NOT_PHASES
-    ]
+    segments = [mark for mark in recording.markers if mark.last_sample is not None and mark.kind not in NOT_PHASES]
     hits = sorted(mark.first_sample for mark in segments if mark.kind == "hit")
     for mark in sorted(segments, key=lambda mark: mark.first_sample):
         end = mark.stop
@@ -90,9 +80,7 @@ def overloads(recording: Recording, start: int, stop: int) -> dict[str, list[Mar
         first, last = max(start, mark.first_sample), min(stop, mark.stop)
         if first < last:
             name = str(mark.fields.get("channel", ""))
-            by_channel.setdefault(name, []).append(
-                MarkedSlice(first, last, f"{name} overloaded", OVERLOAD_COLOUR)
-            )
+            by_channel.setdefault(name, []).append(MarkedSlice(first, last, f"{name} overloaded", OVERLOAD_COLOUR))
     return by_channel
 
 

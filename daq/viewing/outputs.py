@@ -17,15 +17,7 @@ from uuid import uuid4
 import rerun as rr
 
 from daq.viewing.replay import Progress, Replay
-from daq.viewing.rerun_viewer import (
-    LOOPBACK,
-    Viewer,
-    can_open_windows,
-    free_port,
-    need_display,
-    picture,
-    viewer,
-)
+from daq.viewing.rerun_viewer import LOOPBACK, Viewer, can_open_windows, free_port, need_display, picture, viewer
 from rig.console import pause_reports
 from rig.errors import RunError, SceneError
 from rig.output_files import atomic_write
@@ -188,9 +180,7 @@ def recording_stream() -> Iterator[rr.RecordingStream]:
         stream.disconnect()
 
 
-def _fill(
-    replay: Replay, stream: rr.RecordingStream, drain: Callable[[], object], progress: Progress | None
-) -> None:
+def _fill(replay: Replay, stream: rr.RecordingStream, drain: Callable[[], object], progress: Progress | None) -> None:
     drain()
     # As the active layout: a viewer remembers the layout of an application and would ignore a default.
     stream.send_blueprint(replay.blueprint(), make_active=True, make_default=True)

@@ -53,18 +53,12 @@ class RecordedMotion:
             bodies = self.recording.scene.structure.bodies
             yield instants[complete], RigPose(motion[:bodies], motion[bodies:], gap)
 
-    def _displacements(
-        self, estimates: dict[str, DisplacementEstimate], first: int, last: int
-    ) -> NDArray[np.float64]:
+    def _displacements(self, estimates: dict[str, DisplacementEstimate], first: int, last: int) -> NDArray[np.float64]:
         """Displacement of each source's point at samples [first, last); NaN where samples were lost."""
         rows = np.zeros((len(self.sources), last - first))
         if any(source.quantity == "truth" for source in self.sources):
             truth = dict(
-                zip(
-                    self.recording.truth_points,
-                    self.recording.truth("displacement", first, last),
-                    strict=True,
-                )
+                zip(self.recording.truth_points, self.recording.truth("displacement", first, last), strict=True)
             )
         for row, source in zip(rows, self.sources, strict=True):
             if source.quantity == "truth":

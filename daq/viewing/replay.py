@@ -42,11 +42,7 @@ class Replay:
     """
 
     def __init__(
-        self,
-        recording: Recording,
-        begin_s: float | None = None,
-        end_s: float | None = None,
-        speed: float = 1.0,
+        self, recording: Recording, begin_s: float | None = None, end_s: float | None = None, speed: float = 1.0
     ) -> None:
         from rig.system.structural_model import structural_model
 
@@ -57,9 +53,7 @@ class Replay:
         self.speed = speed
         rate = recording.rate
         self.start = 0 if begin_s is None else max(0, math.ceil(begin_s * rate))
-        self.stop = (
-            recording.samples if end_s is None else min(recording.samples, math.floor(end_s * rate) + 1)
-        )
+        self.stop = recording.samples if end_s is None else min(recording.samples, math.floor(end_s * rate) + 1)
         if self.stop <= self.start:
             raise SceneError(
                 f"nothing to replay: --from {begin_s} --to {end_s} contain no sample of the recording, whose length is "
@@ -82,9 +76,7 @@ class Replay:
         for instants, motion in self.motion.segments(self.start, self.stop, self.step):
             extremes = extremes.widened(motion, shaker_bodies)
             # A picture should show dampers in flight; without dampers, large displacements.
-            motion_samples = (
-                np.abs(motion.displacement).max(axis=0) if motion.gap is None else motion.gap.sum(axis=0)
-            )
+            motion_samples = np.abs(motion.displacement).max(axis=0) if motion.gap is None else motion.gap.sum(axis=0)
             if instants.size and motion_samples.max() > largest:
                 largest, most_motion = float(motion_samples.max()), int(instants[motion_samples.argmax()])
         return extremes, most_motion
@@ -103,9 +95,7 @@ class Replay:
     @property
     def values(self) -> int:
         """Number of samples of channels and gaps in the viewer."""
-        series = len(self.recording.channels) + (
-            len(self.recording.scene.dampers) if self.motion.gaps_known else 0
-        )
+        series = len(self.recording.channels) + (len(self.recording.scene.dampers) if self.motion.gaps_known else 0)
         return (self.stop - self.start) * series
 
     def blueprint(self) -> rrb.Blueprint:
@@ -116,9 +106,7 @@ class Replay:
         curves = plots(self.recording.channels)
         return layout(curves, dampers, overloaded, self.lowest_hz, self.view.eye, span, self.speed)
 
-    def send(
-        self, stream: rr.RecordingStream, drain: Callable[[], object], progress: Progress | None = None
-    ) -> None:
+    def send(self, stream: rr.RecordingStream, drain: Callable[[], object], progress: Progress | None = None) -> None:
         """Send everything to a stream; `drain` waits until its sink has received everything, to bound the memory."""
         from daq.viewing.spectrum_picture import spectrum_picture
 
@@ -133,9 +121,7 @@ class Replay:
         traces = Traces(stream, recording.rate, recording.channels, dampers)
         lines = log_lines(recording, self.start, self.stop)
         if lines:
-            text = rr.TextLog.columns(
-                text=[line.text for line in lines], level=[line.level for line in lines]
-            )
+            text = rr.TextLog.columns(text=[line.text for line in lines], level=[line.level for line in lines])
             stream.send_columns("test/marks", [traces.times(np.array([line.sample for line in lines]))], text)
         if spans := phases(recording, self.start, self.stop):
             self._send_lane(stream, traces, "test/phase", spans)
@@ -158,9 +144,7 @@ class Replay:
             if progress is not None and instants.size:
                 progress(0.8 + 0.2 * (int(instants[-1]) - self.start) / total, "motion")
 
-    def _send_lane(
-        self, stream: rr.RecordingStream, traces: Traces, path: str, spans: Sequence[MarkedSlice]
-    ) -> None:
+    def _send_lane(self, stream: rr.RecordingStream, traces: Traces, path: str, spans: Sequence[MarkedSlice]) -> None:
         # Each segment is a separate state with a label; between segments the lane is empty.
         states = [str(number) for number in range(len(spans))]
         lane = rr.StateConfiguration(

@@ -170,9 +170,7 @@ def can_open_windows() -> bool:
 def need_display(instead: str) -> None:
     """Raise `RunError` with the remedy `instead` where no window can be opened."""
     if not can_open_windows():
-        raise RunError(
-            f"no display to open the viewer on (neither DISPLAY nor WAYLAND_DISPLAY is set); {instead}"
-        )
+        raise RunError(f"no display to open the viewer on (neither DISPLAY nor WAYLAND_DISPLAY is set); {instead}")
 
 
 def picture(

@@ -43,9 +43,7 @@ def peak_spectrum(
     return np.arange(1, length // 2 + 1) * recording.rate / length, largest
 
 
-def spectrum_picture(
-    recording: Recording, start: int, stop: int, size: tuple[int, int] = (760, 440)
-) -> bytes:
+def spectrum_picture(recording: Recording, start: int, stop: int, size: tuple[int, int] = (760, 440)) -> bytes:
     """Draw the spectra of all channels, one panel for each quantity, as a PNG.
 
     Dotted lines mark the natural frequencies of the bare structure.
@@ -56,9 +54,7 @@ def spectrum_picture(
 
     natural_hz = structural_model(recording.scene).modes.frequency
     quantities = sorted({(info.quantity, info.unit) for info in recording.channels.values()})
-    figure = Figure(
-        figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor=_BACKGROUND, layout="constrained"
-    )
+    figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor=_BACKGROUND, layout="constrained")
     panels = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
     for panel, (quantity, unit) in zip(panels, quantities, strict=True):
         members = {name: info for name, info in recording.channels.items() if info.quantity == quantity}
@@ -67,9 +63,7 @@ def spectrum_picture(
         shown = (frequency >= 1.0) & (frequency <= max(100.0, 8 * natural_hz[-1]))
         for name, (_, amplitude) in spectra.items():
             colour = tuple(level / 255 for level in channel_colour(members[name].at))
-            panel.loglog(
-                frequency[shown], amplitude[shown], color=colour, label=escape_figure(name), linewidth=1.0
-            )
+            panel.loglog(frequency[shown], amplitude[shown], color=colour, label=escape_figure(name), linewidth=1.0)
         for line in natural_hz[natural_hz > 1.0]:
             panel.axvline(line, color=_FOREGROUND, linewidth=0.8, linestyle=":", alpha=0.7)
         panel.set_ylabel(f"{quantity} [{unit}]", color=_FOREGROUND)
@@ -77,9 +71,7 @@ def spectrum_picture(
         panel.grid(which="both", color=_FOREGROUND, alpha=0.10)
         panel.tick_params(colors=_FOREGROUND, which="both")
         panel.spines[:].set_color(_FOREGROUND)
-        panel.legend(
-            facecolor=_BACKGROUND, edgecolor="none", labelcolor=_FOREGROUND, fontsize="small", framealpha=0.6
-        )
+        panel.legend(facecolor=_BACKGROUND, edgecolor="none", labelcolor=_FOREGROUND, fontsize="small", framealpha=0.6)
     panels[-1].set_xlabel("frequency [Hz]", color=_FOREGROUND)
     panels[0].set_title(
         "largest amplitude (Hann); dotted: natural frequencies, no dampers",

@@ -32,22 +32,14 @@ DISPLAY_UNITS = {
 def plots(channels: Mapping[str, ChannelInfo]) -> list[tuple[str, str]]:
     """Entity and title of the plot of each quantity."""
     present = {info.quantity for info in channels.values()}
-    return [
-        (f"channels/{each}", f"{each} [{unit}]")
-        for each, (_, unit) in DISPLAY_UNITS.items()
-        if each in present
-    ]
+    return [(f"channels/{each}", f"{each} [{unit}]") for each, (_, unit) in DISPLAY_UNITS.items() if each in present]
 
 
 class Traces:
     """Sends curves, motion, and gap and contact of the given dampers to a stream, on one timeline."""
 
     def __init__(
-        self,
-        stream: rr.RecordingStream,
-        rate: float,
-        channels: Mapping[str, ChannelInfo],
-        dampers: Sequence[Damper],
+        self, stream: rr.RecordingStream, rate: float, channels: Mapping[str, ChannelInfo], dampers: Sequence[Damper]
     ) -> None:
         self._stream, self._rate, self._channels = stream, rate, channels
         self._contact: list[int] = [-1] * len(dampers)

@@ -134,9 +134,7 @@ def bed_response(
 def text(response: BedResponse) -> str:
     """Return a response as text: grains, and one mass below, for the first bed and the body that moves most."""
     titles = ("floor N s", 12), ("ceiling N s", 12), ("J/period", 11), ("landing", 9), ("flies", 7)
-    lines = [
-        f"{'Hz':>9}  {'bed':6}{'m/N':>11}{''.join(f'{title:>{width}}' for title, width in titles)}  type"
-    ]
+    lines = [f"{'Hz':>9}  {'bed':6}{'m/N':>11}{''.join(f'{title:>{width}}' for title, width in titles)}  type"]
     for frequency, *motions in zip(response.frequency, response.grains, response.mass, strict=True):
         for name, motion in zip(("grains", "mass"), motions, strict=True):
             largest = np.abs(motion.compliance).max()
@@ -145,9 +143,7 @@ def text(response: BedResponse) -> str:
                 f"{motion.ceiling_impulse[0]:12.4g}{motion.energy[0]:11.4g}{motion.landing[0]:8.1f}°"
                 f"{100 * motion.flight[0]:6.1f}%  {motion.motion_type[0]}{'' if motion.steady else ', not steady'}"
             )
-    return "\n".join(
-        [*lines, "m/N: of the body that moves most; the rest: of the first bed", "", response.summary()]
-    )
+    return "\n".join([*lines, "m/N: of the body that moves most; the rest: of the first bed", "", response.summary()])
 
 
 def _compute(piece: _Piece) -> tuple[SteadyBed, SteadyBed]:

@@ -59,9 +59,7 @@ def as_one_mass(scene: Scene) -> Scene:
     return scene.replace(dampers=[damper.replace(grains=None) for damper in scene.dampers])
 
 
-def steady_grains(
-    scene: Scene, frequency: float, block: int, max_blocks: int, min_blocks: int = 2
-) -> SteadyBed:
+def steady_grains(scene: Scene, frequency: float, block: int, max_blocks: int, min_blocks: int = 2) -> SteadyBed:
     """Simulate beds of grains under a tone until two blocks of periods agree.
 
     `scene`: its test gives the level; a controlled force acts directly on the body; `frequency`: Hz; `block`:
@@ -87,9 +85,7 @@ def steady_grains(
         on_body = -force.sum(axis=1)
         velocity = states[:, system.coordinates + coupled.bodies].T
         weight = (system.damper_mass * system.gravity)[system.grains]
-        compliance = harmonics[: scene.structure.bodies] / _driving_force(
-            scene, system, harmonics, tone.amplitudes
-        )
+        compliance = harmonics[: scene.structure.bodies] / _driving_force(scene, system, harmonics, tone.amplitudes)
         blocks.append(
             SteadyBed(
                 compliance=compliance,
@@ -129,11 +125,7 @@ def steady_mass(scene: Scene, frequency: float) -> SteadyBed:
     for k, row in enumerate(rows):
         body, mass = system.damper_coordinate[row], system.damper_mass[row]
         reduced_mass, restitution = 1.0 / (1.0 / mass + mobility[body]), system.restitution[row]
-        load = (
-            mass
-            * (run.acceleration[body, averaged] + system.gravity)
-            / (8.0 * _SAMPLES_PER_PERIOD * frequency)
-        )
+        load = mass * (run.acceleration[body, averaged] + system.gravity) / (8.0 * _SAMPLES_PER_PERIOD * frequency)
         damper_events = run.events[
             (run.events["damper"] == system.damper_number[row]) & (run.events["time"] >= averaging_start)
         ]
@@ -143,11 +135,7 @@ def steady_mass(scene: Scene, frequency: float) -> SteadyBed:
             riding = np.where(run.contact[row, averaged] == wall + 1, load, 0.0)
             impulse[wall, k] = (impacts.sum() + sign * riding.sum()) / _AVERAGED_PERIODS
             energy[k] += (
-                0.5
-                * reduced_mass
-                * (1.0 - restitution**2)
-                * float((hits["speed"] ** 2).sum())
-                / _AVERAGED_PERIODS
+                0.5 * reduced_mass * (1.0 - restitution**2) * float((hits["speed"] ** 2).sum()) / _AVERAGED_PERIODS
             )
             if wall == FLOOR:
                 moment[k] = impacts @ np.exp(2j * np.pi * frequency * hits["time"]) + riding @ phase_factor
@@ -176,9 +164,7 @@ def _initial_state(scene: Scene, system: HybridSystem, frequency: float, state: 
     return state
 
 
-def _driving_force(
-    scene: Scene, system: HybridSystem, harmonics: ComplexArray, amplitudes: ComplexArray
-) -> complex:
+def _driving_force(scene: Scene, system: HybridSystem, harmonics: ComplexArray, amplitudes: ComplexArray) -> complex:
     """First harmonic of the force on the driven body: of its coil spring, or the drive itself."""
     row = spring_force_row(scene, system)
     return complex(row @ harmonics) if row.any() else complex(amplitudes[np.argmax(np.abs(amplitudes))])
@@ -193,10 +179,7 @@ def _phase(moment: ComplexArray, amplitudes: ComplexArray) -> Array:
 def _motion_types(force: Array, weight: Array) -> NDArray[np.str_]:
     """Classify the motion of beds by the forces of their walls (beds, walls, steps), in the terms for one mass."""
     ceiling = -force[:, CEILING].mean(axis=1) > _MIN_SIGNIFICANT_RATIO * weight
-    resting = (
-        np.mean(force[:, FLOOR] > _MIN_SIGNIFICANT_RATIO * weight[:, None], axis=1)
-        > 1.0 - _MIN_SIGNIFICANT_RATIO
-    )
+    resting = np.mean(force[:, FLOOR] > _MIN_SIGNIFICANT_RATIO * weight[:, None], axis=1) > 1.0 - _MIN_SIGNIFICANT_RATIO
     return np.where(ceiling, "II/III", np.where(resting, "riding", "I"))
 
 

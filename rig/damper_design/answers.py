@@ -64,9 +64,7 @@ class Answers:
             for choice in chain.from_iterable(search(partial(self.trial, question)) for search in searches):
                 if choice not in requested:
                     requested.add(choice)
-                    missing = [
-                        (part, choice) for part in question.parts if (part, choice) not in self._stored
-                    ]
+                    missing = [(part, choice) for part in question.parts if (part, choice) not in self._stored]
                     self._finished += len(question.parts) - len(missing)
                     pieces.extend(missing)
 

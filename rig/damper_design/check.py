@@ -116,15 +116,11 @@ def expected_results(scene: Scene, trial: Trial) -> tuple[Expected, ...]:
 
 
 def _expected_result(scene: Scene, test: SteppedSine, peak: Peak) -> Expected:
-    frequencies = [frequency for frequency in test.order if frequency <= peak.frequency][
-        -APPROACH_FREQUENCIES:
-    ]
+    frequencies = [frequency for frequency in test.order if frequency <= peak.frequency][-APPROACH_FREQUENCIES:]
     sizes, closing_speed, steady = [], np.zeros(len(scene.dampers)), True
     for force_ratio in (1.0, 1.0 - FORCE_TOLERANCE, 1.0 + FORCE_TOLERANCE):
         controlled = scene.replace(channels=None, test=test.replace(force=force_ratio * peak.level))
-        response = frequency_response(
-            controlled, frequencies, tolerance=STEADY_TOLERANCE, longest=MAX_WAIT_PERIODS
-        )
+        response = frequency_response(controlled, frequencies, tolerance=STEADY_TOLERANCE, longest=MAX_WAIT_PERIODS)
         closing_speed = np.maximum(closing_speed, response.closing_speed[:, -1])
         steady = bool(response.converged[-1])
         if not steady:

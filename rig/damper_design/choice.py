@@ -77,9 +77,7 @@ def landings_from(dampers: Sequence[Damper]) -> Landings:
 
 
 def _format_contact(contact: Contact | None) -> str:
-    durations = [
-        f"{format_number(1e3 * wall.duration)} ms" for wall in walls_of(contact) if isinstance(wall, Landing)
-    ]
+    durations = [f"{format_number(1e3 * wall.duration)} ms" for wall in walls_of(contact) if isinstance(wall, Landing)]
     if len(durations) == 2:
         return f"in {durations[0]} on floors and {durations[1]} on ceilings"
     return f"in {durations[0]}" if durations else "at once"
@@ -106,9 +104,7 @@ class Choice:
         texts = []
         for mass, body, clearance in zip(self.masses, self.bodies, self.clearances, strict=True):
             factor, unit = mass_unit(mass)
-            ceiling = (
-                "no ceiling" if np.isinf(clearance) else f"clearance {format_number(1e3 * clearance)} mm"
-            )
+            ceiling = "no ceiling" if np.isinf(clearance) else f"clearance {format_number(1e3 * clearance)} mm"
             texts.append(f"{format_number(factor * mass)} {unit} in body {body}, {ceiling}")
         return "; ".join(texts)
 
@@ -201,9 +197,7 @@ class Space:
         ((1,), (2,), (1, 2), (2, 2))
         """
         return tuple(
-            location
-            for count in range(1, dampers + 1)
-            for location in sorted(set(combinations(bodies, count)))
+            location for count in range(1, dampers + 1) for location in sorted(set(combinations(bodies, count)))
         )
 
 
@@ -221,16 +215,13 @@ class Question:
     @cached_property
     def bare(self) -> Peak:
         """Worst peak without dampers, which is the same at every level."""
-        return max(
-            linear_peak(scene, self.levels[0], self._frequencies(scene), self.bodies) for scene in self.scenes
-        )
+        return max(linear_peak(scene, self.levels[0], self._frequencies(scene), self.bodies) for scene in self.scenes)
 
     @cached_property
     def parts(self) -> tuple[Question, ...]:
         """Split into questions about one structure at one level each; the worst of their peaks is the worst peak."""
         return tuple(
-            replace(self, scenes=(scene,), levels=(level,))
-            for scene, level in product(self.scenes, self.levels)
+            replace(self, scenes=(scene,), levels=(level,)) for scene, level in product(self.scenes, self.levels)
         )
 
     @cached_property
@@ -255,8 +246,7 @@ class Question:
         natural = natural_frequencies(scene, low, high)
         if not len(natural):
             raise SceneError(
-                f"band: got {low:g} to {high:g} Hz, without a natural frequency; expected a band with "
-                "at least one"
+                f"band: got {low:g} to {high:g} Hz, without a natural frequency; expected a band with at least one"
             )
         points = 8 + self.density * -(-len(natural) // 2)
         return np.unique(np.concatenate([columns(scene, low, high, points), natural]))

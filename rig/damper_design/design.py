@@ -220,9 +220,7 @@ def design(
     )
     forces = chart_levels(question.levels)
     with Workers(cluster) as workers:
-        answers = Answers(
-            workers, table, progress, pieces(question, space) + CHART_CLEARANCES.size * forces.size
-        )
+        answers = Answers(workers, table, progress, pieces(question, space) + CHART_CLEARANCES.size * forces.size)
         best, trials = search(question, space, answers)
         preferred = select_outside_band(question, trials, best, answers)
         if preferred != best:

@@ -36,8 +36,7 @@ def summary(design: Design) -> str:
     smallest, largest = (format_number(1e3 * clearance) for clearance in space.clearance)
     lines = [
         f"{design.scene.name}: {len(design.trials)} designs at {levels} N, {question.band[0]:.4g} to "
-        f"{question.band[1]:.4g} Hz"
-        + (f", {len(question.scenes)} structures" if len(question.scenes) > 1 else ""),
+        f"{question.band[1]:.4g} Hz" + (f", {len(question.scenes)} structures" if len(question.scenes) > 1 else ""),
         f"clearances searched: {smallest} to {largest} mm{', and no ceiling' if space.without_ceiling else ''}",
         "",
         str(question.landings),
@@ -60,9 +59,7 @@ def _verdict(design: Design) -> list[str]:
     peak, bare = design.best.peak, design.bare
     reduction = design.reduction(peak)
     side = "below" if reduction > 0.0 else "above"
-    heading = (
-        "best" if design.serves else "no dampers reduce the worst peak at all of these levels; the closest"
-    )
+    heading = "best" if design.serves else "no dampers reduce the worst peak at all of these levels; the closest"
     lines = [
         f"{heading}: {design.best.choice}",
         f"worst peak {1e6 * peak.size:.4g} µm/N (body {peak.body}, {peak.frequency:.2f} Hz, "
@@ -124,8 +121,7 @@ def describe_check(design: Design, scene: Path) -> str:
     locations = {channel.name: channel.at for channel in design.scene.channels or ()}
     added = ", ".join(f"{name} (at {locations[name]})" for name in design.added_channels)
     file, with_dampers, without_dampers = (
-        quote(str(path))
-        for path in (scene, scene.with_suffix(".mcap"), scene.with_name(f"{scene.stem}-without.mcap"))
+        quote(str(path)) for path in (scene, scene.with_suffix(".mcap"), scene.with_name(f"{scene.stem}-without.mcap"))
     )
     return "\n".join(
         [
@@ -269,9 +265,7 @@ def grain_check(dampers: Sequence[Damper], expected: Sequence[Expected], scene: 
     """
     peak = max(result.peak for result in expected)
     beds = ", ".join(_as_shot(damper) for damper in dampers)
-    low, high = (
-        f"{peak.frequency * (1.0 + offset):.4g}Hz" for offset in (-_BAND_HALF_WIDTH, _BAND_HALF_WIDTH)
-    )
+    low, high = (f"{peak.frequency * (1.0 + offset):.4g}Hz" for offset in (-_BAND_HALF_WIDTH, _BAND_HALF_WIDTH))
     (agreeing, settings), (agreeing_below, settings_below) = WITHOUT_CEILING, BELOW_CEILING
     smallest_decrease, largest_decrease = (-deviation for deviation in INTERQUARTILE_RANGE)
     return [

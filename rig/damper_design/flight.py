@@ -102,9 +102,7 @@ def describe_shortfall(
             f"they change the peak by {-reductions[level]:+.1f} dB"
         )
     largest_reductions = {
-        level: max(
-            (p.reduction_from(bare) for other in trials for p in other.peaks if p.level == level), default=0.0
-        )
+        level: max((p.reduction_from(bare) for other in trials for p in other.peaks if p.level == level), default=0.0)
         for level in sorted(reductions)
         if level > max(idle)
     }
@@ -129,7 +127,5 @@ def describe_shortfall(
         )
     else:
         suggested = format_number(_EFFECTIVE_G * flight.take_off)
-        lines.append(
-            f"dampers are usually effective from {_EFFECTIVE_G:g} g: use levels from {suggested} N (--levels)"
-        )
+        lines.append(f"dampers are usually effective from {_EFFECTIVE_G:g} g: use levels from {suggested} N (--levels)")
     return lines

@@ -78,25 +78,16 @@ def select_outside_band(question: Question, trials: Sequence[Trial], best: Trial
     build are compared only if no others are available.
     """
     low, high = question.band
-    outside = [
-        mode_question
-        for frequency, mode_question in mode_questions_of(question)
-        if not low < frequency < high
-    ]
+    outside = [mode_question for frequency, mode_question in mode_questions_of(question) if not low < frequency < high]
     equal = equal_trials(trials, best)
-    buildable = [
-        trial for trial in equal if min(trial.choice.clearances) >= MIN_MACHINABLE_CLEARANCE
-    ] or equal
+    buildable = [trial for trial in equal if min(trial.choice.clearances) >= MIN_MACHINABLE_CLEARANCE] or equal
     if not outside or len(buildable) < 2:
         return best
     indices = np.linspace(0, len(buildable) - 1, min(_MAX_COMPARED, len(buildable))).round().astype(int)
     rivals = list(dict.fromkeys([best, *(buildable[k] for k in indices)]))
     sizes = np.zeros(len(rivals))
     for mode_question in outside:
-        sizes += [
-            20.0 * np.log10(trial.mean)
-            for trial in answers.compute(mode_question, [r.choice for r in rivals])
-        ]
+        sizes += [20.0 * np.log10(trial.mean) for trial in answers.compute(mode_question, [r.choice for r in rivals])]
     sizes /= len(outside)
     selected = 0 if sizes[0] <= sizes.min() + EQUAL_DB else int(sizes.argmin())
     return rivals[selected]

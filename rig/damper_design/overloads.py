@@ -48,9 +48,7 @@ def predict_overloads(scene: Scene, expected: Sequence[Expected], bare: Peak) ->
         sensor = None if channel.accelerometer is None else complete_from_preset(channel.accelerometer)
         if sensor is None:
             continue
-        steady_accelerations = [
-            _steady_acceleration(scene, channel.at, peak, level) for peak, level in motions
-        ]
+        steady_accelerations = [_steady_acceleration(scene, channel.at, peak, level) for peak, level in motions]
         voltage = max(
             _voltage(sensor, channel.integrator, size, peak.frequency)
             for size, (peak, _) in zip(steady_accelerations, motions, strict=True)
@@ -122,9 +120,7 @@ def _steady_acceleration(scene: Scene, at: str, peak: Peak, level: float) -> flo
     return displacement * (2.0 * np.pi * peak.frequency) ** 2
 
 
-def _voltage(
-    sensor: Accelerometer, integrator: Integrator | None, acceleration: float, frequency: float
-) -> float:
+def _voltage(sensor: Accelerometer, integrator: Integrator | None, acceleration: float, frequency: float) -> float:
     voltage = (sensor.sensitivity or 1.0) * acceleration
     if integrator is None:
         return voltage
@@ -173,9 +169,7 @@ def impact_acceleration(
             dashpot = system.wall_damping[j]
             spring = np.sqrt(system.reduced_mass[j] * system.wall_stiffness[j])
             force = speed * float(np.maximum(dashpot, spring).max())
-            accelerations.append(
-                (1.0 if resonance is None else _STEP_OVERSHOOT) * abs(mobility[row, body]) * force
-            )
+            accelerations.append((1.0 if resonance is None else _STEP_OVERSHOOT) * abs(mobility[row, body]) * force)
             continue
         impulse = (1.0 + system.restitution[j]) * speed / (1.0 / system.damper_mass[j] + mobility[body, body])
         jump = abs(mobility[row, body]) * impulse

@@ -95,7 +95,5 @@ def objective(trial: Trial) -> float:
 def pareto_front(trials: Sequence[Trial]) -> list[Trial]:
     """Return the Pareto front of worst peak against mass, from light to heavy."""
     masses = sorted({round(trial.choice.mass, 9) for trial in trials})
-    best = [
-        rank_trials(trial for trial in trials if round(trial.choice.mass, 9) <= mass)[0] for mass in masses
-    ]
+    best = [rank_trials(trial for trial in trials if round(trial.choice.mass, 9) <= mass)[0] for mass in masses]
     return list(dict.fromkeys(best))

@@ -53,9 +53,7 @@ def _bodies(requested: Sequence[int | str] | None, scene: Scene, name: str) -> t
     all_bodies = range(1, scene.structure.bodies + 1)
     names = [requested] if isinstance(requested, int | str) else requested
     try:
-        return tuple(
-            sorted(body_number(body, scene.structure.names, len(all_bodies)) for body in names or all_bodies)
-        )
+        return tuple(sorted(body_number(body, scene.structure.names, len(all_bodies)) for body in names or all_bodies))
     except SceneError as error:
         raise SceneError(f"{name}: {error}") from None
 
@@ -100,10 +98,7 @@ def parse_request(
 
     Raises `SceneError` if no candidate designs remain, or nothing drives the structure.
     """
-    carriers, evaluated = (
-        _bodies(bodies, scene, "bodies"),
-        tuple(sorted({*_bodies(watched, scene, "watched")})),
-    )
+    carriers, evaluated = (_bodies(bodies, scene, "bodies"), tuple(sorted({*_bodies(watched, scene, "watched")})))
     if not 1 <= dampers <= len(carriers):
         raise SceneError(
             f"dampers: got {dampers}; expected 1 to {len(carriers)}, one for each body that may carry "
@@ -129,9 +124,7 @@ def parse_request(
     locations = Space.locations_of(carriers, dampers)
     question = Question(variants(undamped, *uncertainties), forces, band_ends, evaluated, landings)
     if clearance is not None:
-        return question, Space(
-            locations, max_mass, _range(clearance, LENGTH, "clearance"), without_ceiling=False
-        )
+        return question, Space(locations, max_mass, _range(clearance, LENGTH, "clearance"), without_ceiling=False)
     displacement = question.bare.size
     return question, Space(
         locations,

@@ -60,8 +60,7 @@ def search(question: Question, space: Space, answers: Answers) -> tuple[Trial, l
     including the best.
     """
     grid = [
-        [c for location in space.locations for c in _grid_row(space, location, share)]
-        for share in GRID_MASS_RATIOS
+        [c for location in space.locations for c in _grid_row(space, location, share)] for share in GRID_MASS_RATIOS
     ]
     trials = _compute_grid(question, grid, answers)
     rows = [rank_trials(trials[c] for c in row if c in trials) for row in grid]
@@ -84,18 +83,10 @@ def search(question: Question, space: Space, answers: Answers) -> tuple[Trial, l
             ]
         ]
         polish = partial(_polish, bounds=space.clearance)
-        trials |= answers.run_searches(
-            question, [partial(_requested_designs, polish, start) for start in starts]
-        )
-        finalists = [
-            rank_trials(trials[c] for c in trials if _same_mass(c, row[0].choice))[0].choice for row in rows
-        ]
-        fewer = [
-            choice.without_lightest() for choice in _with_several_dampers(finalists) if choice.has_ceiling
-        ]
-        trials |= answers.run_searches(
-            question, [partial(_requested_designs, refine, choice) for choice in fewer]
-        )
+        trials |= answers.run_searches(question, [partial(_requested_designs, polish, start) for start in starts])
+        finalists = [rank_trials(trials[c] for c in trials if _same_mass(c, row[0].choice))[0].choice for row in rows]
+        fewer = [choice.without_lightest() for choice in _with_several_dampers(finalists) if choice.has_ceiling]
+        trials |= answers.run_searches(question, [partial(_requested_designs, refine, choice) for choice in fewer])
     # A coarse frequency grid may miss a peak, so the first three designs are compared on a fine grid. The first
     # design without its lightest damper, whose mass may be negligible, and the best of each smaller mass are
     # compared too.
@@ -208,9 +199,7 @@ def _refine(start: Choice, cost: Callable[[Choice], float], step: float, bounds:
 
     limits = np.log([bounds[0], bounds[1] * start.clearances[0] / max(start.clearances)])
     ends = np.clip([middle - step, middle + step], *limits)
-    minimize_scalar(
-        cost_at, bounds=ends, method="bounded", options={"maxiter": MAX_REFINEMENT_TRIALS, "xatol": 2e-3}
-    )
+    minimize_scalar(cost_at, bounds=ends, method="bounded", options={"maxiter": MAX_REFINEMENT_TRIALS, "xatol": 2e-3})
 
 
 def _polish(start: Choice, cost: Callable[[Choice], float], bounds: tuple[float, float]) -> None:
@@ -225,9 +214,7 @@ def _polish(start: Choice, cost: Callable[[Choice], float], bounds: tuple[float,
     shares = np.log(np.array(start.masses[:-1]) / start.masses[-1])
     initial = np.concatenate([np.log(start.clearances), shares])
     corners = np.vstack([initial, initial + np.diag([0.25] * count + [0.3] * (count - 1))])
-    limits = [tuple(np.log(bounds))] * count + [(-np.log(MAX_MASS_RATIO), np.log(MAX_MASS_RATIO))] * (
-        count - 1
-    )
+    limits = [tuple(np.log(bounds))] * count + [(-np.log(MAX_MASS_RATIO), np.log(MAX_MASS_RATIO))] * (count - 1)
     max_trials = POLISH_TRIALS_PER_UNKNOWN * initial.size
     minimize(
         cost_at, initial, method="Nelder-Mead", bounds=limits,

@@ -51,9 +51,7 @@ class Tolerance:
         high = format_number(1e3 * self.high)
         text = f"the worst peak stays within {MAX_RISE_DB:g} dB for clearances from {low} to {high} mm"
         if any(self.limited):
-            ends = " and ".join(
-                name for name, end in zip(("smallest", "largest"), self.limited, strict=True) if end
-            )
+            ends = " and ".join(name for name, end in zip(("smallest", "largest"), self.limited, strict=True) if end)
             text += f" ({ends} searched)"
         width, position = np.log(self.high / self.low), np.log(self.chosen / self.low)
         if width > 0.0 and min(position, width - position) < _MIN_END_DISTANCE * width:
@@ -91,9 +89,7 @@ def clearance_tolerance(
     reference = unscaled.clearances[heaviest]
     if not is_acceptable(1.0):
         return Tolerance(np.inf, np.inf, (False, False), np.inf)
-    low, low_limited = _interval_end(
-        is_acceptable, acceptable, min(space.clearance[0] / min(unscaled.clearances), 1.0)
-    )
+    low, low_limited = _interval_end(is_acceptable, acceptable, min(space.clearance[0] / min(unscaled.clearances), 1.0))
     if not choice.has_ceiling:
         return Tolerance(reference * low, np.inf, (low_limited, False), np.inf)
     high, high_limited = _interval_end(

@@ -88,9 +88,7 @@ def linear_peak(scene: Scene, level: float, frequencies: Array, bodies: Sequence
     size = abs(receptance(scene, frequencies)[rows]).max(axis=0)
     i = int(size.argmax())
     bounds = frequencies[max(i - 1, 0)], frequencies[min(i + 1, size.size - 1)]
-    optimum = minimize_scalar(
-        lambda f: -largest_size(f), bounds=bounds, method="bounded", options={"xatol": 1e-6}
-    )
+    optimum = minimize_scalar(lambda f: -largest_size(f), bounds=bounds, method="bounded", options={"xatol": 1e-6})
     frequency = max(float(optimum.x), float(frequencies[i]), key=largest_size)
     sizes = abs(receptance(scene, [frequency])[rows, 0])
     body, largest = bodies[int(sizes.argmax())], float(sizes.max())

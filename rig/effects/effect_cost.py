@@ -112,9 +112,7 @@ def motion_steps(scene: Scene) -> Iterator[EffectStep]:
     bare = scene.replace(dampers=(), **channels)
     if shaker is not None and (len(scene.shakers) > 1 or not isinstance(shaker, ForceShaker)):
         test = None if scene.test is None or not isinstance(scene.test, Impulse) else scene.test
-        yield _step(
-            "structure", bare.replace(shaker=ForceShaker(body=shaker.bodies[0]), test=_of_one_shaker(test))
-        )
+        yield _step("structure", bare.replace(shaker=ForceShaker(body=shaker.bodies[0]), test=_of_one_shaker(test)))
         yield _step("shaker", bare)
     else:
         yield _step("structure", bare)

@@ -151,9 +151,7 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
     if system.coupled and system.dampers:
         several = np.unique(system.damper_coordinate).size < system.dampers
         reason = "several dampers in a body" if several else "full mass matrix"
-        yield Effect(
-            "motion", "coupled impacts", 0, f"{reason}: all contacts of an instant are solved together"
-        )
+        yield Effect("motion", "coupled impacts", 0, f"{reason}: all contacts of an instant are solved together")
     for shaker in scene.shakers:
         yield from _shaker(shaker, scene.structure)
     yield from _dampers(scene, system)
@@ -187,9 +185,7 @@ def _shaker(shaker: Shaker, structure: Structure) -> Iterable[Effect]:
         return
     spring = f"{shaker.spring:.4g} N/m to {bodies}"
     if isinstance(shaker, TableShaker):
-        yield Effect(
-            "motion", "coil spring and table", 2, f"{spring}; position servo of {shaker.bandwidth:.4g} Hz"
-        )
+        yield Effect("motion", "coil spring and table", 2, f"{spring}; position servo of {shaker.bandwidth:.4g} Hz")
         return
     yield Effect("motion", "coil spring and table", 2, f"{spring}; armature of {shaker.armature.mass:.4g} kg")
     if isinstance(shaker, ElectrodynamicShaker) and shaker.amplifier.mode == "voltage":

@@ -70,15 +70,11 @@ def _rebound_is_negligible(model: Model, state: State, j: int, rebound: float, f
         for c in range(model.inverse_mass.shape[0]):
             approach_acceleration += abs(model.inverse_mass[row, c] * force[c])
     else:
-        approach_acceleration = _sign(state.mode[j]) * (
-            force[row] * model.inverse_mass[row, row] + model.gravity
-        )
+        approach_acceleration = _sign(state.mode[j]) * (force[row] * model.inverse_mass[row, row] + model.gravity)
     magnitude = 2.0 * abs(state.z[row])
     if state.mode[j] == CEILING:
         magnitude += model.clearance[j]
-    return (
-        approach_acceleration > 0.0 and rebound * rebound < 2.0 * approach_acceleration * ROUNDING * magnitude
-    )
+    return approach_acceleration > 0.0 and rebound * rebound < 2.0 * approach_acceleration * ROUNDING * magnitude
 
 
 @inlined_kernel
@@ -113,15 +109,7 @@ def _touched_wall(model: Model, state: State, j: int) -> int:
 
 
 @inlined_kernel
-def _independent_impact(
-    flow: Flow,
-    model: Model,
-    state: State,
-    log: Log,
-    j: int,
-    wall: int,
-    work: ContactWork,
-) -> None:
+def _independent_impact(flow: Flow, model: Model, state: State, log: Log, j: int, wall: int, work: ContactWork) -> None:
     """Apply the impact of damper j if the mass matrix does not couple it to other dampers."""
     body = model.velocity[j]
     state.mode[j] = wall
@@ -159,15 +147,7 @@ def _close_slow_openings(model: Model, state: State, work: ContactWork, count: i
 
 
 @kernel
-def _coupled_impact(
-    flow: Flow,
-    model: Model,
-    state: State,
-    log: Log,
-    j: int,
-    wall: int,
-    work: ContactWork,
-) -> None:
+def _coupled_impact(flow: Flow, model: Model, state: State, log: Log, j: int, wall: int, work: ContactWork) -> None:
     """Apply the impact of damper j together with all dampers in contact or touching, through a full mass matrix."""
     count = 0
     for i in range(model.mass.shape[0]):
@@ -183,9 +163,7 @@ def _coupled_impact(
         work.damper[count] = i
         work.sign[count] = sign
         work.velocity_before[count] = state.z[model.velocity[i]]
-        work.opening_speed[count] = (
-            sign * (state.speed[i] - work.velocity_before[count]) if work.flying[count] else 0.0
-        )
+        work.opening_speed[count] = sign * (state.speed[i] - work.velocity_before[count]) if work.flying[count] else 0.0
         rebound = -model.restitution[i] * work.opening_speed[count]
         if rebound > 0.0 and _rebound_is_negligible(model, state, i, rebound, work.force):
             rebound = 0.0
@@ -269,13 +247,7 @@ def _release_coupled(flow: Flow, model: Model, state: State, log: Log, work: Con
 
 
 @inlined_kernel
-def release_tensile(
-    flow: Flow,
-    model: Model,
-    state: State,
-    log: Log,
-    work: ContactWork,
-) -> None:
+def release_tensile(flow: Flow, model: Model, state: State, log: Log, work: ContactWork) -> None:
     """Release every damper at rest whose contact force would be tensile by more than rounding."""
     _forces(model, state, work.force)
     if model.coupled:
@@ -285,15 +257,7 @@ def release_tensile(
 
 
 @inlined_kernel
-def impact(
-    flow: Flow,
-    model: Model,
-    state: State,
-    log: Log,
-    j: int,
-    wall: int,
-    work: ContactWork,
-) -> None:
+def impact(flow: Flow, model: Model, state: State, log: Log, j: int, wall: int, work: ContactWork) -> None:
     """Apply the impact of damper j with a wall: velocities jump. `release_tensile` must follow."""
     if model.coupled or model.restitution[j] > 0.0:
         _forces(model, state, work.force)

@@ -76,10 +76,7 @@ def wall_force(model: Model, z: Array, j: int, wall: int) -> float:
 def wall_force_rate(model: Model, z: Array, j: int, wall: int) -> float:
     """Return the rate of that force, N/s; the accelerations must follow the state."""
     acceleration = z[model.first_acceleration + model.bed[j]]
-    rate = (
-        model.wall_stiffness[j, wall - 1] * gap_rate(model, z, j)
-        + model.wall_damping[j, wall - 1] * acceleration
-    )
+    rate = model.wall_stiffness[j, wall - 1] * gap_rate(model, z, j) + model.wall_damping[j, wall - 1] * acceleration
     return -rate if wall == FLOOR else rate
 
 
@@ -101,9 +98,7 @@ def _is_zero_force(model: Model, z: Array, j: int, wall: int) -> bool:
 def _force_rounding(model: Model, z: Array, j: int, wall: int) -> float:
     """Return the largest force that is a rounding error of the gap, N."""
     return (
-        GAP_ROUNDING_RATIO
-        * abs(gap_rate(model, z, j))
-        * math.sqrt(model.wall_stiffness[j, wall - 1] * model.mass[j])
+        GAP_ROUNDING_RATIO * abs(gap_rate(model, z, j)) * math.sqrt(model.wall_stiffness[j, wall - 1] * model.mass[j])
     )
 
 
@@ -121,13 +116,7 @@ def lowest_guard(model: Model, state: State, z: Array, j: int) -> float:
 
 @inlined_kernel
 def _guard_series(
-    model: Model,
-    workspace: Workspace,
-    j: int,
-    length: float,
-    gap_factor: float,
-    speed_factor: float,
-    offset: float,
+    model: Model, workspace: Workspace, j: int, length: float, gap_factor: float, speed_factor: float, offset: float
 ) -> float:
     """Fill the series of a guard over `length` steps; return the magnitude of its terms.
 

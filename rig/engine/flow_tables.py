@@ -273,9 +273,7 @@ class FlowTables:
         flow, system, dampers = self.flow, self.system, self.system.dampers
         at_rest = np.array([configuration >> j & 1 for j in range(dampers)], dtype=bool)
         rows = system.damper_coordinate + system.coordinates * at_rest
-        guard_terms, guard_constants = (
-            np.abs(part[:, rows]).astype(np.float64) for part in (terms, constants)
-        )
+        guard_terms, guard_constants = (np.abs(part[:, rows]).astype(np.float64) for part in (terms, constants))
         # The acceleration's series is (k + 1) terms[k + 1] / h.
         k = np.arange(TERMS)[:, None]
         size = np.where(at_rest, k / self.step, 1.0)
@@ -301,9 +299,7 @@ class FlowTables:
         """Fill bounds and margins of a finite-duration contact: of its gap, or of the force of the touched wall."""
         flow, system = self.flow, self.system
         closed, wall = configuration >> j & 1, configuration >> system.dampers + j & 1
-        on_gap, on_speed = (
-            (system.wall_stiffness[j, wall], system.wall_damping[j, wall]) if closed else (1.0, 0.0)
-        )
+        on_gap, on_speed = (system.wall_stiffness[j, wall], system.wall_damping[j, wall]) if closed else (1.0, 0.0)
         guard = np.zeros(self.size)
         guard[[system.bed[j], system.coordinates + system.bed[j]]] = on_gap, on_speed
         height = system.clearance[j] if wall or not closed else 0.0
@@ -327,9 +323,7 @@ class FlowTables:
 
 def tables_for(system: HybridSystem, drive: Drive, step: float) -> FlowTables:
     """Return the tables of a system, from the cache if it was used recently."""
-    arrays = [
-        value for part in (system, drive) for value in vars(part).values() if isinstance(value, np.ndarray)
-    ]
+    arrays = [value for part in (system, drive) for value in vars(part).values() if isinstance(value, np.ndarray)]
     key = (step, drive.max_rate, system.gravity, *(array.tobytes() for array in arrays))
     with _LOCK:
         tables = _CACHE.pop(key, None) or FlowTables(system, drive, step)

@@ -24,9 +24,7 @@ def bound_by_tables(flow: Flow, slot: int, z: Array, workspace: Workspace) -> No
     """Compute the bounds of the guards over the step, from the tables."""
     for i in range(workspace.size.shape[0]):
         workspace.size[i] = abs(z[i])
-    combine(
-        flow.bound, flow.bound_constant, slot, workspace.size, flow.rates_constant.shape[1], workspace.bound
-    )
+    combine(flow.bound, flow.bound_constant, slot, workspace.size, flow.rates_constant.shape[1], workspace.bound)
 
 
 @kernel
@@ -97,9 +95,7 @@ def _gap_series(
 
 
 @inlined_kernel
-def _force_series(
-    model: Model, state: State, workspace: Workspace, j: int, length: float
-) -> tuple[int, float]:
+def _force_series(model: Model, state: State, workspace: Workspace, j: int, length: float) -> tuple[int, float]:
     """Fill the series of a contact force per mass; return its multiplicity and the magnitude of its terms."""
     series = workspace.series
     row = model.velocity[j]

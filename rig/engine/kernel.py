@@ -96,9 +96,7 @@ def advance(
         full_step = flow.stepping and length == 1.0
         if full_step:
             padded_columns = flow.propagate.shape[1]
-            combine_many(
-                flow.propagate, flow.propagate_constant, slot, state.z, padded_columns, workspace.new
-            )
+            combine_many(flow.propagate, flow.propagate_constant, slot, state.z, padded_columns, workspace.new)
             if (
                 status == CLEAR
                 and not exceeds(state.z, workspace.envelope)
@@ -122,9 +120,7 @@ def advance(
             if status == STALE or not flow.smooth:
                 differentiate(flow, model, slot, state.z, workspace.derivative, status)
             if not (full_step and has_room):
-                differentiate(
-                    flow, model, slot, workspace.new, workspace.derivative, CURRENT if full_step else STALE
-                )
+                differentiate(flow, model, slot, workspace.new, workspace.derivative, CURRENT if full_step else STALE)
             bound_by_tables(flow, slot, state.z, workspace)
         else:
             bound_by_series(
@@ -168,9 +164,7 @@ def advance(
             change_contact(flow, model, state, log, j, guard)
             if guard != FREE:
                 # In contact the gap has another magnitude.
-                workspace.envelope[model.bed[j]] = workspace.envelope[model.first_velocity + model.bed[j]] = (
-                    0.0
-                )
+                workspace.envelope[model.bed[j]] = workspace.envelope[model.first_velocity + model.bed[j]] = 0.0
                 if model.coupled:
                     pending = _RELEASE
         elif guard == CONTACT_FORCE:

@@ -152,10 +152,7 @@ class Propagator:
         self.state.z[: self.system.states] = state
         self.state.z[self.system.states : self.tables.size] = drive
         self._go(
-            Segments(_ZERO_STEPS, _NO_RENEWAL, self._no_drive, _NO_ROW),
-            self._no_states,
-            self._no_motion,
-            UNSETTLED,
+            Segments(_ZERO_STEPS, _NO_RENEWAL, self._no_drive, _NO_ROW), self._no_states, self._no_motion, UNSETTLED
         )
         separated = self.log.damper[: self.log.filled[0]].copy()
         self.log.filled[:] = 0
@@ -192,9 +189,7 @@ class Propagator:
         segments = Segments(np.array([interval_steps]), ALL_SEGMENTS, drive, np.arange(intervals))
         return self._run(segments, self.room(intervals), self._no_motion)
 
-    def through_interval(
-        self, drive: Array, interval_steps: Array, states: StateSamples
-    ) -> Trajectory | None:
+    def through_interval(self, drive: Array, interval_steps: Array, states: StateSamples) -> Trajectory | None:
         """Propagate through one sample interval; fast, because the caller provides reusable arrays.
 
         `states`: of one sample, for the state at the end; see `room`. Returns None if there was no event.
@@ -203,15 +198,11 @@ class Propagator:
         self._elapsed += float(interval_steps[0]) * self.tables.step
         return Trajectory(*states, *self._take_log()) if self.log.filled[:2].any() else None
 
-    def sample_motion(
-        self, drive: Array, interval_steps: float, motion: MotionSamples, column: int
-    ) -> Trajectory:
+    def sample_motion(self, drive: Array, interval_steps: float, motion: MotionSamples, column: int) -> Trajectory:
         """Propagate through sample intervals, and store the motion from a column on, but no states."""
         motion.begin[0] = column
         rows = np.arange(column, column + drive.shape[1] - 1)
-        return self._run(
-            Segments(np.array([interval_steps]), ALL_SEGMENTS, drive, rows), self._no_states, motion
-        )
+        return self._run(Segments(np.array([interval_steps]), ALL_SEGMENTS, drive, rows), self._no_states, motion)
 
     def motion_samples(self, samples: int) -> MotionSamples:
         """Allocate the motion at a number of samples."""
@@ -231,16 +222,10 @@ class Propagator:
     def sample_present(self, motion: MotionSamples, column: int) -> None:
         """Store the present motion in one column."""
         motion.begin[0] = column
-        self._go(
-            Segments(_ZERO_STEPS, _NO_RENEWAL, self._no_drive, np.array([column])), self._no_states, motion
-        )
+        self._go(Segments(_ZERO_STEPS, _NO_RENEWAL, self._no_drive, np.array([column])), self._no_states, motion)
 
     def through_marks(
-        self,
-        steps: Array,
-        sample_row: NDArray[np.int64],
-        new_period: NDArray[np.bool_],
-        level: float = 1.0,
+        self, steps: Array, sample_row: NDArray[np.int64], new_period: NDArray[np.bool_], level: float = 1.0
     ) -> Trajectory:
         """Propagate through segments of given durations under a tone.
 
@@ -274,14 +259,10 @@ class Propagator:
     def _run(self, segments: Segments, states: StateSamples, motion: MotionSamples) -> Trajectory:
         self._go(segments, states, motion)
         self._check_divergence(segments, states, motion)
-        self._elapsed += (
-            float(segments.steps.sum()) * (segments.row.size // segments.steps.size) * self.tables.step
-        )
+        self._elapsed += float(segments.steps.sum()) * (segments.row.size // segments.steps.size) * self.tables.step
         return Trajectory(*states, *self._take_log())
 
-    def _go(
-        self, segments: Segments, states: StateSamples, motion: MotionSamples, status: int = STALE
-    ) -> None:
+    def _go(self, segments: Segments, states: StateSamples, motion: MotionSamples, status: int = STALE) -> None:
         begin, remaining = 0, -1.0
         while True:
             reason, begin, remaining = _propagate(

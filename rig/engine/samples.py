@@ -52,9 +52,7 @@ def store_state(state: State, row: int, states: StateSamples) -> None:
 
 
 @inlined_kernel
-def store_motion(
-    flow: Flow, model: Model, state: State, motion: MotionSamples, column: int, last: bool
-) -> None:
+def store_motion(flow: Flow, model: Model, state: State, motion: MotionSamples, column: int, last: bool) -> None:
     """Store the present motion in a column; a window collects samples, because the rows are far apart in memory."""
     row, points = column % LANES, model.first_velocity
     first_acceleration = flow.rates_constant.shape[1]

@@ -34,9 +34,7 @@ _DEFLATED_HERMITE_ERROR = 1.0 / 72.0
 
 
 @inlined_kernel
-def _margin(
-    value: float, slope: float, value_new: float, slope_new: float, error: float, multiplicity: int
-) -> float:
+def _margin(value: float, slope: float, value_new: float, slope_new: float, error: float, multiplicity: int) -> float:
     """Return a margin that is positive only if a guard with these values and slopes has no zero on (0, 1].
 
     The interpolant differs from the guard by at most tau^2 (1 - tau)^2 / 24 times the bound `error` of the guard's
@@ -51,9 +49,7 @@ def _margin(
 
 
 @inlined_kernel
-def _may_recover(
-    model: Model, state: State, workspace: Workspace, j: int, duration: float, error: float
-) -> bool:
+def _may_recover(model: Model, state: State, workspace: Workspace, j: int, duration: float, error: float) -> bool:
     """Return whether a recovering bed may be touched by its wall again, or become free."""
     wall, z, new = state.recovering[j], state.z, workspace.new
     slope, slope_new = (
@@ -62,22 +58,16 @@ def _may_recover(
     )
     stiffness, damping = model.wall_stiffness[j, wall - 1], model.wall_damping[j, wall - 1]
     force_error = (stiffness + damping * FIFTH_DERIVATIVE_FACTOR / model.step) * error
-    margin = _margin(
-        -wall_force(model, z, j, wall), slope, -wall_force(model, new, j, wall), slope_new, force_error, 0
-    )
+    margin = _margin(-wall_force(model, z, j, wall), slope, -wall_force(model, new, j, wall), slope_new, force_error, 0)
     if margin <= 0.0:
         return True
     signed_duration = -duration if wall == FLOOR else duration
     slope, slope_new = signed_duration * gap_rate(model, z, j), signed_duration * gap_rate(model, new, j)
-    return (
-        _margin(overlap(model, z, j, wall), slope, overlap(model, new, j, wall), slope_new, error, 0) <= 0.0
-    )
+    return _margin(overlap(model, z, j, wall), slope, overlap(model, new, j, wall), slope_new, error, 0) <= 0.0
 
 
 @inlined_kernel
-def _may_change(
-    model: Model, state: State, workspace: Workspace, j: int, duration: float, error: float
-) -> bool:
+def _may_change(model: Model, state: State, workspace: Workspace, j: int, duration: float, error: float) -> bool:
     """Return whether a guard of a finite-duration contact is not proven free of zeros."""
     mode, z, new = state.mode[j], state.z, workspace.new
     if mode != FLIGHT:
@@ -86,10 +76,7 @@ def _may_change(
             wall_force_rate(model, new, j, mode) * duration,
         )
         return (
-            _margin(
-                wall_force(model, z, j, mode), slope, wall_force(model, new, j, mode), slope_new, error, 0
-            )
-            <= 0.0
+            _margin(wall_force(model, z, j, mode), slope, wall_force(model, new, j, mode), slope_new, error, 0) <= 0.0
         )
     if state.recovering[j] != FLIGHT:
         return _may_recover(model, state, workspace, j, duration, error)
@@ -128,16 +115,12 @@ def screen(
             position, velocity = model.position[j], model.velocity[j]
             value = state.height[j] - state.z[position]
             slope = (state.speed[j] - state.z[velocity]) * duration
-            value_new = (
-                state.height[j] + duration * (state.speed[j] - 0.5 * speed_change) - workspace.new[position]
-            )
+            value_new = state.height[j] + duration * (state.speed[j] - 0.5 * speed_change) - workspace.new[position]
             slope_new = (state.speed[j] - speed_change - workspace.new[velocity]) * duration
             multiplicity = state.multiplicity[j]
             clearance = model.clearance[j]
             if clearance < np.inf:
-                margin = _margin(
-                    clearance - value, -slope, clearance - value_new, -slope_new, error, -multiplicity
-                )
+                margin = _margin(clearance - value, -slope, clearance - value_new, -slope_new, error, -multiplicity)
                 if margin <= 0.0:
                     unproven_ceilings |= 1 << j
         else:

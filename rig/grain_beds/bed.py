@@ -37,9 +37,7 @@ class Bed:
     `ceiling`: height of the ceiling, m; may be infinite; `gravity`: m/s^2; `step`: time step, s.
     """
 
-    def __init__(
-        self, spheres: Spheres, positions: Array, ceiling: float, gravity: float, step: float
-    ) -> None:
+    def __init__(self, spheres: Spheres, positions: Array, ceiling: float, gravity: float, step: float) -> None:
         self.mass, self.gravity, self.step = spheres.mass, gravity, step
         self.walls = tuple(name for name in WALLS if name != "ceiling" or math.isfinite(ceiling))
         self._count = len(positions)
@@ -198,9 +196,7 @@ def _contact_laws(spheres: Spheres, ceiling: float, step: float) -> tuple[str, t
     radius, friction = 0.5 * grains.diameter, grains.side_friction
     wall_restitution = restitution_at_step(grains, mass, radius, step)
     end_law = contact_law(grains, wall_restitution)
-    side_law = (
-        end_law if friction is None else contact_law(grains.replace(friction=friction), wall_restitution)
-    )
+    side_law = end_law if friction is None else contact_law(grains.replace(friction=friction), wall_restitution)
     grain_law = contact_law(grains, restitution_at_step(grains, 0.5 * mass, 0.5 * radius, step))
     shapes = {"floor": "plane 0 0 0 0 0 1", "side": f"cylinder z 0 0 {0.5 * grains.cavity} INF INF"}
     if math.isfinite(ceiling):

@@ -100,9 +100,7 @@ class CoupledPropagator:
     def momentum_errors(self) -> Array:
         """Momentum change of each bed less the impulses of body and gravity, kg m/s; shape (beds,)."""
         weight = self._mass * self.system.gravity
-        return np.asarray(
-            self.momentum - self._begin - (self._impulse - weight * (self._elapsed_steps * self.step))
-        )
+        return np.asarray(self.momentum - self._begin - (self._impulse - weight * (self._elapsed_steps * self.step)))
 
     def place(self, state: Array, drive: Array) -> NDArray[np.int64]:
         """Set the structure's state with every damper on its floor; returns the dampers that separate at once."""
@@ -116,20 +114,14 @@ class CoupledPropagator:
         """Return the state from which the motion continues with the same bits; see `Bed.stored`."""
         beds = tuple(bed.stored() for bed in self.beds)
         self._read_beds()
-        return CoupledState(
-            self.structure.snapshot(), beds, self._begin, self._impulse.copy(), self._elapsed_steps
-        )
+        return CoupledState(self.structure.snapshot(), beds, self._begin, self._impulse.copy(), self._elapsed_steps)
 
     def resume(self, state: CoupledState) -> None:
         """Continue from a state of this system."""
         self.structure.resume(state.structure)
         for bed, stored in zip(self.beds, state.beds, strict=True):
             bed.resume(stored)
-        self._begin, self._impulse, self._elapsed_steps = (
-            state.begin,
-            state.impulse.copy(),
-            state.elapsed_steps,
-        )
+        self._begin, self._impulse, self._elapsed_steps = (state.begin, state.impulse.copy(), state.elapsed_steps)
         self._read_beds()
 
     def march(self, drive: Array) -> tuple[Trajectory, BedStates]:
@@ -198,22 +190,16 @@ class CoupledPropagator:
     def sample_present(self, samples: MotionSamples, column: int) -> None:
         """Fill one column with the present motion."""
         lift = np.array([[bed.lift] for bed in self.beds])
-        self._fill_samples(
-            samples, slice(column, column + 1), self.structure.present(), self._force[:, :, None], lift
-        )
+        self._fill_samples(samples, slice(column, column + 1), self.structure.present(), self._force[:, :, None], lift)
 
-    def sample_motion(
-        self, drive: Array, interval_steps: float, samples: MotionSamples, column: int
-    ) -> Trajectory:
+    def sample_motion(self, drive: Array, interval_steps: float, samples: MotionSamples, column: int) -> Trajectory:
         """Advance through the sample intervals between the columns of a drive; fill the samples from a column on."""
         fine = interpolated(drive, self.substeps)
         trajectory, beds = self.march(fine)
         self.fill_samples(samples, column, trajectory, beds)
         return self.at_samples(trajectory)
 
-    def fill_samples(
-        self, samples: MotionSamples, column: int, trajectory: Trajectory, beds: BedStates
-    ) -> None:
+    def fill_samples(self, samples: MotionSamples, column: int, trajectory: Trajectory, beds: BedStates) -> None:
         """Fill the samples from a column on with the motion at the ends of sample intervals."""
         last = slice(self.substeps - 1, None, self.substeps)
         ends_only = {name: getattr(trajectory, name)[last] for name in ("state", "slot", "height", "mode")}
@@ -243,9 +229,7 @@ class CoupledPropagator:
         """Acceleration of every coordinate for rows of a `Trajectory`, shape (coordinates, samples)."""
         return self.structure.accelerations(states, slots)
 
-    def _fill_samples(
-        self, samples: MotionSamples, columns: slice, at: Trajectory, force: Array, lift: Array
-    ) -> None:
+    def _fill_samples(self, samples: MotionSamples, columns: slice, at: Trajectory, force: Array, lift: Array) -> None:
         n = self.system.coordinates
         samples.rows[: 2 * n, columns] = at.state[:, : 2 * n].T
         samples.rows[2 * n : 3 * n, columns] = self.accelerations(at.state, at.slot)
@@ -294,15 +278,12 @@ def _with_ports(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp]) ->
 def _join(present: Trajectory, samples: StateSamples, event_logs: list[tuple[int, Trajectory]]) -> Trajectory:
     """Join the steps of a march: states, events and breaks."""
     logs = {
-        item.name: np.concatenate(
-            [getattr(present, item.name), *(getattr(log, item.name) for _, log in event_logs)]
-        )
+        item.name: np.concatenate([getattr(present, item.name), *(getattr(log, item.name) for _, log in event_logs)])
         for item in fields(Trajectory)
         if item.name.startswith(("event", "break", "before", "after", "speed"))
     }
     for name in ("event_segment", "break_segment"):
         logs[name] = np.repeat(
-            np.array([k for k, _ in event_logs], dtype=np.int64),
-            [len(getattr(log, name)) for _, log in event_logs],
+            np.array([k for k, _ in event_logs], dtype=np.int64), [len(getattr(log, name)) for _, log in event_logs]
         )
     return Trajectory(*samples, **logs)

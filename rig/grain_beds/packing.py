@@ -73,9 +73,7 @@ def settled(spheres: Spheres) -> Array:
 def _pack(spheres: Spheres) -> Array:
     """Let the grains fall, press a lid on them until it bears the bed's weight, and let them come to rest."""
     frictionless = spheres.settings.replace(friction=0.0, side_friction=None)
-    soft = replace(
-        spheres, settings=frictionless.replace(modulus=min(frictionless.modulus, _MAX_PACKING_MODULUS))
-    )
+    soft = replace(spheres, settings=frictionless.replace(modulus=min(frictionless.modulus, _MAX_PACKING_MODULUS)))
     levelled = _level(soft, _drop(soft))
     return _settle(replace(spheres, settings=frictionless), levelled)
 

@@ -62,9 +62,7 @@ class PartOfBed(Bed):
     def _initialize(self) -> None:
         # Recursive bisection across the longest dimension gives every rank the same number of grains.
         self._command(
-            "comm_style tiled",
-            "balance 1.0 rcb",
-            f"fix even all balance {_BALANCE_STEPS} {_MAX_IMBALANCE!r} rcb",
+            "comm_style tiled", "balance 1.0 rcb", f"fix even all balance {_BALANCE_STEPS} {_MAX_IMBALANCE!r} rcb"
         )
         super()._initialize()
 

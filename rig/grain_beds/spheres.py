@@ -47,9 +47,7 @@ class Spheres:
         """Longest time step, s."""
         if self.settings.time_step is not None:
             return self.settings.time_step
-        reduction = min(
-            1.0, max(self.settings.restitution, _MIN_STEP_RESTITUTION) / _REDUCED_STEP_RESTITUTION
-        )
+        reduction = min(1.0, max(self.settings.restitution, _MIN_STEP_RESTITUTION) / _REDUCED_STEP_RESTITUTION)
         return STEP_RATIO * reduction * rayleigh_time(self.settings, self.density())
 
 

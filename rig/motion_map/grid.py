@@ -33,23 +33,18 @@ def vertical_axis(scene: Scene, over: str | None) -> tuple[str, str]:
     level_of(scene)
     if not assemble(scene).dampers:
         raise SceneError(
-            f"scene {scene.name!r} has no damper that moves, so that its response is linear. Use rig "
-            "response."
+            f"scene {scene.name!r} has no damper that moves, so that its response is linear. Use rig response."
         )
     level_quantity = "force" if getattr(scene.test, "force", None) is not None else "drive"
     over = over if over is not None else level_quantity
     if over not in (level_quantity, "clearance"):
-        raise SceneError(
-            f"over: got {over!r}; expected {level_quantity} (the level of the scene's test) or clearance"
-        )
+        raise SceneError(f"over: got {over!r}; expected {level_quantity} (the level of the scene's test) or clearance")
     if over == "force":
         return over, "N"
     return over, "m" if over == "clearance" or isinstance(scene.driven_shaker, TableShaker) else "V"
 
 
-def columns(
-    scene: Scene, low: float | None = None, high: float | None = None, points: int = DEFAULT_POINTS
-) -> Array:
+def columns(scene: Scene, low: float | None = None, high: float | None = None, points: int = DEFAULT_POINTS) -> Array:
     """Select frequencies from low to high, half evenly spaced and half near the natural frequencies, Hz.
 
     `low`, `high`: Hz; None: the ends of the test's range, or 20 % below and above its single frequency. Raises
@@ -110,9 +105,7 @@ def _dampers_accelerations(scene: Scene, frequency: Array) -> Array:
     """Compute the largest acceleration of a riding damper per unit of level, m/s^2; shape (frequencies,)."""
     system = assemble(scene)
     coordinates = system.damper_coordinate
-    return np.array(
-        [accelerations_per_level(scene, system, 2.0 * np.pi * f)[coordinates].max() for f in frequency]
-    )
+    return np.array([accelerations_per_level(scene, system, 2.0 * np.pi * f)[coordinates].max() for f in frequency])
 
 
 def rows_of(

@@ -240,12 +240,7 @@ def _max_wait_periods(scene: Scene, frequency: Array) -> int:
     """Compute the longest wait in periods of the highest frequency, from the decay of the slowest mode."""
     rate = structural_model(scene).modes.decay_rate
     with np.errstate(divide="ignore"):
-        periods = (
-            MAX_WAIT_DECAY_TIMES
-            * np.log(1.0 / STEADY_TOLERANCE)
-            * frequency[-1]
-            / max(float(rate.min()), 0.0)
-        )
+        periods = MAX_WAIT_DECAY_TIMES * np.log(1.0 / STEADY_TOLERANCE) * frequency[-1] / max(float(rate.min()), 0.0)
     return int(np.clip(periods, MIN_WAIT_LIMIT_PERIODS, MAX_WAIT_LIMIT_PERIODS))
 
 
@@ -354,9 +349,7 @@ def _draw(map_: MotionMap) -> Figure:
         left, right = figure.subplots(1, 2, sharey=True)
         map_.draw(left)
         low, high = map_.periods.min(), max(map_.periods.max(), map_.periods.min() + 1)
-        mesh = right.pcolormesh(
-            *map_.borders, map_.periods, cmap="viridis", norm=LogNorm(low, high), rasterized=True
-        )
+        mesh = right.pcolormesh(*map_.borders, map_.periods, cmap="viridis", norm=LogNorm(low, high), rasterized=True)
         bar = figure.colorbar(mesh, ax=right, label="periods computed until steady or irregular", pad=0.02)
         set_log_scale(bar.ax.yaxis)
         map_.dress(right)

@@ -68,9 +68,7 @@ class NoConvergence(Exception):
     """Newton's iteration did not converge; the message states the reason."""
 
 
-def newton(
-    equations: Equations, x: Vector, scale: Vector, steps: Steps, normal: Vector
-) -> tuple[Vector, Vector, int]:
+def newton(equations: Equations, x: Vector, scale: Vector, steps: Steps, normal: Vector) -> tuple[Vector, Vector, int]:
     """Solve the equations on the plane through `x` normal to `normal` (scaled unknowns).
 
     Returns `x`, shape (n + 1,), the solution; `tangent`, shape (n + 1,), unit tangent of the curve (scaled unknowns)
@@ -130,9 +128,7 @@ def solve_with_tangent(
     return solution, direction
 
 
-def solve_at(
-    equations: Equations, x: Vector, parameter: float, scale: Vector, steps: Steps | None = None
-) -> Vector:
+def solve_at(equations: Equations, x: Vector, parameter: float, scale: Vector, steps: Steps | None = None) -> Vector:
     """Solve the equations for a given value of the parameter, as `solve_with_tangent`, and return the solution."""
     return solve_with_tangent(equations, x, parameter, scale, steps)[0]
 
@@ -187,9 +183,7 @@ def _trace_one_way(
         if margin.min() < 0:
             return path, names[int(margin.argmin())]
         try:
-            new, new_tangent, iterations = newton(
-                equations, _predict(path, step, scale), scale, steps, x_tangent
-            )
+            new, new_tangent, iterations = newton(equations, _predict(path, step, scale), scale, steps, x_tangent)
             # After a correction as long as the step, the point may be on another curve.
             left_curve = float(np.linalg.norm((new - x) / scale - step * x_tangent)) > 0.5 * step
             if left_curve and step > steps.min_step:
@@ -218,9 +212,7 @@ def _trace_one_way(
         new_margin, _ = margins(new)
         if new_margin.min() < 0:
             try:
-                border_point, index = _locate_border(
-                    equations, (x, margin), (new, new_margin), scale, steps, margins
-                )
+                border_point, index = _locate_border(equations, (x, margin), (new, new_margin), scale, steps, margins)
             except NoConvergence as failure:
                 if step <= steps.min_step:
                     return path, f"no convergence: {failure} at parameter {x[-1]:.9g}"
@@ -333,7 +325,5 @@ def locate(
 
 def locate_folds(equations: Equations, curve: Curve, steps: Steps | None = None) -> Vector:
     """Locate the folds of a curve, shape (folds, n + 1)."""
-    folds = [
-        locate(equations, curve, int(i), lambda x, tangent: float(tangent[-1]), steps)[0] for i in curve.folds
-    ]
+    folds = [locate(equations, curve, int(i), lambda x, tangent: float(tangent[-1]), steps)[0] for i in curve.folds]
     return np.array(folds).reshape(-1, curve.points.shape[1])

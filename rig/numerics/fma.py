@@ -107,9 +107,7 @@ _weighted_sums, _factored_sums = _sums(same_rows=False), _sums(same_rows=True)
 
 
 @kernel
-def weighted_sums(
-    rows: Any, first: int, column: int, weights: Any, count: int, out: Any, length: int
-) -> None:
+def weighted_sums(rows: Any, first: int, column: int, weights: Any, count: int, out: Any, length: int) -> None:
     """Compute the weighted sums out[k] = sum_j weights[j] rows[first + j, column + k] for k < length.
 
     The length is rounded up to a multiple of `SUM_BLOCK`, for which rows and `out` must have room.
@@ -121,9 +119,7 @@ def weighted_sums(
 
 
 @kernel
-def factored_sums(
-    rows: Any, factors: Any, start: int, step: int, apart: int, out: Any, first: int, count: int
-) -> None:
+def factored_sums(rows: Any, factors: Any, start: int, step: int, apart: int, out: Any, first: int, count: int) -> None:
     """Compute sums of the same rows with different factors.
 
     out[8 (first + b) + i] = sum_e rows[e, i] factors[start + e step + b apart] for all lanes i and b < count;

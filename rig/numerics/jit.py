@@ -53,9 +53,7 @@ def _digest(folder: Path) -> str:
     These are the files of the folder, and of the folders with kernels from which it imports.
     """
     digest = hashlib.sha256(repr((numba.__version__, callees is None)).encode())
-    digest.update(
-        repr((llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features())).encode()
-    )
+    digest.update(repr((llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features())).encode())
     pending, visited = [folder], {folder}
     while pending:
         texts = [file.read_bytes() for file in sorted(pending.pop().glob("*.py"))]

@@ -95,9 +95,7 @@ def _add_product(builder: Any, arguments: list[Any], row: Any, registers: int) -
         place = builder.add(builder.mul(column, rows), row)
         for register in range(registers):
             total = totals[register][count]
-            product = builder.fmul(
-                builder.load(lanes(matrix, place, register), align=8), factors, flags=("contract",)
-            )
+            product = builder.fmul(builder.load(lanes(matrix, place, register), align=8), factors, flags=("contract",))
             builder.store(builder.fadd(builder.load(total), product, flags=("contract",)), total)
 
     others = [ir.Constant(WIDE, [0.0] * LANES)] * (at_once - 1)
@@ -154,14 +152,7 @@ def _product(many: bool) -> Any:
                 context.make_array(signature.args[place])(context, builder, arguments[place]).data
                 for place in (0, 2, 4, 7)
             )
-            parts = [
-                builder.gep(matrix, [start]),
-                builder.gep(constant, [offset]),
-                vector,
-                out,
-                columns,
-                rows,
-            ]
+            parts = [builder.gep(matrix, [start]), builder.gep(constant, [offset]), vector, out, columns, rows]
             if many:
                 builder.call(_many_rows(builder.module), [*parts, row])
             else:
@@ -276,13 +267,9 @@ def _transpose_tile(
             return builder.add(begin, builder.mul(number[count], step))
 
         def choose(left: Any, right: Any, lanes: list[int]) -> Any:
-            return builder.shuffle_vector(
-                left, right, ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes)
-            )
+            return builder.shuffle_vector(left, right, ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes))
 
-        tile = [
-            load(context, builder, signature.args[0], source, along(start, i, width)) for i in range(LANES)
-        ]
+        tile = [load(context, builder, signature.args[0], source, along(start, i, width)) for i in range(LANES)]
         # Exchange blocks of one, two and four lanes across the diagonal.
         for size in (1, 2, 4):
             for i in (i for i in range(LANES) if not i & size):
@@ -335,9 +322,7 @@ def combine_many(matrix: Any, constant: Any, slot: int, vector: Any, columns: in
 
 
 @inlined_kernel
-def _combine_from(
-    matrix: Any, constant: Any, slot: int, vector: Any, columns: int, out: Any, first: int
-) -> None:
+def _combine_from(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, out: Any, first: int) -> None:
     rows = constant.shape[1]
     start = slot * matrix.shape[1] * rows
     for row in range(first, rows, LANES):

@@ -64,9 +64,7 @@ def _crossing_rate(
         return min(1.0, -guard[1] / (acc_unit * omega))
     if kind in (kinds.PRESS_FLOOR, kinds.PRESS_CEILING):
         sign = -1.0 if kind == kinds.PRESS_FLOOR else 1.0
-        force_rate = _contact_force(
-            equations, j, kind == kinds.PRESS_CEILING, sign * guard[1], sign * guard[2]
-        )
+        force_rate = _contact_force(equations, j, kind == kinds.PRESS_CEILING, sign * guard[1], sign * guard[2])
         return min(1.0, force_rate / (equations.mass[j] * acc_unit * omega))
     return min(1.0, closing * omega / acc_unit)
 
@@ -196,11 +194,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             for i in range(nd):
                 body = body_of[i]
                 coupling = equations.inverse_mass[sequence.configuration[event], body, body_of[j]]
-                if (
-                    i != j
-                    and sequence.wall[event, i] in (kinds.RIDES_FLOOR, kinds.RIDES_CEILING)
-                    and coupling != 0.0
-                ):
+                if i != j and sequence.wall[event, i] in (kinds.RIDES_FLOOR, kinds.RIDES_CEILING) and coupling != 0.0:
                     speed_change = track.motion[event, 0, nq + body] - track.motion[event - 1, -1, nq + body]
                     sign = 1.0 if sequence.wall[event, i] == kinds.RIDES_FLOOR else -1.0
                     _reduce_margin(distances, THROWN_OFF, i, sign * speed_change * omega / acc_unit)
@@ -225,8 +219,4 @@ def evaluate_motion(
 ) -> tuple[Array, NDArray[np.complex128], Array]:
     """Return `extremes` and `harmonic` of a converged orbit as in `Track`, and its flattened `margins`."""
     track = track_orbit(equations, sequence, instants, shooting.states)
-    return (
-        track.extremes,
-        track.harmonic,
-        margins(equations, sequence, track, instants, shooting.closing).ravel(),
-    )
+    return (track.extremes, track.harmonic, margins(equations, sequence, track, instants, shooting.closing).ravel())

@@ -163,9 +163,7 @@ class _Explorer:
             return [search_orbit(self.problem, orbit.setting, propagator)]
         except RunError as failure:
             value = getattr(orbit.setting, self.parameter)
-            self.failures.append(
-                f"where Type {orbit.motion_type} is unstable, {self.parameter} {value:.8g}: {failure}"
-            )
+            self.failures.append(f"where Type {orbit.motion_type} is unstable, {self.parameter} {value:.8g}: {failure}")
             return []
 
     def _contains(self, branch: OrbitBranch, orbit: Orbit) -> bool:
@@ -223,10 +221,7 @@ class _Explorer:
                     candidate = refine_orbit(self.problem, setting, propagator, steps, orbit.repetition)
                 except RunError:
                     continue
-                is_close = (
-                    np.abs(candidate.compliance - orbit.compliance).max()
-                    < 0.05 * np.abs(orbit.compliance).max()
-                )
+                is_close = np.abs(candidate.compliance - orbit.compliance).max() < 0.05 * np.abs(orbit.compliance).max()
                 if is_close and not candidate.flaw and not candidate.plan.same_cycle(orbit.plan):
                     return candidate
         # Close to the border, the new event may be too small to detect in a motion settled to 1e-7.

@@ -121,9 +121,7 @@ def derive_plan(
         zip(trajectory.event_damper.tolist(), trajectory.event_kind.tolist(), strict=True)
     ):
         simultaneous = [i for i in range(len(order)) if instants[order[i]] == instants[k]]
-        impacts = [
-            i for i in simultaneous if dampers[i] == damper and events[i] in (kinds.FLOOR, kinds.CEILING)
-        ]
+        impacts = [i for i in simultaneous if dampers[i] == damper and events[i] in (kinds.FLOOR, kinds.CEILING)]
         if system.coupled and any(dampers[i] != damper for i in simultaneous):
             raise UncoveredMotionError(
                 f"an impact of damper {damper + 1} acts on damper {dampers[simultaneous[-1]] + 1} at the same "
@@ -147,9 +145,7 @@ def derive_plan(
             events.append(kinds.WITH_PREVIOUS if simultaneous else kinds.SEPARATION)
         dampers.append(damper)
         order.append(k)
-    return make_plan(events, dampers, walls_from_modes(start, system), repetition), np.array(
-        order, dtype=np.int64
-    )
+    return make_plan(events, dampers, walls_from_modes(start, system), repetition), np.array(order, dtype=np.int64)
 
 
 def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSystem) -> int:

@@ -35,9 +35,7 @@ def exponential(matrix: Array, time: float, rate: float) -> Array:
 
 
 @cached_njit
-def exponential_slope(
-    matrix: Array, change: Array, start: Array, slope: Array, time: float, rate: float
-) -> Array:
+def exponential_slope(matrix: Array, change: Array, start: Array, slope: Array, time: float, rate: float) -> Array:
     """Differentiate exp(matrix time) start, matrix and start both changing: s' = A s + E z, s(0) = slope."""
     n = matrix.shape[0]
     entries, row, column = 0, np.empty(n * n, dtype=np.int64), np.empty(n * n, dtype=np.int64)

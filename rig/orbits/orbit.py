@@ -133,9 +133,7 @@ class Orbit(Result):
         time = columns.pop("time_s")
         for name, column in columns.items():
             line_style = "--" if name.startswith("gap") else "-"
-            ax.plot(
-                1e3 * time, 1e3 * column, line_style, **complete_style(style, label=name.removesuffix("_m"))
-            )
+            ax.plot(1e3 * time, 1e3 * column, line_style, **complete_style(style, label=name.removesuffix("_m")))
         ax.set(xlabel="time / ms", ylabel="displacement, gap / mm")
 
     @property
@@ -155,11 +153,7 @@ class Orbit(Result):
 
 
 def solve(
-    problem: OrbitProblem,
-    plan: Plan,
-    setting: OperatingPoint,
-    unknowns: Array,
-    max_corrections: int = MAX_CORRECTIONS,
+    problem: OrbitProblem, plan: Plan, setting: OperatingPoint, unknowns: Array, max_corrections: int = MAX_CORRECTIONS
 ) -> Orbit:
     """Solve the equations of an orbit for one setting by Newton's iteration with a limited number of corrections.
 
@@ -168,9 +162,7 @@ def solve(
     family = OrbitFamily(problem, plan, setting, "frequency", unknowns)
     location = f"no orbit with events [{plan.label}] near {setting.frequency:.6g} Hz"
     try:
-        equations, x, _, shooting, size, corrections = family.correct(
-            setting.frequency, unknowns, max_corrections
-        )
+        equations, x, _, shooting, size, corrections = family.correct(setting.frequency, unknowns, max_corrections)
     except np.linalg.LinAlgError:
         raise RunError(f"{location}: the equations are singular. Start from another orbit.") from None
     if corrections < 0:
@@ -188,12 +180,7 @@ class OrbitFamily:
     """
 
     def __init__(
-        self,
-        problem: OrbitProblem,
-        plan: Plan,
-        setting: OperatingPoint,
-        parameter: Parameter,
-        unknowns: Array,
+        self, problem: OrbitProblem, plan: Plan, setting: OperatingPoint, parameter: Parameter, unknowns: Array
     ) -> None:
         self.problem, self.plan, self.parameter = problem, plan, parameter
         self.setting_at = vary(setting, parameter)
@@ -207,9 +194,7 @@ class OrbitFamily:
         times = np.full(len(plan.sequence.kind), 1 / omega)
         start = np.concatenate([np.full(nq, length), np.full(nq, omega * length), other_states, flights])
         value = getattr(setting, parameter)
-        self.scale = np.concatenate(
-            [start, times, [abs(value) * (0.02 if parameter == "frequency" else 0.2)]]
-        )
+        self.scale = np.concatenate([start, times, [abs(value) * (0.02 if parameter == "frequency" else 0.2)]])
         guard_scales = {kinds.WITH_PREVIOUS: 1 / omega, kinds.SEPARATION: system.gravity or omega**2 * length}
         event_scales = [guard_scales.get(int(kind), length) for kind in plan.sequence.kind]
         self.residual_scale = np.concatenate([start, event_scales])
@@ -226,9 +211,7 @@ class OrbitFamily:
         """Return the equations at a value of the parameter and their solution, as `newton_solve` returns it."""
         equations, change = self.equations(value)
         scale, sequence = self.scale[:-1], self.plan.sequence
-        return equations, *newton_solve(
-            equations, change, sequence, guess, scale, self.residual_scale, max_corrections
-        )
+        return equations, *newton_solve(equations, change, sequence, guess, scale, self.residual_scale, max_corrections)
 
     def __call__(self, x: Array) -> tuple[Array, Array]:
         """Return the scaled residual and Jacobian."""
@@ -303,9 +286,7 @@ def _events(
     A bounce without rebound is an impact and a separation at one instant.
     """
     events = []
-    for time, damper, kind, speed in zip(
-        instants, plan.sequence.damper, plan.sequence.kind, closing, strict=True
-    ):
+    for time, damper, kind, speed in zip(instants, plan.sequence.damper, plan.sequence.kind, closing, strict=True):
         if int(kind) in _CONTACT_EVENTS:
             events.append((damper, _CONTACT_EVENTS[int(kind)], time, speed))
         if kind == kinds.RELEASE:

@@ -90,9 +90,7 @@ class OrbitBranch(Result):
             np.where(self.stable, magnitude[body], np.nan),
             **complete_style(style, label=self.motion_type),
         )
-        ax.plot(
-            factor * self.value, magnitude[body], "--", color=line.get_color(), lw=0.6 * line.get_linewidth()
-        )
+        ax.plot(factor * self.value, magnitude[body], "--", color=line.get_color(), lw=0.6 * line.get_linewidth())
         ax.set(xlabel=label, ylabel=f"|compliance| of {self._labels[body]} / (µm/N)")
 
 
@@ -129,6 +127,4 @@ class OrbitCurve(Result):
         for branch in self.branches:
             is_first = branch.motion_type not in {line.get_label() for line in ax.lines}
             color = f"C{types.index(branch.motion_type)}"
-            branch.draw(
-                ax, **complete_style(style, color=color, label=branch.motion_type if is_first else "_again")
-            )
+            branch.draw(ax, **complete_style(style, color=color, label=branch.motion_type if is_first else "_again"))

@@ -10,14 +10,7 @@ from rig.engine.state import CEILING, CONFIGURATION, FLIGHT, FLOOR
 from rig.engine.trajectory import CONTACT_EVENTS, Trajectory
 from rig.errors import RunError
 from rig.orbits import event_kinds as kinds
-from rig.orbits.event_sequence import (
-    Plan,
-    configuration_of,
-    derive_plan,
-    make_plan,
-    modes_from_walls,
-    walls_from_modes,
-)
+from rig.orbits.event_sequence import Plan, configuration_of, derive_plan, make_plan, modes_from_walls, walls_from_modes
 from rig.orbits.orbit import Orbit, solve
 from rig.orbits.problem import OperatingPoint, OrbitProblem
 from rig.scene.loading import SceneLike, scene_of
@@ -75,15 +68,10 @@ def periodic_orbit(scene: SceneLike, frequency: float | str, start: Orbit | None
 
 
 def search_orbit(
-    problem: OrbitProblem,
-    setting: OperatingPoint,
-    start: Propagator | None = None,
-    max_periods: int = MAX_PERIODS,
+    problem: OrbitProblem, setting: OperatingPoint, start: Propagator | None = None, max_periods: int = MAX_PERIODS
 ) -> Orbit:
     """Simulate until the motion repeats, for at most `max_periods` periods, and refine it to an exact orbit."""
-    propagator, steps = (
-        start_propagator(problem, setting) if start is None else (start, period_steps(start, setting))
-    )
+    propagator, steps = start_propagator(problem, setting) if start is None else (start, period_steps(start, setting))
     propagator.start_period(1.0)
     for periods in EARLY_PERIODS:
         _simulate(propagator, steps, periods)
@@ -195,9 +183,7 @@ def shortest_cycle(orbit: Orbit) -> tuple[Plan, OperatingPoint, Array] | None:
         cycle_start = np.arange(events) // max(cycle_events, 1) * cycle_duration
         table = np.stack([sequence.kind, sequence.damper, (instants - cycle_start) * orbit.frequency])
         repeated = np.tile(table[:, :cycle_events], cycles)
-        if events and (
-            not np.array_equal(table[:2], repeated[:2]) or np.abs(table[2] - repeated[2]).max() > 1e-9
-        ):
+        if events and (not np.array_equal(table[:2], repeated[:2]) or np.abs(table[2] - repeated[2]).max() > 1e-9):
             continue
         plan = make_plan(
             sequence.kind[:cycle_events].tolist(), sequence.damper[:cycle_events].tolist(), sequence.wall[0],
@@ -215,9 +201,7 @@ def simulate_cycle(propagator: Propagator, steps: float, repetition: int) -> tup
     initial_state = state.z[: system.states].copy()
     trajectory = _simulate(propagator, steps, repetition)
     plan, order = derive_plan(trajectory, modes, repetition, system)
-    instants = (
-        trajectory.event_segment[order] * steps * propagator.tables.step + trajectory.event_offset[order]
-    )
+    instants = trajectory.event_segment[order] * steps * propagator.tables.step + trajectory.event_offset[order]
     flights = np.array([[heights[j], speeds[j]] for j in plan.flying]).ravel()
     return plan, np.concatenate([initial_state, flights, instants])
 

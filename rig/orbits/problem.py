@@ -23,12 +23,7 @@ from rig.system.open_loop_drive import drive_per_level, level_of, with_ideal_for
 
 Parameter = Literal["frequency", "force", "clearance", "mass_ratio"]
 #: Continuation parameters, with their kinds of quantity.
-PARAMETERS: dict[str, Kind] = {
-    "frequency": FREQUENCY,
-    "force": FORCE,
-    "clearance": LENGTH,
-    "mass_ratio": RATIO,
-}
+PARAMETERS: dict[str, Kind] = {"frequency": FREQUENCY, "force": FORCE, "clearance": LENGTH, "mass_ratio": RATIO}
 #: Axis label of each parameter, and number of its units per SI unit.
 AXES = {
     "frequency": ("frequency / Hz", 1.0),
@@ -165,9 +160,7 @@ class OrbitProblem:
         generator[:, :n, n : n + 2] = matrices.input_matrix[:, :, :-1] @ drive
         pressable = system.finite_contact & np.isfinite(system.clearance)
         generator[:, :n, n + 2] = matrices.input_matrix[:, :, -1]
-        generator[:, nq : 2 * nq, n + 2] += (
-            matrices.clearance_input[:, :, pressable] @ system.clearance[pressable]
-        )
+        generator[:, nq : 2 * nq, n + 2] += matrices.clearance_input[:, :, pressable] @ system.clearance[pressable]
         generator[:, n, n + 1], generator[:, n + 1, n] = -omega, omega
         inverse_mass_change = np.zeros_like(matrices.inverse_mass)
         if parameter == "frequency":
@@ -307,8 +300,7 @@ def vary(setting: OperatingPoint, parameter: Parameter) -> Callable[[float], Ope
 def _riding_mass_and_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
     """Return the mass matrix with the riding dampers of a configuration, and constant forces with their weight."""
     riding = np.array(
-        [j for j in range(system.dampers) if configuration >> j & 1 and not system.finite_contact[j]],
-        dtype=np.intp,
+        [j for j in range(system.dampers) if configuration >> j & 1 and not system.finite_contact[j]], dtype=np.intp
     )
     rows, masses = system.damper_coordinate[riding], system.damper_mass[riding]
     added = np.zeros_like(system.mass)

@@ -85,9 +85,9 @@ def _propagate(
     dinitial[:n] = sx[:, size]
     dinitial[n], dinitial[n + 1] = -time * change.omega * initial[n + 1], time * change.omega * initial[n]
     sx[:] = np.ascontiguousarray(flow[:n, :n]) @ sx
-    sx[:, size] = exponential_slope(
-        a, change.generator[config], initial, dinitial, duration, equations.rate[config]
-    )[:n]
+    sx[:, size] = exponential_slope(a, change.generator[config], initial, dinitial, duration, equations.rate[config])[
+        :n
+    ]
     for i in range(n):
         rate = 0.0
         for m in range(n + 3):
@@ -148,14 +148,7 @@ def _separate(equations: Equations, change: Change, wall: int, j: int, motion: M
 
 @cached_njit
 def _apply_impact(
-    equations: Equations,
-    change: Change,
-    config: int,
-    kind: int,
-    j: int,
-    motion: MotionState,
-    row: int,
-    jacobian: Array,
+    equations: Equations, change: Change, config: int, kind: int, j: int, motion: MotionState, row: int, jacobian: Array
 ) -> tuple[float, float]:
     """Apply the impact of damper j on a wall; return the gap, which must be zero, and the closing speed.
 
@@ -199,14 +192,7 @@ def _apply_impact(
 
 @cached_njit
 def _change_force(
-    equations: Equations,
-    change: Change,
-    kind: int,
-    wall: int,
-    j: int,
-    motion: MotionState,
-    row: int,
-    jacobian: Array,
+    equations: Equations, change: Change, kind: int, wall: int, j: int, motion: MotionState, row: int, jacobian: Array
 ) -> tuple[float, float]:
     """Change the finite-duration contact of damper j; return its event condition and the closing speed.
 
@@ -215,9 +201,7 @@ def _change_force(
     """
     size, bed = motion.dx.shape[1] - 1, equations.bed[j]
     speed_index = equations.inverse_mass.shape[1] + bed
-    ceiling = kind in (kinds.TOUCH_CEILING, kinds.PRESS_CEILING) or (
-        kind == kinds.RELEASE and wall == kinds.ON_CEILING
-    )
+    ceiling = kind in (kinds.TOUCH_CEILING, kinds.PRESS_CEILING) or (kind == kinds.RELEASE and wall == kinds.ON_CEILING)
     wall_index = 1 if ceiling else 0
     speed, decay_time = motion.x[speed_index], 0.0
     residual = motion.x[bed]
@@ -275,9 +259,7 @@ def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Ar
         previous_row = row - 1 if k > 0 else -1
         if k == events:
             # The last segment ends with the period, which the parameter may change.
-            _propagate(
-                equations, change, config, motion, time, equations.period, previous_row, size, change.period
-            )
+            _propagate(equations, change, config, motion, time, equations.period, previous_row, size, change.period)
             break
         event_time = unknowns[row]
         _propagate(equations, change, config, motion, time, event_time, previous_row, row, 1.0)
@@ -286,9 +268,7 @@ def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Ar
         j, kind = sequence.damper[k], sequence.kind[k]
         if kind == kinds.SEPARATION:
             body = equations.body_coordinate[j]
-            residual[row] = _contact_force_condition(
-                equations, change, config, body, motion, time, row, jacobian
-            )
+            residual[row] = _contact_force_condition(equations, change, config, body, motion, time, row, jacobian)
             _separate(equations, change, sequence.wall[k, j], j, motion)
         elif kind == kinds.WITH_PREVIOUS:
             residual[row] = time - (unknowns[row - 1] if k > 0 else 0.0)
@@ -301,8 +281,6 @@ def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Ar
                 equations, change, kind, sequence.wall[k, j], j, motion, row, jacobian
             )
         else:
-            residual[row], closing[k] = _apply_impact(
-                equations, change, config, kind, j, motion, row, jacobian
-            )
+            residual[row], closing[k] = _apply_impact(equations, change, config, kind, j, motion, row, jacobian)
     _write_periodicity(sequence, unknowns, motion, residual, jacobian)
     return ShootingResult(residual, jacobian, states, closing)

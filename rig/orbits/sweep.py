@@ -119,9 +119,7 @@ class OrbitResponse(Result):
         """
         if self.parameter != "frequency":
             raise SceneError(f"response: the {self.parameter} was varied. Vary the frequency.")
-        return compliance_response(
-            self.value, self.labels, self.compliance, unsteady=self.simulated, label="orbits"
-        )
+        return compliance_response(self.value, self.labels, self.compliance, unsteady=self.simulated, label="orbits")
 
     def summary(self) -> str:
         """Return the range of the parameter, the peaks and the types of motion in words."""
@@ -146,13 +144,7 @@ class OrbitResponse(Result):
         """Draw the compliance of each body."""
         label, factor = AXES[self.parameter]
         draw_compliance(
-            ax,
-            factor * self.value,
-            self.labels,
-            self.compliance,
-            self.simulated,
-            "irregular, averaged",
-            **style,
+            ax, factor * self.value, self.labels, self.compliance, self.simulated, "irregular, averaged", **style
         )
         ax.set(xlabel=label)
 

@@ -40,16 +40,9 @@ class Track(NamedTuple):
 
 
 @cached_njit
-def turning_value(
-    left_value: float, right_value: float, slopes: Array, curvatures: Array, step: float
-) -> float:
+def turning_value(left_value: float, right_value: float, slopes: Array, curvatures: Array, step: float) -> float:
     """Return the extreme value in an interval, from the quintic through the values and two derivatives at its ends."""
-    s0, s1, c0, c1 = (
-        slopes[0] * step,
-        slopes[1] * step,
-        curvatures[0] * step * step,
-        curvatures[1] * step * step,
-    )
+    s0, s1, c0, c1 = (slopes[0] * step, slopes[1] * step, curvatures[0] * step * step, curvatures[1] * step * step)
     d = right_value - left_value - s0 - 0.5 * c0
     e, f = s1 - s0 - c0, c1 - c0
     a3, a4, a5 = 10 * d - 4 * e + 0.5 * f, -15 * d + 7 * e - f, 6 * d - 3 * e + 0.5 * f
@@ -112,15 +105,7 @@ def _extend_range(extremes: Array, x: Array, rate: Array, step: float) -> None:
 
 @cached_njit
 def _sample_guard(
-    equations: Equations,
-    a: Array,
-    wall: int,
-    j: int,
-    initial: Array,
-    x: Array,
-    rate: Array,
-    step: float,
-    guard: Array,
+    equations: Equations, a: Array, wall: int, j: int, initial: Array, x: Array, rate: Array, step: float, guard: Array
 ) -> None:
     """Compute a damper's guard function along a segment, with two derivatives: its gap or its contact force."""
     nq, nd = equations.inverse_mass.shape[1], equations.body_coordinate.shape[0]

@@ -319,9 +319,7 @@ class Response(Result, Sequence["Response"]):
     def _curves(self) -> tuple[Response, ...]:
         if self.is_curve:
             return (self,)
-        return tuple(
-            self._select([i], [k]) for i in range(len(self.outputs)) for k in range(len(self.inputs))
-        )
+        return tuple(self._select([i], [k]) for i in range(len(self.outputs)) for k in range(len(self.inputs)))
 
     def curves(self) -> tuple[Response, ...]:
         """Return all elements as curves, output by output."""
@@ -343,9 +341,7 @@ class Response(Result, Sequence["Response"]):
         if isinstance(key, int):
             return self._curves[key]
         index = _index(self.outputs, key, "response")
-        return (
-            self._curves[index] if len(self.inputs) == 1 else self._select([index], range(len(self.inputs)))
-        )
+        return self._curves[index] if len(self.inputs) == 1 else self._select([index], range(len(self.inputs)))
 
     def _select(self, outputs: Sequence[int], inputs: Sequence[int], keep_axes: bool = False) -> Response:
         """Select elements; a single element becomes a curve unless `keep_axes`."""
@@ -353,18 +349,12 @@ class Response(Result, Sequence["Response"]):
             return self
         single = len(outputs) == len(inputs) == 1 and not keep_axes
         selection = (
-            (slice(None), outputs[0], inputs[0])
-            if single
-            else np.ix_(range(self.frequency.size), outputs, inputs)
+            (slice(None), outputs[0], inputs[0]) if single else np.ix_(range(self.frequency.size), outputs, inputs)
         )
         elements = [i * len(self.inputs) + k for i in outputs for k in inputs]
         budget, errors = self.uncertainty, self.uncertainty.errors
         parts = tuple(
-            replace(
-                part,
-                size=part.size[selection],
-                degrees=None if part.degrees is None else part.degrees[selection],
-            )
+            replace(part, size=part.size[selection], degrees=None if part.degrees is None else part.degrees[selection])
             for part in budget.contributions
         )
         return replace(
@@ -461,14 +451,10 @@ class Response(Result, Sequence["Response"]):
         }  # fmt: skip
         names = [point.name for point in self.inputs]
         return xarray.Dataset(
-            data,
-            {"frequency": self.frequency, "output": list(self.keys()), "input": names},
-            {"unit": self.unit},
+            data, {"frequency": self.frequency, "output": list(self.keys()), "input": names}, {"unit": self.unit}
         )
 
-    def to_uff(
-        self, path: str | Path, nodes: Sequence[int] | None = None, driven: Sequence[int] = (0,)
-    ) -> Path:
+    def to_uff(self, path: str | Path, nodes: Sequence[int] | None = None, driven: Sequence[int] = (0,)) -> Path:
         """Write a Universal File with a data set 58 for each element.
 
         Parameters
@@ -585,10 +571,7 @@ class Response(Result, Sequence["Response"]):
             value = np.asarray(self.value / other.value)
             magnitude, contributions = abs(value), []
             relative = [
-                {
-                    part.name: (part, part.size / abs(response.value))
-                    for part in response.uncertainty.contributions
-                }
+                {part.name: (part, part.size / abs(response.value)) for part in response.uncertainty.contributions}
                 for response in (self, other)
             ]
         for name in dict.fromkeys([*relative[0], *relative[1]]):
@@ -598,9 +581,7 @@ class Response(Result, Sequence["Response"]):
             degrees = [part.degrees for part, _ in parts if part.degrees is not None]
             min_degrees = np.min(degrees, axis=0) if degrees else None
             contributions.append(Contribution(name, parts[0][0].evaluation, magnitude * total, min_degrees))
-        budget = replace(
-            self.uncertainty, contributions=tuple(contributions), errors=None, clock=0.0, scale=0.0
-        )
+        budget = replace(self.uncertainty, contributions=tuple(contributions), errors=None, clock=0.0, scale=0.0)
         return replace(
             self,
             value=value,
@@ -689,9 +670,7 @@ class Response(Result, Sequence["Response"]):
     def placed(self, output: str, force: str) -> Response:
         """Set the places of a curve's output and input."""
         return replace(
-            self,
-            outputs=(replace(self.outputs[0], place=output),),
-            inputs=(replace(self.inputs[0], place=force),),
+            self, outputs=(replace(self.outputs[0], place=output),), inputs=(replace(self.inputs[0], place=force),)
         )
 
     def warn(self, *sentences: str) -> Response:

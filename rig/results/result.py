@@ -105,9 +105,7 @@ class Result(ABC):
         except ImportError:
             raise missing_package("xarray") from None
         (abscissa_name, abscissa), *others = self.columns().items() or _NO_COLUMNS
-        return xarray.Dataset(
-            {name: (abscissa_name, column) for name, column in others}, {abscissa_name: abscissa}
-        )
+        return xarray.Dataset({name: (abscissa_name, column) for name, column in others}, {abscissa_name: abscissa})
 
 
 def join_columns(tables: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:

@@ -140,9 +140,7 @@ class UncertaintyBudget:
     def limit(self, names: Collection[str] | None = None, without: Collection[str] = ()) -> Array | float:
         """Return the root of the sum of squares of the limits, or of those with some names."""
         limits = [
-            limit
-            for name, limit in self.limits.items()
-            if (names is None or name in names) and name not in without
+            limit for name, limit in self.limits.items() if (names is None or name in names) and name not in without
         ]
         return np.asarray(np.linalg.norm(limits, axis=0)) if limits else 0.0
 
@@ -178,9 +176,7 @@ class UncertaintyBudget:
 
     def at(self, lines: Any) -> UncertaintyBudget:
         """Select some lines."""
-        return self.with_arrays(
-            lambda array: array[lines], None if self.errors is None else self.errors.at(lines)
-        )
+        return self.with_arrays(lambda array: array[lines], None if self.errors is None else self.errors.at(lines))
 
     def scaled(self, factor: ComplexArray) -> UncertaintyBudget:
         """Return the budget of the values times a factor at each line."""
@@ -196,15 +192,12 @@ class UncertaintyBudget:
         """Add limits by name, or replace those of the same name."""
         unchanged = tuple(part for part in self.contributions if part.name not in limits)
         return replace(
-            self,
-            contributions=(*unchanged, *(Contribution(name, "B", size) for name, size in limits.items())),
+            self, contributions=(*unchanged, *(Contribution(name, "B", size) for name, size in limits.items()))
         )
 
     def without(self, *names: str) -> UncertaintyBudget:
         """Remove contributions."""
-        return replace(
-            self, contributions=tuple(part for part in self.contributions if part.name not in names)
-        )
+        return replace(self, contributions=tuple(part for part in self.contributions if part.name not in names))
 
     def with_gaps(self, lines: NDArray[np.intp]) -> UncertaintyBudget:
         """Insert lines of NaN in front of some lines."""
@@ -213,9 +206,7 @@ class UncertaintyBudget:
     def with_arrays(self, change: Callable[[Array], Array], errors: RandomErrors | None) -> UncertaintyBudget:
         """Replace the arrays of all contributions by a function of them."""
         parts = tuple(
-            replace(
-                part, size=change(part.size), degrees=None if part.degrees is None else change(part.degrees)
-            )
+            replace(part, size=change(part.size), degrees=None if part.degrees is None else change(part.degrees))
             for part in self.contributions
         )
         return replace(self, contributions=parts, errors=errors)
@@ -232,25 +223,19 @@ def stacked(budgets: Sequence[UncertaintyBudget], shape: tuple[int, ...]) -> Unc
 
     parts = []
     for name, evaluation in names:
-        of_curves = [
-            next((part for part in budget.contributions if part.name == name), None) for budget in budgets
-        ]
+        of_curves = [next((part for part in budget.contributions if part.name == name), None) for budget in budgets]
         parts.append(
             Contribution(
                 name,
                 evaluation,
                 join([None if part is None else part.size for part in of_curves]),
-                join([None if part is None else part.degrees for part in of_curves])
-                if evaluation == "A"
-                else None,
+                join([None if part is None else part.degrees for part in of_curves]) if evaluation == "A" else None,
             )
         )
     first, *others = (budget.errors for budget in budgets)
     given = [errors for errors in others if errors is not None]
     joined = first.joined(given) if first is not None and len(given) == len(others) else None
-    shared, clock, scale = (
-        max(getattr(budget, name) for budget in budgets) for name in ("shared", "clock", "scale")
-    )
+    shared, clock, scale = (max(getattr(budget, name) for budget in budgets) for name in ("shared", "clock", "scale"))
     return UncertaintyBudget(tuple(parts), joined, shared, clock, scale)
 
 
@@ -306,8 +291,7 @@ class BudgetTable:
         widths = [max(len(row[k]) for row in (heading, *body)) for k in range(4)]
         lines = [
             "  ".join(
-                cell.ljust(w) if k < 2 else cell.rjust(w)
-                for k, (cell, w) in enumerate(zip(row, widths, strict=True))
+                cell.ljust(w) if k < 2 else cell.rjust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True))
             ).rstrip()
             for row in (heading, *body)
         ]

@@ -23,10 +23,7 @@ def check_names(names: Sequence[str], bodies: int) -> Iterator[tuple[int | None,
         yield None, f"got {len(names)} names; expected {bodies}, one for each body"
     for k, name in enumerate(names):
         if not _NAME.fullmatch(name):
-            yield (
-                k,
-                f'"{name[:60]}" is not a name for a body; expected a letter, then letters, digits, _, - and .',
-            )
+            yield (k, f'"{name[:60]}" is not a name for a body; expected a letter, then letters, digits, _, - and .')
         elif name in RESERVED_NAMES:
             yield k, f'"{name}" already means another place of the bench; expected another name'
         elif name in names[:k]:
@@ -103,8 +100,7 @@ def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistak
         "channels": ("at", replace_channel_place),
     }
     replaced = {
-        part: replace_in(value, *readers[part], (part,)) if part in readers else value
-        for part, value in scene.items()
+        part: replace_in(value, *readers[part], (part,)) if part in readers else value for part, value in scene.items()
     }
     return replaced, mistakes
 

@@ -62,17 +62,13 @@ def _check_driven_shaker(test: Any, shakers: tuple[Shaker, ...]) -> Iterable[Mis
         message = f"{test.kind} requires a shaker; expected a shaker in the scene"
         yield Mistake(("kind",), message, absent="shaker")
     elif count > 1 and test.shaker is None:
-        yield Mistake(
-            (), f"shaker missing; expected shaker: with the number of the driven shaker, 1 to {count}"
-        )
+        yield Mistake((), f"shaker missing; expected shaker: with the number of the driven shaker, 1 to {count}")
     elif number > count:
         yield Mistake(("shaker",), f"shaker {number} of {count}; expected 1 to {count}")
     elif any(other > count for other in also):
         yield Mistake(("also",), f"names a shaker that does not exist; expected numbers up to {count}")
     elif len({test.shaker, *also}) <= len(also):
-        yield Mistake(
-            ("also",), "names a shaker twice; expected the shakers other than test: shaker, each once"
-        )
+        yield Mistake(("also",), "names a shaker twice; expected the shakers other than test: shaker, each once")
     elif isinstance(shakers[number - 1], ForceShaker) and test.drive is not None:
         yield Mistake(("drive",), "a shaker of kind force is driven by its force; expected force instead")
 
@@ -136,9 +132,7 @@ def _check_place_at_shaker(
 def _check_converter(converter: Converter, valid: ValidParts) -> Iterable[Mistake]:
     channels = valid.get("channels")
     if channels is not None and isinstance(converter.skew, tuple) and len(converter.skew) != len(channels):
-        yield Mistake(
-            ("skew",), f"got {len(converter.skew)} values; expected {len(channels)}, one for each channel"
-        )
+        yield Mistake(("skew",), f"got {len(converter.skew)} values; expected {len(channels)}, one for each channel")
 
 
 def _check_recording(recording: RecordingSettings, valid: ValidParts) -> Iterable[Mistake]:

@@ -81,9 +81,7 @@ class Grains(Settings):
     def relations(self) -> Iterable[Mistake]:
         """Check that a grain fits into the cavity."""
         if self.diameter * (1.0 + self.spread) > self.cavity:
-            yield Mistake(
-                ("cavity",), expectation(f"{self.cavity:g} m", "at least the largest grain's diameter")
-            )
+            yield Mistake(("cavity",), expectation(f"{self.cavity:g} m", "at least the largest grain's diameter"))
 
 
 class Damper(Settings):
@@ -115,13 +113,10 @@ class Damper(Settings):
     def relations(self) -> Iterable[Mistake]:
         """Check that the restitution is given once, and that the bed is either one mass or grains."""
         if self.grains is not None and self.restitution:
-            yield Mistake(
-                ("restitution",), "given together with grains; expected the key in grains, for each grain"
-            )
+            yield Mistake(("restitution",), "given together with grains; expected the key in grains, for each grain")
         if self.grains is not None and self.contact is not None:
             yield Mistake(
-                ("contact",),
-                "given together with grains, which have their own contact; expected one of the two",
+                ("contact",), "given together with grains, which have their own contact; expected one of the two"
             )
         has_landing = any(isinstance(wall, Landing) for wall in walls_of(self.contact))
         if self.restitution and self.contact is not None and not has_landing:

@@ -101,9 +101,7 @@ def describe_part(name: str) -> list[str]:
         lines.append(f"  as {kind}: {{preset: {sheet.name}}}")
         for key, value in figures.items():
             mark = "   (no source at hand)" if {key, f"{kind} {key}"} & set(sheet.unchecked) else ""
-            lines.append(
-                f"    {key:{width}}  {str(value).lower() if isinstance(value, bool) else value}{mark}"
-            )
+            lines.append(f"    {key:{width}}  {str(value).lower() if isinstance(value, bool) else value}{mark}")
     lines += ["  from", *(f"    {source}" for source in sheet.sources)]
     return [*lines, f"  {sheet.doubts} Check before relying on it."] if sheet.unchecked else lines
 

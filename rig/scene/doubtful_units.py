@@ -36,13 +36,7 @@ def improbable_values(scene: Scene, content: Mapping[str, Any]) -> Iterator[Mist
 
 
 def _check_number(
-    content: Mapping[str, Any],
-    place: Place,
-    value: float,
-    max_plausible: float,
-    meaning: str,
-    factor: float,
-    unit: str,
+    content: Mapping[str, Any], place: Place, value: float, max_plausible: float, meaning: str, factor: float, unit: str
 ) -> Iterator[Mistake]:
     if value < max_plausible:
         return

@@ -110,17 +110,12 @@ class SteppedSine(Settings):
                 yield Mistake((), "frequencies and from/to given together; expected one or the other")
             if any(b <= a for a, b in zip(self.frequencies, self.frequencies[1:], strict=False)):
                 yield Mistake(
-                    ("frequencies",),
-                    "not ascending. List them from low to high; direction: down reverses them.",
+                    ("frequencies",), "not ascending. List them from low to high; direction: down reverses them."
                 )
         elif self.from_ is None or self.to is None:
-            yield Mistake(
-                (), f"{'from' if self.from_ is None else 'to'} missing; expected a frequency such as 8 Hz"
-            )
+            yield Mistake((), f"{'from' if self.from_ is None else 'to'} missing; expected a frequency such as 8 Hz")
         elif self.from_ >= self.to:
-            yield Mistake(
-                ("from",), "not below to. Give the lower end first; direction: down sweeps downward."
-            )
+            yield Mistake(("from",), "not below to. Give the lower end first; direction: down sweeps downward.")
 
     @property
     def levels(self) -> tuple[float, ...]:
@@ -244,9 +239,7 @@ class Multisine(Settings):
     def relations(self) -> Iterable[Mistake]:
         """Check the band."""
         yield from check_band(self.from_, self.to)
-        if self.period is not None and math.floor(self.to * self.period) < math.ceil(
-            self.from_ * self.period
-        ):
+        if self.period is not None and math.floor(self.to * self.period) < math.ceil(self.from_ * self.period):
             yield Mistake(("period",), "too short; no multiple of its inverse lies between from and to")
 
 
@@ -295,9 +288,7 @@ class Impulse(Settings):
             yield Mistake(("double_hit", "after"), "does not lie between the pulse's width and the next hit")
         for k, hit in enumerate(self.double_hit.hits or ()):
             if hit > self.repeats:
-                yield Mistake(
-                    ("double_hit", "hits", k), f"hit {hit} of {self.repeats}; expected one of the repeats"
-                )
+                yield Mistake(("double_hit", "hits", k), f"hit {hit} of {self.repeats}; expected one of the repeats")
 
 
 class Free(Settings):

@@ -21,9 +21,7 @@ def _simplify(node: Any) -> Any:
         return [_simplify(item) for item in node]
     if not isinstance(node, dict):
         return node
-    simplified = {
-        key: _simplify(value) for key, value in node.items() if key != "title" or not isinstance(value, str)
-    }
+    simplified = {key: _simplify(value) for key, value in node.items() if key != "title" or not isinstance(value, str)}
     if simplified.get("default", 0) in (None, float("inf")):
         del simplified["default"]
     if "description" in simplified and isinstance(simplified["description"], str):

@@ -109,9 +109,7 @@ def loads(text: str, where: str = "scene", folder: str | Path | None = None) -> 
         If the scene has mistakes; the message has one line for each.
     """
     if not isinstance(text, str):
-        raise SceneError(
-            f"{where}: got {text!r:.60}; expected the text of a scene file (rig.load takes files)"
-        )
+        raise SceneError(f"{where}: got {text!r:.60}; expected the text of a scene file (rig.load takes files)")
     return _validate(read_yaml(text), where, None if folder is None else Path(folder), [])
 
 
@@ -141,8 +139,7 @@ def _validate(document: Document, where: str, folder: Path | None, changes: Sequ
         mistakes.sort(key=lambda mistake: document.line(mistake.place))
         own = _try_validation(document.content, folder)[1] if changes else mistakes
         duplicates = [
-            f"{where}:{line}: {dotted(mistake.place)}: {mistake.message}"
-            for line, mistake in document.mistakes
+            f"{where}:{line}: {dotted(mistake.place)}: {mistake.message}" for line, mistake in document.mistakes
         ]
         invalid = [_describe(mistake, where, document, changes, own) for mistake in mistakes]
         raise SceneError("\n".join([*duplicates, *invalid]))

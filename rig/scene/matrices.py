@@ -27,20 +27,13 @@ class _Matrix:
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.with_info_plain_validator_function(self._read)
 
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         row = {"type": "array", "items": {"type": "number"}, "minItems": 1}
         path = {"type": "string", "pattern": r"\.npy$"}
-        return {
-            "description": "matrix in SI",
-            "anyOf": [path, {"type": "array", "items": row, "minItems": 1}],
-        }
+        return {"description": "matrix in SI", "anyOf": [path, {"type": "array", "items": row, "minItems": 1}]}
 
     def _read(self, value: Any, info: ValidationInfo) -> tuple[tuple[float, ...], ...]:
-        array = (
-            _from_file(value, (info.context or {}).get(FOLDER)) if isinstance(value, str | Path) else value
-        )
+        array = _from_file(value, (info.context or {}).get(FOLDER)) if isinstance(value, str | Path) else value
         try:
             numbers = np.asarray(array)
             if numbers.dtype.kind not in "iufU":
@@ -86,9 +79,7 @@ class Matrices(Settings):
         mass, stiffness = np.array(self.mass), np.array(self.stiffness)
         for key, matrix in (("stiffness", stiffness), ("damping", self.damping)):
             if matrix is not None and len(matrix) != len(mass):
-                yield Mistake(
-                    (key,), f"size {len(matrix)}; expected {len(mass)}, the size of the mass matrix"
-                )
+                yield Mistake((key,), f"size {len(matrix)}; expected {len(mass)}, the size of the mass matrix")
         for key, matrix in (("mass", mass), ("stiffness", stiffness)):
             place = asymmetry(matrix)
             if place is not None:
@@ -166,9 +157,7 @@ def fastest_growth(
 
 def _from_file(name: str | Path, folder: Path | None) -> NDArray[Any]:
     if Path(name).suffix != ".npy":
-        raise validation_error(
-            f"got {format_value(str(name))}; expected rows of numbers or the name of a .npy file"
-        )
+        raise validation_error(f"got {format_value(str(name))}; expected rows of numbers or the name of a .npy file")
     if folder is None:
         raise validation_error(
             f"got {format_value(str(name))}; a .npy file needs a scene file next to it, expected rows of numbers here"
@@ -180,9 +169,7 @@ def _from_file(name: str | Path, folder: Path | None) -> NDArray[Any]:
         # Map the file first, because its header may state any size: the size is checked before data are read.
         mapped: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
     except FileNotFoundError:
-        raise validation_error(
-            f"{path}: the file does not exist; expected it next to the scene file"
-        ) from None
+        raise validation_error(f"{path}: the file does not exist; expected it next to the scene file") from None
     except Exception as error:
         # A damaged file can cause an exception of almost any type in the reader.
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -194,15 +194,11 @@ class Channel(Settings):
         if self.measures_voltage:
             for key in ("accelerometer", "integrator", "hammer"):
                 if getattr(self, key) is not None:
-                    yield Mistake(
-                        (key,), "given at the drive; expected no sensor, because the signal is a voltage"
-                    )
+                    yield Mistake((key,), "given at the drive; expected no sensor, because the signal is a voltage")
         elif self.measures_force:
             for key in ("accelerometer", "integrator"):
                 if getattr(self, key) is not None:
-                    yield Mistake(
-                        (key,), f"given at the {self.at}; expected hammer: with the keys of its force sensor"
-                    )
+                    yield Mistake((key,), f"given at the {self.at}; expected hammer: with the keys of its force sensor")
         elif self.hammer is not None:
             yield Mistake(("hammer",), f"given at {self.at}; expected it at: hammer or at: shaker")
 
@@ -296,9 +292,7 @@ class Converter(Settings):
             yield Mistake(("clock_error",), f"got {self.clock_error}; expected a small ratio such as 20 ppm")
 
     def _check_sampling(self) -> Iterable[Mistake]:
-        preset_values = (
-            {} if self.preset is None else data_sheet(self.preset, "converter").settings["converter"]
-        )
+        preset_values = {} if self.preset is None else data_sheet(self.preset, "converter").settings["converter"]
         filter_name = self.filter or preset_values.get("filter")
         if self.sampling is not None and filter_name is not None:
             yield Mistake(

@@ -28,9 +28,7 @@ def complete_from_preset(settings: Device) -> Device:
         return settings
     kind = type(settings).__name__.lower()
     sheet = data_sheet(settings.preset, kind)
-    given = {
-        name: value for name in type(settings).model_fields if (value := getattr(settings, name)) is not None
-    }
+    given = {name: value for name in type(settings).model_fields if (value := getattr(settings, name)) is not None}
     try:
         return type(settings).model_validate({**sheet.settings[kind], **given})
     except ValidationError as error:
@@ -76,9 +74,7 @@ def input_settings(converter: Converter, channel: Channel) -> Converter:
     >>> input_settings(Converter(preset="USB-4431"), channel).excitation
     0.0021
     """
-    channel_values = {
-        key: value for key in ("coupling", "excitation") if (value := getattr(channel, key)) is not None
-    }
+    channel_values = {key: value for key in ("coupling", "excitation") if (value := getattr(channel, key)) is not None}
     completed = complete_from_preset(converter).model_copy(update=channel_values)
     if converter.preset is None or completed.coupling != "DC":
         return completed

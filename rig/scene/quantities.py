@@ -165,11 +165,7 @@ def suggest_decimal_point(value: Any, kinds: Sequence[Kind]) -> str | None:
     >>> suggest_decimal_point("1,000 Hz", [FREQUENCY])
     'a decimal point and no other separator: 1.000 Hz or 1000 Hz'
     """
-    match = (
-        re.fullmatch(r"([+-]?\d[\d.]*),(\d+)(\D.*)?", value.strip(), re.DOTALL)
-        if isinstance(value, str)
-        else None
-    )
+    match = re.fullmatch(r"([+-]?\d[\d.]*),(\d+)(\D.*)?", value.strip(), re.DOTALL) if isinstance(value, str) else None
     if match is None:
         return None
     integer, decimals, unit = match[1].replace(".", ""), match[2], match[3] or ""
@@ -369,9 +365,7 @@ def pint_factor(unit: str, kind: Kind) -> Fraction:
 
 def _pint_notation(unit: str) -> str:
     """Convert a unit to Pint's notation, and reject text that is not a product of powers."""
-    notation = (
-        unit.replace("µ", "u").replace("μ", "u").replace("·", "*").replace("²", "^2").replace("³", "^3")
-    )
+    notation = unit.replace("µ", "u").replace("μ", "u").replace("·", "*").replace("²", "^2").replace("³", "^3")
     notation = notation.replace("%", " percent ").strip()
     notation = re.sub(r"sqrt\(\s*([A-Za-z]+)\s*\)", r"\1**0.5", notation)
     if len(notation) > 60 or (notation and not _UNIT.fullmatch(notation)):

@@ -38,9 +38,7 @@ class Quantity:
         self.kinds = kinds
         self.above, self.at_least, self.below = above, at_least, below
         self.infinite, self.listed = infinite, listed
-        nouns, examples = (
-            " or ".join(words) for words in zip(*((k.noun, k.example) for k in kinds), strict=True)
-        )
+        nouns, examples = (" or ".join(words) for words in zip(*((k.noun, k.example) for k in kinds), strict=True))
         self.description = f"{nouns} such as {examples}"
         limits = [
             f"above {above:g}" if above is not None else "",
@@ -93,16 +91,12 @@ class Quantity:
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(self.read)
 
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         limits = {"exclusiveMinimum": self.above, "minimum": self.at_least, "exclusiveMaximum": self.below}
         number: dict[str, Any] = {"type": "number"}
         number |= {key: limit for key, limit in limits.items() if limit is not None}
         alternatives = [number, {"type": "string"}]
-        list_schema = (
-            [{"type": "array", "items": {"anyOf": alternatives}, "minItems": 1}] if self.listed else []
-        )
+        list_schema = [{"type": "array", "items": {"anyOf": alternatives}, "minItems": 1}] if self.listed else []
         return {"description": self.bounded_description, "anyOf": [*alternatives, *list_schema]}
 
 

@@ -117,9 +117,7 @@ def _keys_below(schema: Any, node: Any, path: str, kinds: tuple[str, ...]) -> It
         yield from _keys_below(schema, node["items"], f"{path}[]", kinds)
     properties = node.get("properties", {})
     kind = properties.get("kind", {}).get("const")
-    groups = [
-        [alternative["required"][0] for alternative in group["oneOf"]] for group in node.get("allOf", ())
-    ]
+    groups = [[alternative["required"][0] for alternative in group["oneOf"]] for group in node.get("allOf", ())]
     for name, field in properties.items():
         if name == "kind":
             continue
@@ -159,9 +157,7 @@ def _allowed_values(schema: Any, node: Any) -> str:
     """Describe the allowed values of a key that is not a quantity."""
     node = _resolve(schema, node)
     choices = [_resolve(schema, choice) for choice in node.get("anyOf", ())]
-    kinds = [
-        choice["properties"]["kind"]["const"] for choice in choices if "kind" in choice.get("properties", {})
-    ]
+    kinds = [choice["properties"]["kind"]["const"] for choice in choices if "kind" in choice.get("properties", {})]
     if kinds:
         return f"keys, with kind: {', '.join(kinds)}"
     if choices:
@@ -178,12 +174,7 @@ def _allowed_values(schema: Any, node: Any) -> str:
     minimum, maximum = node.get("minimum"), node.get("maximum")
     limits = f"{'' if minimum is None else f', at least {minimum}'}{'' if maximum is None else f', at most {maximum}'}"
     text_type = "a .npy file next to the scene file" if "npy" in node.get("pattern", "") else "text"
-    types = {
-        "integer": "a whole number",
-        "number": "a number",
-        "boolean": "true or false",
-        "string": text_type,
-    }
+    types = {"integer": "a whole number", "number": "a number", "boolean": "true or false", "string": text_type}
     return types[node["type"]] + limits
 
 
@@ -205,9 +196,7 @@ def help_on(key: str | None = None) -> str:
         return kind_help
     if not matches:
         kinds = [f"{_dotted(part)}.{kind}" for part, kind in _kinds()]
-        similar = get_close_matches(
-            wanted, [*by_name, *(name.rpartition(".")[2] for name in by_name), *kinds], n=3
-        )
+        similar = get_close_matches(wanted, [*by_name, *(name.rpartition(".")[2] for name in by_name), *kinds], n=3)
         names = " or ".join(map(repr, dict.fromkeys(similar)))
         hint = f"Did you mean {names}?" if similar else "`rig help` lists the keys at the top."
         raise SceneError(f"no key {key[:60]!r} in scene files. {hint}")
@@ -219,9 +208,7 @@ def _kinds() -> dict[tuple[str, str], str]:
     """Return the description of each kind of a part, such as ("test", "sine")."""
     schema = json.loads(_SCHEMA.read_text(encoding="utf-8"))
     parts = {part: _resolve(schema, field) for part, field in schema["properties"].items()}
-    choices = [
-        (part, _resolve(schema, choice)) for part, field in parts.items() for choice in field.get("anyOf", ())
-    ]
+    choices = [(part, _resolve(schema, choice)) for part, field in parts.items() for choice in field.get("anyOf", ())]
     return {
         (part, choice["properties"]["kind"]["const"]): choice["description"]
         for part, choice in choices
@@ -234,9 +221,7 @@ def _help_on_kind(part: str, kind: str) -> str:
     sections = []
     for (full_part, entry), meaning in _kinds().items():
         if entry == kind and part in ("", full_part):
-            inner = [
-                key for key in keys() if re.fullmatch(rf"{full_part}\.\w+", key.name) and kind in key.kinds
-            ]
+            inner = [key for key in keys() if re.fullmatch(rf"{full_part}\.\w+", key.name) and kind in key.kinds]
             lines = [f"  {_key_line(key, key.name.rpartition('.')[2], _default_note(key))}" for key in inner]
             header = [f"{full_part}: {{kind: {kind}, ...}}", _wrap(meaning, "  "), "  keys:"]
             hint = f"  more: rig help {full_part}.KEY, such as {inner[0].name}"
@@ -248,9 +233,7 @@ def _default_note(key: Key) -> str:
     """Return whether a key is required, or its default if it has one."""
     if "needed" in key.without:
         return f"   ({key.without})"
-    return (
-        "" if key.without in ("not there", "as its keys without a value") else f"   (default: {key.without})"
-    )
+    return "" if key.without in ("not there", "as its keys without a value") else f"   (default: {key.without})"
 
 
 def _describe_key(key: Key, plain: str) -> Iterator[str]:
@@ -275,9 +258,7 @@ def _key_line(key: Key, name: str, note: str | None = None) -> str:
     # A full stop may be part of a name, and the text after a colon is the meaning of the key.
     first_sentence = re.split(r"(?<=[\w\])%`])[.;](?:\s|$)", key.about)[0]
     note = _kinds_note(key) if note is None else note
-    return fill(
-        f"{first_sentence}{note}", _WIDTH, initial_indent=f"  {name:{18}} ", subsequent_indent=" " * 21
-    )
+    return fill(f"{first_sentence}{note}", _WIDTH, initial_indent=f"  {name:{18}} ", subsequent_indent=" " * 21)
 
 
 def _kinds_note(key: Key) -> str:

@@ -38,8 +38,8 @@ class Scene(Settings):
     """One shaker or a list of shakers, each with its own body, spring, amplifier and output."""
     test: Annotated[Test | None, consistency.TEST] = None
     """Excitation and its duration; `daq record` runs the test."""
-    channels: Annotated[tuple[Annotated[Channel, consistency.CHANNEL], ...] | None, consistency.CHANNELS] = (
-        Field(None, min_length=1, max_length=MAX_CHANNELS)
+    channels: Annotated[tuple[Annotated[Channel, consistency.CHANNEL], ...] | None, consistency.CHANNELS] = Field(
+        None, min_length=1, max_length=MAX_CHANNELS
     )
     """Measured signals and their places. None: ideal acceleration of every body and the table."""
     converter: Annotated[Converter, consistency.CONVERTER] = Converter()

@@ -39,9 +39,7 @@ def find_scene(scene: str | Path) -> Path:
     if is_folder:
         raise SceneError(f"{path} is a folder; expected a scene file or the name of a bundled scene")
     if exists and not path.is_file():
-        raise SceneError(
-            f"{path} is not a regular file; expected a scene file or the name of a bundled scene"
-        )
+        raise SceneError(f"{path} is not a regular file; expected a scene file or the name of a bundled scene")
     if exists:
         return path
     if path.suffix in SUFFIXES or len(path.parts) > 1:
@@ -49,11 +47,7 @@ def find_scene(scene: str | Path) -> Path:
             f"{path}: the file does not exist; expected a scene file, or the name of a bundled scene (see: rig scenes)"
         )
     similar = get_close_matches(str(scene), names, n=3, cutoff=0.5)
-    hint = (
-        f"Did you mean {' or '.join(map(repr, similar))}?"
-        if similar
-        else "`rig scenes` lists the bundled scenes."
-    )
+    hint = f"Did you mean {' or '.join(map(repr, similar))}?" if similar else "`rig scenes` lists the bundled scenes."
     raise SceneError(f"{str(scene)[:100]!r} is neither a bundled scene nor a file. {hint}")
 
 

@@ -30,13 +30,7 @@ from pydantic_core import CoreSchema, InitErrorDetails, core_schema
 
 from rig.errors import SceneError
 from rig.scene.quantities import Kind, parse
-from rig.scene.quantity_field import (
-    Quantity,
-    expectation,
-    quantity_of,
-    unexpected_value_error,
-    validation_error,
-)
+from rig.scene.quantity_field import Quantity, expectation, quantity_of, unexpected_value_error, validation_error
 
 Place = tuple[int | str, ...]
 
@@ -131,9 +125,7 @@ class Settings(_Model):
     def with_valid(self, **changes: Any) -> Self:
         """Return a copy with valid new values, without validation: for inner loops."""
         variant = self.model_copy(update=changes)
-        variant.__dict__["written"] = {
-            name: text for name, text in self.written.items() if name not in changes
-        }
+        variant.__dict__["written"] = {name: text for name, text in self.written.items() if name not in changes}
         return variant
 
     @cached_property
@@ -172,9 +164,7 @@ class Settings(_Model):
         return place
 
     @classmethod
-    def __get_pydantic_json_schema__(
-        cls, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Add to pydantic's schema: mutually exclusive keys, the required kind, and bounds."""
         reference = handler(schema)
         properties = handler.resolve_ref_schema(reference)
@@ -188,9 +178,7 @@ class Settings(_Model):
             if description:
                 quantity = quantity_at(field)
                 property_schema = properties["properties"][field.alias or name]
-                types = [
-                    choice.get("type") for choice in (property_schema, *property_schema.get("anyOf", ()))
-                ]
+                types = [choice.get("type") for choice in (property_schema, *property_schema.get("anyOf", ()))]
                 list_prefix = "a list, each " if "array" in types and quantity and not quantity.listed else ""
                 quantity_help = "" if quantity is None else f" Give {list_prefix}{quantity.help_text}."
                 property_schema["description"] = f"{description}{quantity_help}"
@@ -207,8 +195,7 @@ class Settings(_Model):
         except ValidationError as error:
             mistakes = mistakes_of(error)
             raise report(
-                cls.__name__,
-                [Mistake(cls.place_as_given(item.place, data), item.message) for item in mistakes],
+                cls.__name__, [Mistake(cls.place_as_given(item.place, data), item.message) for item in mistakes]
             ) from None
         texts = {name: prepared.get(key, prepared.get(name)) for name, key in _quantities(cls).items()}
         settings.__dict__["written"] = {name: text for name, text in texts.items() if _is_text(text)}

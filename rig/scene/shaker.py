@@ -68,18 +68,14 @@ class _BodyOrBodies:
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(self._read)
 
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         list_schema = {"type": "array", "items": _BODY_SCHEMA, "minItems": 1, "uniqueItems": True}
         return {"anyOf": [*_BODY_SCHEMA["anyOf"], list_schema]}
 
     def _read(self, value: Any) -> int | tuple[int, ...]:
         is_list = isinstance(value, list | tuple)
         try:
-            bodies = tuple(
-                int(item) if isinstance(item, str) else item for item in (value if is_list else [value])
-            )
+            bodies = tuple(int(item) if isinstance(item, str) else item for item in (value if is_list else [value]))
         except ValueError:
             bodies = ()
         if not bodies or any(type(body) is not int or body < 1 for body in bodies):

@@ -62,9 +62,7 @@ Damping = Annotated[ModalDamping | RayleighDamping | Dashpots, Alternatives(by_k
 
 def _or_by_name(schema: dict[str, Any]) -> None:
     """Allow a mapping from names to values in addition to a list."""
-    schema["anyOf"].append(
-        {"type": "object", "additionalProperties": schema["anyOf"][0]["items"], "minProperties": 1}
-    )
+    schema["anyOf"].append({"type": "object", "additionalProperties": schema["anyOf"][0]["items"], "minProperties": 1})
 
 
 class Structure(Settings):
@@ -75,9 +73,7 @@ class Structure(Settings):
         None, min_length=1, max_length=MAX_BODIES, json_schema_extra=_or_by_name
     )
     """Masses of the bodies [kg], body 1 first; or by names of the bodies, such as {base: 4.2 kg, arm: 1.1 kg}."""
-    springs: tuple[Annotated[float, Quantity(STIFFNESS, at_least=0.0)], ...] | None = Field(
-        None, min_length=1
-    )
+    springs: tuple[Annotated[float, Quantity(STIFFNESS, at_least=0.0)], ...] | None = Field(None, min_length=1)
     """Stiffness of spring j between body j and body j-1, ground for j = 1 [N/m]. 0: not connected."""
     damping: Damping | None = None
     """Damping of the structure, in one of three forms. None: undamped."""
@@ -93,20 +89,14 @@ class Structure(Settings):
         if not isinstance(masses, Mapping):
             return given, []
         has_names = given.get("names") is not None
-        mistakes = [
-            Mistake(("names",), "given next to masses that have names; expected one of the two")
-        ] * has_names
+        mistakes = [Mistake(("names",), "given next to masses that have names; expected one of the two")] * has_names
         return {**given, "masses": list(masses.values()), "names": list(map(str, masses))}, mistakes
 
     @classmethod
     def place_as_given(cls, place: Place, given: Mapping[str, Any]) -> Place:
         """Return the place of a mass or a name if the masses are given by names."""
         masses = given.get("masses")
-        if (
-            not isinstance(masses, Mapping)
-            or place[:1] not in (("masses",), ("names",))
-            or given.get("names")
-        ):
+        if not isinstance(masses, Mapping) or place[:1] not in (("masses",), ("names",)) or given.get("names"):
             return place
         return ("masses", *(list(masses)[key] if isinstance(key, int) else key for key in place[1:]))
 
@@ -130,9 +120,7 @@ class Structure(Settings):
 
     def relabel(self, text: str) -> str:
         """Replace body numbers in a message by the names of the bodies."""
-        return (
-            text if self.names is None else re.sub(r"\bbody \d+\b", lambda match: self.label(match[0]), text)
-        )
+        return text if self.names is None else re.sub(r"\bbody \d+\b", lambda match: self.label(match[0]), text)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -154,24 +142,18 @@ class Structure(Settings):
         if self.masses is not None and self.springs is None:
             yield Mistake((), f"springs missing; expected {count}, one for each mass")
         if self.masses is not None and self.springs is not None and len(self.springs) != count:
-            yield Mistake(
-                ("springs",), f"got {len(self.springs)} springs; expected {count}, one for each mass"
-            )
+            yield Mistake(("springs",), f"got {len(self.springs)} springs; expected {count}, one for each mass")
         if self.matrices is not None:
             if self.springs is not None:
                 yield Mistake(("springs",), "given together with matrices, which contain the stiffness")
             if self.damping is not None and self.matrices.damping is not None:
                 yield Mistake(("damping",), "given together with the damping matrix; expected one of the two")
             if isinstance(self.damping, Dashpots):
-                yield Mistake(
-                    ("damping",), "dashpots belong to a chain. With matrices, give matrices: {damping: ...}."
-                )
+                yield Mistake(("damping",), "dashpots belong to a chain. With matrices, give matrices: {damping: ...}.")
         lists = {
             "modal": self.damping.modal if isinstance(self.damping, ModalDamping) else 0.0,
             "dashpots": self.damping.dashpots if isinstance(self.damping, Dashpots) else 0.0,
         }
         for key, values in lists.items():
             if isinstance(values, tuple) and len(values) != count:
-                yield Mistake(
-                    ("damping", key), f"got {len(values)} values; expected {count}, one for each body"
-                )
+                yield Mistake(("damping", key), f"got {len(values)} values; expected {count}, one for each body")

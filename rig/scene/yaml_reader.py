@@ -88,10 +88,7 @@ def _parser_message(error: yaml.MarkedYAMLError, lines: Sequence[str]) -> tuple[
     if "\t" in line_text[: len(line_text) - len(line_text.lstrip())]:
         return line, "a tab in the indentation; expected spaces"
     if "mapping values are not allowed" in problem:
-        return (
-            line,
-            'a second ": " in one value; expected "..." around text with a colon, or another indentation',
-        )
+        return (line, 'a second ": " in one value; expected "..." around text with a colon, or another indentation')
     if "expected ':'" in problem:
         return start_line, 'a line without ": " after its key; expected key: value'
     if "expected ',' or" in problem:
@@ -100,10 +97,7 @@ def _parser_message(error: yaml.MarkedYAMLError, lines: Sequence[str]) -> tuple[
             f"the list or mapping has no closing {problem[-2]}; expected items with commas between, then {problem[-2]}",
         )
     if "expected key" in problem or "expected <block end>" in problem or "'-' indicator" in problem:
-        return (
-            line,
-            "the indentation matches none of the lines above; expected the keys of a part in one column",
-        )
+        return (line, "the indentation matches none of the lines above; expected the keys of a part in one column")
     if "nesting depth" in problem:
         return line, _TOO_DEEP  # the parser's own limit, reached before an event of that depth
     if "unexpected end of stream" in problem:
@@ -152,9 +146,7 @@ class _Reader:
 
     def _alias(self, event: Any, line: int) -> Any:
         if event.anchor not in self.anchors:
-            raise _Unreadable(
-                line, f"alias *{event.anchor} is not defined above; expected &{event.anchor} before it"
-            )
+            raise _Unreadable(line, f"alias *{event.anchor} is not defined above; expected &{event.anchor} before it")
         value = self.anchors[event.anchor]
         self.repeated += _count_nodes(value, MAX_ALIAS_NODES)
         if self.repeated > MAX_ALIAS_NODES:
@@ -189,9 +181,7 @@ class _Reader:
                 continue
             key, key_place = event.value, (*place, event.value)
             if key in values:
-                message = (
-                    f"given twice, first on line {self.document.line(key_place)}; expected each key once"
-                )
+                message = f"given twice, first on line {self.document.line(key_place)}; expected each key once"
                 self.document.mistakes.append((line, Mistake(key_place, message)))
                 self._node(value, key_place)
                 continue

@@ -68,9 +68,7 @@ _Dumper.add_representer(
 _Dumper.add_representer(str, lambda dumper, value: dumper.represent_scalar("tag:yaml.org,2002:str", value))
 
 
-def _given_values(
-    settings: Settings, structure: Structure | None, kinds: Mapping[Place, Kind]
-) -> dict[str, Any]:
+def _given_values(settings: Settings, structure: Structure | None, kinds: Mapping[Place, Kind]) -> dict[str, Any]:
     values = {name: getattr(settings, name) for name in type(settings).model_fields}
     kinds = {**kinds, **type(settings).kind_by_neighbours(values)}
     result: dict[str, Any] = {}
@@ -87,9 +85,7 @@ def _given_values(
         elif name == "body" or (name == "at" and isinstance(settings, Channel)):
             content = _label(value, structure)
         elif isinstance(value, tuple):
-            content = [
-                _given_values(item, structure, {}) if isinstance(item, Settings) else item for item in value
-            ]
+            content = [_given_values(item, structure, {}) if isinstance(item, Settings) else item for item in value]
         else:
             content = _given_values(value, structure, inner_kinds) if isinstance(value, Settings) else value
         result[field.alias or name] = content
@@ -101,9 +97,7 @@ def _given_values(
 def _spell(value: Any, kind: Kind, previous: Any) -> Any:
     if isinstance(value, tuple):
         spellings = (
-            previous
-            if isinstance(previous, list | tuple) and len(previous) == len(value)
-            else (None,) * len(value)
+            previous if isinstance(previous, list | tuple) and len(previous) == len(value) else (None,) * len(value)
         )
         return [_spell(number, kind, spelling) for number, spelling in zip(value, spellings, strict=True)]
     return _Written(shortest_spelling(value, kind, previous if isinstance(previous, str) else None))

@@ -53,9 +53,7 @@ def read_checkpoint(path: Path, settings: Mapping[str, Any]) -> GrainsState | No
             stored = dict(arrays)
         if str(stored["code"]) != code_digest("rig"):
             raise ValueError(stored["code"])
-        different = [
-            name for name, value in settings.items() if str(stored[f"asked_{name}"]) != digest(value)
-        ]
+        different = [name for name, value in settings.items() if str(stored[f"asked_{name}"]) != digest(value)]
         state = _restore_state(stored)
     except FileNotFoundError:
         return None
@@ -89,6 +87,4 @@ def _restore_state(stored: Mapping[str, Any]) -> GrainsState:
 
 
 def _numbered(stored: Mapping[str, Any], name: str) -> tuple[Any, ...]:
-    return tuple(
-        stored[f"{name}_{number}"] for number in range(sum(key.startswith(f"{name}_") for key in stored))
-    )
+    return tuple(stored[f"{name}_{number}"] for number in range(sum(key.startswith(f"{name}_") for key in stored)))

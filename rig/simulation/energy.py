@@ -114,9 +114,7 @@ def quadratic_forms(scene: Scene, system: HybridSystem, output: Array) -> Quadra
             drive = output[system.inputs.index(at_shaker("shaker", number, len(scene.shakers)))]
             power[current, ns:] = shaker.amplifier.gain * drive
             current += 1
-    return QuadraticForms(
-        0.5 * _symmetric(stored), _symmetric(dissipated), _symmetric(power), _symmetric(to_grains)
-    )
+    return QuadraticForms(0.5 * _symmetric(stored), _symmetric(dissipated), _symmetric(power), _symmetric(to_grains))
 
 
 def _symmetric(matrix: Array) -> Array:
@@ -188,12 +186,8 @@ def fourier_integral(
         for rows in np.split(indices, range(max_rows, indices.size, max_rows)):
             # Sum over the nodes first, because the series has many terms but few weights.
             phase_factors = np.exp(-1j * omega * (starts[rows] + nodes[:, None] * lengths[rows]))
-            weights = (powers @ phase_factors) * (
-                np.vander(ratio[rows], LENGTH + 1, increasing=True).T * lengths[rows]
-            )
-            integrals = np.stack([weights.real, weights.imag], axis=1) @ _series(
-                tables, int(slot), states[rows]
-            )
+            weights = (powers @ phase_factors) * (np.vander(ratio[rows], LENGTH + 1, increasing=True).T * lengths[rows])
+            integrals = np.stack([weights.real, weights.imag], axis=1) @ _series(tables, int(slot), states[rows])
             total += [1.0, 1.0j] @ integrals.sum(axis=0)
     return total
 

@@ -91,13 +91,7 @@ class GrainsRun:
         segment_states[:, ns + len(inputs) : ns + 2 * len(inputs)] = np.diff(inputs).T
         durations = np.full(len(segment_states), coupled.step)
         energy = energy_balance(
-            self._scene,
-            structure.tables,
-            start,
-            complete_state(structure),
-            trajectory,
-            segment_states,
-            durations,
+            self._scene, structure.tables, start, complete_state(structure), trajectory, segment_states, durations
         )
         events_at_samples = coupled.at_samples(trajectory)
         events = event_table(

@@ -100,12 +100,7 @@ class Plant:
         return self._motion(buffer, trajectory, first + offset, first, separated)
 
     def _motion(
-        self,
-        buffer: MotionSamples,
-        trajectory: Trajectory,
-        first_end: int,
-        first: int,
-        separated: NDArray[np.int64],
+        self, buffer: MotionSamples, trajectory: Trajectory, first_end: int, first: int, separated: NDArray[np.int64]
     ) -> Motion:
         """Return the motion of a block; segment s of the trajectory ends at sample `first_end` + s."""
         system, n, points = self.system, self.system.coordinates, len(self.system.points)
@@ -113,9 +108,7 @@ class Plant:
         displacement, velocity, acceleration, gap = self._propagator.parts(buffer)
         before, after = trajectory.before, trajectory.after
         times = (first_end + trajectory.event_segment - 1) * interval + trajectory.event_offset
-        events = event_table(
-            times, trajectory.event_damper, trajectory.event_kind, trajectory.event_speed, system
-        )
+        events = event_table(times, trajectory.event_damper, trajectory.event_kind, trajectory.event_speed, system)
         if len(separated):
             zeros = np.zeros(len(separated))
             initial_events = event_table(zeros, separated, zeros.astype(np.int64), zeros, system)
@@ -132,8 +125,7 @@ class Plant:
             break_displacement=np.ascontiguousarray(before[:, :points].T),
             break_velocity=np.array([before[:, n : n + points].T, after[:, n : n + points].T]),
             break_acceleration=self._propagator.accelerations(
-                np.concatenate([before, after]),
-                np.concatenate([trajectory.before_slot, trajectory.after_slot]),
+                np.concatenate([before, after]), np.concatenate([trajectory.before_slot, trajectory.after_slot])
             )
             .reshape(n, 2, len(before))[:points]
             .transpose(1, 0, 2),
@@ -149,9 +141,7 @@ class Plant:
         return all_dampers
 
 
-def _propagator(
-    scene: Scene, system: HybridSystem, interval: float
-) -> tuple[Propagator | CoupledPropagator, float]:
+def _propagator(scene: Scene, system: HybridSystem, interval: float) -> tuple[Propagator | CoupledPropagator, float]:
     """Return the propagator of the system and its number of steps in a sample interval."""
     if not system.grains.any():
         return sampled_propagator(system, interval)

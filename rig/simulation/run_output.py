@@ -60,9 +60,7 @@ def simulate_to_file(
         run = simulate(scene, duration, rate, frequency=frequency, keep=checkpoint, progress=progress)
     except KeyboardInterrupt as interrupt:
         if checkpoint is not None and checkpoint.exists():
-            interrupt.add_note(
-                f"{checkpoint} contains the computed part. The same command continues from it."
-            )
+            interrupt.add_note(f"{checkpoint} contains the computed part. The same command continues from it.")
         raise
     if output is not None and checkpoint is not None:
         write_run(run, output)

@@ -328,7 +328,5 @@ def _assemble_run(
         contact=np.concatenate([initial_contact, contact[:, sample_rows]], axis=1),
         events=events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": propagator.ambiguous})),
         ambiguous=propagator.ambiguous,
-        _energy_balance=partial(
-            energy_balance, scene, propagator.tables, start, end, trajectory, begins, durations
-        ),
+        _energy_balance=partial(energy_balance, scene, propagator.tables, start, end, trajectory, begins, durations),
     )

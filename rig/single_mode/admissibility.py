@@ -10,14 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Array
-from rig.single_mode.periodic_motion import (
-    PERIOD,
-    ModeState,
-    MotionParameters,
-    MotionPhase,
-    MotionType,
-    PeriodicMotion,
-)
+from rig.single_mode.periodic_motion import PERIOD, ModeState, MotionParameters, MotionPhase, MotionType, PeriodicMotion
 
 # Largest rounding error of a gap in units of g/w^2, and of an acceleration in g.
 MAX_ROUNDING_ERROR = 1e-9
@@ -39,9 +32,7 @@ class Batch:
     def take(self, indices: NDArray[np.int64]) -> PeriodicMotion:
         """Return the motions of selected solutions; indices may repeat."""
         return PeriodicMotion(
-            self.kind,
-            self.unknowns[:, indices],
-            MotionParameters(*(field[indices] for field in self.setting)),
+            self.kind, self.unknowns[:, indices], MotionParameters(*(field[indices] for field in self.setting))
         )
 
 
@@ -85,10 +76,7 @@ def extremes(batch: Batch, index: int, quantity: Quantity) -> tuple[Array, Array
         for _ in range(48):
             middle = 0.5 * (left + right)
             is_before_extremum = (quantity(selected, selected_phase, middle)[1] > 0) == rising
-            left, right = (
-                np.where(is_before_extremum, middle, left),
-                np.where(is_before_extremum, right, middle),
-            )
+            left, right = (np.where(is_before_extremum, middle, left), np.where(is_before_extremum, right, middle))
         extremum = quantity(selected, selected_phase, left)[0]
         np.minimum.at(low, column, extremum)
         np.maximum.at(high, column, extremum)
@@ -106,9 +94,7 @@ def flaws(batch: Batch) -> NDArray[np.str_]:
     def record_flaw(is_violated: Any, reason: str) -> None:
         reasons[(reasons == "") & is_violated] = reason
 
-    instants = np.concatenate(
-        [np.zeros((1, reasons.size)), motion.instants, np.full((1, reasons.size), PERIOD)]
-    )
+    instants = np.concatenate([np.zeros((1, reasons.size)), motion.instants, np.full((1, reasons.size), PERIOD)])
     record_flaw((np.diff(instants, axis=0) <= 0).any(axis=0), "events out of order")
     record_flaw(extremes(batch, 0, _contact)[0] < -MAX_ROUNDING_ERROR, "leaves the floor early")
     record_flaw(_initial_jerk(motion, 1) > MAX_ROUNDING_ERROR, "does not leave the floor")
@@ -191,9 +177,7 @@ def _saltation(motion: PeriodicMotion, before: MotionPhase, end: ModeState, afte
     common_velocity = [zeros, ones - mass_fraction, zeros, mass_fraction]
     keep_q, keep_y = [ones, zeros, zeros, zeros], [zeros, zeros, ones, zeros]
     reset = np.moveaxis(
-        np.array(
-            [keep_q, common_velocity] if after.riding else [keep_q, common_velocity, keep_y, common_velocity]
-        ),
+        np.array([keep_q, common_velocity] if after.riding else [keep_q, common_velocity, keep_y, common_velocity]),
         -1,
         0,
     )

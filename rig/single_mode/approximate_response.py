@@ -126,10 +126,7 @@ class Approximation(Result):
                 values = np.where(branch.valid & selected, size, np.nan)
                 legend_label = label if line_style == "-" and label not in labels else "_again"
                 ax.loglog(
-                    branch.frequency,
-                    values,
-                    line_style,
-                    **complete_style(style, color=color, label=legend_label),
+                    branch.frequency, values, line_style, **complete_style(style, color=color, label=legend_label)
                 )
         ax.set(xlabel="frequency / Hz", ylabel="|compliance| / (µm/N)")
 
@@ -170,13 +167,9 @@ def approximate_response(
     if not isinstance(mode, int):
         raise SceneError(f"mode: got {mode!r:.60}; expected the number of a mode, from 1")
     if weighting not in get_args(Weighting):
-        raise SceneError(
-            f"weighting: got {weighting!r:.60}; expected one of {', '.join(get_args(Weighting))}"
-        )
+        raise SceneError(f"weighting: got {weighting!r:.60}; expected one of {', '.join(get_args(Weighting))}")
     loaded_scene = scene_of(scene)
-    body = (
-        None if at is None else body_number(at, loaded_scene.structure.names, loaded_scene.structure.bodies)
-    )
+    body = None if at is None else body_number(at, loaded_scene.structure.names, loaded_scene.structure.bodies)
     return follow_mode(single_mode(loaded_scene, mode, force=level, weighting=weighting, at=body), band_ends)
 
 
@@ -189,9 +182,7 @@ def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13)
     if not 0 < low < high:
         raise SceneError(f"band: got {band[0]:g} to {band[1]:g} Hz. Give two rising frequencies above 0.")
     if not mode.mass_ratio > 0:
-        raise SceneError(
-            "mode: no damper of this mode can leave its floor. Choose another mode, or release a damper."
-        )
+        raise SceneError("mode: no damper of this mode can leave its floor. Choose another mode, or release a damper.")
     if not mode.force > 0 or mode.participation == 0:
         raise SceneError("mode: no force acts on this mode. Choose another mode, or drive another body.")
     riding = leaving_band(mode, band)
@@ -252,9 +243,7 @@ def _short_stays(mode: SingleMode, curves: list[continuation.Curve]) -> list[Arr
     located = []
     for curve in curves:
         points = curve.points.T
-        setting = MotionParameters(
-            *(np.broadcast_to(f, points.shape[1:]) for f in dimensionless(mode, points[-1]))
-        )
+        setting = MotionParameters(*(np.broadcast_to(f, points.shape[1:]) for f in dimensionless(mode, points[-1])))
         stays_at_ceiling = flaws(Batch("II", points[:-1], setting)) == "stays at the ceiling"
         borders = np.flatnonzero(stays_at_ceiling[:-1] != stays_at_ceiling[1:])
         for i in (int(b) + int(stays_at_ceiling[b + 1]) for b in borders):
@@ -292,15 +281,11 @@ def _search_ratios(mode: SingleMode, low: float, high: float, count: int) -> Arr
     return np.concatenate([inside, outside[(outside < first) | (outside > last)]])
 
 
-def _follow(
-    mode: SingleMode, kind: MotionType, start: Array, bounds: tuple[float, float]
-) -> continuation.Curve:
+def _follow(mode: SingleMode, kind: MotionType, start: Array, bounds: tuple[float, float]) -> continuation.Curve:
     def margins(x: Array) -> tuple[Array, tuple[str, ...]]:
         return ordering_margins(kind, x[4:-1]), END_REASONS
 
-    return continuation.trace(
-        _equations(mode, kind), start, bounds, _scale(mode, kind), _CONTINUATION_STEPS, margins
-    )
+    return continuation.trace(_equations(mode, kind), start, bounds, _scale(mode, kind), _CONTINUATION_STEPS, margins)
 
 
 def _passes_through(mode: SingleMode, kind: MotionType, curve: continuation.Curve, solution: Array) -> bool:
@@ -334,9 +319,7 @@ def _branch(mode: SingleMode, kind: MotionType, curve: continuation.Curve) -> Br
     floquet = multipliers(batch)
     instants = np.full((3, ratio.size), np.nan)
     instants[: INSTANTS[kind]] = points[4:-1]
-    folds = (
-        continuation.locate_folds(_equations(mode, kind), curve, _CONTINUATION_STEPS)[:, -1] * mode.frequency
-    )
+    folds = continuation.locate_folds(_equations(mode, kind), curve, _CONTINUATION_STEPS)[:, -1] * mode.frequency
     return Branch(
         motion_type=kind,
         frequency=ratio * mode.frequency,

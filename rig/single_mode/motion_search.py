@@ -107,9 +107,7 @@ def _refine(kind: MotionType, instants: Array, setting: MotionParameters) -> Arr
         with np.errstate(invalid="ignore"):
             steps = steps * np.minimum(1.0, max_step / np.maximum(step_size, 1e-300))
         # Discard starts from sign changes through infinity, and starts without a root nearby.
-        is_valid = (
-            np.isfinite(steps).all(axis=0) & (instants > 0).all(axis=0) & (instants < PERIOD).all(axis=0)
-        )
+        is_valid = np.isfinite(steps).all(axis=0) & (instants > 0).all(axis=0) & (instants < PERIOD).all(axis=0)
         instants, step_size = (instants + steps)[:, is_valid], step_size[is_valid]
     return instants[:, step_size < 1e-9] if instants.size else instants
 

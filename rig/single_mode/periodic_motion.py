@@ -81,9 +81,7 @@ class PeriodicMotion:
     they broadcast against each other; `setting`: parameters; broadcast against unknowns[0].
     """
 
-    def __init__(
-        self, kind: MotionType, unknowns: Array | Sequence[Array], setting: MotionParameters
-    ) -> None:
+    def __init__(self, kind: MotionType, unknowns: Array | Sequence[Array], setting: MotionParameters) -> None:
         self.kind = kind
         self.setting = setting
         q, u, self.a, self.b = (np.asarray(value) for value in unknowns[:4])
@@ -101,15 +99,11 @@ class PeriodicMotion:
             if kind == "III":
                 after_ceiling = after_ceiling._replace(y=after_ceiling.q + self.height)
                 self.phases.append(
-                    MotionPhase(
-                        True, ceiling_impact, self.instants[2] - ceiling_impact, after_ceiling, self.height
-                    )
+                    MotionPhase(True, ceiling_impact, self.instants[2] - ceiling_impact, after_ceiling, self.height)
                 )
                 self.phases.append(self._flight_after(self.phases[-1]))
             else:
-                self.phases.append(
-                    MotionPhase(False, ceiling_impact, PERIOD - ceiling_impact, after_ceiling, 0.0)
-                )
+                self.phases.append(MotionPhase(False, ceiling_impact, PERIOD - ceiling_impact, after_ceiling, 0.0))
         self.landing = self.advance(self.phases[-1], self.phases[-1].length)
 
     def _flight_after(self, phase: MotionPhase) -> MotionPhase:
@@ -203,9 +197,7 @@ class PeriodicMotion:
         ]
         if self.kind == "III":
             last_flight = self.phases[-1]
-            conditions.append(
-                self.acceleration(last_flight, np.zeros_like(last_flight.length), last_flight.start) + 1
-            )
+            conditions.append(self.acceleration(last_flight, np.zeros_like(last_flight.length), last_flight.start) + 1)
         return np.array(conditions)
 
     def ceiling_gap(self) -> Array:
@@ -223,9 +215,7 @@ class PeriodicMotion:
         return np.array(conditions)
 
 
-def jacobian(
-    kind: MotionType, unknowns: Array, setting: MotionParameters, parameter: str
-) -> tuple[Array, Array]:
+def jacobian(kind: MotionType, unknowns: Array, setting: MotionParameters, parameter: str) -> tuple[Array, Array]:
     """Compute the conditions and their exact derivatives by the unknowns and one parameter.
 
     The complex-step derivative Im f(x + i h)/h has no cancellation, so a very small h gives derivatives exact to

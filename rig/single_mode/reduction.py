@@ -101,26 +101,20 @@ def reduce_to_mode(
     if not 1 <= mode <= bodies:
         raise SceneError(f"mode: {mode} does not exist. Choose one of the modes 1 to {bodies}.")
     if not gravity > 0:
-        raise SceneError(
-            f"gravity: {gravity} m/s^2 is too low for the approximate method. Set a value above 0."
-        )
+        raise SceneError(f"gravity: {gravity} m/s^2 is too low for the approximate method. Set a value above 0.")
     if not clearance >= 0:
         raise SceneError(f"clearance: {clearance} m is negative. Set 0 or more.")
     frequencies, shapes = natural_modes(mass, stiffness)
     shape = shapes[:, mode - 1]
     if at is not None:
         shape = shape / shape[at - 1]
-    modal_mass, modal_damping, modal_stiffness = (
-        float(shape @ a @ shape) for a in (mass, damping, stiffness)
-    )
+    modal_mass, modal_damping, modal_stiffness = (float(shape @ a @ shape) for a in (mass, damping, stiffness))
     if not frequencies[mode - 1] > 0:
         raise SceneError(f"mode: {mode} is a rigid-body mode. Choose a mode with stiffness.")
     omega = float(np.sqrt(modal_stiffness / modal_mass))
     damping_ratio = modal_damping / (2 * modal_mass * omega)
     if not damping_ratio < 1:
-        raise SceneError(
-            f"mode: {mode} has damping ratio {damping_ratio:.3g}. Choose a mode with less than 1."
-        )
+        raise SceneError(f"mode: {mode} has damping ratio {damping_ratio:.3g}. Choose a mode with less than 1.")
     power = {"printed": 1, "energy": 2}[weighting]
     ratio = sum(shape[body - 1] ** power * md for body, md in dampers.items()) / modal_mass
     if dampers and not ratio > 0:
@@ -136,12 +130,7 @@ def reduce_to_mode(
 
 
 def single_mode(
-    scene: Scene,
-    mode: int,
-    *,
-    force: float | None = None,
-    weighting: Weighting = "printed",
-    at: int | None = None,
+    scene: Scene, mode: int, *, force: float | None = None, weighting: Weighting = "printed", at: int | None = None
 ) -> SingleMode:
     """Reduce a scene to one mode; see `reduce_to_mode` for the arguments and errors.
 
@@ -183,9 +172,7 @@ def single_mode(
     if force is None:
         level = getattr(scene.test, "force", None)
         if not isinstance(level, int | float):
-            raise SceneError(
-                "force: the test of the scene does not state a single force. Pass force=... in N."
-            )
+            raise SceneError("force: the test of the scene does not state a single force. Pass force=... in N.")
         force = float(level)
     return reduce_to_mode(
         (mass, model.damping, model.stiffness),

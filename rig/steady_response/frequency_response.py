@@ -113,9 +113,7 @@ class SteadyResponse(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the compliance of each body."""
-        draw_compliance(
-            ax, self.frequency, self.labels, self.compliance, ~self.converged, "not steady", **style
-        )
+        draw_compliance(ax, self.frequency, self.labels, self.compliance, ~self.converged, "not steady", **style)
         ax.set(xlabel="frequency / Hz")
 
 
@@ -279,9 +277,7 @@ def _compute_in_two_sections(
 
 def _same_motion(first: SteadyPoint, second: SteadyPoint) -> bool:
     magnitude = np.abs(second.compliance).max()
-    return first.types == second.types and bool(
-        np.abs(first.compliance - second.compliance).max() < 1e-5 * magnitude
-    )
+    return first.types == second.types and bool(np.abs(first.compliance - second.compliance).max() < 1e-5 * magnitude)
 
 
 class SteadyContinuation:

@@ -49,9 +49,7 @@ def type_of(
     return f"{floor + ceiling} per {repetition}"
 
 
-def _stays_at_ceiling(
-    kinds: NDArray[np.int64], times: Array, system: HybridSystem, damper: int, cycle: float
-) -> bool:
+def _stays_at_ceiling(kinds: NDArray[np.int64], times: Array, system: HybridSystem, damper: int, cycle: float) -> bool:
     """Return whether the damper stays at the ceiling after its impact."""
     impact = int(np.flatnonzero(np.isin(kinds, (CEILING_IMPACT, CEILING_TOUCH)))[0])
     following = (impact + 1) % len(kinds)

@@ -30,9 +30,7 @@ def sweep_frequencies(
         last = last if last is not None else getattr(stepped, "to", None)
         points = points if points is not None else getattr(stepped, "points", None) or 101
         if first is None or last is None or not 0.0 < first < last or points < 2:
-            raise SceneError(
-                "frequencies: expected --from below --to, both above zero, and at least 2 --points"
-            )
+            raise SceneError("frequencies: expected --from below --to, both above zero, and at least 2 --points")
         return spaced_frequencies(first, last, points, "linear"), direction or "up"
     if isinstance(test, SteppedSine):
         return tuple(sorted(set(test.order))), direction or test.direction

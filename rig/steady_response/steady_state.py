@@ -156,9 +156,7 @@ def _state_scales(propagator: Propagator) -> Array:
     return state_scales
 
 
-def one_cycle(
-    propagator: Propagator, steps: float, level: float, repetition: int
-) -> tuple[Trajectory, Array]:
+def one_cycle(propagator: Propagator, steps: float, level: float, repetition: int) -> tuple[Trajectory, Array]:
     """Integrate one repetition of a steady motion, with states stored at `INSTANTS_PER_PERIOD` instants per period.
 
     Returns `begins`, initial states of the segments.

@@ -45,9 +45,7 @@ def assemble(scene: Scene) -> HybridSystem:
     np.subtract.at(weight, body[locked], masses[locked] * scene.gravity)
     equations = _Equations(bodies, model.with_bed_masses(), weight)
     for number, shaker in enumerate(scene.shakers, 1):
-        _add_shaker(
-            equations, shaker, *(at_shaker(part, number, len(scene.shakers)) for part in ("shaker", "table"))
-        )
+        _add_shaker(equations, shaker, *(at_shaker(part, number, len(scene.shakers)) for part in ("shaker", "table")))
     if scene.test is not None and scene.test.kind == "impulse":
         equations.add_input("hammer", "N", {scene.test.body - 1: 1.0})
     clearance = np.array([scene.dampers[j].clearance for j in free], dtype=np.float64)

@@ -131,9 +131,7 @@ class HybridSystem:
         n, ns = self.coordinates, self.states
         matrix = np.zeros((ns, ns))
         matrix[:n, n : 2 * n] = np.eye(n)
-        matrix[n : 2 * n] = np.linalg.solve(
-            self.mass, self.force_state + self.contact_forces(configuration)[0]
-        )
+        matrix[n : 2 * n] = np.linalg.solve(self.mass, self.force_state + self.contact_forces(configuration)[0])
         matrix[2 * n :] = self.rate_state
         return matrix
 
@@ -153,13 +151,9 @@ class HybridSystem:
             dampers = np.flatnonzero(self.finite_contact)
             stiffer_wall = np.argmax(self.wall_stiffness, axis=1)
             all_closed = sum(self.toggles[j + self.dampers * stiffer_wall[j]] for j in dampers)
-            configurations |= {
-                all_closed,
-                *(self.toggles[j + self.dampers * wall] for j in dampers for wall in (0, 1)),
-            }
+            configurations |= {all_closed, *(self.toggles[j + self.dampers * wall] for j in dampers for wall in (0, 1))}
         rates = [
-            np.abs(np.linalg.eigvals(self.matrix(configuration))).max(initial=0.0)
-            for configuration in configurations
+            np.abs(np.linalg.eigvals(self.matrix(configuration))).max(initial=0.0) for configuration in configurations
         ]
         return float(max(rates))
 

@@ -50,9 +50,7 @@ def damping_ratio(duration: float, restitution: float) -> float:
         return float(brentq(lambda z: z / _half_duration(z) - target, 0.5, 2.0 * target, xtol=1e-15))
     target = -math.log(restitution)
     # z w T tends to z pi for small z and to 2 log(2 z) for large z.
-    return float(
-        brentq(lambda z: 2.0 * z * _half_duration(z) - target, 0.0, 1.0 + math.exp(0.5 * target), xtol=1e-15)
-    )
+    return float(brentq(lambda z: 2.0 * z * _half_duration(z) - target, 0.0, 1.0 + math.exp(0.5 * target), xtol=1e-15))
 
 
 def spring_damper(duration: float, restitution: float, mass: float) -> tuple[float, float]:

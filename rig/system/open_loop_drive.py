@@ -108,9 +108,7 @@ def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | A
 
     All dampers ride.
     """
-    response = riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(
-        scene, system, omega
-    )
+    response = riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(scene, system, omega)
     return omega**2 * np.abs(response[: scene.structure.bodies])
 
 

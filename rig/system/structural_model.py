@@ -80,9 +80,7 @@ class StructuralModel:
             If the structure is statically unstable.
         """
         omega, shapes = natural_modes(self.mass, self.stiffness)
-        mass, damping = (
-            np.einsum("ji,jk,ki->i", shapes, matrix, shapes) for matrix in (self.mass, self.damping)
-        )
+        mass, damping = (np.einsum("ji,jk,ki->i", shapes, matrix, shapes) for matrix in (self.mass, self.damping))
         return NaturalModes(omega, shapes, mass, damping)
 
     @cached_property
@@ -215,9 +213,7 @@ def driven_bodies(scene: Scene) -> list[int]:
 def coil_spring(scene: Scene) -> float:
     """Return the stiffness of the driven shaker's coil spring, N/m."""
     if scene.driven_shaker is None or scene.driven_shaker.spring is None:
-        raise SceneError(
-            f"scene {scene.name!r} has no coil spring. Use a shaker of kind table or electrodynamic."
-        )
+        raise SceneError(f"scene {scene.name!r} has no coil spring. Use a shaker of kind table or electrodynamic.")
     return scene.driven_shaker.spring
 
 

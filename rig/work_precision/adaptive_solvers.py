@@ -93,9 +93,7 @@ def follow(problem: FirstOrderForm, leg: Leg, blind: float, limit: float) -> Out
     cpu_start = time.process_time()
     contacts.release(state, now)
     while len(samples) < problem.samples:
-        now, state, guard, samples_of_leg = leg(
-            contacts.matrix, contacts.guards, now, state, times[len(samples) :]
-        )
+        now, state, guard, samples_of_leg = leg(contacts.matrix, contacts.guards, now, state, times[len(samples) :])
         samples += list(samples_of_leg[:, :n])
         if guard < 0:
             break
@@ -111,9 +109,7 @@ def follow(problem: FirstOrderForm, leg: Leg, blind: float, limit: float) -> Out
 def scipy_leg(method: str, rtol: float, longest: float) -> Leg:
     """Return a scipy solver with its event detection."""
 
-    def leg(
-        matrix: Array, guards: list[Guard], t: float, z: Array, times: Array
-    ) -> tuple[float, Array, int, Array]:
+    def leg(matrix: Array, guards: list[Guard], t: float, z: Array, times: Array) -> tuple[float, Array, int, Array]:
         solution = _solve_ivp(
             lambda _, z: matrix.dot(z), (t, times[-1]), z, method=method, rtol=rtol, max_step=longest,
             t_eval=times, events=[_event(guard, terminal=True, direction=-1) for guard in guards],
@@ -176,9 +172,7 @@ def penalty(problem: FirstOrderForm, contacts: int) -> Outcome:
         penetration = height - np.minimum(np.maximum(height, 0.0), system.clearance)
         derivative = rate[: problem.size]
         if penetration.any():
-            derivative += force_response.dot(
-                -stiffness * penetration - (penetration != 0.0) * dashpot * closing
-            )
+            derivative += force_response.dot(-stiffness * penetration - (penetration != 0.0) * dashpot * closing)
         return derivative
 
     walls = [(j, FLOOR) for j in range(dampers)]
@@ -206,9 +200,7 @@ def cvode_leg(rtol: float, longest: float) -> Leg:
     """Return the solver CVODE (Adams) of SUNDIALS, through scikit-sundae."""
     from sksundae.cvode import CVODE
 
-    def leg(
-        matrix: Array, guards: list[Guard], t: float, z: Array, times: Array
-    ) -> tuple[float, Array, int, Array]:
+    def leg(matrix: Array, guards: list[Guard], t: float, z: Array, times: Array) -> tuple[float, Array, int, Array]:
         def slope(t: float, y: Array, yp: Array) -> None:
             matrix.dot(y, out=yp)
 

@@ -91,11 +91,7 @@ def _models(scene: Scene, frequency: float) -> Models:
     )
     softer = with_step(softened(scene), STEP_RATIOS[-1])
     if softer is not None:
-        yield (
-            "grains, softer",
-            f"modulus / {SOFTENING_RATIO:g}",
-            partial(_grains_compliance, softer, frequency),
-        )
+        yield ("grains, softer", f"modulus / {SOFTENING_RATIO:g}", partial(_grains_compliance, softer, frequency))
 
 
 def on_contact(scene: Scene, duration: float) -> Scene:
@@ -103,9 +99,7 @@ def on_contact(scene: Scene, duration: float) -> Scene:
     wall = Landing(duration=duration)
     return scene.replace(
         dampers=[
-            damper.replace(grains=None, contact=wall, restitution=CONTACT_RESTITUTION)
-            if damper.grains
-            else damper
+            damper.replace(grains=None, contact=wall, restitution=CONTACT_RESTITUTION) if damper.grains else damper
             for damper in scene.dampers
         ]
     )
@@ -113,9 +107,7 @@ def on_contact(scene: Scene, duration: float) -> Scene:
 
 def softened(scene: Scene) -> Scene:
     """Return the scene with softer grains."""
-    return _with_grains(
-        scene, lambda grains: grains.replace(modulus=grains.modulus / SOFTENING_RATIO, time_step=None)
-    )
+    return _with_grains(scene, lambda grains: grains.replace(modulus=grains.modulus / SOFTENING_RATIO, time_step=None))
 
 
 def repacked(scene: Scene) -> Scene:
@@ -130,15 +122,12 @@ def with_step(scene: Scene, step: float) -> Scene | None:
         for spheres in spheres_of(scene).values()
     ):
         return None
-    return _with_grains(
-        scene, lambda grains: grains.replace(time_step=step * rayleigh_time(grains, grains.density))
-    )
+    return _with_grains(scene, lambda grains: grains.replace(time_step=step * rayleigh_time(grains, grains.density)))
 
 
 def _with_grains(scene: Scene, change: Callable[[Grains], Grains]) -> Scene:
     dampers = [
-        damper if damper.grains is None else damper.replace(grains=change(damper.grains))
-        for damper in scene.dampers
+        damper if damper.grains is None else damper.replace(grains=change(damper.grains)) for damper in scene.dampers
     ]
     return scene.replace(dampers=dampers)
 

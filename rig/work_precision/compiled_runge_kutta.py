@@ -99,9 +99,7 @@ class DormandPrince:
         motion = np.zeros((problem.samples, problem.system.coordinates))
         start, times = np.array(problem.start), problem.times
         steps = MAX_STEPS_PER_PERIOD * problem.periods
-        if not _follow(
-            self._tables, contacts, start, times, motion, rtol, blind, longest, steps, *self._work
-        ):
+        if not _follow(self._tables, contacts, start, times, motion, rtol, blind, longest, steps, *self._work):
             raise RunError(ENDLESS_EVENTS.format(contacts.time[contacts.filled[0] - 1]))
         events = slice(contacts.filled[0])
         log = zip(contacts.time[events], contacts.damper[events], contacts.kind[events], strict=True)
@@ -116,9 +114,7 @@ def _tables(problem: FirstOrderForm) -> Tables:
             "dampers."
         )
     return Tables(
-        matrix=np.array(
-            [problem.matrix([bits >> j & 1 for j in range(dampers)]) for bits in range(2**dampers)]
-        ),
+        matrix=np.array([problem.matrix([bits >> j & 1 for j in range(dampers)]) for bits in range(2**dampers)]),
         row=problem.rows,
         inverse_mass=problem.inverse_mass,
         mass=np.asarray(system.damper_mass, dtype=np.float64),
@@ -190,15 +186,7 @@ def _guard(tables: Tables, contacts: Contacts, at: int, j: int, wall: int, t: fl
 
 @inlined_kernel
 def _first_event(
-    tables: Tables,
-    contacts: Contacts,
-    at: int,
-    t: float,
-    h: float,
-    z: Array,
-    new: Array,
-    stages: Array,
-    work: Array,
+    tables: Tables, contacts: Contacts, at: int, t: float, h: float, z: Array, new: Array, stages: Array, work: Array
 ) -> tuple[float, int, int]:
     """Locate the first guard that is negative at the end of a step: share of the step, damper (-1: none), wall."""
     first, which, hit = 1.0, -1, FLIGHT
@@ -235,9 +223,7 @@ def _log_event(contacts: Contacts, t: float, j: int, kind: int) -> None:
 
 
 @inlined_kernel
-def _separate(
-    tables: Tables, contacts: Contacts, t: float, z: Array, j: int, speed: float, blind: float
-) -> None:
+def _separate(tables: Tables, contacts: Contacts, t: float, z: Array, j: int, speed: float, blind: float) -> None:
     """Separate a riding damper from its wall."""
     wall = contacts.mode[j]
     z[tables.first + j] = z[tables.row[j]] + (tables.clearance[j] if wall == CEILING else 0.0)

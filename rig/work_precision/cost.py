@@ -135,9 +135,7 @@ class Cost(Result):
         return save_with_table(figure, folder / file_stem("cost", self.scene.name), rows)
 
 
-def cost(
-    scene: Scene, frequency: float | None, periods: int, say: Callable[[str], None] | None = None
-) -> Cost:
+def cost(scene: Scene, frequency: float | None, periods: int, say: Callable[[str], None] | None = None) -> Cost:
     """Measure every method on a scene; for a scene with moving beds of grains, every model of them.
 
     Parameters
@@ -168,14 +166,10 @@ def _compare_methods(points: Sequence[Point]) -> list[str]:
     if not engine:
         return []
     engine_point = min(engine, key=lambda point: point.cpu)
-    lines = [
-        f"The engine: relative error {engine_point.error:.0e} in {1e3 * engine_point.cpu:.2g} ms a period."
-    ]
+    lines = [f"The engine: relative error {engine_point.error:.0e} in {1e3 * engine_point.cpu:.2g} ms a period."]
     if others:
         smallest_error = min(point.error for point in others)
-        fastest = min(
-            (point for point in others if point.error <= 10.0 * smallest_error), key=lambda point: point.cpu
-        )
+        fastest = min((point for point in others if point.error <= 10.0 * smallest_error), key=lambda point: point.cpu)
         ratio = format_number(float(f"{fastest.cpu / engine_point.cpu:.2g}"))
         lines.append(
             f"Best of the other methods, {fastest.method} ({fastest.setting}): {fastest.error:.0e} in "
@@ -226,21 +220,14 @@ def _draw_models(cost: Cost) -> Figure:
     with new_figure(5.2, 6.8) as figure:
         axes = figure.subplots()
         draw_points(axes, cost.steady.points, "CPU time in all / s")
-        axes.set(
-            ylabel="relative deviation of the compliance from that with grains",
-            title=_steady_title(cost.steady),
-        )
+        axes.set(ylabel="relative deviation of the compliance from that with grains", title=_steady_title(cost.steady))
         for point in cost.steady.points:
             if not np.isfinite(point.error):
                 continue
             if point.method == OTHER_PACKING:
                 axes.axhline(_shown(point), color=STYLE_OF_METHOD[point.method][0], ls="--", lw=1.0)
             axes.annotate(
-                point.setting,
-                (point.cpu, _shown(point)),
-                xytext=(8, -3),
-                textcoords="offset points",
-                fontsize=7,
+                point.setting, (point.cpu, _shown(point)), xytext=(8, -3), textcoords="offset points", fontsize=7
             )
         # Leave space for the labels at the right end.
         axes.margins(x=0.25)
@@ -264,12 +251,7 @@ def draw_points(axes: Axes, points: tuple[Point, ...], label: str) -> None:
         # A line connects settings of one kind; solvers with an error tolerance are a separate kind.
         series = [point for point in method_points if "blind" not in point.setting]
         axes.plot(
-            [point.cpu for point in series],
-            [_shown(point) for point in series],
-            "-",
-            color=color,
-            lw=1.0,
-            alpha=0.6,
+            [point.cpu for point in series], [_shown(point) for point in series], "-", color=color, lw=1.0, alpha=0.6
         )
         for point in method_points:
             size = 12 if marker == "*" else 6

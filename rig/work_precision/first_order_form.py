@@ -63,12 +63,8 @@ class FirstOrderForm:
         self.omega = 2 * pi * number(tone.frequency)
         self.samples = periods * SAMPLES_PER_PERIOD + 1
         self.rows = np.asarray(system.damper_coordinate, dtype=np.int64)
-        exact = np.vectorize(
-            lambda value: number(float(value)), otypes=[float if number is float else object]
-        )
-        self.mass, self.damper_mass, self.clearance = map(
-            exact, (system.mass, system.damper_mass, system.clearance)
-        )
+        exact = np.vectorize(lambda value: number(float(value)), otypes=[float if number is float else object])
+        self.mass, self.damper_mass, self.clearance = map(exact, (system.mass, system.damper_mass, system.clearance))
         self.inverse_mass = 1.0 / np.diag(system.mass)[self.rows]
         self.gravity, self._zero, self._unit = number(system.gravity), number(0.0), number(1.0)
         self._walls = exact(system.wall_stiffness), exact(system.wall_damping)
@@ -163,9 +159,7 @@ class FirstOrderForm:
         """Apply an impact by Newton's law; return whether the damper stays at the wall."""
         body, speed = self.system.coordinates + self.rows[j], self.first + self.system.dampers + j
         closing, row = z[speed] - z[body], self.rows[j]
-        z[body] += (
-            (1 + restitution) * closing * self.damper_mass[j] / (self.mass[row, row] + self.damper_mass[j])
-        )
+        z[body] += (1 + restitution) * closing * self.damper_mass[j] / (self.mass[row, row] + self.damper_mass[j])
         self.separate(z, j, wall, z[body] - restitution * closing)
         return not restitution
 

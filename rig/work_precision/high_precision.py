@@ -77,8 +77,7 @@ class ExactOrbit:
         # Subtract in decimal arithmetic, so that the reference is not rounded.
         exact = np.vectorize(Decimal, otypes=[object])
         deviation = np.hypot(
-            (exact(compliance.real) - self.real).astype(float),
-            (exact(compliance.imag) - self.imag).astype(float),
+            (exact(compliance.real) - self.real).astype(float), (exact(compliance.imag) - self.imag).astype(float)
         )
         return float(deviation.max() / np.hypot(self.real.astype(float), self.imag.astype(float)).max())
 
@@ -117,9 +116,7 @@ def exact_orbit(scene: Scene, orbit: Orbit) -> ExactOrbit:
     coarse_compliance = coarse.compliance(start)
     start, residual = fine.close(start)
     real, imag = fine.compliance(start)
-    deviation = np.hypot(
-        (real - coarse_compliance[0]).astype(float), (imag - coarse_compliance[1]).astype(float)
-    ).max()
+    deviation = np.hypot((real - coarse_compliance[0]).astype(float), (imag - coarse_compliance[1]).astype(float)).max()
     size = np.hypot(real.astype(float), imag.astype(float)).max()
     return ExactOrbit(real, imag, residual, float(deviation / size))
 
@@ -152,9 +149,7 @@ class DecimalMotion:
         self.samples: list[Vector] = []
         self.times: list[Decimal] = []
 
-    def follow(
-        self, events: Sequence[Event], resting: Sequence[bool], samples: Iterable[Decimal] = ()
-    ) -> None:
+    def follow(self, events: Sequence[Event], resting: Sequence[bool], samples: Iterable[Decimal] = ()) -> None:
         """Compute the motion through the events; `resting` marks dampers at rest on a wall after the last event.
 
         Raises `RunError` if an event is not an event of the motion.
@@ -230,9 +225,7 @@ class DecimalMotion:
             if abs(step) < self._smallest * 10**4:
                 break
         if abs(self.now - guess) > MAX_EVENT_DIFFERENCE_S:
-            raise RunError(
-                f"event {kind} of damper {j + 1} at {guess:.9f} s is not reproduced. Report the scene."
-            )
+            raise RunError(f"event {kind} of damper {j + 1} at {guess:.9f} s is not reproduced. Report the scene.")
 
     def advance(self, until: Decimal) -> None:
         """Advance to an earlier or later time without contact change."""

@@ -13,14 +13,7 @@ from numpy.typing import NDArray
 from rig.arrays import Array
 from rig.errors import RunError
 from rig.numerics.jit import cached_njit
-from rig.work_precision.first_order_form import (
-    FLIGHT,
-    FLOOR,
-    SAMPLES_PER_PERIOD,
-    WALLS,
-    FirstOrderForm,
-    Outcome,
-)
+from rig.work_precision.first_order_form import FLIGHT, FLOOR, SAMPLES_PER_PERIOD, WALLS, FirstOrderForm, Outcome
 
 #: Largest number of Gauss-Seidel iterations over the contacts in a step.
 MAX_CONTACT_ITERATIONS = 50

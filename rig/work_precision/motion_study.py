@@ -99,10 +99,7 @@ def hardest_frequency(scene: Scene, system: HybridSystem) -> float:
 
 
 def motion_study(
-    scene: Scene,
-    frequency: float | None = None,
-    periods: int = PERIODS,
-    progress: Callable[[str], None] | None = None,
+    scene: Scene, frequency: float | None = None, periods: int = PERIODS, progress: Callable[[str], None] | None = None
 ) -> MotionStudy:
     """Measure all methods for the first periods of a scene's motion under a sinusoidal drive.
 
@@ -127,8 +124,7 @@ def motion_study(
     margin = best / max(exact.agreement, 10.0 ** (-DIGITS))
     if margin < MIN_REFERENCE_MARGIN:
         raise RunError(
-            "the reference is less than a thousand times more accurate than the best method. Report the "
-            "scene."
+            "the reference is less than a thousand times more accurate than the best method. Report the scene."
         )
     reference = (
         f"decimal arithmetic of {DIGITS} digits, with every event located again. Fewer digits change the motion by "
@@ -205,11 +201,7 @@ def _adaptive(problem: FirstOrderForm, period: float) -> Methods:
         leg = cvode_leg(rtol, 0.0)
         yield "CVODE", f"rtol {rtol:.0e}", partial(follow, problem, leg, 0.0, MAX_CPU_S)
     short_steps = cvode_leg(1e-12, SHORT_STEP_RATIO * period)
-    yield (
-        "CVODE",
-        "rtol 1e-12, step T/40, blind",
-        partial(follow, problem, short_steps, GUARD_PAUSE_S, MAX_CPU_S),
-    )
+    yield ("CVODE", "rtol 1e-12, step T/40, blind", partial(follow, problem, short_steps, GUARD_PAUSE_S, MAX_CPU_S))
 
 
 def _outcome(run: Run, system: HybridSystem, every: int = 1) -> Outcome:
@@ -241,9 +233,7 @@ def _sampled(
     angle = 2.0 * np.pi * np.arange(periods * samples_per_period + 1) / samples_per_period
     drive = np.real(tone.amplitudes[:, None] * np.exp(1j * angle))
     return lambda: _outcome(
-        simulate(scene, periods / tone.frequency, rate, drive=drive),
-        system,
-        samples_per_period // SAMPLES_PER_PERIOD,
+        simulate(scene, periods / tone.frequency, rate, drive=drive), system, samples_per_period // SAMPLES_PER_PERIOD
     )
 
 

@@ -41,9 +41,7 @@ class SteadyStudy:
     reference: str  # Reference of the errors; without periodic motion, the reason why there are no errors
 
 
-def steady_study(
-    scene: Scene, frequency: float, progress: Callable[[str], None] | None = None
-) -> SteadyStudy:
+def steady_study(scene: Scene, frequency: float, progress: Callable[[str], None] | None = None) -> SteadyStudy:
     """Measure all methods for a scene's steady response at one frequency.
 
     `scene`: if its test controls the amplitude of the spring force, that force acts on the body as a pure sinusoid;
@@ -63,11 +61,7 @@ def steady_study(
         return SteadyStudy((), frequency, "", f"no steady state to compare with: {error}")
     frequency = orbit.frequency
     newton_error = reference.error(orbit.compliance)
-    points = [
-        Point(
-            "shooting", f"Newton to {orbit.residual:.0e}", cpu, newton_error, np.nan, True, orbit.motion_type
-        )
-    ]
+    points = [Point("shooting", f"Newton to {orbit.residual:.0e}", cpu, newton_error, np.nan, True, orbit.motion_type)]
     for tolerance in TOLERANCES:
         say(f"waiting, {tolerance:.0e}")
         cpu, response = timed(partial(frequency_response, scene, [frequency], tolerance=tolerance))
@@ -126,9 +120,7 @@ def _approximate(scene: Scene, frequency: float, reference: ExactOrbit) -> Point
         compliances = [
             branch.compliance[k] * response.mode.shape
             for branch in response.branches
-            for k in np.flatnonzero(
-                branch.valid & branch.stable & (np.abs(branch.frequency / frequency - 1) < 2e-3)
-            )
+            for k in np.flatnonzero(branch.valid & branch.stable & (np.abs(branch.frequency / frequency - 1) < 2e-3))
         ]
         if compliances:
             error, setting = (

@@ -52,9 +52,7 @@ def test_response_is_chosen_by_body_name(hit: Path) -> None:
     curves = analysis.frfs(hit, ["base", "left"])
     assert curves.keys() == ("low", "left") and curves["arm"].response == "left"
     assert analysis.decay(hit, "arm").channel == "left"
-    with pytest.raises(
-        SceneError, match=r"2 responses are at arm\. Select one by its channel: left or right"
-    ):
+    with pytest.raises(SceneError, match=r"2 responses are at arm\. Select one by its channel: left or right"):
         analysis.frfs(hit)["arm"]
 
 
@@ -92,16 +90,10 @@ def test_recorded_scene_has_the_names(hit: Path) -> None:
         (lambda: rig.periodic_orbit("fig9", None), "frequency: got nan"),
         (lambda: rig.follow_orbits(BRACKET, "frequency", 60), "bounds: got 60"),
         (lambda: rig.approximate_response(BRACKET, 1, 60), "band: got 60 Hz; expected two values"),
-        (
-            lambda: rig.approximate_response(BRACKET, "1", (50, 60)),
-            "mode: got '1'; expected the number of a mode",
-        ),
+        (lambda: rig.approximate_response(BRACKET, "1", (50, 60)), "mode: got '1'; expected the number of a mode"),
         (lambda: rig.approximate_response(BRACKET, 1, (50, 60), at="amr"), "Did you mean 'arm'"),
         (lambda: rig.approximate_response(BRACKET, 1, (50, 60), at=3), "body 3 of 2"),
-        (
-            lambda: rig.design(BRACKET, bodies=["amr"]),
-            "bodies: no body has the name 'amr'. Did you mean 'arm'",
-        ),
+        (lambda: rig.design(BRACKET, bodies=["amr"]), "bodies: no body has the name 'amr'. Did you mean 'arm'"),
         (lambda: rig.loads(7), "got 7; expected the text of a scene file"),
     ],
 )

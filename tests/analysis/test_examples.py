@@ -16,9 +16,7 @@ NAMES = sorted(path.stem for path in EXAMPLES.glob("[a-z]*.py"))
 # Required output of each example.
 RESULTS = {
     "accuracy_against_time": lambda found: found["errors"][-1] < found["errors"][0],
-    "approximate_theory": lambda found: (
-        {each.motion_type for each in found["theory"].branches} == {"I", "II", "III"}
-    ),
+    "approximate_theory": lambda found: {each.motion_type for each in found["theory"].branches} == {"I", "II", "III"},
     "choosing_a_damper": lambda found: found["peaks"].min() < 0.9 * found["peaks"].max(),
     "damping_against_amplitude": lambda found: found["decays"][1].quiet_from < found["decays"][0].quiet_from,
     "hammer_faults": lambda found: found["overloads"]["clipped"] and "clipped" not in found["peaks"],
@@ -26,8 +24,7 @@ RESULTS = {
     "low_frequencies": lambda found: all(each[-1] < 0.05 for each in found["errors"].values()),
     "nidaqmx_and_pyfrf": lambda found: abs(found["peak"] - 62.0) < 0.3 and found["error"] < 0.05,
     "rehearse_a_sweep": lambda found: (
-        found["durations"]["0.001 %"] > found["durations"]["10 %"]
-        and abs(found["modes"].frequency[0] - 34.777) < 0.01
+        found["durations"]["0.001 %"] > found["durations"]["10 %"] and abs(found["modes"].frequency[0] - 34.777) < 0.01
     ),
 }
 

@@ -62,15 +62,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    ("package", "words"),
-    [(package, words) for package in TRIED_COMMANDS for words in TRIED_COMMANDS[package]],
+    ("package", "words"), [(package, words) for package in TRIED_COMMANDS for words in TRIED_COMMANDS[package]]
 )
 def test_commands_print_no_control_codes(
-    folder: Path,
-    package: str,
-    words: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    folder: Path, package: str, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = set(folder.iterdir())
     monkeypatch.chdir(folder)
@@ -81,9 +76,7 @@ def test_commands_print_no_control_codes(
     assert end.value.code == 0, printed.err
     texts = [printed.out, printed.err]
     texts += [
-        path.read_text("utf-8")
-        for path in set(folder.iterdir()) - before
-        if path.suffix not in (".png", ".mcap")
+        path.read_text("utf-8") for path in set(folder.iterdir()) - before if path.suffix not in (".png", ".mcap")
     ]
     for text in texts:
         assert not re.search("[\x00-\x08\x0b-\x1f\x7f\x9b\u202e]", text.replace("\r\n", "\n"))
@@ -110,8 +103,6 @@ def test_replay_escapes_hostile_text(folder: Path) -> None:
 def test_every_command_is_tried_or_exempt() -> None:
     for package, app in (("daq", daq.cli.app), ("analysis", analysis.cli.app)):
         names = {
-            command.name or str(command.callback.__name__)
-            for command in app.registered_commands
-            if command.callback
+            command.name or str(command.callback.__name__) for command in app.registered_commands if command.callback
         }
         assert names <= {words.split()[0] for words in TRIED_COMMANDS[package]} | EXEMPT_COMMANDS[package]

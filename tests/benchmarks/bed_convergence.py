@@ -31,9 +31,7 @@ RESONANCE_HZ = 50.0
 VARIANTS = ((1.0, 0.06), (0.5, 0.06), (2.0, 0.06), (1.0, 0.03), (1.0, 0.12))
 
 
-def resonant_scene(
-    force: float, clearance: float, layers: int, packing: int, modulus: float, step: float
-) -> Scene:
+def resonant_scene(force: float, clearance: float, layers: int, packing: int, modulus: float, step: float) -> Scene:
     """Return a scene with a bed of the study in a resonant body."""
     grains = Grains(diameter=2e-3, modulus=modulus)
     time_step = step * rayleigh_time(grains, grains.density)
@@ -60,19 +58,13 @@ def main() -> None:
             values.append([abs(motion.compliance[0]), motion.floor_impulse[0], motion.energy[0]])
         if (stiffness, step) == VARIANTS[0]:
             reference = np.array(values)
-        mean, standard_error = (
-            np.mean(values, axis=0),
-            np.std(values, axis=0, ddof=1) / math.sqrt(len(values)),
-        )
+        mean, standard_error = (np.mean(values, axis=0), np.std(values, axis=0, ddof=1) / math.sqrt(len(values)))
         deviation = mean / reference.mean(axis=0) - 1.0
         results = (
             f"{name} {a:.4g} ±{100 * b / a:.1f} % ({100 * c:+.1f} %)"
             for name, a, b, c in zip(names, mean, standard_error, deviation, strict=True)
         )
-        print(
-            f"{layers} layers, {stiffness * MODULUS_PA / 1e6:g} MPa, step {step:g}: {', '.join(results)}",
-            flush=True,
-        )
+        print(f"{layers} layers, {stiffness * MODULUS_PA / 1e6:g} MPa, step {step:g}: {', '.join(results)}", flush=True)
 
 
 if __name__ == "__main__":

@@ -97,11 +97,7 @@ def _measure(options: argparse.Namespace, server: int, address: str) -> None:
         client.stdin.write("\n")
         client.stdin.flush()
     time.sleep(min(15.0, options.seconds / 2))
-    initial_memory, cpu_time, start = (
-        process.memory_info().rss,
-        sum(process.cpu_times()[:2]),
-        time.monotonic(),
-    )
+    initial_memory, cpu_time, start = (process.memory_info().rss, sum(process.cpu_times()[:2]), time.monotonic())
     time.sleep(max(0.0, options.seconds / 2 - 5.0))
     elapsed, cpu_time = time.monotonic() - start, sum(process.cpu_times()[:2]) - cpu_time
     final_memory, outputs = process.memory_info().rss, [client.communicate()[0] for client in clients]
@@ -117,9 +113,7 @@ def _measure(options: argparse.Namespace, server: int, address: str) -> None:
     late_times = np.flatnonzero((delays > 25.0).any(axis=0)) / READS_PER_SECOND
     times = ", ".join(f"{late_time:.1f}" for late_time in late_times[:30])
     print(f"reads later than 25 ms: {(delays > 25.0).sum()}, at {times} s")
-    print(
-        f"latency of {delays.size} reads: median {median:.1f} ms, 99 % below {high:.1f} ms, longest {worst:.1f} ms"
-    )
+    print(f"latency of {delays.size} reads: median {median:.1f} ms, 99 % below {high:.1f} ms, longest {worst:.1f} ms")
 
 
 if __name__ == "__main__":

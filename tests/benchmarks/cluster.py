@@ -51,17 +51,13 @@ def main() -> int:
     start = time.process_time()
     for place in space.locations:
         request.worst(Choice(place, (space.mass,), space.clearance[1:]))
-    print(
-        f"it computes for {(time.process_time() - start) / len(space.locations) / len(request.parts):.2f} s"
-    )
+    print(f"it computes for {(time.process_time() - start) / len(space.locations) / len(request.parts):.2f} s")
     with Workers("local") as workers:
         list(workers.compute(empty_task, [task_input]))
         # The scheduler is in this process.
         start = time.process_time()
         list(workers.compute(empty_task, [task_input] * EMPTY_TASKS))
-        print(
-            f"scheduler and client: {1e3 * (time.process_time() - start) / EMPTY_TASKS:.2f} ms of CPU a task"
-        )
+        print(f"scheduler and client: {1e3 * (time.process_time() - start) / EMPTY_TASKS:.2f} ms of CPU a task")
     with tempfile.TemporaryDirectory() as folder:
         single_time, single_files = design_on_cluster(name, 1, Path(folder) / "one")
         double_time, double_files = design_on_cluster(name, 2, Path(folder) / "two")

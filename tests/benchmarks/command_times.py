@@ -83,9 +83,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         with temporary_checkout(REFERENCE, folder / "reference") as reference_code:
-            reference = shortest_time(
-                ("daq", "record", SCENE, "-o", "r.mcap", "--overwrite"), folder, reference_code
-            )
+            reference = shortest_time(("daq", "record", SCENE, "-o", "r.mcap", "--overwrite"), folder, reference_code)
         print(f"daq record {SCENE} at {REFERENCE}: {reference:.2f} s of processor time")
         print(f"{'command':50s} {'time / s':>8s} {'ratio':>7s}  goal")
         for command in COMMANDS:

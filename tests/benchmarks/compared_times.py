@@ -26,10 +26,7 @@ import rig
 from tests.benchmarks.engine import engine_period, tone_of
 
 PLACES = ("body 1", "body 2", "body 3", "table")
-DATA_SHEET_PARTS = {
-    "converter": {"preset": "NI 9234", "rate": "51.2 kHz"},
-    "accelerometer": {"preset": "PCB 352C33"},
-}
+DATA_SHEET_PARTS = {"converter": {"preset": "NI 9234", "rate": "51.2 kHz"}, "accelerometer": {"preset": "PCB 352C33"}}
 PARTS_WITH_ALL_EFFECTS = {
     "converter": {
         **DATA_SHEET_PARTS["converter"], "skew": "1 us", "jitter": "1 ns", "clock_error": "10 ppm", "coupling": "AC",
@@ -59,9 +56,7 @@ class ComparedTime(NamedTuple):
 
     def __str__(self) -> str:
         ratio = self.peer_seconds / self.seconds
-        return (
-            f"{self.name:52s} {self.seconds:10.4g} s   {ratio:8.3g} x {self.peer} ({self.peer_seconds:.3g} s)"
-        )
+        return f"{self.name:52s} {self.seconds:10.4g} s   {ratio:8.3g} x {self.peer} ({self.peer_seconds:.3g} s)"
 
 
 def command_time(*words: str, repeats: int = 1, folder: Path | None = None, **environment: str) -> float:
@@ -77,9 +72,7 @@ def command_time(*words: str, repeats: int = 1, folder: Path | None = None, **en
 
 def random_test_at_51_200_hz(parts: dict[str, Any]) -> rig.Scene:
     """Return the rig with three dampers with 2 ms contact, under random drive, measured with the given parts."""
-    channels = [
-        {"name": at.replace(" ", ""), "at": at, "accelerometer": parts["accelerometer"]} for at in PLACES
-    ]
+    channels = [{"name": at.replace(" ", ""), "at": at, "accelerometer": parts["accelerometer"]} for at in PLACES]
     damper = {"mass_ratio": 0.1, "clearance": float("inf"), "contact": {"duration": "2 ms"}}
     return rig.load("fig8-three-dampers").replace(
         channels=channels,
@@ -123,10 +116,7 @@ def complete_tests() -> Iterator[ComparedTime]:
         for name, scene in (
             ("Fig 8, three dampers, display", fig8),
             ("4 x 51.2 kS/s, data sheets, random, display", random_test_at_51_200_hz(DATA_SHEET_PARTS)),
-            (
-                "4 x 51.2 kS/s, every effect, random, display",
-                random_test_at_51_200_hz(PARTS_WITH_ALL_EFFECTS),
-            ),
+            ("4 x 51.2 kS/s, every effect, random, display", random_test_at_51_200_hz(PARTS_WITH_ALL_EFFECTS)),
         ):
             yield recording_time(name, scene, Path(folder))
 

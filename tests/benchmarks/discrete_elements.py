@@ -152,11 +152,7 @@ def shake_bed(
     """Shake a bed from rest; return the upward forces of floor, ceiling and side after each step (steps, 3)."""
     count = len(at)
     speed, spin, force, torque = np.zeros((4, count, 3))
-    pair_displacements, wall_displacements, lift = (
-        np.zeros((count, count, 3)),
-        np.zeros((count, 3, 3)),
-        np.zeros(3),
-    )
+    pair_displacements, wall_displacements, lift = (np.zeros((count, count, 3)), np.zeros((count, 3, 3)), np.zeros(3))
     history, travelled, skin = np.empty((steps, 3)), 0.0, SKIN_RADII * radius
     pairs = neighbours(at, 2.0 * radius + skin)
     inertia = 0.4 * mass * radius**2
@@ -229,9 +225,7 @@ def simulate_bed(spheres: Spheres, amplitude: float, block: int) -> Array:
     weight = spheres.mass * STANDARD_GRAVITY
     speed = amplitude * omega * np.cos(omega * step * (np.arange(len(lift)) + 1))
     energy = float(lift.sum(axis=1) @ speed) * step / (2 * block)
-    return np.array(
-        [lift[:, FLOOR].mean() / weight, -lift[:, CEILING].mean() / weight, energy / (weight * 1e-3)]
-    )
+    return np.array([lift[:, FLOOR].mean() / weight, -lift[:, CEILING].mean() / weight, energy / (weight * 1e-3)])
 
 
 def compare_programs(setting: Setting, block: int) -> tuple[Array, Array]:

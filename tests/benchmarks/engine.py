@@ -55,11 +55,7 @@ def engine_period(scene: rig.Scene, periods: int = PERIODS, repeats: int = 200) 
     propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega)
     propagator.place(tone.state, np.array([1.0, 0.0]))
     start = propagator.snapshot()
-    segment_steps, rows, starts_period = (
-        np.full(periods, steps),
-        np.full(periods, -1),
-        np.ones(periods, dtype=bool),
-    )
+    segment_steps, rows, starts_period = (np.full(periods, steps), np.full(periods, -1), np.ones(periods, dtype=bool))
 
     def run() -> None:
         propagator.resume(start)
@@ -80,11 +76,9 @@ def solver_periods(scene: rig.Scene) -> dict[str, float]:
     compiled_solver = DormandPrince(problem)
     compiled_solver.follow(1e-6, GUARD_DELAY_S, max_step)
     return {
-        "compiled DP5": shortest_time(lambda: compiled_solver.follow(1e-12, GUARD_DELAY_S, max_step), 3)
-        / PERIODS,
+        "compiled DP5": shortest_time(lambda: compiled_solver.follow(1e-12, GUARD_DELAY_S, max_step), 3) / PERIODS,
         **{
-            name: shortest_time(lambda solver=solver: follow(problem, solver, GUARD_DELAY_S, 600.0), 2)
-            / PERIODS  # type: ignore[misc]
+            name: shortest_time(lambda solver=solver: follow(problem, solver, GUARD_DELAY_S, 600.0), 2) / PERIODS  # type: ignore[misc]
             for name, solver in solvers.items()
         },
     }

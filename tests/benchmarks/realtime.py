@@ -46,9 +46,7 @@ def measure(folder: Path, minutes: float) -> Iterator[str]:
         operation = LoggingOperation.CREATE_OR_REPLACE
         inputs.in_stream.configure_logging(path, LoggingMode.LOG_AND_READ, operation=operation)
         output.ao_channels.add_ao_voltage_chan("Dev1/ao0")
-        output.timing.cfg_samp_clk_timing(
-            RATE, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=drive.size
-        )
+        output.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=drive.size)
         output.write(drive)
         output.start()
         inputs.start()

@@ -46,9 +46,7 @@ def measure(folder: Path, one_hour: bool) -> Iterator[str]:
     megabytes = 4 * 8 * rate * seconds / 1e6
     yield f"write, blocks of 1024 float64 samples: {megabytes / elapsed:.0f} MB/s"
     with daq.open(path) as recording:
-        shortest = min(
-            _elapsed(lambda: [recording.read(name) for name in recording.channels]) for _ in range(5)
-        )
+        shortest = min(_elapsed(lambda: [recording.read(name) for name in recording.channels]) for _ in range(5))
     yield f"read to numpy with checksums, blocks of 1024: {megabytes / shortest:.0f} MB/s"
     if not one_hour:
         return

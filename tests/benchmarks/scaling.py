@@ -39,16 +39,12 @@ OTHER_VALUES = {
 
 def chain(bodies: int, dampers: int, spring: float, damping: dict[str, Any], **settings: Any) -> rig.Scene:
     """Build a chain of equal bodies with dampers spread over it."""
-    bodies_with_dampers = (
-        np.unique(np.linspace(1, bodies, dampers).round().astype(int)).tolist() if dampers else []
-    )
+    bodies_with_dampers = np.unique(np.linspace(1, bodies, dampers).round().astype(int)).tolist() if dampers else []
     return rig.Scene.model_validate(
         {
             "name": f"{bodies} bodies, {dampers} dampers",
             "structure": {"masses": [0.7] * bodies, "springs": [spring] * bodies, "damping": damping},
-            "dampers": [
-                {"body": place, "mass_ratio": 0.1, "clearance": "1 mm"} for place in bodies_with_dampers
-            ],
+            "dampers": [{"body": place, "mass_ratio": 0.1, "clearance": "1 mm"} for place in bodies_with_dampers],
             **settings,
         }
     )

@@ -77,13 +77,9 @@ def compare_ranks(n_ranks: int) -> None:
                         "-m",
                         __spec__.name,
                     ]
-                    process = subprocess.run(
-                        [*command, *arguments], capture_output=True, text=True, check=True
-                    )
+                    process = subprocess.run([*command, *arguments], capture_output=True, text=True, check=True)
                     turns.append(json.loads(process.stdout))
-            single_time, several_time = (
-                1e3 * np.min(turns, axis=0).sum() / steps for turns in times.values()
-            )
+            single_time, several_time = (1e3 * np.min(turns, axis=0).sum() / steps for turns in times.values())
             print(
                 f"{spheres.count} grains: {single_time:.2f} ms a step on one rank, {several_time:.2f} ms on {n_ranks}, "
                 f"{single_time / several_time:.2f} times as fast",

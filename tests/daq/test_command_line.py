@@ -31,12 +31,7 @@ def test_ineffective_option_names_what_it_needs(words, message):
 
 @pytest.mark.parametrize(
     "words",
-    [
-        "record fig9 -o a.csv",
-        "import x.csv --scene fig9 -o a.UFF",
-        "recover a.mcap -o a.npz",
-        "scope fig9 -o a.rrd",
-    ],
+    ["record fig9 -o a.csv", "import x.csv --scene fig9 -o a.UFF", "recover a.mcap -o a.npz", "scope fig9 -o a.rrd"],
 )
 def test_recording_with_other_extension_is_rejected(words):
     ended = CliRunner().invoke(app, words.split())

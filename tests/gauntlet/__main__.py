@@ -41,9 +41,7 @@ def main() -> int:
     verdicts: list[Verdict] = []
     with ProcessPoolExecutor(options.workers) as pool:
         jobs = {
-            pool.submit(
-                run_trial, options.seed, number, kind := kinds[number % len(kinds)]
-            ): f"{number} {kind}"
+            pool.submit(run_trial, options.seed, number, kind := kinds[number % len(kinds)]): f"{number} {kind}"
             for number in range(options.scenes)
         }
         completed = as_completed(jobs)
@@ -87,9 +85,7 @@ def print_summary(all_verdicts: list[Verdict]) -> int:
         failed |= counts[-1] > 0 or (points > 0 and not MIN_COVERAGE <= coverage <= max_coverage)
         widths = [v.width for v in verdicts if v.points and np.isfinite(v.width)]
         width = f"{np.median(widths):.2%}" if widths else "-"
-        table.add_row(
-            judge, kind, str(len(verdicts)), str(points), f"{coverage:.1%}", width, *map(str, counts)
-        )
+        table.add_row(judge, kind, str(len(verdicts)), str(points), f"{coverage:.1%}", width, *map(str, counts))
     Console(width=140).print(table)
     return int(failed)
 

@@ -33,9 +33,7 @@ def draw_cavities(seed: int, number: int, kind: str) -> rig.Scene:
     ]
     # Above 80 Hz a period with its impacts has fewer than 64 samples.
     mode_frequency = dice.one([mode for mode in modes if mode < 80.0])
-    first, last = (
-        float(f"{mode_frequency * dice.even(*fractions):.4g}") for fractions in ((0.85, 0.95), (1.05, 1.15))
-    )
+    first, last = (float(f"{mode_frequency * dice.even(*fractions):.4g}") for fractions in ((0.85, 0.95), (1.05, 1.15)))
     tones = {TONE: {"kind": "sine", "frequency": first, "duration": 2.0}}
     tones[STEPS] = {"kind": "stepped_sine", "from": first, "to": last, "points": 6}
     settings: Settings = {
@@ -48,10 +46,7 @@ def draw_cavities(seed: int, number: int, kind: str) -> rig.Scene:
             *({"name": f"a{body}", "at": f"body {body}", **_accelerometer(dice)} for body in damper_bodies),
             {"name": "force", "at": "shaker"},
         ],
-        "converter": {
-            "rate": Draw(seed, number + INSTRUMENTS).one([5120.0, 12800.0]),
-            "filter": "delta_sigma",
-        },
+        "converter": {"rate": Draw(seed, number + INSTRUMENTS).one([5120.0, 12800.0]), "filter": "delta_sigma"},
         "recording": {"display": False, "truth": True},
         "seed": dice.whole(1, 10**6),
     }
@@ -79,14 +74,8 @@ def draw_decay(seed: int, number: int, kind: str) -> rig.Scene:
             "velocity": [dice.log(2.0, 10.0) * GRAVITY / angular],
             "duration": round(min(8.0, 4.0 / (ratio * angular)), 3),
         },
-        "channels": [
-            {"name": "a1", "at": "body 1", "accelerometer": {"sensitivity": "100 mV/g", "noise": 2e-4}}
-        ],
-        "converter": {
-            "rate": other_dice.one([2560.0, 5120.0]),
-            "filter": "delta_sigma",
-            **coupling(other_dice, False),
-        },
+        "channels": [{"name": "a1", "at": "body 1", "accelerometer": {"sensitivity": "100 mV/g", "noise": 2e-4}}],
+        "converter": {"rate": other_dice.one([2560.0, 5120.0]), "filter": "delta_sigma", **coupling(other_dice, False)},
         "recording": {"display": False},
         "seed": dice.whole(1, 10**6),
     }
@@ -106,11 +95,7 @@ def _accelerometer(dice: Draw) -> Settings:
     if order:
         return {
             "accelerometer": sensor,
-            "integrator": {
-                "order": order,
-                "corner": dice.log(0.2, 2.0),
-                "gain": 50.0 if order == 1 else 2000.0,
-            },
+            "integrator": {"order": order, "corner": dice.log(0.2, 2.0), "gain": 50.0 if order == 1 else 2000.0},
         }
     return {"accelerometer": sensor}
 

@@ -59,19 +59,11 @@ def draw(seed: int, number: int) -> tuple[rig.Scene, dict[str, Any]]:
     ]
     shaker: Settings = {"kind": "force", "body": driven}
     if dice.chance(0.5):
-        shaker = {
-            "kind": "table",
-            "body": driven,
-            "spring": round(chain["springs"][0] * dice.even(0.1, 0.5), 1),
-        }
+        shaker = {"kind": "table", "body": driven, "spring": round(chain["springs"][0] * dice.even(0.1, 0.5), 1)}
         channels.append({"name": "table", "at": "table", "accelerometer": sensor})
     else:
         channels.append(
-            {
-                "name": "force",
-                "at": "shaker",
-                "hammer": {"sensitivity": "11.2 mV/N", "noise": "1e-4 N/sqrt(Hz)"},
-            }
+            {"name": "force", "at": "shaker", "hammer": {"sensitivity": "11.2 mV/N", "noise": "1e-4 N/sqrt(Hz)"}}
         )
     settings: Settings = {
         "name": f"structure {seed}/{number}", "structure": built_structure, "shaker": shaker,
@@ -102,9 +94,7 @@ def _add_cross_spring(dice: Draw, chain: Settings) -> Settings:
     if bodies > 2 and dice.chance(0.5):
         direction[:] = 0.0
         direction[[0, dice.whole(2, bodies - 1)]] = 1.0, -1.0
-    stiffness = stiffness + dice.log(0.3, 1.5) * stiffness.diagonal().mean() / 2 * np.outer(
-        direction, direction
-    )
+    stiffness = stiffness + dice.log(0.3, 1.5) * stiffness.diagonal().mean() / 2 * np.outer(direction, direction)
     names = {"mass": mass, "damping": damping, "stiffness": stiffness}
     return {"matrices": {name: matrix.tolist() for name, matrix in names.items()}}
 

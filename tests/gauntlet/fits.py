@@ -83,11 +83,7 @@ def draw(seed: int, number: int) -> rig.Scene:
         hammer = {"sensitivity": "11.2 mV/N", "noise": "1e-4 N/sqrt(Hz)", "sensitivity_tolerance": 0.02}
         channels.append({"name": "force", "at": "shaker", "hammer": hammer})
     else:
-        shaker = {
-            "kind": "table",
-            "body": driven,
-            "spring": round(chain["springs"][0] * dice.even(0.1, 0.5), 1),
-        }
+        shaker = {"kind": "table", "body": driven, "spring": round(chain["springs"][0] * dice.even(0.1, 0.5), 1)}
         channels.append({"name": "table", "at": "table", "accelerometer": sensor})
     damper_bodies = sorted({dice.whole(1, bodies) for _ in range(dice.whole(0, 3))})
     dampers = [
@@ -157,16 +153,12 @@ def run_trial(seed: int, number: int) -> Trial:
         except ShotrigError as error:
             return Trial(scene.name, (), time.process_time() - start, f"refused: {error}")
         except Exception:
-            return Trial(
-                scene.name, (), time.process_time() - start, f"wrong: {traceback.format_exc(limit=-3)}"
-            )
+            return Trial(scene.name, (), time.process_time() - start, f"wrong: {traceback.format_exc(limit=-3)}")
     seconds = time.process_time() - start
     if fit.misfit:
         return Trial(scene.name, (), seconds, f"misfit: {fit.misfit}")
     values = [
-        JudgedValue(
-            scene.name, true.what, fitted.status, float(np.log(fitted.value / true.start)), fitted.half_width
-        )
+        JudgedValue(scene.name, true.what, fitted.status, float(np.log(fitted.value / true.start)), fitted.half_width)
         for true, fitted in zip(parameters, fit.parameters, strict=True)
     ]
     omega, _ = natural_modes(*structure_matrices(scene.structure)[::2])
@@ -197,8 +189,7 @@ def main() -> int:
                     value.status == "determined" and abs(value.error) > _max_error(value.name)
                 ):
                     print(
-                        f"  {value.name} {value.status}: error {value.error:.3%}, bound {value.bound:.3%}",
-                        flush=True,
+                        f"  {value.name} {value.status}: error {value.error:.3%}, bound {value.bound:.3%}", flush=True
                     )
     return print_summary(trials)
 
@@ -213,13 +204,7 @@ def print_summary(trials: list[Trial]) -> int:
         for value in trial.values:
             groups[value.name].append(value)
     table = Table(
-        "value",
-        "status",
-        "how many",
-        "within 95 % interval",
-        "median error",
-        "largest error",
-        "median interval",
+        "value", "status", "how many", "within 95 % interval", "median error", "largest error", "median interval"
     )
     failed = any(not trial.values for trial in trials)
     n_inside = n_determined = 0

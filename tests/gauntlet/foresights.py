@@ -131,9 +131,7 @@ def main() -> int:
     for group, limit in MAX_RELATIVE_ERROR.items():
         errors = [comparison.max_error for comparison in comparisons if comparison.group == group]
         inside = sum(error <= limit for error in errors)
-        print(
-            f"{group}: {inside} of {len(errors)} within {limit:.0%}, largest {max(errors, default=0.0):.2%}"
-        )
+        print(f"{group}: {inside} of {len(errors)} within {limit:.0%}, largest {max(errors, default=0.0):.2%}")
     return 0 if all(comparison.is_accurate for comparison in comparisons) else 1
 
 

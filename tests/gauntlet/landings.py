@@ -23,9 +23,7 @@ def draw_landings(seed: int, number: int, kind: str) -> rig.Scene:
     dice = Draw(seed, number)
     damper_bodies = sorted({dice.whole(1, 3) for _ in range(dice.whole(1, 3))})
     mode_frequency = dice.one(_MODES)
-    first, last = (
-        float(f"{mode_frequency * dice.even(*fractions):.4g}") for fractions in ((0.88, 1.0), (1.01, 1.1))
-    )
+    first, last = (float(f"{mode_frequency * dice.even(*fractions):.4g}") for fractions in ((0.88, 1.0), (1.01, 1.1)))
     test: Settings = {"kind": "sine", "frequency": first, "duration": 1.5}
     if kind == STEPPED_LANDINGS:
         test = {"kind": "stepped_sine", "from": first, "to": last, "points": 6}

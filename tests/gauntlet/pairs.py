@@ -36,16 +36,11 @@ def draw_pair(seed: int, number: int, kind: str) -> rig.Scene:
         STEPPED: {"kind": "stepped_sine", "points": 40},
     }
     band = {"from": round(0.94 * first, 3), "to": round(1.08 * first, 3)}
-    sensor = {
-        "accelerometer": {"sensitivity": "100 mV/g", "noise": f"{dice.log(30.0, 1000.0):.3g} ug/sqrt(Hz)"}
-    }
+    sensor = {"accelerometer": {"sensitivity": "100 mV/g", "noise": f"{dice.log(30.0, 1000.0):.3g} ug/sqrt(Hz)"}}
     settings: Settings = {
         "name": f"gauntlet {seed}/{number} {kind}",
         "structure": {
-            "matrices": {
-                "mass": np.diag(masses).tolist(),
-                "stiffness": (0.5 * (stiffness + stiffness.T)).tolist(),
-            },
+            "matrices": {"mass": np.diag(masses).tolist(), "stiffness": (0.5 * (stiffness + stiffness.T)).tolist()},
             "damping": {"modal": ratio},
         },
         "shaker": {"kind": "force", "body": 1},

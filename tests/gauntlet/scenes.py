@@ -133,11 +133,7 @@ def structure(dice: Draw) -> tuple[Settings, list[float]]:
                 "beta": float(2 * ratio * fraction / angular),
             }
         }
-    chain = {
-        "masses": masses,
-        "springs": [float(f"{k:.6g}") for k in springs * factor**2],
-        "damping": damping,
-    }
+    chain = {"masses": masses, "springs": [float(f"{k:.6g}") for k in springs * factor**2], "damping": damping}
     return chain, [float(mode) for mode in modes]
 
 
@@ -154,11 +150,7 @@ def _shaker(dice: Draw, structure: Settings, bodies: int, kind: str) -> Settings
     kind_of_shaker = dice.one(["force", "table", "electrodynamic"])
     if kind_of_shaker == "force" or kind == "swept_sine_dampers":
         return {"kind": "force", "body": body}
-    return {
-        "kind": kind_of_shaker,
-        "body": body,
-        "spring": round(structure["springs"][0] * dice.even(0.1, 0.6), 1),
-    }
+    return {"kind": kind_of_shaker, "body": body, "spring": round(structure["springs"][0] * dice.even(0.1, 0.6), 1)}
 
 
 def _test(dice: Draw, test: str, modes: list[float], bodies: int, settings: Settings) -> Settings:
@@ -224,8 +216,7 @@ def _channels(dice: Draw, settings: Settings, bodies: int) -> list[Settings]:
         measured.add(shaker["body"])
     sensors = dice.one(["ideal", "preset", "drawn", "integrated"])
     channels = [
-        {"name": f"a{body}", "at": f"body {body}", **_sensor(dice, sensors, impulse)}
-        for body in sorted(measured)
+        {"name": f"a{body}", "at": f"body {body}", **_sensor(dice, sensors, impulse)} for body in sorted(measured)
     ]
     if impulse:
         channels.append({"name": "hammer", "at": "hammer", **_force_sensor(dice, sensors)})
@@ -241,10 +232,7 @@ def _sensor(dice: Draw, sensors: str, impulse: bool) -> Settings:
         return {}
     if sensors == "preset":
         return {"accelerometer": {"preset": "PCB 352C33"}}
-    sensor: Settings = {
-        "sensitivity": dice.one(["100 mV/g", "10 mV/g", "500 mV/g"]),
-        "low_cutoff": dice.log(0.05, 0.8),
-    }
+    sensor: Settings = {"sensitivity": dice.one(["100 mV/g", "10 mV/g", "500 mV/g"]), "low_cutoff": dice.log(0.05, 0.8)}
     if dice.chance(0.7):
         sensor["noise"] = f"{dice.log(1.0, 100.0):.4g} ug/sqrt(Hz)"
     if dice.chance(0.4):
@@ -290,11 +278,7 @@ def _converter(dice: Draw, settings: Settings, modes: list[float]) -> Settings:
         converter["preset"] = "NI 9234"
         converter["rate"] = max(converter["rate"], 1652.0)
     elif dice.chance(0.5):
-        converter |= {
-            "bits": dice.one([12, 16, 24]),
-            "range": 10.0,
-            "filter": dice.one(["delta_sigma", None]),
-        }
+        converter |= {"bits": dice.one([12, 16, 24]), "range": 10.0, "filter": dice.one(["delta_sigma", None])}
         converter["noise"] = f"{dice.log(0.1, 10.0):.3g} uV/sqrt(Hz)"
     if converter.get("filter") is None and "preset" not in converter and dice.chance(0.2):
         converter["sampling"] = "point"
@@ -355,10 +339,7 @@ def _draw_saturation(dice: Draw, scene: rig.Scene) -> rig.Scene:
     """Draw a saturation limit that the test may reach, sometimes with a slow recovery from overload."""
     if not dice.chance(_SATURATED_FRACTION):
         return scene
-    largest_signals, channel_name = (
-        _largest_signals(scene),
-        dice.one([channel.name for channel in scene.channels]),
-    )
+    largest_signals, channel_name = (_largest_signals(scene), dice.one([channel.name for channel in scene.channels]))
     limit = {"saturation": float(f"{largest_signals[channel_name][1] * dice.log(0.2, 2.0):.3g}")}
     channels = []
     for channel in scene.channels:
@@ -367,9 +348,7 @@ def _draw_saturation(dice: Draw, scene: rig.Scene) -> rig.Scene:
         elif channel.name == channel_name:
             if dice.chance(0.3):
                 limit["overload_recovery"] = dice.log(2e-3, 0.2)
-            channel = channel.replace(
-                accelerometer=(channel.accelerometer or Accelerometer()).replace(**limit)
-            )
+            channel = channel.replace(accelerometer=(channel.accelerometer or Accelerometer()).replace(**limit))
         channels.append(channel)
     return scene.replace(channels=tuple(channels))
 
@@ -400,7 +379,6 @@ def _largest_signals(scene: rig.Scene) -> dict[str, tuple[float, float]]:
             # The pulse excites all modes together.
             readings, inputs = 4.0 * test.width * readings, 4.0 * test.width * inputs
         largest[info.name] = tuple(
-            float(level * (row.max() if is_sweep else 3.0 * np.sqrt(np.mean(row**2))))
-            for row in (readings, inputs)
+            float(level * (row.max() if is_sweep else 3.0 * np.sqrt(np.mean(row**2)))) for row in (readings, inputs)
         )
     return largest

@@ -45,9 +45,7 @@ def run_trial(seed: int, number: int, kind: str) -> list[Verdict]:
             path = _import_again(path, scene, _FORMATS[number % len(_FORMATS)])
         with daq.open(path) as recording:
             case = Case(scene, recording, [str(warning.message) for warning in warnings_])
-            verdicts = [
-                verdict for name, judge in JUDGES.items() for verdict in _verdicts(name, judge, case, kind)
-            ]
+            verdicts = [verdict for name, judge in JUDGES.items() for verdict in _verdicts(name, judge, case, kind)]
     return [replace(verdict, scene=scene.name) for verdict in verdicts]
 
 

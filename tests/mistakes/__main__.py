@@ -19,10 +19,7 @@ RECORDINGS = Path(__file__).parents[2] / "recordings"
 
 def message(mistake: Mistake, folder: Path) -> tuple[int, str]:
     """Make a mistake in an empty folder; return the exit code and everything that was printed."""
-    for name, demo in {
-        "sweep.mcap": "demo-sweep-no-damper.mcap",
-        "hit.mcap": "demo-impulse-no-damper.mcap",
-    }.items():
+    for name, demo in {"sweep.mcap": "demo-sweep-no-damper.mcap", "hit.mcap": "demo-impulse-no-damper.mcap"}.items():
         (folder / name).symlink_to(RECORDINGS / demo)
     for name, text in mistake.files.items():
         (folder / name).write_text(text, encoding="utf-8")
@@ -32,11 +29,7 @@ def message(mistake: Mistake, folder: Path) -> tuple[int, str]:
     sys.argv = [program, *words]
     code = 0
     try:
-        with (
-            contextlib.redirect_stdout(printed),
-            contextlib.redirect_stderr(printed),
-            warnings.catch_warnings(),
-        ):
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
                 import_module(f"{program}.cli").main()

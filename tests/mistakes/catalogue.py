@@ -41,24 +41,14 @@ EXPLAIN = "rig explain mine.yaml"
 
 MISTAKES = (
     # Scene: keys, values, units
-    Mistake(
-        "a misspelt top key",
-        EXPLAIN,
-        ("mine.yaml", "strukture", "structure"),
-        edited("structure:", "strukture:"),
-    ),
+    Mistake("a misspelt top key", EXPLAIN, ("mine.yaml", "strukture", "structure"), edited("structure:", "strukture:")),
     Mistake("a misspelt inner key", EXPLAIN, ("mine.yaml:4", "springs"), edited("springs", "sprigns")),
     Mistake("a wrong unit", EXPLAIN, ("mine.yaml:3", "4.2 N", "a mass such as"), edited("4.2 kg", "4.2 N")),
     Mistake("an unknown unit", EXPLAIN, ("mine.yaml:3", "klb"), edited("4.2 kg", "4.2 klb")),
     Mistake("a decimal comma", EXPLAIN, ("mine.yaml:3", "4.2"), edited("base: 4.2 kg", "base: '4,2 kg'")),
     Mistake("a negative mass", EXPLAIN, ("mine.yaml:3", "masses"), edited("4.2 kg", "-4.2 kg")),
     Mistake("a mass of zero", EXPLAIN, ("mine.yaml:3", "masses"), edited("4.2 kg", "0 kg")),
-    Mistake(
-        "too few springs",
-        EXPLAIN,
-        ("mine.yaml:4", "springs", "2"),
-        edited("[800 kN/m, 500 kN/m]", "[800 kN/m]"),
-    ),
+    Mistake("too few springs", EXPLAIN, ("mine.yaml:4", "springs", "2"), edited("[800 kN/m, 500 kN/m]", "[800 kN/m]")),
     Mistake(
         "an unknown kind",
         EXPLAIN,
@@ -70,21 +60,11 @@ MISTAKES = (
     Mistake("an unclosed bracket", EXPLAIN, ("mine.yaml",), edited("500 kN/m]", "500 kN/m")),
     Mistake("an empty scene", EXPLAIN, ("mine.yaml", "structure"), {"mine.yaml": ""}),
     Mistake("a key twice", EXPLAIN, ("mine.yaml:8", "name"), {"mine.yaml": SCENE + "name: again\n"}),
+    Mistake("damping above critical", EXPLAIN, ("mine.yaml:5", "100 %"), edited("modal: 1 %", "modal: 150 %")),
     Mistake(
-        "damping above critical", EXPLAIN, ("mine.yaml:5", "100 %"), edited("modal: 1 %", "modal: 150 %")
+        "a band the wrong way round", EXPLAIN, ("mine.yaml:7", "from", "to"), edited("from: 40 Hz", "from: 400 Hz")
     ),
-    Mistake(
-        "a band the wrong way round",
-        EXPLAIN,
-        ("mine.yaml:7", "from", "to"),
-        edited("from: 40 Hz", "from: 400 Hz"),
-    ),
-    Mistake(
-        "a frequency above half the rate",
-        EXPLAIN,
-        ("mine.yaml", "test"),
-        edited("to: 220 Hz", "to: 22000 Hz"),
-    ),
+    Mistake("a frequency above half the rate", EXPLAIN, ("mine.yaml", "test"), edited("to: 220 Hz", "to: 22000 Hz")),
     Mistake(
         "a clearance that is negative",
         EXPLAIN,
@@ -94,9 +74,7 @@ MISTAKES = (
     Mistake("a scene that does not exist", "rig explain mini.yaml", ("mini.yaml", "rig scenes")),
     Mistake("a misspelt bundled scene", "rig explain fig8-tree-dampers", ("fig8-three-dampers",)),
     # Options
-    Mistake(
-        "an unknown key in --set", "rig explain fig9 --set test.forc=3N", ("--set", "test.forc", "force")
-    ),
+    Mistake("an unknown key in --set", "rig explain fig9 --set test.forc=3N", ("--set", "test.forc", "force")),
     Mistake("no value in --set", "rig explain fig9 --set test.force", ("--set", "test.force", "=")),
     Mistake("a wrong unit in --set", "rig explain fig9 --set test.force=3Hz", ("--set", "3Hz", "N")),
     Mistake("a misspelt option", "analysis frf sweep.mcap --moton velocity", ("--moton", "--motion")),
@@ -106,9 +84,7 @@ MISTAKES = (
     Mistake("two outputs at once", "daq replay sweep.mcap --web --save x.rrd", ("--save", "--web")),
     # Files
     Mistake("a recording that does not exist", "analysis frf swep.mcap", ("swep.mcap", "no such file")),
-    Mistake(
-        "a text file as a recording", "analysis frf notes.mcap", ("notes.mcap",), {"notes.mcap": "hello\n"}
-    ),
+    Mistake("a text file as a recording", "analysis frf notes.mcap", ("notes.mcap",), {"notes.mcap": "hello\n"}),
     Mistake("a folder as a recording", "daq info .", (".",)),
     Mistake(
         "an output that exists",
@@ -121,11 +97,7 @@ MISTAKES = (
     Mistake("one recording to compare", "analysis compare sweep.mcap", ("two",)),
     # Recordings of the wrong kind
     Mistake("a decay of a sweep", "analysis decay sweep.mcap", ("sweep.mcap", "analysis frf sweep.mcap")),
-    Mistake(
-        "dampers of a scene without any",
-        "analysis dampers sweep.mcap",
-        ("sweep.mcap", "dampers", "analysis frf"),
-    ),
+    Mistake("dampers of a scene without any", "analysis dampers sweep.mcap", ("sweep.mcap", "dampers", "analysis frf")),
     Mistake("an unknown channel", "analysis frf sweep.mcap --response body9", ("body9", "body3")),
     Mistake(
         "an import without its table",

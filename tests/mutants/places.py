@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 # Those that run for minutes where kernels are plain Python are left out.
-_SLOW = (
-    "million_periods or hundred_thousand_periods or ever_shorter or response_is_followed or cut_into_blocks"
-)
+_SLOW = "million_periods or hundred_thousand_periods or ever_shorter or response_is_followed or cut_into_blocks"
 _ENGINE = (
     "tests/rig/engine/test_reference.py tests/rig/engine/test_finite_contact.py tests/rig/engine/test_limits.py "
     f"tests/rig/engine/test_invariants.py -k 'not ({_SLOW})'"

@@ -24,9 +24,7 @@ LONGEST = 60
 @pytest.hookimpl(tryfirst=True)
 def pytest_configure() -> None:
     """Leave out the search for a simpler example."""
-    settings.register_profile(
-        "quickly", settings.get_profile("project"), phases=[Phase.explicit, Phase.generate]
-    )
+    settings.register_profile("quickly", settings.get_profile("project"), phases=[Phase.explicit, Phase.generate])
     settings.load_profile("quickly")
 
 

@@ -87,9 +87,7 @@ def _tell(report: Path) -> int:
     for case in ET.parse(report).getroot().iter("testcase"):
         name = f"{case.get('classname')}.{case.get('name')}"
         outcome = next((each.tag for each in case if each.tag in ("failure", "error", "skipped")), "passed")
-        reason = next(
-            (why for why, pattern in LEFT_OUT.items() if re.search(pattern, name, re.IGNORECASE)), None
-        )
+        reason = next((why for why, pattern in LEFT_OUT.items() if re.search(pattern, name, re.IGNORECASE)), None)
         group = f"left out: {reason}" if reason else ".".join(name.split(".")[1:3])
         groups.setdefault(group, Counter())[outcome] += 1
         if not reason and outcome in ("failure", "error"):

@@ -47,9 +47,7 @@ def modules() -> list[Module]:
         measurements=_EVERYTHING,
         simultaneous=False,
     )
-    x_series = replace(
-        general, product_type="PCIe-6363", category=_X_SERIES, bus=_PCIE, inputs=rows, outputs=rows[:4]
-    )
+    x_series = replace(general, product_type="PCIe-6363", category=_X_SERIES, bus=_PCIE, inputs=rows, outputs=rows[:4])
     sensing = replace(
         general, inputs=rows[:8], ranges=(10.0,), wirings=(Wiring.DIFFERENTIAL, Wiring.PSEUDO_DIFFERENTIAL)
     )
@@ -58,29 +56,14 @@ def modules() -> list[Module]:
         chassis = "tsChassisTester" if product.startswith("TS") else "cdaqChassisTester"
         category = _TS_MODULE if product.startswith("TS") else _MODULE
         return replace(
-            general,
-            name=name,
-            product_type=product,
-            category=category,
-            bus=_CDAQ,
-            chassis=chassis,
-            slot=slot,
-            **given,
+            general, name=name, product_type=product, category=category, bus=_CDAQ, chassis=chassis, slot=slot, **given
         )
 
     return [
         replace(general, name="aoTester", product_type="PXIe-4322", outputs=rows[:8]),
-        replace(
-            sensing,
-            name="bridgeTester",
-            product_type="PXIe-4331",
-            number=0x74A9C4C4,
-            rates=Rates(0.01, 102400.0),
-        ),
+        replace(sensing, name="bridgeTester", product_type="PXIe-4331", number=0x74A9C4C4, rates=Rates(0.01, 102400.0)),
         replace(sensing, name="chargeTester", product_type="PXIe-4480", category=_DSA),
-        replace(
-            general, name="dmmTester", product_type="NI myDAQ", bus=_USB, inputs=rows[:2], outputs=rows[:2]
-        ),
+        replace(general, name="dmmTester", product_type="NI myDAQ", bus=_USB, inputs=rows[:2], outputs=rows[:2]),
         replace(sensing, name="dsaTester", product_type="PXIe-4466", category=_DSA, ranges=(10.0, 42.4)),
         *(replace(x_series, name=f"nidaqmxMultithreadingTester{number}") for number in range(1, 5)),
         replace(sensing, name="positionTester", product_type="PXIe-4340"),
@@ -120,9 +103,7 @@ class SimulatedSignals:
         """See `Terminals.horizon`."""
         return ticks
 
-    def advance(
-        self, volts: NDArray[np.float64] | None, ticks: int, rates: Collection[float]
-    ) -> Mapping[float, Any]:
+    def advance(self, volts: NDArray[np.float64] | None, ticks: int, rates: Collection[float]) -> Mapping[float, Any]:
         """See `Terminals.advance`."""
         begin, self._position = self._position, self._position + ticks
         return {rate: self._block(begin, begin + ticks, rate) for rate in {self.rate, *rates}}
@@ -173,29 +154,14 @@ def save_what_ni_saved(storage: Storage, task: Task) -> None:
     """Save the tasks, channels and scales of NI's `tests/max_config`."""
     scales = {
         "double_gain_scale": Scale(
-            LINEAR,
-            {
-                "lin_slope": 2.0,
-                "lin_y_intercept": 0.0,
-                "descr": "Twice the gain",
-                "scaled_units": "Double Gain",
-            },
+            LINEAR, {"lin_slope": 2.0, "lin_y_intercept": 0.0, "descr": "Twice the gain", "scaled_units": "Double Gain"}
         ),
         "no_scaling_scale": Scale(
             MAP_RANGES,
-            {
-                "map_pre_scaled_min": -10.0,
-                "map_pre_scaled_max": 10.0,
-                "map_scaled_min": -10.0,
-                "map_scaled_max": 10.0,
-            },
+            {"map_pre_scaled_min": -10.0, "map_pre_scaled_max": 10.0, "map_scaled_min": -10.0, "map_scaled_max": 10.0},
         ),
-        "polynomial_scale": Scale(
-            POLYNOMIAL, {"poly_forward_coeff": [0.0, 1.0], "poly_reverse_coeff": [0.0, 1.0]}
-        ),
-        "degrees_scale": Scale(
-            TABLE, {"table_pre_scaled_vals": [0.0, 1.0, 2.0], "table_scaled_vals": [0.0, 1.0, 2.0]}
-        ),
+        "polynomial_scale": Scale(POLYNOMIAL, {"poly_forward_coeff": [0.0, 1.0], "poly_reverse_coeff": [0.0, 1.0]}),
+        "degrees_scale": Scale(TABLE, {"table_pre_scaled_vals": [0.0, 1.0, 2.0], "table_scaled_vals": [0.0, 1.0, 2.0]}),
     }
     storage.scales.update(scales)
     storage.authors.update(dict.fromkeys(scales, "Test Author"))
@@ -207,9 +173,7 @@ def save_what_ni_saved(storage: Storage, task: Task) -> None:
         task.settings.groups["timing"][key] = value
     storage.save_task(task.settings, "VoltageTesterTask", "Test Author")
     for number, name in enumerate(("VoltageTesterChannel", "VoltageTesterChannel2")):
-        storage.save_channel(
-            task.settings.add(f"tsVoltageTester1/ai{number}", name, volts, {})[0], name, "Test Author"
-        )
+        storage.save_channel(task.settings.add(f"tsVoltageTester1/ai{number}", name, volts, {})[0], name, "Test Author")
 
 
 def save_outputs(storage: Storage, task: Task) -> None:

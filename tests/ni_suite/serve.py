@@ -12,12 +12,7 @@ from daq.instrument.clock import RealClock
 from daq.instrument.task import Task
 from daq.server.served_instrument import Limits
 from daq.server.service import Server
-from tests.ni_suite.devices import (
-    SimulatedSignals,
-    modules,
-    save_outputs,
-    save_what_ni_saved,
-)
+from tests.ni_suite.devices import SimulatedSignals, modules, save_outputs, save_what_ni_saved
 
 if __name__ == "__main__":
     chassis = Chassis(modules(), SimulatedSignals(), RealClock())

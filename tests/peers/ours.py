@@ -20,9 +20,7 @@ BLOCK = 8.0
 BODIES = ("body1", "body2", "body3")
 
 
-def recorded(
-    path: Path, shaker: dict[str, Any] | None, test: dict[str, Any], other: dict[str, Any]
-) -> Recording:
+def recorded(path: Path, shaker: dict[str, Any] | None, test: dict[str, Any], other: dict[str, Any]) -> Recording:
     """Record the structure without dampers, with sensors that add noise and nothing else."""
     sensor = {"sensitivity": 0.05, "noise": 2e-3}
     channels = [{"name": name, "at": f"body {name[-1]}", "accelerometer": sensor} for name in BODIES]
@@ -44,9 +42,7 @@ def estimators(folder: Path) -> dict[str, np.ndarray]:
     out: dict[str, np.ndarray] = {}
     with recorded(folder / "random.mcap", shaker, test, table) as rec:
         for estimator in ("H1", "H2", "Hv"):
-            [curves] = analysis.frequency_responses(
-                rec, BODIES, reference="table", estimator=estimator, block=BLOCK
-            )
+            [curves] = analysis.frequency_responses(rec, BODIES, reference="table", estimator=estimator, block=BLOCK)
             out[estimator] = np.stack([curve.value for curve in curves])
         out["coherence"] = np.stack([curve.coherence for curve in curves])
         out["random_frequency"] = curves[0].frequency

@@ -36,12 +36,7 @@ def estimators(ours: dict[str, np.ndarray]) -> Iterator[Row]:
     )  # fmt: skip
     coherence = peer.get_coherence()
     coherence = coherence[:, 0, keep] if coherence.ndim == 3 else coherence[:, keep]
-    yield (
-        "coherence, pyFRF",
-        float(np.max(abs(ours["coherence"] - coherence))),
-        1e-9,
-        "same blocks and window",
-    )
+    yield ("coherence, pyFRF", float(np.max(abs(ours["coherence"] - coherence))), 1e-9, "same blocks and window")
     window = theirs(ours["raw_blocks"], "hann")
     off = largest(ours["H1"], window.get_H1()[:, 0, keep], np.median)
     yield (
@@ -59,9 +54,7 @@ def poles(ours: dict[str, np.ndarray]) -> Iterator[Row]:
     # It takes the first line for that of 0 Hz, which ours is not: frequencies count from there.
     shift = float(frequency[0])
     frequency = frequency - shift
-    peer = Model(
-        frf, frequency, lower=8.0 - shift, upper=60.0 - shift, pol_order_high=20, frf_form="accelerance"
-    )
+    peer = Model(frf, frequency, lower=8.0 - shift, upper=60.0 - shift, pol_order_high=20, frf_form="accelerance")
     peer.get_poles(show_progress=False)
     # Of its stabilisation chart the highest order, and in that the poles nearest to ours.
     order = len(peer.pole_freq) - 1
@@ -117,11 +110,7 @@ def sets(path: Path) -> Iterator[tuple[str, float, np.ndarray]]:
         begin = end = at + 13
         while lines[end].strip() != "-1":
             end += 1
-        values = [
-            float(line[k : k + width])
-            for line in lines[begin:end]
-            for k in range(0, len(line.rstrip()), width)
-        ]
+        values = [float(line[k : k + width]) for line in lines[begin:end] for k in range(0, len(line.rstrip()), width)]
         yield head[0].split(":")[0].strip(), step, np.array(values[:count])
         at = end + 1
 

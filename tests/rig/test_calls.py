@@ -9,10 +9,7 @@ from rig.results.response import Response
 
 STRUCTURE = {"masses": ["1 kg", "1 kg"], "springs": ["40 kN/m", "40 kN/m"], "damping": {"modal": "1 %"}}
 DAMPER = {"body": 2, "mass": "20 g", "clearance": "0.5 mm"}
-DRIVEN = {
-    "shaker": {"kind": "force", "body": 1},
-    "test": {"kind": "sine", "frequency": "20 Hz", "force": "2 N"},
-}
+DRIVEN = {"shaker": {"kind": "force", "body": 1}, "test": {"kind": "sine", "frequency": "20 Hz", "force": "2 N"}}
 
 
 def test_scene_built_in_python_survives_yaml() -> None:

@@ -115,9 +115,7 @@ def test_unexpected_error_writes_its_details_to_a_file(command, capsys, monkeypa
         and "\x1b" not in reported
         and "Traceback" not in reported
     )
-    assert "Traceback" in details.read_text(encoding="utf-8") and "'act'" in details.read_text(
-        encoding="utf-8"
-    )
+    assert "Traceback" in details.read_text(encoding="utf-8") and "'act'" in details.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("words", ["--at nan", "--at=-inf", "--each 1 --each 1e300"])
@@ -218,9 +216,7 @@ def test_compilation_is_reported_until_it_ends(command, capsys, monkeypatch):
 
 
 def run_rig(code: str, **how: object) -> tuple[int, str]:
-    done = subprocess.run(
-        [sys.executable, "-m", "rig", *code.split()], stderr=subprocess.PIPE, text=True, **how
-    )  # type: ignore[call-overload]
+    done = subprocess.run([sys.executable, "-m", "rig", *code.split()], stderr=subprocess.PIPE, text=True, **how)  # type: ignore[call-overload]
     return done.returncode, done.stderr
 
 

@@ -13,9 +13,7 @@ from rig.escaping import code_fence, escape_html, escape_markdown, escape_termin
 
 @given(st.text())
 def test_escaped_text_keeps_the_cursor_in_its_lines(text: str) -> None:
-    assert all(
-        letter.isprintable() or letter in "\n\t" or ord(letter) > 0x7F for letter in escape_terminal(text)
-    )
+    assert all(letter.isprintable() or letter in "\n\t" or ord(letter) > 0x7F for letter in escape_terminal(text))
     assert not any(letter in escape_terminal(text) for letter in "\x1b\x9b\x07\r\u202e")
     assert not text.isprintable() or escape_terminal(text) == text
 

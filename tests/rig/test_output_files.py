@@ -54,11 +54,7 @@ def test_overwriting_a_link_replaces_its_target(tmp_path: Path) -> None:
     link.symlink_to(target)
     with atomic_write(link, overwrite=True) as part:
         part.write_text("new")
-    assert (
-        link.is_symlink()
-        and target.read_text(encoding="utf-8") == "new"
-        and target.stat().st_mode & 0o777 == 0o640
-    )
+    assert link.is_symlink() and target.read_text(encoding="utf-8") == "new" and target.stat().st_mode & 0o777 == 0o640
 
 
 @pytest.mark.parametrize("kind", ["folder", "fifo", "device", "file", "nowhere"])

@@ -13,13 +13,7 @@ from rig.figure_style import new_figure, save_with_table
 from rig.output_files import atomic_write
 from rig.provenance import allow_overwriting, output_source
 
-TEXTS = {
-    ".csv": "a,b\n1,2\n",
-    ".svg": "<svg><a/></svg>\n",
-    ".html": "<a>\n",
-    ".yaml": "a: 1\n",
-    ".md": "# a\n",
-}
+TEXTS = {".csv": "a,b\n1,2\n", ".svg": "<svg><a/></svg>\n", ".html": "<a>\n", ".yaml": "a: 1\n", ".md": "# a\n"}
 
 
 def write_output(path: Path, content: bytes, source: str = "s") -> None:

@@ -14,9 +14,7 @@ from rig.errors import SceneError
 from rig.workers import Workers
 from tests.rig.mpi import on_two_ranks
 
-_JOINED = (
-    "from rig import ranks; ranks.join(); from tests.rig.mpi import Part; part = ranks.Shared(Part, 2.0); "
-)
+_JOINED = "from rig import ranks; ranks.join(); from tests.rig.mpi import Part; part = ranks.Shared(Part, 2.0); "
 
 
 def test_second_rank_executes_operations_of_the_first() -> None:
@@ -114,9 +112,7 @@ def test_missing_mpi4py_leaves_processes_separate(monkeypatch: pytest.MonkeyPatc
         ranks.communicators()
 
 
-def test_several_ranks_compute_pieces_in_order(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_several_ranks_compute_pieces_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rig.workers.size", lambda: 2)
     here: list[float] = []
     pieces = [1.0, 2.0]

@@ -16,9 +16,7 @@ HEADER = ("level", "gap, m", "found")
 
 def add_rows(path: Path, *added: object) -> list[list[str]]:
     """Open a table, add rows to it, and return all its rows."""
-    study: Study[Any, Any] = Study(
-        "gaps", HEADER, str, tuple, lambda key, _: key, lambda row: (tuple(row), row)
-    )
+    study: Study[Any, Any] = Study("gaps", HEADER, str, tuple, lambda key, _: key, lambda row: (tuple(row), row))
     values = StoredValues(study, path)
     for row in added:
         values.add(row, row)

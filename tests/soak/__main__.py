@@ -58,10 +58,7 @@ class Tally:
         self.memory, self.seconds = max(self.memory, ended.memory), max(self.seconds, ended.seconds)
         if faults:
             last_line = (ended.output.strip().splitlines() or [""])[-1]
-            print(
-                f"  {number}: {' '.join(ended.command)!r}: {', '.join(faults)}: {last_line[:160]!r}",
-                flush=True,
-            )
+            print(f"  {number}: {' '.join(ended.command)!r}: {', '.join(faults)}: {last_line[:160]!r}", flush=True)
 
 
 def main() -> int:
@@ -94,9 +91,7 @@ def main() -> int:
     return 1 if any(tally.faults for tally in tallies.values()) else 0
 
 
-def _run(
-    bench: Bench, kind: str, numbers: Sequence[int], seconds: float, tally: Tally, progress: Progress
-) -> None:
+def _run(bench: Bench, kind: str, numbers: Sequence[int], seconds: float, tally: Tally, progress: Progress) -> None:
     """Run the cases of a kind until their time limit."""
     print(f"{kind}:", flush=True)
     task, deadline = progress.add_task(kind, total=len(numbers)), time.monotonic() + seconds

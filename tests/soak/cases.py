@@ -130,17 +130,8 @@ def kill(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
     new_process = chance.random() < 0.3
     longest = bench.seconds[number] + (bench.start if new_process else 0.0)
     send_signal = send_once(ending_signal, chance.uniform(0.0, 1.2) * longest)
-    words = [
-        "daq",
-        "record",
-        str(bench.scenes[number]),
-        "-o",
-        "r.mcap",
-        *(["--overwrite"] if overwrite else []),
-    ]
-    ended = _without_effects_of(
-        (run_afresh if new_process else run)(words, folder, end=send_signal), ending_signal
-    )
+    words = ["daq", "record", str(bench.scenes[number]), "-o", "r.mcap", *(["--overwrite"] if overwrite else [])]
+    ended = _without_effects_of((run_afresh if new_process else run)(words, folder, end=send_signal), ending_signal)
     faults = []
     for path in sorted(folder.iterdir()):
         if path.name == "r.mcap" and (overwrite or "interrupted" in ended.output):
@@ -165,9 +156,7 @@ def begin(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
     ending_signal = chance.choice((signal.SIGTERM, signal.SIGINT, signal.SIGINT))
     send_signal = send_once(ending_signal, chance.uniform(0.0, 2.0) * bench.start)
     words = scenes.command("s.yaml", chance) if chance.random() < 0.3 else _reading(chance)
-    ended = _without_effects_of(
-        run_afresh(words, folder, send_signal, module=chance.random() < 0.5), ending_signal
-    )
+    ended = _without_effects_of(run_afresh(words, folder, send_signal, module=chance.random() < 0.5), ending_signal)
     return ended, bench.compare(folder / "r.mcap", 0) if words[1] != "record" else []
 
 
@@ -183,9 +172,7 @@ def end_study(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
             groups.append(process)
             os.killpg(process, ending_signal)
 
-    ended = _without_effects_of(
-        run_afresh(chance.choice(STUDY_COMMANDS).split(), folder, send_signal), ending_signal
-    )
+    ended = _without_effects_of(run_afresh(chance.choice(STUDY_COMMANDS).split(), folder, send_signal), ending_signal)
     return ended, ["process left"] if any(processes_remain(group) for group in groups) else []
 
 
@@ -212,9 +199,7 @@ def _without_effects_of(ended: Ended, ending_signal: signal.Signals) -> Ended:
         output = ""
     # Before the command line handles signals, they end it as any process; an interrupt in code that a library is
     # compiling ends Python in the same way.
-    return replace(
-        ended, code=0 if ended.code in (-ending_signal, -signal.SIGINT) else ended.code, output=output
-    )
+    return replace(ended, code=0 if ended.code in (-ending_signal, -signal.SIGINT) else ended.code, output=output)
 
 
 def damage(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
@@ -224,13 +209,7 @@ def damage(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
     shutil.copy(bench.whole[number], folder / "f.mcap")
     words = _reading(
         chance,
-        (
-            READING_COMMANDS[0],
-            READING_COMMANDS[2],
-            READING_COMMANDS[2],
-            READING_COMMANDS[2],
-            *READING_COMMANDS[1:],
-        ),
+        (READING_COMMANDS[0], READING_COMMANDS[2], READING_COMMANDS[2], READING_COMMANDS[2], *READING_COMMANDS[1:]),
     )
     ended = run(words, folder)
     faults = bench.compare(folder / "f.mcap", number) if (folder / "f.mcap").exists() else ["file lost"]
@@ -297,18 +276,13 @@ def odd_words(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
     # End commands that run on, and earlier those that wait silently for their user, as they should.
     latest_end = 15.0 if words[1] in ("serve", "scope", "replay") else 25.0
     ended = run(words, folder, end=send_once(signal.SIGTERM, chance.uniform(5.0, latest_end)))
-    return _without_effects_of(ended, signal.SIGTERM), command_lines.lost(
-        before, command_lines.contents(folder), words
-    )
+    return _without_effects_of(ended, signal.SIGTERM), command_lines.lost(before, command_lines.contents(folder), words)
 
 
 def _reading(chance: random.Random, commands: Sequence[str] = READING_COMMANDS) -> list[str]:
     """Choose a command on a recording, with invalid numbers for its numeric options."""
     odd_numbers = [chance.choice(scenes.ODD_NUMBERS) for _ in range(2)]
-    return [
-        word.format(odd=odd_numbers.pop()) if "{" in word else word
-        for word in chance.choice(commands).split()
-    ]
+    return [word.format(odd=odd_numbers.pop()) if "{" in word else word for word in chance.choice(commands).split()]
 
 
 def odd_import(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
@@ -318,12 +292,7 @@ def odd_import(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
     (folder / f"x{ending}").write_bytes(recordings.damage(content, chance))
     (folder / "s.yaml").write_text(files.bench().to_yaml())
     shutil.copy(bench.whole[0], folder / "r.mcap")
-    words = [
-        "daq",
-        "import",
-        f"x{ending}",
-        *chance.choice(((), ("--scene", "s.yaml", "-o", "r.mcap", "--overwrite"))),
-    ]
+    words = ["daq", "import", f"x{ending}", *chance.choice(((), ("--scene", "s.yaml", "-o", "r.mcap", "--overwrite")))]
     ended = run(words, folder)
     if ended.code and bench.compare(folder / "r.mcap", 0):
         return ended, ["file lost"]

@@ -115,10 +115,7 @@ def run_afresh(
 
 def is_own_traceback(output: str) -> bool:
     """Return whether a traceback passes through a file of the packages, not only through the start of Python."""
-    return any(
-        f'File "{Path(import_module(package).__file__ or "").parent}{os.sep}' in output
-        for package in PACKAGES
-    )
+    return any(f'File "{Path(import_module(package).__file__ or "").parent}{os.sep}' in output for package in PACKAGES)
 
 
 def processes_remain(process: int, seconds: float = 5.0) -> bool:
@@ -158,26 +155,14 @@ class ComputingTime:
 
 
 def _watch(
-    words: Sequence[str],
-    process: int,
-    reading: int,
-    end: Callable[[int, float], None] | None,
-    longest: float,
+    words: Sequence[str], process: int, reading: int, end: Callable[[int, float], None] | None, longest: float
 ) -> Ended:
     """Collect the output of a child until it ends."""
     started = last_observation = time.monotonic()
-    computing_time, received, current_silence, silence, is_open = (
-        ComputingTime(process),
-        bytearray(),
-        0.0,
-        0.0,
-        True,
-    )
+    computing_time, received, current_silence, silence, is_open = (ComputingTime(process), bytearray(), 0.0, 0.0, True)
     try:
         while is_open:
-            ready, _, _ = select.select(
-                [reading], [], [], 0.005 if end is not None else OBSERVATION_INTERVAL_S
-            )
+            ready, _, _ = select.select([reading], [], [], 0.005 if end is not None else OBSERVATION_INTERVAL_S)
             now = time.monotonic()
             if now - last_observation >= OBSERVATION_INTERVAL_S:
                 current_silence, last_observation = current_silence + computing_time.passed(), now
@@ -227,9 +212,7 @@ def _fork(folder: Path, environment: dict[str, str], run_command: Callable[[], N
     return process, reading
 
 
-def execute(
-    folder: Path, writing: int, environment: dict[str, str], run_command: Callable[[], None]
-) -> NoReturn:
+def execute(folder: Path, writing: int, environment: dict[str, str], run_command: Callable[[], None]) -> NoReturn:
     """Turn the child of a fork into the command."""
     code = 70
     try:

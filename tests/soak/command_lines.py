@@ -108,23 +108,7 @@ NUMBERS = (
     "1 2",
     "",
 )
-UNITS = (
-    "",
-    "",
-    " Hz",
-    "Hz",
-    " s",
-    " N",
-    " kg",
-    " mm",
-    " %",
-    " parsec",
-    " Hz Hz",
-    ",",
-    ",1",
-    "\u00b5s",
-    "\x1b[1m",
-)
+UNITS = ("", "", " Hz", "Hz", " s", " N", " kg", " mm", " %", " parsec", " Hz Hz", ",", ",1", "\u00b5s", "\x1b[1m")
 TEXTS = (
     *(text.replace("\0", "") for text in ODD_TEXTS),
     os.fsdecode(b"\xff"),
@@ -208,10 +192,7 @@ def draw(chance: random.Random) -> list[str]:
             options.append([parameter.opts[0]])
         else:
             options.append(
-                [
-                    chance.choice(parameter.opts),
-                    *(_value(parameter, odd_ratio, chance) for _ in range(parameter.nargs)),
-                ]
+                [chance.choice(parameter.opts), *(_value(parameter, odd_ratio, chance) for _ in range(parameter.nargs))]
             )
     if chance.random() < 0.05:
         options.append([chance.choice(("--nonsense", "-x", "--help", "-o", "--", "--set"))])

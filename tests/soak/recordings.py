@@ -69,19 +69,7 @@ def damage(source: bytes, chance: random.Random) -> bytes:
 def hostile(source: Path, target: Path, chance: random.Random) -> str:
     """Copy a recording with an odd content but correct checksums; return a description of the content."""
     kind = chance.choice(
-        (
-            "channel",
-            "channel",
-            "channel",
-            "marker",
-            "event",
-            "metadata",
-            "scene",
-            "time",
-            "name",
-            "chunk",
-            "many",
-        )
+        ("channel", "channel", "channel", "marker", "event", "metadata", "scene", "time", "name", "chunk", "many")
     )
     description = kind
     with Container(source) as container, target.open("wb") as file:
@@ -105,16 +93,11 @@ def hostile(source: Path, target: Path, chance: random.Random) -> str:
             if kind == "name" and number == changed_channel:
                 topic = layout.RAW + chance.choice(ODD_TEXTS)
                 metadata["name"] = topic.removeprefix(layout.RAW)
-            numbers[number] = copy.add_channel(
-                topic, channel.message_encoding, schemas[channel.schema_id], metadata
-            )
+            numbers[number] = copy.add_channel(topic, channel.message_encoding, schemas[channel.schema_id], metadata)
         if kind == "many":
             for extra in range(chance.choice((10, 3000))):
                 copy.add_channel(
-                    f"{layout.RAW}extra{extra}",
-                    "protobuf",
-                    schemas[summary.channels[changed_channel].schema_id],
-                    {},
+                    f"{layout.RAW}extra{extra}", "protobuf", schemas[summary.channels[changed_channel].schema_id], {}
                 )
         for chunk in range(len(summary.offsets)):
             messages = []
@@ -127,15 +110,11 @@ def hostile(source: Path, target: Path, chance: random.Random) -> str:
                     data = _odd_object(data, chance)
                 if kind == "time" and message.channel in raw and chunk >= len(summary.offsets) // 2:
                     data, times = shift_block(
-                        data,
-                        times,
-                        chance_shift := 2 ** random.Random(str(summary.offsets)).choice((20, 27, 40, 62)),
+                        data, times, chance_shift := 2 ** random.Random(str(summary.offsets)).choice((20, 27, 40, 62))
                     )
                     description = f"time shifted by {chance_shift} samples"
                 messages.append(
-                    Message(
-                        numbers[message.channel], *(time % 2**64 for time in times), data, message.sequence
-                    )
+                    Message(numbers[message.channel], *(time % 2**64 for time in times), data, message.sequence)
                 )
             copy.add_chunk(messages)
         if kind == "chunk":
@@ -171,9 +150,7 @@ def _odd_text(chance: random.Random) -> str:
 
 def _odd_object(data: bytes, chance: random.Random) -> bytes:
     content = json.loads(data)
-    content[chance.choice([*content, "channel", "reason", "settled"])] = chance.choice(
-        (*ODD_JSON, *ODD_NUMBERS)
-    )
+    content[chance.choice([*content, "channel", "reason", "settled"])] = chance.choice((*ODD_JSON, *ODD_NUMBERS))
     return json.dumps(content).encode()
 
 

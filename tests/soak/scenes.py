@@ -45,23 +45,7 @@ ODD_NUMBERS = (
     float("-inf"),
 )
 ODD_THINGS: tuple[Any, ...] = (None, True, [], {}, [[]], [None], {"a": {"b": []}}, [1, "x"], ["1 kg"] * 1000)
-UNITS = (
-    "Hz",
-    "s",
-    "kg",
-    "N",
-    "V",
-    "m",
-    "mm",
-    "%",
-    "kN/m",
-    "rad/s",
-    "mV/g",
-    "bit",
-    "",
-    "parsec",
-    "ug/sqrt(Hz)",
-)
+UNITS = ("Hz", "s", "kg", "N", "V", "m", "mm", "%", "kN/m", "rad/s", "mV/g", "bit", "", "parsec", "ug/sqrt(Hz)")
 
 BASES = (
     {
@@ -110,14 +94,7 @@ BASES = (
             "springs": ["24 kN/m", "22 kN/m", "20 kN/m"],
             "damping": {"rayleigh": {"alpha": "0.1 1/s", "beta": "1e-5 s"}},
         },
-        "test": {
-            "kind": "impulse",
-            "body": 1,
-            "peak": "50 N",
-            "width": "4 ms",
-            "repeats": 2,
-            "interval": "0.5 s",
-        },
+        "test": {"kind": "impulse", "body": 1, "peak": "50 N", "width": "4 ms", "repeats": 2, "interval": "0.5 s"},
         "seed": 3,
     },
     {
@@ -202,13 +179,7 @@ def _not_a_scene(chance: random.Random) -> str:
 
 
 def _paths(content: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    items = (
-        content.items()
-        if isinstance(content, dict)
-        else enumerate(content)
-        if isinstance(content, list)
-        else ()
-    )
+    items = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
     for key, value in items:
         yield (*path, key)
         yield from _paths(value, (*path, key))
@@ -248,13 +219,7 @@ def _enlarge(content: Any, chance: random.Random) -> None:
     elif part == "dampers":
         content["dampers"] = [{"body": 1, "mass": 0.01, "clearance": 1e-3} for _ in range(min(count, 20_000))]
     else:
-        content["test"] = {
-            "kind": "stepped_sine",
-            "from": 10,
-            "to": 20,
-            "points": min(count, 100_000),
-            "force": 1,
-        }
+        content["test"] = {"kind": "stepped_sine", "from": 10, "to": 20, "points": min(count, 100_000), "force": 1}
         content["shaker"] = {"kind": "force", "body": 1}
 
 

@@ -23,9 +23,7 @@ _COVERAGE = 2.0
 _FIT_ORDER = 2 * ORDER
 
 
-def jitter_factor(
-    rec: Recording, names: Sequence[str], hits: Sequence[tuple[int, int]], size: int, side: int
-) -> Array:
+def jitter_factor(rec: Recording, names: Sequence[str], hits: Sequence[tuple[int, int]], size: int, side: int) -> Array:
     """Factorize the covariance of jitter errors that resemble a response to a hit; shape (rows, channels).
 
     A sample with a delay t has an error of t times the slope of its signal. Slopes are steepest during a hit and

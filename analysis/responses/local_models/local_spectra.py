@@ -122,9 +122,7 @@ class LocalSpectra:
         if reference_noise is None:
             incoherent = reference_noise_part(value, main_fit.coherence)
             if len(below.channels) > 1:
-                power = (
-                    np.minimum(self._power(force, 1), self._power(force, self.side)) * main_fit.independent
-                )
+                power = np.minimum(self._power(force, 1), self._power(force, self.side)) * main_fit.independent
                 incoherent = np.maximum(
                     incoherent, shared_noise_part(self._reference_noise(rec, below), difference, lower, power)
                 )
@@ -132,9 +130,7 @@ class LocalSpectra:
             common = np.zeros(frequency.size, dtype=complex)
         else:
             variance, common = variance + abs(value) ** 2 * reference_noise, value * np.sqrt(reference_noise)
-        to_motion = upper[names.index(above.channels[0])] * rec.channels[above.channels[0]].response(
-            frequency
-        )
+        to_motion = upper[names.index(above.channels[0])] * rec.channels[above.channels[0]].response(frequency)
         errors = LocalErrors(
             influence=(main_fit.influence * to_motion[:, None, None])[:, None],
             first=main_fit.first,
@@ -176,9 +172,7 @@ class LocalSpectra:
 
     def _power(self, spectra: ComplexArray, side: int) -> Array:
         """Compute the mean square of spectra over `side` lines on either side of each line; shape (lines,)."""
-        return np.asarray(
-            scipy.ndimage.uniform_filter1d(np.mean(abs(spectra) ** 2, axis=0), 2 * side + 1)[self.lines]
-        )
+        return np.asarray(scipy.ndimage.uniform_filter1d(np.mean(abs(spectra) ** 2, axis=0), 2 * side + 1)[self.lines])
 
     def _fit(self, rec: Recording, name: str, to: Measurand) -> LocalFit:
         """Fit the response of a channel's measured quantity to a measurand."""

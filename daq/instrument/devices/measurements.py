@@ -54,11 +54,7 @@ class Measurement:
 
     def settings(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Convert the arguments of a script for a channel to the driver's names of the settings."""
-        own = {
-            "units": self.units,
-            "sensitivity": self.sensitivity,
-            "sensitivity_units": f"{self.sensitivity}_units",
-        }
+        own = {"units": self.units, "sensitivity": self.sensitivity, "sensitivity_units": f"{self.sensitivity}_units"}
         return {own.get(name) or _SETTINGS[name]: value for name, value in given.items()}
 
     @property
@@ -89,12 +85,9 @@ class Measurement:
 
     def sensitivity_settings(self, volts_per_unit: float) -> dict[str, Any]:
         """Convert a sensitivity [V per SI unit] to the units of a data sheet: V/g, mV/N, V s/m or mV/Pa."""
-        size, units = {
-            ACCELERATION: (_G, 12510),
-            FORCE: (1e3, 15891),
-            VELOCITY: (1.0, 15963),
-            MICROPHONE: (1e3, 0),
-        }[self.type]
+        size, units = {ACCELERATION: (_G, 12510), FORCE: (1e3, 15891), VELOCITY: (1.0, 15963), MICROPHONE: (1e3, 0)}[
+            self.type
+        ]
         settings = {self.sensitivity: volts_per_unit * size}
         return settings | ({f"{self.sensitivity}_units": units} if units else {})
 

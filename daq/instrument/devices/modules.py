@@ -7,14 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from daq.instrument.devices.measurements import (
-    ACCELERATION,
-    FORCE,
-    MEASUREMENTS,
-    MICROPHONE,
-    VELOCITY,
-    VOLTAGE,
-)
+from daq.instrument.devices.measurements import ACCELERATION, FORCE, MEASUREMENTS, MICROPHONE, VELOCITY, VOLTAGE
 from daq.instrument.devices.names import GIVEN_BY_DRIVER
 from daq.instrument.errors import Code, DaqError, invalid_value
 from daq.instrument.values import Coupling, SampleMode, Wiring
@@ -30,11 +23,7 @@ _REFERENCE_TRIGGER, _START_TRIGGER = 4, 8
 CHASSIS_CATEGORY, MODULE_CATEGORY, SOUND_AND_VIBRATION = 14658, 14659, 14649
 COMPACT_DAQ_BUS, USB_BUS = 14637, 12586
 # Terminals with the signals of the chassis, or of a separate device.
-_TERMINALS = (
-    "PFI0",
-    "PFI1",
-    *(f"a{way}/{signal}" for way in "io" for signal in ("SampleClock", "StartTrigger")),
-)
+_TERMINALS = ("PFI0", "PFI1", *(f"a{way}/{signal}" for way in "io" for signal in ("SampleClock", "StartTrigger")))
 _TERMINALS += ("ai/ReferenceTrigger",)
 # Rates of inputs and outputs without a named module: 51.2 kS/s divided by integers up to 31.
 DIVIDED = Rates(51200.0 / 31, 51200.0, tuple(51200.0 / divisor for divisor in range(31, 0, -1)))
@@ -109,9 +98,7 @@ class Module:
         for each in self.ranges:
             if limit <= each * (1 + 1e-9):
                 return each
-        raise invalid_value(
-            f"{limit:g} V: the inputs of {self.product_type} take ±{self.ranges[-1]:g} V at most"
-        )
+        raise invalid_value(f"{limit:g} V: the inputs of {self.product_type} take ±{self.ranges[-1]:g} V at most")
 
     @property
     def fastest(self) -> float:
@@ -145,8 +132,7 @@ class Module:
         """Return the error for a terminal that does not exist, or is of the other kind (-200170)."""
         names = self.channel_names("ai") + self.channel_names("ao")
         return DaqError(
-            f"there is no channel {self.name}/{kind}{number}: {self.name} has "
-            + (", ".join(names) or "none"),
+            f"there is no channel {self.name}/{kind}{number}: {self.name} has " + (", ".join(names) or "none"),
             Code.PHYSICAL_CHAN_DOES_NOT_EXIST,
         )
 

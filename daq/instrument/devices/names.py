@@ -67,9 +67,7 @@ def unflatten(names: str) -> list[str]:
         elif item:
             expanded.append(item)
         if len(expanded) > MAX_NAMES:
-            raise DaqError(
-                f"a list of more than {MAX_NAMES} names", Code.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING
-            )
+            raise DaqError(f"a list of more than {MAX_NAMES} names", Code.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING)
     return expanded
 
 
@@ -77,8 +75,7 @@ def _expand(item: str) -> list[str]:
     match = re.fullmatch(r"(.*?)(\d{1,9}):(.*?)(\d{1,9})", item)
     if not match or (match[3] and match[3].lower() != match[1].lower()):
         raise DaqError(
-            f"{item!r} is not a range of channels: expected a number on both sides of the colon, such as "
-            "Dev1/ai0:3",
+            f"{item!r} is not a range of channels: expected a number on both sides of the colon, such as Dev1/ai0:3",
             Code.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING,
         )
     first, last = int(match[2]), int(match[4])

@@ -128,7 +128,5 @@ class TedsMemory:
         """Read a property of the data sheet at a terminal; with -200709, if the property is missing."""
         values = basic_teds(self.sheet(port))
         if name not in values:
-            raise DaqError(
-                f"{port.name}: the electronic data sheet has no {name}", Code.TEDS_SENSOR_NOT_DETECTED
-            )
+            raise DaqError(f"{port.name}: the electronic data sheet has no {name}", Code.TEDS_SENSOR_NOT_DETECTED)
         return values[name]

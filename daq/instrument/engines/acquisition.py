@@ -105,9 +105,7 @@ class Acquisition:
     @property
     def oldest(self) -> int:
         """Number of the oldest sample that has not been lost."""
-        return max(
-            self._first_unreported, self.ring.written - self.plan.buffer * (2 if self._has_overflowed else 1)
-        )
+        return max(self._first_unreported, self.ring.written - self.plan.buffer * (2 if self._has_overflowed else 1))
 
     def skip_lost(self) -> int:
         """Move the read position past samples that have been lost, and return how many there are."""
@@ -201,9 +199,7 @@ class Acquisition:
             return None
         return max(when - tick, at)
 
-    def _crossing(
-        self, finders: list[tuple[int, CrossingFinder]], x: NDArray[Any], skip: int = 0
-    ) -> int | None:
+    def _crossing(self, finders: list[tuple[int, CrossingFinder]], x: NDArray[Any], skip: int = 0) -> int | None:
         """Return the first crossing of several channels; all finders process all samples."""
         found = [finder.find(self.plan.reading(row, x[row]), skip) for row, finder in finders]
         return min((each for each in found if each is not None), default=None)

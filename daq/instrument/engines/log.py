@@ -30,13 +30,7 @@ class _Recording:
     """A recording in the format of `daq record`."""
 
     def __init__(
-        self,
-        path: Path,
-        scene: Scene,
-        channels: Sequence[ChannelInfo],
-        rate: float,
-        start_ns: int,
-        overwrite: bool,
+        self, path: Path, scene: Scene, channels: Sequence[ChannelInfo], rate: float, start_ns: int, overwrite: bool
     ) -> None:
         from daq.recording.recorder import Recorder
 
@@ -206,9 +200,7 @@ class TaskLog:
             self._file.close()
 
 
-def open_log(
-    name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_ns: Callable[[int], int]
-) -> TaskLog:
+def open_log(name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_ns: Callable[[int], int]) -> TaskLog:
     """Open a log for a task at its start.
 
     `name`: name of the task; `task`: its settings. The suffix of the log's path selects the format, `.mcap` or

@@ -78,9 +78,7 @@ class RingBuffer:
         Raises `IndexError` if samples have been overwritten, or not written yet.
         """
         if first < self.oldest or first + count > self.written:
-            raise IndexError(
-                f"samples {first} to {first + count - 1}: there are {self.oldest} to {self.written - 1}"
-            )
+            raise IndexError(f"samples {first} to {first + count - 1}: there are {self.oldest} to {self.written - 1}")
         start = first % self.size
         head = min(count, self.size - start)
         return np.concatenate([self._data[:, start : start + head], self._data[:, : count - head]], axis=1)

@@ -83,9 +83,7 @@ class CrossingFinder:
         return start + int(hits[0]) if hits.size else None
 
     def _observe(self, beyond: NDArray[np.bool_], before: NDArray[np.bool_]) -> None:
-        last_beyond, last_before = (
-            int(np.flatnonzero(each)[-1]) if each.any() else -1 for each in (beyond, before)
-        )
+        last_beyond, last_before = (int(np.flatnonzero(each)[-1]) if each.any() else -1 for each in (beyond, before))
         if last_beyond != last_before:
             self._armed = last_before > last_beyond
 

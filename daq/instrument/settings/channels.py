@@ -212,9 +212,7 @@ class Channel:
         if not (math.isfinite(low) and math.isfinite(high)):
             raise invalid_value(f"channel {self.name}: limits {low:g} to {high:g}: expected finite numbers")
         if not sys.float_info.min <= self.volts_per_unit < math.inf:
-            raise invalid_value(
-                f"channel {self.name}: the sensitivity is not positive and finite. Correct it."
-            )
+            raise invalid_value(f"channel {self.name}: the sensitivity is not positive and finite. Correct it.")
         if not low < high:
             raise DaqError(
                 f"channel {self.name}: the lower limit {low:g} is not below the upper limit {high:g}. Exchange them.",

@@ -132,14 +132,7 @@ EXPORT: dict[str, Any] = {
     "ref_trig_output_term": "",
     "ref_trig_pulse_polarity": _ACTIVE_HIGH,
 }
-GROUPS = {
-    "timing": TIMING,
-    "trig": TRIGGER,
-    "read": READ,
-    "write": WRITE,
-    "buffer": BUFFER,
-    "exported_signal": EXPORT,
-}
+GROUPS = {"timing": TIMING, "trig": TRIGGER, "read": READ, "write": WRITE, "buffer": BUFFER, "exported_signal": EXPORT}
 # Settings that may be changed while a task runs.
 WHILE_RUNNING = {
     "read": {*READ} - {"overwrite", "logging_file_path", "logging_mode", "logging_tdms_operation"},

@@ -46,9 +46,7 @@ class Scale:
         """
         own = self.settings
         if name not in own or name == "type":
-            raise DaqError(
-                f"a scale of this type has no {name} to set", Code.PROPERTY_NOT_SUPPORTED_FOR_SCALE_TYPE
-            )
+            raise DaqError(f"a scale of this type has no {name} to set", Code.PROPERTY_NOT_SUPPORTED_FOR_SCALE_TYPE)
         return Scale(own["type"], own | {name: coerce(name, value, own[name])})
 
     def convert(self, values: Array) -> Array:
@@ -62,9 +60,7 @@ class Scale:
         elif own["type"] == MAP_RANGES:
             low, high = own["map_pre_scaled_min"], own["map_pre_scaled_max"]
             if low == high:
-                raise invalid_value(
-                    "the range of a map scale before scaling is empty. Give two different limits."
-                )
+                raise invalid_value("the range of a map scale before scaling is empty. Give two different limits.")
             first, last = own["map_scaled_min"], own["map_scaled_max"]
             scaled = first + (values - low) * (last - first) / (high - low)
         elif own["type"] == POLYNOMIAL:

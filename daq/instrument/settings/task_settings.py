@@ -85,16 +85,11 @@ class TaskSettings:
         if self.kind != kind:
             what, code = {
                 "ai": ("input channels: add some with ai_channels.add_...", Code.READ_NO_INPUT_CHANS_IN_TASK),
-                "ao": (
-                    "output channels: add some with ao_channels.add_...",
-                    Code.WRITE_NO_OUTPUT_CHANS_IN_TASK,
-                ),
+                "ao": ("output channels: add some with ao_channels.add_...", Code.WRITE_NO_OUTPUT_CHANS_IN_TASK),
             }[kind]
             raise DaqError(f"the task has no {what}", code)
 
-    def add(
-        self, physical: str, name: str, kind: Measurement | None, given: Mapping[str, Any]
-    ) -> list[Channel]:
+    def add(self, physical: str, name: str, kind: Measurement | None, given: Mapping[str, Any]) -> list[Channel]:
         """Add channels.
 
         `physical`: terminals, such as "cDAQ1Mod1/ai0:3"; `name`: virtual name, or the common prefix of several
@@ -110,17 +105,14 @@ class TaskSettings:
             )
         if self.kind not in ("", side):
             raise DaqError(
-                "a task has either inputs or outputs: make another task and start one by the other's start "
-                "trigger",
+                "a task has either inputs or outputs: make another task and start one by the other's start trigger",
                 Code.TASK_NOT_IN_DATA_NEIGHBORHOOD,
             )
         names = [each.name for each in ports]
         if "," in name:
             listed = [each.strip() for each in name.split(",")]
             if len(listed) > len(names):
-                raise invalid_value(
-                    f"{len(listed)} names for {len(names)} channels: expected one for each at most"
-                )
+                raise invalid_value(f"{len(listed)} names for {len(names)} channels: expected one for each at most")
             names[: len(listed)] = listed
         elif name:
             names = numbered(name, len(names))
@@ -138,14 +130,12 @@ class TaskSettings:
                 virtual = f"{virtual}_{number}"
             elif virtual.lower() in used_names:
                 raise DaqError(
-                    f"the task has a channel {virtual!r} already: choose another name",
-                    Code.VIRTUAL_CHAN_NAME_USED,
+                    f"the task has a channel {virtual!r} already: choose another name", Code.VIRTUAL_CHAN_NAME_USED
                 )
             channel = Channel.declare(virtual, port, module, kind, given)
             if side == "ao" and channel.row in [each.row for each in (*self.channels, *added)]:
                 raise DaqError(
-                    f"{port.name} is in the task already; an output can be used once",
-                    Code.CHAN_ALREADY_IN_TASK,
+                    f"{port.name} is in the task already; an output can be used once", Code.CHAN_ALREADY_IN_TASK
                 )
             self.scale_of(channel)
             added.append(channel)

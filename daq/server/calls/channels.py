@@ -68,7 +68,4 @@ def _add_saved_channels(call: Call) -> None:
     call.task.settings.channels += saved
 
 
-CALLS: dict[str, Handler] = {
-    "AddGlobalChansToTask": _add_saved_channels,
-    "CreateAOVoltageChan": _create_output,
-}
+CALLS: dict[str, Handler] = {"AddGlobalChansToTask": _add_saved_channels, "CreateAOVoltageChan": _create_output}

@@ -25,9 +25,7 @@ def _check_width(counts: _Counts, width: int, code: Code) -> None:
     bits = np.iinfo(counts).bits
     if width > bits:
         raise DaqError(
-            f"the converter's counts have {width} bits: use numbers of {width} bits in place of {bits}",
-            code,
-            done=0,
+            f"the converter's counts have {width} bits: use numbers of {width} bits in place of {bits}", code, done=0
         )
 
 
@@ -128,9 +126,7 @@ def _read_waveforms(call: Call) -> Answer:
             unit = "Volts" if channel.unit == "V" else channel.unit
             waveform.attributes["NI_UnitDescription"].CopyFrom(WaveformAttributeValue(string_value=unit))
         waveforms.append(waveform)
-    return _with_status(
-        call, reading, {"waveforms": waveforms, "samps_per_chan_read": reading.samples.shape[1]}
-    )
+    return _with_status(call, reading, {"waveforms": waveforms, "samps_per_chan_read": reading.samples.shape[1]})
 
 
 def _table(task: Task, data: NDArray[np.float64], samples: int, by_channel: bool) -> NDArray[np.float64]:
@@ -138,8 +134,7 @@ def _table(task: Task, data: NDArray[np.float64], samples: int, by_channel: bool
     channels = len(task.settings.channels) or 1
     if data.size != channels * samples:
         raise DaqError(
-            f"the data have {data.size} samples, {samples} for each of the task's {channels} channels were "
-            "announced",
+            f"the data have {data.size} samples, {samples} for each of the task's {channels} channels were announced",
             Code.WRITE_NUM_CHANS_MISMATCH,
             done=0,
         )

@@ -21,10 +21,7 @@ def _trigger(which: str, prefix: str, **names: str) -> Handler:
     """Return the handler that configures a trigger; `names` maps fields to settings."""
 
     def configure(call: Call) -> None:
-        settings = {
-            f"{prefix}_{which}_trig_{key}": plain(call.fields[field_name])
-            for field_name, key in names.items()
-        }
+        settings = {f"{prefix}_{which}_trig_{key}": plain(call.fields[field_name]) for field_name, key in names.items()}
         if "pretrigger_samples" in call.fields:
             settings["ref_trig_pretrig_samples"] = call.fields["pretrigger_samples"]
         set_values(call.task, "trig", **settings, **{f"{which}_trig_type": _TRIGGERS[prefix]})
@@ -43,9 +40,7 @@ def _triggers(which: str) -> dict[str, Handler]:
         f"CfgAnlgWindow{name}Trig": _trigger(which, "anlg_win", **source, **when, **window),
         f"CfgAnlgMultiEdge{name}Trig": _trigger(which, "anlg_multi_edge", **several),
         f"CfgDigEdge{name}Trig": _trigger(which, "dig_edge", **source, trigger_edge="edge"),
-        f"Disable{name}Trig": does(
-            lambda task, given: set_value(task, "trig", f"{which}_trig_type", TriggerType.NONE)
-        ),
+        f"Disable{name}Trig": does(lambda task, given: set_value(task, "trig", f"{which}_trig_type", TriggerType.NONE)),
     }
 
 
@@ -141,9 +136,7 @@ CALLS: dict[str, Handler] = {
         )
     ),
     "GetStartTrigTrigWhen": lambda call: {"data": get_value(call.task, "trig", "start_trig_trig_when")},
-    "SetStartTrigTrigWhen": does(
-        lambda task, given: set_value(task, "trig", "start_trig_trig_when", given["data"])
-    ),
+    "SetStartTrigTrigWhen": does(lambda task, given: set_value(task, "trig", "start_trig_trig_when", given["data"])),
     "GetStartTrigTimestampVal": _timestamp(TimestampEvent.START_TRIGGER),
     "GetRefTrigTimestampVal": _timestamp(TimestampEvent.REFERENCE_TRIGGER),
     "GetFirstSampTimestampVal": _timestamp(TimestampEvent.FIRST_SAMPLE),

@@ -135,12 +135,8 @@ CALLS: dict[str, Handler] = {
     "WriteToTEDSFromArray": _teds("write"),
     "WriteToTEDSFromFile": _teds("write_file"),
     "EnumerateDevices": _devices,
-    "Reserve": lambda call: {
-        "is_reserved": call.instrument.reservations.reserve(*_names(call), waits=call.is_active)
-    },
-    "IsReservedByClient": lambda call: {
-        "is_reserved": call.instrument.reservations.is_reserved_by(*_names(call))
-    },
+    "Reserve": lambda call: {"is_reserved": call.instrument.reservations.reserve(*_names(call), waits=call.is_active)},
+    "IsReservedByClient": lambda call: {"is_reserved": call.instrument.reservations.is_reserved_by(*_names(call))},
     "Unreserve": lambda call: {"is_unreserved": call.instrument.reservations.release(*_names(call))},
     "ResetServer": _reset_server,
 }

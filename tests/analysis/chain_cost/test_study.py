@@ -101,16 +101,11 @@ def test_one_change_keeps_motion_and_chain() -> None:
 
 def test_only_tolerance_point_has_sensor_tolerances() -> None:
     scene = rig.load("fig9")
-    scene = scene.replace(
-        channels=[c.replace(accelerometer={"preset": "PCB 352C33"}) for c in scene.channels]
-    )
+    scene = scene.replace(channels=[c.replace(accelerometer={"preset": "PCB 352C33"}) for c in scene.channels])
     settings_with_tolerance = [
         variant.setting
         for variant in variants(plain(scene), 46.0, 49.0, 54.0, 1.0)
-        if any(
-            c.accelerometer is not None and c.accelerometer.sensitivity_tolerance
-            for c in variant.scene.channels
-        )
+        if any(c.accelerometer is not None and c.accelerometer.sensitivity_tolerance for c in variant.scene.channels)
     ]
     assert settings_with_tolerance == ["tolerances, bias"]
 
@@ -137,9 +132,7 @@ def test_chosen_frequencies_give_period_one_motion() -> None:
 
 @pytest.mark.thorough
 def test_reference_follows_the_recorded_drive() -> None:
-    scene = rig.loads(
-        ONE_BODY.replace("shaker:", "dampers: [{body: 1, mass_ratio: 10 %, clearance: .inf}]\nshaker:")
-    )
+    scene = rig.loads(ONE_BODY.replace("shaker:", "dampers: [{body: 1, mass_ratio: 10 %, clearance: .inf}]\nshaker:"))
     result = chain_study(scene, [24.0])
     assert "under the drive stated in the recording" in result.reference
     assert result.without_noise.error < 1e-4

@@ -104,9 +104,7 @@ def test_narrow_peak_lies_within_bound(step, offset) -> None:
 
 
 def test_coarse_points_name_the_needed_spacing() -> None:
-    resolved, coarse = (
-        Peak(1e-3, 1e-4, 18.5, 18.4, 18.6, 0.0, ratio * 1e-3, 0.33) for ratio in (0.005, 0.09)
-    )
+    resolved, coarse = (Peak(1e-3, 1e-4, 18.5, 18.4, 18.6, 0.0, ratio * 1e-3, 0.33) for ratio in (0.005, 0.09))
     [reported] = coarse_step_warnings([(19.0, "a3", resolved), (19.0, "a4", coarse), (44.0, "a4", resolved)])
     assert reported.startswith("a4, near 18.50 Hz: the points are 0.33 Hz apart")
     assert "by up to 9 %" in reported and reported.endswith("Measure every 0.1 Hz there.")
@@ -116,11 +114,7 @@ def test_coarse_points_name_the_needed_spacing() -> None:
 
 
 def test_bounded_changes_state_direction_and_limit() -> None:
-    peaks = [
-        Peak(1e-3, 1e-5, 10.0, 9.9, 10.1),
-        Peak(2e-4, 1e-5, 9.5, 9.4, 9.8),
-        Peak(1e-3, 2e-5, 10.05, 9.9, 10.2),
-    ]
+    peaks = [Peak(1e-3, 1e-5, 10.0, 9.9, 10.1), Peak(2e-4, 1e-5, 9.5, 9.4, 9.8), Peak(1e-3, 2e-5, 10.05, 9.9, 10.2)]
     changes = [PeakChange("b1", 10.0, 0.01, peaks[0], damped) for damped in peaks[1:]]
     _, lowered, unchanged = (re.split(r"  +", line) for line in describe_changes(changes))
     assert lowered[2:6] == ["1000", "200", "-14.0", "-14.5 to -13.5"]
@@ -152,18 +146,11 @@ def test_shared_sensors_cancel_in_changes() -> None:
         for curve in (measured_curve(f, two_modes(f, 10.0, ratio)) for ratio in (0.01, 0.02))
     )
     modes = analysis.identify([bare])
-    [different_sensors], [same_sensors] = (
-        peak_changes(modes, [bare], [damped], shared) for shared in ((), ("body1",))
-    )
-    assert (
-        same_sensors.bare == different_sensors.bare
-        and same_sensors.bare.bound > 0.15 * same_sensors.bare.value
-    )
+    [different_sensors], [same_sensors] = (peak_changes(modes, [bare], [damped], shared) for shared in ((), ("body1",)))
+    assert same_sensors.bare == different_sensors.bare and same_sensors.bare.bound > 0.15 * same_sensors.bare.value
     assert different_sensors.decibel[2] - different_sensors.decibel[1] > 4.0
     dense = np.linspace(9.0, 11.0, 80001)
-    true_change = 20.0 * math.log10(
-        abs(two_modes(dense, 10.0, 0.02)).max() / abs(two_modes(dense, 10.0, 0.01)).max()
-    )
+    true_change = 20.0 * math.log10(abs(two_modes(dense, 10.0, 0.02)).max() / abs(two_modes(dense, 10.0, 0.01)).max())
     assert same_sensors.decibel[1] <= true_change <= same_sensors.decibel[2]
     assert same_sensors.decibel[2] - same_sensors.decibel[1] < 0.1
 
@@ -201,6 +188,4 @@ def test_dominant_peak_without_mode_is_mentioned() -> None:
     assert uncompared_highest_peaks(modes, [curve]) == []
     second_mode = replace(modes, frequency=modes.frequency[1:])
     [message] = uncompared_highest_peaks(second_mode, [curve])
-    assert message.startswith(
-        "body1: the curve is highest at 10.00 Hz, 1 times as high as the compared peaks"
-    )
+    assert message.startswith("body1: the curve is highest at 10.00 Hz, 1 times as high as the compared peaks")

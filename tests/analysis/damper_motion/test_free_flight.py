@@ -14,10 +14,7 @@ def test_restitution_lies_within_its_bounds(tmp_path, true, clearance):
         dampers=[{"body": 2, "mass_ratio": 0.08, "clearance": clearance, "restitution": true}],
         shaker={"kind": "force", "body": 1},
         test={"kind": "sine", "frequency": 49.5, "force": 2.6, "duration": 2.0},
-        channels=[
-            {"name": "body2", "at": "body 2", "accelerometer": sensor},
-            {"name": "force", "at": "shaker"},
-        ],
+        channels=[{"name": "body2", "at": "body 2", "accelerometer": sensor}, {"name": "force", "at": "shaker"}],
         recording={"display": False},
     )
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:

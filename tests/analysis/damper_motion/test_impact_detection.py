@@ -136,9 +136,7 @@ def test_delta_sigma_filter_keeps_times_and_sizes(tmp_path, quantity):
     )
     assert matches > 25 and 2 * matches >= 0.98 * (2 * matches + missed + false_positives)
     nearest = np.array([np.argmin(abs(detected.time - time)) for time in times[true_matched & expected]])
-    assert np.median(-detected.jump[nearest] / jumps[true_matched & expected]) == pytest.approx(
-        1.0, abs=0.005
-    )
+    assert np.median(-detected.jump[nearest] / jumps[true_matched & expected]) == pytest.approx(1.0, abs=0.005)
     assert np.mean(abs(-detected.jump[nearest] / jumps[true_matched & expected] - 1.0) < 0.02) > 0.95
 
 
@@ -259,9 +257,7 @@ INTEGRATED_CHAIN = {"accelerometer": SENSOR, **INTEGRATORS["velocity"]}, {"rate"
         (*INTEGRATED_CHAIN, 2e-3, 0.4, 34.5),
     ],
 )
-def test_finite_duration_contact_has_wall_time_size(
-    tmp_path, chain, converter, duration, restitution, frequency
-):
+def test_finite_duration_contact_has_wall_time_size(tmp_path, chain, converter, duration, restitution, frequency):
     damper = {"clearance": 0.98e-3, "restitution": restitution, "contact": {"duration": duration}}
     with daq.open(record_tone(tmp_path / "a.mcap", chain, converter, [damper], frequency)) as rec:
         [window] = [marker for marker in rec.markers if marker.kind == "measure"]
@@ -282,8 +278,7 @@ def test_finite_duration_contact_has_wall_time_size(
     assert np.all(abs(detected.time - touches["time"][true_matched]) < 4.0 * detected.time_error)
     assert np.median(detected.time_error) < 0.1 * duration
     assert np.all(
-        abs(detected.jump - jump[true_matched])
-        < 4.0 * detected.jump_error + sensitivity_tolerance * abs(detected.jump)
+        abs(detected.jump - jump[true_matched]) < 4.0 * detected.jump_error + sensitivity_tolerance * abs(detected.jump)
     )
 
 
@@ -314,8 +309,7 @@ def test_different_contacts_in_body_are_reported(tmp_path):
     with (
         daq.open(record_tone(tmp_path / "a.mcap", {}, {"rate": 5120.0}, dampers)) as rec,
         pytest.raises(
-            RecordingError,
-            match="body 2: contact durations or restitutions of floor, ceiling or dampers differ",
+            RecordingError, match="body 2: contact durations or restitutions of floor, ceiling or dampers differ"
         ),
     ):
         impacts(rec, "body2")
@@ -336,9 +330,7 @@ def test_every_time_is_matched_once():
 
 
 def test_overloaded_channel_gives_no_impact(tmp_path):
-    scene = rig.load(
-        "fig9", {"test": {"kind": "sine", "frequency": "49 Hz", "force": "3.3 N", "duration": "1 s"}}
-    )
+    scene = rig.load("fig9", {"test": {"kind": "sine", "frequency": "49 Hz", "force": "3.3 N", "duration": "1 s"}})
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         without_overload = impacts(rec, "body2")
         end = int(0.2 * rec.samples)

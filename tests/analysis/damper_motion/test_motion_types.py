@@ -45,9 +45,7 @@ def test_sensor_tolerances_bound_energy_balance(tmp_path, monkeypatch):
         for signs in itertools.product((-1.0, 1.0), repeat=4):
             gains = 1.0 + 0.01 * np.array(signs)[:, None]
             tones = tuple(replace(tone, amplitude=gains * tone.amplitude) for tone in sweep.tones)
-            worst_error = np.maximum(
-                worst_error, abs(energy_per_cycle(rec, replace(sweep, tones=tones)).dampers)
-            )
+            worst_error = np.maximum(worst_error, abs(energy_per_cycle(rec, replace(sweep, tones=tones)).dampers))
         bound = energy_per_cycle(rec, sweep).bound
     assert np.all(worst_error <= 1.05 * bound) and np.all(worst_error >= 0.8 * bound)
 
@@ -89,9 +87,7 @@ def fig9(tmp_path_factory):
     test |= {"settle": {"longest": 3.0}, "measure": {"periods": 25}}
     scene = rig.load("fig9")
     scene = scene.replace(
-        shaker={"kind": "table", "body": 1, "spring": 6600.0},
-        test=test,
-        recording={"truth": True, "display": False},
+        shaker={"kind": "table", "body": 1, "spring": 6600.0}, test=test, recording={"truth": True, "display": False}
     )
     path = tmp_path_factory.mktemp("fig9") / "fig9.mcap"
     with warnings.catch_warnings():
@@ -129,9 +125,7 @@ def test_repeats_after_two_periods_count_halves() -> None:
 
 def test_reachable_ceiling_excludes_type_i() -> None:
     motion_type = DamperMotion(30.0, "body2", 1, 0, False, 1e-3, False, may_reach=True).name
-    assert (
-        motion_type == "other: 1 floor and 0 ceiling impacts a period, and perhaps weak ones on the ceiling"
-    )
+    assert motion_type == "other: 1 floor and 0 ceiling impacts a period, and perhaps weak ones on the ceiling"
 
 
 def test_patterns_are_described_with_counts() -> None:
@@ -142,12 +136,7 @@ def test_patterns_are_described_with_counts() -> None:
 
 @pytest.mark.parametrize(
     ("fundamental", "third_harmonic", "tolerance", "name"),
-    [
-        (0.95, 0.0, 0.0, "riding"),
-        (0.9, 0.15, 0.0, "unseen"),
-        (0.95, 0.0, 0.1, "unseen"),
-        (0.8, 0.0, 0.1, "riding"),
-    ],
+    [(0.95, 0.0, 0.0, "riding"), (0.9, 0.15, 0.0, "unseen"), (0.95, 0.0, 0.1, "unseen"), (0.8, 0.0, 0.1, "riding")],
 )
 def test_riding_requires_acceleration_above_minus_g(tmp_path, fundamental, third_harmonic, tolerance, name):
     """Riding depends on the peak acceleration, including harmonics and the sensor tolerance."""
@@ -224,9 +213,7 @@ def test_impact_energy_agrees_with_truth(fig9):
         [sweep] = sweeps(rec)
         energy = energy_per_cycle(rec, sweep)
         true_energy = impact_energy_per_cycle(rec, sweep)
-    assert np.all(abs(energy.dampers - true_energy) <= energy.bound) and np.all(
-        energy.bound < 0.1 * energy.supplied
-    )
+    assert np.all(abs(energy.dampers - true_energy) <= energy.bound) and np.all(energy.bound < 0.1 * energy.supplied)
     assert np.all(true_energy[1:] > 0.6 * energy.supplied[1:])
 
 

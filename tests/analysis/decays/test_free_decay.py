@@ -48,9 +48,7 @@ def test_linear_decay_frequencies_lie_within_bounds():
             if np.isfinite(mode.frequency_error):
                 true_frequency = natural[np.argmin(abs(natural - peak))]
                 normalized_errors.append((mode.frequency - true_frequency) / mode.frequency_error)
-                peak_error_ratios.append(
-                    abs(peak / true_frequency - 1.0) / abs(mode.frequency / true_frequency - 1.0)
-                )
+                peak_error_ratios.append(abs(peak / true_frequency - 1.0) / abs(mode.frequency / true_frequency - 1.0))
     assert len(normalized_errors) > 120
     assert np.mean(np.abs(normalized_errors) < 2.0) > 0.95 and np.max(np.abs(normalized_errors)) < 4.0
     # The frequency of the spectral peak has ten times this error.
@@ -127,10 +125,7 @@ def test_displacement_gives_decay_of_acceleration(tmp_path):
         decay = analysis.decay(rec, channel="body3")
     true_acceleration = synthetic.simulate(force)[2][656 : 656 + decay.time.size]
     inner = slice(200, -2000)
-    assert (
-        np.max(abs(decay.acceleration[inner] - true_acceleration[inner]))
-        < 0.01 * abs(true_acceleration).max()
-    )
+    assert np.max(abs(decay.acceleration[inner] - true_acceleration[inner])) < 0.01 * abs(true_acceleration).max()
 
 
 @pytest.mark.parametrize(
@@ -164,17 +159,13 @@ def test_three_dampers_have_true_damping(tmp_path):
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         decay = analysis.decay(rec, "body2")
         ideal_sensor = ChannelInfo("true", "body 2", "displacement", 1.0, rec.rate)
-        true_acceleration = correct_motion(
-            ideal_sensor, rec.truth("displacement")[1], "acceleration", 2.0, 800.0
-        )
+        true_acceleration = correct_motion(ideal_sensor, rec.truth("displacement")[1], "acceleration", 2.0, 800.0)
         [(_, last)] = hits(rec)
     frequencies = np.array([mode.centre for mode in decay.modes])
     np.testing.assert_allclose(frequencies, [12.4, 34.7, 49.0], rtol=0.05)
     for index, mode in enumerate(decay.modes):
         width = band_width(frequencies, index)
-        expected = modal_decay(
-            true_acceleration, rec.rate, mode.centre, width, last + 1, amplitudes=mode.amplitude
-        )
+        expected = modal_decay(true_acceleration, rec.rate, mode.centre, width, last + 1, amplitudes=mode.amplitude)
         assert mode.damping.size > 5 and within_bounds(mode, expected).mean() > 0.95
     # Above 1 g the dampers dissipate; below 1 g only the structural damping of 0.5 % remains, with the riding masses.
     assert max(mode.damping.max() for mode in decay.modes) > 0.02
@@ -240,14 +231,10 @@ def test_decay_ends_before_delayed_next_hit(tmp_path):
         with daq.open(daq.record(delayed, tmp_path / f"{remove_delay}.mcap")) as rec:
             decay = analysis.decay(rec, "body2")
             ideal_sensor = ChannelInfo("true", "body 2", "displacement", 1.0, rec.rate)
-            true_acceleration = correct_motion(
-                ideal_sensor, rec.truth("displacement")[1], "acceleration", 2.0, 800.0
-            )
+            true_acceleration = correct_motion(ideal_sensor, rec.truth("displacement")[1], "acceleration", 2.0, 800.0)
             begin = hits(rec)[0][1] + 1
         assert 1.8 < decay.time[-1] < 2.0
-        difference = abs(decay.acceleration - true_acceleration[begin : begin + decay.time.size])[
-            decay.time > 0.05
-        ]
+        difference = abs(decay.acceleration - true_acceleration[begin : begin + decay.time.size])[decay.time > 0.05]
         assert difference.max() < 0.02 * abs(decay.acceleration).max()
 
 
@@ -271,9 +258,7 @@ def test_high_mode_in_short_record_is_resolved(tmp_path):
 
 
 def test_continuing_motion_is_not_a_decay(tmp_path):
-    scene = rig.loads(
-        STIFF_BODY.format(stiffness=(2 * np.pi * 300.0) ** 2, duration=0.5).replace("0.5 %", "0 %")
-    )
+    scene = rig.loads(STIFF_BODY.format(stiffness=(2 * np.pi * 300.0) ** 2, duration=0.5).replace("0.5 %", "0 %"))
     path = daq.record(scene, tmp_path / "a.mcap")
     with daq.open(path) as rec:
         decay = analysis.decay(rec)

@@ -116,9 +116,7 @@ def test_odd_name_stays_in_its_line(recording, tmp_path):
     shutil.copy(recording.path, odd_path)
     with daq.open(odd_path) as opened:
         export(Slice.of(opened), tmp_path / "a.uff")
-    assert {data_set["id2"] for data_set in pyuff.UFF(str(tmp_path / "a.uff")).read_sets()} == {
-        r"from a b\udcff.mcap"
-    }
+    assert {data_set["id2"] for data_set in pyuff.UFF(str(tmp_path / "a.uff")).read_sets()} == {r"from a b\udcff.mcap"}
 
 
 def test_series_follow_sep005_rules(recording):
@@ -158,9 +156,7 @@ def test_lost_samples_are_kept_or_rejected(recording_with_gap, tmp_path):
         assert np.array_equal(arrays["body1"], table[:, 1], equal_nan=True)
     assert np.flatnonzero(np.isnan(table[:, 1])).tolist() == list(range(1000, 1500))
     for name in ("a.wav", "a.uff"):
-        with pytest.raises(
-            RecordingError, match=r"the samples of body1, body2 from 0.390625 to 0.585938 s are lost"
-        ):
+        with pytest.raises(RecordingError, match=r"the samples of body1, body2 from 0.390625 to 0.585938 s are lost"):
             export(Slice.of(recording_with_gap), tmp_path / name)
         export(Slice.of(recording_with_gap, to_s=0.390625), tmp_path / name)
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
@@ -278,9 +274,7 @@ def test_command_names_written_file(recording, tmp_path):
 
 def test_exported_matlab_file_imports_equal(recording, tmp_path):
     reported = []
-    export(
-        Slice.of(recording), tmp_path / "a.mat", progress=lambda done, total: reported.append((done, total))
-    )
+    export(Slice.of(recording), tmp_path / "a.mat", progress=lambda done, total: reported.append((done, total)))
     assert reported[-1] == (2 * SAMPLES, 2 * SAMPLES)
     scene_of_import = recording.scene.replace(converter={"rate": RATE}, recording={}, test=None)
     with pytest.warns(daq.RunWarning, match="no signal for the channels body3, table"):
@@ -310,9 +304,7 @@ def test_exported_responses_and_modes_read_equal(tmp_path):
     np.testing.assert_allclose(read_back["body3"].value, curves["body3"].value[order], rtol=1e-10)
     assert pyuff.UFF(str(tmp_path / "frfs.uff")).read_sets(0)["ref_node"] == 1
     sets = pyuff.UFF(str(tmp_path / "modes.uff")).read_sets()
-    np.testing.assert_allclose(
-        [abs(data_set["eig"]) / (2 * np.pi) for data_set in sets], modes.frequency, rtol=1e-5
-    )
+    np.testing.assert_allclose([abs(data_set["eig"]) / (2 * np.pi) for data_set in sets], modes.frequency, rtol=1e-5)
     np.testing.assert_allclose(sets[0]["r3"], modes.shapes[:, 0], atol=1e-5)
     assert sets[0]["node_nums"].tolist() == [1, 2, 3]
     matlab = loadmat(tmp_path / "frfs.mat", squeeze_me=True)

@@ -29,9 +29,7 @@ class Chain:
     def matrices(self) -> tuple[Array, Array]:
         """Mass and stiffness."""
         above = np.append(self.springs[1:], 0.0)
-        return np.diag(self.masses), np.diag(self.springs + above) - np.diag(above[:-1], 1) - np.diag(
-            above[:-1], -1
-        )
+        return np.diag(self.masses), np.diag(self.springs + above) - np.diag(above[:-1], 1) - np.diag(above[:-1], -1)
 
     @property
     def modes(self) -> tuple[Array, Array]:

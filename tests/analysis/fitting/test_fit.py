@@ -171,9 +171,7 @@ def test_strongly_deviating_sensor_is_named(tmp_path):
 def test_dampers_with_hits_are_rejected(tmp_path):
     path = synthetic.impulses(tmp_path / "a.mcap")
     with daq.open(path) as recording:
-        recording.scene = recording.scene.replace(
-            dampers=({"body": 3, "mass_ratio": 0.1, "clearance": 1e-3},)
-        )
+        recording.scene = recording.scene.replace(dampers=({"body": 3, "mass_ratio": 0.1, "clearance": 1e-3},))
         with pytest.raises(RecordingError, match="stepped_sine"):
             analysis.fit(recording, initial_scene())
 
@@ -194,8 +192,7 @@ def test_inserted_values_change_nothing_else():
     scene = spelt_out(rig.load("fig9"))
     parameters = free_parameters(scene)
     changed = with_values(
-        scene,
-        {parameter.place: 2.0 * parameter.start for parameter in parameters if parameter.what != "modal"},
+        scene, {parameter.place: 2.0 * parameter.start for parameter in parameters if parameter.what != "modal"}
     )
     assert changed.structure.masses == tuple(2.0 * m for m in scene.structure.masses)
     assert changed.dampers[0].clearance == 2.0 * scene.dampers[0].clearance

@@ -19,8 +19,7 @@ recording: {display: false}
 
 
 @pytest.mark.parametrize(
-    "contact",
-    ["contact: {duration: 3 ms}, restitution: 0.1", "contact: {stiffness: 120 kN/m, damping: 150 N s/m}"],
+    "contact", ["contact: {duration: 3 ms}, restitution: 0.1", "contact: {stiffness: 120 kN/m, damping: 150 N s/m}"]
 )
 def test_finite_duration_contact_is_fitted(contact: str, tmp_path) -> None:
     scene = rig.loads(BENCH % contact)

@@ -29,9 +29,7 @@ def test_residual_derivatives_agree_with_differences():
     exact = problem.jacobian(x, problem.groups)
     for k, unit in enumerate(np.eye(problem.size)):
         forward, backward = (problem.residual(x + sign * step * unit, problem.groups) for sign in (1.0, -1.0))
-        assert exact[:, k] == pytest.approx(
-            (forward - backward) / (2.0 * step), abs=1e-5 * abs(exact[:, k]).max()
-        )
+        assert exact[:, k] == pytest.approx((forward - backward) / (2.0 * step), abs=1e-5 * abs(exact[:, k]).max())
 
 
 @pytest.mark.parametrize("damping", [0.0005, 0.01])

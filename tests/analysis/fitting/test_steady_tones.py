@@ -64,10 +64,7 @@ def test_endless_rebounds_are_recorded():
     assert "rebounds infinitely often" in tones.uncovered[0]
     [message] = list_omitted_points(bouncy_curves, np.array([False]), tones.uncovered)
     assert "another kind of motion" not in message and "which a fit cannot compute" in message
-    assert (
-        "of another type than that of the model"
-        in list_omitted_points(bouncy_curves, np.array([False]), {})[0]
-    )
+    assert "of another type than that of the model" in list_omitted_points(bouncy_curves, np.array([False]), {})[0]
     tones.failed.clear()
     assert np.isfinite(tones.response(on_the_bench(curves.scene, curves), level, frequency)).all()
     assert not tones.uncovered

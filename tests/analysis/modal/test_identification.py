@@ -135,11 +135,7 @@ def test_clock_error_limits_frequencies():
     clock = 50e-6
     modes = analysis.identify(
         [
-            replace(
-                frf,
-                uncertainty=replace(frf.uncertainty, clock=clock),
-                frequency=frf.frequency / (1.0 + clock),
-            )
+            replace(frf, uncertainty=replace(frf.uncertainty, clock=clock), frequency=frf.frequency / (1.0 + clock))
             for frf in frfs
         ]
     )
@@ -261,9 +257,7 @@ def peak_in_gap(lines):
     frequency = np.concatenate([np.linspace(8.4, 10.5, 140), lines, np.linspace(14.8, 15.7, 40)])
     s = 2j * np.pi * frequency
     omega = 2 * np.pi * np.array([[12.85], [41.1], [56.9]])
-    value = np.array([[0.6, -0.4, 0.3], [0.9, 0.2, -0.7]]) @ (
-        1.0 / (s**2 + 2.0 * 0.0117 * omega * s + omega**2)
-    )
+    value = np.array([[0.6, -0.4, 0.3], [0.9, 0.2, -0.7]]) @ (1.0 / (s**2 + 2.0 * 0.0117 * omega * s + omega**2))
     return [
         replace(frf, uncertainty=UncertaintyBudget.of(part * abs(frf.value), frf.degrees, shared=15.0))
         for frf, part in zip(curves(frequency, value, 1.0), (1e-3, 1e-2), strict=True)

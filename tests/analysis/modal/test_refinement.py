@@ -33,17 +33,12 @@ def test_normal_equations_equal_dense_ones(curves: Curves, monkeypatch: pytest.M
     model = fit(curves, 2 * np.pi * np.array([12.1, 20.8]) * (-0.03 + 1j))
     random = np.random.default_rng(3)
     root = random.standard_normal((LINES, RESPONSES, 5)) + 1j * random.standard_normal((LINES, RESPONSES, 5))
-    problem = Likelihood(
-        curves, LineCovariance(root @ root.conj().swapaxes(1, 2), 1.0), np.zeros((RESPONSES, LINES))
-    )
+    problem = Likelihood(curves, LineCovariance(root @ root.conj().swapaxes(1, 2), 1.0), np.zeros((RESPONSES, LINES)))
     normal, right = problem.equations(model)
     step = 1e-7 / np.sqrt(np.diag(normal))
     slopes = np.stack(
         [
-            (
-                problem.residual(take_step(curves, model, -row))
-                - problem.residual(take_step(curves, model, row))
-            )
+            (problem.residual(take_step(curves, model, -row)) - problem.residual(take_step(curves, model, row)))
             / (2 * size)
             for row, size in zip(np.diag(step), step, strict=True)
         ],
@@ -56,9 +51,7 @@ def test_normal_equations_equal_dense_ones(curves: Curves, monkeypatch: pytest.M
     pull = np.einsum("kap,ka->p", weighted.conj(), problem.residual(model)).real
     np.testing.assert_allclose(right * step, pull * step, atol=1e-6 * abs(right * step).max())
     rows = random.standard_normal((len(right), 2))
-    np.testing.assert_allclose(
-        problem.weights(model, rows / scale[0, 0]), weighted @ rows / scale[0, 0], rtol=1e-4
-    )
+    np.testing.assert_allclose(problem.weights(model, rows / scale[0, 0]), weighted @ rows / scale[0, 0], rtol=1e-4)
 
 
 def test_reduced_problem_has_the_same_products(curves: Curves) -> None:

@@ -24,9 +24,7 @@ def test_same_places_are_comparable() -> None:
         ((1,), {"top": "body 3"}, r"b\.mcap: has .*top \(at body 3\), but none .* base \(at body 1\), tip"),
     ],
 )
-def test_other_places_are_explained(
-    force_on: tuple[int, ...], channels: dict[str, str], message: str
-) -> None:
+def test_other_places_are_explained(force_on: tuple[int, ...], channels: dict[str, str], message: str) -> None:
     with pytest.raises(SceneError, match=message):
         MeasurementPoints(Path("b.mcap"), force_on, channels).comparable_with(FIRST)
 

@@ -11,9 +11,7 @@ def test_demo_makes_recordings_figures_and_commands(tmp_path):
     lines: list[str] = []
     # Half a bandwidth apart at the resonances, and the ends.
     around_resonances = [np.linspace(0.994, 1.006, 5) * f for f in (13.037, 34.777, 49.663)]
-    files = demonstrate(
-        tmp_path, lines.append, sorted([10.0, 20.0, 42.0, 58.0, *np.concatenate(around_resonances)])
-    )
+    files = demonstrate(tmp_path, lines.append, sorted([10.0, 20.0, 42.0, 58.0, *np.concatenate(around_resonances)]))
     assert all(path.exists() and path.stat().st_size > 0 for path in files)
     assert {path.suffix for path in files} == {".mcap", ".png", ".svg", ".csv"}
     text = "\n".join(lines)

@@ -14,18 +14,8 @@ from tests.analysis.responses import synthetic
 @pytest.mark.parametrize(
     ("test", "marker_kind", "command", "suggested"),
     [
-        (
-            "{kind: random, from: 5 Hz, to: 60 Hz, duration: 10 s, force: 1 N}",
-            "measure",
-            "decay",
-            "analysis frf",
-        ),
-        (
-            "{kind: random, from: 5 Hz, to: 60 Hz, duration: 10 s, force: 1 N}",
-            "measure",
-            "dampers",
-            "analysis frf",
-        ),
+        ("{kind: random, from: 5 Hz, to: 60 Hz, duration: 10 s, force: 1 N}", "measure", "decay", "analysis frf"),
+        ("{kind: random, from: 5 Hz, to: 60 Hz, duration: 10 s, force: 1 N}", "measure", "dampers", "analysis frf"),
         ("{kind: free, mode: 1, amplitude: 5 mm, duration: 10 s}", None, "frf", "analysis decay"),
         ("{kind: free, mode: 1, amplitude: 5 mm, duration: 10 s}", None, "modes", "analysis decay"),
         ("{kind: impulse, body: 1, peak: 50 N, width: 4 ms}", "hit", "dampers", "analysis decay"),

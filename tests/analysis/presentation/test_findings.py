@@ -206,8 +206,7 @@ def test_differing_modes_are_both_in_title(folder):
     figure = decay_figure([decay, replace(decay, modes=tuple(shifted))], "Free decay")
     titles = [axes.get_title(loc="left") for axes in figure.axes[2:]]
     assert titles == [
-        f"{mode.frequency:.1f}, {moved.frequency:.1f} Hz"
-        for mode, moved in zip(decay.modes, shifted, strict=True)
+        f"{mode.frequency:.1f}, {moved.frequency:.1f} Hz" for mode, moved in zip(decay.modes, shifted, strict=True)
     ]
 
 
@@ -218,9 +217,7 @@ def test_constant_damping_has_axis_labels(folder):
     axes = figure.axes[2]
     low, high = axes.get_ylim()
     labels = [
-        tick.get_text()
-        for tick in axes.get_yticklabels()
-        if tick.get_text() and low <= tick.get_position()[1] <= high
+        tick.get_text() for tick in axes.get_yticklabels() if tick.get_text() and low <= tick.get_position()[1] <= high
     ]
     assert len(labels) >= 3 and len(set(labels)) == len(labels)
 

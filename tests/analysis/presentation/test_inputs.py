@@ -80,10 +80,7 @@ def test_a_copy_is_reported_and_never_fitted(bracket: dict[str, Path], tmp_path:
     copy = tmp_path / "copy.mcap"
     shutil.copy(bracket["base"], copy)
     for present in (present_frf, present_compare):
-        assert any(
-            "the same content as" in warning
-            for warning in present([bracket["base"], copy], tmp_path).warnings
-        )
+        assert any("the same content as" in warning for warning in present([bracket["base"], copy], tmp_path).warnings)
     with pytest.raises(SceneError, match="count twice"):
         analysis.fit([bracket["base"], copy], str(bracket["base"].with_name("bracket.yaml")))
 

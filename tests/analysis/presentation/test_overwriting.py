@@ -60,10 +60,7 @@ def test_a_command_renews_its_own_output_only(folder: Path, words: str, output: 
 
 def test_other_options_renew_an_output(folder: Path) -> None:
     for motion in ("displacement", "velocity"):
-        assert (
-            run_command("analysis", "frf", SWEEP.name, "--response", "body3", "--motion", motion).exit_code
-            == 0
-        )
+        assert run_command("analysis", "frf", SWEEP.name, "--response", "body3", "--motion", motion).exit_code == 0
     assert "m/(N s)" in (folder / f"{SWEEP.stem}-frf.csv").read_text(encoding="utf-8")
 
 

@@ -65,13 +65,7 @@ def test_page_states_answer_settings_and_commands(recordings: list[Path], tmp_pa
     text = write_report(recordings[:1], tmp_path).files[0].read_text("utf-8")
     answer = text[text.index('<section class="answer">') : text.index("</section>")]
     assert "first scene" in answer and "13.04" in answer and "µm/N" in answer
-    for part in (
-        "Uncertainty budget",
-        "sensitivity",
-        "Spectrogram of body1",
-        "analysis report",
-        "Scene file",
-    ):
+    for part in ("Uncertainty budget", "sensitivity", "Spectrogram of body1", "analysis report", "Scene file"):
         assert part in text
 
 
@@ -92,11 +86,7 @@ def test_missing_result_is_a_warning(tmp_path: Path) -> None:
     ("curve", "logarithmic", "data"),
     [
         (Curve("a", [1.0, 2.0], [0.0, 3.0]), True, '"y":[null,3.0]'),
-        (
-            Curve("a", EvenlySpaced(0.0, 0.5, 3), [1.0, 2.0, 3.0]),
-            False,
-            '"x":{"start":0.0,"step":0.5,"size":3}',
-        ),
+        (Curve("a", EvenlySpaced(0.0, 0.5, 3), [1.0, 2.0, 3.0]), False, '"x":{"start":0.0,"step":0.5,"size":3}'),
         (Curve("</script><b>", [1.0], [1.0]), False, '"label":"\\u003c/script>\\u003cb>"'),
     ],
 )

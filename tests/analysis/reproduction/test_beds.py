@@ -123,11 +123,7 @@ def test_two_seeds_give_mean_and_standard_error(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("deviations", "word"),
-    [
-        ([0.01, -0.08, 0.02], "holds: "),
-        ([0.01, -0.08, 0.2], "holds in part: "),
-        ([0.3, -0.08, 0.2], "does not hold: "),
-    ],
+    [([0.01, -0.08, 0.02], "holds: "), ([0.01, -0.08, 0.2], "holds in part: "), ([0.3, -0.08, 0.2], "does not hold: ")],
 )
 def test_verdict_follows_compliance_deviations(deviations: list[float], word: str) -> None:
     beds = {"mass_compliance": np.full(3, 2.0), "grains_compliance": 2.0 * (1.0 + np.array(deviations))}
@@ -165,9 +161,9 @@ def test_other_resonances_are_drawn_for_each_setting() -> None:
 
     written = [text.get_text() for axes in figure.axes for text in axes.texts]
     other_resonances = beds["frequency"] != FREQUENCY
-    assert [
-        f"{100 * value:+.0f}" for value in np.sort(deviation(beds, "compliance")[other_resonances])
-    ] == sorted((text.split(" ")[0] for text in written), key=float)
+    assert [f"{100 * value:+.0f}" for value in np.sort(deviation(beds, "compliance")[other_resonances])] == sorted(
+        (text.split(" ")[0] for text in written), key=float
+    )
 
 
 def test_flying_mass_damps_its_body() -> None:
@@ -176,18 +172,13 @@ def test_flying_mass_damps_its_body() -> None:
     summary = summary_row(scene, steady_mass(scene, FREQUENCY))
 
     bed_mass = scene.dampers[0].mass
-    body_mass, stiffness = (
-        bed_mass / DAMPED_MASS_RATIO,
-        bed_mass / DAMPED_MASS_RATIO * (2.0 * np.pi * FREQUENCY) ** 2,
-    )
+    body_mass, stiffness = (bed_mass / DAMPED_MASS_RATIO, bed_mass / DAMPED_MASS_RATIO * (2.0 * np.pi * FREQUENCY) ** 2)
     amplitude = 2.2 * 9.80665 / (2.0 * np.pi * FREQUENCY) ** 2
     resonance_scene = as_one_mass(scene).replace(
         structure={"masses": [body_mass], "springs": [stiffness], "damping": {"modal": DAMPING}},
         test={"kind": "sine", "frequency": FREQUENCY, "force": stiffness * amplitude / float(summary[0])},
     )
-    peak = np.abs(
-        frequency_response(resonance_scene, FREQUENCY * np.linspace(0.94, 1.0, 61)).compliance[0]
-    ).max()
+    peak = np.abs(frequency_response(resonance_scene, FREQUENCY * np.linspace(0.94, 1.0, 61)).compliance[0]).max()
     assert stiffness * peak == pytest.approx(float(summary[0]), rel=0.1)
 
 
@@ -210,6 +201,4 @@ def test_design_quotes_counts_of_the_bundled_table() -> None:
     deviations, without_ceiling = deviation(beds, "compliance"), np.isinf(beds["clearance"])
     for quoted, selected in ((WITHOUT_CEILING, without_ceiling), (BELOW_CEILING, ~without_ceiling)):
         assert quoted == (int((np.abs(deviations[selected]) <= MAX_DEVIATION).sum()), int(selected.sum()))
-    assert (
-        tuple(np.round(100 * np.quantile(deviations[~without_ceiling], [0.25, 0.75]))) == INTERQUARTILE_RANGE
-    )
+    assert tuple(np.round(100 * np.quantile(deviations[~without_ceiling], [0.25, 0.75]))) == INTERQUARTILE_RANGE

@@ -58,9 +58,7 @@ def test_bundled_table_is_ordered_and_reproducible() -> None:
     points = contacts()
     index = points.index(Contact(1.7, math.inf, 0.1, 3e-3))
 
-    assert [tuple(float(row[name]) for name in TABLE.header[:4]) for row in rows] == [
-        tuple(point) for point in points
-    ]
+    assert [tuple(float(row[name]) for name in TABLE.header[:4]) for row in rows] == [tuple(point) for point in points]
     recomputed = simulate_contact(points[index])
     assert float(recomputed["energy"]) == pytest.approx(float(rows[index]["energy"]), rel=1e-3)
 
@@ -69,6 +67,4 @@ def test_mass_compliance_follows_from_energy() -> None:
     beds = at_shaking_frequency(bed_study.table())
 
     # The table rounds both values and uses the acceleration of the body.
-    assert compliance_at_peak(beds["level"], beds["mass_energy"]) == pytest.approx(
-        beds["mass_compliance"], rel=0.01
-    )
+    assert compliance_at_peak(beds["level"], beds["mass_energy"]) == pytest.approx(beds["mass_compliance"], rel=0.01)

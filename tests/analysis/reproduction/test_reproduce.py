@@ -80,17 +80,13 @@ def test_recorded_solved_and_approximated_fig_9_agree(tmp_path: Path) -> None:
     for i, frequency in enumerate(measured["frequency"]):
         exact_index = int(np.abs(exact["frequency"] - frequency).argmin())
         assert exact["type"][exact_index] == "II"
-        assert abs(measured["compliance"][1, i]) == pytest.approx(
-            abs(exact["compliance"][exact_index, 1]), rel=0.01
-        )
+        assert abs(measured["compliance"][1, i]) == pytest.approx(abs(exact["compliance"][exact_index, 1]), rel=0.01)
         assert measured["impact_phi"][i] == pytest.approx(exact["phi"][exact_index], abs=0.06)
         assert measured["impact_tau_1"][i] == pytest.approx(exact["tau"][exact_index, 1], abs=0.06)
         approximate_index = int(np.abs(approximate["frequency"] - frequency).argmin())
         assert approximate["type"][approximate_index] == "II"
         assert approximate["phi"][approximate_index] == pytest.approx(exact["phi"][exact_index], abs=0.1)
-        assert approximate["tau"][approximate_index, 0] == pytest.approx(
-            exact["tau"][exact_index, 0], abs=0.1
-        )
+        assert approximate["tau"][approximate_index, 0] == pytest.approx(exact["tau"][exact_index, 0], abs=0.1)
         assert abs(approximate["compliance"][approximate_index]) == pytest.approx(
             abs(exact["compliance"][exact_index, 1]), rel=0.05
         )
@@ -110,16 +106,12 @@ def test_existing_recording_is_reused(tmp_path: Path) -> None:
 
 def test_scan_cell_equals_direct_simulation() -> None:
     scene = rig.load("fig5-single-damper")
-    scene = scene.replace(
-        dampers=[scene.dampers[0].replace(clearance=1e-3)], test=scene.test.replace(force=10.0)
-    )
+    scene = scene.replace(dampers=[scene.dampers[0].replace(clearance=1e-3)], test=scene.test.replace(force=10.0))
     frequencies = np.array([47.5, 48.5, 49.5])
 
     cell = scan(scene, np.array([10.0]), np.array([1e-3]), frequencies, 0.10)
 
-    response = rig.frequency_response(
-        with_ideal_force(scene), [*frequencies[:2], *cell["where"][0], frequencies[2]]
-    )
+    response = rig.frequency_response(with_ideal_force(scene), [*frequencies[:2], *cell["where"][0], frequencies[2]])
     magnitude = np.abs(response.compliance[1])
     # The peak is searched between the grid frequencies, so it is at least as high as any grid value.
     assert cell["peak"][0, 0] == pytest.approx(magnitude.max(), rel=1e-6)
@@ -134,9 +126,7 @@ def test_no_trial_beats_the_optimum() -> None:
     scene = rig.load("fig9")
     frequencies = np.linspace(47.0, 50.0, 7)
 
-    optimum = best_damper(
-        scene, 3.3, np.array([0.03, 0.06]), 1e-3 * np.array([0.6, 1.2]), frequencies, trials=6
-    )
+    optimum = best_damper(scene, 3.3, np.array([0.03, 0.06]), 1e-3 * np.array([0.6, 1.2]), frequencies, trials=6)
 
     assert optimum["peak"] == optimum["worst"].min()
     assert len(optimum["worst"]) > 4
@@ -153,9 +143,7 @@ def test_no_trial_beats_the_optimum() -> None:
 def test_more_damping_removes_type_iii() -> None:
     frequencies = np.array([48.8, 49.0, 49.2])
 
-    over_damping = stays_over_damping(
-        rig.load("fig9"), np.array([0.005, 0.01]), np.array([0.98e-3]), frequencies
-    )
+    over_damping = stays_over_damping(rig.load("fig9"), np.array([0.005, 0.01]), np.array([0.98e-3]), frequencies)
 
     assert over_damping["third"].ravel().tolist() == [True, False]
 
@@ -189,9 +177,7 @@ def test_c2_needs_ratio_and_types() -> None:
         "type_there": np.array([["I/II/riding", "I", "I", "I/III", "2 per 2/I"]]),
     }
 
-    assert holds_c2({"scan-single": single, "scan-three": three}).tolist() == [
-        [True, False, False, False, False]
-    ]
+    assert holds_c2({"scan-single": single, "scan-three": three}).tolist() == [[True, False, False, False, False]]
 
 
 def test_weak_and_strong_deviations_are_separated() -> None:
@@ -213,13 +199,7 @@ def test_heavier_damping_lowers_the_dampers_share() -> None:
 
 def test_page_shows_verdicts_evidence_and_figures(tmp_path: Path) -> None:
     claims = [
-        Claim(
-            "C9",
-            "Less is <more>.",
-            (Evidence("It was 42 %.", ("rec-one",)),),
-            "holds in part: because",
-            ("fig9",),
-        )
+        Claim("C9", "Less is <more>.", (Evidence("It was 42 %.", ("rec-one",)),), "holds in part: because", ("fig9",))
     ]
     orbits: Arrays = {
         "branch": np.array([0]), "type": np.array(["II"]), "special": np.array([], dtype=str),
@@ -251,14 +231,7 @@ def test_page_shows_verdicts_evidence_and_figures(tmp_path: Path) -> None:
 def test_workers_store_all_parts_longest_first(tmp_path: Path) -> None:
     scene, completed = rig.load("fig9"), []
     parts = [
-        PaperPart(
-            name,
-            name,
-            structure_numbers,
-            {"scene": scene, "frequencies": np.array([value])},
-            "a part",
-            effort,
-        )
+        PaperPart(name, name, structure_numbers, {"scene": scene, "frequencies": np.array([value])}, "a part", effort)
         for name, value, effort in (("short", 20.0, 1.0), ("long", 30.0, 5.0), ("middle", 40.0, 3.0))
     ]
 
@@ -271,9 +244,7 @@ def test_workers_store_all_parts_longest_first(tmp_path: Path) -> None:
 
 
 def test_failing_part_raises_and_leaves_nothing(tmp_path: Path) -> None:
-    invalid = PaperPart(
-        "wrong", "wrong", exact_orbits, {"scene": rig.load("fig9"), "band": (50.0, 40.0)}, "a part"
-    )
+    invalid = PaperPart("wrong", "wrong", exact_orbits, {"scene": rig.load("fig9"), "band": (50.0, 40.0)}, "a part")
 
     with pytest.raises(SceneError, match="two rising values"):
         list(compute([invalid], tmp_path))

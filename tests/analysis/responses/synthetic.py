@@ -35,9 +35,7 @@ def scene(test="{kind: sine, frequency: 10 Hz, force: 1 N}", shaker="table", nam
 
 
 def channels(quantity="displacement", rate=RATE, **chain):
-    return [
-        ChannelInfo(name, at, quantity, sensitivity=1.0, rate=rate, **chain) for name, at in PLACES.items()
-    ]
+    return [ChannelInfo(name, at, quantity, sensitivity=1.0, rate=rate, **chain) for name, at in PLACES.items()]
 
 
 def write(path, scene, infos, samples, marks, rate=RATE):
@@ -65,9 +63,7 @@ def stepped_sine(path, frequencies, periods=20, level=2.6, noise=0.0, infos=None
             for x, order, info in zip(motion, orders, infos, strict=True)
         ]
         turn = np.exp(2j * np.pi * frequency / RATE * np.arange(count))
-        blocks.append(
-            (np.array(read)[:, None] * turn).real + noise * random.standard_normal((len(infos), count))
-        )
+        blocks.append((np.array(read)[:, None] * turn).real + noise * random.standard_normal((len(infos), count)))
         fields = {"frequency": float(frequency), "level": level, "direction": "up", "settled": True}
         marks.append(("measure", first, first + count - 1, fields))
         first += count
@@ -120,9 +116,7 @@ def band_noise(seconds, low, high, seed=0, rate=RATE * OVERSAMPLED):
     random = np.random.default_rng(seed)
     frequency = np.fft.rfftfreq(count, 1 / rate)
     inside = (frequency >= low) & (frequency <= high)
-    spectrum = np.where(
-        inside, random.standard_normal(inside.size) + 1j * random.standard_normal(inside.size), 0
-    )
+    spectrum = np.where(inside, random.standard_normal(inside.size) + 1j * random.standard_normal(inside.size), 0)
     wave = np.fft.irfft(spectrum, count)
     return wave / wave.std()
 

@@ -35,9 +35,7 @@ def image_ratio(info, cycles):
 def aliasing_limits(info, value, motion="acceleration", scene=SCENE, lower=0.0):
     """Return the aliasing of a channel in the response or in the reference; the other channel has no images."""
     other = ChannelInfo("b", "body 1", "acceleration", 1.0, RATE, filter=FILTER)
-    rec = SimpleNamespace(
-        source="", channels={info.name: info, "b": other}, scene=rig.loads(scene, where="a test")
-    )
+    rec = SimpleNamespace(source="", channels={info.name: info, "b": other}, scene=rig.loads(scene, where="a test"))
     share = np.array([[1.0 - lower], [lower]]) * np.ones(value.size)
     shares = ReadingShares([info.name, "b"], FREQUENCY, motion, value, value * share, share[::-1])
     return aliasing_part(rec, shares)
@@ -89,9 +87,7 @@ def test_falling_acceleration_gives_smaller_images():
 
 def test_steadily_falling_acceleration_uses_band_edge():
     falling = np.array([8.0, 4.0, 2.0, 1.0], dtype=complex)
-    body_limit, drive_limit = (
-        next(iter(aliasing_limits(channel(at), falling).values())) for at in ("body 1", "drive")
-    )
+    body_limit, drive_limit = (next(iter(aliasing_limits(channel(at), falling).values())) for at in ("body 1", "drive"))
     np.testing.assert_allclose(body_limit, drive_limit / falling.real)
 
 
@@ -151,12 +147,8 @@ def test_coil_drive_images_are_bounded(mode, spring):
         # The force on the table is the spring force, with any phase.
         phases = np.exp(2j * np.pi * np.arange(64) / 64)
         drives = abs(np.array([coil_drive(frequency, mode, 1.0, spring * phase) for phase in phases]))
-        expected = (
-            image_ratio(SimpleNamespace(response=acceleration_per_drive), cycles) * drives.max() / drives[0]
-        )
-        assert (
-            0.99 * expected * abs(value[column]) <= bound[column] <= 1.25 * expected * abs(value[column])
-        ), frequency
+        expected = image_ratio(SimpleNamespace(response=acceleration_per_drive), cycles) * drives.max() / drives[0]
+        assert 0.99 * expected * abs(value[column]) <= bound[column] <= 1.25 * expected * abs(value[column]), frequency
 
 
 MASSES = """

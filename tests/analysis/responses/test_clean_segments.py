@@ -51,24 +51,17 @@ def test_clean_segments_exclude_overloads_and_gaps(rec, used_channels, first, le
     assert covered == [sample for sample in range(first, stop) if sample not in flawed]
     assert all(begin < end for begin, end in segments)
     # Flaws outside the segment are not listed.
-    assert all(
-        flaw.first < stop and flaw.stop > first and flaw.channel in used_channels for flaw in listed_flaws
-    )
+    assert all(flaw.first < stop and flaw.stop > first and flaw.channel in used_channels for flaw in listed_flaws)
     assert [flaw.first for flaw in listed_flaws] == sorted(flaw.first for flaw in listed_flaws)
     assert {flaw.reason for flaw in listed_flaws} <= {"overloaded", "lost"}
 
 
 def test_flaws_are_listed_by_kind():
     rec = SimpleNamespace(rate=10.0)
-    listed_flaws = [Flaw(10 * k, 10 * k + 1, "a1", "overloaded") for k in range(3)] + [
-        Flaw(70, 75, "a2", "lost")
-    ]
+    listed_flaws = [Flaw(10 * k, 10 * k + 1, "a1", "overloaded") for k in range(3)] + [Flaw(70, 75, "a2", "lost")]
     assert describe_flaws(rec, listed_flaws) == "a1 overloaded (at 0 s, 1 s, 2 s), a2 lost (at 7 s)"
     listed_flaws += [Flaw(80, 81, "a1", "overloaded"), Flaw(91, 92, "a1", "overloaded")]
-    assert (
-        describe_flaws(rec, listed_flaws)
-        == "a1 overloaded (at 0 s, 1 s, 2 s and 2 times more), a2 lost (at 7 s)"
-    )
+    assert describe_flaws(rec, listed_flaws) == "a1 overloaded (at 0 s, 1 s, 2 s and 2 times more), a2 lost (at 7 s)"
 
 
 @pytest.mark.parametrize(
@@ -82,13 +75,7 @@ def test_flaws_are_listed_by_kind():
 )
 def test_remedy_names_the_first_limit(sensitivity, volts, limit, limit_is_named):
     info = ChannelInfo(
-        "a1",
-        "body 1",
-        "acceleration",
-        sensitivity,
-        1e3,
-        range=volts,
-        sensor={"accelerometer.saturation": limit},
+        "a1", "body 1", "acceleration", sensitivity, 1e3, range=volts, sensor={"accelerometer.saturation": limit}
     )
     rec = SimpleNamespace(channels={"a1": info})
     assert (limit in remedy(rec, [Flaw(3, 5, "a1", "overloaded")])) == limit_is_named

@@ -83,10 +83,7 @@ def test_foreign_files_give_modes_and_curves(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     uff(tmp_path / "a.uff", accelerance(1e-3), ordinate_axis_units_lab="m/s2", orddenom_axis_units_lab="N")
     done = CliRunner().invoke(app, ["modes", "a.uff"])
-    assert done.exit_code == 0 and "a, force at node 1 +Z: 2 modes" in done.output, (
-        done.output,
-        done.exception,
-    )
+    assert done.exit_code == 0 and "a, force at node 1 +Z: 2 modes" in done.output, (done.output, done.exception)
     done = CliRunner().invoke(app, ["frf", "a.uff", "--motion", "acceleration"])
     assert done.exit_code == 0, (done.output, done.exception)
     frfs = analysis.read_frfs(tmp_path / "a-frf.csv")
@@ -156,9 +153,7 @@ def test_file_without_responses_is_rejected(name, tmp_path):
 def test_block_average_agrees_with_scipy(tmp_path):
     random = np.random.default_rng(5)
     force = random.standard_normal(40960)
-    rows = np.vstack(
-        [signal.lfilter([1.0], [1.0, -1.8, 0.9], force), signal.lfilter([0.3], [1.0, 0.9], force), force]
-    )
+    rows = np.vstack([signal.lfilter([1.0], [1.0, -1.8, 0.9], force), signal.lfilter([0.3], [1.0, 0.9], force), force])
     rows[:2] += 0.1 * random.standard_normal((2, 40960))
     tdms(tmp_path / "a.tdms", rows / np.array([[9.80665], [1.0], [1.0]]))
     daq.import_files(tmp_path / "a.tdms", bench(), tmp_path / "r.mcap")
@@ -171,9 +166,7 @@ def test_block_average_agrees_with_scipy(tmp_path):
             )
             for curve, row in zip(curves, rows, strict=False):
                 cross = signal.csd(force, row, **block)[1]
-                expected = (
-                    cross / power if estimator == "H1" else signal.welch(row, **block)[1] / cross.conj()
-                )
+                expected = cross / power if estimator == "H1" else signal.welch(row, **block)[1] / cross.conj()
                 at = np.searchsorted(frequency, curve.frequency - 1e-6)
                 np.testing.assert_allclose(curve.value, expected[at], rtol=1e-9)
 
@@ -186,9 +179,9 @@ def test_averaged_hits_are_quotient_of_spectra(tmp_path):
     for at, size in ((900, 70.0), (9000, 50.0), (17000, 60.0)):
         force[at : at + 8] = size * pulse
     response = signal.lfilter([1.0], [1.0, -1.96, 0.985], force)
-    rows = np.vstack([response / 9.80665, 0.5 * response, force]) + 1e-3 * np.random.default_rng(
-        6
-    ).standard_normal((3, force.size))
+    rows = np.vstack([response / 9.80665, 0.5 * response, force]) + 1e-3 * np.random.default_rng(6).standard_normal(
+        (3, force.size)
+    )
     tdms(tmp_path / "a.tdms", rows)
     daq.import_files(
         tmp_path / "a.tdms", bench("{kind: impulse, body: 1, peak: 50 N, width: 4 ms}"), tmp_path / "r.mcap",
@@ -197,9 +190,7 @@ def test_averaged_hits_are_quotient_of_spectra(tmp_path):
         begins = [marker.first_sample for marker in recording.markers]
         (curves,) = analysis.frequency_responses(recording, motion="acceleration", estimator="H1", block=3.0)
         size, lead = 6144, 6144 // 50
-        blocks = np.stack(
-            [[recording.read(name, at - lead, at - lead + size) for name in NAMES] for at in begins]
-        )
+        blocks = np.stack([[recording.read(name, at - lead, at - lead + size) for name in NAMES] for at in begins])
     spectra = np.fft.rfft(blocks - blocks.mean(axis=2, keepdims=True), axis=2)
     expected = (spectra[:, 0] * spectra[:, 2].conj()).sum(axis=0) / (abs(spectra[:, 2]) ** 2).sum(axis=0)
     at = np.searchsorted(np.fft.rfftfreq(size, 1 / RATE), curves[0].frequency - 1e-6)
@@ -223,13 +214,7 @@ def test_own_file_keeps_errors_and_modes(ending, tmp_path):
     nothing = np.ones(error.size)
     curves = [
         Response.curve(
-            FREQUENCY[1:],
-            row,
-            f"body{k}",
-            error=error,
-            coherence=nothing,
-            degrees=30.0 * nothing,
-            label="own",
+            FREQUENCY[1:], row, f"body{k}", error=error, coherence=nothing, degrees=30.0 * nothing, label="own"
         )
         for k, row in enumerate(drift, 1)
     ]

@@ -197,9 +197,7 @@ def test_force_window_follows_delayed_hit(tmp_path, rate):
     assert magnitude < 0.005 and phase < 0.5
 
 
-@pytest.mark.parametrize(
-    ("sensor", "converter"), [("0.01 Hz", "0.5 Hz"), ("0.5 Hz", "0.5 Hz"), ("0.05 Hz", "5 Hz")]
-)
+@pytest.mark.parametrize(("sensor", "converter"), [("0.01 Hz", "0.5 Hz"), ("0.5 Hz", "0.5 Hz"), ("0.05 Hz", "5 Hz")])
 def test_high_passes_keep_receptance_exact(tmp_path, sensor, converter):
     settings = {
         "cutoff": f", low_cutoff: {sensor}",

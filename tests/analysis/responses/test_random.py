@@ -49,9 +49,7 @@ def test_short_blocks_warn_of_high_damping(random_file):
         [curves] = analysis.frequency_responses(rec, block=4.0)
         modes = analysis.identify(curves, count=3)
     assert modes.damping[0] > 0.0055
-    assert any(
-        "widens the peaks" in warning and "blocks of at least" in warning for warning in modes.warnings
-    )
+    assert any("widens the peaks" in warning and "blocks of at least" in warning for warning in modes.warnings)
 
 
 def test_h1_agrees_with_scipy(random_file):
@@ -146,9 +144,7 @@ def test_linear_structure_shows_no_distortion(tmp_path):
     with daq.open(multisine(tmp_path / "a.mcap", realisations=5)) as rec:
         measured = [m for m in rec.markers if m.kind == "measure"]
         approximation = best_linear_approximation(rec, measured, list(rec.channels))
-        noise = np.median(
-            replace(approximation, scatter=approximation.noise, noise=None).frf(rec, "body3").error
-        )
+        noise = np.median(replace(approximation, scatter=approximation.noise, noise=None).frf(rec, "body3").error)
         total = np.median(approximation.frf(rec, "body3").error)
     assert 0.7 < total / noise < 1.3
 
@@ -158,10 +154,7 @@ def test_multisine_without_flight_recommends_steady_tones(tmp_path):
     scene = rig.load("fig8-three-dampers").replace(
         shaker={"kind": "force", "body": 1},
         test=test,
-        channels=[
-            *({"name": f"a{j}", "at": f"body {j}"} for j in (1, 2, 3)),
-            {"name": "force", "at": "shaker"},
-        ],
+        channels=[*({"name": f"a{j}", "at": f"body {j}"} for j in (1, 2, 3)), {"name": "force", "at": "shaker"}],
         recording={"display": False},
     )
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
@@ -169,9 +162,7 @@ def test_multisine_without_flight_recommends_steady_tones(tmp_path):
     [warning] = curves[0].warnings
     force, frequency = re.search(r"of more than (\S+) N at (\S+) Hz lift one", warning).groups()
     line, tone = float(frequency), {"kind": "stepped_sine", "frequencies": [float(frequency)]}
-    below_limit, above_limit = (
-        scene.replace(test=tone | {"force": ratio * float(force)}) for ratio in (0.9, 1.1)
-    )
+    below_limit, above_limit = (scene.replace(test=tone | {"force": ratio * float(force)}) for ratio in (0.9, 1.1))
     assert rig.frequency_response(below_limit, [line]).motion_type[0] == "riding"
     assert rig.frequency_response(above_limit, [line]).motion_type[0] != "riding"
 
@@ -183,18 +174,9 @@ def sweep(path, duration, spacing="log"):
         cycles = duration * 8.0 * np.expm1(np.log(7.5) * time / duration) / np.log(7.5)
     else:
         cycles = 8.0 * time + 52.0 * time**2 / 2 / duration
-    fields = {
-        "from": 8.0,
-        "to": 60.0,
-        "spacing": spacing,
-        "level": 1.0,
-        "duration": duration,
-        "settled": True,
-    }
+    fields = {"from": 8.0, "to": 60.0, "spacing": spacing, "level": 1.0, "duration": duration, "settled": True}
     marks = [("measure", 0, int(duration * RATE) - 1, fields)]
-    test = (
-        f"{{kind: swept_sine, from: 8 Hz, to: 60 Hz, duration: {duration} s, force: 1 N, spacing: {spacing}}}"
-    )
+    test = f"{{kind: swept_sine, from: 8 Hz, to: 60 Hz, duration: {duration} s, force: 1 N, spacing: {spacing}}}"
     return synthetic.driven(path, np.sin(2 * np.pi * cycles), test, marks, noise=1e-3)
 
 

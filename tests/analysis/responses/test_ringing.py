@@ -39,9 +39,7 @@ def test_limit_holds_for_two_close_resonances() -> None:
     error = np.full(40, 1e-5 * abs(steady).max())
     noise = error * (random.standard_normal(40) + 1j * random.standard_normal(40))
 
-    limit = ringing(
-        steady.sum(axis=0) + transient + noise, frequency, np.full(40, waited), np.full(40, lasted), error
-    )
+    limit = ringing(steady.sum(axis=0) + transient + noise, frequency, np.full(40, waited), np.full(40, lasted), error)
 
     significant = abs(transient) > 3.0 * error
     assert significant.sum() > 5

@@ -37,9 +37,7 @@ def test_moderated_uncertainties_contain_95_percent(degrees):
     error = complex_noise(1, lines) / np.sqrt(2.0)
     single_variance = np.random.default_rng(2).chisquare(degrees, lines) / degrees
 
-    variance, moderated_degrees = moderate(
-        single_variance, np.full(lines, float(degrees)), np.full(lines, 3.0), 12
-    )
+    variance, moderated_degrees = moderate(single_variance, np.full(lines, float(degrees)), np.full(lines, 3.0), 12)
 
     normalized = abs(error) / np.sqrt(variance * stats.f.ppf(0.95, 2.0, moderated_degrees))
     assert 0.94 < np.mean(normalized <= 1.0) < 0.96

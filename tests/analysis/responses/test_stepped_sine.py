@@ -141,20 +141,13 @@ def test_unsettled_neighbours_form_ranges(tmp_path):
     settled = np.ones(40, dtype=bool)
     settled[[3, *range(10, 31)]] = False
     marks = [
-        (
-            "measure",
-            512 * k,
-            512 * k + 511,
-            {"frequency": 20.0 + k, "level": 1.0, "settled": bool(settled[k])},
-        )
+        ("measure", 512 * k, 512 * k + 511, {"frequency": 20.0 + k, "level": 1.0, "settled": bool(settled[k])})
         for k in range(40)
     ]
     samples = np.random.default_rng(0).standard_normal((4, 512 * 40))
     path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), synthetic.channels(), samples, marks)
     with daq.open(path) as rec:
-        assert any(
-            "No steady state at 23 and 30 to 50 Hz:" in note for note in analysis.compliance(rec).warnings
-        )
+        assert any("No steady state at 23 and 30 to 50 Hz:" in note for note in analysis.compliance(rec).warnings)
     assert "not settled: 22 of 40 measurements, at 23 and 30 to 50 Hz" in summary(path)
 
 
@@ -186,9 +179,7 @@ def test_overload_in_all_windows_is_explained(tmp_path):
         ("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"}),
         ("overload", 0, 2559, {"channel": "body3"}),
     ]
-    path = synthetic.write(
-        tmp_path / "a.mcap", synthetic.scene(), synthetic.channels(), np.ones((4, 2560)), marks
-    )
+    path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), synthetic.channels(), np.ones((4, 2560)), marks)
     with daq.open(path) as rec, pytest.raises(RecordingError, match="overloaded in every measured window"):
         analysis.compliance(rec)
 

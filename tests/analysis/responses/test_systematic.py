@@ -108,10 +108,7 @@ def test_single_sensor_tolerance_is_exact():
     assert bound(second_share, 4.0 * first_share - 3.0 * second_share) == pytest.approx(abs(value) * 2.0)
     assert bound(second_share, 6.0 * first_share - 5.0 * second_share) == np.inf
     assert (
-        sensitivity_part(
-            recording(channel("a"), channel("b")), reading_shares(value, first_share, second_share)
-        )
-        == {}
+        sensitivity_part(recording(channel("a"), channel("b")), reading_shares(value, first_share, second_share)) == {}
     )
 
 
@@ -135,9 +132,7 @@ def test_gaussian_rounding_gain_is_bounded():
     for sigma in (0.3, 0.4, 0.5, 0.7, 1.0):
         # E[x round(x)] / sigma^2 is the sum of the density at the thresholds (Stein). It deviates most if a threshold
         # or the middle between two is at the mean.
-        error = max(
-            abs(np.sum(norm.pdf(np.arange(-20, 21) + shift, scale=sigma)) - 1.0) for shift in (0.0, 0.5)
-        )
+        error = max(abs(np.sum(norm.pdf(np.arange(-20, 21) + shift, scale=sigma)) - 1.0) for shift in (0.0, 0.5))
         bound = noise_gain(np.array([sigma**2 + 1 / 12]))[0]
         assert 0.95 * bound < error < 1.05 * bound
     assert noise_gain(np.array([0.2499**2 + 1 / 12, 0.0, np.inf])).tolist() == [np.inf, np.inf, 0.0]
@@ -147,9 +142,7 @@ def test_tone_rounding_gain_is_bounded():
     angle = (np.arange(4000) + 0.5) * np.pi / 4000
     for nominal_amplitude in (1.0, 2.0, 5.0, 20.0):
         max_error = 0.0
-        for amplitude, offset in product(
-            np.linspace(0.97, 1.03, 13) * nominal_amplitude, np.linspace(0.0, 0.5, 6)
-        ):
+        for amplitude, offset in product(np.linspace(0.97, 1.03, 13) * nominal_amplitude, np.linspace(0.0, 0.5, 6)):
             rounded = np.rint(amplitude * np.cos(angle) + offset)
             max_error = max(max_error, abs(2.0 * np.mean(rounded * np.cos(angle)) / amplitude - 1.0))
         bound = tone_gain(np.array([nominal_amplitude**2 / 2 + 1 / 12]))[0]
@@ -169,8 +162,7 @@ def test_rounding_of_all_channels_is_summed():
     assert rounding_part(np.zeros((2, 1)), reading_shares(value, upper, lower)) == {}
     # A zero reading has an unbounded error, even if its contribution is zero.
     assert (
-        single_value(rounding_part(np.array([[np.inf], [0.0]]), reading_shares(value, 0 * upper, 0 * lower)))
-        == np.inf
+        single_value(rounding_part(np.array([[np.inf], [0.0]]), reading_shares(value, 0 * upper, 0 * lower))) == np.inf
     )
 
 
@@ -241,12 +233,8 @@ def test_shared_noise_biases_h1_as_stated():
     )
     h1 = cross / total
     lower = np.full((1, 30), lower_gain)
-    assert shared_noise_part(noise, upper_gain - h1[None] * lower_gain, lower, total) == pytest.approx(
-        abs(h1 - truth)
-    )
-    assert (
-        shared_noise_part(noise, upper_gain - h1[None] * lower_gain, lower, 0.1 * noise[0]) == np.inf
-    ).all()
+    assert shared_noise_part(noise, upper_gain - h1[None] * lower_gain, lower, total) == pytest.approx(abs(h1 - truth))
+    assert (shared_noise_part(noise, upper_gain - h1[None] * lower_gain, lower, 0.1 * noise[0]) == np.inf).all()
 
 
 def test_noise_reduces_reproducible_rounding():

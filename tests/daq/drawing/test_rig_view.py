@@ -30,9 +30,7 @@ def motion_of(scene, amplitude_m, seed=0, instants=50):
 
 
 def drawn(scene, motion):
-    view = RigView(
-        scene, Extremes().widened(motion, [shaker.body for _, shaker in scene.tables]), gaps_known=True
-    )
+    view = RigView(scene, Extremes().widened(motion, [shaker.body for _, shaker in scene.tables]), gaps_known=True)
     parts = {path: (move[:, 2], scale) for path, move, scale in view.moving_parts(motion)}
     return view, parts
 

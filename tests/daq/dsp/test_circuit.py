@@ -47,9 +47,7 @@ def test_series_circuit_passes_an_entry():
         states = circuit.sections[-1]
         found = np.zeros((len(chosen) + 1, S.size), dtype=complex)
         for column, s in enumerate(S):
-            inner = (
-                np.linalg.solve(s * np.eye(states) - circuit.a, circuit.b.T) if states else np.zeros((0, 1))
-            )
+            inner = np.linalg.solve(s * np.eye(states) - circuit.a, circuit.b.T) if states else np.zeros((0, 1))
             found[:, column] = circuit.c @ inner + circuit.d
         for entry in range(len(chosen) + 1):
             follows = np.prod([SECTIONS[k][1] for k in chosen[entry:]], axis=0) * np.ones(S.size)

@@ -70,12 +70,7 @@ def test_steady_value_passes_the_filter():
 
 def test_filter_response_is_the_fourier_integral():
     low_pass = Decimation.standard(5120.0)
-    assert low_pass.design == {
-        "rate": 5120.0,
-        "delay": 38.0,
-        "cutoff": 0.5,
-        "beta": pytest.approx(11.0531, abs=1e-4),
-    }
+    assert low_pass.design == {"rate": 5120.0, "delay": 38.0, "cutoff": 0.5, "beta": pytest.approx(11.0531, abs=1e-4)}
     time = np.linspace(-38.0, 38.0, 200_001)
     kernel = low_pass.impulse_response(time)
     step = time[1] - time[0]

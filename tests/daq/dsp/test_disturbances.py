@@ -33,16 +33,12 @@ def test_cut_polynomials_are_the_same_curves(each, cuts):
         sample = -(-interval // each)
         place = (interval - 1) % each
         over = (2 * place + 1 + inside) / each - 1.0
-        np.testing.assert_allclose(
-            legval(inside, held[:3, interval]), legval(over, samples[:3, sample]), atol=1e-12
-        )
+        np.testing.assert_allclose(legval(inside, held[:3, interval]), legval(over, samples[:3, sample]), atol=1e-12)
         assert held[3, interval] == samples[3, sample]
 
 
 def test_direct_disturbances_are_added():
-    of = Disturbances(
-        [Offset(level, None, 1.0) for level in (1.0, 2.0, 5.0)], np.array([0.5, 0.0, -1.0]), (0, 0, 0), 1
-    )
+    of = Disturbances([Offset(level, None, 1.0) for level in (1.0, 2.0, 5.0)], np.array([0.5, 0.0, -1.0]), (0, 0, 0), 1)
     volts = np.array([10.0, 20.0])
     of.add_direct(of.draw(2), volts)
     assert volts.tolist() == [5.5, 15.5]

@@ -95,15 +95,7 @@ def test_noise_before_decimation_is_filtered(integrator, oversampling):
 
     # White noise beyond half the rate folds back, as far as the filter lets it through.
     expected = np.hypot(through(frequency), through(rate - frequency))
-    for low, high in (
-        (0.02, 0.1),
-        (0.1, 0.2),
-        (0.2, 0.3),
-        (0.3, 0.4),
-        (0.4, 0.45),
-        (0.455, 0.475),
-        (0.475, 0.495),
-    ):
+    for low, high in ((0.02, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, 0.4), (0.4, 0.45), (0.455, 0.475), (0.475, 0.495)):
         found = band(frequency, value, low * rate, high * rate)
         assert found == pytest.approx(band(frequency, expected, low * rate, high * rate), rel=0.02)
     assert band(frequency, expected, 0.475 * rate, 0.495 * rate) < 0.9 * band(

@@ -127,15 +127,7 @@ def test_too_short_pulse_is_rejected() -> None:
 
 
 def impulse(**more: Any) -> BenchRun:
-    test = {
-        "kind": "impulse",
-        "body": 2,
-        "peak": "50 N",
-        "width": "4 ms",
-        "repeats": 2,
-        "interval": "1 s",
-        **more,
-    }
+    test = {"kind": "impulse", "body": 2, "peak": "50 N", "width": "4 ms", "repeats": 2, "interval": "1 s", **more}
     return run(rig.load("fig10b-no-damper").replace(test=test))
 
 
@@ -187,14 +179,7 @@ def test_released_mode_decays_freely() -> None:
     "test",
     [
         {"kind": "random", "from": "8 Hz", "to": "60 Hz", "force": "2.6 N", "duration": "5 s"},
-        {
-            "kind": "multisine",
-            "from": "8 Hz",
-            "to": "60 Hz",
-            "period": "1 s",
-            "force": "2.6 N",
-            "realisations": 1,
-        },
+        {"kind": "multisine", "from": "8 Hz", "to": "60 Hz", "period": "1 s", "force": "2.6 N", "realisations": 1},
         {"kind": "swept_sine", "from": "30 Hz", "to": "40 Hz", "force": "2.6 N", "duration": "3 s"},
     ],
 )

@@ -144,13 +144,7 @@ def test_split_does_not_change_stepped_sine() -> None:
 
 
 def test_open_loop_tone_starts_with_sine() -> None:
-    test = {
-        "kind": "sine",
-        "frequency": "218.8 rad/s",
-        "force": "2.6 N",
-        "duration": "0.5 s",
-        "start": "empty",
-    }
+    test = {"kind": "sine", "frequency": "218.8 rad/s", "force": "2.6 N", "duration": "0.5 s", "start": "empty"}
     done = run(scene_with(test, shaker={"kind": "force", "body": 1}))
     time = np.arange(2560) / 5120.0
     np.testing.assert_allclose(done.drive[0], 2.6 * np.sin(218.8 * time), rtol=0, atol=1e-11)
@@ -177,9 +171,7 @@ def test_frequency_and_force_follow_sweep(sweep: dict[str, Any]) -> None:
     for part in (0.1, 0.5, 0.9):
         middle = first + round(part * (stop - first))
         begin = sweep["from"] * (sweep["to"] / sweep["from"]) ** part
-        expected = (
-            begin if sweep["spacing"] == "log" else sweep["from"] + (sweep["to"] - sweep["from"]) * part
-        )
+        expected = begin if sweep["spacing"] == "log" else sweep["from"] + (sweep["to"] - sweep["from"]) * part
         window = slice(middle - 512, middle + 512)
         crossings = np.flatnonzero(np.diff(np.signbit(done.drive[0, window]).astype(int)))
         counted = 5120.0 * (len(crossings) - 1) / (crossings[-1] - crossings[0]) / 2
@@ -225,9 +217,7 @@ def test_windows_near_nyquist_are_readable(ratio: float) -> None:
     locked, look = whole_periods(frequency, rate, 0.1), observation_samples(frequency, rate)
     for samples, error in ((tone[None], 1e-9), (noisy[None], 3e-3)):
         assert lock_in(samples[:, :locked], frequency, rate)[0] == pytest.approx(target, abs=error)
-        assert estimate_amplitudes(samples[:, :look], turn[:look], rate)[0][0] == pytest.approx(
-            target, abs=error
-        )
+        assert estimate_amplitudes(samples[:, :look], turn[:look], rate)[0][0] == pytest.approx(target, abs=error)
 
 
 def test_unreadable_period_is_measured_longer() -> None:

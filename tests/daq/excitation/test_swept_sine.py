@@ -119,9 +119,7 @@ def test_next_mode_is_known_in_time() -> None:
     assert mode.gain == pytest.approx(gain, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    ("volts", "reported"), [(10.0, "read nothing of the pretest"), (0.2, "less than one count")]
-)
+@pytest.mark.parametrize(("volts", "reported"), [(10.0, "read nothing of the pretest"), (0.2, "less than one count")])
 def test_readings_below_a_count_end_sweep(volts: float, reported: str) -> None:
     scene = rig.loads(BELOW_COUNT).replace(converter={"rate": 2048.0, "bits": 16, "range": volts})
     done = run(scene)

@@ -72,27 +72,17 @@ def test_peaks_are_ranked_in_fixed_order(monkeypatch: pytest.MonkeyPatch) -> Non
         return np.ones((1, rising.size))
 
     monkeypatch.setattr(rehearsal_plan, "channel_readings", readings)
-    names = (
-        "fig5-single-damper",
-        "fig5-three-dampers",
-        "fig8-two-dampers",
-        "fig8-three-dampers",
-        "fig9",
-        "fig10a",
-    )
+    names = ("fig5-single-damper", "fig5-three-dampers", "fig8-two-dampers", "fig8-three-dampers", "fig9", "fig10a")
     for scene in map(rig.load, names):
         rehearsal_plan.plan_about_peaks(scene, scene.test, (), 10.0)
     assert orders == [True, False] * len(names)
 
 
 def test_largest_level_fits_and_a_larger_does_not() -> None:
-    scene = one_body(
-        STEPS | {"points": 12}, channels=accelerometer(), converter={"rate": 1024, "range": "0.1 V"}
-    )
+    scene = one_body(STEPS | {"points": 12}, channels=accelerometer(), converter={"rate": 1024, "range": "0.1 V"})
     level = daq.foresee(scene).largest_level
     fitting, beyond = (
-        daq.foresee(scene.replace(test={**STEPS, "points": 12, "force": factor * level}))
-        for factor in (0.99, 1.01)
+        daq.foresee(scene.replace(test={**STEPS, "points": 12, "force": factor * level})) for factor in (0.99, 1.01)
     )
     assert fitting.fits
     assert not beyond.fits

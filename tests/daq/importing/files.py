@@ -23,9 +23,7 @@ UNITS = ("g", "m/s^2", "N")
 IN_SI = np.array([[9.80665], [1.0], [1.0]])
 
 
-def bench(
-    test: str = "{kind: random, from: 5 Hz, to: 400 Hz, duration: 4 s, force: 1 N}", more: str = ""
-) -> Scene:
+def bench(test: str = "{kind: random, from: 5 Hz, to: 400 Hz, duration: 4 s, force: 1 N}", more: str = "") -> Scene:
     return rig.loads(f"""
 structure: {{masses: [1 kg, 2 kg], springs: [10 kN/m, 20 kN/m]}}
 shaker: {{kind: force, body: 1}}
@@ -88,9 +86,7 @@ def uff(path: Path, rows: np.ndarray, binary: int = 0) -> None:
 
 def csv(path: Path, rows: np.ndarray) -> None:
     heading = ",".join(["time [s]", *(f"{name} [{unit}]" for name, unit in zip(NAMES, UNITS, strict=True))])
-    np.savetxt(
-        path, np.vstack([np.arange(rows.shape[1]) / RATE, rows]).T, "%.9g", ",", header=heading, comments=""
-    )
+    np.savetxt(path, np.vstack([np.arange(rows.shape[1]) / RATE, rows]).T, "%.9g", ",", header=heading, comments="")
 
 
 def german_csv(path: Path, rows: np.ndarray) -> None:
@@ -149,9 +145,7 @@ def mcap(path: Path, rows: np.ndarray) -> None:
         for name, unit, row in zip(NAMES, UNITS, rows, strict=True):
             channel = writer.register_channel(f"/{name}", "json", 0, {"unit": unit})
             for first in range(0, row.size, 500):
-                data = json.dumps(
-                    {"sample_rate": RATE, "samples": row[first : first + 500].tolist()}
-                ).encode()
+                data = json.dumps({"sample_rate": RATE, "samples": row[first : first + 500].tolist()}).encode()
                 time = round(first / RATE * 1e9)
                 writer.add_message(channel, time, data, time)
         writer.finish()

@@ -31,10 +31,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
     pytest.mark.filterwarnings("ignore"),
 ]
-TABLE = {
-    name: Column(str(number), unit=unit)
-    for number, (name, unit) in enumerate(zip(NAMES, "gVN", strict=True), 1)
-}
+TABLE = {name: Column(str(number), unit=unit) for number, (name, unit) in enumerate(zip(NAMES, "gVN", strict=True), 1)}
 TABLE["body2"] = Column("2", unit="m/s^2")
 ENDINGS = (".csv", ".tdms", ".uff", ".wav", ".npz", ".npy", ".mat", ".mcap")
 CSV_LINE = b"0.0,1,2,3\n"
@@ -296,7 +293,5 @@ def test_cut_tdms_file_gives_one_warning(tmp_path, caplog):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RunWarning)
         daq.import_files(tmp_path / "cut.tdms", bench(), tmp_path / "r.mcap")
-    assert [
-        str(warning.message) for warning in caught if "cut.tdms is cut off or damaged" in str(warning.message)
-    ]
+    assert [str(warning.message) for warning in caught if "cut.tdms is cut off or damaged" in str(warning.message)]
     assert not caplog.records

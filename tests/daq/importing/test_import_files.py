@@ -42,9 +42,7 @@ def test_foreign_file_gives_its_samples_and_rate(form, tmp_path):
     with recording:
         assert recording.rate == RATE and not messages
         samples = np.array([recording.read(name) for name in NAMES])
-        np.testing.assert_allclose(
-            samples, rows * IN_SI, rtol=0, atol=max(error, 1e-15) * abs(rows * IN_SI).max()
-        )
+        np.testing.assert_allclose(samples, rows * IN_SI, rtol=0, atol=max(error, 1e-15) * abs(rows * IN_SI).max())
         assert [marker.kind for marker in recording.markers] == ["measure"]
         # The source shows that drive and converter are not those of the virtual rig.
         assert recording.source == f"a{ending}"
@@ -62,9 +60,7 @@ def test_wav_full_scale_is_the_converter_range(kind, tmp_path):
         wavfile.write(path, 2048, rows.T.astype(kind))
     else:
         full_scale = 2.0 ** (8 * np.dtype(kind).itemsize - 1)
-        wavfile.write(
-            path, 2048, np.rint(rows.T * full_scale + (128 if kind is np.uint8 else 0)).astype(kind)
-        )
+        wavfile.write(path, 2048, np.rint(rows.T * full_scale + (128 if kind is np.uint8 else 0)).astype(kind))
     scene = bench(more="converter: {range: 5 V}")
     table = {"body1": Column("1", sensitivity="100 mV/g"), "body2": Column("2", unit="2 V", sign=-1)}
     if np.dtype(kind if kind != "int24" else "i4").kind == "f":
@@ -192,9 +188,7 @@ def test_yaml_and_csv_tables_agree(tmp_path):
     (tmp_path / "t.yaml").write_text(
         "body1: 2\nbody2: {column: body1, unit: 2 m/s^2, sign: -1, offset: 0.5, delay: 1 ms}\n"
     )
-    (tmp_path / "t.csv").write_text(
-        "channel,column,unit,sign,offset,delay\nbody1,2\nbody2,body1,2 m/s^2,-1,0.5,1 ms\n"
-    )
+    (tmp_path / "t.csv").write_text("channel,column,unit,sign,offset,delay\nbody1,2\nbody2,body1,2 m/s^2,-1,0.5,1 ms\n")
     samples = []
     for name in ("t.yaml", "t.csv"):
         recording, _ = import_recording(
@@ -228,11 +222,7 @@ def test_labview_text_has_names_units_and_clock(columns, separator, point, tmp_p
 
     def with_time_cells(cells):
         """Return the cells of the channels, with an empty time cell after each if every channel has its own times."""
-        return (
-            [cell_or_time for cell in cells for cell_or_time in (cell, "")]
-            if columns == "Multi"
-            else list(cells)
-        )
+        return [cell_or_time for cell in cells for cell_or_time in (cell, "")] if columns == "Multi" else list(cells)
 
     heading = LABVIEW.format(name=name, point=point, columns=columns).replace("\t", separator)
     heading += line(["Channels", "3"])
@@ -247,11 +237,7 @@ def test_labview_text_has_names_units_and_clock(columns, separator, point, tmp_p
     has_time_columns = columns == "Multi"
     heading += END_OF_HEADER
     heading += line(
-        [
-            "X_Value",
-            *(["body1", "X_Value", "body2", "X_Value", "force"] if has_time_columns else NAMES),
-            "Comment",
-        ]
+        ["X_Value", *(["body1", "X_Value", "body2", "X_Value", "force"] if has_time_columns else NAMES), "Comment"]
     )
     lines = []
     for k, row in enumerate(rows.T):
@@ -278,9 +264,7 @@ def test_unnamed_even_column_is_the_clock(form, tmp_path):
     else:
         np.savez(tmp_path / "a.npz", measured=rows.T)
     file = next(tmp_path.glob("a.*"))
-    table = {
-        name: Column(str(k), unit="m/s^2" if name != "force" else "N") for k, name in enumerate(NAMES, 1)
-    }
+    table = {name: Column(str(k), unit="m/s^2" if name != "force" else "N") for k, name in enumerate(NAMES, 1)}
     recording, messages = import_recording(file, bench(), tmp_path / "r.mcap", table=table)
     with recording:
         assert recording.rate == RATE
@@ -301,9 +285,7 @@ def test_uneven_times_are_reported(tmp_path):
     for name, times in {"even": np.arange(400.0), "uneven": np.arange(400) + jitter}.items():
         np.savez(tmp_path / f"{name}.npz", time=times / RATE, body1=rows[0])
         table = {"body1": Column("body1", unit="g")}
-        _, messages = import_recording(
-            tmp_path / f"{name}.npz", bench(), tmp_path / f"{name}.mcap", table=table
-        )
+        _, messages = import_recording(tmp_path / f"{name}.npz", bench(), tmp_path / f"{name}.mcap", table=table)
         assert any("from an even grid by up to" in text for text in messages) == (name == "uneven")
 
 
@@ -341,9 +323,7 @@ def test_second_labview_segment_is_located(tmp_path):
 def test_uncertain_labview_clock_is_reported(tmp_path):
     heading = LABVIEW.format(name="Tab", point=".", columns="No")
     heading += (
-        "Channels\t1\nSamples\t9\nY_Unit_Label\tg\nX0\t0\nDelta_X\t0.000977\n"
-        + END_OF_HEADER
-        + "X_Value\tbody1\n"
+        "Channels\t1\nSamples\t9\nY_Unit_Label\tg\nX0\t0\nDelta_X\t0.000977\n" + END_OF_HEADER + "X_Value\tbody1\n"
     )
     (tmp_path / "a.lvm").write_text(heading + "".join(f"\t{value}\n" for value in (0.1, -0.1, 0.2)))
     recording, messages = import_recording(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap")
@@ -421,11 +401,7 @@ def test_import_command_lists_imports_and_never_overwrites(tmp_path, monkeypatch
 
 def test_unit_that_contradicts_file_is_reported(tmp_path):
     csv(tmp_path / "a.csv", histories(3000))
-    for unit, expected_message in (
-        ("m/s^2", "0.102 times"),
-        ("mm", "displacement instead of acceleration"),
-        ("g", ""),
-    ):
+    for unit, expected_message in (("m/s^2", "0.102 times"), ("mm", "displacement instead of acceleration"), ("g", "")):
         channels = bench()
         if unit == "mm":
             channels = bench(more="").replace(

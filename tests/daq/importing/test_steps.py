@@ -64,9 +64,7 @@ def test_unmarked_steps_are_detected_with_right_response(level, tmp_path):
         for curve in [curve for group in groups for curve in group]:
             size = 1.0 if curve.response == "body1" else 2.0
             truth = size * signal.freqz(*FILTER, curve.frequency, fs=RATE)[1]
-            assert np.all(abs(curve.value - truth) < curve.bound()) and np.all(
-                curve.bound() < 0.02 * abs(truth)
-            )
+            assert np.all(abs(curve.value - truth) < curve.bound()) and np.all(curve.bound() < 0.02 * abs(truth))
     assert not messages
 
 

@@ -1,13 +1,6 @@
 import numpy as np
 import pytest
-from nidaqmx.constants import (
-    READ_ALL_AVAILABLE,
-    AcquisitionType,
-    LoggingMode,
-    LoggingOperation,
-    OverwriteMode,
-    Slope,
-)
+from nidaqmx.constants import READ_ALL_AVAILABLE, AcquisitionType, LoggingMode, LoggingOperation, OverwriteMode, Slope
 from nidaqmx.errors import DaqError, DaqReadError
 
 import daq
@@ -41,9 +34,7 @@ def test_log_holds_all_samples(chassis, tmp_path):
     with daq.open(path) as recording:
         assert list(recording.channels) == ["body1", "body2"]
         assert recording.samples == 700
-        volts = np.array(
-            [recording.read(name) * info.sensitivity for name, info in recording.channels.items()]
-        )
+        volts = np.array([recording.read(name) * info.sensitivity for name, info in recording.channels.items()])
         np.testing.assert_allclose(volts[:, :300], read, rtol=1e-12)
         assert recording.gaps == []
 
@@ -106,10 +97,7 @@ def test_log_holds_modules_with_shared_sensors(tmp_path):
         assert [each.name for each in task.devices] == ["cDAQ1Mod1", "Dev2"]
     assert np.array_equal(read[:3], read[3:])
     with daq.open(path) as recording:
-        assert [*recording.channels] == [
-            *("body1", "body2", "body3"),
-            *("body1 on Dev2", "body2 on Dev2", "third"),
-        ]
+        assert [*recording.channels] == [*("body1", "body2", "body3"), *("body1 on Dev2", "body2 on Dev2", "third")]
         assert np.array_equal(recording.read("third"), recording.read("body3"))
 
 
@@ -176,9 +164,7 @@ def test_log_states_where_it_broke(tmp_path, mode, name):
     if name.endswith(".tdms"):
         import nptdms
 
-        assert (
-            "lost after the converter" in nptdms.TdmsFile.read(path)["broken"]["Dev1/ai1"].properties["error"]
-        )
+        assert "lost after the converter" in nptdms.TdmsFile.read(path)["broken"]["Dev1/ai1"].properties["error"]
         return
     with daq.open(path) as recording:
         assert (recording.status, recording.samples) == ("failed", 512)

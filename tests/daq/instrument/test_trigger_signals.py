@@ -186,11 +186,7 @@ def test_output_follows_analog_start(chassis):
     [
         (lambda task: task.triggers.start_trigger.cfg_anlg_edge_start_trig("Dev1/ai9"), -200265, "Dev1/ai0"),
         (lambda task: task.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/Nowhere"), -89136, "PFI0"),
-        (
-            lambda task: task.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai0", 100),
-            -200213,
-            "0 to 99",
-        ),
+        (lambda task: task.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai0", 100), -200213, "0 to 99"),
     ],
 )
 def test_impossible_trigger_is_explained(chassis, configure, code, hint):

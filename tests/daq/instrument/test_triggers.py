@@ -11,15 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.instrument.engines.triggers import (
-    AnalogSource,
-    AtTime,
-    OtherTask,
-    SyncPulse,
-    digital_source,
-    edge,
-    window,
-)
+from daq.instrument.engines.triggers import AnalogSource, AtTime, OtherTask, SyncPulse, digital_source, edge, window
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.values import Slope, WindowCondition
 
@@ -65,9 +57,7 @@ def test_blocks_do_not_change_triggers(samples, skip, cuts, level, hysteresis, l
     def rising(signal, level):
         return first_crossing(signal, skip, lambda x: x > level, lambda x: x <= level - hysteresis)
 
-    assert find_in_pieces(edge(Slope.RISING, level, hysteresis), samples, skip, cuts) == rising(
-        samples, level
-    )
+    assert find_in_pieces(edge(Slope.RISING, level, hysteresis), samples, skip, cuts) == rising(samples, level)
     mirrored = rising([-x for x in samples], -level)
     assert find_in_pieces(edge(Slope.FALLING, level, hysteresis), samples, skip, cuts) == mirrored
     top = low + width
@@ -84,9 +74,7 @@ def test_uncounted_crossing_disarms(cuts):
 
 
 @given(
-    rate=st.sampled_from(
-        [Fraction(2), Fraction(5120), Fraction(10_000, 3), Fraction(51_200), Fraction(7, 2)]
-    ),
+    rate=st.sampled_from([Fraction(2), Fraction(5120), Fraction(10_000, 3), Fraction(51_200), Fraction(7, 2)]),
     second=st.integers(0, 3000),
     beside=st.integers(-2, 2),
 )
@@ -118,9 +106,7 @@ def test_terminal_carries_pulse_or_task_event(terminal, source):
     assert digital_source(terminal, Slope.FALLING) == source
 
 
-@pytest.mark.parametrize(
-    "terminal", ["", "/Dev1/PFI", "/Dev1/ai/SampleClock", "PFI0x", "/Dev1/ci/StartTrigger"]
-)
+@pytest.mark.parametrize("terminal", ["", "/Dev1/PFI", "/Dev1/ai/SampleClock", "PFI0x", "/Dev1/ci/StartTrigger"])
 def test_silent_terminal_names_others(terminal):
     with pytest.raises(DaqError, match="PFI0") as caught:
         digital_source(terminal, Slope.RISING)

@@ -165,9 +165,7 @@ def test_scope_command_names_overwrite_before_the_viewer(tmp_path, monkeypatch, 
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 2
-    assert (
-        "exists. Give another name with -o, or replace the file with --overwrite" in capsys.readouterr().err
-    )
+    assert "exists. Give another name with -o, or replace the file with --overwrite" in capsys.readouterr().err
     assert (tmp_path / "scope.mcap").read_bytes() == b"precious"
 
 

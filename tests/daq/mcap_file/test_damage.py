@@ -44,9 +44,7 @@ def metadata(fields):
 
 
 def attachment(data):
-    content = (
-        struct.pack("<QQ", 1, 2) + text(b"scene") + text(b"text/plain") + struct.pack("<Q", len(data)) + data
-    )
+    content = struct.pack("<QQ", 1, 2) + text(b"scene") + text(b"text/plain") + struct.pack("<Q", len(data)) + data
     return content + struct.pack("<I", zlib.crc32(content))
 
 
@@ -140,9 +138,7 @@ def test_cut_file_keeps_all_records_before_the_cut(tmp_path):
         assert told == [(begin, cut) for begin in torn]
         for begin, part in zip(torn, (each for each in parts if isinstance(each, Unreadable)), strict=True):
             known = cut - begin < 9 or cut - begin >= TELLING[SPANS.index((begin, begin + LONG[begin]))]
-            assert part.reason == (
-                "the file ends within a record" if known else "no record can be identified"
-            )
+            assert part.reason == ("the file ends within a record" if known else "no record can be identified")
 
 
 @pytest.mark.parametrize("length", [1, 8, 9, 200, (1 << 20) - 9, (1 << 20) + 5])
@@ -169,12 +165,7 @@ def test_any_record_after_foreign_bytes_is_located(tmp_path, kind):
 
 def unlike_itself():
     """Return slightly inconsistent beginnings of records."""
-    contents = [
-        *CONTENTS[:4],
-        (9, attachment(b"x")[:-1] + b"\0"),
-        (0x0F, bytes(4)),
-        (0x0C, metadata({"seed": "1"})),
-    ]
+    contents = [*CONTENTS[:4], (9, attachment(b"x")[:-1] + b"\0"), (0x0F, bytes(4)), (0x0C, metadata({"seed": "1"}))]
     for opcode, content in contents:
         # A chunk must not have a correct checksum, which would confirm it.
         spoilt = content[:-1] + bytes([content[-1] ^ 1]) if opcode == 6 else content
@@ -199,8 +190,7 @@ def test_lookalike_record_is_passed_over(tmp_path, before):
 
 
 @pytest.mark.parametrize(
-    ("kind", "told"),
-    [(0, "a chunk: "), (3, "a chunk: "), (4, "an attachment"), (2, "the checksum of the metadata")],
+    ("kind", "told"), [(0, "a chunk: "), (3, "a chunk: "), (4, "an attachment"), (2, "the checksum of the metadata")]
 )
 def test_damaged_record_is_reported_wherever_it_ends(tmp_path, kind, told):
     damaged = RECORDS[kind][:-1] + bytes([RECORDS[kind][-1] ^ 1])

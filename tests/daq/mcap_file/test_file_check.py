@@ -70,9 +70,7 @@ def test_undetected_bits_have_no_effect(whole: Path, tmp_path: Path, step: int) 
     data = whole.read_bytes()
     passed = undetected(tmp_path / "a.mcap", whole, list(range(0, len(data), step)))
     # Only the name of the writing program, and packed bytes that unpack to the same records.
-    name = range(
-        data.index(b"shotrig"), next(end for opcode, _, end in spans(data) if opcode == Opcode.HEADER)
-    )
+    name = range(data.index(b"shotrig"), next(end for opcode, _, end in spans(data) if opcode == Opcode.HEADER))
     assert len([place for place in passed if place not in name]) < 0.001 * len(data) + 1
 
 
@@ -90,14 +88,10 @@ def test_checksum_of_the_data_section_is_verified(whole: Path, tmp_path: Path) -
 
 @pytest.mark.parametrize("compression", CompressionType)
 @pytest.mark.parametrize("chunked", [True, False])
-def test_files_of_the_reference_writer_pass(
-    tmp_path: Path, compression: CompressionType, chunked: bool
-) -> None:
+def test_files_of_the_reference_writer_pass(tmp_path: Path, compression: CompressionType, chunked: bool) -> None:
     path = tmp_path / "a.mcap"
     with path.open("wb") as file:
-        writer = Writer(
-            file, chunk_size=200, compression=compression, use_chunking=chunked, enable_data_crcs=True
-        )
+        writer = Writer(file, chunk_size=200, compression=compression, use_chunking=chunked, enable_data_crcs=True)
         writer.start("profile", "another program")
         numbers = [writer.register_channel(topic, "json", 0, {"a": "b"}) for topic in ("/a", "/b")]
         for time in (5, 3, 9, 8, 20, 1):

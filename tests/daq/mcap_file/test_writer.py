@@ -68,14 +68,10 @@ def test_batched_messages_equal_single_ones(channels_first):
         together = Messages(channels[:, None], times, times, data, sequence)
         order = [(row, column) for row in range(2) for column in range(3)]
     else:
-        together = Messages(
-            channels, times[:, None], times[:, None], data.transpose(1, 0, 2), sequence[:, None]
-        )
+        together = Messages(channels, times[:, None], times[:, None], data.transpose(1, 0, 2), sequence[:, None])
         order = [(row, column) for column in range(3) for row in range(2)]
     alone = [
-        Message(
-            int(channels[row]), int(times[column]), int(times[column]), data[row, column].tobytes(), column
-        )
+        Message(int(channels[row]), int(times[column]), int(times[column]), data[row, column].tobytes(), column)
         for row, column in order
     ]
     before, after = Message(1, 2**63 + 5, 1, b"before", 0), Messages(3, 5, 5, data[0, :1], 4)

@@ -66,9 +66,7 @@ class BenchRun:
         return np.asarray(cosine - 1j * sine)
 
 
-def run(
-    scene: rig.Scene, split: int | None = None, excite: Callable[[Station], Excitation] = excitation
-) -> BenchRun:
+def run(scene: rig.Scene, split: int | None = None, excite: Callable[[Station], Excitation] = excitation) -> BenchRun:
     """Run a scene's test on its bench, or another one, acquiring at most `split` samples at a time."""
     bench = Bench(scene)
     result = BenchRun(bench)

@@ -55,8 +55,5 @@ def test_recorder_uses_estimated_memory(tmp_path: Path) -> None:
 
 def test_truth_is_part_of_the_estimated_size() -> None:
     scene = rig.load("fig8-three-dampers")
-    sizes = [
-        estimate(scene.replace(recording=scene.recording.replace(truth=truth))).disk
-        for truth in (False, True)
-    ]
+    sizes = [estimate(scene.replace(recording=scene.recording.replace(truth=truth))).disk for truth in (False, True)]
     assert sizes[1] > 2.0 * sizes[0]

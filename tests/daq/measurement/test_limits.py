@@ -57,14 +57,10 @@ def test_bias_overload_is_named_with_remedies(more, cause, tmp_path) -> None:
 )
 def test_named_remedy_works(cured, tmp_path) -> None:
     with daq.open(daq.record(rig.loads(cured), tmp_path / "cured.mcap")) as recording:
-        assert [marker.fields["settled"] for marker in recording.markers if marker.kind == "measure"] == [
-            True
-        ]
+        assert [marker.fields["settled"] for marker in recording.markers if marker.kind == "measure"] == [True]
 
 
 def test_innocent_bias_is_not_named(tmp_path) -> None:
-    scene = rig.loads(
-        HELD.replace("range: 5 V", "range: 5 mV").replace("PCB 352C33}", "PCB 352C33, bias: 1 mV}")
-    )
+    scene = rig.loads(HELD.replace("range: 5 V", "range: 5 mV").replace("PCB 352C33}", "PCB 352C33, bias: 1 mV}"))
     with pytest.raises(RunError, match="Choose a lower force, a larger converter range"):
         daq.record(scene, tmp_path / "clipped.mcap")

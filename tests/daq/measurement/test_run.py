@@ -41,9 +41,7 @@ def limited(**limits: str) -> rig.Scene:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(
-    "scene", [hit(), steps(), hit(recording={"truth": True})], ids=["hit", "steps", "truth"]
-)
+@pytest.mark.parametrize("scene", [hit(), steps(), hit(recording={"truth": True})], ids=["hit", "steps", "truth"])
 def test_block_size_does_not_change_bytes(scene: rig.Scene, tmp_path: Path) -> None:
     files = [
         daq.record(scene, tmp_path / f"{number}.mcap", block=block).read_bytes()
@@ -68,9 +66,7 @@ def test_other_seed_gives_other_noise(tmp_path: Path) -> None:
 
 def test_markers_state_every_point(tmp_path: Path) -> None:
     reported: list[tuple[float, str]] = []
-    path = daq.record(
-        steps(), tmp_path / "new" / "s.mcap", progress=lambda part, text: reported.append((part, text))
-    )
+    path = daq.record(steps(), tmp_path / "new" / "s.mcap", progress=lambda part, text: reported.append((part, text)))
     with daq.open(path) as rec:
         points = [mark for mark in rec.markers if mark.kind == "measure"]
         assert [mark.fields["frequency"] for mark in points] == [48.0, 49.6]
@@ -102,9 +98,7 @@ def test_existing_file_needs_overwrite(tmp_path: Path) -> None:
         ("fig8-three-dampers", {"channels": [{"name": "b", "at": "body 1"}]}, "needs a channel at the table"),
     ],
 )
-def test_impossible_test_leaves_no_file(
-    name: str, changes: dict[str, Any], message: str, tmp_path: Path
-) -> None:
+def test_impossible_test_leaves_no_file(name: str, changes: dict[str, Any], message: str, tmp_path: Path) -> None:
     with pytest.raises(SceneError, match=message):
         daq.record(rig.load(name).replace(**changes), tmp_path / "new" / "a.mcap")
     assert list(tmp_path.iterdir()) == []
@@ -117,9 +111,7 @@ def test_empty_block_is_rejected(tmp_path: Path) -> None:
 
 def test_exceeded_abort_limit_closes_recording(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    with pytest.raises(
-        RunError, match=r"channel b1: .* exceeds its abort limit of 20 m/s\^2\. .* contains the"
-    ):
+    with pytest.raises(RunError, match=r"channel b1: .* exceeds its abort limit of 20 m/s\^2\. .* contains the"):
         daq.record(limited(abort="20 m/s^2"), path)
     with daq.open(path) as rec:
         # The hit is after 0.25 s; the running block of 0.1 s is completed.
@@ -182,9 +174,7 @@ def test_lost_blocks_leave_gap(tmp_path: Path) -> None:
     converter = {"rate": "5120 Hz", "bits": 24, "range": "5 V"}
     whole = daq.record(hit(converter=converter), tmp_path / "whole.mcap")
     files = [
-        daq.record(
-            hit(converter=converter | {"dropped_blocks": lost}), tmp_path / f"{block}.mcap", block=block
-        )
+        daq.record(hit(converter=converter | {"dropped_blocks": lost}), tmp_path / f"{block}.mcap", block=block)
         for block in (None, 100)
     ]
     assert files[0].read_bytes() == files[1].read_bytes()
@@ -362,9 +352,7 @@ def test_several_scenes_have_own_files(
         capsys.readouterr()
         assert run_command(monkeypatch, "info", str(path)) == 0
         said = capsys.readouterr().out.splitlines()[-len(commands) - 1 :]
-        assert [line.split()[-3:] for line in said[:-1]] == [
-            ["analysis", command, str(path)] for command in commands
-        ]
+        assert [line.split()[-3:] for line in said[:-1]] == [["analysis", command, str(path)] for command in commands]
     assert run_command(monkeypatch, "record", *scenes, *to) == 2
     assert run_command(monkeypatch, "record", scenes[0], scenes[0], *to, "--overwrite") == 2
 

@@ -13,8 +13,7 @@ from daq.signal_chain.channel import ChannelInfo
 
 RATE = 8.0
 INFOS = [
-    ChannelInfo(name, at, "acceleration", 1.0, RATE)
-    for name, at in (("t", "table"), ("a", "body 1"), ("b", "body 2"))
+    ChannelInfo(name, at, "acceleration", 1.0, RATE) for name, at in (("t", "table"), ("a", "body 1"), ("b", "body 2"))
 ]
 SCENE = """
 structure: {{masses: [1 kg, 1 kg], springs: [4 kN/m, 4 kN/m]}}
@@ -95,9 +94,7 @@ def test_first_reading_over_limit_trips(readings):
         sample, row = beyond[0]
         assert (trip.sample, trip.channel, trip.value) == (1000 + sample, INFOS[row], readings[row, sample])
         assert trip.limit == (5.0, 4.0)[row]
-        assert f"channel {'ta'[row]}: {readings[row, sample]:.4g} m/s^2 at {125 + sample / 8:.3f} s" in str(
-            trip
-        )
+        assert f"channel {'ta'[row]}: {readings[row, sample]:.4g} m/s^2 at {125 + sample / 8:.3f} s" in str(trip)
     else:
         assert trip is None
     expected = [

@@ -47,11 +47,7 @@ def signal(samples: int, seed: int = 0) -> Array:
 
 
 def write(
-    path: Path,
-    samples: NDArray[Any],
-    of: rig.Scene | None = None,
-    pieces: list[int] | None = None,
-    rate: float = RATE,
+    path: Path, samples: NDArray[Any], of: rig.Scene | None = None, pieces: list[int] | None = None, rate: float = RATE
 ) -> Path:
     """Record samples in pieces of the given sizes, which are used in turn."""
     counts = np.issubdtype(samples.dtype, np.integer)

@@ -14,9 +14,7 @@ from tests.daq.recording.recordings import signal as noise
 
 def display_of(tmp_path, samples, topic, **changes):
     path = write(
-        tmp_path / "d.mcap",
-        samples,
-        scene(recording={"display": True} | changes.pop("recording", {}), **changes),
+        tmp_path / "d.mcap", samples, scene(recording={"display": True} | changes.pop("recording", {}), **changes)
     )
     found = messages(path, topic)
     times = np.array([message.log_time for message in found]) * 1e-9

@@ -42,9 +42,7 @@ def test_impossible_rate_is_rejected(rate):
         Timebase(rate)
 
 
-@given(
-    count=st.one_of(st.integers(0, 300), st.integers(2**14 - 9, 2**14 + 9), st.integers(2**21 - 9, 2**21 + 9))
-)
+@given(count=st.one_of(st.integers(0, 300), st.integers(2**14 - 9, 2**14 + 9), st.integers(2**21 - 9, 2**21 + 9)))
 def test_size_prefix_follows_from_message_length(count):
     size = varint(count)
     assert _size_prefix(_HEAD.size + len(size) + count) == size
@@ -110,24 +108,14 @@ def test_block_cut_within_a_sample_is_rejected():
         decode(memoryview(cut + b"xx"), "shotrig.BlockFloat64")
 
 
-@pytest.mark.parametrize(
-    "schema", [*(block_schema(name) for name, _, _ in SCHEMAS.values()), TRANSFORMS_SCHEMA]
-)
+@pytest.mark.parametrize("schema", [*(block_schema(name) for name, _, _ in SCHEMAS.values()), TRANSFORMS_SCHEMA])
 def test_protobuf_schema_describes_its_message(schema):
     files = descriptor_pb2.FileDescriptorSet.FromString(schema.data).file
     names = {file.name for file in files}
     assert all(set(file.dependency) <= names for file in files)
-    assert schema.name in {
-        f"{file.package}.{message.name}" for file in files for message in file.message_type
-    }
+    assert schema.name in {f"{file.package}.{message.name}" for file in files for message in file.message_type}
     # One plotting program takes a field of this name for its time axis, and reads it as a double.
-    assert all(
-        f.name != "timestamp"
-        for file in files
-        for m in file.message_type
-        if "Block" in m.name
-        for f in m.field
-    )
+    assert all(f.name != "timestamp" for file in files for m in file.message_type if "Block" in m.name for f in m.field)
 
 
 def test_number_is_encoded_for_ros_readers():

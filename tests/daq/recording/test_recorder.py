@@ -75,11 +75,7 @@ def test_reference_reader_finds_the_layout(tmp_path):
     assert [message.log_time for message in found] == [*step[1:], round(1500 * 1e9 / RATE)]
     assert [message.sequence for message in found] == list(range(6))
     summary = summary_of(path)
-    assert {channel.topic for channel in summary.channels.values()} == {
-        "/markers",
-        "/raw/body1",
-        "/raw/body2",
-    }
+    assert {channel.topic for channel in summary.channels.values()} == {"/markers", "/raw/body1", "/raw/body2"}
     assert summary.statistics.attachment_count == 1
 
 
@@ -187,8 +183,7 @@ def test_full_disk_is_reported_once(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("error", "status"),
-    [(KeyboardInterrupt("stopped by hand"), "interrupted"), (RuntimeError("odd"), "failed")],
+    ("error", "status"), [(KeyboardInterrupt("stopped by hand"), "interrupted"), (RuntimeError("odd"), "failed")]
 )
 def test_exception_closes_the_file_with_its_reason(tmp_path, error, status):
     with pytest.raises(type(error)), Recorder(tmp_path / "a.mcap", scene(), channels(), RATE) as recorder:

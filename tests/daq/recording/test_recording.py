@@ -43,9 +43,7 @@ def test_range_is_that_part_of_the_whole(recorded, data):
     start = data.draw(st.integers(0, SAMPLES))
     stop = data.draw(st.integers(start, SAMPLES))
     with daq.open(recorded) as recording:
-        assert np.array_equal(
-            recording.read("body2", start, stop), signal(SAMPLES)[1, start:stop] * (1 / 0.01)
-        )
+        assert np.array_equal(recording.read("body2", start, stop), signal(SAMPLES)[1, start:stop] * (1 / 0.01))
 
 
 def test_opened_recording_has_all_descriptions(recorded):
@@ -113,10 +111,7 @@ def test_unacquired_samples_read_as_nan(tmp_path):
 
 @pytest.mark.parametrize(("start", "stop"), [(-1, 5), (0, SAMPLES + 1), (10, 9)])
 def test_missing_samples_error_states_the_range(recorded, start, stop):
-    with (
-        daq.open(recorded) as recording,
-        pytest.raises(RecordingError, match=f"a range from 0 to {SAMPLES - 1}"),
-    ):
+    with daq.open(recorded) as recording, pytest.raises(RecordingError, match=f"a range from 0 to {SAMPLES - 1}"):
         recording.read("body1", start, stop)
 
 
@@ -165,9 +160,7 @@ def foreign(path, topics=("/raw/a", "/raw/b"), metadata=None, compression=Compre
         writer.start(profile="", library="another program")
         schema = writer.register_schema(described.name, "protobuf", described.data)
         ids = [
-            writer.register_channel(
-                topic, "protobuf", schema, {"unit": "m/s^2"} if metadata is None else metadata
-            )
+            writer.register_channel(topic, "protobuf", schema, {"unit": "m/s^2"} if metadata is None else metadata)
             for topic in topics
         ]
         for block in [*range(15), *range(20, 30)]:
@@ -296,9 +289,7 @@ def text(value):
 def hostile(path, data, chunk_indexes=b"", extra=b""):
     """A file whose end is right in every checksum, whatever is in it."""
     described = block_schema("shotrig.BlockFloat64")
-    schema = record(
-        3, struct.pack("<H", 1) + text(described.name.encode()) + text(b"protobuf") + text(described.data)
-    )
+    schema = record(3, struct.pack("<H", 1) + text(described.name.encode()) + text(b"protobuf") + text(described.data))
     metadata = text(b"unit") + text(b"m") + text(b"rate") + text(b"100.0") + text(b"start_ns") + text(b"0")
     channel = record(4, struct.pack("<HH", 1, 1) + text(b"/raw/a") + text(b"protobuf") + text(metadata))
     body = MAGIC + record(1, text(b"") + text(b"evil")) + data + record(15, struct.pack("<I", 0))
@@ -462,9 +453,7 @@ def test_attachment_named_like_a_path_touches_no_file(tmp_path):
     name = f"../{tmp_path.name}/victim".encode()
     content = struct.pack("<QQ", 0, 0) + text(name) + text(b"text/plain") + struct.pack("<Q", 3) + b"bad"
     attachment = record(9, content + struct.pack("<I", zlib.crc32(content)))
-    index = record(
-        10, struct.pack("<QQQQQ", DATA_BEGINS, len(attachment), 0, 0, 3) + text(name) + text(b"text/plain")
-    )
+    index = record(10, struct.pack("<QQQQQ", DATA_BEGINS, len(attachment), 0, 0, 3) + text(name) + text(b"text/plain"))
     message, end = block_message(0, [1.0])
     data = chunk(b"", message, len(message), zlib.crc32(message))
     where = chunk_index(DATA_BEGINS + len(attachment), len(data), len(message), end)

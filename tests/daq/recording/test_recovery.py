@@ -16,17 +16,7 @@ import daq
 from daq.cli import app
 from daq.recording.recorder import Recorder
 from rig.errors import RecordingError, RunError, ShotrigError
-from tests.daq.recording.recordings import (
-    DAMPERS,
-    GROUP,
-    RATE,
-    channels,
-    file_size_limit,
-    motion,
-    scene,
-    signal,
-    write,
-)
+from tests.daq.recording.recordings import DAMPERS, GROUP, RATE, channels, file_size_limit, motion, scene, signal, write
 
 SAMPLES = 4 * GROUP + 300
 TRUE = signal(SAMPLES) * np.array([[1 / 500.0], [1 / 0.01]])
@@ -296,10 +286,7 @@ def test_recovery_needs_room_before_it_begins(whole, tmp_path, monkeypatch):
 
 
 def test_recovery_onto_a_full_disk_leaves_nothing(whole, tmp_path):
-    with (
-        pytest.raises(RunError, match=r"is not changed.*another disk with -o") as full,
-        file_size_limit(20_000),
-    ):
+    with pytest.raises(RunError, match=r"is not changed.*another disk with -o") as full, file_size_limit(20_000):
         daq.recover(whole, tmp_path / "fixed.mcap")
     assert "daq recover" not in str(full.value) and not list(tmp_path.iterdir())
 

@@ -25,19 +25,11 @@ from rig.escaping import is_single_line
 from tests.daq.recording.recordings import GROUP, signal, write
 
 ODD = st.recursive(
-    st.none()
-    | st.booleans()
-    | st.floats()
-    | st.integers()
-    | st.just(10**300)
-    | st.text()
-    | st.just("x" * 60_000),
+    st.none() | st.booleans() | st.floats() | st.integers() | st.just(10**300) | st.text() | st.just("x" * 60_000),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
     max_leaves=5,
 )
-SOUND = ChannelInfo(
-    "body1", "body 1", "acceleration", 0.01, 5120.0, poles=(-1 + 2j,), delay=1e-3
-).to_metadata()
+SOUND = ChannelInfo("body1", "body 1", "acceleration", 0.01, 5120.0, poles=(-1 + 2j,), delay=1e-3).to_metadata()
 
 
 @given(st.sampled_from(sorted(SOUND)), ODD)
@@ -51,9 +43,7 @@ def test_odd_channel_metadata_is_sound_or_rejected(key: str, odd: Any) -> None:
     assert answer.shape == (3,) and info.unit_per_count != 0.0 and is_single_line(info.name)
 
 
-@given(
-    st.sampled_from(["kind", "first_sample", "last_sample", "frequency", "settled", "channels", "lines"]), ODD
-)
+@given(st.sampled_from(["kind", "first_sample", "last_sample", "frequency", "settled", "channels", "lines"]), ODD)
 def test_odd_marker_is_sound_or_rejected(key: str, odd: Any) -> None:
     sound = {"kind": "measure", "first_sample": 1, "last_sample": 2, "frequency": 20.0, "settled": True}
     try:
@@ -87,9 +77,7 @@ def rewritten(path: Path, checksums: bool = True, shift: int = 0) -> Path:
             for number, schema in summary.schemas.items()
         }
         for channel in summary.channels.values():
-            copy.add_channel(
-                channel.topic, channel.message_encoding, schemas[channel.schema_id], channel.metadata
-            )
+            copy.add_channel(channel.topic, channel.message_encoding, schemas[channel.schema_id], channel.metadata)
         for chunk in range(len(summary.offsets)):
             moved = []
             for message in container.messages(chunk):
@@ -116,9 +104,7 @@ def rewritten(path: Path, checksums: bool = True, shift: int = 0) -> Path:
 def _as_written(message: Any) -> Any:
     from daq.mcap_file.writer import Message
 
-    return Message(
-        message.channel, message.log_time, message.publish_time, bytes(message.data), message.sequence
-    )
+    return Message(message.channel, message.log_time, message.publish_time, bytes(message.data), message.sequence)
 
 
 @pytest.fixture(scope="module")
@@ -129,10 +115,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_our_layout_requires_checksums(sound: Path) -> None:
     with daq.open(rewritten(sound)) as recording:
         assert np.isfinite(recording.read("body1")).all()
-    with (
-        pytest.raises(RecordingError, match="no checksum"),
-        daq.open(rewritten(sound, checksums=False)) as recording,
-    ):
+    with pytest.raises(RecordingError, match="no checksum"), daq.open(rewritten(sound, checksums=False)) as recording:
         recording.read("body1")
 
 

@@ -19,9 +19,7 @@ class ReflectedClient:
     """A client that knows only the calls of the reflection service; the server describes all others."""
 
     def __init__(self, address):
-        from grpc_reflection.v1alpha.proto_reflection_descriptor_database import (
-            ProtoReflectionDescriptorDatabase,
-        )
+        from grpc_reflection.v1alpha.proto_reflection_descriptor_database import ProtoReflectionDescriptorDatabase
 
         self.channel = open_channel(address)
         self.database = ProtoReflectionDescriptorDatabase(self.channel)
@@ -85,13 +83,9 @@ def test_client_of_reflection_writes_and_reads(client):
     )
     for task in (written_task, read_task):
         client.daqmx("CfgSampClkTiming", task=task, samps_per_chan=500, **timing)
-    client.daqmx(
-        "WriteAnalogF64", task=written_task, num_samps_per_chan=500, timeout=10.0, write_array=[5.0] * 500
-    )
+    client.daqmx("WriteAnalogF64", task=written_task, num_samps_per_chan=500, timeout=10.0, write_array=[5.0] * 500)
     client.daqmx("StartTask", task=written_task)
-    found = client.daqmx(
-        "ReadAnalogF64", task=read_task, num_samps_per_chan=500, timeout=10.0, array_size_in_samps=500
-    )
+    found = client.daqmx("ReadAnalogF64", task=read_task, num_samps_per_chan=500, timeout=10.0, array_size_in_samps=500)
     client.daqmx("ClearTask", task=written_task)
     client.daqmx("ClearTask", task=read_task)
     assert found.samps_per_chan_read == 500
@@ -131,9 +125,7 @@ def test_reset_of_server_ends_tasks():
         assert caught.value.error_code == DAQmxErrors.INVALID_TASK
 
 
-@pytest.mark.parametrize(
-    "method", ["grpc.health.v1.Health/Check", "grpc.reflection.v1alpha.ServerReflection/X"]
-)
+@pytest.mark.parametrize("method", ["grpc.health.v1.Health/Check", "grpc.reflection.v1alpha.ServerReflection/X"])
 def test_unreadable_request_leaves_terminal_clean(rig, method, caplog):
     with pytest.raises(grpc.RpcError):
         open_channel(rig.address).unary_unary(f"/{method}")(b"\xff\xff\xff")
@@ -161,12 +153,8 @@ def test_proto_text_keeps_choices_maps_and_aliases():
     entry.options.map_entry = True
     entry.field.add(name="key", number=1, type="TYPE_STRING", label="LABEL_OPTIONAL")
     entry.field.add(name="value", number=2, type="TYPE_INT32", label="LABEL_OPTIONAL")
-    message.field.add(
-        name="m", number=1, type="TYPE_MESSAGE", label="LABEL_REPEATED", type_name=".a.M.MapEntry"
-    )
-    message.field.add(
-        name="e", number=2, type="TYPE_ENUM", label="LABEL_OPTIONAL", type_name=".a.E", oneof_index=0
-    )
+    message.field.add(name="m", number=1, type="TYPE_MESSAGE", label="LABEL_REPEATED", type_name=".a.M.MapEntry")
+    message.field.add(name="e", number=2, type="TYPE_ENUM", label="LABEL_OPTIONAL", type_name=".a.E", oneof_index=0)
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)
     text = " ".join(proto_text(pool.FindFileByName("a.proto")).split())

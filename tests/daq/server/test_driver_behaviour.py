@@ -120,9 +120,7 @@ def test_paused_log_continues_in_other_file(chassis, tmp_path):
     first, second = tmp_path / "first.mcap", tmp_path / "second.mcap"
     with Task() as task:
         inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
-        task.in_stream.configure_logging(
-            str(first), LoggingMode.LOG_AND_READ, operation=LoggingOperation.CREATE
-        )
+        task.in_stream.configure_logging(str(first), LoggingMode.LOG_AND_READ, operation=LoggingOperation.CREATE)
         task.start()
         begun = task.read(100)
         task.in_stream.logging_pause = True

@@ -48,9 +48,7 @@ def two_modules():
     sensor = {"sensitivity": "100 mV/g", "noise": "20 ug/sqrt(Hz)"}
     channels = [{"name": "table", "at": "table", "accelerometer": sensor}]
     channels += [{"name": f"c{n}", "at": f"body {1 + n % 3}", "accelerometer": sensor} for n in range(7)]
-    return rig.load(
-        "bare-structure", {"channels": channels, "converter": {"preset": "NI 9234", "rate": "5120 Hz"}}
-    )
+    return rig.load("bare-structure", {"channels": channels, "converter": {"preset": "NI 9234", "rate": "5120 Hz"}})
 
 
 def client(rig):
@@ -139,10 +137,7 @@ def declare(channel, sessions):
 
 def read_beside(actions):
     """Read a task to its end during other calls to the server; return the samples."""
-    with (
-        daq.connect(two_modules(), clock=ManualClock()) as rig,
-        inputs(client(rig), samps_per_chan=2000) as witness,
-    ):
+    with daq.connect(two_modules(), clock=ManualClock()) as rig, inputs(client(rig), samps_per_chan=2000) as witness:
         witness.start()
         for action in actions(open_channel(rig.address)):
             rig.chassis.advance(round(2000 / CALLS * rig.chassis.rate / RATE))
@@ -164,9 +159,7 @@ def test_random_calls_harm_only_their_client(capfd):
             yield lambda: answers.append(ask(channel, chance.choice(quiet), chance, sessions[-4:]))
 
     beside = read_beside(calls)
-    assert not [
-        text for text in answers if "fault" in text or "Exception" in text or "Stream removed" in text
-    ]
+    assert not [text for text in answers if "fault" in text or "Exception" in text or "Stream removed" in text]
     assert "Traceback" not in capfd.readouterr().err
     np.testing.assert_array_equal(beside, read_beside(lambda channel: [lambda: None] * CALLS))
 
@@ -187,9 +180,7 @@ def test_invalid_values_name_valid_ones(act, hint):
         act(rig)
 
 
-@pytest.mark.parametrize(
-    "points, order, forward", [(10**9, 3, 1.0), (1000, 999, 1.0), (5, 7, 1.0), (100, 3, 1e300)]
-)
+@pytest.mark.parametrize("points, order, forward", [(10**9, 3, 1.0), (1000, 999, 1.0), (5, 7, 1.0), (100, 3, 1e300)])
 def test_endless_polynomial_reversal_is_rejected(points, order, forward):
     from daq.instrument.settings.scales import reverse_polynomial
 
@@ -240,10 +231,7 @@ def test_silent_listener_does_not_stop_time():
 
 @pytest.mark.parametrize("seconds", [b"", b"soon", b"\xff"])
 def test_invalid_time_is_rejected(seconds):
-    with (
-        daq.connect("bare-structure", clock="fast") as rig,
-        pytest.raises(grpc.RpcError, match="a number of"),
-    ):
+    with daq.connect("bare-structure", clock="fast") as rig, pytest.raises(grpc.RpcError, match="a number of"):
         open_channel(rig.address).unary_unary("/shotrig.Bench/Pass")(seconds, timeout=20.0)
 
 

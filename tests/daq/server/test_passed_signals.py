@@ -71,15 +71,7 @@ def running(tmp_path):
         (IN_ORDER, signal.SIGTERM, os.kill, 7),
         (IGNORE, signal.SIGTERM, os.kill, 128 + signal.SIGKILL),
     ],
-    ids=[
-        "terminated",
-        "hung up",
-        "interrupted",
-        "Ctrl-C",
-        "all terminated",
-        "ends in order",
-        "does not listen",
-    ],
+    ids=["terminated", "hung up", "interrupted", "Ctrl-C", "all terminated", "ends in order", "does not listen"],
 )
 def test_ended_command_ends_logging_script(running, before, how, send, code):
     process, script, log = running(before)

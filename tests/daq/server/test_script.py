@@ -94,9 +94,7 @@ def test_waiting_for_enter_passes_bench_time(script, capfd):
     assert capfd.readouterr().out.startswith("Press Enter to stop. ")
 
 
-@pytest.mark.parametrize(
-    "end, code", [("raise SystemExit(3)", 3), ("raise SystemExit('why')", 1), ("1 / 0", 1)]
-)
+@pytest.mark.parametrize("end, code", [("raise SystemExit(3)", 3), ("raise SystemExit('why')", 1), ("1 / 0", 1)])
 def test_exit_code_of_script_is_kept(script, capfd, end, code):
     assert run_script(script(end), scene="bare-structure", clock="fast") == code
     shown = capfd.readouterr().err

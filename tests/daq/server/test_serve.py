@@ -48,9 +48,7 @@ def test_viewer_shows_channels(tmp_path):
         assert displayed.size == 1000
         # The viewer's unit is another one, by a power of ten.
         scale = np.ptp(displayed) / np.ptp(np.array(volts) / info.sensitivity)
-        np.testing.assert_allclose(
-            np.sort(displayed), scale * np.sort(volts) / info.sensitivity, rtol=1e-9, atol=1e-12
-        )
+        np.testing.assert_allclose(np.sort(displayed), scale * np.sort(volts) / info.sensitivity, rtol=1e-9, atol=1e-12)
 
 
 @pytest.fixture

@@ -72,9 +72,7 @@ def test_drivers_name_selects_all_inputs(shared, name):
         assert task.devices[0].name == name
 
 
-@pytest.mark.parametrize(
-    "name, expected", [("acc", ["acc0", "acc1", "acc2"]), ("acc09", ["acc09", "acc10", "acc11"])]
-)
+@pytest.mark.parametrize("name, expected", [("acc", ["acc0", "acc1", "acc2"]), ("acc09", ["acc09", "acc10", "acc11"])])
 def test_names_of_channels_are_counted(shared, name, expected):
     with nidaqmx.Task(grpc_options=shared) as task:
         task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:2", name)
@@ -134,9 +132,7 @@ def test_slow_module_averages_fast_one():
         fast_task.start()
         slow_task.start()
         fast_samples, slow_samples = np.array(fast_task.read(401)), np.array(slow_task.read(101))
-    np.testing.assert_allclose(
-        slow_samples[1:], fast_samples[1:].reshape(100, 4).mean(axis=1), rtol=1e-12, atol=1e-15
-    )
+    np.testing.assert_allclose(slow_samples[1:], fast_samples[1:].reshape(100, 4).mean(axis=1), rtol=1e-12, atol=1e-15)
 
 
 def test_on_demand_samples_play_in_order():
@@ -207,10 +203,7 @@ def test_excessive_requests_are_rejected():
 def test_excessive_buffers_are_rejected():
     with daq.connect("bare-structure", clock="fast", limits=Limits(memory=1 << 20)) as rig:
         large_client, small_client = client(rig), client(rig)
-        with (
-            nidaqmx.Task(grpc_options=large_client) as task,
-            inputs(small_client, samps_per_chan=100) as small_task,
-        ):
+        with nidaqmx.Task(grpc_options=large_client) as task, inputs(small_client, samps_per_chan=100) as small_task:
             task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
             task.timing.cfg_samp_clk_timing(51200.0)
             for _ in range(2):
@@ -219,10 +212,7 @@ def test_excessive_buffers_are_rejected():
                 task.write(np.zeros(60_000), auto_start=False)
             assert len(small_task.read(100)) == 100
             assert task.write(np.zeros(1000), auto_start=False) == 1000
-        with (
-            inputs(large_client, samps_per_chan=1_000_000) as task,
-            pytest.raises(DaqError, match="smaller buffers"),
-        ):
+        with inputs(large_client, samps_per_chan=1_000_000) as task, pytest.raises(DaqError, match="smaller buffers"):
             task.start()
 
 

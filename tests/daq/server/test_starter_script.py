@@ -76,9 +76,7 @@ def test_sensors_without_excitation_are_reported_once(capsys):
 
         def read(terminals, source):
             with nidaqmx.Task(grpc_options=connection) as task:
-                task.ai_channels.add_ai_accel_chan(
-                    terminals, current_excit_source=source, current_excit_val=0.002
-                )
+                task.ai_channels.add_ai_accel_chan(terminals, current_excit_source=source, current_excit_val=0.002)
                 task.timing.cfg_samp_clk_timing(5120.0, samps_per_chan=10)
                 task.read(10)
             return capsys.readouterr().err

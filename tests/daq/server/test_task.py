@@ -144,10 +144,7 @@ def test_read_longer_than_buffer_is_complete(chassis):
 def test_sensitivity_converts_volts(chassis):
     with Task() as volt_task, Task() as g_task, Task() as metric_task:
         inputs(volt_task, "Dev1/ai3", samps_per_chan=500)
-        for task, device, units in (
-            (g_task, 2, AccelUnits.G),
-            (metric_task, 3, AccelUnits.METERS_PER_SECOND_SQUARED),
-        ):
+        for task, device, units in ((g_task, 2, AccelUnits.G), (metric_task, 3, AccelUnits.METERS_PER_SECOND_SQUARED)):
             limit = 50.0
             task.ai_channels.add_ai_accel_chan(
                 f"Dev{device}/ai3", min_val=-limit, max_val=limit, units=units, sensitivity=250.0
@@ -155,9 +152,7 @@ def test_sensitivity_converts_volts(chassis):
             task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=500)
         for task in (g_task, metric_task, volt_task):
             task.start()
-        in_volts, in_g, in_metres_per_s2 = (
-            np.array(task.read(500)) for task in (volt_task, g_task, metric_task)
-        )
+        in_volts, in_g, in_metres_per_s2 = (np.array(task.read(500)) for task in (volt_task, g_task, metric_task))
     assert np.ptp(in_volts) > 0
     np.testing.assert_allclose(in_g, in_volts / 0.25, rtol=1e-14)
     np.testing.assert_allclose(in_metres_per_s2, in_volts / 0.25 * 9.80665, rtol=1e-14)
@@ -264,9 +259,7 @@ def test_output_callbacks_run(chassis):
     calls, done = queue.Queue(), queue.Queue()
     with Task() as driving:
         output(driving, np.zeros(50), samps_per_chan=250)
-        driving.register_every_n_samples_transferred_from_buffer_event(
-            100, lambda *event: calls.put(event[2])
-        )
+        driving.register_every_n_samples_transferred_from_buffer_event(100, lambda *event: calls.put(event[2]))
         driving.register_done_event(lambda handle, status, data: done.put(status))
         driving.start()
         driving.wait_until_done()
@@ -332,9 +325,9 @@ def test_removed_delay_keeps_sample_times():
             driving.start()
             responses.append(np.array(reading.read(READ_ALL_AVAILABLE)))
     reference, filtered = responses
-    lag_samples = np.argmax(
-        np.correlate(filtered - filtered.mean(), reference - reference.mean(), "full")
-    ) - (len(reference) - 1)
+    lag_samples = np.argmax(np.correlate(filtered - filtered.mean(), reference - reference.mean(), "full")) - (
+        len(reference) - 1
+    )
     assert abs(lag_samples) <= 1
 
 

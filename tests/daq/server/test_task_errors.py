@@ -7,14 +7,7 @@ import nidaqmx
 import numpy as np
 import pytest
 from nidaqmx._grpc_interpreter import _ERROR_MESSAGES
-from nidaqmx.constants import (
-    AcquisitionType,
-    Edge,
-    RegenerationMode,
-    TaskMode,
-    TerminalConfiguration,
-    VoltageUnits,
-)
+from nidaqmx.constants import AcquisitionType, Edge, RegenerationMode, TaskMode, TerminalConfiguration, VoltageUnits
 from nidaqmx.errors import DaqError, DaqReadError, DaqResourceWarning, DaqWriteError
 
 import rig
@@ -183,9 +176,7 @@ def test_impossible_rate_is_rejected(chassis, rate):
     [
         (lambda task: task.ai_channels.add_ai_accel_chan("Dev1/ai1", units=VoltageUnits.VOLTS), "m/s^2"),
         (
-            lambda task: task.ai_channels.add_ai_voltage_chan(
-                "Dev1/ai1", terminal_config=TerminalConfiguration.RSE
-            ),
+            lambda task: task.ai_channels.add_ai_voltage_chan("Dev1/ai1", terminal_config=TerminalConfiguration.RSE),
             "PSEUDO_DIFF",
         ),
         (lambda task: task.ai_channels.add_ai_accel_chan("Dev1/ai1", max_val=np.inf), "-5 to inf"),
@@ -194,9 +185,7 @@ def test_impossible_rate_is_rejected(chassis, rate):
         (lambda task: setattr(task.in_stream, "overwrite", Edge.RISING), "NOT_ALLOWED"),
         (lambda task: setattr(task.out_stream, "regen_mode", Edge.RISING), "ALLOWED"),
         (
-            lambda task: task.triggers.start_trigger.cfg_anlg_edge_start_trig(
-                "Dev1/ai0", trigger_level=np.nan
-            ),
+            lambda task: task.triggers.start_trigger.cfg_anlg_edge_start_trig("Dev1/ai0", trigger_level=np.nan),
             "lvl is nan",
         ),
         (lambda task: task.wait_until_done(np.nan), "timeout is nan"),
@@ -309,19 +298,11 @@ def test_unsupported_call_names_function_of_script(chassis):
         for call, name, code in (
             (lambda: task.ai_channels.add_ai_thrmcpl_chan("Dev1/ai1"), "add_ai_thrmcpl_chan", -200431),
             (lambda: task.ai_channels.add_ai_rtd_chan("Dev1/ai99"), "ai99", -200170),
-            (
-                lambda: task.ai_channels.add_ai_bridge_chan("Dev1/ai1"),
-                "does not support this measurement",
-                -200431,
-            ),
+            (lambda: task.ai_channels.add_ai_bridge_chan("Dev1/ai1"), "does not support this measurement", -200431),
             (lambda: task.ai_channels.add_ai_pos_lvdt_chan("Dev1/ai1"), "does not support", -200431),
             (lambda: task.timing.ai_conv_rate, "ai_conv_rate", -200452),
             (lambda: task.timing.cfg_handshaking_timing(), "cfg_handshaking_timing", -200452),
-            (
-                lambda: task.ci_channels.add_ci_count_edges_chan("Dev1/ctr0"),
-                "add_ci_count_edges_chan",
-                -200170,
-            ),
+            (lambda: task.ci_channels.add_ci_count_edges_chan("Dev1/ctr0"), "add_ci_count_edges_chan", -200170),
             (lambda: task.di_channels.add_di_chan("Dev1/port0/line0"), "add_di_chan", -200170),
             (lambda: task.di_channels.add_di_chan("nowhere/port0"), "nowhere", -200220),
         ):
@@ -332,16 +313,12 @@ def test_unsupported_call_names_function_of_script(chassis):
 
 
 def test_unsupported_channel_calls_exist_in_client():
-    channels = [
-        method.name for method in methods() if re.fullmatch(r"Create(TEDS)?[ACD][IO]\w*Chan\w*", method.name)
-    ]
+    channels = [method.name for method in methods() if re.fullmatch(r"Create(TEDS)?[ACD][IO]\w*Chan\w*", method.name)]
     collections = ("AI", "AO", "CI", "CO", "DI", "DO")
     client_functions = {
         name
         for kind in collections
-        for name in dir(
-            getattr(importlib.import_module("nidaqmx.task.collections"), f"{kind}ChannelCollection")
-        )
+        for name in dir(getattr(importlib.import_module("nidaqmx.task.collections"), f"{kind}ChannelCollection"))
     }
     unsupported = {script_function(method) for method in channels if answer_to(method) is None}
     assert unsupported and unsupported <= client_functions

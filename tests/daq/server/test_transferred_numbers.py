@@ -18,10 +18,7 @@ from daq.server.protocol import SERVICE, methods
 COUNTS = {"I16": np.int16, "I32": np.int32, "U16": np.uint16, "U32": np.uint32}
 TRANSFERS = [each for each in methods() if each.name.startswith(("Read", "Write"))]
 QUICK = settings(
-    max_examples=10,
-    deadline=None,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    max_examples=10, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 
 
@@ -98,10 +95,7 @@ def requests(draw, method, task):
 @pytest.mark.parametrize("method", [each.name for each in TRANSFERS])
 def test_any_request_gives_answer_or_driver_error(bench, method):
     connection, _, channel = bench
-    with (
-        nidaqmx.Task("in", grpc_options=connection) as inputs,
-        nidaqmx.Task("out", grpc_options=connection) as outputs,
-    ):
+    with nidaqmx.Task("in", grpc_options=connection) as inputs, nidaqmx.Task("out", grpc_options=connection) as outputs:
         inputs.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:1")
         inputs.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.CONTINUOUS)
         outputs.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
@@ -125,12 +119,7 @@ def test_counts_read_are_twos_complement(bench, kind):
     with nidaqmx.Task("signed", grpc_options=connection) as task:
         task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:3")
         task.timing.cfg_samp_clk_timing(5120.0, samps_per_chan=200)
-        wanted = {
-            "task": {"name": "signed"},
-            "num_samps_per_chan": 200,
-            "timeout": 10.0,
-            "array_size_in_samps": 800,
-        }
+        wanted = {"task": {"name": "signed"}, "num_samps_per_chan": 200, "timeout": 10.0, "array_size_in_samps": 800}
         task.start()
         signed = np.array(sent(channel, "ReadBinaryI32", **wanted).read_array)
         task.in_stream.relative_to, task.in_stream.offset = ReadRelativeTo.FIRST_SAMPLE, 0

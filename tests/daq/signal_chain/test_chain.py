@@ -93,9 +93,7 @@ def test_impact_samples_are_closed_form(order, rate):
     keys = f"{SENSOR}, integrator: {{order: {order}, corner: 1 Hz}}"
     chain, _ = chain_of(scene_of(keys, converter=f"{{rate: {rate} Hz}}"))
     read = chain.measure(motion_of([Path(impacts=tuple(sorted(hits)))], rate, samples))[0]
-    line = Circuit.series(
-        [resonance(30e3, 30.0), high_pass(4.0, "low cut-off"), *[integration(1.0, 1.0)] * order]
-    )
+    line = Circuit.series([resonance(30e3, 30.0), high_pass(4.0, "low cut-off"), *[integration(1.0, 1.0)] * order])
     t = np.arange(samples) / rate
     expected, over_sample = np.zeros(samples), expm(line.a / rate)
     for instant, jump in hits:
@@ -163,9 +161,7 @@ def test_channels_are_independent():
 def test_effects_list_is_complete():
     assert chain_of(scene_of())[0].effects == {"body1": {"averaging": 1}}
     sensor = {"resonance": 2, "low cut-off": 1}
-    chain, _ = chain_of(
-        scene_of(SENSOR, SENSOR + ", integrator: {order: 2}", converter="{bits: 24, range: 5 V}")
-    )
+    chain, _ = chain_of(scene_of(SENSOR, SENSOR + ", integrator: {order: 2}", converter="{bits: 24, range: 5 V}"))
     assert chain.effects == {
         "c1": sensor | {"averaging": 1, "clipping": 0, "quantisation": 0},
         "c2": sensor | {"integration": 2, "point sampling": 0, "clipping": 0, "quantisation": 0},
@@ -173,9 +169,7 @@ def test_effects_list_is_complete():
     everything = chain_of(scene_of(EVERYTHING, converter=EVERYTHING_CONVERTED))[0].effects["c1"]
     # A first-order state for every few octaves over which it rises.
     assert everything["1/f noise"] > 5
-    assert {"1/f noise", "offset settling", "overload recovery", "decimation filter", "jitter"} <= set(
-        everything
-    )
+    assert {"1/f noise", "offset settling", "overload recovery", "decimation filter", "jitter"} <= set(everything)
 
 
 def test_settled_start_reads_zero():

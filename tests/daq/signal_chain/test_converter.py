@@ -181,8 +181,7 @@ def test_contradicting_figure_names_both():
 
 def test_data_sheets_are_described():
     scene = scene_of(
-        ", accelerometer: {resonance: 30 kHz}, integrator: {order: 1, corner: 1 Hz}",
-        converter="{excitation: 2 mA}",
+        ", accelerometer: {resonance: 30 kHz}, integrator: {order: 1, corner: 1 Hz}", converter="{excitation: 2 mA}"
     )
     assert chain_of(scene)[0].channels[0].sensor == {
         "accelerometer.resonance": "30000.0 Hz",

@@ -39,10 +39,7 @@ def landing(rate: float, limit: float) -> tuple[Bench, np.ndarray, np.ndarray, f
     touch = events[(events["kind"] == "touch") & (events["time"] > 1e-3)][0]
     system = assemble(scene)
     force = peak_force(
-        system.wall_stiffness[0, 1],
-        system.wall_damping[0, 1],
-        float(system.reduced_mass[0]),
-        float(touch["speed"]),
+        system.wall_stiffness[0, 1], system.wall_damping[0, 1], float(system.reduced_mass[0]), float(touch["speed"])
     )
     first = int(touch["time"] * rate)
     last = int((touch["time"] + DURATION) * rate) + 2

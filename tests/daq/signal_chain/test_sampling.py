@@ -67,6 +67,4 @@ def test_short_landing_momentum_is_averaged_whole():
 @pytest.mark.parametrize("filtered", ["filter: delta_sigma", "preset: NI 9234"])
 def test_point_samples_behind_a_filter_are_rejected(filtered):
     with pytest.raises(SceneError, match="sampling: point with the filter delta_sigma"):
-        rig.loads(
-            f"structure: {{masses: [1], springs: [1]}}\nconverter: {{rate: 5120, sampling: point, {filtered}}}"
-        )
+        rig.loads(f"structure: {{masses: [1], springs: [1]}}\nconverter: {{rate: 5120, sampling: point, {filtered}}}")

@@ -24,9 +24,7 @@ def draw(seed):
     kind = dice.choice(["point", "average", "filter"])
     step, lasts = 1.0 / (200.0 * frequency), max(0.004, (110.0 if kind == "filter" else 30.0) / rate)
     order = int(dice.integers(0, 3))
-    hits = [
-        (round(dice.uniform(0.05, 0.3) * lasts / step), dice.normal()) for _ in range(dice.integers(1, 6))
-    ]
+    hits = [(round(dice.uniform(0.05, 0.3) * lasts / step), dice.normal()) for _ in range(dice.integers(1, 6))]
     return {
         "rate": rate, "frequency": frequency, "q": dice.uniform(0.6, 40.0), "step": step, "lasts": lasts,
         "hits": sorted(hits), "recovery": dice.choice([0.0, dice.uniform(1e-4, 2e-2)]), "order": order,
@@ -52,12 +50,7 @@ def small_steps(case, limit, rail):
     stages = []
     for _ in range(case["order"]):
         state, kept = 0.0, np.exp(-2 * np.pi * case["corner"] * step)
-        mean = (
-            0.5
-            * (voltage + np.concatenate([[0.0], voltage[:-1]]))
-            * step
-            * case["gain"] ** (1 / case["order"])
-        )
+        mean = 0.5 * (voltage + np.concatenate([[0.0], voltage[:-1]])) * step * case["gain"] ** (1 / case["order"])
         voltage = np.empty(mean.size)
         for k, each in enumerate(mean):
             state = min(max(kept * state + each, -rail), rail)
@@ -91,9 +84,7 @@ def test_limited_samples_agree_with_small_steps(seed):
     expected = sampled(case, voltage)
 
     recovery = f", overload_recovery: {case['recovery']}" if case["recovery"] else ""
-    keys = (
-        f", accelerometer: {{resonance: {case['frequency']}, q: {case['q']}, saturation: {limit}{recovery}}}"
-    )
+    keys = f", accelerometer: {{resonance: {case['frequency']}, q: {case['q']}, saturation: {limit}{recovery}}}"
     if case["order"]:
         saturation = f", saturation: {rail}" if np.isfinite(rail) else ""
         keys += f", integrator: {{order: {case['order']}, corner: {case['corner']}, gain: {case['gain']}{saturation}}}"
@@ -135,9 +126,7 @@ def test_shock_saturates_alike_at_any_rate(seed, filtered):
 
 def test_sensor_without_bandwidth_loses_the_impulse():
     for rate in RATES:
-        scene = scene_of(
-            ", accelerometer: {saturation: 50}, integrator: {order: 1}", converter=f"{{rate: {rate}}}"
-        )
+        scene = scene_of(", accelerometer: {saturation: 50}, integrator: {order: 1}", converter=f"{{rate: {rate}}}")
         chain, _ = chain_of(scene)
         read = chain.measure(motion_of([Path(impacts=((0.0123, 0.4),))], rate, int(0.02 * rate)))[0]
         assert read == pytest.approx(np.zeros(read.size), abs=1e-12)

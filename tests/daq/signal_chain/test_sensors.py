@@ -44,8 +44,7 @@ def test_warm_sensor_drifts():
 
 def test_transverse_sensitivity_adds_sideways_motion():
     deviations = [
-        accelerometer(Accelerometer(transverse="5 %", lateral="40 %"), seed, "c").deviation
-        for seed in range(300)
+        accelerometer(Accelerometer(transverse="5 %", lateral="40 %"), seed, "c").deviation for seed in range(300)
     ]
     assert np.max(deviations) == pytest.approx(0.02, rel=0.01)
     assert np.min(deviations) == pytest.approx(-0.02, rel=0.01)

@@ -112,11 +112,7 @@ def test_viewer_error_is_passed_on():
 def test_browser_session_ends_quietly_on_interrupt(recorded):
     command = [sys.executable, "-c", "from daq.cli import main; main()", "replay", str(recorded), "--web"]
     with subprocess.Popen(
-        command,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=clean({"PYTHONUNBUFFERED": "1"}),
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=clean({"PYTHONUNBUFFERED": "1"})
     ) as session:
         assert session.stdout is not None and session.stderr is not None
         address = session.stdout.readline().strip()

@@ -77,6 +77,4 @@ def test_clock_error_keeps_the_stated_rate() -> None:
     assert bench.rate == 5000.0
     motion = bench.acquire(np.full((1, 101), 1e-3)).motion
     exact = Bench(rig.load("bare-structure").replace(converter={"rate": "5050 Hz"}))
-    np.testing.assert_array_equal(
-        motion.displacement, exact.acquire(np.full((1, 101), 1e-3)).motion.displacement
-    )
+    np.testing.assert_array_equal(motion.displacement, exact.acquire(np.full((1, 101), 1e-3)).motion.displacement)

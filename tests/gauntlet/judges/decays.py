@@ -33,15 +33,9 @@ def judge(case: Case, kind: str) -> list[Verdict]:
     is_known = np.isfinite(true)
     inside = abs(mode.damping - true)[is_known] <= 1.96 * mode.damping_error[is_known]
     worst = float(np.max(abs(mode.damping / true - 1.0)[is_known], initial=0.0))
-    outcome = (
-        "right" if inside.sum() >= MIN_COVERAGE * inside.size else "warned" if decay.warnings else "wrong"
-    )
-    bound = (
-        float(np.median((1.96 * mode.damping_error / mode.damping)[is_known])) if is_known.any() else np.nan
-    )
-    note = f"largest error {worst:.2%}, median bound {bound:.2%}" + "".join(
-        f" [{text}]" for text in decay.warnings
-    )
+    outcome = "right" if inside.sum() >= MIN_COVERAGE * inside.size else "warned" if decay.warnings else "wrong"
+    bound = float(np.median((1.96 * mode.damping_error / mode.damping)[is_known])) if is_known.any() else np.nan
+    note = f"largest error {worst:.2%}, median bound {bound:.2%}" + "".join(f" [{text}]" for text in decay.warnings)
     return [Verdict("decays", kind, outcome, int(inside.sum()), inside.size, note=note)]
 
 

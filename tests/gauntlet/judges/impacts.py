@@ -76,9 +76,7 @@ def _agree(
 def _in_excluded_interval(time: NDArray[np.float64], intervals: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return whether each impact lies in an interval that the search excluded, or within a millisecond of it."""
     margin = 1e-3
-    return ((time[:, None] > intervals[:, 0] - margin) & (time[:, None] < intervals[:, 1] + margin)).any(
-        axis=1
-    )
+    return ((time[:, None] > intervals[:, 0] - margin) & (time[:, None] < intervals[:, 1] + margin)).any(axis=1)
 
 
 def true_impacts(case: Case, number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

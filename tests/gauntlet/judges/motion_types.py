@@ -36,9 +36,7 @@ def judge(case: Case, kind: str) -> list[Verdict]:
                     points += 1
                     right += motion.name == true
                     if motion.name != true:
-                        notes.append(
-                            f"a{damper.body} at {motion.frequency:.4g} Hz: {motion.name}, true {true}"
-                        )
+                        notes.append(f"a{damper.body} at {motion.frequency:.4g} Hz: {motion.name}, true {true}")
     outcome = "right" if right == points else "wrong"
     notes.append(f"{points} of {nameable} named")
     return [Verdict("motion_types", kind, outcome, right, points, note="; ".join(notes))]
@@ -52,10 +50,7 @@ def _true_type(case: Case, number: int, frequency: float, first: int, stop: int)
     recording = case.recording
     events = recording.events[recording.events["damper"] == number]
     riding = recording.truth("contact")[number - 1, first] == 1
-    if (
-        riding
-        and not ((events["time"] >= first / recording.rate) & (events["time"] < stop / recording.rate)).any()
-    ):
+    if riding and not ((events["time"] >= first / recording.rate) & (events["time"] < stop / recording.rate)).any():
         return "riding"
     time, jump = true_impacts(case, number)
     is_counted = (time >= first / recording.rate) & (time < stop / recording.rate)
@@ -63,8 +58,7 @@ def _true_type(case: Case, number: int, frequency: float, first: int, stop: int)
     # A detection next to a larger impact is that impact, slightly late.
     matched = score(detected.time, time, MAX_DISTANCE_SAMPLES / recording.rate)[2]
     matched[matched] = [
-        abs(jump[k]) >= abs(jump[abs(time - time[k]) < detected.min_interval]).max()
-        for k in np.flatnonzero(matched)
+        abs(jump[k]) >= abs(jump[abs(time - time[k]) < detected.min_interval]).max() for k in np.flatnonzero(matched)
     ]
     is_counted &= detectable(time, jump, detected) | matched
     floor, ceiling = time[is_counted & (jump < 0.0)], time[is_counted & (jump > 0.0)]

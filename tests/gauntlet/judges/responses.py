@@ -39,13 +39,7 @@ MAX_MISLEADING_FRACTION = 0.02
 # Largest fraction of lines without a value, without a finite bound, or marked as unsteady.
 MAX_UNRESOLVED_FRACTION = 0.3
 # Warnings that the complete curve is not a response to steady tones. No other warning excuses a wrong line.
-_NOT_TONES = (
-    LIFTED,
-    NONLINEAR,
-    ONE_REALISATION,
-    "was measured before steady state",
-    "too fast to reach steady state",
-)
+_NOT_TONES = (LIFTED, NONLINEAR, ONE_REALISATION, "was measured before steady state", "too fast to reach steady state")
 # Relative rounding error of curves without noise.
 _ROUNDING = 1e-9
 # Relative change of the force for the derivative of a response with respect to it.
@@ -145,9 +139,7 @@ def judge(case: Case, kind: str) -> list[Verdict]:
             body = int(case.recording.channels[frf.response].at.split()[1]) - 1
             full_bound.add(frf, truth(frf.frequency)[body])
             within_tolerance = replace(frf, uncertainty=frf.uncertainty.without(SENSITIVITY, CLOCK))
-            without_tolerances.add(
-                within_tolerance, _curve_of_actual_sensors(case, frf, truth_near_nominal_force)
-            )
+            without_tolerances.add(within_tolerance, _curve_of_actual_sensors(case, frf, truth_near_nominal_force))
     return [tally.verdict(kind, warnings) for tally in (full_bound, without_tolerances)]
 
 
@@ -186,9 +178,9 @@ def _exclude_irregular(
         if marker.kind == "measure" and "frequency" in marker.fields and marker.last_sample is not None:
             period = recording.rate / marker.fields["frequency"]
             first, n_periods = marker.first_sample, int((marker.stop - marker.first_sample) / period)
-            edges = np.round(
-                first + period * np.linspace(0, n_periods, min(n_periods, _COMPARED_PERIODS) + 1)
-            ).astype(int)
+            edges = np.round(first + period * np.linspace(0, n_periods, min(n_periods, _COMPARED_PERIODS) + 1)).astype(
+                int
+            )
             motion = recording.truth("displacement", edges[0], edges[-1])
             tone = motion * np.exp(-2j * np.pi * np.arange(motion.shape[1]) / period)
             parts = np.array([part.mean(axis=1) for part in np.split(tone, edges[1:-1] - first, axis=1)])
@@ -227,9 +219,7 @@ def _truth_at_actual_forces(
     }
     if not scene.dampers or not readings or scene.test.force is None:
         return truth
-    truth_at_higher_force = _truth(
-        scene.replace(test=scene.test.replace(force=scene.test.force * (1.0 + _FORCE_STEP)))
-    )
+    truth_at_higher_force = _truth(scene.replace(test=scene.test.replace(force=scene.test.force * (1.0 + _FORCE_STEP))))
     frequencies, forces = np.array(list(readings)), np.array(list(readings.values()))
 
     def exact(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
@@ -240,9 +230,7 @@ def _truth_at_actual_forces(
             slope = (truth_at_higher_force(frequency) - values) / _FORCE_STEP
             # A steeper slope means that more force leads to another kind of motion: the first order is invalid.
             smooth = abs(slope) < _MAX_RELATIVE_SLOPE * abs(values)
-            return np.asarray(
-                np.where((abs(deviation) <= max_deviation) & smooth, values + slope * deviation, np.nan)
-            )
+            return np.asarray(np.where((abs(deviation) <= max_deviation) & smooth, values + slope * deviation, np.nan))
 
     return exact
 
@@ -254,19 +242,13 @@ def _gain(case: Case, name: str, frequency: NDArray[np.float64]) -> NDArray[np.c
     # The data sheet's response is applied at the nominal frequency, while the sensor acts at the true one.
     shift = info.response(frequency * clock) / info.response(frequency)
     if channel.measures_force:
-        deviation = force_sensor(
-            complete_from_preset(channel.hammer or Hammer()), case.scene.seed, name
-        ).deviation
+        deviation = force_sensor(complete_from_preset(channel.hammer or Hammer()), case.scene.seed, name).deviation
         return np.asarray((1.0 + deviation) * shift)
-    sensor = accelerometer(
-        complete_from_preset(channel.accelerometer or Accelerometer()), case.scene.seed, name
-    )
+    sensor = accelerometer(complete_from_preset(channel.accelerometer or Accelerometer()), case.scene.seed, name)
     return np.asarray((1.0 + sensor.deviation) * shift * clock ** MOTIONS.index(info.quantity))
 
 
-def _force_gain(
-    case: Case, frequency: NDArray[np.float64], exact: NDArray[np.complex128]
-) -> NDArray[np.complex128]:
+def _force_gain(case: Case, frequency: NDArray[np.float64], exact: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Return the ratio of the reading to the true force, from the receptances of all bodies."""
     channels = case.scene.channels or ()
     force = next((channel.name for channel in channels if channel.measures_force), None)

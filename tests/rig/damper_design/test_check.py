@@ -32,9 +32,7 @@ def test_expectation_includes_force_harmonics() -> None:
     question, _ = parse_request(scene, bodies=[2], levels=[1.5])
     choice = Choice((2,), (0.1,), (0.969e-3,))
     peak = question.worst(choice)
-    (expectation,) = expected_results(
-        scene_with_check(scene, Trial(choice, (peak,)), question), Trial(choice, (peak,))
-    )
+    (expectation,) = expected_results(scene_with_check(scene, Trial(choice, (peak,)), question), Trial(choice, (peak,)))
     assert expectation.sizes is not None
     low, size, high = expectation.sizes
     assert low < size < high < 1.01 * low

@@ -34,24 +34,16 @@ def _bracket(shaker: str) -> rig.Scene:
 @pytest.mark.thorough
 @pytest.mark.parametrize("shaker", [FORCE, TABLE])
 def test_printed_commands_run(shaker: str, tmp_path: Path) -> None:
-    design = rig.design(
-        _bracket(shaker), bodies=[2], levels=["4 N"], clearance=("0.3 mm", "0.5 mm"), budget="30 g"
-    )
+    design = rig.design(_bracket(shaker), bodies=[2], levels=["4 N"], clearance=("0.3 mm", "0.5 mm"), budget="30 g")
     scene = write(design, tmp_path)[0]
     instructions = describe_check(design, scene)
     assert "channels added" in instructions and "channels[1].accelerometer.saturation=" in instructions
     assert "170.97" in summary(design) and "outside the band" in summary(design)
-    commands = [
-        shlex.split(line) for line in instructions.splitlines() if line.startswith(("daq ", "analysis "))
-    ]
+    commands = [shlex.split(line) for line in instructions.splitlines() if line.startswith(("daq ", "analysis "))]
     assert len(commands) == 4
     for program, *arguments in commands:
         result = subprocess.run(
-            [sys.executable, "-m", program, *arguments],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=False,
+            [sys.executable, "-m", program, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False
         )
         assert result.returncode == 0, result.stderr
 

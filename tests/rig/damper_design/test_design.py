@@ -83,23 +83,17 @@ def test_written_scene_loads_and_summary_matches(design: rig.Design, tmp_path: P
     assert picture.stat().st_size > 10_000 and drawing.stat().st_size > 10_000
     assert repr(design).startswith("<Design: ") and design.plot().get_legend() is not None
     assert f"clearance {1e3 * design.best.choice.clearances[0]:.3g} mm" in summary(design)
-    commands = [
-        shlex.split(line) for line in describe_check(design, scene).splitlines() if line.startswith("daq")
-    ]
+    commands = [shlex.split(line) for line in describe_check(design, scene).splitlines() if line.startswith("daq")]
     assert [command[:3] for command in commands] == [["daq", "record", str(scene)]] * 2
     assert "dampers=null" in commands[0] and "dampers=null" not in commands[1]
-    unsteady = replace(
-        design, expected=tuple(replace(expectation, sizes=None) for expectation in design.expected)
-    )
+    unsteady = replace(design, expected=tuple(replace(expectation, sizes=None) for expectation in design.expected))
     assert "no steady motion found" in describe_check(unsteady, scene)
 
 
 @pytest.mark.thorough
 def test_every_level_has_its_column(design: rig.Design) -> None:
     two_levels = replace(design.question, levels=(3.3, 6.6))
-    trials = tuple(
-        replace(trial, peaks=(trial.peak, replace(trial.peak, size=1e-5))) for trial in design.trials
-    )
+    trials = tuple(replace(trial, peaks=(trial.peak, replace(trial.peak, size=1e-5))) for trial in design.trials)
     lines = summary(replace(design, question=two_levels, trials=trials, best=trials[0])).splitlines()
     heading = next(line for line in lines if "added mass" in line)
     assert heading.split()[3:7] == ["3.3", "N", "6.6", "N"]
@@ -157,9 +151,7 @@ def test_least_damped_variant_counts() -> None:
 
 
 def test_body_named_twice_carries_two() -> None:
-    question, space = parse_request(
-        rig.load("fig9"), bodies=[2, 1, 2], dampers=2, levels=[3.3], watched=[2, 2]
-    )
+    question, space = parse_request(rig.load("fig9"), bodies=[2, 1, 2], dampers=2, levels=[3.3], watched=[2, 2])
     assert (space.locations, question.bodies) == (((1,), (2,), (1, 2), (2, 2)), (2,))
 
 
@@ -194,12 +186,7 @@ def test_nonsensical_requests_are_rejected(requested: dict, message: str) -> Non
 def test_quantities_with_units_are_accepted() -> None:
     scene = rig.load("fig9")
     question, space = parse_request(
-        scene,
-        budget="5 %",
-        bodies=["1", "3"],
-        clearance=["1 mm", 2e-3],
-        levels=["3 N", "1 N"],
-        uncertain=["20 %", 0.0],
+        scene, budget="5 %", bodies=["1", "3"], clearance=["1 mm", 2e-3], levels=["3 N", "1 N"], uncertain=["20 %", 0.0]
     )
     assert space.mass == pytest.approx(0.1045) and mass_of("50 g", scene) == pytest.approx(0.05)
     assert (space.locations, space.clearance, question.levels) == (((1,), (3,)), (1e-3, 2e-3), (1.0, 3.0))
@@ -212,9 +199,7 @@ def test_grain_command_follows_the_same_dampers() -> None:
         Damper(body=2, mass=0.04, clearance=1e-3, contact={"duration": "2 ms"}),
         Damper(body=3, mass=2.0, clearance=2e-3, restitution=0.3),
     ]
-    peaks = [
-        Expected(Peak(size, 49.0, level, 2, 1.0, 0.0), None, ()) for size, level in ((1e-4, 2.0), (2e-4, 4.0))
-    ]
+    peaks = [Expected(Peak(size, 49.0, level, 2, 1.0, 0.0), None, ()) for size, level in ((1e-4, 2.0), (2e-4, 4.0))]
     *_, command = grain_check(dampers, peaks, Path("a folder/check.yaml"))
     words = shlex.split(command)
     assert words[:3] == ["rig", "grains", "a folder/check.yaml"]

@@ -30,13 +30,9 @@ def test_new_dampers_land_as_the_scenes() -> None:
     peak = question.worst(choice)
     trial = Trial(choice, (peak,))
     checked = scene_with_check(scene, trial, question)
-    assert [(damper.restitution, damper.contact) for damper in checked.dampers] == [
-        (0.2, scene.dampers[0].contact)
-    ]
+    assert [(damper.restitution, damper.contact) for damper in checked.dampers] == [(0.2, scene.dampers[0].contact)]
     instant = replace(question, landings=INSTANTANEOUS)
-    assert instant.digest != question.digest and instant.worst(choice).size != pytest.approx(
-        peak.size, rel=1e-3
-    )
+    assert instant.digest != question.digest and instant.worst(choice).size != pytest.approx(peak.size, rel=1e-3)
 
 
 def test_first_of_different_landings_is_taken() -> None:

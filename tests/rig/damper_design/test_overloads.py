@@ -22,12 +22,7 @@ def _scene(contact: dict[str, Any] | None, sensor: dict[str, Any]) -> rig.Scene:
     changes = {
         "dampers": [{"body": 2, "mass_ratio": 0.06, "clearance": 0.98e-3, "contact": contact}],
         "shaker": {"kind": "force", "body": 1},
-        "test": {
-            "kind": "stepped_sine",
-            "frequencies": [FREQUENCY_HZ],
-            "force": FORCE_N,
-            "settle": {"longest": "2 s"},
-        },
+        "test": {"kind": "stepped_sine", "frequencies": [FREQUENCY_HZ], "force": FORCE_N, "settle": {"longest": "2 s"}},
         "channels": [
             {"name": "force", "at": "shaker"},
             {"name": "struck", "at": "body 2", "accelerometer": sensor},
@@ -40,9 +35,7 @@ def _scene(contact: dict[str, Any] | None, sensor: dict[str, Any]) -> rig.Scene:
 
 def _expected(scene: rig.Scene) -> Expected:
     response = rig.frequency_response(scene.replace(channels=None), [FREQUENCY_HZ], tolerance=1e-4)
-    return Expected(
-        Peak(1e-4, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0), None, tuple(response.closing_speed[:, 0].tolist())
-    )
+    return Expected(Peak(1e-4, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0), None, tuple(response.closing_speed[:, 0].tolist()))
 
 
 @pytest.mark.thorough
@@ -60,8 +53,7 @@ def test_finite_landings_overload_a_small_sensor(contact: dict[str, Any] | None,
         with daq.open(path) as recording:
             recorded = {mark.fields["channel"] for mark in recording.overloads}
         names = [
-            overload.reason.partition(":")[0]
-            for overload in predict_overloads(limited_scene, [expected], SMALL_PEAK)
+            overload.reason.partition(":")[0] for overload in predict_overloads(limited_scene, [expected], SMALL_PEAK)
         ]
         assert names == (["struck"] if saturation_ratio < 1.0 else [])
         assert recorded == ({"struck"} if saturation_ratio < 1.0 else set())
@@ -71,8 +63,7 @@ def test_instant_landings_without_resonance_are_skipped() -> None:
     scene = _scene(None, {"saturation": "5000 g"})
     (warnings,) = predict_overloads(scene, [_expected(scene)], SMALL_PEAK)
     assert (
-        warnings.reason.startswith("struck: up to")
-        and "saturates at 5000 g, from landings of up to" in warnings.reason
+        warnings.reason.startswith("struck: up to") and "saturates at 5000 g, from landings of up to" in warnings.reason
     )
     assert warnings.changes == ("channels[2].accelerometer.saturation=null",)
     lines = overload_lines([warnings], finite_contact=False)

@@ -61,8 +61,4 @@ def trial_of(mass: float, clearance: float, *sizes: float) -> Trial:
 def test_no_lighter_choice_beats_the_front() -> None:
     sizes = [(0.1, 3.0), (0.1, 2.0), (0.2, 2.5), (0.3, 1.0), (0.05, 4.0)]
     trials = [trial_of(m, 1e-3, size) for m, size in sizes]
-    assert [(t.choice.mass, t.peak.size) for t in pareto_front(trials)] == [
-        (0.05, 4.0),
-        (0.1, 2.0),
-        (0.3, 1.0),
-    ]
+    assert [(t.choice.mass, t.peak.size) for t in pareto_front(trials)] == [(0.05, 4.0), (0.1, 2.0), (0.3, 1.0)]

@@ -131,10 +131,7 @@ def test_levels_too_weak_for_flight_are_named() -> None:
     assert "at 0.5 N the dampers cannot fly" in lines[0] and "body 1 reaches 0.625 g" in lines[0]
     assert lines[1].startswith("use --levels 4N:")
     weak_trial = Trial(trial.choice, peaks[:1])
-    assert (
-        "from 1.41 N on"
-        in describe_shortfall(weak_trial, bare, Flight(0.8, 1, np.nan), charted, [weak_trial])[1]
-    )
+    assert "from 1.41 N on" in describe_shortfall(weak_trial, bare, Flight(0.8, 1, np.nan), charted, [weak_trial])[1]
     assert not describe_shortfall(Trial(trial.choice, peaks[1:]), bare, Flight(0.8, 1, np.nan), charted, [])
 
 

@@ -22,12 +22,7 @@ def test_motion_states_equal_those_of_the_system(name: str) -> None:
 def test_removed_effects_remove_their_states_and_inputs() -> None:
     full = rig.load("fig9")
     no_coil = full.replace(
-        shaker={
-            "kind": "electrodynamic",
-            "body": 1,
-            "spring": full.shaker.spring,
-            "amplifier": {"mode": "current"},
-        }
+        shaker={"kind": "electrodynamic", "body": 1, "spring": full.shaker.spring, "amplifier": {"mode": "current"}}
     )
     no_damper = full.replace(dampers=())
     bare = rig.load("bare-structure").replace(shaker=None, test=None, channels=None)
@@ -82,15 +77,11 @@ def test_cost_lists_each_effect_and_its_states() -> None:
 
 
 def test_bare_scene_costs_structure_and_ideal_channels_only() -> None:
-    scene = rig.loads(
-        "structure: {masses: [1 kg], springs: [4 kN/m]}\nrecording: {display: false}", where="test"
-    )
+    scene = rig.loads("structure: {masses: [1 kg], springs: [4 kN/m]}\nrecording: {display: false}", where="test")
     assert [cost.name for cost in effect_costs(scene)] == ["structure", "channels, ideal", "recording"]
 
 
 def test_natural_frequencies_are_listed_first_and_last() -> None:
-    many = rig.load("bare-structure").replace(
-        structure={"masses": [1.0] * 9, "springs": [4e3] * 9}, channels=None
-    )
+    many = rig.load("bare-structure").replace(structure={"masses": [1.0] * 9, "springs": [4e3] * 9}, channels=None)
     assert "13.04, 34.78, 49.66 Hz" in str(rig.explain("fig9"))
     assert re.search(r"9 bodies on springs, ([\d.]+, ){6}\.\.\., 19\.\d+ Hz", str(rig.explain(many)))

@@ -29,10 +29,7 @@ class Segment:
         self.omega = mpf(2.0 * 3.141592653589793 * scene.test.frequency) if scene.shaker else mpf(0)
         load = mpmath.matrix(n, 1)
         for j in riding:
-            body, bed = (
-                int(structural_model(scene).bed_body[j]),
-                mpf(float(structural_model(scene).bed_mass[j])),
-            )
+            body, bed = (int(structural_model(scene).bed_body[j]), mpf(float(structural_model(scene).bed_mass[j])))
             mass[body, body] += bed
             load[body] -= bed * self.gravity
         inverse = mass**-1

@@ -63,8 +63,7 @@ class SwitchedMotion:
     def __init__(self, scene: rig.Scene) -> None:
         self.context = decimal.Context(prec=DIGITS)
         mass, damping, stiffness = (
-            [[Decimal(float(v)) for v in row] for row in matrix]
-            for matrix in structure_matrices(scene.structure)
+            [[Decimal(float(v)) for v in row] for row in matrix] for matrix in structure_matrices(scene.structure)
         )
         self.bodies = len(mass)
         self.bed_body = [int(b) for b in structural_model(scene).bed_body]
@@ -107,12 +106,7 @@ class SwitchedMotion:
                 k, c = self.walls[j][mode - 1]
                 height = self.clearance[j] if mode == CEILING else Decimal(0)
                 for row, factor in ((bed, -1 / self.beds[j]), (body, 1 / self.mass[body][body])):
-                    for column, value in (
-                        (bed, k),
-                        (body, -k),
-                        (coordinates + bed, c),
-                        (coordinates + body, -c),
-                    ):
+                    for column, value in ((bed, k), (body, -k), (coordinates + bed, c), (coordinates + body, -c)):
                         rows[coordinates + row][column] += factor * value
                     rows[coordinates + row][size - 1] -= factor * k * height
             rows[2 * coordinates][2 * coordinates + 1] = -self.omega

@@ -35,9 +35,7 @@ class Peer:
         """Return the accelerations of the bodies with the present contacts."""
         n = self.n
         mass = self.mass.copy()
-        load = (
-            self.force * np.sin(self.omega * t) - self.stiffness @ state[:n] - self.damping @ state[n : 2 * n]
-        )
+        load = self.force * np.sin(self.omega * t) - self.stiffness @ state[:n] - self.damping @ state[n : 2 * n]
         riding = self.mode != FLIGHT
         mass[self.body[riding], self.body[riding]] += self.bed[riding]
         load[self.body[riding]] -= self.bed[riding] * self.gravity
@@ -59,9 +57,7 @@ class Peer:
                     (
                         j,
                         FLOOR,
-                        lambda t, s, j=j, b=body: (
-                            s[2 * n + j] - s[b] if t > ignored_until.get((j, FLOOR), -1) else 1.0
-                        ),
+                        lambda t, s, j=j, b=body: s[2 * n + j] - s[b] if t > ignored_until.get((j, FLOOR), -1) else 1.0,
                     )
                 )
                 if np.isfinite(self.clearance[j]):
@@ -82,9 +78,7 @@ class Peer:
                     (
                         j,
                         FLIGHT,
-                        lambda t, s, b=body, sign=sign: (
-                            sign * (self._body_accelerations(t, s)[b] + self.gravity)
-                        ),
+                        lambda t, s, b=body, sign=sign: sign * (self._body_accelerations(t, s)[b] + self.gravity),
                     )
                 )
         for _, _, guard in guards:

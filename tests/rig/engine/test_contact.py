@@ -29,9 +29,7 @@ CLEARANCE = 2e-3
 SIGN = {FLOOR: 1.0, CEILING: -1.0}
 
 
-def propagator(
-    coupling: float, restitution: float = 0.0, finite_contacts: int = 0, uncoupled: int = 0
-) -> Propagator:
+def propagator(coupling: float, restitution: float = 0.0, finite_contacts: int = 0, uncoupled: int = 0) -> Propagator:
     """Return three bodies with a damper each; the first contacts have a duration, the last bodies are uncoupled."""
     contact = {"contact": {"duration": "2 ms"}}
     dampers = [
@@ -82,9 +80,7 @@ MODES = st.lists(st.sampled_from([FLIGHT, FLOOR, CEILING]), min_size=3, max_size
 
 
 @given(modes=MODES, finite_contacts=st.integers(0, 3), seed=st.integers(0, 10_000))
-def test_finite_contact_forces_equal_the_system_matrices(
-    modes: list[int], finite_contacts: int, seed: int
-) -> None:
+def test_finite_contact_forces_equal_the_system_matrices(modes: list[int], finite_contacts: int, seed: int) -> None:
     run = propagator(0.1, finite_contacts=finite_contacts)
     state, model, system = randomize(run, modes, seed), run.tables.model, run.system
     contact_bits = sum((mode != FLIGHT) << j | (mode == CEILING) << 3 + j for j, mode in enumerate(modes))
@@ -127,9 +123,7 @@ def test_hit_transfers_momentum_by_contact_laws(
         assert SIGN.get(walls[j], 0.0) * impulse[j] >= -1e-12
         # Dampers in flight elsewhere are unaffected, as are all dampers if the bodies are not coupled.
         assert j == impacting or (coupled and walls[j] != FLIGHT) or impulse[j] == 0.0
-    assert sign * (speed_after[impacting] - after[impacting]) == pytest.approx(
-        restitution * closing, abs=1e-12
-    )
+    assert sign * (speed_after[impacting] - after[impacting]) == pytest.approx(restitution * closing, abs=1e-12)
     assert state.height[impacting] == height or not restitution
     if state.mode[impacting] == wall:
         assert state.multiplicity[impacting] == 0
@@ -137,23 +131,15 @@ def test_hit_transfers_momentum_by_contact_laws(
     log, count = run.log, run.log.filled[0]
     (hit,) = np.flatnonzero(log.kind[:count] != SEPARATION)
     logged = [int(column[hit]) for column in (log.segment, log.damper, log.kind)]
-    assert (
-        logged == [7, impacting, wall]
-        and log.offset[hit] == 0.25
-        and log.closing[hit] == pytest.approx(closing)
-    )
+    assert logged == [7, impacting, wall] and log.offset[hit] == 0.25 and log.closing[hit] == pytest.approx(closing)
     separated = [int(j) for j in log.damper[:count][log.kind[:count] == SEPARATION]]
     rebounded = {impacting} if restitution else set()
-    assert {j for j in range(3) if walls[j] != FLIGHT and state.mode[j] == FLIGHT} - rebounded == set(
-        separated
-    )
+    assert {j for j in range(3) if walls[j] != FLIGHT and state.mode[j] == FLIGHT} - rebounded == set(separated)
     for j in separated:
         # Its speed is that of its wall before the impact, or of a wall that releases it without force.
         opening_speed = SIGN[walls[j]] * (speed_after[j] - after[j])
         assert speed_after[j] == (after[j] if opening_speed == 0.0 else body[j])
-        assert opening_speed >= 0.0 and state.height[j] == position[j] + (
-            CLEARANCE if walls[j] == CEILING else 0.0
-        )
+        assert opening_speed >= 0.0 and state.height[j] == position[j] + (CLEARANCE if walls[j] == CEILING else 0.0)
 
 
 @given(coupled=st.booleans(), modes=MODES, seed=st.integers(0, 10_000))
@@ -172,9 +158,7 @@ def test_release_agrees_with_enumeration(coupled: bool, modes: list[int], seed: 
     pressure = solve_by_enumeration(matrix, bias)
     release_tensile(run.tables.flow, model, state, run.log, work)
     released = riding[(pressure == 0.0) & (matrix @ pressure + bias > 1e-9)]
-    assert set(np.flatnonzero(state.mode == FLIGHT)) - set(np.flatnonzero(np.array(modes) == FLIGHT)) == set(
-        released
-    )
+    assert set(np.flatnonzero(state.mode == FLIGHT)) - set(np.flatnonzero(np.array(modes) == FLIGHT)) == set(released)
     assert run.log.damper[: run.log.filled[0]].tolist() == released.tolist()
     for j in released:
         floor = modes[j] == FLOOR
@@ -210,18 +194,14 @@ def test_rebound_within_rounding_stays_at_its_wall(wall: int, coupled: bool) -> 
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
 @pytest.mark.parametrize("coupled", [False, True])
 @pytest.mark.parametrize(("ratio", "releases"), [(-2.0, False), (0.0, False), (0.99, False), (1.01, True)])
-def test_tension_within_rounding_does_not_release(
-    wall: int, coupled: bool, ratio: float, releases: bool
-) -> None:
+def test_tension_within_rounding_does_not_release(wall: int, coupled: bool, ratio: float, releases: bool) -> None:
     run = propagator(0.2 if coupled else 0.0)
     state, model, system = randomize(run, [FLIGHT, wall, FLIGHT], 3), run.tables.model, run.system
     # The state is far from rest, so that large terms nearly cancel.
     state.z[: run.tables.size] *= 1e3
     terms = np.hstack([system.force_state, system.force_drive @ run.drive.output])
     inverse = np.linalg.inv(system.mass)[1]
-    acceleration_scale = model.gravity + np.abs(inverse) @ np.abs(terms * state.z[: terms.shape[1]]).sum(
-        axis=1
-    )
+    acceleration_scale = model.gravity + np.abs(inverse) @ np.abs(terms * state.z[: terms.shape[1]]).sum(axis=1)
     assert np.count_nonzero(inverse) == (3 if coupled else 1) and acceleration_scale > 1e3 * model.gravity
     acceleration = -SIGN[wall] * ratio * ROUNDING * acceleration_scale
     work = run.workspace.contact
@@ -309,9 +289,7 @@ def test_slowly_opened_contact_stays_closed(wall: int, ratio: float, closed: boo
         (CLEARANCE, -1.0, 1, CEILING),
     ],
 )
-def test_flying_damper_touches_a_wall_when_closing(
-    gap: float, closing: float, multiplicity: int, wall: int
-) -> None:
+def test_flying_damper_touches_a_wall_when_closing(gap: float, closing: float, multiplicity: int, wall: int) -> None:
     run = propagator(0.1)
     state, model = run.state, run.tables.model
     state.mode[1] = FLIGHT
@@ -327,10 +305,7 @@ def test_negligible_coupling_changes_no_event() -> None:
         scene = rig.Scene.model_validate(
             {
                 "structure": {
-                    "matrices": {
-                        "mass": [[1.0, coupling], [coupling, 1.0]],
-                        "stiffness": [[4e3, 0.0], [0.0, 5e3]],
-                    }
+                    "matrices": {"mass": [[1.0, coupling], [coupling, 1.0]], "stiffness": [[4e3, 0.0], [0.0, 5e3]]}
                 },
                 "dampers": [{"body": body, "mass": 0.1, "clearance": CLEARANCE} for body in (1, 2)],
                 "shaker": {"kind": "force", "body": [1, 2]},

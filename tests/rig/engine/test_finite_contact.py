@@ -85,13 +85,8 @@ def test_weak_dashpot_causes_no_second_landing(seed: int, ratio: float) -> None:
     scene = random_scene(seed, 2)
     beds = [0.03 * mass for mass in scene.structure.masses]
     rates = [2e3, 5e3]
-    walls = [
-        {"stiffness": m * rate**2, "damping": 2 * ratio * m * rate}
-        for m, rate in zip(beds, rates, strict=True)
-    ]
-    dampers = [
-        {"body": body + 1, "mass": beds[body], "clearance": 1e-3, "contact": walls[body]} for body in range(2)
-    ]
+    walls = [{"stiffness": m * rate**2, "damping": 2 * ratio * m * rate} for m, rate in zip(beds, rates, strict=True)]
+    dampers = [{"body": body + 1, "mass": beds[body], "clearance": 1e-3, "contact": walls[body]} for body in range(2)]
     run = rig.simulate(scene.replace(dampers=dampers), 0.5, rate=2000.0)
     assert len(run.events) > 20
     assert (run.events["speed"][run.events["kind"] == "touch"] > 0.0).all()
@@ -115,9 +110,7 @@ def test_largest_contact_force_is_closed_form(ratio: float) -> None:
 
 
 def test_residual_restitution_decreases_with_the_duration() -> None:
-    restitutions = [
-        duration_and_restitution(*spring_damper(t, 0.0, 0.05), 0.05)[1] for t in (1e-2, 1e-3, 1e-4, 1e-5)
-    ]
+    restitutions = [duration_and_restitution(*spring_damper(t, 0.0, 0.05), 0.05)[1] for t in (1e-2, 1e-3, 1e-4, 1e-5)]
     assert restitutions[0] == pytest.approx(math.exp(-2.0))
     assert all(later < 0.2 * earlier for earlier, later in pairwise(restitutions))
 
@@ -172,9 +165,7 @@ def test_dampers_rest_on_soft_floors() -> None:
 
 def test_finite_contact_blocks_change_no_bit() -> None:
     scene = rig.load("reference-C")
-    scene = scene.replace(
-        dampers=[d.replace(contact={"duration": 1e-3}, restitution=0.2) for d in scene.dampers]
-    )
+    scene = scene.replace(dampers=[d.replace(contact={"duration": 1e-3}, restitution=0.2) for d in scene.dampers])
     drive = 20.0 * np.random.default_rng(1).standard_normal((1, 600))
     single_block = rig.Plant(scene, 5120.0).advance(drive)
     plant = rig.Plant(scene, 5120.0)

@@ -26,17 +26,13 @@ CLEARANCE = 1e-3
 
 
 @cache
-def propagator(
-    contact: str = "", bodies: tuple[int, ...] = (1, 2, 3), clearance: float = CLEARANCE
-) -> Propagator:
+def propagator(contact: str = "", bodies: tuple[int, ...] = (1, 2, 3), clearance: float = CLEARANCE) -> Propagator:
     """Return three bodies with dampers in some; `contact` is the contact duration. Tests set the state."""
     contact_keys = {"contact": {"duration": contact}} if contact else {}
     scene = rig.Scene.model_validate(
         {
             "structure": {"masses": [1.0, 0.8, 0.6], "springs": [4e3] * 3, "damping": {"modal": 0.01}},
-            "dampers": [
-                {"body": body, "mass": 0.1, "clearance": clearance, **contact_keys} for body in bodies
-            ],
+            "dampers": [{"body": body, "mass": 0.1, "clearance": clearance, **contact_keys} for body in bodies],
             "shaker": {"kind": "force", "body": 1},
             "test": {"kind": "sine", "frequency": 10.0, "force": 1.0},
         }
@@ -72,9 +68,7 @@ def test_double_zero_margin_is_exact(curve: float, end: float, error_ratio: floa
 
 
 @pytest.mark.parametrize("length", [1.0, 0.3])
-def test_series_bounds_contain_the_guard(
-    length: float,
-) -> None:
+def test_series_bounds_contain_the_guard(length: float) -> None:
     run = propagator()
     model, state, bound = run.tables.model, run.state, run.workspace.bound
     state.mode[:] = FLIGHT, FLOOR, CEILING
@@ -100,9 +94,7 @@ def test_series_bounds_contain_the_guard(
 def test_finite_contact_has_no_series_bound() -> None:
     run = propagator("2 ms")
     model, work = run.tables.model, run.workspace
-    bound_by_series(
-        model, run.state.mode, work.tableau, 1.0, run.state.z, work.new, run.tables.size, work.bound
-    )
+    bound_by_series(model, run.state.mode, work.tableau, 1.0, run.state.z, work.new, run.tables.size, work.bound)
     assert (work.bound[:3] == np.inf).all()
 
 
@@ -125,9 +117,7 @@ class Step:
             gap = (0.5 + 0.48 * np.sin(position[j])) * CLEARANCE
             z[model.bed[j]] = [gap, -0.1 * gap, CLEARANCE + 0.1 * gap][modes[j]]
         self.bits = sum((mode != FLIGHT) << j for j, mode in enumerate(modes))
-        self.bits |= sum(
-            (modes[j] == CEILING) << dampers + int(j) for j in np.flatnonzero(system.finite_contact)
-        )
+        self.bits |= sum((modes[j] == CEILING) << dampers + int(j) for j in np.flatnonzero(system.finite_contact))
         self.matrix, self.offset = (array.astype(float) for array in run.tables.generator(self.bits))
         state.mode[:] = modes
         state.height[:] = z[model.position] + (0.5 + 0.48 * np.sin(position)) * CLEARANCE
@@ -157,15 +147,9 @@ class Step:
                 offset = sign * (self.offset[model.velocity[j]] + model.gravity)
             else:
                 row[model.position[j]] = -1.0
-                flight_terms[:] = (
-                    state.height[j],
-                    state.speed[j] * model.step,
-                    -model.gravity * model.step**2 / 2,
-                )
+                flight_terms[:] = (state.height[j], state.speed[j] * model.step, -model.gravity * model.step**2 / 2)
             series = np.polynomial.Polynomial([row @ term for term in self.terms])
-            series = (
-                series + np.polynomial.Polynomial([offset, 0.0, 0.0]) + np.polynomial.Polynomial(flight_terms)
-            )
+            series = series + np.polynomial.Polynomial([offset, 0.0, 0.0]) + np.polynomial.Polynomial(flight_terms)
             walls = [series, CLEARANCE - series] if model.clearance[j] < np.inf else [series]
             for guard in walls if mode == FLIGHT else walls[:1]:
                 result.append((j, np.array([guard(tau), guard.deriv()(tau), guard.deriv(4)(tau)])))
@@ -188,9 +172,7 @@ class Step:
             z[:size] = sum(term * tau**k for k, term in enumerate(self.terms))
             rate = self.matrix @ z[:size] + self.offset
             accelerations = slice(model.first_velocity, 2 * model.first_velocity)
-            derivatives = np.concatenate(
-                [rate[accelerations], model.step * (self.matrix @ rate)[accelerations]]
-            )
+            derivatives = np.concatenate([rate[accelerations], model.step * (self.matrix @ rate)[accelerations]])
             z[size : size + len(derivatives)] = derivatives
         flow = run.tables.flow
         bound_by_tables(flow, self.slot, state.z, work)
@@ -243,9 +225,7 @@ def test_proven_guard_is_not_examined(contact: str, mode: int, length: float) ->
         proven_draws = [draw for draw, result in zip(draws, margins, strict=True) if result.min() > 0.0]
         # For each coefficient of each guard, one state in which this coefficient is critical.
         unproven_draws = {
-            int(result.argmin()): draw
-            for draw, result in zip(draws, margins, strict=True)
-            if result.min() <= 0.0
+            int(result.argmin()): draw for draw, result in zip(draws, margins, strict=True) if result.min() <= 0.0
         }
         assert unproven_draws and proven_draws
         for proven, unproven in zip(cycle(proven_draws), unproven_draws.values()):
@@ -266,9 +246,7 @@ def test_proven_guard_is_not_examined(contact: str, mode: int, length: float) ->
     duration=st.sampled_from([0.0, 1e-3]),
     unproven_guard=st.integers(-1, 2),
 )
-def test_margins_are_compared_guard_by_guard(
-    modes: list[int], seed: int, duration: float, unproven_guard: int
-) -> None:
+def test_margins_are_compared_guard_by_guard(modes: list[int], seed: int, duration: float, unproven_guard: int) -> None:
     run, rng = propagator(), np.random.default_rng(seed)
     model, state, columns = run.tables.model, run.state, run.tables.size
     z = state.z

@@ -38,11 +38,7 @@ def scenes(draw: st.DrawFn) -> rig.Scene:
         mass = mass + 0.15 * np.sqrt(np.outer(np.diag(mass), np.diag(mass))) * (1 - np.eye(bodies))
         stiffness = chain_matrix(tuple(springs))
         structure = {
-            "matrices": {
-                "mass": mass.tolist(),
-                "stiffness": stiffness.tolist(),
-                "damping": (1e-4 * stiffness).tolist(),
-            }
+            "matrices": {"mass": mass.tolist(), "stiffness": stiffness.tolist(), "damping": (1e-4 * stiffness).tolist()}
         }
     damper_bodies = draw(st.lists(st.integers(1, bodies), min_size=1, max_size=4))
     dampers = [
@@ -61,16 +57,12 @@ def scenes(draw: st.DrawFn) -> rig.Scene:
         "force": sum(masses) * 9.80665 * draw(log_uniform(0.3, 4.0)),
     }
     shaker = {"kind": "force", "body": draw(st.integers(1, bodies))}
-    return rig.Scene.model_validate(
-        {"structure": structure, "dampers": dampers, "shaker": shaker, "test": test}
-    )
+    return rig.Scene.model_validate({"structure": structure, "dampers": dampers, "shaker": shaker, "test": test})
 
 
 @settings(max_examples=40)
 @given(scene=scenes())
-def test_dampers_stay_in_cavities_and_energy_balances(
-    scene: rig.Scene,
-) -> None:
+def test_dampers_stay_in_cavities_and_energy_balances(scene: rig.Scene) -> None:
     frequency = scene.test.frequency
     run = rig.simulate(scene, 20 / frequency, rate=40 * frequency)
     clearance = np.array([damper.clearance for damper in scene.dampers])[:, None]
@@ -129,21 +121,12 @@ def test_block_size_changes_no_bit(scene: rig.Scene, seed: int) -> None:
     plant = rig.Plant(scene, rate)
     block_starts = np.sort(random.integers(0, 300, 6))
     blocks = [plant.advance(block) for block in np.split(drive, block_starts, axis=1)]
-    for field in (
-        "displacement",
-        "velocity",
-        "acceleration",
-        "gap",
-        "contact",
-        "break_velocity",
-        "break_acceleration",
-    ):
+    for field in ("displacement", "velocity", "acceleration", "gap", "contact", "break_velocity", "break_acceleration"):
         joined = np.concatenate([getattr(block_motion, field) for block_motion in blocks], axis=-1)
         np.testing.assert_array_equal(joined, getattr(single_block, field))
     for field in ("break_sample", "break_offset", "events"):
         np.testing.assert_array_equal(
-            np.concatenate([getattr(block_motion, field) for block_motion in blocks]),
-            getattr(single_block, field),
+            np.concatenate([getattr(block_motion, field) for block_motion in blocks]), getattr(single_block, field)
         )
 
 
@@ -164,9 +147,7 @@ def test_impact_conserves_momentum(scene: rig.Scene, seed: int) -> None:
         if breaks.size:
             simultaneous = [e for e in events if np.abs(time[breaks] - e["time"]).min() <= 1e-12]
             next_mode = modes_after_breaks(system, motion, breaks.tolist(), simultaneous, mode)
-            assert next_mode is not None, (
-                f"no assignment of {simultaneous} to breaks {breaks} conserves momentum"
-            )
+            assert next_mode is not None, f"no assignment of {simultaneous} to breaks {breaks} conserves momentum"
             mode = next_mode
 
 
@@ -185,9 +166,7 @@ def modes_after_breaks(
         return mode if not events else None
     for count in range(len(events) + 1):
         after = modes_after_break(system, motion, breaks[0], events[:count], mode)
-        next_mode = (
-            None if after is None else modes_after_breaks(system, motion, breaks[1:], events[count:], after)
-        )
+        next_mode = None if after is None else modes_after_breaks(system, motion, breaks[1:], events[count:], after)
         if next_mode is not None:
             return next_mode
     return None
@@ -270,13 +249,10 @@ def test_damper_split_in_two_moves_the_same(body: int, clearance: float) -> None
     whole_damper = {"body": body, "mass_ratio": 0.1, "clearance": clearance}
     half_damper = whole_damper | {"mass_ratio": 0.05}
     scene = rig.load("fig8-three-dampers").replace(
-        test={"kind": "sine", "frequency": 33.0, "force": 2.6},
-        shaker={"kind": "force", "body": 1},
-        channels=None,
+        test={"kind": "sine", "frequency": 33.0, "force": 2.6}, shaker={"kind": "force", "body": 1}, channels=None
     )
     motion, split_motion = (
-        rig.simulate(scene.replace(dampers=dampers), 0.5)
-        for dampers in ([whole_damper], [half_damper, half_damper])
+        rig.simulate(scene.replace(dampers=dampers), 0.5) for dampers in ([whole_damper], [half_damper, half_damper])
     )
     assert motion.events.size > 3
     assert abs(motion.displacement - split_motion.displacement).max() < 1e-12 * abs(motion.displacement).max()

@@ -25,9 +25,7 @@ def single(damper: dict[str, object], damping: float = 0.01, **test: object) -> 
     )
 
 
-def free_chain(
-    masses: list[float], springs: list[float], velocity: list[float], **changes: object
-) -> rig.Scene:
+def free_chain(masses: list[float], springs: list[float], velocity: list[float], **changes: object) -> rig.Scene:
     """Return a chain that moves from x = 0 with initial velocities."""
     return rig.Scene.model_validate(
         {
@@ -219,13 +217,7 @@ def test_weightless_motion_passes_its_first_instants() -> None:
                 {"body": 4, "mass": 0.02539, "clearance": 1.22e-4, "restitution": 0.999},
             ],
             "shaker": {"kind": "table", "body": 4, "spring": 2339.075802989847},
-            "test": {
-                "kind": "sine",
-                "frequency": 38.18785175,
-                "force": 0.92,
-                "start": "empty",
-                "duration": 1.0,
-            },
+            "test": {"kind": "sine", "frequency": 38.18785175, "force": 0.92, "start": "empty", "duration": 1.0},
         }
     )
     run = rig.simulate(scene, 0.5, rate=2000.0)

@@ -43,10 +43,7 @@ def single_body(**test: object) -> rig.Scene:
 def reference_events() -> list[tuple[mpf, int, str]]:
     """Events of case A: 40-digit time, damper from 1, kind."""
     data = Path(__file__).parent / "data" / "reference-A-events.json"
-    return [
-        (mpf(time), damper + 1, KINDS[kind])
-        for time, damper, kind in json.loads(data.read_text(encoding="utf-8"))
-    ]
+    return [(mpf(time), damper + 1, KINDS[kind]) for time, damper, kind in json.loads(data.read_text(encoding="utf-8"))]
 
 
 @pytest.mark.usefixtures("tabulated")
@@ -168,9 +165,7 @@ def first_flight_peak(scene: rig.Scene) -> tuple[mpf, mpf]:
 
 
 @pytest.mark.parametrize("depth", [1e-6, 1e-9, 1e-12, 1e-15])
-def test_only_the_lower_ceiling_is_hit(
-    depth: float,
-) -> None:
+def test_only_the_lower_ceiling_is_hit(depth: float) -> None:
     scene = single_body(start="empty")
     highest, peak_time = first_flight_peak(scene)
     kinds = {}
@@ -184,9 +179,7 @@ def test_only_the_lower_ceiling_is_hit(
 
 
 @pytest.mark.parametrize("depth", [1e-2, 1e-6, 1e-10, 1e-12])
-def test_separates_only_if_the_force_dips_below_zero(
-    depth: float,
-) -> None:
+def test_separates_only_if_the_force_dips_below_zero(depth: float) -> None:
     # From its static equilibrium the riding damper's acceleration is F a(t), whatever gravity is: with the
     # largest fall of a(t) in a growing motion known, F sets how far the contact force dips below zero.
     unit = single_body(force=1.0)
@@ -298,9 +291,7 @@ def test_impossible_matrices_are_named(matrices: dict[str, object], message: str
         rig.load("bare-structure").replace(structure={"matrices": matrices}, channels=None)
 
 
-@pytest.mark.parametrize(
-    ("key", "value"), [("clearance", -1e-3), ("restitution", 1.0), ("mass", float("nan"))]
-)
+@pytest.mark.parametrize(("key", "value"), [("clearance", -1e-3), ("restitution", 1.0), ("mass", float("nan"))])
 def test_impossible_damper_is_named(key: str, value: float) -> None:
     damper = {"body": 1, "mass": 0.1, "clearance": 1e-3, key: value}
     with pytest.raises(SceneError, match=key):

@@ -30,6 +30,4 @@ def with_grains(mass: str = "0.3 g", cavity: str = "6 mm", **changes: Any) -> ri
 
 def without_grains(scene: rig.Scene, restitution: float = 0.0) -> rig.Scene:
     """The same with each bed as one mass."""
-    return scene.replace(
-        dampers=[damper.replace(grains=None, restitution=restitution) for damper in scene.dampers]
-    )
+    return scene.replace(dampers=[damper.replace(grains=None, restitution=restitution) for damper in scene.dampers])

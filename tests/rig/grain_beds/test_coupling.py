@@ -18,9 +18,7 @@ RATE = 2000.0
 
 def test_shaken_free_body_keeps_the_momentum() -> None:
     free_body = {"matrices": {"mass": [[0.01]], "stiffness": [[0.0]]}}
-    scene = with_grains(
-        structure=free_body, test={"kind": "sine", "frequency": 30.0, "force": 0.4, "start": "empty"}
-    )
+    scene = with_grains(structure=free_body, test={"kind": "sine", "frequency": 30.0, "force": 0.4, "start": "empty"})
     coupled = CoupledPropagator(scene, 1.0 / RATE)
     time = np.arange(coupled.substeps * 80 + 1) * coupled.step
     force = (0.4 * np.sin(188.5 * time) + 0.01 * 9.80665)[None]
@@ -33,9 +31,7 @@ def test_shaken_free_body_keeps_the_momentum() -> None:
     impulse = 0.5 * coupled.step * (force[0, :-1] + force[0, 1:]).sum()
     weight_impulse = scene.dampers[0].mass * scene.gravity * time[-1]
     contact_impulse = np.abs(beds.force.sum(axis=1)).sum() * coupled.step
-    assert body_momentum + coupled.momentum[0] == pytest.approx(
-        impulse - weight_impulse, abs=1e-12 * contact_impulse
-    )
+    assert body_momentum + coupled.momentum[0] == pytest.approx(impulse - weight_impulse, abs=1e-12 * contact_impulse)
     assert np.abs(coupled.momentum_errors).max() < 1e-12 * contact_impulse
 
 
@@ -87,14 +83,10 @@ def test_halved_step_agrees_within_2_percent() -> None:
     scene = with_grains(grains={"time_step": "10 us"})
     fine_scene = with_grains(grains={"time_step": "5 us"})
 
-    coarse_run, fine_run = (
-        rig.simulate(variant, duration=0.03, rate=RATE) for variant in (scene, fine_scene)
-    )
+    coarse_run, fine_run = (rig.simulate(variant, duration=0.03, rate=RATE) for variant in (scene, fine_scene))
 
     assert coarse_run.energy.grains == pytest.approx(fine_run.energy.grains, rel=0.02)
-    assert np.abs(coarse_run.displacement).max() == pytest.approx(
-        np.abs(fine_run.displacement).max(), rel=0.02
-    )
+    assert np.abs(coarse_run.displacement).max() == pytest.approx(np.abs(fine_run.displacement).max(), rel=0.02)
 
 
 @pytest.mark.parametrize(

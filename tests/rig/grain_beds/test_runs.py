@@ -112,9 +112,7 @@ def test_stopped_run_continues_and_keeps_its_output(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.glob("run*")] == ["run.npz.kept"]
     reported: list[int] = []
 
-    simulate_to_file(
-        tmp_path / "run.npz", scene, DURATION, RATE, None, lambda done, total: reported.append(done)
-    )
+    simulate_to_file(tmp_path / "run.npz", scene, DURATION, RATE, None, lambda done, total: reported.append(done))
 
     assert min(reported) > 30, "what was done was done again"
     assert [file.name for file in tmp_path.glob("run*")] == ["run.npz"]

@@ -51,12 +51,8 @@ def test_take_off_accelerates_the_damper_at_gravity() -> None:
     frequency = np.array([12.0, 33.3, 47.6])
     response = receptance(scene, frequency, riding=(1, 2, 3))
     largest = np.abs(response).max(axis=0) * (2 * np.pi * frequency) ** 2
-    np.testing.assert_allclose(
-        take_off(with_ideal_force(scene), frequency) * largest, scene.gravity, rtol=1e-9
-    )
-    np.testing.assert_allclose(
-        take_off(scene, frequency), take_off(with_ideal_force(scene), frequency), rtol=1e-6
-    )
+    np.testing.assert_allclose(take_off(with_ideal_force(scene), frequency) * largest, scene.gravity, rtol=1e-9)
+    np.testing.assert_allclose(take_off(scene, frequency), take_off(with_ideal_force(scene), frequency), rtol=1e-6)
 
 
 def test_rows_include_own_value_and_take_off() -> None:
@@ -159,9 +155,7 @@ def test_file_has_a_row_for_every_point(fig9_map: rig.MotionMap, tmp_path: Path)
 @pytest.mark.thorough
 def test_times_do_not_change_the_files(fig9_map: rig.MotionMap, tmp_path: Path) -> None:
     slower = replace(fig9_map, cpu=3.0 * fig9_map.cpu)
-    for one, other in zip(
-        write_map(fig9_map, tmp_path / "one"), write_map(slower, tmp_path / "other"), strict=True
-    ):
+    for one, other in zip(write_map(fig9_map, tmp_path / "one"), write_map(slower, tmp_path / "other"), strict=True):
         assert one.read_bytes() == other.read_bytes()
 
 

@@ -82,8 +82,7 @@ def test_first_sign_change_of_random_roots(roots: list[float], multiplicity: int
     coefficients = [mpmath.mpf(1)]
     for root in roots:
         coefficients = [
-            a - root * b
-            for a, b in zip([mpmath.mpf(0), *coefficients], [*coefficients, mpmath.mpf(0)], strict=True)
+            a - root * b for a, b in zip([mpmath.mpf(0), *coefficients], [*coefficients, mpmath.mpf(0)], strict=True)
         ]
     if coefficients[0] < 0:
         coefficients = [-c for c in coefficients]

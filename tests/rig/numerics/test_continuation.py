@@ -29,11 +29,7 @@ def test_curve_ends_on_its_bound_exactly() -> None:
 
 def test_curve_ends_just_before_a_border() -> None:
     curve = trace(
-        circle,
-        np.array([1.0, 0.0]),
-        (-2, 2),
-        np.ones(2),
-        margins=lambda x: (np.array([0.3 - x[1]]), ["too high"]),
+        circle, np.array([1.0, 0.0]), (-2, 2), np.ones(2), margins=lambda x: (np.array([0.3 - x[1]]), ["too high"])
     )
 
     assert curve.ends == ("too high", "too high")

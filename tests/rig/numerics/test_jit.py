@@ -93,19 +93,10 @@ def kernels(tmp_path: Path) -> Path:
 def run(package: Path, code: str = CALL, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run code in a process of its own."""
     paths = [str(package.parent), str(Path(__file__).parents[3])]
-    variables = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join(paths),
-        "NUMBA_CACHE_DIR": str(package / "cache"),
-    }
+    variables = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "NUMBA_CACHE_DIR": str(package / "cache")}
     # Python itself goes by the time and size of a file.
-    variables |= {
-        "PYTHONDONTWRITEBYTECODE": "1",
-        "PYTHONPYCACHEPREFIX": str(package / "bytecode"),
-    } | environment
-    return subprocess.run(
-        [sys.executable, "-c", code], env=variables, check=True, capture_output=True, text=True
-    )
+    variables |= {"PYTHONDONTWRITEBYTECODE": "1", "PYTHONPYCACHEPREFIX": str(package / "bytecode")} | environment
+    return subprocess.run([sys.executable, "-c", code], env=variables, check=True, capture_output=True, text=True)
 
 
 def machine_code(package: Path) -> dict[str, int]:
@@ -157,9 +148,7 @@ def test_unwritable_cache_is_reported(kernels: Path) -> None:
 
 
 def test_compiling_is_logged_for_own_kernels(kernels: Path) -> None:
-    code = (
-        "from rig.numerics.jit import kernel\ndef f(x):\n    return x\nf.__module__ = 'rig.f'\nkernel(f)(1.0)"
-    )
+    code = "from rig.numerics.jit import kernel\ndef f(x):\n    return x\nf.__module__ = 'rig.f'\nkernel(f)(1.0)"
     script = kernels / "script.py"
     script.write_text(code)
     assert "compiling machine code" in run(kernels, f"import runpy; runpy.run_path({str(script)!r})").stderr

@@ -5,9 +5,7 @@ from rig.scene.scene import Scene
 from rig.system.open_loop_drive import with_ideal_force
 
 
-def scene_with(
-    name: str, force: float, mass_ratio: float, clearance: float, restitution: float = 0.0
-) -> Scene:
+def scene_with(name: str, force: float, mass_ratio: float, clearance: float, restitution: float = 0.0) -> Scene:
     """Change what the paper's scenes have in common, on a pure force."""
     scene = with_ideal_force(rig.load(name))
     changes = {"mass": None, "mass_ratio": mass_ratio, "clearance": clearance, "restitution": restitution}
@@ -23,9 +21,7 @@ def driven_table_scene() -> Scene:
     )
 
 
-def finite_contact_scene(
-    name: str, contact: dict[str, object], only_last: bool = False, **changes: float
-) -> Scene:
+def finite_contact_scene(name: str, contact: dict[str, object], only_last: bool = False, **changes: float) -> Scene:
     """A bundled scene with finite-duration contact in all dampers or in the last."""
     scene = rig.load(name)
     dampers = [d.replace(contact=contact, **changes) for d in scene.dampers]

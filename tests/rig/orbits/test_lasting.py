@@ -22,19 +22,13 @@ def test_finite_contact_sweep_equals_settled_simulation() -> None:
     assert orbits.motion_type.tolist() == settled.motion_type.tolist()
     assert len(set(orbits.motion_type)) > 1
     # A settled simulation repeats within 1e-7 of itself.
-    np.testing.assert_allclose(
-        orbits.compliance, settled.compliance, rtol=0, atol=1e-5 * abs(settled.compliance).max()
-    )
+    np.testing.assert_allclose(orbits.compliance, settled.compliance, rtol=0, atol=1e-5 * abs(settled.compliance).max())
 
 
 def test_ever_shorter_contacts_tend_to_instant_contact() -> None:
     instant = rig.periodic_orbit(rig.load("fig9"), 49.7)
     deviations = [
-        float(
-            np.abs(
-                rig.periodic_orbit(fig9(duration=duration), 49.7).compliance / instant.compliance - 1
-            ).max()
-        )
+        float(np.abs(rig.periodic_orbit(fig9(duration=duration), 49.7).compliance / instant.compliance - 1).max())
         for duration in (1e-3, 2.5e-4, 6.25e-5)
     ]
     assert deviations[2] < 5e-3
@@ -44,10 +38,7 @@ def test_ever_shorter_contacts_tend_to_instant_contact() -> None:
 
 @pytest.mark.parametrize(
     ("contact", "frequency", "force"),
-    [
-        ({"stiffness": 1800.0, "damping": 17.0}, 40.3, 4.1),
-        ({"stiffness": 2.1e5, "damping": 115.0}, 41.7, 6.0),
-    ],
+    [({"stiffness": 1800.0, "damping": 17.0}, 40.3, 4.1), ({"stiffness": 2.1e5, "damping": 115.0}, 41.7, 6.0)],
 )
 def test_bed_pressed_again_before_separation_returns_to_orbit(
     contact: dict[str, float], frequency: float, force: float
@@ -60,9 +51,7 @@ def test_bed_pressed_again_before_separation_returns_to_orbit(
     assert kinds.PRESS_FLOOR in orbit.plan.sequence.kind
     assert orbit.margin > 1e-6
     assert plan.label == orbit.plan.label
-    np.testing.assert_allclose(
-        unknowns[-len(orbit.events) :], orbit.unknowns[-len(orbit.events) :], atol=1e-12
-    )
+    np.testing.assert_allclose(unknowns[-len(orbit.events) :], orbit.unknowns[-len(orbit.events) :], atol=1e-12)
 
 
 def test_finite_contact_curve_solves_its_equations_everywhere() -> None:

@@ -23,9 +23,7 @@ def at_body(scene: Scene, body: int, frequency: float, acceleration: float, **da
 
 @pytest.mark.parametrize(("body", "frequency"), [(2, 47.0), (3, 30.0), (1, 20.0)])
 @pytest.mark.parametrize("acceleration", [1.02, 1.5, 2.4, 3.2])
-def test_sticking_massless_damper_flies_as_the_inelastic_ball(
-    acceleration: float, body: int, frequency: float
-) -> None:
+def test_sticking_massless_damper_flies_as_the_inelastic_ball(acceleration: float, body: int, frequency: float) -> None:
     scene = at_body(rig.load("fig9"), body, frequency, acceleration, mass_ratio=1e-9, clearance=float("inf"))
 
     orbit = rig.periodic_orbit(scene, frequency)
@@ -91,9 +89,7 @@ def test_small_clearances_tend_to_the_linear_response() -> None:
 
     deviations = []
     for clearance in (1e-5, 1e-6, 1e-7):
-        orbit = rig.periodic_orbit(
-            scene.replace(dampers=[scene.dampers[0].replace(clearance=clearance)]), 49.5
-        )
+        orbit = rig.periodic_orbit(scene.replace(dampers=[scene.dampers[0].replace(clearance=clearance)]), 49.5)
         assert orbit.motion_type == "III"
         assert orbit.residual < 1e-11
         deviations.append(np.abs(orbit.compliance - exact).max() / np.abs(exact).max())

@@ -10,13 +10,7 @@ from rig.engine.propagator import Propagator
 from rig.errors import RunError, SceneError
 from rig.orbits.branches import OrbitCurve, follow_orbits
 from rig.orbits.orbit import Orbit
-from rig.orbits.periodic_orbit import (
-    period_steps,
-    periodic_orbit,
-    set_to_orbit,
-    simulate_cycle,
-    start_propagator,
-)
+from rig.orbits.periodic_orbit import period_steps, periodic_orbit, set_to_orbit, simulate_cycle, start_propagator
 from rig.orbits.problem import OrbitProblem, Parameter
 from rig.scene.scene import Scene
 from rig.single_mode.approximate_response import Approximation, follow_mode
@@ -48,10 +42,7 @@ def coupled_scene(coupling: float) -> Scene:
     return scene.replace(structure={"matrices": matrices}, dampers=dampers)
 
 
-DIFFERENT_WALLS = {
-    "floor": {"stiffness": 1e5, "damping": 300.0},
-    "ceiling": {"stiffness": 4e4, "damping": 60.0},
-}
+DIFFERENT_WALLS = {"floor": {"stiffness": 1e5, "damping": 300.0}, "ceiling": {"stiffness": 4e4, "damping": 60.0}}
 CASES = {
     "fig9": (rig.load("fig9"), 49.7),
     "fig9 stays": (rig.load("fig9"), 49.1),
@@ -103,18 +94,14 @@ def test_disturbed_orbit_responds_by_its_multipliers(scene: Scene, frequency: fl
     ns, nq = system.states, system.coordinates
     flying = len(orbit.plan.flying)
     omega = 2 * np.pi * frequency
-    units = np.concatenate(
-        [np.full(nq, 1e-3), np.full(nq, 1e-3 * omega), np.tile([1e-3, 1e-3 * omega], flying)]
-    )
+    units = np.concatenate([np.full(nq, 1e-3), np.full(nq, 1e-3 * omega), np.tile([1e-3, 1e-3 * omega], flying)])
 
     def after_a_period(change: np.ndarray) -> np.ndarray:
         unknowns = orbit.unknowns.copy()
         unknowns[: len(change)] += change
         propagator, steps = propagator_on_orbit(scene, Orbit(**{**vars(orbit), "unknowns": unknowns}))
         propagator.through_marks(
-            np.full(orbit.repetition, steps),
-            np.full(orbit.repetition, -1),
-            np.ones(orbit.repetition, dtype=bool),
+            np.full(orbit.repetition, steps), np.full(orbit.repetition, -1), np.ones(orbit.repetition, dtype=bool)
         )
         flights = [[propagator.state.height[j], propagator.state.speed[j]] for j in orbit.plan.flying]
         return np.concatenate([propagator.state.z[:ns], np.ravel(flights)])
@@ -198,9 +185,7 @@ def test_curves_over_other_parameters_share_an_orbit() -> None:
 
         branch = curve.branches[0]
         order = np.argsort(branch.value)
-        interpolated = np.interp(
-            scene_values[parameter], branch.value[order], np.abs(branch.compliance[1])[order]
-        )
+        interpolated = np.interp(scene_values[parameter], branch.value[order], np.abs(branch.compliance[1])[order])
         assert branch.motion_type == "II"
         assert interpolated == pytest.approx(abs(orbit.compliance[1]), rel=2e-3)
         assert len(branch.value) > 5
@@ -214,18 +199,14 @@ CURVES: list[tuple[Scene, Parameter, tuple[float, float], float | None]] = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("scene", "parameter", "bounds", "frequency"), CURVES, ids=[case[1] for case in CURVES]
-)
+@pytest.mark.parametrize(("scene", "parameter", "bounds", "frequency"), CURVES, ids=[case[1] for case in CURVES])
 def test_branches_end_on_borders_without_failures(
     scene: Scene, parameter: Parameter, bounds: tuple[float, float], frequency: float | None
 ) -> None:
     curve = follow_orbits(scene, parameter, bounds, frequency=frequency, searches=1)
 
     # The whole range is covered by stable orbits, from border to border.
-    intervals = sorted(
-        (b.value[b.stable].min(), b.value[b.stable].max()) for b in curve.branches if b.stable.any()
-    )
+    intervals = sorted((b.value[b.stable].min(), b.value[b.stable].max()) for b in curve.branches if b.stable.any())
     covered = bounds[0]
     for low, high in intervals:
         assert low < covered + 1e-3 * bounds[1]
@@ -298,11 +279,7 @@ def test_approximate_motion_repeats_in_a_one_mode_engine(
         propagator.place(np.array([q, u]), np.array([np.cos(phase), np.sin(phase)]))
         trajectory = propagator.through_marks(np.array([steps]), np.array([0]), np.zeros(1, dtype=bool))
 
-        instants = [
-            branch.tau_0[i],
-            branch.tau_1[i],
-            *([branch.tau_2[i]] if kind == "III" else [branch.tau_1[i]]),
-        ]
+        instants = [branch.tau_0[i], branch.tau_1[i], *([branch.tau_2[i]] if kind == "III" else [branch.tau_1[i]])]
         events = trajectory.event_offset * omega
         kinds = {"I": [0], "II": [0, 2, 0], "III": [0, 2, 0]}[kind]
         np.testing.assert_array_equal(trajectory.event_kind[: len(kinds)], kinds)

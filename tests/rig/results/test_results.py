@@ -51,9 +51,7 @@ def test_result_shows_line_page_drawing_and_table(results) -> None:
         assert [table.index.name, *table.columns] == list(columns)
         if result is results[0]:
             assert data["value"].dims == ("frequency", "output", "input")
-            np.testing.assert_array_equal(
-                data["value"].sel(output="body3", input="force"), result["body3"].value
-            )
+            np.testing.assert_array_equal(data["value"].sel(output="body3", input="force"), result["body3"].value)
         else:
             assert set(data.variables) == set(columns)
         for name in table.columns:
@@ -66,9 +64,7 @@ def test_table_of_a_curve_has_its_numbers(results) -> None:
     table = frf.to_dataframe()
     np.testing.assert_array_equal(table["value_m/N"], frf.value)
     np.testing.assert_array_equal(table.index, frf.frequency)
-    assert re.search(
-        r"compliance, \d+ points, 8 to 58 Hz, highest \(\d+ ± \d+\) µm/N at 13\.\d+ Hz", repr(frf)
-    )
+    assert re.search(r"compliance, \d+ points, 8 to 58 Hz, highest \(\d+ ± \d+\) µm/N at 13\.\d+ Hz", repr(frf))
 
 
 def test_table_of_an_orbit_closes_and_moves(results) -> None:

@@ -28,18 +28,14 @@ def test_names_are_taken_wherever_numbers_are() -> None:
 
 def test_names_go_with_matrices() -> None:
     matrices = {"mass": [[4.2, 0], [0, 1.1]], "stiffness": [[2e6, -8e5], [-8e5, 8e5]]}
-    scene = rig.load(
-        {"structure": {"matrices": matrices, "names": ["base", "arm"]}, "dampers": NAMED["dampers"]}
-    )
+    scene = rig.load({"structure": {"matrices": matrices, "names": ["base", "arm"]}, "dampers": NAMED["dampers"]})
     assert scene.dampers[0].body == 2
     assert rig.loads(scene.to_yaml()) == scene == rig.loads(scene.to_si_yaml())
 
 
 def test_label_is_the_name_or_the_number() -> None:
     named, plain = rig.load(NAMED).structure, Structure(masses=(1.0,), springs=(1.0,))
-    assert (
-        named.labels == ("base", "arm") and named.label("table") == "table" and named.label("body 2") == "arm"
-    )
+    assert named.labels == ("base", "arm") and named.label("table") == "table" and named.label("body 2") == "arm"
     assert plain.labels == ("body 1",) and plain.label("body 1") == "body 1"
 
 
@@ -53,9 +49,7 @@ def test_unnamed_scene_text_has_no_names() -> None:
     assert scene.structure.names is None and "names" not in scene.to_si_yaml()
 
 
-@pytest.mark.parametrize(
-    ("given", "message"), [("amr", "Did you mean 'arm'"), (3, "3 of 2"), ("body 0", "0 of 2")]
-)
+@pytest.mark.parametrize(("given", "message"), [("amr", "Did you mean 'arm'"), (3, "3 of 2"), ("body 0", "0 of 2")])
 def test_unknown_body_is_refused(given: int | str, message: str) -> None:
     with pytest.raises(SceneError, match=message):
         body_number(given, ("base", "arm"), 2)
@@ -63,6 +57,4 @@ def test_unknown_body_is_refused(given: int | str, message: str) -> None:
 
 def test_str_of_a_scene_is_one_line() -> None:
     text = str(rig.load(NAMED))
-    assert (
-        "2 bodies (base, arm)" in text and "1 damper (arm)" in text and "\n" not in text and len(text) < 120
-    )
+    assert "2 bodies (base, arm)" in text and "1 damper (arm)" in text and "\n" not in text and len(text) < 120

@@ -28,12 +28,7 @@ def file(tmp_path):
 
 
 def test_changes_load_as_if_written_in_the_file(file) -> None:
-    changes = [
-        "structure.masses[2]=3kg",
-        "dampers[2].body=2",
-        "dampers.clearance=.inf",
-        "recording.truth=true",
-    ]
+    changes = ["structure.masses[2]=3kg", "dampers[2].body=2", "dampers.clearance=.inf", "recording.truth=true"]
     scene = load_scene(file, changes)
     text = SHARED.replace("2 kg]", "3 kg]").replace("1 mm", ".inf") + "recording: {truth: true}\nname: mine\n"
     assert scene == rig.loads(text.replace("*one", "{body: 2, mass: 10 g, clearance: .inf}"))
@@ -48,10 +43,7 @@ def test_changing_an_alias_keeps_its_other_place(file) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            "dampers[2].clearance=1kg",
-            'dampers[2].clearance=1kg: dampers[2].clearance: got "1kg"; expected a len',
-        ),
+        ("dampers[2].clearance=1kg", 'dampers[2].clearance=1kg: dampers[2].clearance: got "1kg"; expected a len'),
         ("dampers.clearence=1mm", "dampers[2].clearence: unknown key 'clearence'. Did you mean 'clearance'?"),
         ("dampers[3].mass=1kg", "the scene has 2 of these, counted from 1"),
         ("channels[1].name=a", "no list there, so that there is no item 1"),
@@ -79,10 +71,7 @@ def test_scene_commands_take_changes(package) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            "structure.springs=[1 kN/m]",
-            "with --set structure.springs=[1 kN/m]: structure.springs: got 1 springs",
-        ),
+        ("structure.springs=[1 kN/m]", "with --set structure.springs=[1 kN/m]: structure.springs: got 1 springs"),
         ("structure.masses=[1 kg]", "with --set structure.masses=[1 kg]: structure.springs: got 2 springs"),
         ("gravity=9,81", '--set gravity=9,81: gravity: got "9,81"; expected a decimal point: 9.81'),
         ("dampers[0].mass=1kg", "--set dampers[0].mass=1kg: no key"),

@@ -21,6 +21,4 @@ def test_beam_script_reproduces_the_matrices_of_the_scene() -> None:
     exact = np.array([1.87510407, 4.69409113, 7.85475744]) ** 2 * speed / script["LENGTH"] ** 2
     frequencies, _ = natural_modes(mass, stiffness)
     # Condensation stiffens a beam, the more the higher the mode.
-    assert np.all(frequencies[:3] >= exact * (1 - 1e-6)) and np.all(
-        frequencies[:3] <= exact * [1.0005, 1.005, 1.03]
-    )
+    assert np.all(frequencies[:3] >= exact * (1 - 1e-6)) and np.all(frequencies[:3] <= exact * [1.0005, 1.005, 1.03])

@@ -44,10 +44,7 @@ def test_bounds_are_described_with_the_bare_unit():
     )
     assert quantity.help_text == f"{quantity.bounded_description}; a bare number is in m"
     either = Quantity(LENGTH, MASS, infinite=True)
-    assert (
-        either.bounded_description
-        == f"{LENGTH.noun} or {MASS.noun} such as {LENGTH.example} or {MASS.example}"
-    )
+    assert either.bounded_description == f"{LENGTH.noun} or {MASS.noun} such as {LENGTH.example} or {MASS.example}"
     assert either.help_text.endswith("; a bare number is in m or kg")
 
 

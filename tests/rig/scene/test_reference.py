@@ -91,10 +91,7 @@ ON: dict[str, tuple[dict[str, object], dict[str, object]]] = {
     "dampers.contact": ({}, {"dampers[1].contact": {"duration": "2 ms"}}),
     "dampers.locked": ({"dampers": None}, {"dampers[1].locked": True}),
     "shaker.spring": (
-        {
-            "shaker": {"kind": "force", "body": 1},
-            "test": {"kind": "sine", "frequency": "10 Hz", "force": "1 N"},
-        },
+        {"shaker": {"kind": "force", "body": 1}, "test": {"kind": "sine", "frequency": "10 Hz", "force": "1 N"}},
         {},
     ),
     "shaker.coil": ({}, {"shaker.amplifier.mode": "voltage"}),
@@ -108,10 +105,7 @@ ON: dict[str, tuple[dict[str, object], dict[str, object]]] = {
     f"{SENSOR}.bias_settling": ({}, {f"{SENSOR}.bias": "1 V", f"{SENSOR}.bias_settling": "1 s"}),
     f"{SENSOR}.transverse": ({}, {f"{SENSOR}.transverse": "5 %"}),
     f"{SENSOR}.saturation": ({}, {f"{SENSOR}.saturation": "50 g"}),
-    f"{SENSOR}.overload_recovery": (
-        {},
-        {f"{SENSOR}.saturation": "50 g", f"{SENSOR}.overload_recovery": "1 ms"},
-    ),
+    f"{SENSOR}.overload_recovery": ({}, {f"{SENSOR}.saturation": "50 g", f"{SENSOR}.overload_recovery": "1 ms"}),
     f"{SENSOR}.temperature_drift": (
         {},
         {f"{SENSOR}.temperature_drift": "1 %/K", f"{SENSOR}.temperature_change": "10 K"},
@@ -135,10 +129,7 @@ def test_every_optional_key_adds_its_effect_and_states() -> None:
     for key, (without, with_it) in ON.items():
         effect, states = EFFECTS[key.replace("[1]", "")]
         before, after = (
-            {
-                (effect.part, effect.name): effect.states
-                for effect in rig.explain(rig.load("fig9", changes)).effects
-            }
+            {(effect.part, effect.name): effect.states for effect in rig.explain(rig.load("fig9", changes)).effects}
             for changes in ({**PLAIN, **without}, {**PLAIN, **with_it})
         )
         new = {name for place, name in after if after[place, name] != before.get((place, name))}

@@ -81,10 +81,7 @@ def test_whole_format_loads_in_si() -> None:
     ("written", "damping"),
     [
         ("{modal: [0.5 %, 1 %, 2 %]}", ModalDamping(modal=(0.005, 0.01, 0.02))),
-        (
-            "{rayleigh: {alpha: 0.1 1/s, beta: 1e-5 s}}",
-            RayleighDamping(rayleigh={"alpha": 0.1, "beta": 1e-5}),
-        ),
+        ("{rayleigh: {alpha: 0.1 1/s, beta: 1e-5 s}}", RayleighDamping(rayleigh={"alpha": 0.1, "beta": 1e-5})),
         ("{dashpots: [0.5 N s/m, 0.4 N s/m, 0.3 N s/m]}", Dashpots(dashpots=(0.5, 0.4, 0.3))),
     ],
 )
@@ -95,22 +92,17 @@ def test_each_form_of_damping_is_loaded(written: str, damping: object) -> None:
 
 def test_printed_tone_and_impulse_tests_are_loaded() -> None:
     tone = rig.loads(
-        SMALL + "shaker: {kind: force, body: 1}\n"
-        "test: {kind: sine, frequency: 218.8 rad/s, force: 2.6 N, start: empty}"
+        SMALL + "shaker: {kind: force, body: 1}\ntest: {kind: sine, frequency: 218.8 rad/s, force: 2.6 N, start: empty}"
     )
     assert isinstance(tone.test, Sine) and isinstance(tone.shaker, ForceShaker)
     assert tone.test.frequency * 2.0 * math.pi == pytest.approx(218.8, rel=1e-15)
     assert (tone.test.start, tone.test.duration, tone.shaker.bodies) == ("empty", 2.0, (1,))
-    hit = rig.loads(
-        SMALL + "test: {kind: impulse, body: 1, peak: 50 N, width: 4 ms, repeats: 3, interval: 6 s}"
-    )
+    hit = rig.loads(SMALL + "test: {kind: impulse, body: 1, peak: 50 N, width: 4 ms, repeats: 3, interval: 6 s}")
     assert hit.test == Impulse(body=1, peak=50.0, width=0.004, repeats=3, interval=6.0)
 
 
 def test_electrodynamic_shaker_has_default_parts() -> None:
-    scene = rig.loads(
-        SMALL + "shaker: {kind: electrodynamic, body: 1, spring: 6.6 kN/m, amplifier: {limit: 40 V}}"
-    )
+    scene = rig.loads(SMALL + "shaker: {kind: electrodynamic, body: 1, spring: 6.6 kN/m, amplifier: {limit: 40 V}}")
     shaker = scene.shaker
     assert isinstance(shaker, ElectrodynamicShaker)
     assert (shaker.coil.resistance, shaker.coil.inductance, shaker.coil.force_factor) == (2.0, 0.2e-3, 10.0)
@@ -170,9 +162,7 @@ def test_names_that_yaml_misreads_stay_names(name: str) -> None:
     assert rig.loads(scene.to_yaml()) == scene
 
 
-@pytest.mark.parametrize(
-    ("written", "value"), [("on", True), ("yes", True), ("false", False), ("off", False)]
-)
+@pytest.mark.parametrize(("written", "value"), [("on", True), ("yes", True), ("false", False), ("off", False)])
 def test_switches_in_words_are_loaded(written: str, value: bool) -> None:
     assert rig.loads(f"{SMALL}recording: {{truth: {written}}}").recording.truth is value
 

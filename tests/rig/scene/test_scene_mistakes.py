@@ -41,10 +41,7 @@ MISTAKES = [
         ":2: shaker.spring: unknown key 'spring' for kind force, which has kind, body, output; the key belongs "
         "to table, electrodynamic",
     ),
-    (
-        STRUCTURE + "shaker: {kind: table, body: 1}",
-        ":2: shaker.spring: missing; expected a stiffness such as 6.6 kN/m",
-    ),
+    (STRUCTURE + "shaker: {kind: table, body: 1}", ":2: shaker.spring: missing; expected a stiffness such as 6.6 kN/m"),
     (
         STRUCTURE + FORCE + "test: {kind: sine, force: 1 N}",
         ":3: test.frequency: missing; expected a frequency such as 50 Hz or 312.4 rad/s",
@@ -68,10 +65,7 @@ MISTAKES = [
         STRUCTURE + "shaker: {kind: tabel, body: 1}",
         ":2: shaker.kind: got \"tabel\"; expected one of force, table, electrodynamic. Did you mean 'table'?",
     ),
-    (
-        STRUCTURE + "shaker: {body: 1}",
-        ":2: shaker.kind: missing; expected one of force, table, electrodynamic",
-    ),
+    (STRUCTURE + "shaker: {body: 1}", ":2: shaker.kind: missing; expected one of force, table, electrodynamic"),
     (
         STRUCTURE + "test: {kind: impulse, start: later, body: 1, peak: 1 N, width: 1 ms}",
         ':2: test.start: got "later"; expected one of settled or empty',
@@ -86,9 +80,7 @@ MISTAKES = [
         ':3: test.drive: got "5 mm"; expected a voltage such as 5 V',
     ),
     (
-        STRUCTURE
-        + COIL.replace("electrodynamic", "table")
-        + "test: {kind: sine, frequency: 1 Hz, drive: 5 V}",
+        STRUCTURE + COIL.replace("electrodynamic", "table") + "test: {kind: sine, frequency: 1 Hz, drive: 5 V}",
         ':3: test.drive: got "5 V"; expected a length such as 0.98 mm',
     ),
     (
@@ -115,10 +107,7 @@ MISTAKES = [
         STRUCTURE + "dampers: [{body: 0, mass: 10 g, clearance: 1 mm}]",
         ':2: dampers[1].body: got "0"; expected a whole number, at least 1',
     ),
-    (
-        STRUCTURE + "converter: {bits: 99}",
-        ':2: converter.bits: got "99"; expected a whole number, at most 32',
-    ),
+    (STRUCTURE + "converter: {bits: 99}", ':2: converter.bits: got "99"; expected a whole number, at most 32'),
     (STRUCTURE + "channels: []", ":2: channels: got []; expected a list of at least 1"),
     (
         STRUCTURE + "shaker: {kind: force, body: [1, 1]}",
@@ -128,10 +117,7 @@ MISTAKES = [
         STRUCTURE + "shaker: {kind: force, body: left}",
         ":2: shaker.body: no body has the name 'left': the bodies have no names; expected its number, 1 to 2",
     ),
-    (
-        STRUCTURE + "channels: [{name: a/b, at: body 1}]",
-        ':2: channels[1].name: got "a/b"; expected a name of letters',
-    ),
+    (STRUCTURE + "channels: [{name: a/b, at: body 1}]", ':2: channels[1].name: got "a/b"; expected a name of letters'),
     (
         STRUCTURE + "channels: [{name: a, at: tabel}]",
         ':2: channels[1].at: got "tabel"; expected a body, by its name or as body 1; table, hammer, shaker or drive',
@@ -194,10 +180,7 @@ MISTAKES = [
         STRUCTURE + FORCE + "test: {kind: swept_sine, from: 8, to: 8, duration: 1, force: 1}",
         ":3: test.to: equal to from",
     ),
-    (
-        STRUCTURE + FORCE + "test: {kind: random, from: 9, to: 8, duration: 1, force: 1}",
-        ":3: test.from: not below to",
-    ),
+    (STRUCTURE + FORCE + "test: {kind: random, from: 9, to: 8, duration: 1, force: 1}", ":3: test.from: not below to"),
     (
         STRUCTURE + FORCE + "test: {kind: multisine, from: 8.1, to: 8.9, period: 1 s, force: 1}",
         ":3: test.period: too short; no multiple of its inverse lies between from and to",
@@ -214,10 +197,7 @@ MISTAKES = [
         STRUCTURE + "test: {kind: impulse, body: 1, peak: 1, width: 9 ms, double_hit: {hits: [2]}}",
         ":2: test.double_hit.hits[1]: hit 2 of 1",
     ),
-    (
-        STRUCTURE + "test: {kind: free}",
-        ":2: test: no initial state; expected displacement, velocity, or mode",
-    ),
+    (STRUCTURE + "test: {kind: free}", ":2: test: no initial state; expected displacement, velocity, or mode"),
     (STRUCTURE + "test: {kind: free, mode: 1}", ":2: test.mode: given without amplitude"),
     (
         STRUCTURE + "test: {kind: free, mode: 1, amplitude: 1 mm, velocity: [1, 1]}",
@@ -280,8 +260,7 @@ MISTAKES = [
         "channels at its two ends; expected at: table and at: body 1",
     ),
     (
-        STRUCTURE + FORCE + "test: {kind: impulse, body: 1, peak: 1 N, width: 1 ms}\n"
-        "channels: [{name: a, at: shaker}]",
+        STRUCTURE + FORCE + "test: {kind: impulse, body: 1, peak: 1 N, width: 1 ms}\nchannels: [{name: a, at: shaker}]",
         ":4: channels[1].at: the shaker rests while the hammer hits; expected at: hammer",
     ),
     (
@@ -300,10 +279,7 @@ MISTAKES = [
         STRUCTURE + "channels: [{name: a, at: body 1}]\nconverter: {skew: [1 us, 2 us]}",
         ":3: converter.skew: got 2 values; expected 1, one for each channel",
     ),
-    (
-        STRUCTURE + "recording: {samples: counts}",
-        ":2: recording.samples: counts require a converter with bits",
-    ),
+    (STRUCTURE + "recording: {samples: counts}", ":2: recording.samples: counts require a converter with bits"),
     # what the samples cannot tell
     (
         STRUCTURE + FORCE + "test: {kind: sine, frequency: 2000 Hz, force: 1}\nconverter: {rate: 2048 Hz}",
@@ -333,8 +309,7 @@ MISTAKES = [
         ":3: test.to: 3000 Hz at 5120 samples",
     ),
     (
-        STRUCTURE + FORCE + "test: {kind: sine, frequency: 5 kHz, force: 1}\n"
-        "converter: {preset: NI 9234, rate: 8 kHz}",
+        STRUCTURE + FORCE + "test: {kind: sine, frequency: 5 kHz, force: 1}\nconverter: {preset: NI 9234, rate: 8 kHz}",
         ":3: test.frequency: 5000 Hz at 8533.33 samples",
     ),
     # matrices
@@ -402,10 +377,7 @@ MISTAKES = [
     ("structure:\n  masses: [1 kg]\n damping: 1", ":3: the indentation matches none of the lines above"),
     (STRUCTURE + "gravity 9.81", ':2: a line without ": "'),
     (STRUCTURE + 'name: "a', ":2: a quotation mark is not closed"),
-    (
-        STRUCTURE + "gravity: 9,81 m/s^2",
-        ':2: gravity: got "9,81 m/s^2"; expected a decimal point: 9.81 m/s^2',
-    ),
+    (STRUCTURE + "gravity: 9,81 m/s^2", ':2: gravity: got "9,81 m/s^2"; expected a decimal point: 9.81 m/s^2'),
     (
         STRUCTURE + "dampers: [{body: 1, mass: 0,05 kg, clearance: 1 mm}]",
         ':2: dampers[1].mass: got "0,05 kg"; expected a decimal point: 0.05 kg',

@@ -59,9 +59,7 @@ def test_free_structure_may_move_as_rigid_body() -> None:
 
 def test_improbable_clearance_without_unit_is_reported_in_mm() -> None:
     chain = "structure: {masses: [1 kg], springs: [1 kN/m]}\ndampers: [{body: 1, mass: 1 g, clearance: %s}]"
-    with pytest.warns(
-        SceneWarning, match=r"scene:2: dampers\[1\].clearance: got 0.98 .* 980 mm; .* such as 0.98 mm"
-    ):
+    with pytest.warns(SceneWarning, match=r"scene:2: dampers\[1\].clearance: got 0.98 .* 980 mm; .* such as 0.98 mm"):
         rig.loads(chain % "0.98")
     for meant in ("0.98 m", "0.00098", ".inf", "0"):
         rig.loads(chain % meant)
@@ -104,9 +102,7 @@ def test_diverging_motion_stops_with_time_and_quantity(tmp_path) -> None:
         daq.record(scene, tmp_path / "a.mcap")
 
 
-WRONG = st.sampled_from(
-    ["clearance: -1 mm", "clearance: 3 kg", "clearance: soon", "locked: maybe, clearance: 1 mm"]
-)
+WRONG = st.sampled_from(["clearance: -1 mm", "clearance: 3 kg", "clearance: soon", "locked: maybe, clearance: 1 mm"])
 
 
 @given(body=st.integers(3, 999), wrong=WRONG)

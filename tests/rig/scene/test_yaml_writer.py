@@ -51,12 +51,7 @@ def excitations(draw: st.DrawFn) -> dict[str, Any]:
             [
                 {"kind": "sine", "frequency": low, "force": high},
                 {"kind": "stepped_sine", **band, "points": 7, "settle": {"tolerance": high}},
-                {
-                    "kind": "stepped_sine",
-                    "frequencies": [low, high],
-                    "force": [low, high],
-                    "direction": "both",
-                },
+                {"kind": "stepped_sine", "frequencies": [low, high], "force": [low, high], "direction": "both"},
                 {"kind": "swept_sine", **band, "duration": draw(positive), "spacing": "linear"},
                 {"kind": "random", **band, "duration": draw(positive), "burst": 0.7},
                 {"kind": "multisine", **band, "lines": 31},
@@ -72,11 +67,7 @@ def scenes(draw: st.DrawFn) -> Scene:
     n = draw(st.integers(1, 5))
     each = st.tuples(*[positive] * n)
     damper = st.fixed_dictionaries(
-        {
-            "clearance": st.sampled_from([0.0, float("inf")]) | positive,
-            "restitution": share,
-            "locked": st.booleans(),
-        }
+        {"clearance": st.sampled_from([0.0, float("inf")]) | positive, "restitution": share, "locked": st.booleans()}
     )
     bodies = draw(st.sets(st.integers(1, n)))
     by = draw(st.sampled_from(["mass", "mass_ratio"]))
@@ -105,10 +96,7 @@ def scenes(draw: st.DrawFn) -> Scene:
         dampers=dampers,
         shaker=draw(
             st.sampled_from(
-                [
-                    {"kind": "table", **spring},
-                    {"kind": "electrodynamic", **spring, "amplifier": {"mode": "current"}},
-                ]
+                [{"kind": "table", **spring}, {"kind": "electrodynamic", **spring, "amplifier": {"mode": "current"}}]
             )
         ),
         test=test,
@@ -181,8 +169,7 @@ def test_scene_keeps_units_digits_and_names() -> None:
 def test_replaced_value_keeps_its_unit() -> None:
     scene = rig.loads(BRACKET)
     lighter = scene.replace(
-        structure=scene.structure.replace(masses=(4.2, 0.9)),
-        dampers=(scene.dampers[0].replace(clearance=0.00025),),
+        structure=scene.structure.replace(masses=(4.2, 0.9)), dampers=(scene.dampers[0].replace(clearance=0.00025),)
     )
     expected = BRACKET.replace("1100 g", "900 g").replace("0.133 mm", "0.25 mm")
     assert lighter.to_yaml() == expected
@@ -208,9 +195,7 @@ def test_spelled_quantity_is_the_same_double(value: float, kind: Kind) -> None:
 
 def test_packaged_schema_is_current() -> None:
     shipped = (SCENES.parent / "scene.schema.json").read_text(encoding="utf-8")
-    assert json.loads(shipped) == json.loads(schema_text()), (
-        "run: rig schema > rig/scene/data/scene.schema.json"
-    )
+    assert json.loads(shipped) == json.loads(schema_text()), "run: rig schema > rig/scene/data/scene.schema.json"
 
 
 def test_scene_list_has_one_described_scene_per_line() -> None:

@@ -9,13 +9,7 @@ from scipy.integrate import solve_ivp
 import rig
 from rig.errors import SceneError
 from rig.single_mode.admissibility import Batch, flaws
-from rig.single_mode.approximate_response import (
-    Approximation,
-    Branch,
-    approximate_response,
-    dimensionless,
-    follow_mode,
-)
+from rig.single_mode.approximate_response import Approximation, Branch, approximate_response, dimensionless, follow_mode
 from rig.single_mode.motion_search import solutions
 from rig.single_mode.periodic_motion import INSTANTS, MotionParameters, MotionType, PeriodicMotion, jacobian
 from rig.single_mode.reduction import SingleMode, single_mode
@@ -209,16 +203,13 @@ def test_disturbed_motion_responds_by_floquet_multipliers(kind: str) -> None:
     start = system.move(True, 0, 0.1 / system.omega, np.tile(branch.unknowns[:2, i] * units, 2))[:2]
     step = 1e-4
     columns = [
-        (after_a_period(start + step * d * units) - after_a_period(start - step * d * units))
-        / (2 * step * units)
+        (after_a_period(start + step * d * units) - after_a_period(start - step * d * units)) / (2 * step * units)
         for d in np.eye(2)
     ]
 
     measured = np.linalg.eigvals(np.array(columns).T)
 
-    np.testing.assert_allclose(
-        np.sort_complex(measured), np.sort_complex(branch.multipliers[:, i]), atol=1e-5
-    )
+    np.testing.assert_allclose(np.sort_complex(measured), np.sort_complex(branch.multipliers[:, i]), atol=1e-5)
 
 
 @pytest.mark.parametrize("acceleration", [1.2, 2.0, 3.0])

@@ -33,11 +33,7 @@ def response() -> SteadyResponse:
 
 
 def test_every_peak_has_a_row(response: SteadyResponse) -> None:
-    rows = [
-        line.split()[:3]
-        for line in format_response(response).splitlines()
-        if line.startswith(("base", "arm"))
-    ]
+    rows = [line.split()[:3] for line in format_response(response).splitlines() if line.startswith(("base", "arm"))]
     assert rows == [["base", "12.0000", "9"], ["base", "17.0000", "5"], ["arm", "17.0000", "4"]]
 
 

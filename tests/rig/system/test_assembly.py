@@ -55,19 +55,8 @@ def test_table_follows_critically_damped() -> None:
 
 
 @pytest.mark.parametrize("mode", ["voltage", "current"])
-def test_electrodynamic_shaker_obeys_its_equations(
-    mode: str,
-) -> None:
-    resistance, inductance, factor, mass, held, damped, spring, gain = (
-        2.5,
-        3e-4,
-        12.0,
-        0.3,
-        7e3,
-        9.0,
-        5e3,
-        1.7,
-    )
+def test_electrodynamic_shaker_obeys_its_equations(mode: str) -> None:
+    resistance, inductance, factor, mass, held, damped, spring, gain = (2.5, 3e-4, 12.0, 0.3, 7e3, 9.0, 5e3, 1.7)
     shaker = {
         "kind": "electrodynamic",
         "body": 2,
@@ -138,11 +127,7 @@ def test_dampers_of_all_kinds_are_assembled() -> None:
     # Masses that are fixed or have their own coordinate always act with their weight.
     assert system.force_constant == pytest.approx([-2.0, 0.0, -0.2, -0.5, -0.1, -0.5, -0.2])
     short, long = 1.0 / (1.0 / 0.05 + 1.0 / 0.6), 1.0 / (1.0 / 0.02 + 1.0 / 0.8)
-    for j, wall, mass, expected in (
-        (1, 0, short, (1e-3, 0.4)),
-        (1, 1, short, (1e-3, 0.4)),
-        (2, 1, long, (2e-3, 0.7)),
-    ):
+    for j, wall, mass, expected in ((1, 0, short, (1e-3, 0.4)), (1, 1, short, (1e-3, 0.4)), (2, 1, long, (2e-3, 0.7))):
         found = duration_and_restitution(system.wall_stiffness[j, wall], system.wall_damping[j, wall], mass)
         assert found == pytest.approx(expected)
     assert (system.wall_stiffness[2, 0], system.wall_damping[2, 0]) == (5e5, 2.0)
@@ -189,7 +174,5 @@ def test_structure_without_support_is_rejected() -> None:
     with pytest.raises(SceneError, match="structure has no support"):
         assemble(rig.Scene.model_validate({**floating, "dampers": [damper]}))
     # Without weight, or with unloaded springs, no support force is needed.
-    assert not assemble(
-        rig.Scene.model_validate({**floating, "dampers": [damper], "gravity": 0.0})
-    ).initial.any()
+    assert not assemble(rig.Scene.model_validate({**floating, "dampers": [damper], "gravity": 0.0})).initial.any()
     assert not assemble(rig.Scene.model_validate(floating)).initial.any()

@@ -18,10 +18,7 @@ FREQUENCIES = np.linspace(1.0, 60.0, 60)
 
 
 def chain_response(
-    masses: tuple[float, ...],
-    springs: tuple[float, ...],
-    dashpots: tuple[float, ...],
-    frequencies: np.ndarray,
+    masses: tuple[float, ...], springs: tuple[float, ...], dashpots: tuple[float, ...], frequencies: np.ndarray
 ) -> np.ndarray:
     """Response to a force on body 1: what is above a body acts on it as one spring, a continued fraction."""
     omega = 2.0 * np.pi * frequencies
@@ -44,9 +41,7 @@ positive = st.floats(min_value=0.1, max_value=10.0)
 
 
 @given(st.lists(st.tuples(positive, positive, positive), min_size=1, max_size=6))
-def test_chain_response_is_the_continued_fraction(
-    parts: list[tuple[float, float, float]],
-) -> None:
+def test_chain_response_is_the_continued_fraction(parts: list[tuple[float, float, float]]) -> None:
     masses, thousands, dashpots = zip(*parts, strict=True)
     springs = tuple(1000.0 * k for k in thousands)
     structure = {"masses": masses, "springs": springs, "damping": {"dashpots": dashpots}}
@@ -89,9 +84,7 @@ def test_table_response_follows_from_force_response() -> None:
     )
 
 
-def test_block_size_does_not_change_the_response(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_block_size_does_not_change_the_response(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = rig.load("bare-structure")
     whole = receptance(scene, FREQUENCIES)
     for elements in (1, 9, 70):
@@ -128,10 +121,7 @@ def test_damped_driving_point_lags() -> None:
 def test_riding_dampers_add_their_mass() -> None:
     scene = rig.load("fig9").replace(
         structure={"masses": (0.74, 0.71, 0.64), "springs": (24300.0, 21800.0, 19800.0)},
-        dampers=[
-            {"body": 2, "mass": 0.1, "clearance": 1e-3},
-            {"body": 3, "mass": 0.05, "clearance": 1e-3},
-        ],
+        dampers=[{"body": 2, "mass": 0.1, "clearance": 1e-3}, {"body": 3, "mass": 0.05, "clearance": 1e-3}],
     )
     expected = chain_response((0.74, 0.71, 0.69), (24300.0, 21800.0, 19800.0), (0.0,) * 3, FREQUENCIES)
     np.testing.assert_allclose(receptance(scene, FREQUENCIES, riding=[2]), expected, rtol=1e-9)
@@ -153,9 +143,7 @@ def test_force_on_several_bodies_superposes() -> None:
 
 def test_hammer_position_sets_the_force() -> None:
     hammer = rig.load("fig10b-no-damper")
-    np.testing.assert_array_equal(
-        receptance(hammer, FREQUENCIES), receptance(rig.load("fig8-no-damper"), FREQUENCIES)
-    )
+    np.testing.assert_array_equal(receptance(hammer, FREQUENCIES), receptance(rig.load("fig8-no-damper"), FREQUENCIES))
 
 
 def test_missing_response_reports_the_cause() -> None:

@@ -25,9 +25,7 @@ def scene(*shakers: str, more: str = "") -> rig.Scene:
 
 
 @pytest.mark.parametrize("shaker", [FORCE, TABLE, COIL, CURRENT])
-def test_list_of_one_shaker_equals_the_shaker(
-    shaker: str,
-) -> None:
+def test_list_of_one_shaker_equals_the_shaker(shaker: str) -> None:
     alone, listed = scene(shaker), rig.loads(f"{STRUCTURE}shaker: [{shaker}]\n")
     one, other = assemble(alone), assemble(listed)
     for name, value in vars(one).items():
@@ -41,8 +39,7 @@ def test_shakers_of_all_kinds_superpose() -> None:
     run = rig.simulate(together, duration=0.1, rate=4000.0, drive=drive)
     assert run.points == ("body 1", "body 2", "table 1", "table 2", "table 3", "table 5")
     parts = [
-        rig.simulate(together, duration=0.1, rate=4000.0, drive=drive * (np.arange(5) == k)[:, None])
-        for k in range(5)
+        rig.simulate(together, duration=0.1, rate=4000.0, drive=drive * (np.arange(5) == k)[:, None]) for k in range(5)
     ]
     total = sum(part.displacement for part in parts)
     assert run.displacement == pytest.approx(total, abs=1e-12 * np.abs(total).max())
@@ -52,12 +49,8 @@ def test_shakers_of_all_kinds_superpose() -> None:
 def test_second_shaker_without_drive_has_no_effect() -> None:
     drive = np.random.default_rng(2).standard_normal((1, 300))
     alone = rig.simulate(scene(HEAVY), duration=0.1, rate=4000.0, drive=drive)
-    beside = rig.simulate(
-        scene(FORCE, HEAVY), duration=0.1, rate=4000.0, drive=np.vstack([0.0 * drive, drive])
-    )
-    assert beside.displacement == pytest.approx(
-        alone.displacement, abs=1e-13 * np.abs(alone.displacement).max()
-    )
+    beside = rig.simulate(scene(FORCE, HEAVY), duration=0.1, rate=4000.0, drive=np.vstack([0.0 * drive, drive]))
+    assert beside.displacement == pytest.approx(alone.displacement, abs=1e-13 * np.abs(alone.displacement).max())
 
 
 def test_force_is_that_of_the_named_shaker() -> None:
@@ -82,7 +75,5 @@ def test_response_without_named_shaker_is_rejected() -> None:
 
 
 def test_receptance_is_to_the_named_force() -> None:
-    named = scene(
-        FORCE, "{kind: force, body: 2}", more="test: {kind: sine, frequency: 20 Hz, force: 2 N, shaker: 2}\n"
-    )
+    named = scene(FORCE, "{kind: force, body: 2}", more="test: {kind: sine, frequency: 20 Hz, force: 2 N, shaker: 2}\n")
     assert np.array_equal(receptance(named, [20.0]), receptance(scene("{kind: force, body: 2}"), [20.0]))

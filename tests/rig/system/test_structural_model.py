@@ -35,15 +35,12 @@ def test_uniform_chain_frequencies_are_closed_form() -> None:
 
 def test_spring_joins_neighbouring_bodies() -> None:
     np.testing.assert_array_equal(
-        chain_matrix(SPRINGS),
-        [[46100.0, -21800.0, 0.0], [-21800.0, 41600.0, -19800.0], [0.0, -19800.0, 19800.0]],
+        chain_matrix(SPRINGS), [[46100.0, -21800.0, 0.0], [-21800.0, 41600.0, -19800.0], [0.0, -19800.0, 19800.0]]
     )
 
 
 @pytest.mark.parametrize("ratio", [0.005, (0.001, 0.02, 1.0)])
-def test_modal_damping_sets_each_ratio(
-    ratio: float | tuple[float, ...],
-) -> None:
+def test_modal_damping_sets_each_ratio(ratio: float | tuple[float, ...]) -> None:
     structure = Structure(masses=MASSES, springs=SPRINGS, damping={"modal": ratio})
     mass, damping, stiffness = structure_matrices(structure)
     frequencies, shapes = natural_modes(mass, stiffness)
@@ -55,9 +52,7 @@ def test_modal_damping_sets_each_ratio(
 
 
 def test_rayleigh_damping_is_the_weighted_sum() -> None:
-    structure = Structure(
-        masses=MASSES, springs=SPRINGS, damping={"rayleigh": {"alpha": "0.1 1/s", "beta": "1e-5 s"}}
-    )
+    structure = Structure(masses=MASSES, springs=SPRINGS, damping={"rayleigh": {"alpha": "0.1 1/s", "beta": "1e-5 s"}})
     mass, damping, stiffness = structure_matrices(structure)
     np.testing.assert_allclose(damping, 0.1 * mass + 1e-5 * stiffness, rtol=1e-15)
 
@@ -98,9 +93,7 @@ def test_floating_chain_has_undamped_zero_frequency() -> None:
 
 
 @pytest.mark.parametrize("n", [1, 9, 10, 11, 60])
-def test_floating_uniform_chain_is_closed_form(
-    n: int,
-) -> None:
+def test_floating_uniform_chain_is_closed_form(n: int) -> None:
     m, k = 0.5, 2e6
     frequencies, shapes = natural_modes(m * np.eye(n), chain_matrix((0.0, *[k] * (n - 1))))
     expected = 2.0 * np.sqrt(k / m) * np.sin(np.arange(n) * np.pi / (2 * n))
@@ -123,10 +116,7 @@ def test_negative_stiffness_is_reported() -> None:
 
 def test_damper_masses_by_mass_and_ratio() -> None:
     scene = rig.load("fig9").replace(
-        dampers=[
-            {"body": 3, "mass_ratio": "10 %", "clearance": ".inf"},
-            {"body": 1, "mass": "30 g", "clearance": 1e-3},
-        ]
+        dampers=[{"body": 3, "mass_ratio": "10 %", "clearance": ".inf"}, {"body": 1, "mass": "30 g", "clearance": 1e-3}]
     )
     np.testing.assert_allclose(structural_model(scene).bed_mass, [0.064, 0.03], rtol=1e-15)
     np.testing.assert_array_equal(structural_model(scene).bed_body, [2, 0])

@@ -111,8 +111,7 @@ def test_waiting_converges_to_the_orbit() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "force", "frequency", "motion"),
-    [("fig9", 3.3, 49.6, "II"), ("fig5-three-dampers", 8.0, 50.0, "I/II/III")],
+    ("name", "force", "frequency", "motion"), [("fig9", 3.3, 49.6, "II"), ("fig5-three-dampers", 8.0, 50.0, "I/II/III")]
 )
 def test_exact_orbit_confirms_shooting(name: str, force: float, frequency: float, motion: str) -> None:
     scene = rig.load(name)

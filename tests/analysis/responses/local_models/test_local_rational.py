@@ -141,16 +141,12 @@ def test_zero_padding_increases_the_variance():
     reading = Reading(force + 0.1 * gaussian(random, 3, BINS), np.ones(BINS), np.zeros((0, BINS)))
     lines = np.arange(50, 350, 7)
     zero_phase = np.zeros((3, BINS))
-    without_padding, half_padding = (
-        local_fit(reading, force, zero_phase, lines, 12, used) for used in (1.0, 0.5)
-    )
+    without_padding, half_padding = (local_fit(reading, force, zero_phase, lines, 12, used) for used in (1.0, 0.5))
     comparable = without_padding.degrees - half_padding.degrees == 75
     assert comparable.mean() > 0.8
     np.testing.assert_array_equal(without_padding.value[comparable], half_padding.value[comparable])
     ratio = without_padding.degrees[comparable] / half_padding.degrees[comparable]
-    np.testing.assert_allclose(
-        half_padding.variance[comparable] / without_padding.variance[comparable], ratio
-    )
+    np.testing.assert_allclose(half_padding.variance[comparable] / without_padding.variance[comparable], ratio)
 
 
 def test_model_error_of_sharp_curve_is_stated():
@@ -171,9 +167,7 @@ def test_model_error_of_sharp_curve_is_stated():
 def test_batch_size_does_not_matter(monkeypatch):
     random = np.random.default_rng(12)
     force = gaussian(random, 2, BINS)
-    reading = Reading(
-        force * resonance(30.0) + 0.01 * gaussian(random, 2, BINS), np.ones(BINS), np.zeros((0, BINS))
-    )
+    reading = Reading(force * resonance(30.0) + 0.01 * gaussian(random, 2, BINS), np.ones(BINS), np.zeros((0, BINS)))
     lines = np.arange(5, 395, 9)
     single_batch = local_fit(reading, force, np.zeros((2, BINS)), lines, 10)
     monkeypatch.setattr(local_rational, "_MAX_ELEMENTS", 3000)

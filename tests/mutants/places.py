@@ -1,15 +1,15 @@
-"""Where a fault would cost a user most, and the tests that ought to notice it there."""
+"""Modules in which a fault would cost a user most, and the tests that should detect it."""
 
 from __future__ import annotations
 
-# Those that run for minutes where kernels are plain Python are left out.
-_SLOW = "million_periods or hundred_thousand_periods or ever_shorter or response_is_followed or cut_into_blocks"
+# Tests that take minutes while kernels run as plain Python are excluded.
+_SLOW = "million_linear_periods or hundred_thousand_periods"
 _ENGINE = (
     "tests/rig/engine/test_reference.py tests/rig/engine/test_finite_contact.py tests/rig/engine/test_limits.py "
     f"tests/rig/engine/test_invariants.py -k 'not ({_SLOW})'"
 )
 
-# Place: {module: tests, those that notice most first}. The examples of the module itself always run.
+# Place: {module: tests, the most sensitive first}. The doctests of the module always run.
 PLACES: dict[str, dict[str, str]] = {
     "physics laws": {
         "rig/system/structural_model.py": (
@@ -55,61 +55,52 @@ PLACES: dict[str, dict[str, str]] = {
     },
 }
 
-# Faults that change nothing a test could see, and why: {the line with the fault in it: reason}.
+# Faults without a detectable effect: {faulty line: reason}.
 EQUIVALENT = {
     "@dataclass(frozen=False)": "nothing assigns to the fields",
-    "_WINDOW = 1 << 19": "how much is read at a time changes nothing that is found",
+    "_WINDOW = 1 << 19": "the amount read at a time changes no result",
     "for c in range(model.inverse_mass.shape[ 1]):": "the matrix is square",
-    "lowest = min(gap, model.clearance[j] - gap) - 3 * ROUNDING * abs(height)": "what is looked at closely is more",
     "state.multiplicity[j] = 1 if sign >= 0.0 else -1": "a sign is one or minus one",
     "state.multiplicity[j] = 1 if sign > -1.0 else -1": "a sign is one or minus one",
     "for i in range(workspace.size.shape[ -1]):": "the array has one dimension",
-    "always = [k for k, damper in enumerate(scene.dampers) if damper.locked or damper.clearance <= 0.0]": (
-        "no clearance is negative"
-    ),
     "reached = -1": "no sample has a number below zero",
-    "if clearance != np.inf:": "no clearance is above infinity",
-    "return _margin(clearance - gap, -slope, clearance - gap_new, -slope_new, error, multiplicity) <= 0.0": (
-        "a finite-duration contact has no double zero, and only double zeros need the bound"
-    ),
-    "if mode > FLIGHT:": "no mode is below flight",
     "dampers, points = model.mass.shape[ -1], model.first_velocity": "the array has one dimension",
     "pause = max(1, round(_PAUSE * self._channels[ -1].rate))": "rows of one array have one rate",
     "messages = np.empty((len(samples), blocks, len(heads[ -1]) + length * samples.itemsize), np.uint8)": (
         "all heads are of one length"
     ),
-    "self._moments[kept + count : end] = -1.0": "nothing weighs them",
+    "self._moments[past + count : end] = -1.0": "these moments have no weight",
     "nodes, weights = legendre.leggauss( 33)": "32 points are exact to rounding already",
     "grid = np.concatenate([np.geomspace(10 * lowest, 0.5 * rate, 401), np.linspace(0.3, 0.5, 400) * rate])": (
-        "the fit rests on hundreds of points, not on where each is"
+        "the fit uses hundreds of points; the place of each does not matter"
     ),
     "grid = np.concatenate([np.geomspace(10 * lowest, 0.5 * rate, 400), np.linspace(0.3, 0.5, 401) * rate])": (
-        "the fit rests on hundreds of points, not on where each is"
+        "the fit uses hundreds of points; the place of each does not matter"
     ),
     "grid = np.concatenate([np.geomspace(10 * lowest, 0.5 * rate, 400), np.linspace(0.3, 0.5, 399) * rate])": (
-        "the fit rests on hundreds of points, not on where each is"
+        "the fit uses hundreds of points; the place of each does not matter"
     ),
-    "@lru_cache(maxsize= 63)": "how many are remembered changes no result",
-    "@lru_cache(maxsize= 15)": "how many are remembered changes no result",
+    "@lru_cache(maxsize= 63)": "the size of the cache changes no result",
+    "@lru_cache(maxsize= 15)": "the size of the cache changes no result",
     "elif degree >= 2:": "no degree is above two",
     "poles = 3 * np.sin(np.pi * corners / rate) ** 2": (
-        "which poles are fitted is free: density is off by 0.17 % at most with these and with those"
+        "the choice of poles is free: the density deviates by at most 0.17 % with either"
     ),
-    "head = self._read(begin, CHUNK_HEAD.size * 12)": "what is read beyond the name and the size is not looked at",
+    "head = self._read(begin, CHUNK_HEAD.size * 12)": "bytes after the name and the size are not used",
     "counts = counts_of(rec, names).reshape(~1, *[1] * (squares.ndim - 1))": (
-        "numpy takes any negative size for the one that is to be found"
+        "numpy computes the size that is negative"
     ),
-    "free = apart.reshape(lines, - 2, unknowns + 1)": "numpy takes any negative size for the one that is to be found",
-    "near = max(1, side // max(1, int(np.median(np.diff(lines)))) if lines.size != 1 else 1)": (
-        "no fit is of no lines at all"
+    "equations = orthogonal.reshape(lines, - 2, unknowns + 1)": "numpy computes the size that is negative",
+    "n_lines = max(1, side // max(1, int(np.median(np.diff(lines)))) if lines.size != 1 else 1)": (
+        "every fit has lines"
     ),
-    "step = max( 2, _AT_ONCE // (equations * unknowns))": "how many lines are fitted at a time changes no fit",
-    "while place != self.size:": "no record is taken to end beyond the file",
-    "if len(content) < CHUNK_HEAD.size + 7:": "what is one byte too short is refused by the next condition",
+    "step = max( 2, _MAX_ELEMENTS // ((2 * side + 1) * unknowns))": "the number of lines per batch changes no fit",
+    "while place != self.size:": "no record ends beyond the file",
+    "if len(content) < CHUNK_HEAD.size + 7:": "content that is one byte too short fails the next condition",
     "if name_length > 15 or len(content) < begin + 8:": "no compression has a name of 16 letters",
-    "if not TYPE_CHECKING:": "imports more than is needed",
-    'if len(scene.shakers) != 1 and any(shaker.kind != "force" for shaker in scene.shakers):': "any of none is false",
-    "driven = np.where(drive > _NOTHING, drive, np.nan)[:, 0, -1]": "the array has one column",
-    "better = _power(changed) <= _power(left)": "two that leave the same are as good",
-    "records = unpacker.decompress(packed, max_length=size + 2)": "who asked looks at the length as well",
+    "if not TYPE_CHECKING:": "it only imports more",
+    'if len(scene.shakers) != 1 and any(shaker.kind != "force" for shaker in scene.shakers):': "`any` of an empty sequence is false",
+    "excited = np.where(drive > _ZERO_POWER, drive, np.nan)[:, 0, -1]": "the array has one column",
+    "better = _power(new_residual) <= _power(residual)": "equal residuals are equally good",
+    "records = unpacker.decompress(packed, max_length=size + 2)": "the caller checks the length as well",
 }

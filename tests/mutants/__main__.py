@@ -17,10 +17,10 @@ from rich.progress import track
 from rich.table import Table
 
 from tests.mutants.places import PLACES
-from tests.mutants.trial import Found, try_place
+from tests.mutants.trial import Trial, try_place
 
 # Smallest share of the mutations of a place that its tests must detect.
-ENOUGH = 0.85
+MIN_SCORE = 0.85
 
 
 def main() -> int:
@@ -32,32 +32,32 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     options = parser.parse_args()
     places = options.only or list(PLACES)
-    found: list[Found] = []
+    trials: list[Trial] = []
     # One process for each place, because each works in its own folder.
     with ProcessPoolExecutor(options.workers, get_context("spawn"), max_tasks_per_child=1) as pool:
         running = [pool.submit(try_place, place, options.each, options.seed) for place in places]
         for job in track(as_completed(running), "mutants", len(places), console=Console(stderr=True)):
-            found += job.result()
+            trials += job.result()
             for each in job.result():
-                if not each.noticed:
+                if not each.detected:
                     print(f"not detected, {each.place}, {each.module}:\n{each.change}", flush=True)
                     print(f"{each.equivalent or 'reason unknown'}\n", flush=True)
-    return print_summary(found, places)
+    return print_summary(trials, places)
 
 
-def print_summary(found: list[Found], places: list[str]) -> int:
+def print_summary(trials: list[Trial], places: list[str]) -> int:
     table = Table("place", "mutations", "detected", "not detected", "equivalent", "score")
     scores = []
     for place in places:
-        noticed = sum(each.noticed for each in found if each.place == place)
-        missed = [each for each in found if each.place == place and not each.noticed]
-        equivalent = sum(bool(each.equivalent) for each in missed)
-        survivors = len(missed) - equivalent
-        scores.append(noticed / (noticed + survivors))
-        counts = (noticed + len(missed), noticed, survivors, equivalent)
+        detected = sum(each.detected for each in trials if each.place == place)
+        undetected = [each for each in trials if each.place == place and not each.detected]
+        equivalent = sum(bool(each.equivalent) for each in undetected)
+        survivors = len(undetected) - equivalent
+        scores.append(detected / (detected + survivors))
+        counts = (detected + len(undetected), detected, survivors, equivalent)
         table.add_row(place, *map(str, counts), f"{scores[-1]:.0%}")
     Console().print(table)
-    return 0 if min(scores) >= ENOUGH else 1
+    return 0 if min(scores) >= MIN_SCORE else 1
 
 
 if __name__ == "__main__":

@@ -40,6 +40,11 @@ def program(*lines: str) -> str:
     return "\n".join(["from pathlib import Path", "from rig.grain_beds import packing", folder_line, *lines])
 
 
+def problems(stderr: str) -> list[str]:
+    """Return the lines other than progress, which appears on busy machines and before machine code is stored."""
+    return [line for line in stderr.splitlines() if not line.startswith(("running", "compiling"))]
+
+
 def test_two_ranks_move_a_bed_equally(tmp_path: Path) -> None:
     file = tmp_path / "motion.npz"
     one_rank, _ = flying_grains()
@@ -56,7 +61,7 @@ def test_two_ranks_move_a_bed_equally(tmp_path: Path) -> None:
         )
     )
 
-    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+    assert (result.returncode, result.stdout, problems(result.stderr)) == (0, "", [])
     two_ranks = np.load(file)
     assert 0.3 < two_ranks["local"] / len(two_ranks["positions"]) < 0.7
     assert one_rank["force"][0, 0, -1] == 0.0 and one_rank["lift"].max() > 1e-5, "the bed does not fly"
@@ -83,7 +88,7 @@ def test_read_bed_of_two_ranks_has_same_bits() -> None:
         )
     )
 
-    assert (result.returncode, result.stdout, result.stderr) == (0, "True True\n", "")
+    assert (result.returncode, result.stdout, problems(result.stderr)) == (0, "True True\n", [])
 
 
 def test_two_ranks_run_a_command_once(tmp_path: Path) -> None:
@@ -105,9 +110,7 @@ def test_two_ranks_run_a_command_once(tmp_path: Path) -> None:
         )
     )
 
-    # On a busy machine, lines of progress appear.
-    reported = [line for line in result.stderr.splitlines() if not line.startswith("running")]
-    assert (result.returncode, reported) == (0, [])
+    assert (result.returncode, problems(result.stderr)) == (0, [])
     assert result.stdout.count("work of the drive") == 1
     assert file.is_file()
 

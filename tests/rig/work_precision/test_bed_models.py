@@ -33,7 +33,7 @@ def test_all_but_soft_contacts_agree_at_rest(tmp_path: Path) -> None:
     assert found["finite-duration contact", "1 ms"] < 0.01
     assert found[OTHER_PACKING, "step 0.19 Rayleigh"] < 0.01
     assert found["finite-duration contact", "8 ms"] > found["finite-duration contact", "1 ms"]
-    assert "6 grains followed for" in text
+    assert "6 grains simulated for" in text
     assert {file.suffix for file in files} == {".png", ".svg", ".csv"}
 
 

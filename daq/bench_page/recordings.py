@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.measurement.limits import Stretches
+from daq.measurement.limits import FlaggedIntervals
 from daq.recording.recorded_test import TestKind
 from daq.recording.recorder import Recorder
 from rig.errors import ShotrigError
@@ -34,7 +34,7 @@ class BenchRecordings:
         self._ending = False
         self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._recorder: Recorder | None = None
-        self._overloads: Stretches | None = None
+        self._overloads: FlaggedIntervals | None = None
         self._first = 0
         self._settings: Any = None
         self._thread = threading.Thread(target=self._work, name="bench recorder", daemon=True)
@@ -96,7 +96,7 @@ class BenchRecordings:
             path.parent.mkdir(parents=True, exist_ok=True)
             overwrite = self._overwrite and not self.paths
             self._recorder = Recorder(path, scene, channels, bench.rate, time, overwrite, test_kind=kind)
-            self._overloads = Stretches("overload", channels, self._mark)
+            self._overloads = FlaggedIntervals("overload", channels, self._mark)
             self._first, self.problem = block.first, ""
             self.paths.append(path)
         assert self._overloads is not None
@@ -121,7 +121,7 @@ class BenchRecordings:
         if self._recorder is not None:
             recorder, self._recorder = self._recorder, None
             if self._overloads is not None:
-                # Stretches mark by way of the recorder.
+                # FlaggedIntervals mark by way of the recorder.
                 self._recorder = recorder
                 self._overloads.close()
                 self._recorder = None

@@ -15,18 +15,25 @@ from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 
 # A test with more samples is assumed to be a mistake.
-MOST_SAMPLES = 1e12
-# Approximate bytes per sample in a recording with display, by storage type; and the smallest fraction of that after
-# compression.
-BYTES, FEWEST = {"counts": 4.5, "float32": 6.0, "float64": 10.7}, 0.005
+MAX_SAMPLES = 1e12
+# Approximate bytes per sample in a recording with display, by storage type.
+BYTES_PER_SAMPLE = {"counts": 4.5, "float32": 6.0, "float64": 10.7}
+# Smallest ratio of the size after compression to the approximate size.
+MIN_COMPRESSION_RATIO = 0.005
 # Bytes per sample of a true quantity, measured on random motion with dampers.
-TRUTH_BYTES = 6.0
-# Measured memory of a recording process, bytes: libraries and kernels; state of the devices of a channel without and
-# with a decimation filter.
-PROGRAM, CHANNEL, FILTERED_CHANNEL = 0.33e9, 0.15e6, 0.4e6
-# Number of copies in memory of a block during recording: of a channel, of the motion, and of recorded motion; and
-# number of copies of a multisine's period.
-COPIES, MOTION_COPIES, TRUTH_COPIES, PERIOD_COPIES = 5.0, 2.0, 7.0, 12.0
+TRUTH_BYTES_PER_SAMPLE = 6.0
+# Measured memory of a recording process without channels: libraries and kernels.
+PROGRAM_BYTES = 0.33e9
+# Measured memory of the devices of a channel without and with a decimation filter.
+CHANNEL_BYTES = 0.15e6
+FILTERED_CHANNEL_BYTES = 0.4e6
+# Number of copies of a block in memory during recording: of each channel, of the motion, and of recorded motion.
+CHANNEL_COPIES = 5.0
+MOTION_COPIES = 2.0
+TRUTH_COPIES = 7.0
+# Number of copies of a multisine's period in memory.
+PERIOD_COPIES = 12.0
+# Longer tests are announced before they begin.
 ANNOUNCED_S = 60.0
 
 
@@ -41,7 +48,7 @@ class Estimate:
     waits: bool  # for the steady state at each frequency, for an unknown time
 
     def __str__(self) -> str:
-        more = "; waiting for steady motion comes on top, which may be many times as long" if self.waits else ""
+        more = "; waiting for steady motion is not included and may take many times as long" if self.waits else ""
         return (
             f"the test takes at least {duration_text(self.seconds)} on the bench: {self.samples:.3g} samples a "
             f"channel, about {_size(self.disk)}{more}"
@@ -59,39 +66,39 @@ def estimate(scene: Scene) -> Estimate:
     rate = scene.converter.sample_rate
     # A scene without channels has an ideal channel on every body and on the table.
     channels = scene.structure.bodies + 1 if scene.channels is None else len(scene.channels)
-    seconds = _shortest(scene)
+    seconds = _min_duration(scene)
     samples = seconds * rate
-    stretch = flush_length(rate) + 2 * block_length(rate)
-    state = CHANNEL if complete_from_preset(scene.converter).filter is None else FILTERED_CHANNEL
+    buffer_length = flush_length(rate) + 2 * block_length(rate)
+    state = CHANNEL_BYTES if complete_from_preset(scene.converter).filter is None else FILTERED_CHANNEL_BYTES
     motion = 3 * scene.structure.bodies * (TRUTH_COPIES if scene.recording.truth else MOTION_COPIES)
-    memory = PROGRAM + channels * state + 8.0 * stretch * (COPIES * channels + motion)
+    memory = PROGRAM_BYTES + channels * state + 8.0 * buffer_length * (CHANNEL_COPIES * channels + motion)
     if isinstance(scene.test, Multisine):
         memory += 8.0 * PERIOD_COPIES * scene.test.period_s * rate
     points = scene.structure.bodies + len(scene.tables)
-    true_series = 3 * points + len(scene.dampers) if scene.recording.truth else 0
-    stored = scene.recording.samples or ("float64" if scene.converter.bits is None else "counts")
-    disk = samples * (BYTES[stored] * channels + TRUTH_BYTES * true_series)
+    n_true_quantities = 3 * points + len(scene.dampers) if scene.recording.truth else 0
+    storage_type = scene.recording.samples or ("float64" if scene.converter.bits is None else "counts")
+    disk = samples * (BYTES_PER_SAMPLE[storage_type] * channels + TRUTH_BYTES_PER_SAMPLE * n_true_quantities)
     return Estimate(seconds, samples, disk, memory, isinstance(scene.test, SteppedSine))
 
 
 def check_resources(resources: Estimate, path: Path) -> None:
     """Reject a test that exceeds the samples, the free disk space or the memory permitted."""
-    if not resources.samples <= MOST_SAMPLES:
+    if not resources.samples <= MAX_SAMPLES:
         raise SceneError(
             f"test: {duration_text(resources.seconds)} and {resources.samples:.3g} samples of each channel are too "
-            f"many (at most {MOST_SAMPLES:.0e}). Choose a shorter test or a lower rate."
+            f"many (at most {MAX_SAMPLES:.0e}). Choose a shorter test or a lower rate."
         )
-    require_memory(resources.memory, "the test with half a second of all its channels, as held before it is written,")
+    require_memory(resources.memory, "the test, with half a second of all its channels before it is written,")
     folder = next(folder for folder in path.absolute().parents if folder.is_dir())
     free = shutil.disk_usage(folder).free
-    if resources.disk * FEWEST + RESERVE > free:
+    if resources.disk * MIN_COMPRESSION_RATIO + RESERVE > free:
         raise SceneError(
             f"{path}: the test would take about {_size(resources.disk)}, and the disk has {_size(free)} left. Choose "
             "another disk (-o FILE.mcap), a shorter test, or a lower rate."
         )
 
 
-def _shortest(scene: Scene) -> float:
+def _min_duration(scene: Scene) -> float:
     """Return the lower bound of the duration of the test, s."""
     test = scene.test
     if test is None:

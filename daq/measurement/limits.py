@@ -17,15 +17,16 @@ from rig.scene.presets import complete_from_preset
 if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
-# An oscillation exceeds its limit twice per period; intervals with a shorter gap are merged, s.
-_PAUSE = 0.5
-# Interval at which the channels are checked, s, independent of the block size; the longer interval if the channels
-# have no limits and only the control can be lost.
-_WATCH, _WATCH_LONG = 0.1, 0.5
-# Duration of an overload of a control channel after which a test ends, s.
-_CLIPPED = 1.0
-# Longest simulated settling, s: a bias is assumed to be constant after this time.
-_LONGEST = 60.0
+# An oscillation exceeds its limit twice per period; intervals with a shorter gap are merged.
+_MIN_GAP_S = 0.5
+# Interval at which the channels are checked, independent of the block size.
+_CHECK_INTERVAL_S = 0.1
+# The same if the channels have no limits, and only the control can be lost.
+_CONTROL_CHECK_INTERVAL_S = 0.5
+# Duration of an overload of a control channel after which a test ends.
+_MAX_OVERLOAD_S = 1.0
+# Longest simulated settling: a bias is assumed to be constant after this time.
+_MAX_SETTLING_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -45,44 +46,44 @@ class Trip:
         )
 
 
-class Stretches:
+class FlaggedIntervals:
     """Merges flagged samples into intervals and marks each complete interval.
 
     >>> info = ChannelInfo("body1", "body 1", "acceleration", sensitivity=1.0, rate=10.0)
-    >>> stretches = Stretches("overload", [info], lambda *args, **fields: print(*args, fields))
-    >>> stretches.add(0, np.array([[0, 1, 0, 1, 0, 0, 0, 0, 0, 0]], dtype=bool))
+    >>> intervals = FlaggedIntervals("overload", [info], lambda *args, **fields: print(*args, fields))
+    >>> intervals.add(0, np.array([[0, 1, 0, 1, 0, 0, 0, 0, 0, 0]], dtype=bool))
     overload 1 4 {'channel': 'body1'}
     """
 
     def __init__(self, kind: str, channels: Sequence[ChannelInfo], mark: Callable[..., Any]) -> None:
         self._kind, self._channels, self._mark = kind, channels, mark
-        self._open: dict[int, tuple[int, int]] = {}
+        self._open_intervals: dict[int, tuple[int, int]] = {}
 
     def add(self, first: int, flags: NDArray[np.bool_]) -> None:
         """Add the flags of the next samples, shape (channels, samples); `first` is the number of the first sample."""
-        if not self._open and not flags.any():
+        if not self._open_intervals and not flags.any():
             return
-        pause = max(1, round(_PAUSE * self._channels[0].rate))
+        min_gap = max(1, round(_MIN_GAP_S * self._channels[0].rate))
         for row in range(len(self._channels)):
             flagged = np.flatnonzero(flags[row]) + first
-            # Flagged samples with a gap shorter than a pause belong to the same interval.
-            for interval in np.split(flagged, np.flatnonzero(np.diff(flagged) > pause) + 1):
+            # Flagged samples with a shorter gap belong to the same interval.
+            for interval in np.split(flagged, np.flatnonzero(np.diff(flagged) > min_gap) + 1):
                 if not interval.size:
                     continue
                 start, stop = int(interval[0]), int(interval[-1]) + 1
-                if row in self._open and start - self._open[row][1] >= pause:
-                    self._note(row)
-                self._open[row] = self._open.get(row, (start, stop))[0], stop
-            if row in self._open and first + flags.shape[1] - self._open[row][1] >= pause:
-                self._note(row)
+                if row in self._open_intervals and start - self._open_intervals[row][1] >= min_gap:
+                    self._mark_interval(row)
+                self._open_intervals[row] = self._open_intervals.get(row, (start, stop))[0], stop
+            if row in self._open_intervals and first + flags.shape[1] - self._open_intervals[row][1] >= min_gap:
+                self._mark_interval(row)
 
     def close(self) -> None:
         """Mark the open intervals."""
-        for row in sorted(self._open):
-            self._note(row)
+        for row in sorted(self._open_intervals):
+            self._mark_interval(row)
 
-    def _note(self, row: int) -> None:
-        start, stop = self._open.pop(row)
+    def _mark_interval(self, row: int) -> None:
+        start, stop = self._open_intervals.pop(row)
         self._mark(self._kind, start, stop, channel=self._channels[row].name)
 
 
@@ -93,30 +94,30 @@ class Limits:
         settings = {channel.name: channel for channel in scene.channels or ()}
 
         def limits(name: str) -> Array:
-            given = [getattr(settings.get(info.name), name, None) for info in channels]
-            return np.array([[np.inf if limit is None else limit] for limit in given])
+            values = [getattr(settings.get(info.name), name, None) for info in channels]
+            return np.array([[np.inf if limit is None else limit] for limit in values])
 
         self._channels = channels
         self._alarm, self._abort = limits("alarm"), limits("abort")
-        self._alarms = Stretches("alarm", channels, mark)
-        self.given = bool(np.isfinite(self._alarm).any() or np.isfinite(self._abort).any())
+        self._alarms = FlaggedIntervals("alarm", channels, mark)
+        self.has_limits = bool(np.isfinite(self._alarm).any() or np.isfinite(self._abort).any())
 
     @property
     def interval(self) -> float:
-        """Interval at which the channels are checked, s."""
-        return _WATCH if self.given else _WATCH_LONG
+        """Return the interval at which the channels are checked, s."""
+        return _CHECK_INTERVAL_S if self.has_limits else _CONTROL_CHECK_INTERVAL_S
 
     def watch(self, first: int, readings: Array) -> Trip | None:
         """Check readings, shape (channels, samples), and return the first reading beyond an abort limit."""
-        if not self.given:
+        if not self.has_limits:
             return None
         size = abs(readings)
         self._alarms.add(first, size > self._alarm)
-        beyond = size > self._abort
-        if not beyond.any():
+        exceeded = size > self._abort
+        if not exceeded.any():
             return None
-        sample = int(np.argmax(beyond.any(axis=0)))
-        row = int(np.argmax(beyond[:, sample]))
+        sample = int(np.argmax(exceeded.any(axis=0)))
+        row = int(np.argmax(exceeded[:, sample]))
         return Trip(first + sample, self._channels[row], float(readings[row, sample]), float(self._abort[row, 0]))
 
     def close(self) -> None:
@@ -148,7 +149,7 @@ class ControlLoss:
             return None
         self._since = first if self._since is None else self._since
         info, stop = self._channels[clipped[0]], first + flags.shape[1]
-        if stop - self._since <= _CLIPPED * info.rate:
+        if stop - self._since <= _MAX_OVERLOAD_S * info.rate:
             return None
         cause = bias_overload(self._scene, clipped[0], stop / info.rate)
         return (
@@ -166,22 +167,22 @@ def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
     if not sensor.bias:
         return None
     bench = Bench(scene)
-    still, overloaded = np.zeros((len(bench.inputs), max(1, round(bench.rate)))), False
+    zero_output, overloaded = np.zeros((len(bench.inputs), max(1, round(bench.rate)))), False
     # Simulate in blocks of one second; the last block decides.
-    for _ in range(max(1, round(min(seconds, _LONGEST)))):
-        overloaded = bool(bench.acquire(still).overload[row].any())
+    for _ in range(max(1, round(min(seconds, _MAX_SETTLING_S)))):
+        overloaded = bool(bench.acquire(zero_output).overload[row].any())
     if not overloaded:
         return None
-    settling, behind = "", ""
+    settling, where = "", ""
     if sensor.bias_settling is not None:
         settling = f" (time constant {sensor.bias_settling:g} s)"
-    cures = ["bias: 0 V in its accelerometer (a sensor that was switched on long before)"]
+    remedies = ["bias: 0 V in its accelerometer (a sensor that was switched on long before)"]
     if channel.integrator is not None:
-        behind = " behind its integrator"
-        cures.append("a low_cutoff of several hertz or less gain in the integrator")
+        where = " behind its integrator"
+        remedies.append("a low_cutoff of several hertz or less gain in the integrator")
     elif complete_from_preset(scene.converter).coupling != "AC":
-        cures.append("coupling: AC in the converter")
+        remedies.append("coupling: AC in the converter")
     return (
-        f"With the shaker at rest the bias of its sensor, {sensor.bias:g} V{settling}, overloads it{behind} as well. "
-        f"Set {', '.join(cures)}, or a larger converter range."
+        f"With the shaker at rest the bias of its sensor, {sensor.bias:g} V{settling}, overloads it{where} as well. "
+        f"Set {', '.join(remedies)}, or a larger converter range."
     )

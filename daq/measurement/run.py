@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from daq.excitation import Excitation, Station, excitation
 from daq.measurement.bench_loop import BenchLoop
 from daq.measurement.estimate import check_resources, estimate
-from daq.measurement.limits import Stretches
+from daq.measurement.limits import FlaggedIntervals
 from daq.recording.committed_file import DiskError
 from daq.recording.recorded_test import SceneOutline, TestKind, kind_of_settings
 from daq.recording.recorder import Recorder
@@ -119,7 +119,7 @@ class MeasurementRun(BenchLoop):
         self._recorder: Recorder | None = None
         self._interrupted: Callable[[], bool] = lambda: False
         self._lost = 0
-        self._overloads = Stretches("overload", self.bench.channels, self.mark)
+        self._overloads = FlaggedIntervals("overload", self.bench.channels, self.mark)
 
     def run(self, overwrite: bool) -> Path:
         """Run the test to its end and close the recording."""

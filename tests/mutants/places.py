@@ -65,7 +65,7 @@ EQUIVALENT = {
     "for i in range(workspace.size.shape[ -1]):": "the array has one dimension",
     "reached = -1": "no sample has a number below zero",
     "dampers, points = model.mass.shape[ -1], model.first_velocity": "the array has one dimension",
-    "pause = max(1, round(_PAUSE * self._channels[ -1].rate))": "rows of one array have one rate",
+    "min_gap = max(1, round(_MIN_GAP_S * self._channels[ -1].rate))": "rows of one array have one rate",
     "messages = np.empty((len(samples), blocks, len(heads[ -1]) + length * samples.itemsize), np.uint8)": (
         "all heads are of one length"
     ),

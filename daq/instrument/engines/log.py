@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from daq.importing.tdms import log_as_warning
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.values import LoggingMode, LoggingOperation
-from daq.measurement.limits import Stretches
+from daq.measurement.limits import FlaggedIntervals
 from rig.errors import ShotrigError
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ class _Recording:
         # The truth of a scene belongs to a complete test; a task logs only its channels.
         scene = scene.replace(recording=scene.recording.replace(truth=False))
         self._recorder = Recorder(path, scene, channels, rate, start_ns, overwrite)
-        self._overloads = Stretches(
+        self._overloads = FlaggedIntervals(
             "overload",
             channels,
             lambda kind, first, stop, **fields: self._recorder.mark(kind, first, stop - 1, **fields),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rig
-from daq.measurement.estimate import COPIES, check_resources, estimate
+from daq.measurement.estimate import CHANNEL_COPIES, check_resources, estimate
 from daq.recording.layout import block_length, flush_length
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
@@ -50,7 +50,7 @@ def test_recorder_uses_estimated_memory(tmp_path: Path) -> None:
             tracemalloc.stop()
     # The groups that begin, of the file and of the display, have room but take no memory yet.
     begun = 2 * samples.nbytes
-    assert peak - begun < COPIES * 8.0 * (group + 2 * block_length(RATE)) * count
+    assert peak - begun < CHANNEL_COPIES * 8.0 * (group + 2 * block_length(RATE)) * count
 
 
 def test_truth_is_part_of_the_estimated_size() -> None:

@@ -15,7 +15,7 @@ import pytest
 import daq
 import rig
 from daq.cli import main
-from daq.measurement.limits import Stretches
+from daq.measurement.limits import FlaggedIntervals
 from daq.measurement.run_report import summary
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
@@ -425,10 +425,10 @@ def test_block_size_does_not_change_stretches(size: int) -> None:
     flags[0, [3, 5, 9, 20, 21]] = True
     flags[1, 48] = True
     noted: list[tuple[Any, ...]] = []
-    stretches = Stretches("overload", info, lambda *args, **fields: noted.append((*args, fields["channel"])))
+    intervals = FlaggedIntervals("overload", info, lambda *args, **fields: noted.append((*args, fields["channel"])))
     for start in range(0, 50, size):
-        stretches.add(start, flags[:, start : start + size])
-    stretches.close()
+        intervals.add(start, flags[:, start : start + size])
+    intervals.close()
     expected = [("overload", 3, 10, "a"), ("overload", 20, 22, "a"), ("overload", 48, 49, "b")]
     assert sorted(noted, key=lambda note: note[1]) == expected
 

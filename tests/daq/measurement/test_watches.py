@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rig
-from daq.measurement.limits import ControlLoss, Limits, Stretches
+from daq.measurement.limits import ControlLoss, FlaggedIntervals, Limits
 from daq.signal_chain.channel import ChannelInfo
 
 RATE = 8.0
@@ -38,7 +38,7 @@ def in_blocks(cuts, values):
 
 
 def stretches_of(flags):
-    """Stretches of flagged samples less than half a second apart, as (first, stop)."""
+    """FlaggedIntervals of flagged samples less than half a second apart, as (first, stop)."""
     found = []
     for sample in np.flatnonzero(flags).tolist():
         if found and sample - found[-1][1] < 0.5 * RATE:
@@ -56,30 +56,30 @@ def stretches_of(flags):
 def test_overload_stretch_is_marked_once(flags, thin, cuts):
     flags = np.array(flags) & (np.arange(40) % thin == 0)
     marked = {info.name: [] for info in INFOS}
-    stretches = Stretches("overload", INFOS, lambda kind, *span, channel: marked[channel].append(span))
+    intervals = FlaggedIntervals("overload", INFOS, lambda kind, *span, channel: marked[channel].append(span))
     for first, block in in_blocks(cuts, flags):
-        stretches.add(first, block)
-    stretches.close()
+        intervals.add(first, block)
+    intervals.close()
     assert marked == {info.name: stretches_of(row) for info, row in zip(INFOS, flags, strict=True)}
 
 
 def test_finished_stretch_is_marked_early():
     marked = []
-    stretches = Stretches("alarm", INFOS[:1], lambda *what, channel: marked.append((*what, channel)))
-    stretches.add(100, np.array([[False, True, True]]))
-    stretches.add(103, np.zeros((1, 3), dtype=bool))
+    intervals = FlaggedIntervals("alarm", INFOS[:1], lambda *what, channel: marked.append((*what, channel)))
+    intervals.add(100, np.array([[False, True, True]]))
+    intervals.add(103, np.zeros((1, 3), dtype=bool))
     assert not marked
-    stretches.add(106, np.zeros((1, 1), dtype=bool))
+    intervals.add(106, np.zeros((1, 1), dtype=bool))
     assert marked == [("alarm", 101, 103, "t")]
-    stretches.close()
+    intervals.close()
     assert len(marked) == 1
 
 
 def test_adjacent_samples_form_an_interval():
     slow, marked = ChannelInfo("s", "body 1", "acceleration", 1.0, 0.5), []
-    stretches = Stretches("overload", [slow], lambda kind, *span, channel: marked.append(span))
-    stretches.add(0, np.array([[True, True, False, True]]))
-    stretches.add(4, np.array([[True, False]]))
+    intervals = FlaggedIntervals("overload", [slow], lambda kind, *span, channel: marked.append(span))
+    intervals.add(0, np.array([[True, True, False, True]]))
+    intervals.add(4, np.array([[True, False]]))
     assert marked == [(0, 2), (3, 5)]
 
 
@@ -108,7 +108,7 @@ def test_first_reading_over_limit_trips(readings):
 def test_missing_limits_watch_nothing():
     without = scene().replace(channels=None)
     limits = Limits(without, INFOS, lambda *_, **__: pytest.fail("a mark"))
-    assert not limits.given
+    assert not limits.has_limits
     assert limits.watch(0, np.full((3, 4), 1e9)) is None
 
 
@@ -143,12 +143,12 @@ def test_long_overload_ends_controlled_test(changes, rows, monkeypatch):
             assert [loss.watch(first, clipped) for first in (32, 36)] == [None, None]
 
 
-@pytest.mark.parametrize(("limits", "given"), [("", False), (", alarm: 3", True), (", abort: 3", True)])
-def test_alarms_and_aborts_work_alone(limits, given):
+@pytest.mark.parametrize(("limits", "expected"), [("", False), (", alarm: 3", True), (", abort: 3", True)])
+def test_alarms_and_aborts_work_alone(limits, expected):
     text = f"structure: {{masses: [1 kg], springs: [4 kN/m]}}\nchannels: [{{name: a, at: body 1{limits}}}]\n"
     marks = []
     watch = Limits(rig.loads(text), INFOS[1:2], lambda *mark, **fields: marks.append(mark))
-    assert watch.given == given
+    assert watch.has_limits == expected
     trip = watch.watch(0, np.array([[1.0, 4.0, 1.0]]))
     watch.close()
     assert (trip is not None) == ("abort" in limits)

@@ -32,7 +32,7 @@ from rig.scene.scene import Scene
 Progress = Callable[[float, str], None]
 
 # Fraction of a test after which the size of its recording can be extrapolated.
-_ENOUGH = 0.02
+_MIN_FRACTION = 0.02
 
 
 def record(
@@ -89,10 +89,10 @@ def record(
     """
     if block is not None and block < 1:
         raise SceneError(f"block: got {block} samples; expected 1 or more.")
-    what = load(scene)
+    loaded = load(scene)
     target = as_path(path)
-    check_resources(estimate(what), target)
-    return MeasurementRun(what, target, block, progress).run(overwrite)
+    check_resources(estimate(loaded), target)
+    return MeasurementRun(loaded, target, block, progress).run(overwrite)
 
 
 class MeasurementRun(BenchLoop):
@@ -160,16 +160,16 @@ class MeasurementRun(BenchLoop):
                     self._limits.close()
                     self._overloads.close()
             if self._interrupted():
-                raise KeyboardInterrupt(self._holds())
+                raise KeyboardInterrupt(self._recorded_duration())
         except _Stopped as stopped:
-            raise KeyboardInterrupt(self._holds()) from stopped
+            raise KeyboardInterrupt(self._recorded_duration()) from stopped
         except DiskError:
             # The message of the recorder includes the content of the file.
             raise
         except ShotrigError as error:
             if self._recorder is None:
                 raise
-            raise type(error)(f"{str(error).rstrip('.')}. {self._holds()}") from error
+            raise type(error)(f"{str(error).rstrip('.')}. {self._recorded_duration()}") from error
         for message in dict.fromkeys(self.warnings):
             warnings.warn(message, RunWarning, stacklevel=4)
         return path
@@ -217,15 +217,15 @@ class MeasurementRun(BenchLoop):
         """Report progress, with a warning if the disk space will not suffice: the first estimate excludes waits."""
         if self._progress is None:
             return
-        if self._recorder is not None and fraction > _ENOUGH:
-            rest, free = self._recorder.size * (1.0 / fraction - 1.0), self._recorder.free
-            if rest > free:
-                sizes = f"{rest / 1e6:.3g} MB to come, {free / 1e6:.3g} MB free"
+        if self._recorder is not None and fraction > _MIN_FRACTION:
+            remaining, free = self._recorder.size * (1.0 / fraction - 1.0), self._recorder.free
+            if remaining > free:
+                sizes = f"{remaining / 1e6:.3g} MB to come, {free / 1e6:.3g} MB free"
                 message += f"; the disk will be full before the end: {sizes}"
         self._progress(fraction, message)
 
-    def _holds(self) -> str:
-        return f"{self._path} contains the {self.station.now / self.bench.rate:.2f} s up to there."
+    def _recorded_duration(self) -> str:
+        return f"{self._path} contains the {self.station.now / self.bench.rate:.2f} s until then."
 
 
 def missing_force_reference(scene: Scene, channels: Sequence[ChannelInfo]) -> str | None:

@@ -215,7 +215,7 @@ def interrupt_after(calls: int) -> Any:
 
 def test_ctrl_c_leaves_readable_recording(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    with pytest.raises(KeyboardInterrupt, match=r"a\.mcap contains the \d\.\d\d s up to there"):
+    with pytest.raises(KeyboardInterrupt, match=r"a\.mcap contains the \d\.\d\d s until then"):
         daq.record(hit(), path, progress=interrupt_after(2))
     with daq.open(path) as rec:
         assert 0.3 * rec.rate < rec.samples < 0.75 * rec.rate
@@ -239,7 +239,7 @@ def test_ctrl_c_during_opening_keeps_file_whole(
 
     monkeypatch.setattr(Recorder, moment, interrupted)
     path = tmp_path / "a.mcap"
-    with pytest.raises(KeyboardInterrupt, match=r"a\.mcap contains the \d\.\d\d s up to there"):
+    with pytest.raises(KeyboardInterrupt, match=r"a\.mcap contains the \d\.\d\d s until then"):
         daq.record(hit(), path)
     with daq.open(path) as rec:
         rec.check()

@@ -241,7 +241,7 @@ class _Assessment:
             yield Expectation(name, "m/s^2", largest, frequency, time, limit, "sensor", is_overloaded)
 
     def _outputs(self) -> Iterable[Expectation]:
-        """Give the output that drives the shaker, in volts, and the power amplifier in front of a coil."""
+        """Return the output that drives the shaker, in volts, and the power amplifier in front of a coil."""
         shaker = self.scene.driven_shaker
         for row, (name, unit) in enumerate(zip(self.bench.inputs, self.bench.drive_units, strict=True)):
             if shaker is None or name != self.scene.at_driven("shaker") or self.scene.driven is None:

@@ -99,7 +99,7 @@ def _unpack(compression: bytes, packed: memoryview, size: int) -> bytes | memory
 
 
 def _decompressor() -> Any:
-    """Give this thread's decompressor, which takes as long to make as unpacking ten kilobytes."""
+    """Return this thread's decompressor, which takes as long to make as unpacking ten kilobytes."""
     if not hasattr(_of_thread, "zstd"):
         import zstandard
 

@@ -175,7 +175,7 @@ class DamagedFile:
         return False
 
     def _next_record(self, place: int) -> int:
-        """Give the place of the next consistent record; the end of the file if there is none."""
+        """Return the place of the next consistent record; the end of the file if there is none."""
         while place < self.size:
             window = self._read(place, _WINDOW)
             for match in _BEGIN.finditer(window):

@@ -50,7 +50,7 @@ class Stream(Protocol):
         """Take further bytes."""
 
     def tell(self) -> int:
-        """Give the number of bytes taken so far."""
+        """Return the number of bytes taken so far."""
 
 
 class ChunkedFile:

@@ -57,7 +57,7 @@ class Disk:
             self._end += len(data)
 
     def tell(self) -> int:
-        """Give the length of the file after the next commit."""
+        """Return the length of the file after the next commit."""
         return self._end
 
     def flush(self) -> None:
@@ -78,7 +78,7 @@ class Disk:
         self._committed = self._end
 
     def free(self) -> int:
-        """Give the free bytes of the disk that holds the file."""
+        """Return the free bytes of the disk that holds the file."""
         return shutil.disk_usage(self.at).free
 
     def finish(self) -> None:
@@ -125,7 +125,7 @@ class Disk:
 
 
 def _unused(path: Path) -> Path:
-    """Give an unused name next to a file; the rest of an earlier recording that was killed stays.
+    """Return an unused name next to a file; the rest of an earlier recording that was killed stays.
 
     >>> _unused(Path("there-is-no-such-folder/run.mcap")).name
     'run.mcap.part'

@@ -71,7 +71,7 @@ class DisplacementEstimate:
         self._state = np.zeros((self._sections.shape[0], 2))
 
     def run(self, samples: Array) -> Array:
-        """Give the displacement at the next samples, metres for SI input."""
+        """Return the displacement at the next samples, metres for SI input."""
         if self._sections is None or not samples.size:
             return samples
         from scipy.signal import sosfilt

@@ -49,7 +49,7 @@ TEXT_SCHEMA = Schema("std_msgs/msg/String", "ros2msg", b"string data\n", "cdr")
 
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 # Bytes before the one element: no dimensions, no offset, one element, padding to eight bytes.
-_BEFORE = np.frombuffer(struct.pack("<4sIII4x", _LITTLE_ENDIAN, 0, 0, 1), np.uint8)
+_MESSAGE_HEAD = np.frombuffer(struct.pack("<4sIII4x", _LITTLE_ENDIAN, 0, 0, 1), np.uint8)
 
 
 def encode_floats(values: Array) -> NDArray[np.uint8]:
@@ -58,9 +58,9 @@ def encode_floats(values: Array) -> NDArray[np.uint8]:
     >>> encode_floats(np.ones((2, 3))).shape
     (2, 3, 28)
     """
-    messages = np.empty((*values.shape, _BEFORE.size + 8), np.uint8)
-    messages[..., : _BEFORE.size] = _BEFORE
-    messages[..., _BEFORE.size :] = np.ascontiguousarray(values, "<f8")[..., None].view(np.uint8)
+    messages = np.empty((*values.shape, _MESSAGE_HEAD.size + 8), np.uint8)
+    messages[..., : _MESSAGE_HEAD.size] = _MESSAGE_HEAD
+    messages[..., _MESSAGE_HEAD.size :] = np.ascontiguousarray(values, "<f8")[..., None].view(np.uint8)
     return messages
 
 
@@ -75,7 +75,7 @@ def encode_text(text: str) -> bytes:
 
 
 def display_step(rate: float) -> int:
-    """Give the number of samples from one display sample to the next.
+    """Return the number of samples from one display sample to the next.
 
     >>> 5120.0 / display_step(5120.0)
     243.8095238095238
@@ -118,7 +118,7 @@ class DisplayDecimator:
         return self._output_until(last)
 
     def finish(self) -> tuple[NDArray[np.int64], Array]:
-        """Give the remaining values of the samples so far, at least one; the next samples start a new signal."""
+        """Return the remaining values of the samples so far, at least one; the next samples start a new signal."""
         assert self.stop is not None
         self._samples = np.concatenate([self._samples, np.repeat(self._samples[:, -1:], self._half, axis=1)], axis=1)
         output = self._output_until((self.stop - 1) // self.step)
@@ -194,12 +194,12 @@ class Display:
         self._sent = {"waveform": 0, "level": 0, "transform": 0}
 
     def _sequence(self, kind: str, count: int) -> NDArray[np.int64]:
-        """Give the numbers of the next messages on each topic of a kind."""
+        """Return the numbers of the next messages on each topic of a kind."""
         self._sent[kind] += count
         return np.arange(self._sent[kind] - count, self._sent[kind])
 
     def introduction(self) -> Message:
-        """Give the message that describes the rig."""
+        """Return the message that describes the rig."""
         at = self._clock.time_ns(0)
         return Message(self._description, at, at, encode_text(self._robot.urdf()), 0)
 
@@ -230,32 +230,38 @@ class Display:
         return Messages(self._levels, times, times, data, sequence[:, None, None])
 
     def waveforms(self, first: int, samples: Array) -> Iterator[Messages]:
-        """Give waveforms and transforms as far as further samples, (channels, samples), make them known."""
+        """Yield waveforms and transforms that are determined by further samples, shape (channels, samples)."""
         if self._decimator.stop not in (None, first):
             yield from self.finish()
         yield from self._draw(*self._decimator.run(first, samples))
 
     def finish(self) -> Iterator[Messages]:
-        """Give waveforms and transforms up to the last sample."""
+        """Yield waveforms and transforms up to the last sample."""
         if self._decimator.stop is not None:
             yield from self._draw(*self._decimator.finish())
 
-    def _draw(self, places: NDArray[np.int64], values: Array) -> Iterator[Messages]:
-        if not places.size:
+    def _draw(self, numbers: NDArray[np.int64], values: Array) -> Iterator[Messages]:
+        if not numbers.size:
             return
-        times = self._clock.times_ns(places.tolist())
-        sequence = self._sequence("waveform", places.size)
+        times = self._clock.times_ns(numbers.tolist())
+        sequence = self._sequence("waveform", numbers.size)
         yield Messages(self._waveforms, times, times, encode_floats(values), sequence)
-        moves = places // self._decimator.step % TRANSFORM_STEP == 0
-        moved = np.zeros((len(self._sources), np.count_nonzero(moves)))
+        with_transforms = numbers // self._decimator.step % TRANSFORM_STEP == 0
+        displacements = np.zeros((len(self._sources), np.count_nonzero(with_transforms)))
         if self._truth is not None:
-            # The parts are those of the truth, in another order.
-            true = dict(zip(self._truth.drawn, self._truth.positions(places[moves]), strict=True))
-            moved[:] = [true[source.point] for source in self._sources]
-        for row, source in zip(moved, self._sources, strict=True):
+            # The truth has the same points in another order.
+            true = dict(zip(self._truth.drawn, self._truth.positions(numbers[with_transforms]), strict=True))
+            displacements[:] = [true[source.point] for source in self._sources]
+        for row, source in zip(displacements, self._sources, strict=True):
             if source.point in self._estimates:
                 channel, estimate = self._estimates[source.point]
-                row[:] = estimate.run(values[channel])[moves]
-        if moved.shape[1]:
-            now, sequence = times[moves], self._sequence("transform", moved.shape[1])
-            yield Messages(self._transforms, now, now, self._robot.transforms(now, moved), sequence)
+                row[:] = estimate.run(values[channel])[with_transforms]
+        if displacements.shape[1]:
+            transform_times, sequence = times[with_transforms], self._sequence("transform", displacements.shape[1])
+            yield Messages(
+                self._transforms,
+                transform_times,
+                transform_times,
+                self._robot.transforms(transform_times, displacements),
+                sequence,
+            )

@@ -38,7 +38,7 @@ SHOWN_CHANNELS = 64
 
 
 def block_length(rate: float) -> int:
-    """Give the number of samples in a full block: the power of two nearest to 0.1 s, at least 256.
+    """Return the number of samples in a full block: the power of two nearest to 0.1 s, at least 256.
 
     >>> block_length(5120.0), block_length(51200.0), block_length(100.0)
     (512, 4096, 256)
@@ -47,7 +47,7 @@ def block_length(rate: float) -> int:
 
 
 def flush_length(rate: float) -> int:
-    """Give the number of samples that are committed to the disk together: whole blocks, about 0.5 s.
+    """Return the number of samples that are committed to the disk together: whole blocks, about 0.5 s.
 
     >>> flush_length(5120.0) / 5120.0
     0.5
@@ -74,7 +74,7 @@ class Timebase:
             raise RecordingError(f"sample rate: got {self.rate!r} Hz; expected a positive, finite rate.")
 
     def time_ns(self, sample: int) -> int:
-        """Give the time of a sample in nanoseconds; in integers throughout, so that no error builds up.
+        """Return the time of a sample in nanoseconds; in integers throughout, so that no error builds up.
 
         >>> Timebase(8533.333333333334).time_ns(10**12) // 10**9
         117187499
@@ -83,7 +83,7 @@ class Timebase:
         return self.start_ns + (step * sample + numerator) // divisor
 
     def times_ns(self, samples: Iterable[int]) -> NDArray[np.uint64]:
-        """Give the times of samples in nanoseconds, as exact as `time_ns`."""
+        """Return the times of samples in nanoseconds, as exact as `time_ns`."""
         step, numerator, divisor = self._ratio
         # Python's integers: the products would overflow 64 bits.
         times = (np.array([*samples], object) * step + numerator) // divisor + self.start_ns

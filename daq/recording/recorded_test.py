@@ -71,7 +71,7 @@ class RecordedTest:
 
 
 def kind_of_settings(test: Test | None) -> TestKind:
-    """Give the kind of a scene's test."""
+    """Return the kind of a scene's test."""
     return TestKind.NONE if test is None else _KIND_OF_SETTINGS[test.kind]
 
 

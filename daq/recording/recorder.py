@@ -438,5 +438,5 @@ class Recorder:
 
 
 def of_row(blocks: Iterable[Messages], row: int, topic: int) -> Iterator[Messages]:
-    """Give the messages of one row of a group its topic."""
+    """Return the messages of one row of a group its topic."""
     return (each._replace(channel=topic, data=each.data[row]) for each in blocks)

@@ -65,7 +65,7 @@ _UPRIGHT = b"\x2a\x09\x21" + struct.pack("<d", 1.0)
 
 
 def exaggeration(scene: Scene) -> float:
-    """Give the factor on displacements and gaps: 20, or less so that finite clearances fit the drawing."""
+    """Return the factor on displacements and gaps: 20, or less so that finite clearances fit the drawing."""
     clearances = [damper.clearance for damper in scene.dampers if 0 < damper.clearance < math.inf]
     return round_factor(min([EXAGGERATION, *(HEADROOM / clearance for clearance in clearances)]))
 
@@ -126,7 +126,7 @@ class RobotDescription:
         self._message += before + bytes(_HEIGHT) + _UPRIGHT
 
     def urdf(self) -> str:
-        """Give the description as URDF; the robot's name states the exaggeration."""
+        """Return the description as URDF; the robot's name states the exaggeration."""
         name = quoteattr(f"rig, motion drawn x {self.exaggeration:g}")
         return f'<?xml version="1.0"?><robot name={name}>{"".join(self._links + self._joints)}</robot>'
 

@@ -117,7 +117,7 @@ def _decode_any(data: memoryview, schema: str) -> SampleBlock:
 
 
 def stored_as(scene: Scene, channels: Sequence[ChannelInfo]) -> str:
-    """Give the storage type of samples, a key of `SCHEMAS`: the scene's, or else that of the converter."""
+    """Return the storage type of samples, a key of `SCHEMAS`: the scene's, or else that of the converter."""
     if scene.recording.samples is not None:
         return scene.recording.samples
     return "counts" if all(info.volts_per_count is not None for info in channels) else "float64"

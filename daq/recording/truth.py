@@ -29,13 +29,13 @@ MOTION = ("displacement", "velocity", "acceleration")
 
 
 def points_of(scene: Scene) -> tuple[str, ...]:
-    """Give the moving points of a scene's rig: its bodies, and the tables of its shakers."""
+    """Return the moving points of a scene's rig: its bodies, and the tables of its shakers."""
     bodies = tuple(f"body {body}" for body in range(1, scene.structure.bodies + 1))
     return (*bodies, *(name for name, _ in scene.tables))
 
 
 def dampers_of(scene: Scene) -> tuple[str, ...]:
-    """Give the names under which a scene's dampers are recorded."""
+    """Return the names under which a scene's dampers are recorded."""
     return tuple(f"damper {number}" for number in range(1, len(scene.dampers) + 1))
 
 
@@ -115,7 +115,7 @@ class Truth:
         return due
 
     def positions(self, samples: NDArray[np.int64]) -> Array:
-        """Give the positions of all that is `drawn`, (drawn, samples), metres, at further samples.
+        """Return the positions of all that is `drawn`, (drawn, samples), metres, at further samples.
 
         Known are those in the last groups taken; elsewhere the position before remains.
         """

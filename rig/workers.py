@@ -14,7 +14,9 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, closing, contextmanager, suppress
-from multiprocessing import active_children, get_context, parent_process
+from multiprocessing import parent_process
+from multiprocessing.context import SpawnContext
+from multiprocessing.process import BaseProcess
 from multiprocessing.resource_tracker import ensure_running
 from queue import Empty, SimpleQueue
 from threading import Thread, current_thread, main_thread
@@ -146,15 +148,28 @@ class Workers:
         return pool
 
 
+class _OwnProcesses(SpawnContext):
+    """Context of new processes that lists them, so that processes of others are not ended with the pool."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.started: list[BaseProcess] = []
+
+    def Process(self, *args: Any, **kwargs: Any) -> Any:  # type: ignore[override]  # noqa: N802
+        process = super().Process(*args, **kwargs)
+        self.started.append(process)
+        return process
+
+
 def _processes(cleanup: ExitStack) -> Executor:
     """Start worker processes of this machine."""
-    other_children = set(active_children())
-    pool = ProcessPoolExecutor(cores(), mp_context=get_context("spawn"), initializer=_begin)
+    context = _OwnProcesses()
+    pool = ProcessPoolExecutor(cores(), mp_context=context, initializer=_begin)
 
     def end() -> None:
         # Waiting pieces are cancelled before the workers end, because the pool would otherwise notify them.
         pool.shutdown(wait=False, cancel_futures=True)
-        workers = set(active_children()) - other_children
+        workers = [process for process in context.started if process.pid is not None]
         for worker in workers:
             worker.kill()
         for worker in workers:

@@ -48,7 +48,7 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
     `rec`: recording of a stepped-sine test with a channel on every body; `sweep`: result of
     `analysis.responses.stepped_sine.sweeps`.
     """
-    from rig.system.structural_model import structural_model
+    from rig.system.structural_model import driven_bodies, structural_model
 
     names = sweep.lines.channels
     damping = structural_model(rec.scene).damping
@@ -60,8 +60,7 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
             f"no channel on {rec.scene.structure.listed(missing)}, but the energy balance needs all {count} bodies. "
             "Mount a motion sensor there."
         )
-    shaker = rec.scene.driven_shaker
-    driven_body = shaker.body if shaker is not None and isinstance(shaker.body, int) else 1
+    driven = driven_bodies(rec.scene)
     supplied, structure, gradients, force_contributions = [], [], [], []
     compliance = np.empty(len(sweep.tones), dtype=complex)
     for index, tone in enumerate(sweep.tones):
@@ -73,15 +72,17 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
         )
         force = np.sum(force_row * tone.amplitude, axis=0)
         motion = np.sum(motion_rows * tone.amplitude, axis=1)
+        # A force that acts on several bodies works on the sum of their motions.
+        driven_motion, driven_row = motion[driven].sum(axis=0), motion_rows[driven].sum(axis=0)
         velocity_squared = 2 * np.pi**2 * tone.frequency * orders**2
         damping_force = damping @ motion
-        supplied.append(np.pi * np.sum(orders * np.imag(force * motion[driven_body - 1].conj())))
+        supplied.append(np.pi * np.sum(orders * np.imag(force * driven_motion.conj())))
         structure.append(np.sum(velocity_squared * np.sum(motion.conj() * damping_force, axis=0).real))
-        work = motion_rows[driven_body - 1].conj() * force - force_row.conj() * motion[driven_body - 1]
+        work = driven_row.conj() * force - force_row.conj() * driven_motion
         gradients.append(
             np.pi / 2j * orders * work - velocity_squared * np.einsum("bck,bk->ck", motion_rows.conj(), damping_force)
         )
-        compliance[index] = motion[driven_body - 1, 0] / force[0]
+        compliance[index] = driven_motion[0] / force[0]
         force_contributions.append((force_row * tone.amplitude)[:, 0] / force[0])
     return CycleEnergy(
         sweep.lines.frequency,
@@ -142,7 +143,8 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
         return np.full(len(sweep.lines.frequency), np.nan)
     model = structural_model(rec.scene)
     rebound = np.array([damper.restitution for damper in rec.scene.dampers])
-    damper, body = model.bed_mass, np.diag(model.mass)[model.bed_body]
+    # Locked beds belong to the masses of their bodies.
+    damper, body = model.bed_mass, np.diag(model.with_bed_masses().mass)[model.bed_body]
     factor = 0.5 * damper * body / (damper + body) * (1.0 - rebound**2)
     events = rec.events
     events = events[np.isin(events["kind"], ("floor", "ceiling"))]

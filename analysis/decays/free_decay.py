@@ -124,7 +124,7 @@ class Decay(Result):
         above = np.flatnonzero(abs(self.acceleration) >= amplitude)
         if not above.size:
             return 0.0
-        return float(self.time[above[-1]]) if above[-1] + 1 < self.time.size else float("nan")
+        return float(self.time[above[-1] + 1]) if above[-1] + 1 < self.time.size else float("nan")
 
     @property
     def quiet_from(self) -> float:

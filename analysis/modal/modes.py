@@ -41,7 +41,7 @@ class Modes(Result):
     frequency, frequency_error : ndarray, shape (modes,)
         Undamped natural frequency abs(p)/2 pi and its standard deviation, Hz.
     damping, damping_error : ndarray, shape (modes,)
-        Damping ratio and its standard deviation; if that is more than half of the ratio, only the upper limit is
+        Damping ratio and its standard deviation; if that is more than a third of the ratio, only the upper limit is
         known: ``damping + 2 damping_error``.
     shape_error : ndarray, shape (responses, modes)
         Standard deviation of each element of `shapes`, from the uncertainty of the curves at the resonance, including
@@ -156,8 +156,11 @@ class Modes(Result):
 
     @property
     def collinearity(self) -> Array:
-        """Compute the modal phase collinearity: 1 if all points move in phase or in antiphase."""
-        return np.array([abs(np.sum(shape**2)) / np.sum(abs(shape) ** 2) for shape in self.residue.T])
+        """Compute the modal phase collinearity: 1 if all points move in phase or in antiphase, 0 for a traveling wave.
+
+        It is abs(r^T r)^2 / (r^H r)^2 for the residues r (J.-N. Juang, R. S. Pappa, J. Guid. Control Dyn. 8 (1985)).
+        """
+        return np.array([(abs(np.sum(shape**2)) / np.sum(abs(shape) ** 2)) ** 2 for shape in self.residue.T])
 
 
 def mac(first: NDArray[np.generic], second: NDArray[np.generic]) -> Array:

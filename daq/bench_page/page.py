@@ -30,7 +30,9 @@ _BANDS = 600
 _SHOWN_HITS = 8
 _TEXT = "#c8ccd2"
 _GRID = {"lineStyle": {"color": "#2c3037"}}
-_FORMAT = "v => v && (Math.abs(v) < 1e-3 || Math.abs(v) >= 1e5) ? v.toExponential(0) : +v.toPrecision(5)"
+_FORMAT = (
+    "v => v && (Math.abs(v) < 1e-3 || Math.abs(v) >= 1e5) ? (+v.toPrecision(3)).toExponential() : +v.toPrecision(5)"
+)
 _LAMP_OFF = "#3a3f47"
 _LAMP_ON = "#e0403a"
 
@@ -75,9 +77,9 @@ def envelope(time: Array, values: Array, columns: int) -> tuple[Array, Array]:
 
 
 def points(x: Array, y: Array) -> list[list[float]]:
-    """Return the finite points of a curve as the chart expects them, rounded to 6 (x) and 4 (y) digits."""
+    """Return the finite points of a curve as the chart expects them, rounded to 10 (x) and 4 (y) digits."""
     pairs = zip(x.tolist(), y.tolist(), strict=True)
-    return [[float(f"{a:.6g}"), float(f"{b:.4g}")] for a, b in pairs if np.isfinite(b)]
+    return [[float(f"{a:.10g}"), float(f"{b:.4g}")] for a, b in pairs if np.isfinite(b)]
 
 
 def peaks(frequency: Array, values: Array) -> tuple[Array, Array]:
@@ -239,7 +241,9 @@ class Page:
         if curves is None:
             reason = self._operator.no_response or "starts with a test"
             chart["title"]["text"] = f"Frequency response ({reason})"
-            self._frf.element.update()
+            # The curves of the last test do not belong to the next one.
+            for each in (self._frf, self._coherence):
+                each.show([[] for _ in each.element.options["series"]])
             return
         chart["title"]["text"] = f"Frequency response, H1, {curves.averages} averages"
         self._frf.show([points(curves.frequency, np.abs(row)) for row in curves.value])

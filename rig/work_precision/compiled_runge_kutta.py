@@ -100,7 +100,9 @@ class DormandPrince:
         start, times = np.array(problem.start), problem.times
         steps = MAX_STEPS_PER_PERIOD * problem.periods
         if not _follow(self._tables, contacts, start, times, motion, rtol, blind, longest, steps, *self._work):
-            raise RunError(ENDLESS_EVENTS.format(contacts.time[contacts.filled[0] - 1]))
+            if contacts.filled[0] < max_events:
+                raise RunError(f"takes more than {steps} steps. Allow longer steps or larger errors.")
+            raise RunError(ENDLESS_EVENTS.format(contacts.time[-1]))
         events = slice(contacts.filled[0])
         log = zip(contacts.time[events], contacts.damper[events], contacts.kind[events], strict=True)
         return Outcome(motion.T, [(float(t), int(j), WALLS[k]) for t, j, k in log])

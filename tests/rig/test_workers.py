@@ -77,6 +77,17 @@ def test_appended_pieces_are_computed_as_well() -> None:
     assert pieces == [2, 4, 16]
 
 
+def test_processes_of_others_outlive_the_workers() -> None:
+    with Workers() as workers:
+        other = multiprocessing.get_context("spawn").Process(target=wait_forever_unless_zero, args=(1,))
+        other.start()
+        assert list(workers.compute(square, [3])) == [(0, 9)]
+
+    assert other.is_alive()
+    other.kill()
+    other.join()
+
+
 def test_workers_do_not_rerun_the_script(tmp_path: Path) -> None:
     script = tmp_path / "study.py"
     script.write_text(

@@ -34,6 +34,26 @@ def test_linear_structure_dissipates_supplied_energy(tmp_path):
     assert np.all(abs(energy.dampers) < 1e-5 * energy.supplied)
 
 
+@pytest.mark.parametrize("bodies", [[2], [1, 3]])
+def test_energy_of_force_on_listed_bodies_balances(tmp_path, bodies):
+    scene = rig.loads(
+        f"""
+        structure: {{masses: [0.74, 0.71, 0.64], springs: [24300, 21800, 19800], damping: {{modal: 0.01}}}}
+        shaker: {{kind: force, body: {bodies}}}
+        test: {{kind: stepped_sine, frequencies: [12, 34], force: 1 N}}
+        channels:
+        - {{name: a1, at: body 1}}
+        - {{name: a2, at: body 2}}
+        - {{name: a3, at: body 3}}
+        - {{name: f, at: shaker}}
+        """
+    )
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
+        [sweep] = sweeps(rec)
+        energy = energy_per_cycle(rec, sweep)
+    np.testing.assert_allclose(energy.structure, energy.supplied, rtol=0.01)
+
+
 def test_sensor_tolerances_bound_energy_balance(tmp_path, monkeypatch):
     # Aliasing of point samples adds to this.
     monkeypatch.setattr(energy_balance, "aliased_shares", lambda *_: (0.0, 0.0))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -78,6 +80,8 @@ def test_integrated_energy_falls_to_the_end(tmp_path):
     assert decay.energy[0] == 0.0 and np.all(np.diff(decay.energy) <= 0)
     assert 0.1 < decay.halving < 3.0
     assert decay.time_below(1e9) == 0.0
+    steps = replace(decay, time=np.arange(4.0), acceleration=np.array([2.0, -2.0, 0.5, 0.5]))
+    assert steps.time_below(1.0) == 2.0 and np.isnan(steps.time_below(0.5))
 
 
 def test_falling_damping_is_followed():

@@ -34,6 +34,8 @@ def test_stepped_sine_gives_frequencies_and_damping(tmp_path):
     np.testing.assert_allclose(modes.damping, 0.005, rtol=1e-4)
     assert np.all(np.diag(analysis.mac(modes.shapes, shapes)) > 1 - 1e-9)
     np.testing.assert_allclose(modes.collinearity, 1.0, atol=1e-6)
+    complex_shape = replace(modes, residue=np.array([[1.0], [0.5j]]))
+    np.testing.assert_allclose(complex_shape.collinearity, 0.36)
 
 
 def test_table_reference_gives_resonances_with_spring(tmp_path):

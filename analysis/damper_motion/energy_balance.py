@@ -74,13 +74,13 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
         motion = np.sum(motion_rows * tone.amplitude, axis=1)
         # A force that acts on several bodies works on the sum of their motions.
         driven_motion, driven_row = motion[driven].sum(axis=0), motion_rows[driven].sum(axis=0)
-        velocity_squared = 2 * np.pi**2 * tone.frequency * orders**2
+        dissipation_factor = 2 * np.pi**2 * tone.frequency * orders**2
         damping_force = damping @ motion
         supplied.append(np.pi * np.sum(orders * np.imag(force * driven_motion.conj())))
-        structure.append(np.sum(velocity_squared * np.sum(motion.conj() * damping_force, axis=0).real))
+        structure.append(np.sum(dissipation_factor * np.sum(motion.conj() * damping_force, axis=0).real))
         work = driven_row.conj() * force - force_row.conj() * driven_motion
         gradients.append(
-            np.pi / 2j * orders * work - velocity_squared * np.einsum("bck,bk->ck", motion_rows.conj(), damping_force)
+            np.pi / 2j * orders * work - dissipation_factor * np.einsum("bck,bk->ck", motion_rows.conj(), damping_force)
         )
         compliance[index] = driven_motion[0] / force[0]
         force_contributions.append((force_row * tone.amplitude)[:, 0] / force[0])
@@ -93,12 +93,16 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
 
 
 def _bound(
-    rec: Recording, sweep: Sweep, gradients: list[ComplexArray], compliance: ComplexArray, of_force: ComplexArray
+    rec: Recording,
+    sweep: Sweep,
+    gradients: list[ComplexArray],
+    compliance: ComplexArray,
+    force_shares: ComplexArray,
 ) -> Array:
     """Return the 95 % bound of the energy: root sum of squares of scatter and of all systematic errors.
 
     `gradients`, shape (channels, harmonics): gradient g for each tone; `compliance`, shape (n,): compliance of the
-    driven body; `of_force`, shape (channels, n): contribution of each channel to the force.
+    driven body; `force_shares`, shape (channels, n): contribution of each channel to the force.
     """
     lines = sweep.lines
     scatter, gain_sensitivity, phase_sensitivity, fundamental_sensitivity = [], [], [], []
@@ -113,7 +117,8 @@ def _bound(
     tolerances = np.array([tolerance(rec.channels[name]) for name in lines.channels])
     parts.append(abs(np.array(gain_sensitivity)) @ (tolerances / np.maximum(1.0 - tolerances, 1e-300)))
     _, aliased = aliased_shares(
-        rec, ReadingShares(lines.channels, lines.frequency, "displacement", compliance, of_force, of_force)
+        rec,
+        ReadingShares(lines.channels, lines.frequency, "displacement", compliance, force_shares, force_shares),
     )
     for sensitivity, error_ratio in (
         (phase_sensitivity, aliased),
@@ -142,10 +147,10 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
     if any(damper.grains is not None for damper in rec.scene.dampers) or assemble(rec.scene).coupled:
         return np.full(len(sweep.lines.frequency), np.nan)
     model = structural_model(rec.scene)
-    rebound = np.array([damper.restitution for damper in rec.scene.dampers])
+    restitution = np.array([damper.restitution for damper in rec.scene.dampers])
     # Locked beds belong to the masses of their bodies.
     damper, body = model.bed_mass, np.diag(model.with_bed_masses().mass)[model.bed_body]
-    factor = 0.5 * damper * body / (damper + body) * (1.0 - rebound**2)
+    factor = 0.5 * damper * body / (damper + body) * (1.0 - restitution**2)
     events = rec.events
     events = events[np.isin(events["kind"], ("floor", "ceiling"))]
     loss = factor[events["damper"] - 1] * events["speed"] ** 2

@@ -142,7 +142,7 @@ def impacts(
         )
     stop = rec.samples if stop is None else min(stop, rec.samples)
     pulse = landing_pulse(rec.scene, info.at, info.rate)
-    decimation = 1 if pulse is None else max(1, int(pulse.width * info.rate / _PULSE_READINGS))
+    decimation = 1 if pulse is None else max(1, int(pulse.time_to_90_percent * info.rate / _PULSE_READINGS))
     between_samples = info.average or info.filter or len(info.poles) > len(info.zeros)
     if decimation == 1 and info.quantity == "acceleration" and not between_samples:
         raise RecordingError(
@@ -208,7 +208,7 @@ def impacts(
         accepted &= ~_is_secondary(time, jump, resolution + RELEASE_DURATIONS * duration, ringing)
         largest_nearby = np.where(abs(time[:, None] - time) < ringing, abs(jump), 0.0).max(axis=1, initial=0.0)
         error = np.hypot(error, _CONTACT_JUMP_ERROR * largest_nearby)
-        added_error = _CONTACT_TIME_ERROR * pulse.width * rate + _CONTACT_SAMPLE_ERROR
+        added_error = _CONTACT_TIME_ERROR * pulse.time_to_90_percent * rate + _CONTACT_SAMPLE_ERROR
         position_error = np.hypot(position_error, added_error * largest_nearby / abs(jump))
     position, position_error, jump, error = (values[accepted] for values in (position, position_error, jump, error))
     # The time of an average is that of its last sample.

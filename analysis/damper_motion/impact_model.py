@@ -313,7 +313,7 @@ def _readings(
     if pulse is not None:
         # Velocity change within half a sub-sample interval on either side.
         edges = (np.arange(size * instants + 1) - 0.5) / (rate * instants)
-        response *= fft.rfft(np.diff(pulse.exchanged(edges)))
+        response *= fft.rfft(np.diff(pulse.velocity_change_ratio(edges)))
     averages = integrations + int(info.average)
     if not info.average:
         # The mean of interval averages is an average over a longer interval; point samples are summed explicitly.

@@ -33,25 +33,25 @@ class Pulse:
 
     duration: float
     """Time from first contact to release if no other forces act, s."""
-    ratio: float
+    damping_ratio: float
     """Damping ratio of the mass on the contact."""
-    angular: float
-    """Natural angular frequency of the mass on the contact, rad/s."""
+    angular_frequency: float
+    """Natural angular_frequency frequency of the mass on the contact, rad/s."""
 
-    def exchanged(self, time: Array) -> Array:
-        """Return the completed share of the velocity change of the body at a time after first contact, s.
+    def velocity_change_ratio(self, time: Array) -> Array:
+        """Return the completed part of the velocity change of the body at a time after first contact, s.
 
-        >>> half_sine = Pulse(duration=2e-3, ratio=0.0, angular=np.pi / 2e-3)
-        >>> half_sine.exchanged(np.array([-1.0, 0.0, 1e-3, 2e-3, 1.0])).round(12).tolist()
+        >>> half_sine = Pulse(duration=2e-3, damping_ratio=0.0, angular_frequency=np.pi / 2e-3)
+        >>> half_sine.velocity_change_ratio(np.array([-1.0, 0.0, 1e-3, 2e-3, 1.0])).round(12).tolist()
         [0.0, 0.0, 0.5, 1.0, 1.0]
         """
         return (1.0 - self._speed(np.clip(time, 0.0, self.duration))) / (1.0 + self.restitution)
 
     def _speed(self, time: Array) -> Array:
         """Return the closing speed during contact relative to that at first contact."""
-        ratio = self.ratio + _CRITICAL_OFFSET * (abs(self.ratio - 1.0) < _CRITICAL_OFFSET)
+        ratio = self.damping_ratio + _CRITICAL_OFFSET * (abs(self.damping_ratio - 1.0) < _CRITICAL_OFFSET)
         root = np.sqrt(complex(ratio**2 - 1.0))
-        first, second = self.angular * (root - ratio), -self.angular * (root + ratio)
+        first, second = self.angular_frequency * (root - ratio), -self.angular_frequency * (root + ratio)
         speed = (first * np.exp(first * time) - second * np.exp(second * time)) / (first - second)
         return np.asarray(speed.real)
 
@@ -61,13 +61,13 @@ class Pulse:
         return float(-self._speed(np.array([self.duration]))[0])
 
     @cached_property
-    def width(self) -> float:
+    def time_to_90_percent(self) -> float:
         """Time until 90 % of the velocity change, s."""
         time = np.linspace(0.0, self.duration, _INSTANTS)
-        return float(np.interp(0.9, self.exchanged(time), time))
+        return float(np.interp(0.9, self.velocity_change_ratio(time), time))
 
 
-_INSTANT_PULSE = Pulse(duration=1e-9, ratio=0.0, angular=np.pi / 1e-9)
+_INSTANT_PULSE = Pulse(duration=1e-9, damping_ratio=0.0, angular_frequency=np.pi / 1e-9)
 
 
 def landing_pulse(scene: Scene, location: str, rate: float) -> Pulse | None:
@@ -89,7 +89,7 @@ def landing_pulse(scene: Scene, location: str, rate: float) -> Pulse | None:
             "a body without grains."
         )
     walls = [wall for damper in dampers for wall in walls_of(damper.contact)]
-    # All impacts are much shorter than a sample interval.
+    # Impacts that are much shorter than a sample interval count as instant.
     if all(isinstance(wall, Landing) and wall.duration * rate <= _MAX_INSTANT_RATIO for wall in walls):
         return None
     system, pulses = assemble(scene), []
@@ -100,12 +100,13 @@ def landing_pulse(scene: Scene, location: str, rate: float) -> Pulse | None:
                 pulses.append(_INSTANT_PULSE)
                 continue
             duration, _ = system.duration_and_restitution(int(j), wall)
-            angular = np.sqrt(system.wall_stiffness[j, wall - 1] / system.reduced_mass[j])
-            ratio = system.wall_damping[j, wall - 1] / (2.0 * angular * system.reduced_mass[j])
-            pulses.append(Pulse(float(duration), float(ratio), float(angular)))
+            angular_frequency = np.sqrt(system.wall_stiffness[j, wall - 1] / system.reduced_mass[j])
+            ratio = system.wall_damping[j, wall - 1] / (2.0 * angular_frequency * system.reduced_mass[j])
+            pulses.append(Pulse(float(duration), float(ratio), float(angular_frequency)))
     longest = max(pulses, key=lambda pulse: pulse.duration)
     time = np.linspace(0.0, longest.duration, _INSTANTS)
-    if any(abs(pulse.exchanged(time) - longest.exchanged(time)).max() > _MAX_PULSE_DIFFERENCE for pulse in pulses):
+    longest_ratio = longest.velocity_change_ratio(time)
+    if any(abs(pulse.velocity_change_ratio(time) - longest_ratio).max() > _MAX_PULSE_DIFFERENCE for pulse in pulses):
         raise RecordingError(
             f"{location}: contact durations or restitutions of floor, ceiling or dampers differ, so that the pulse of "
             "an impact is not known beforehand. Choose a body where they are equal."

@@ -15,7 +15,7 @@ from analysis.fitting.diagnosis import cause, list_omitted_points, mass_scale_er
 from analysis.fitting.estimate import COVERAGE_FACTOR, Estimate, estimate
 from analysis.fitting.identifiability import LevelDamping, coupled_values, damping_by_level
 from analysis.fitting.measured import Curves, measured
-from analysis.fitting.parameters import Parameter, free_parameters, spelt_out
+from analysis.fitting.parameters import Parameter, free_parameters, with_ratio_per_mode
 from analysis.fitting.problem import Group, Problem
 from analysis.recordings.names import opened
 from rig.arrays import Array, ComplexArray
@@ -220,7 +220,7 @@ def fit(
         raise SceneError(
             f"scene {scene.name!r}: no structure.damping. Give its form and a guess, such as damping: {{modal: 1 %}}."
         )
-    model = spelt_out(scene)
+    model = with_ratio_per_mode(scene)
     parameters = free_parameters(model, free)
     report("reading")
     several: Sequence[Any] = recordings if isinstance(recordings, list | tuple) else [recordings]

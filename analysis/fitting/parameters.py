@@ -29,8 +29,8 @@ _UNITS = {
 _LIMITS = dict.fromkeys(("modal", "alpha", "beta", "dashpots"), 0.03)
 _LIMITS |= dict.fromkeys(("restitution", "duration", "stiffness", "damping"), 0.05)
 _LIMIT = 0.02
-# Largest exponent of a double; the intervals of undetermined values are unbounded.
-_LARGEST = 600.0
+# Largest fit variable, below the overflow of exp at 709: intervals of undetermined values are unbounded.
+_MAX_UNKNOWN = 600.0
 
 
 @dataclass(frozen=True)
@@ -43,12 +43,12 @@ class Parameter:
 
     @property
     def what(self) -> str:
-        """Last word of its key."""
+        """Name of the value: the last word of its key."""
         return next(str(step) for step in reversed(self.place) if isinstance(step, str))
 
     @property
     def unit(self) -> str:
-        """Unit, "" where it is a ratio."""
+        """Unit; "" for a ratio."""
         return _UNITS.get(self.what, "")
 
     @property
@@ -58,29 +58,29 @@ class Parameter:
 
     @property
     def damper(self) -> int | None:
-        """Position from 0 of the damper it belongs to."""
+        """Index of its damper, from 0; None for other values."""
         return int(self.place[1]) if self.place[0] == "dampers" else None
 
     @property
     def below_one(self) -> bool:
-        """Whether it is a ratio below 1."""
+        """Whether the value is a ratio below 1."""
         return self.what in ("restitution", "modal")
 
     def slope(self, value: float) -> float:
-        """Relative change of the value for one unit of its unknown."""
+        """Return the relative derivative of the value with respect to its unknown."""
         return 1.0 - value if self.below_one else 1.0
 
     def unknown(self, value: float) -> float:
-        """Unknown of a value: its logarithm, or the log odds of a ratio below 1."""
+        """Convert a value to its unknown: its logarithm, or the log odds of a ratio below 1."""
         return float(np.log(value / (1.0 - value)) if self.below_one else np.log(value))
 
     def value(self, unknown: float) -> float:
-        """Value of an unknown."""
-        return float(expit(unknown) if self.below_one else np.exp(min(unknown, _LARGEST)))
+        """Convert an unknown to its value."""
+        return float(expit(unknown) if self.below_one else np.exp(min(unknown, _MAX_UNKNOWN)))
 
 
-def spelt_out(scene: Scene) -> Scene:
-    """Give each mode its own damping ratio where the scene has one for all, as real structures have."""
+def with_ratio_per_mode(scene: Scene) -> Scene:
+    """Return the scene with a damping ratio for each mode, also if it gives one for all modes."""
     damping = scene.structure.damping
     if isinstance(damping, ModalDamping) and not isinstance(damping.modal, tuple):
         ratios = (damping.modal,) * scene.structure.bodies
@@ -91,15 +91,15 @@ def spelt_out(scene: Scene) -> Scene:
 def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Parameter]:
     """List the free parameters.
 
-    `scene`: from `spelt_out`; `free`: keys, such as ``structure.masses`` for all masses or ``dampers[1].clearance``;
-    omitted, `FREE`. Raises `SceneError` if a key names nothing that can be fitted; the message lists the keys that
-    can.
+    `scene`: from `with_ratio_per_mode`; `free`: keys, such as ``structure.masses`` for all masses or
+    ``dampers[1].clearance``; omitted, `FREE`. Raises `SceneError` if a key names nothing that can be fitted; the
+    message lists the keys that can.
 
     >>> import rig
     >>> [parameter.key for parameter in free_parameters(rig.load("fig9"), ["structure.masses[1]", "dampers"])]
     ['structure.masses[1]', 'dampers[1].mass_ratio', 'dampers[1].clearance']
     """
-    there = list(_candidates(scene))
+    candidates = list(_candidates(scene))
     if free is None:
         chosen = parse_changes(dict.fromkeys(FREE))
     else:
@@ -111,20 +111,20 @@ def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Par
                 # The name of a body is replaced by its position.
                 place = ("structure", "masses", names.index(str(change.steps[2])))
                 chosen[k] = change = replace(change, steps=place)
-            if not any(change.covers(one.place) for one in there):
-                every = (".".join(step for step in one.place if isinstance(step, str)) for one in there)
+            if not any(change.covers(each.place) for each in candidates):
+                every = (".".join(step for step in each.place if isinstance(step, str)) for each in candidates)
                 offered = ", ".join(dict.fromkeys(every))
                 raise SceneError(
                     f"free: {change.key}: nothing in scene {scene.name!r} can be fitted under this key. Use one of "
                     f"{offered} ([1] and so on selects an item of a list; values of 0 or infinity cannot be fitted)."
                 )
-    found = [one for one in there if any(change.covers(one.place) for change in chosen)]
+    selected = [each for each in candidates if any(change.covers(each.place) for change in chosen)]
     if free is None:
         # The coil spring calibrates the force; it is free only on request.
-        found = [one for one in found if one.place[0] != "shaker"]
-    if not found:
+        selected = [each for each in selected if each.place[0] != "shaker"]
+    if not selected:
         raise SceneError(f"scene {scene.name!r}: nothing to fit. Give masses, damping or dampers with values above 0.")
-    return found
+    return selected
 
 
 def with_values(scene: Scene, values: Mapping[Place, float]) -> Scene:
@@ -132,19 +132,19 @@ def with_values(scene: Scene, values: Mapping[Place, float]) -> Scene:
     parts: dict[str, dict[Place, float]] = {}
     for place, value in values.items():
         parts.setdefault(str(place[0]), {})[place[1:]] = value
-    return scene.with_valid(**{name: _put(getattr(scene, name), inside) for name, inside in parts.items()})
+    return scene.with_valid(**{name: _insert(getattr(scene, name), inside) for name, inside in parts.items()})
 
 
-def _put(node: Any, values: Mapping[Place, float]) -> Any:
+def _insert(node: Any, values: Mapping[Place, float]) -> Any:
     if () in values:
         return values[()]
     parts: dict[int | str, dict[Place, float]] = {}
     for place, value in values.items():
         parts.setdefault(place[0], {})[place[1:]] = value
     if isinstance(node, tuple):
-        return tuple(_put(item, parts[k]) if k in parts else item for k, item in enumerate(node))
+        return tuple(_insert(item, parts[k]) if k in parts else item for k, item in enumerate(node))
     assert isinstance(node, Settings)
-    return node.with_valid(**{str(name): _put(getattr(node, str(name)), inside) for name, inside in parts.items()})
+    return node.with_valid(**{str(name): _insert(getattr(node, str(name)), inside) for name, inside in parts.items()})
 
 
 def _candidates(scene: Scene) -> Iterator[Parameter]:
@@ -161,14 +161,14 @@ def _values(scene: Scene) -> Iterator[tuple[Place, float | None]]:
     listed = {"masses": structure.masses, "springs": structure.springs}
     for name, items in listed.items():
         yield from ((("structure", name, k), value) for k, value in enumerate(items or ()))
-    at = ("structure", "damping")
+    damping_place = ("structure", "damping")
     if isinstance(damping, ModalDamping) and isinstance(damping.modal, tuple):
-        yield from (((*at, "modal", k), value) for k, value in enumerate(damping.modal))
+        yield from (((*damping_place, "modal", k), value) for k, value in enumerate(damping.modal))
     elif isinstance(damping, Dashpots):
-        yield from (((*at, "dashpots", k), value) for k, value in enumerate(damping.dashpots))
+        yield from (((*damping_place, "dashpots", k), value) for k, value in enumerate(damping.dashpots))
     elif isinstance(damping, RayleighDamping):
-        yield (*at, "rayleigh", "alpha"), damping.rayleigh.alpha
-        yield (*at, "rayleigh", "beta"), damping.rayleigh.beta
+        yield (*damping_place, "rayleigh", "alpha"), damping.rayleigh.alpha
+        yield (*damping_place, "rayleigh", "beta"), damping.rayleigh.beta
     for k, damper in enumerate(scene.dampers):
         for name in ("mass", "mass_ratio"):
             yield ("dampers", k, name), getattr(damper, name)

@@ -14,7 +14,7 @@ from rig.system.assembly import assemble
 from rig.system.open_loop_drive import riding_equations, riding_response
 
 
-def on_the_bench(model: Scene, curves: Curves) -> Scene:
+def scene_of_test(model: Scene, curves: Curves) -> Scene:
     """Give the model the shaker and test of a recording, and those of its dampers that were in the recording.
 
     Raises `SceneError` if the recording has bodies or dampers that the model lacks.

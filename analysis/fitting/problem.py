@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from analysis.fitting.measured import Curves, Sensor
 from analysis.fitting.parameters import Parameter, with_values
-from analysis.fitting.predicted import linear_slopes, on_the_bench, riding
+from analysis.fitting.predicted import linear_slopes, riding, scene_of_test
 from analysis.fitting.steady_tones import SteadyTones, StoredOrbit
 from rig.arrays import Array, ComplexArray
 from rig.scene.scene import Scene
@@ -70,7 +70,7 @@ class Group:
         self.tones.failed.clear()
         curves, used_before = self.curves, self.used.copy()
         predicted = problem.predicted(x, self, scene)
-        bench = on_the_bench(scene, curves)
+        bench = scene_of_test(scene, curves)
         level, frequency = problem.operating_points(x, curves)
         own, gain = problem.gains(x, curves)
 
@@ -157,7 +157,7 @@ class Problem:
         for group in self.groups:
             if group.tones is None:
                 continue
-            bench = on_the_bench(scene, group.curves)
+            bench = scene_of_test(scene, group.curves)
             for number, damper in enumerate(bench.dampers):
                 if damper.body == body and damper.moves:
                     points = self.operating_points(x, group.curves)
@@ -176,7 +176,7 @@ class Problem:
         gain = 0.0 if group.tones is None else self.gains(x, curves)[1]
         key = (*x[: len(self.parameters)].tolist(), float(x[-1]) if self.clock > 0.0 else 0.0, gain)
         if group.last is None or group.last[0] != key or (search and not group.last[1]):
-            bench = on_the_bench(scene, curves)
+            bench = scene_of_test(scene, curves)
             if group.tones is None:
                 bodies = riding(bench, curves, frequency)[0]
             else:
@@ -252,7 +252,7 @@ class Problem:
         ]
         benches = [self._neighbours(x, k, curves) for k in acting]
         frequency = self.operating_points(x, curves)[1]
-        by_value, by_frequency = linear_slopes(on_the_bench(scene, curves), curves, frequency, benches)
+        by_value, by_frequency = linear_slopes(scene_of_test(scene, curves), curves, frequency, benches)
         values, (own, gain) = self.values(x), self.gains(x, curves)
         bodies, rows = self._displacement_ratio(x, group, scene), list(curves.bodies)
         slopes = np.zeros((len(chosen), *curves.value.shape), dtype=complex)
@@ -278,7 +278,7 @@ class Problem:
             with_values(self.model, dict(zip(places, values, strict=True)) | {place: values[k] * factor})
             for factor in (1.0 + _MATRIX_STEP, 1.0 - _MATRIX_STEP)
         )
-        return on_the_bench(more, curves), on_the_bench(less, curves), 2.0 * _MATRIX_STEP * values[k]
+        return scene_of_test(more, curves), scene_of_test(less, curves), 2.0 * _MATRIX_STEP * values[k]
 
 
 def _local_peaks(curves: Curves) -> Array:

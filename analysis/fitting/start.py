@@ -10,7 +10,7 @@ from math import comb
 import numpy as np
 import scipy
 
-from analysis.fitting.predicted import on_the_bench
+from analysis.fitting.predicted import scene_of_test
 from analysis.fitting.problem import Group, Problem
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes, mac
@@ -109,7 +109,7 @@ def _model_modes(scene: Scene, group: Group) -> tuple[Array, Array, Array]:
 
     A modal constant is -2 omega times the imaginary part of the residue.
     """
-    bench = on_the_bench(scene, group.curves)
+    bench = scene_of_test(scene, group.curves)
     spring = getattr(bench.driven_shaker, "spring", None)
     model = structural_model(bench).with_bed_masses()
     if spring is not None:

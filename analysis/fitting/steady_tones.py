@@ -89,7 +89,7 @@ class SteadyTones:
     def response(self, bench: Scene, level: Array, frequency: Array, search: bool = True) -> ComplexArray:
         """Return displacement of the bodies / reference, shape (bodies, n); NaN where the motion is irregular.
 
-        `bench`: from `on_the_bench`; `level`, shape (n,): true amplitude of the reference; `frequency`, shape (n,):
+        `bench`: from `scene_of_test`; `level`, shape (n,): true amplitude of the reference; `frequency`, shape (n,):
         Hz; `search`: whether orbits are checked and searched; otherwise the stored ones are refined as they are, for
         derivatives.
         """

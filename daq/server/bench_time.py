@@ -12,14 +12,14 @@ import grpc
 
 from daq.instrument.chassis import Chassis
 
-# Time for which a script waits for Enter without another limit, s of bench time.
-PROMPT = 10.0
-# A longer time passes in steps of this length, s, so that the wait for a disconnected client ends.
-_AT_ONCE = 100.0
+# Bench time for which a script waits for Enter without another limit.
+PROMPT_TIMEOUT_S = 10.0
+# Longest step in which time passes. After each step the wait ends if the client has disconnected.
+_MAX_STEP_S = 100.0
 
 
 class TimeLimit:
-    """Ends a process after a bench time.
+    """Interrupts a process when a given bench time is reached.
 
     `chassis`: the bench; `seconds`: bench time; None for no limit.
     """
@@ -36,10 +36,10 @@ class TimeLimit:
         """Whether there is no limit."""
         return self._seconds is None
 
-    def left(self) -> float:
-        """Time for which a prompt waits, s; with its answer the limit counts as reached."""
+    def take_remaining(self) -> float:
+        """Return the time for which a prompt waits, s. From then on the limit no longer interrupts the process."""
         self.reached = True
-        return PROMPT if self._seconds is None else max(0.0, self._seconds - self._chassis.elapsed)
+        return PROMPT_TIMEOUT_S if self._seconds is None else max(0.0, self._seconds - self._chassis.elapsed)
 
     def _interrupt(self) -> None:
         if not self.reached and self.process is not None:
@@ -65,21 +65,21 @@ class BenchTime(grpc.GenericRpcHandler):
         """Return the handler of a call; see the class."""
         calls: dict[str, Callable[[bytes], float]] = {
             "/shotrig.Bench/Pass": float,
-            "/shotrig.Bench/Prompt": lambda request: self._limit.left(),
+            "/shotrig.Bench/Prompt": lambda request: self._limit.take_remaining(),
         }
-        wanted = calls.get(handler_call_details.method)
-        if wanted is None:
+        handler = calls.get(handler_call_details.method)
+        if handler is None:
             return None
 
         def answer(request: bytes, context: grpc.ServicerContext) -> bytes:
             try:
-                seconds = wanted(request)
+                seconds = handler(request)
             except ValueError:
                 context.abort(grpc.StatusCode.INVALID_ARGUMENT, "expected a number of seconds")
             # If the client has disconnected, the remaining time is not needed.
             while 0 < seconds < math.inf and context.is_active():
-                self._chassis.pass_time(min(seconds, _AT_ONCE))
-                seconds -= _AT_ONCE
+                self._chassis.pass_time(min(seconds, _MAX_STEP_S))
+                seconds -= _MAX_STEP_S
             return repr(self._chassis.elapsed).encode()
 
         return grpc.unary_unary_rpc_method_handler(answer)

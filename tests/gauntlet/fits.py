@@ -28,7 +28,7 @@ from rich.table import Table
 import analysis
 import daq
 import rig
-from analysis.fitting.parameters import free_parameters, spelt_out, with_values
+from analysis.fitting.parameters import free_parameters, with_ratio_per_mode, with_values
 from rig.errors import ShotrigError
 from rig.system.structural_model import natural_modes, receptance, structure_matrices
 from tests.gauntlet.scenes import Draw, Settings, structure
@@ -128,7 +128,7 @@ def _test_frequencies(dice: Draw, chain: Settings, modes: list[float]) -> list[f
 
 def run_trial(seed: int, number: int) -> Trial:
     """Record a bench without and with its dampers, fit a guess, and compare the fit with the truth."""
-    scene = spelt_out(draw(seed, number))
+    scene = with_ratio_per_mode(draw(seed, number))
     random = np.random.default_rng([seed, number])
     parameters = free_parameters(scene)
     factors = np.exp(random.uniform(-_GUESS_ERROR, _GUESS_ERROR, len(parameters)))

@@ -24,7 +24,7 @@ def with_damper(**damper):
 def test_contact_agrees_with_another_solver(contact):
     scene = with_damper(**contact)
     pulse = landing_pulse(scene, "body 2", 5120.0)
-    stiffness, damping = pulse.angular**2, 2.0 * pulse.ratio * pulse.angular
+    stiffness, damping = pulse.angular_frequency**2, 2.0 * pulse.damping_ratio * pulse.angular_frequency
     time = np.linspace(0.0, pulse.duration, 50)
     motion = solve_ivp(
         lambda _, z: [z[1], -stiffness * z[0] - damping * z[1]],
@@ -34,9 +34,9 @@ def test_contact_agrees_with_another_solver(contact):
         rtol=1e-10,
         atol=1e-14,
     ).y
-    assert pulse.exchanged(time) == pytest.approx((1.0 - motion[1]) / (1.0 - motion[1, -1]), abs=1e-5)
+    assert pulse.velocity_change_ratio(time) == pytest.approx((1.0 - motion[1]) / (1.0 - motion[1, -1]), abs=1e-5)
     # At release the force is zero, and the speed ratio equals the coefficient of restitution.
-    assert stiffness * motion[0, -1] + damping * motion[1, -1] == pytest.approx(0.0, abs=1e-3 * pulse.angular)
+    assert stiffness * motion[0, -1] + damping * motion[1, -1] == pytest.approx(0.0, abs=1e-3 * pulse.angular_frequency)
     assert pulse.restitution == pytest.approx(-motion[1, -1], abs=1e-5)
     if scene.dampers[0].restitution:
         assert pulse.restitution == pytest.approx(0.4, abs=1e-6)

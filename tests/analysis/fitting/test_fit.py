@@ -17,7 +17,7 @@ from analysis.fitting.figure import fit_figure
 from analysis.fitting.fit import Compared, Fit, Fitted, _misfit
 from analysis.fitting.identifiability import LevelDamping
 from analysis.fitting.measured import measured
-from analysis.fitting.parameters import free_parameters, spelt_out, with_values
+from analysis.fitting.parameters import free_parameters, with_ratio_per_mode, with_values
 from analysis.fitting.presentation import describe
 from rig.errors import RecordingError, SceneError
 from tests.analysis.responses import synthetic
@@ -35,7 +35,7 @@ def initial_scene(**changes):
 
 
 def true_values():
-    structure = spelt_out(synthetic.scene()).structure
+    structure = with_ratio_per_mode(synthetic.scene()).structure
     return {"masses": structure.masses, "springs": structure.springs, "modal": structure.damping.modal}
 
 
@@ -189,7 +189,7 @@ def test_unfittable_key_names_fittable_ones():
 
 
 def test_inserted_values_change_nothing_else():
-    scene = spelt_out(rig.load("fig9"))
+    scene = with_ratio_per_mode(rig.load("fig9"))
     parameters = free_parameters(scene)
     changed = with_values(
         scene, {parameter.place: 2.0 * parameter.start for parameter in parameters if parameter.what != "modal"}

@@ -14,7 +14,7 @@ import rig
 from analysis.fitting.estimate import Estimate
 from analysis.fitting.identifiability import coupled_values
 from analysis.fitting.measured import measured
-from analysis.fitting.parameters import free_parameters, spelt_out
+from analysis.fitting.parameters import free_parameters, with_ratio_per_mode
 from analysis.fitting.problem import Problem
 
 SWEEP = Path(__file__).parents[3] / "recordings" / "demo-sweep-no-damper.mcap"
@@ -22,7 +22,7 @@ FORCE_TOLERANCE = 0.05
 
 
 def test_residual_derivatives_agree_with_differences():
-    model = spelt_out(rig.load("bare-structure"))
+    model = with_ratio_per_mode(rig.load("bare-structure"))
     with daq.open(SWEEP) as recording:
         problem = Problem(model, free_parameters(model), measured(recording, "sweep"))
     x, step = problem.start + np.linspace(0.002, 0.01, problem.size), 1e-7

@@ -10,7 +10,7 @@ import numpy as np
 import daq
 from analysis.fitting.diagnosis import list_omitted_points
 from analysis.fitting.measured import measured
-from analysis.fitting.predicted import on_the_bench
+from analysis.fitting.predicted import scene_of_test
 from analysis.fitting.steady_tones import SteadyTones
 from rig.orbits.orbit import OrbitFamily
 
@@ -29,7 +29,7 @@ def nearest_points(*requested_frequencies):
 def test_failed_trial_returns_to_earlier_motion():
     curves, frequency, level = nearest_points(49.66)
     tones = SteadyTones(replace(curves, frequency=frequency, level=level))
-    bench = on_the_bench(curves.scene, curves)
+    bench = scene_of_test(curves.scene, curves)
     expected = tones.response(bench, level, frequency)
     assert np.isfinite(expected).all() and tones.orbits[0] is not None
     assert np.isnan(tones.response(bench, 10.0 * level, frequency)).all()
@@ -40,7 +40,7 @@ def test_continued_table_motions_change_like_corrected_ones():
     curves, frequency, level = nearest_points(34.4, 48.0, 50.5)
     table_scene = curves.scene.replace(shaker={"kind": "electrodynamic", "body": 1, "spring": 6600.0})
     tones = SteadyTones(replace(curves, scene=table_scene, frequency=frequency, level=level))
-    bench = on_the_bench(table_scene, tones.curves)
+    bench = scene_of_test(table_scene, tones.curves)
     initial_response, step = tones.response(bench, level, frequency), 1e-5
     for relative_level, relative_frequency in ((step, 0.0), (0.0, step)):
         varied_point = level * (1.0 + relative_level), frequency * (1.0 + relative_frequency)
@@ -60,20 +60,20 @@ def test_endless_rebounds_are_recorded():
     bouncy_scene = curves.scene.replace(dampers=dampers)
     bouncy_curves = replace(curves, scene=bouncy_scene, frequency=frequency, level=level)
     tones = SteadyTones(bouncy_curves)
-    assert np.isnan(tones.response(on_the_bench(bouncy_scene, bouncy_curves), level, frequency)).all()
+    assert np.isnan(tones.response(scene_of_test(bouncy_scene, bouncy_curves), level, frequency)).all()
     assert "rebounds infinitely often" in tones.uncovered[0]
     [message] = list_omitted_points(bouncy_curves, np.array([False]), tones.uncovered)
     assert "another kind of motion" not in message and "which a fit cannot compute" in message
     assert "of another type than that of the model" in list_omitted_points(bouncy_curves, np.array([False]), {})[0]
     tones.failed.clear()
-    assert np.isfinite(tones.response(on_the_bench(curves.scene, curves), level, frequency)).all()
+    assert np.isfinite(tones.response(scene_of_test(curves.scene, curves), level, frequency)).all()
     assert not tones.uncovered
 
 
 def test_singular_matrix_yields_no_gap(monkeypatch):
     curves, frequency, level = nearest_points(49.66)
     tones = SteadyTones(replace(curves, frequency=frequency, level=level))
-    bench = on_the_bench(curves.scene, curves)
+    bench = scene_of_test(curves.scene, curves)
     tones.response(bench, level, frequency)
     assert tones.orbits[0] is not None and tones.largest_gap(bench, level, frequency, 0) > 0.0
 

@@ -1,4 +1,4 @@
-"""No module of the product imports itself indirectly, including deferred and type-only imports."""
+"""Within each package no module imports itself indirectly, including deferred and type-only imports."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def imports(package: str) -> dict[str, set[str]]:
 
 
 @pytest.mark.parametrize("package", ["rig", "daq", "analysis"])
-def test_imports_form_no_circle(package: str) -> None:
+def test_imports_form_no_cycle(package: str) -> None:
     try:
         TopologicalSorter(imports(package)).prepare()
     except CycleError as error:

@@ -48,7 +48,7 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
     `rec`: recording of a stepped-sine test with a channel on every body; `sweep`: result of
     `analysis.responses.stepped_sine.sweeps`.
     """
-    from rig.system.structural_model import driven_bodies, structural_model
+    from rig.system.structural_model import structural_model
 
     names = sweep.lines.channels
     damping = structural_model(rec.scene).damping
@@ -60,7 +60,9 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
             f"no channel on {rec.scene.structure.listed(missing)}, but the energy balance needs all {count} bodies. "
             "Mount a motion sensor there."
         )
-    driven = driven_bodies(rec.scene)
+    # `driven_bodies` of the structural model rejects several coil springs; here the driven shaker alone counts.
+    shaker = rec.scene.driven_shaker
+    driven = [0] if shaker is None else [body - 1 for body in shaker.bodies]
     supplied, structure, gradients, force_contributions = [], [], [], []
     compliance = np.empty(len(sweep.tones), dtype=complex)
     for index, tone in enumerate(sweep.tones):

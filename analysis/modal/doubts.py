@@ -15,7 +15,6 @@ from rig.results.response import Response
 _REPORTED = 0.02
 # Ratio of resolution to half of the half-power bandwidth at which leakage causes this uncertainty.
 _WIDENING_RATIO = float(np.sqrt(_REPORTED / LEAKAGE_FACTOR))
-
 # A larger residual, relative to the peak height, indicates a nonlinear response.
 _NONLINEAR = 0.005
 
@@ -60,10 +59,8 @@ def doubts(
         yield f"Identified only {f.size} of the {count} requested modes."
     half, lines = zeta * f, curves[0].frequency
     resolution = max(curve.resolution for curve in curves)
-    widened, narrow = (
-        resolution > _WIDENING_RATIO * half,
-        (error > MAX_RELATIVE_UNCERTAINTY * zeta) & (resolution > 2.0 * half),
-    )
+    widened = resolution > _WIDENING_RATIO * half
+    narrow = (error > MAX_RELATIVE_UNCERTAINTY * zeta) & (resolution > 2.0 * half)
     if narrow.any():
         yield (
             f"{_listed(f[narrow])} Hz: the peak is narrower than the resolution of {resolution:.3g} Hz, so only an "

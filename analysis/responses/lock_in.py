@@ -143,7 +143,7 @@ class LockIn:
         return part.first + sample, lacking * (part.ends[0 if after else 1] - fit)
 
     def _tones(self, sample: int) -> Array:
-        """Return the rows cos k, -sin k of the tones at a sample of a part."""
+        """Return the rows cos k, -sin k of the tones at a sample, shape (2 harmonics,)."""
         angle = 2 * np.pi * np.fmod(np.arange(1, self.harmonics + 1) * self.frequency * sample / self.rate, 1.0)
         return np.column_stack([np.cos(angle), -np.sin(angle)]).ravel()
 
@@ -177,11 +177,10 @@ class LockIn:
 
     def _rotate(self, matrix: Array, first: int) -> None:
         """Set the rotation blocks of the tones, from their rows at the first sample to those at another sample."""
-        order = np.arange(1, self.harmonics + 1)
-        angle = 2 * np.pi * np.fmod(order * self.frequency * first / self.rate, 1.0)
-        cos, sin, at = np.cos(angle), np.sin(angle), 2 * order
-        matrix[at, at], matrix[at, at + 1] = cos, sin
-        matrix[at + 1, at], matrix[at + 1, at + 1] = -sin, cos
+        tones, at = self._tones(first), 2 * np.arange(1, self.harmonics + 1)
+        cos, minus_sin = tones[::2], tones[1::2]
+        matrix[at, at], matrix[at, at + 1] = cos, -minus_sin
+        matrix[at + 1, at], matrix[at + 1, at + 1] = minus_sin, cos
 
     def _to_local(self, first: int, length: int) -> Array:
         """Matrix from the coefficients of the whole window to those of a part from sample `first` on."""

@@ -133,6 +133,10 @@ class Chart:
             series["data"] = data
         self.element.update()
 
+    def clear(self) -> None:
+        """Remove the data of all series."""
+        self.show([[] for _ in self.element.options["series"]])
+
 
 class Page:
     """One browser's view of the bench."""
@@ -239,11 +243,12 @@ class Page:
         curves = None if frf is None else frf.curves()
         chart = self._frf.element.options
         if curves is None:
-            reason = self._operator.no_response or "starts with a test"
-            chart["title"]["text"] = f"Frequency response ({reason})"
-            # The curves of the last test do not belong to the next one.
-            for each in (self._frf, self._coherence):
-                each.show([[] for _ in each.element.options["series"]])
+            title = f"Frequency response ({self._operator.no_response or 'starts with a test'})"
+            if chart["title"]["text"] != title:
+                chart["title"]["text"] = title
+                # The curves of the last test do not belong to the next one.
+                self._frf.clear()
+                self._coherence.clear()
             return
         chart["title"]["text"] = f"Frequency response, H1, {curves.averages} averages"
         self._frf.show([points(curves.frequency, np.abs(row)) for row in curves.value])

@@ -54,6 +54,21 @@ def test_energy_of_force_on_listed_bodies_balances(tmp_path, bodies):
     np.testing.assert_allclose(energy.structure, energy.supplied, rtol=0.01)
 
 
+def test_energy_is_supplied_by_the_driven_of_two_coils(tmp_path):
+    scene = rig.loads(
+        """
+        structure: {masses: [0.74, 0.71, 0.64], springs: [24300, 21800, 19800], damping: {modal: 0.01}}
+        shaker:
+        - {kind: electrodynamic, body: 1, spring: 6600}
+        - {kind: electrodynamic, body: 3, spring: 5000}
+        test: {kind: stepped_sine, frequencies: [12, 34], drive: 1 V, shaker: 2}
+        """
+    )
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
+        [sweep] = sweeps(rec)
+        assert np.all(energy_per_cycle(rec, sweep).supplied > 0.0)
+
+
 def test_sensor_tolerances_bound_energy_balance(tmp_path, monkeypatch):
     # Aliasing of point samples adds to this.
     monkeypatch.setattr(energy_balance, "aliased_shares", lambda *_: (0.0, 0.0))

@@ -134,8 +134,8 @@ def test_cut_file_keeps_all_records_before_the_cut(tmp_path):
         before = [true for true, (_, end) in zip(TRUE, SPANS, strict=True) if end <= cut and true is not None]
         assert [held(part) for part in parts if isinstance(part, Intact)] == before
         torn = [begin for begin, end in SPANS if begin < cut < end]
-        told = [(part.begin, part.end) for part in parts if isinstance(part, Unreadable)]
-        assert told == [(begin, cut) for begin in torn]
+        reason = [(part.begin, part.end) for part in parts if isinstance(part, Unreadable)]
+        assert reason == [(begin, cut) for begin in torn]
         for begin, part in zip(torn, (each for each in parts if isinstance(each, Unreadable)), strict=True):
             known = cut - begin < 9 or cut - begin >= TELLING[SPANS.index((begin, begin + LONG[begin]))]
             assert part.reason == ("the file ends within a record" if known else "no record can be identified")
@@ -190,14 +190,14 @@ def test_lookalike_record_is_passed_over(tmp_path, before):
 
 
 @pytest.mark.parametrize(
-    ("kind", "told"), [(0, "a chunk: "), (3, "a chunk: "), (4, "an attachment"), (2, "the checksum of the metadata")]
+    ("kind", "reason"), [(0, "a chunk: "), (3, "a chunk: "), (4, "an attachment"), (2, "the checksum of the metadata")]
 )
-def test_damaged_record_is_reported_wherever_it_ends(tmp_path, kind, told):
+def test_damaged_record_is_reported_wherever_it_ends(tmp_path, kind, reason):
     damaged = RECORDS[kind][:-1] + bytes([RECORDS[kind][-1] ^ 1])
     for tail in (b"", END, *RECORDS):
         parts = parts_of(tmp_path / "a", HEAD + damaged + tail)
         assert (parts[0].begin, parts[0].end) == (len(HEAD), len(HEAD) + len(damaged))
-        assert parts[0].reason.startswith(told)
+        assert parts[0].reason.startswith(reason)
     # The length is rejected if no consistent record follows.
     parts = parts_of(tmp_path / "a", HEAD + damaged + bytes(9) + RECORDS[0])
     assert (parts[0].begin, parts[0].end) == (len(HEAD), len(HEAD) + len(damaged) + 9)

@@ -49,8 +49,8 @@ def test_shakers_of_all_kinds_superpose() -> None:
 def test_second_shaker_without_drive_has_no_effect() -> None:
     drive = np.random.default_rng(2).standard_normal((1, 300))
     alone = rig.simulate(scene(HEAVY), duration=0.1, rate=4000.0, drive=drive)
-    beside = rig.simulate(scene(FORCE, HEAVY), duration=0.1, rate=4000.0, drive=np.vstack([0.0 * drive, drive]))
-    assert beside.displacement == pytest.approx(alone.displacement, abs=1e-13 * np.abs(alone.displacement).max())
+    both_shakers = rig.simulate(scene(FORCE, HEAVY), duration=0.1, rate=4000.0, drive=np.vstack([0.0 * drive, drive]))
+    assert both_shakers.displacement == pytest.approx(alone.displacement, abs=1e-13 * np.abs(alone.displacement).max())
 
 
 def test_force_is_that_of_the_named_shaker() -> None:

@@ -40,10 +40,11 @@ def time_histories(rec: Recording) -> Chart:
     panels = []
     for unit in units:
         shown = [name for name in names if rec.channels[name].unit == unit]
-        curves = [Curve(name, time, rows[names.index(name)], color=names.index(name)) for name in shown]
+        scale, shown_unit = (1e3, "mm") if unit == "m" else (1.0, unit)
+        curves = [Curve(name, time, scale * rows[names.index(name)], color=names.index(name)) for name in shown]
         # The largest motion is drawn first, so that it hides no other channel.
         curves.sort(key=lambda curve: -float(np.ptp(curve.y)))
-        panels.append(Panel(rec.channels[shown[0]].quantity, unit, curves, height=200))
+        panels.append(Panel(rec.channels[shown[0]].quantity, shown_unit, curves, height=200))
     how = "every sample" if whole else f"largest and smallest value of each of {_INTERVALS} intervals"
     return Chart(
         f"Time histories, {how}. Drag to zoom, double-click to reset.",

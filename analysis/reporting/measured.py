@@ -25,6 +25,9 @@ from daq.recording.recording import Recording
 from rig.errors import ShotrigError
 from rig.results.response import Response
 
+# A peak without an identified mode is interpolated between the frequencies divided and multiplied by this factor.
+_PEAK_BAND_FACTOR = 1.1
+
 P = ParamSpec("P")
 Found = TypeVar("Found")
 
@@ -35,16 +38,13 @@ class Pass:
 
     modes : None if the identification failed
     peaks : for each mode, the response with the highest compliance peak near it, or None if no response has a peak
+    highest : the highest compliance peak of all frequencies, whether or not a mode was identified there
     """
 
     frfs: list[Response]
     modes: Modes | None
     peaks: tuple[tuple[Response, Peak] | None, ...] = ()
-
-    @property
-    def highest(self) -> tuple[Response, Peak] | None:
-        """The highest of `peaks`."""
-        return max(filter(None, self.peaks), key=lambda pair: pair[1].value, default=None)
+    highest: tuple[Response, Peak] | None = None
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,8 @@ class Measurements:
         if modes is None:
             return Pass(frfs, None)
         self._note(path, modes.warnings)
-        return Pass(frfs, relabel(modes, rec.scene.name, label), _highest_peaks(frfs, modes))
+        peaks = _highest_peaks(frfs, modes)
+        return Pass(frfs, relabel(modes, rec.scene.name, label), peaks, highest_peak(frfs, peaks))
 
     def _attempt(
         self, path: Path, what: str, compute: Callable[P, Found], *args: P.args, **kwargs: P.kwargs
@@ -144,6 +145,26 @@ def _highest_peaks(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[Respon
         inside = [(curve, each) for curve, each in peaks if each is not None and not each.at_end]
         out.append(max(inside, key=lambda pair: pair[1].value, default=None))
     return tuple(out)
+
+
+def highest_peak(
+    frfs: Sequence[Response], peaks: Sequence[tuple[Response, Peak] | None]
+) -> tuple[Response, Peak] | None:
+    """Response with the highest compliance peak: near a mode, or where the lower bound of the curve is higher still."""
+    highest = max(filter(None, peaks), key=lambda pair: pair[1].value, default=None)
+    height = 0.0 if highest is None else highest[1].value
+    for frf in frfs:
+        if frf.reference != "force":
+            continue
+        compliance = frf.to("displacement")
+        lower_bound = np.nan_to_num(abs(compliance.value) - compliance.bound())
+        top = int(np.argmax(lower_bound))
+        if lower_bound[top] > height:
+            frequency = float(compliance.frequency[top])
+            found = peak(frf, frequency / _PEAK_BAND_FACTOR, frequency * _PEAK_BAND_FACTOR)
+            if found is not None and not found.at_end:
+                highest, height = (frf, found), found.value
+    return highest
 
 
 def _changes(first: Measured, other: Measured) -> list[PeakChange]:

@@ -18,7 +18,7 @@ from analysis.reporting.drawing import mode_drawing, rig_drawing
 from analysis.reporting.histories import spectrograms, time_histories
 from analysis.reporting.measured import Measured, Measurements
 from analysis.reporting.responses import damper_chart, decay_charts, response_charts
-from analysis.reporting.tables import budget, changes_table, decays, resonances, settings
+from analysis.reporting.tables import budget, changes_table, decays, resonances, settings, test_text
 from rig.escaping import escape_html
 from rig.output_files import atomic_write, create_folder
 from rig.provenance import output_source, reject_foreign_files, relative_paths
@@ -76,7 +76,9 @@ def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str],
     found, charts = measurements.all, ChartWriter()
     compared = measurements.changes()
     sentences = answer(found, compared)
-    parts = ['<section class="answer">', *(f"<p>{escape_html(text)}</p>" for text in sentences), "</section>"]
+    parts = ['<section class="answer">', *(f"<p>{escape_html(text)}</p>" for text in sentences)]
+    parts += [f'<p class="test">{escape_html(text)}</p>' for text in dict.fromkeys(map(_tested, found))]
+    parts.append("</section>")
     parts += [changes_table(compared), resonances(found), decays(found)]
     if measurements.warnings:
         items = "".join(f"<li>{escape_html(note)}</li>" for note in measurements.warnings)
@@ -103,6 +105,15 @@ def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str],
     return sentences, "\n".join(parts)
 
 
+def _tested(measured: Measured) -> str:
+    """Describe the test of a recording: excitation, channels, duration."""
+    rec = measured.rec
+    return (
+        f"Test “{measured.label}”: {test_text(rec.scene)}; {len(rec.channels)} channels at {rec.rate:g} Hz, "
+        f"{rec.duration:.4g} s."
+    )
+
+
 def _modes(found: Sequence[Measured]) -> list[str]:
     """Mode shapes of the first sweep of each recording."""
     parts = []
@@ -127,7 +138,7 @@ def _budgets(found: Sequence[Measured]) -> list[str]:
 
 
 def _commands(paths: Sequence[Path], found: Sequence[Measured]) -> list[str]:
-    """Commands that reproduce the results, and the version of shotrig."""
+    """Commands that reproduce the recordings and the results, and the version of shotrig."""
     every = " ".join(shlex.quote(str(path)) for path in paths)
     named = [
         ("frf", [each for each in found if each.passes]),
@@ -135,13 +146,20 @@ def _commands(paths: Sequence[Path], found: Sequence[Measured]) -> list[str]:
         ("dampers", [each for each in found if each.dampers]),
         ("decay", [each for each in found if each.decay is not None]),
     ]
+    recorded = [each for each in found if not each.rec.source and each.rec.scene.test is not None]
     lines = [
+        f"daq record {shlex.quote(each.path.stem + '.yaml')} -o {shlex.quote(str(each.path))}" for each in recorded
+    ]
+    lines += [
         f"analysis {command} {' '.join(shlex.quote(str(each.path)) for each in which)}"
         for command, which in named
         if which
     ]
     lines.append(f"analysis report {every}")
-    made = f"Made with shotrig {version('shotrig')}. The scene file of each recording is above, with its seed."
+    made = f"Made with shotrig {version('shotrig')}."
+    if recorded:
+        names = ", ".join(f"{each.path.stem}.yaml" for each in recorded)
+        made += f" Save the scene file of each recording (above) as {names}. The same seed gives the same samples."
     return [
         "<h2>How to repeat this</h2>",
         f"<pre>{escape_html(chr(10).join(lines))}</pre>",

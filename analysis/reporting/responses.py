@@ -98,10 +98,12 @@ def damper_chart(measured: Measured, result: Dampers) -> Chart:
         low, high = (share - bound)[order], (share + bound)[order]
         curve = Curve("dampers", frequency[order], share[order], low, high)
         panels.append(Panel("share of energy", "%", [curve], height=170, limits=(-5.0, 105.0)))
+    level = f"drive level {result.sweep.level:.4g}"
+    if getattr(measured.rec.scene.test, "force", None) is not None:
+        level = f"force {result.sweep.level:.4g} N"
     return Chart(
-        f"{measured.label}, {result.sweep.direction}, level {result.sweep.level:.4g}: impacts per period on floor and "
-        "ceiling (gaps: no regular pattern), and share of the supplied energy that the dampers dissipate, with 95 % "
-        "bounds.",
+        f"{measured.label}, {result.sweep.direction}, {level}: impacts per period on floor and ceiling (gaps: no "
+        "regular pattern), and share of the supplied energy that the dampers dissipate, with 95 % bounds.",
         f"Damper impacts per period against frequency, {frequency.min():.4g} to {frequency.max():.4g} Hz.",
         panels,
         logarithmic=logarithmic(frequency),

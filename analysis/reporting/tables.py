@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import isfinite, isinf
 from typing import TYPE_CHECKING
 
 import numpy as np
+import yaml
 
 from analysis.damper_motion.comparison import Peak, PeakChange
 from analysis.reporting.measured import Measured
@@ -14,10 +15,12 @@ from analysis.responses.systematic import tolerance
 from rig.escaping import escape_html
 from rig.results import format_number, round_to_bound
 from rig.results.response import Response
+from rig.scene.yaml_writer import write
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
     from rig.scene.damper import Damper
+    from rig.scene.scene import Scene
 
 # Maximum number of overloads or gaps that are listed individually.
 _NAMED = 5
@@ -141,21 +144,46 @@ def budget(measured: Measured, curve: Response, found: Peak) -> str:
     height = with_bound(factor * float(abs(curve.value[point])), factor * float(curve.bound()[point]))
     return table(
         f"Uncertainty budget of {what}: {height} {unit} (95 %)",
-        ["contribution", "type (GUM)", f"bound / ({unit})", "share of the variance"],
+        ["contribution", "type (GUM)", f"95 % bound / ({unit})", "share of the variance"],
         rows,
         numbers=2,
     )
 
 
+def test_text(scene: Scene) -> str:
+    """Describe the test with all settings that the scene states.
+
+    >>> import rig
+    >>> test_text(rig.load("fig8-no-damper"))
+    'stepped sine: from 8 Hz, to 60 Hz, points 150, force 2.6 N'
+    """
+    if scene.test is None:
+        return "none"
+    given = yaml.safe_load(write(scene.test, scene.structure))
+    kind = given.pop("kind", scene.test.kind).replace("_", " ")
+    return f"{kind}: {_listed(given)}" if given else kind
+
+
+def _listed(content: Mapping[str, object]) -> str:
+    """Write settings on one line; a group of settings stands in parentheses."""
+    parts = []
+    for key, value in content.items():
+        if isinstance(value, Mapping):
+            text = f"({_listed(value)})"
+        else:
+            text = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+        parts.append(f"{key} {text}")
+    return ", ".join(parts)
+
+
 def settings(measured: Measured) -> str:
     """Write the tables of the test settings and of the channels."""
     rec, scene = measured.rec, measured.rec.scene
-    test = scene.test
     dampers = "; ".join(_damper(each, scene.structure.label(each.body)) for each in scene.dampers)
     facts = [
         ("recording", str(measured.path)),
         ("scene", scene.name),
-        ("test", "none" if test is None else test.kind.replace("_", " ")),
+        ("test", test_text(scene)),
         ("shaker", ", ".join(each.kind for each in scene.shakers) or "none"),
         ("dampers", dampers or "none"),
         ("duration", f"{rec.duration:.2f} s, {rec.samples} samples at {rec.rate:g} Hz"),

@@ -89,7 +89,9 @@ class SegmentFits:
         notes += memory_notes
         if all_flaws:
             kept_ratio = sum(stop - start for start, stop in segments) / (self.stop - self.first)
-            notes.insert(0, f"{1 - kept_ratio:.0%} of the test left out: {describe_flaws(rec, all_flaws)}.")
+            notes.insert(
+                0, f"{100.0 * (1.0 - kept_ratio):.2g} % of the test left out: {describe_flaws(rec, all_flaws)}."
+            )
         if not segments:
             flawed = {flaw.channel for flaw in all_flaws}
             others = [name for name in responses(rec) if name in self.channels and name not in flawed]

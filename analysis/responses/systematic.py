@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 REFERENCE_NOISE, LEAKAGE, UNSETTLED = "noise in the reference", "leakage", "not yet steady"
 ALIASING, RESOLUTION, MODEL = "aliasing", "converter's resolution", "local model"
-REFERENCE = "doubtful reference"
+REFERENCE = "uncertain reference"
 JITTER = "jitter of the sampling instants"
 #: Parts whose sign and size differ from line to line.
 ROUGH = (UNSETTLED, RESOLUTION, MODEL, REFERENCE, JITTER)

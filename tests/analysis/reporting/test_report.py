@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import analysis
 import rig
 from analysis.reporting.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel
 from analysis.reporting.drawing import rig_drawing
+from analysis.reporting.measured import highest_peak
 from analysis.reporting.report import write_report
 from tests.analysis.responses import synthetic
 
@@ -67,6 +69,14 @@ def test_page_states_answer_settings_and_commands(recordings: list[Path], tmp_pa
     assert "first scene" in answer and "13.04" in answer and "µm/N" in answer
     for part in ("Uncertainty budget", "sensitivity", "Spectrogram of body1", "analysis report", "Scene file"):
         assert part in text
+    assert "sine: frequency 10 Hz, force 1 N" in answer and "daq record sweep.yaml -o" in text
+
+
+def test_highest_peak_needs_no_mode(recordings: list[Path]) -> None:
+    [responses] = analysis.frf(recordings[0])
+    highest = highest_peak(list(responses.curves()), [None])
+    assert highest is not None
+    assert highest[1].frequency == pytest.approx(13.0, abs=0.1)
 
 
 def test_hammer_test_has_response_and_decay(recordings: list[Path], tmp_path: Path) -> None:

@@ -114,7 +114,7 @@ class Chart:
                 "legend": {"right": 10, "top": 0, "icon": "rect", "textStyle": {"color": _TEXT}},
                 "tooltip": {"trigger": "axis"},
                 "grid": {"left": 70, "right": 70, "top": 42, "bottom": 40},
-                "toolbox": {"feature": {"dataZoom": {}}, "bottom": 0, "right": 0},
+                "toolbox": {"feature": {"dataZoom": {}}, "top": 22, "right": 10, "itemSize": 13},
                 "xAxis": {"type": "value", "nameLocation": "middle", "nameGap": 24, "min": "dataMin",
                           "max": "dataMax", "splitLine": _GRID,
                           "axisLabel": {":formatter": _FORMAT, "hideOverlap": True}, **x},

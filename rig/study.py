@@ -58,7 +58,7 @@ class Study(Generic[Piece, Value]):
     decode: Callable[[list[str]], tuple[Any, Value]]
 
     def run(
-        self, pieces: Sequence[Piece], table: Path | None = None, cluster: str | None = None,
+        self, cases: Sequence[Piece], table: Path | None = None, cluster: str | None = None,
         progress: Progress | None = None, prepare: Callable[[], object] = lambda: None,
     ) -> list[Value]:  # fmt: skip
         """Compute pieces that are missing in the table; return the values of all pieces.
@@ -77,15 +77,15 @@ class Study(Generic[Piece, Value]):
         RunError
             If the table cannot be read or written, or a worker process ends unexpectedly.
         """
-        stored, report = StoredValues(self, table), progress or (lambda done, total: None)
-        done = sum(piece in stored for piece in pieces)
-        if done:
-            report(done, len(pieces))
-        if done < len(pieces):
+        stored, report = StoredValues(self, table), progress or (lambda n_completed, total: None)
+        n_completed = sum(case in stored for case in cases)
+        if n_completed:
+            report(n_completed, len(cases))
+        if n_completed < len(cases):
             prepare()
-        for number, _ in enumerate(stored.complete(pieces, cluster), done + 1):
-            report(number, len(pieces))
-        return [stored[piece] for piece in pieces]
+        for number, _ in enumerate(stored.complete(cases, cluster), n_completed + 1):
+            report(number, len(cases))
+        return [stored[case] for case in cases]
 
 
 class StoredValues(Generic[Piece, Value]):
@@ -119,21 +119,21 @@ class StoredValues(Generic[Piece, Value]):
                 continue
             self.values[key] = value
 
-    def __contains__(self, piece: Piece) -> bool:
-        return self.study.key(piece) in self.values
+    def __contains__(self, case: Piece) -> bool:
+        return self.study.key(case) in self.values
 
-    def __getitem__(self, piece: Piece) -> Value:
-        return self.values[self.study.key(piece)]
+    def __getitem__(self, case: Piece) -> Value:
+        return self.values[self.study.key(case)]
 
-    def add(self, piece: Piece, value: Value) -> None:
+    def add(self, case: Piece, value: Value) -> None:
         """Store the value of a piece."""
-        key = self.study.key(piece)
+        key = self.study.key(case)
         self.values[key] = value
         self._append(self.study.encode(key, value))
 
-    def complete(self, pieces: Sequence[Piece], cluster: str | None = None) -> Iterator[Value]:
+    def complete(self, cases: Sequence[Piece], cluster: str | None = None) -> Iterator[Value]:
         """Compute missing pieces; yield each value after it is stored."""
-        missing = [piece for piece in pieces if piece not in self]
+        missing = [case for case in cases if case not in self]
         if missing:
             with Workers(cluster) as workers:
                 for number, value in workers.compute(self.study.compute, missing):

@@ -198,8 +198,8 @@ def _try_delays(problem: Problem, bare: list[Curves]) -> _Explanations:
         best = scipy.optimize.minimize_scalar(variance, bounds=bounds, options={"xatol": 1e-6})
         delay = float(best.x)
         if abs(delay) > _MIN_DELAY:
-            late = "late" if delay > 0.0 else "early"
-            text = f"{sensor.name} reads {format_number(abs(delay) * 1e6)} µs {late} (delay in the table)"
+            direction = "late" if delay > 0.0 else "early"
+            text = f"{sensor.name} reads {format_number(abs(delay) * 1e6)} µs {direction} (delay in the table)"
             yield float(best.fun), text, True
 
 
@@ -228,7 +228,7 @@ def _estimate_delay(bare: list[Curves], sensor: Sensor) -> float:
     sign = -1.0 if any(curves.reference_sensor == sensor for curves in bare) else 1.0
     for curves in bare:
         reference = curves.reference_sensor == sensor
-        rows = [k for k, one in enumerate(curves.sensors) if reference or one == sensor]
+        rows = [k for k, channel_sensor in enumerate(curves.sensors) if reference or channel_sensor == sensor]
         # The doubled phase does not depend on the sign.
         rotation = np.exp(sign * 4j * np.pi * np.outer(_DELAYS, curves.frequency))
         for k in rows:
@@ -240,9 +240,9 @@ def _estimate_delay(bare: list[Curves], sensor: Sensor) -> float:
 
 def _compensate_delay(curves: Curves, sensor: Sensor, delay: float) -> Curves:
     """Remove a delay from the readings of a sensor."""
-    late = np.array([float(each == sensor) for each in curves.sensors])
-    late -= float(curves.reference_sensor == sensor)
-    return _multiply(curves, np.exp(2j * np.pi * delay * np.outer(late, curves.frequency)))
+    delays = np.array([float(each == sensor) for each in curves.sensors])
+    delays -= float(curves.reference_sensor == sensor)
+    return _multiply(curves, np.exp(2j * np.pi * delay * np.outer(delays, curves.frequency)))
 
 
 def _omit_sensor(bare: list[Curves], sensor: Sensor) -> list[Curves]:
@@ -299,12 +299,14 @@ class _Refit:
 
 def _fit_structure(problem: Problem, curves: list[Curves], model: Scene | None = None) -> _Refit:
     """Fit the structure of a scene to curves."""
-    parameters = [one for one in problem.parameters if one.place[0] != "dampers"]
+    parameters = [parameter for parameter in problem.parameters if parameter.place[0] != "dampers"]
     if model is not None:
         # The free values stay free, and so are those of the new form of damping.
-        free = {one.key for one in parameters}
+        free = {parameter.key for parameter in parameters}
         new = ("structure", "damping")
-        parameters = [one for one in free_parameters(model) if one.key in free or one.place[:2] == new]
+        parameters = [
+            parameter for parameter in free_parameters(model) if parameter.key in free or parameter.place[:2] == new
+        ]
     trial = Problem(model or problem.model, parameters, curves)
     x = initial_unknowns(trial, trial.groups)
     for model_error in (0.1, 0.01, 0.0):

@@ -96,15 +96,15 @@ def _damped(
 
     A ceiling with impacts and a ceiling out of reach are different optima, so that both are tried.
     """
-    best, least, motions = structure, np.inf, [group.motions() for group in damped]
+    best, lowest_cost, motions = structure, np.inf, [group.motions() for group in damped]
     begin = structure
     # Last words of the keys of dampers' unknowns; "" for all others.
-    names = ["" if one.damper is None else one.what for one in problem.parameters]
+    names = ["" if parameter.damper is None else parameter.what for parameter in problem.parameters]
     names += [""] * (problem.size - len(names))
     bounded = "clearance" in names
     starts = [(1.0, 1.0), *product(_MASS_FACTORS, _CLEARANCE_FACTORS if bounded else (1.0,))]
     for mass, clearance in [*starts, (1.0, _OUT_OF_REACH)] if bounded else starts:
-        if least < _EXPLAINED and clearance < _OUT_OF_REACH:
+        if lowest_cost < _EXPLAINED and clearance < _OUT_OF_REACH:
             continue
         if clearance == _OUT_OF_REACH:
             begin = best
@@ -122,7 +122,7 @@ def _damped(
         if rough:
             problem.residual(x, damped)
         # If a ceiling explains the curves, a ceiling out of reach that residuals most points is not refined.
-        refuted = least < _EXPLAINED and _robust_cost(problem, x, damped) > _HALF_FAILED
+        refuted = lowest_cost < _EXPLAINED and _robust_cost(problem, x, damped) > _HALF_FAILED
         for round_number in range(0 if refuted else _ROUNDS):
             scene = problem.scene(x)
             changed = [group.choose_motions(problem, x, scene) for group in damped]
@@ -132,8 +132,8 @@ def _damped(
             x = solve(problem, x, problem.groups, 0.0, active, 12)
         cost = _robust_cost(problem, x, damped)
         # A single point does not prove ceiling impacts: it may be in another kind of motion.
-        if cost < least + _MAX_SQUARE * (clearance == _OUT_OF_REACH) / min(g.used.size for g in damped):
-            best, least, motions = x, cost, [group.motions() for group in damped]
+        if cost < lowest_cost + _MAX_SQUARE * (clearance == _OUT_OF_REACH) / min(g.used.size for g in damped):
+            best, lowest_cost, motions = x, cost, [group.motions() for group in damped]
     for group, state in zip(damped, motions, strict=True):
         group.restore(state)
     problem.residual(best, problem.groups)
@@ -159,18 +159,18 @@ def _structure(problem: Problem, bare: Sequence[Group]) -> Array:
     best = initial_unknowns(problem, bare)
     for model_error in _MODEL_ERRORS:
         best = solve(problem, best, bare, model_error)
-    least = mean_square(problem, best, bare)
+    lowest_square = mean_square(problem, best, bare)
     active = [k for k, each in enumerate(problem.parameters) if each.place[0] == "structure"]
     random = np.random.default_rng(0)
     for number in range(_RANDOM_STARTS):
-        if least < _MAX_STRUCTURE_VARIANCE:
+        if lowest_square < _MAX_STRUCTURE_VARIANCE:
             break
         x = problem.start.copy()
         x[active] += random.normal(0.0, _RANDOM_SD * min(number, 1), len(active))
         for model_error in _MODEL_ERRORS_RANDOM:
             x = solve(problem, x, bare, model_error, most=15)
-        if (square := mean_square(problem, x, bare)) < least:
-            best, least = x, square
+        if (square := mean_square(problem, x, bare)) < lowest_square:
+            best, lowest_square = x, square
     return best
 
 

@@ -139,12 +139,12 @@ class Fit(Result):
 
     def __getitem__(self, key: str) -> Fitted:
         """Return a value by its key."""
-        found = {value.key: value for value in self.parameters}
-        if key not in found:
-            near = get_close_matches(key, found, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(found)}"
+        by_key = {value.key: value for value in self.parameters}
+        if key not in by_key:
+            similar = get_close_matches(key, by_key, n=1)
+            hint = f"did you mean {similar[0]!r}?" if similar else f"it has {', '.join(by_key)}"
             raise SceneError(f"no value {key!r} in the fit; {hint}")
-        return found[key]
+        return by_key[key]
 
     def summary(self) -> str:
         """Return whether the scene fits, and how many values are determined."""
@@ -234,8 +234,8 @@ def fit(
     if not curves:
         raise RecordingError("fit: no recordings. Give at least one.")
     problem = Problem(model, parameters, curves)
-    found = estimate(problem, report)
-    return _result(problem, found, report)
+    estimated = estimate(problem, report)
+    return _result(problem, estimated, report)
 
 
 def _curves(recording: Any) -> list[Curves]:
@@ -245,35 +245,35 @@ def _curves(recording: Any) -> list[Curves]:
     return measured(recording, recording.path.name)
 
 
-def _result(problem: Problem, found: Estimate, report: Progress) -> Fit:
-    limits = _clearance_limits(problem, found)
+def _result(problem: Problem, estimated: Estimate, report: Progress) -> Fit:
+    limits = _clearance_limits(problem, estimated)
     # A ceiling without impacts keeps its height, or moves just above the largest gap.
-    x = found.x.copy()
+    x = estimated.x.copy()
     for k, limit in limits.items():
         clearance = problem.parameters[k]
         x[k] = clearance.unknown(max(clearance.start, _UNREACHED_RATIO * limit))
     scene = problem.scene(x)
     compared = tuple(_compare(problem, x, scene, group) for group in problem.groups)
     warnings = [f"{each.curves.label}: {note}" for each in compared for note in each.curves.warnings]
-    misfit = _misfit(found, compared) or _implausible_sensors(problem, x)
+    misfit = _misfit(estimated, compared) or _implausible_sensors(problem, x)
     if misfit:
         report("searching the cause of the misfit")
         explains, text = cause(problem)
         misfit = text if explains else f"{misfit} {text}"
     else:
         misfit = mass_scale_error(problem, x)
-    if not misfit and found.variance > _MAX_NOISE_VARIANCE:
+    if not misfit and estimated.variance > _MAX_NOISE_VARIANCE:
         worst = max(each.relative for each in compared)
         warnings.append(
             f"The residuals reach {worst:.2%} of the curves, more than their errors explain (variance "
-            f"{found.variance:.3g}). "
+            f"{estimated.variance:.3g}). "
             "The intervals are widened accordingly."
         )
     for each, group in zip(compared, problem.groups, strict=True):
         uncovered = {} if group.tones is None else group.tones.uncovered
         warnings += list_omitted_points(each.curves, each.used, uncovered)
-    count, deviation = len(problem.parameters), found.deviation
-    unexplained = bool(misfit) or found.variance > _MAX_NOISE_VARIANCE
+    count, deviation = len(problem.parameters), estimated.deviation
+    unexplained = bool(misfit) or estimated.variance > _MAX_NOISE_VARIANCE
     fitted = tuple(
         _fitted(parameter, x[k], deviation[k], unexplained) for k, parameter in enumerate(problem.parameters)
     )
@@ -287,26 +287,26 @@ def _result(problem: Problem, found: Estimate, report: Progress) -> Fit:
     return Fit(
         scene=scene,
         parameters=fitted,
-        correlation=found.correlation[:count, :count],
+        correlation=estimated.correlation[:count, :count],
         sensitivities={
             sensor.name: (problem.deviation(x, sensor), COVERAGE_FACTOR * float(deviation[count + k]))
             for k, sensor in enumerate(problem.sensors)
         },
-        modes=_modes(problem, found),
-        damping=() if misfit else damping_by_level(problem, found),
+        modes=_modes(problem, estimated),
+        damping=() if misfit else damping_by_level(problem, estimated),
         compared=compared,
-        variance=found.variance,
+        variance=estimated.variance,
         misfit=misfit,
-        together=(*clearances, *coupled_values(problem, found, [each.status for each in fitted])),
+        together=(*clearances, *coupled_values(problem, estimated, [each.status for each in fitted])),
         warnings=tuple(warnings),
     )
 
 
-def _clearance_limits(problem: Problem, found: Estimate) -> dict[int, float]:
+def _clearance_limits(problem: Problem, estimated: Estimate) -> dict[int, float]:
     """Return lower limits of undetermined clearances of dampers in flight, by the number of the parameter."""
-    deviation = found.deviation
+    deviation = estimated.deviation
     limits = {
-        k: problem.clearance_limit(found.x, parameter)
+        k: problem.clearance_limit(estimated.x, parameter)
         for k, parameter in enumerate(problem.parameters)
         if parameter.what == "clearance" and COVERAGE_FACTOR * deviation[k] > _MAX_HALF_WIDTH
     }
@@ -336,7 +336,7 @@ def _compare(problem: Problem, x: Array, scene: Scene, group: Group) -> Compared
     return Compared(curves, predicted, used, normalized, relative)
 
 
-def _misfit(found: Estimate, compared: Sequence[Compared]) -> str:
+def _misfit(estimated: Estimate, compared: Sequence[Compared]) -> str:
     """Describe the recording that the scene does not fit, with the residual; "" if it fits all."""
     for each in compared:
         regular = np.isfinite(each.predicted).all(axis=0)
@@ -347,10 +347,10 @@ def _misfit(found: Estimate, compared: Sequence[Compared]) -> str:
                 f"of {each.used.size} points."
             )
     worst = max(compared, key=lambda each: each.relative)
-    if found.variance > _MAX_NOISE_VARIANCE and worst.relative > _MAX_RESIDUAL_RATIO:
+    if estimated.variance > _MAX_NOISE_VARIANCE and worst.relative > _MAX_RESIDUAL_RATIO:
         return (
             f"{worst.curves.label}: the best fit leaves a residual of {worst.relative:.1%} of the curves (rms), "
-            f"{format_number(np.sqrt(found.variance))} times their stated errors."
+            f"{format_number(np.sqrt(estimated.variance))} times their stated errors."
         )
     return ""
 
@@ -366,17 +366,17 @@ def _implausible_sensors(problem: Problem, x: Array) -> str:
     return f"The curves fit only with sensors outside their tolerance: {', and '.join(sensors)}." if sensors else ""
 
 
-def _modes(problem: Problem, found: Estimate) -> tuple[Mode, ...]:
+def _modes(problem: Problem, estimated: Estimate) -> tuple[Mode, ...]:
     """Return the modes of the structure alone; bounds by first-order propagation of a square root of the covariance."""
 
     def modal_values(x: Array) -> Array:
         modes = structural_model(problem.scene(x)).modes
         return np.concatenate([modes.frequency, modes.damping_ratio])
 
-    values, step = modal_values(found.x), 1e-6
-    columns = [(modal_values(found.x + step * row) - values) / step for row in np.eye(problem.size)]
+    values, step = modal_values(estimated.x), 1e-6
+    columns = [(modal_values(estimated.x + step * row) - values) / step for row in np.eye(problem.size)]
     jacobian = np.stack(columns, axis=1)
-    bound = COVERAGE_FACTOR * np.linalg.norm(jacobian @ found.factor, axis=1)
+    bound = COVERAGE_FACTOR * np.linalg.norm(jacobian @ estimated.factor, axis=1)
     count = values.size // 2
     rows = np.transpose([values[:count], bound[:count], values[count:], bound[count:]])
     return tuple(Mode(*row) for row in rows.tolist())

@@ -112,8 +112,8 @@ def measured(rec: Recording, name: str, progress: Progress | None = None) -> lis
             "level. Record test: {kind: stepped_sine, ...} at one or several levels."
         )
     if tones:
-        found = sweeps(rec, required_channels(rec, names, reference), progress)
-        several = len(found) > 1
+        force_sweeps = sweeps(rec, required_channels(rec, names, reference), progress)
+        several = len(force_sweeps) > 1
         return [
             _curves(
                 rec,
@@ -121,7 +121,7 @@ def measured(rec: Recording, name: str, progress: Progress | None = None) -> lis
                 reference,
                 f"{name}, {format_number(sweep.level)} N {sweep.direction}" if several else name,
             )
-            for sweep in found
+            for sweep in force_sweeps
         ]
     groups = frequency_responses(rec, names, reference, progress=progress)
     return [
@@ -144,21 +144,21 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
     unsteady = np.any(
         [frf.unsteady for frf in frfs if frf.unsteady is not None] or [np.zeros(bound.size, bool)], axis=0
     )
-    known = np.isfinite(value).all(axis=0) & np.isfinite(bound) & ~unsteady & (frfs[0].frequency > 0.0)
-    if known.sum() < _FEWEST:
+    is_valid = np.isfinite(value).all(axis=0) & np.isfinite(bound) & ~unsteady & (frfs[0].frequency > 0.0)
+    if is_valid.sum() < _FEWEST:
         raise RecordingError(
-            f"{label}: too few points with a value and a finite bound ({int(known.sum())}). Record at least {_FEWEST}. "
-            + " ".join(frfs[0].warnings)
+            f"{label}: too few points with a value and a finite bound ({int(is_valid.sum())}). "
+            f"Record at least {_FEWEST}. " + " ".join(frfs[0].warnings)
         )
     sensors = tuple(_sensor(rec, frf.response) for frf in frfs)
-    errors = stack(frfs).covariance().at(known)
-    frfs = [frf.at(known) for frf in frfs]
+    errors = stack(frfs).covariance().at(is_valid)
+    frfs = [frf.at(is_valid) for frf in frfs]
     too_low, common = _reference_noise(frfs, errors)
     return Curves(
         label=label,
         scene=rec.scene,
         frequency=frfs[0].frequency,
-        value=value[:, known] * (1.0 + too_low),
+        value=value[:, is_valid] * (1.0 + too_low),
         whiten=_whitening(frfs, errors),
         errors=errors,
         rough=_limits(frfs, ROUGH),
@@ -199,9 +199,9 @@ def _reference_noise(frfs: Sequence[Response], errors: Covariance) -> tuple[Arra
     """Relative bias of all responses by noise of the reference, and its limit of error; shape (n,)."""
     size = np.stack([np.maximum(abs(frf.value), 1e-300) for frf in frfs])
     # Noise of a response also lowers its coherence; the smallest share over the responses is that of the reference.
-    most: Array = np.asarray((_limits(frfs, [REFERENCE_NOISE]) / size).min(axis=0))
+    bias_limit: Array = np.asarray((_limits(frfs, [REFERENCE_NOISE]) / size).min(axis=0))
     if errors.reference is None or len(frfs) < 2:
-        return np.zeros(most.size), most
+        return np.zeros(bias_limit.size), bias_limit
     share = np.minimum(errors.reference, 0.5)
     return share / (1.0 - share), _SPLIT * share
 
@@ -209,21 +209,21 @@ def _reference_noise(frfs: Sequence[Response], errors: Covariance) -> tuple[Arra
 def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
     """Inverse square root of the covariance of one quadrature, at each frequency."""
     half = errors.lines / 2.0
-    own = np.einsum("nii->ni", half).real.copy()
+    variance = np.einsum("nii->ni", half).real.copy()
     size = np.stack([abs(frf.value) for frf in frfs], axis=1)
     # A single average gives no scatter to estimate the covariance from.
     half[~np.isfinite(half).all(axis=(1, 2))] = 0.0
-    own = np.where(np.isfinite(own), own, (0.01 * np.median(size, axis=0)) ** 2)
-    least = (_LEAST * size) ** 2 + (_LEAST_OF_TOP * size.max(axis=0)) ** 2
+    variance = np.where(np.isfinite(variance), variance, (0.01 * np.median(size, axis=0)) ** 2)
+    variance_floor = (_LEAST * size) ** 2 + (_LEAST_OF_TOP * size.max(axis=0)) ** 2
     # A variance estimated from few degrees of freedom is uncertain: Student's t.
-    grown, rest = np.ones(own.shape), _limits(frfs, ROUGH)
+    inflation, rest = np.ones(variance.shape), _limits(frfs, ROUGH)
     if errors.reference is None:
         rest = _limits(frfs, without=_FREE)
         degrees = np.stack([frf.degrees for frf in frfs], axis=1)
-        grown = np.where(degrees > 4.0, degrees / np.maximum(degrees - 2.0, 1.0), 2.0)
+        inflation = np.where(degrees > 4.0, degrees / np.maximum(degrees - 2.0, 1.0), 2.0)
     index = np.arange(len(frfs))
-    half *= grown[:, :1, None]
-    half[:, index, index] = grown * own + rest.T**2 / 3.0 + least
+    half *= inflation[:, :1, None]
+    half[:, index, index] = inflation * variance + rest.T**2 / 3.0 + variance_floor
     return inverse_root(half)
 
 

@@ -73,35 +73,35 @@ def _page(paths: Sequence[Path], output: Path | None) -> Iterator[Path]:
 
 def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str], str]:
     """Return the summary, and the sections of the page as HTML."""
-    found, charts = measurements.all, ChartWriter()
+    results, charts = measurements.all, ChartWriter()
     compared = measurements.changes()
-    sentences = answer(found, compared)
+    sentences = answer(results, compared)
     parts = ['<section class="answer">', *(f"<p>{escape_html(text)}</p>" for text in sentences)]
-    parts += [f'<p class="test">{escape_html(text)}</p>' for text in dict.fromkeys(map(_tested, found))]
+    parts += [f'<p class="test">{escape_html(text)}</p>' for text in dict.fromkeys(map(_tested, results))]
     parts.append("</section>")
-    parts += [changes_table(compared), resonances(found), decays(found)]
+    parts += [changes_table(compared), resonances(results), decays(results)]
     if measurements.warnings:
         items = "".join(f"<li>{escape_html(note)}</li>" for note in measurements.warnings)
         parts.append(f'<h2>Warnings</h2><ul class="warnings">{items}</ul>')
-    responses = [charts.write(chart) for chart in response_charts(found)]
+    responses = [charts.write(chart) for chart in response_charts(results)]
     if responses:
         parts += ["<h2>Frequency responses</h2>", *responses]
-    parts += _modes(found)
-    dampers = [charts.write(damper_chart(each, result)) for each in found for result in each.dampers]
+    parts += _modes(results)
+    dampers = [charts.write(damper_chart(each, result)) for each in results for result in each.dampers]
     if dampers:
         parts += ["<h2>Dampers</h2>", *dampers]
-    free = [charts.write(chart) for chart in decay_charts(found)]
+    free = [charts.write(chart) for chart in decay_charts(results)]
     if free:
         parts += ["<h2>Free decays</h2>", *free]
-    parts += _budgets(found)
-    for each in found:
+    parts += _budgets(results)
+    for each in results:
         parts += [
             f"<h2>Recording {escape_html(each.path.name)}</h2>",
             f"<figure>{rig_drawing(each.rec.scene)}</figure>",
         ]
         parts += [settings(each), charts.write(time_histories(each.rec))]
         parts += [charts.write(chart) for chart in spectrograms(each.rec)]
-    parts += _commands(paths, found)
+    parts += _commands(paths, results)
     return sentences, "\n".join(parts)
 
 
@@ -114,11 +114,11 @@ def _tested(measured: Measured) -> str:
     )
 
 
-def _modes(found: Sequence[Measured]) -> list[str]:
+def _modes(results: Sequence[Measured]) -> list[str]:
     """Mode shapes of the first sweep of each recording."""
     parts = []
-    for each in found:
-        for modes in [one.modes for one in each.passes[:1] if one.modes is not None]:
+    for each in results:
+        for modes in [sweep.modes for sweep in each.passes[:1] if sweep.modes is not None]:
             bodies = modes.of_bodies()
             if len(bodies.names) < 2 or not modes.frequency.size:
                 continue
@@ -130,23 +130,23 @@ def _modes(found: Sequence[Measured]) -> list[str]:
     return ["<h2>Mode shapes</h2>", *parts] if parts else []
 
 
-def _budgets(found: Sequence[Measured]) -> list[str]:
+def _budgets(results: Sequence[Measured]) -> list[str]:
     """Uncertainty budget at the highest peak of each recording."""
-    first = [(each, each.passes[0].highest) for each in found if each.passes]
+    first = [(each, each.passes[0].highest) for each in results if each.passes]
     tables = [budget(each, *highest) for each, highest in first if highest is not None]
     return ["<h2>Uncertainty</h2>", *tables] if tables else []
 
 
-def _commands(paths: Sequence[Path], found: Sequence[Measured]) -> list[str]:
+def _commands(paths: Sequence[Path], results: Sequence[Measured]) -> list[str]:
     """Commands that reproduce the recordings and the results, and the version of shotrig."""
-    every = " ".join(shlex.quote(str(path)) for path in paths)
+    all_paths = " ".join(shlex.quote(str(path)) for path in paths)
     named = [
-        ("frf", [each for each in found if each.passes]),
-        ("modes", [each for each in found if any(one.modes is not None for one in each.passes)]),
-        ("dampers", [each for each in found if each.dampers]),
-        ("decay", [each for each in found if each.decay is not None]),
+        ("frf", [each for each in results if each.passes]),
+        ("modes", [each for each in results if any(sweep.modes is not None for sweep in each.passes)]),
+        ("dampers", [each for each in results if each.dampers]),
+        ("decay", [each for each in results if each.decay is not None]),
     ]
-    recorded = [each for each in found if not each.rec.source and each.rec.scene.test is not None]
+    recorded = [each for each in results if not each.rec.source and each.rec.scene.test is not None]
     lines = [
         f"daq record {shlex.quote(each.path.stem + '.yaml')} -o {shlex.quote(str(each.path))}" for each in recorded
     ]
@@ -155,13 +155,13 @@ def _commands(paths: Sequence[Path], found: Sequence[Measured]) -> list[str]:
         for command, which in named
         if which
     ]
-    lines.append(f"analysis report {every}")
-    made = f"Made with shotrig {version('shotrig')}."
+    lines.append(f"analysis report {all_paths}")
+    origin = f"Made with shotrig {version('shotrig')}."
     if recorded:
         names = ", ".join(f"{each.path.stem}.yaml" for each in recorded)
-        made += f" Save the scene file of each recording (above) as {names}. The same seed gives the same samples."
+        origin += f" Save the scene file of each recording (above) as {names}. The same seed gives the same samples."
     return [
         "<h2>How to repeat this</h2>",
         f"<pre>{escape_html(chr(10).join(lines))}</pre>",
-        f"<p>{escape_html(made)}</p>",
+        f"<p>{escape_html(origin)}</p>",
     ]

@@ -23,38 +23,38 @@ def response_charts(measurements: Sequence[Measured]) -> list[Chart]:
     that the recordings can be compared. Responses to different inputs never share a chart.
     """
     measured = [each for each in measurements if each.passes]
-    curves = [frf for each in measured for one in each.passes for frf in one.frfs]
+    curves = [frf for each in measured for sweep in each.passes for frf in sweep.frfs]
     several = len({each.label for each in measured}) > 1
     charts = []
     for key in dict.fromkeys((frf.ratio if several else frf.input) for frf in curves):
-        here = [frf for frf in curves if key == (frf.ratio if several else frf.input)]
-        names = [frf.label if several else f"{frf.response} {frf.label}".strip() for frf in here]
-        if not several and len({frf.label for frf in here}) == 1:
-            names = [frf.response for frf in here]
-        charts.append(response_chart(here, names))
+        group = [frf for frf in curves if key == (frf.ratio if several else frf.input)]
+        names = [frf.label if several else f"{frf.response} {frf.label}".strip() for frf in group]
+        if not several and len({frf.label for frf in group}) == 1:
+            names = [frf.response for frf in group]
+        charts.append(response_chart(group, names))
     return charts
 
 
 def response_chart(curves: Sequence[Response], names: Sequence[str]) -> Chart:
     """Return a chart of magnitude with 95 % bounds, phase, coherence and relative bound, for one input."""
-    shown = [_thinned(frf.with_gaps()) for frf in curves]
-    unit, factor = shown[0].shown_in
+    thinned = [_thinned(frf.with_gaps()) for frf in curves]
+    unit, factor = thinned[0].shown_in
     magnitude, phase, coherence, relative = [], [], [], []
-    for k, (frf, name) in enumerate(zip(shown, names, strict=True)):
+    for k, (frf, name) in enumerate(zip(thinned, names, strict=True)):
         f, size, bound = frf.frequency, factor * abs(frf.value), factor * frf.bound()
         magnitude.append(Curve(name, f, size, np.maximum(size - bound, 1e-3 * size), size + bound, color=k))
         phase.append(Curve(name, f, np.degrees(np.angle(frf.value)), color=k))
         coherence.append(Curve(name, f, frf.coherence, color=k))
         relative.append(Curve(name, f, 100.0 * bound / size, color=k))
-    what = shown[0].name
-    outputs = ", ".join(dict.fromkeys(frf.response for frf in shown))
-    band = np.concatenate([frf.frequency for frf in shown])
+    quantity = thinned[0].name
+    outputs = ", ".join(dict.fromkeys(frf.response for frf in thinned))
+    band = np.concatenate([frf.frequency for frf in thinned])
     return Chart(
-        f"{what.capitalize()} of {outputs} / {shown[0].input}: magnitude with 95 % bounds, phase, coherence, and bound "
-        "relative to the value. Drag to zoom, double-click to reset, click a name to hide a curve.",
-        f"{what.capitalize()} of {outputs} / {shown[0].input} from {band.min():.4g} to {band.max():.4g} Hz.",
+        f"{quantity.capitalize()} of {outputs} / {thinned[0].input}: magnitude with 95 % bounds, phase, coherence, and "
+        "bound relative to the value. Drag to zoom, double-click to reset, click a name to hide a curve.",
+        f"{quantity.capitalize()} of {outputs} / {thinned[0].input} from {band.min():.4g} to {band.max():.4g} Hz.",
         [
-            Panel(f"|{what}|", unit, magnitude, height=280, logarithmic=True, limits=_limits(magnitude)),
+            Panel(f"|{quantity}|", unit, magnitude, height=280, logarithmic=True, limits=_limits(magnitude)),
             Panel("phase", "°", phase, height=140, limits=(-185.0, 185.0), ticks=(-180, -90, 0, 90, 180)),
             Panel("coherence", "", coherence, height=110, limits=(0.0, 1.05)),
             Panel("bound", "% of value", relative, height=130, logarithmic=True),
@@ -77,8 +77,8 @@ def _thinned(frf: Response) -> Response:
         return frf
     size = np.nan_to_num(abs(frf.value))
     parts = np.array_split(np.arange(count), _INTERVALS)
-    kept = {int(part[pick(size[part])]) for part in parts for pick in (np.argmax, np.argmin)}
-    return frf.at(np.array(sorted(kept | {0, count - 1})))
+    selected = {int(part[pick(size[part])]) for part in parts for pick in (np.argmax, np.argmin)}
+    return frf.at(np.array(sorted(selected | {0, count - 1})))
 
 
 def damper_chart(measured: Measured, result: Dampers) -> Chart:
@@ -110,22 +110,22 @@ def damper_chart(measured: Measured, result: Dampers) -> Chart:
     )
 
 
-def _percent(part: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.where(whole > 0, 100.0 * part / np.where(whole > 0, whole, 1.0), np.nan)
+def _percent(part: NDArray[np.float64], total: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.where(total > 0, 100.0 * part / np.where(total > 0, total, 1.0), np.nan)
 
 
 def decay_charts(measurements: Sequence[Measured]) -> list[Chart]:
     """Return charts of the envelopes and energies of free decays, and of damping ratio against amplitude."""
-    found = [(measured.label, measured.decay) for measured in measurements if measured.decay is not None]
-    if not found:
+    labeled_decays = [(measured.label, measured.decay) for measured in measurements if measured.decay is not None]
+    if not labeled_decays:
         return []
     envelopes, energies = [], []
     damping: list[Curve] = []
-    for k, (label, one) in enumerate(found):
-        envelopes.append(Curve(label, one.peak_time, one.peak, color=k))
-        step = max(one.time.size // _INTERVALS, 1)
-        energies.append(Curve(label, one.time[::step], one.energy[::step], color=k))
-        for mode in one.modes:
+    for k, (label, result) in enumerate(labeled_decays):
+        envelopes.append(Curve(label, result.peak_time, result.peak, color=k))
+        step = max(result.time.size // _INTERVALS, 1)
+        energies.append(Curve(label, result.time[::step], result.energy[::step], color=k))
+        for mode in result.modes:
             if mode.damping.size:
                 percent, half = 100.0 * mode.damping, 200.0 * mode.damping_error
                 name = f"{label}, {mode.centre:.4g} Hz"
@@ -133,11 +133,11 @@ def decay_charts(measurements: Sequence[Measured]) -> list[Chart]:
                 low, high = (percent - half)[order], (percent + half)[order]
                 amplitude = mode.amplitude[order]
                 damping.append(Curve(name, amplitude, percent[order], low, high, color=len(damping)))
-    channels = ", ".join(dict.fromkeys(one.channel for _, one in found))
+    channels = ", ".join(dict.fromkeys(result.channel for _, result in labeled_decays))
     charts = [
         Chart(
             f"Free decay of {channels}: peaks of the acceleration, and backward-integrated (Schroeder) energy.",
-            f"Free decay of {channels} over {max(one.time[-1] for _, one in found):.3g} s.",
+            f"Free decay of {channels} over {max(result.time[-1] for _, result in labeled_decays):.3g} s.",
             [
                 Panel("acceleration peaks", "m/s²", envelopes, height=220, logarithmic=True),
                 Panel("energy", "dB", energies, height=160),

@@ -37,7 +37,7 @@ class Table(NamedTuple):
             self.what,
             self.header,
             compute,
-            lambda piece: piece,
+            lambda case: case,
             lambda _, row: [row[name] for name in self.header],
             lambda line: (piece_of(self.row(line)), self.row(line)),
         )
@@ -61,7 +61,7 @@ class Table(NamedTuple):
 
 
 def complete(
-    path: Path, study: Study[Piece, Row], pieces: Sequence[Piece], words: Callable[[Row], str],
+    path: Path, study: Study[Piece, Row], cases: Sequence[Piece], words: Callable[[Row], str],
     say: Callable[[str], None], cluster: str | None = None,
 ) -> None:  # fmt: skip
     """Compute missing pieces of a table, and sort its rows when complete; rows of other pieces are last.
@@ -70,8 +70,8 @@ def complete(
     see `rig.workers.Workers`. Raises `RunError` if the file is not such a table, or cannot be written.
     """
     stored = StoredValues(study, path)
-    missing = sum(piece not in stored for piece in pieces)
-    for done, row in enumerate(stored.complete(pieces, cluster), 1):
-        say(f"[{done}/{missing}] {words(row)}")
-    position = {piece: number for number, piece in enumerate(pieces)}
-    stored.sort(lambda piece: (position.get(piece, len(position)), piece))
+    missing = sum(case not in stored for case in cases)
+    for n_completed, row in enumerate(stored.complete(cases, cluster), 1):
+        say(f"[{n_completed}/{missing}] {words(row)}")
+    position = {case: number for number, case in enumerate(cases)}
+    stored.sort(lambda case: (position.get(case, len(position)), case))

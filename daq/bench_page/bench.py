@@ -73,9 +73,9 @@ def bench(
                 f"port {device_port} on 127.0.0.1 is in use. Choose another with --device-port, or 0."
             ) from None
         stack.callback(server.close)
-        shown = LiveBench(chassis, f"127.0.0.1:{server.port}", Path(recording), overwrite)
-        stack.callback(shown.close)
-        address = stack.enter_context(_served(shown, host, port))
+        live_bench = LiveBench(chassis, f"127.0.0.1:{server.port}", Path(recording), overwrite)
+        stack.callback(live_bench.close)
+        address = stack.enter_context(_served(live_bench, host, port))
         gc.collect()
         gc.freeze()
         print(f"{address}\nNI clients: 127.0.0.1:{server.port}. Ctrl-C ends.", flush=True)
@@ -84,14 +84,14 @@ def bench(
 
             webbrowser.open(address)
         wait_for_signal()
-        monitor = shown.monitor
+        monitor = live_bench.monitor
         print(f"closing; samples lost: {monitor.lost}, blocks not shown: {monitor.left_out}", file=sys.stderr)
-    for path in shown.recordings.paths:
+    for path in live_bench.recordings.paths:
         print(path)
 
 
 @contextlib.contextmanager
-def _served(shown: LiveBench, host: str, port: int) -> Any:
+def _served(live_bench: LiveBench, host: str, port: int) -> Any:
     """Serve the page from a thread; give its address, with the token."""
     import uvicorn
     from fastapi import FastAPI
@@ -102,7 +102,7 @@ def _served(shown: LiveBench, host: str, port: int) -> Any:
 
     @ui.page("/")
     def page() -> None:
-        Page(shown)
+        Page(live_bench)
 
     application = FastAPI()
     ui.run_with(application, reconnect_timeout=RECONNECT_S)

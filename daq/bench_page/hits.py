@@ -88,8 +88,8 @@ class HitJudge:
         # The true peak of a clipped hit is higher.
         if peak < self.weakest and "clipped" not in faults:
             faults.append("too weak")
-        shown = force[: round(_SHOWN_S * self._rate)]
-        hit = Hit(len(self.hits) + 1, self._first, peak, faults, shown, window)
+        displayed = force[: round(_SHOWN_S * self._rate)]
+        hit = Hit(len(self.hits) + 1, self._first, peak, faults, displayed, window)
         self._drop(self._size)
         return hit
 

@@ -66,7 +66,7 @@ class LiveFrf:
         frequency = np.fft.rfftfreq(self._size, 1.0 / rate)
         self._lines = np.flatnonzero((frequency >= max(band[0], 1.0 / block)) & (frequency <= band[1]))
         self.frequency = np.asarray(frequency[self._lines], dtype=float)
-        station = Station(scene, channels, (), rate, mark=lambda *given, **fields: None)
+        station = Station(scene, channels, (), rate, mark=lambda *arguments, **fields: None)
         self._force = _force_weights(station, self.frequency)
         on_body = (row for row, info in enumerate(channels) if info.at.startswith("body"))
         self._rows = [row for row in on_body if channels[row].quantity != "force"]

@@ -146,11 +146,11 @@ class Monitor:
             latest = list(self._poses)
         if not latest:
             return None
-        moved = np.column_stack([motion for motion, _ in latest])
+        motions = np.column_stack([motion for motion, _ in latest])
         gaps = [gap for _, gap in latest if gap is not None]
         bodies = self._scene.structure.bodies
-        tables = moved[bodies : bodies + len(self._scene.tables)]
-        return RigPose(moved[:bodies], tables, np.column_stack(gaps) if gaps else None)
+        tables = motions[bodies : bodies + len(self._scene.tables)]
+        return RigPose(motions[:bodies], tables, np.column_stack(gaps) if gaps else None)
 
     def _follow(self) -> None:
         while (item := self._blocks.get()) is not None:

@@ -141,35 +141,37 @@ class Operator:
 
     def _test(self) -> tuple[Scene, Any, Knobs | None]:
         """Build the scene of the test, its excitation, and the knobs of a sine."""
-        own = self.settings
+        settings = self.settings
         hammer = self._scene.test
-        if own.kind == "hammer" and hammer is not None and hammer.kind == "impulse":
+        if settings.kind == "hammer" and hammer is not None and hammer.kind == "impulse":
             double = hammer.double_hit
             if double is not None and double.hits is not None:
-                numbers = tuple(number for number in double.hits if number <= own.hits)
+                numbers = tuple(number for number in double.hits if number <= settings.hits)
                 double = double.replace(hits=numbers) if numbers else None
-            hit = hammer.replace(peak=own.level, repeats=int(own.hits), interval=own.duration, double_hit=double)
+            hit = hammer.replace(
+                peak=settings.level, repeats=int(settings.hits), interval=settings.duration, double_hit=double
+            )
             return self._scene.replace(test=hit), excitation, None
-        if own.kind == "sine":
-            test = {"kind": "sine", "frequency": own.frequency, "force": own.level}
-            knobs = Knobs(own.frequency, own.level, self._monitor.rate / _MIN_SAMPLES_PER_PERIOD)
+        if settings.kind == "sine":
+            test = {"kind": "sine", "frequency": settings.frequency, "force": settings.level}
+            knobs = Knobs(settings.frequency, settings.level, self._monitor.rate / _MIN_SAMPLES_PER_PERIOD)
             return self._scene.replace(test=test), HandTone(knobs, _ignore).excite, knobs
-        kind = "swept_sine" if own.kind == "sweep" else "random"
-        band = {"from": own.low, "to": own.high}
-        test = {"kind": kind, **band, "duration": own.duration, "force": own.level}
+        kind = "swept_sine" if settings.kind == "sweep" else "random"
+        band = {"from": settings.low, "to": settings.high}
+        test = {"kind": kind, **band, "duration": settings.duration, "force": settings.level}
         return self._scene.replace(test=test), excitation, None
 
     def _estimate(self, scene: Scene, kind: TestKind) -> tuple[LiveFrf | None, HitJudge | None]:
         """Create the live estimate and the detection of hits; without a channel of force, set `no_response`."""
-        own, monitor, judge = self.settings, self._monitor, None
-        band = sorted((own.low, own.high))
-        block = min(max(own.duration / 10, _MIN_BLOCK_S), _MAX_BLOCK_S)
+        settings, monitor, judge = self.settings, self._monitor, None
+        band = sorted((settings.low, settings.high))
+        block = min(max(settings.duration / 10, _MIN_BLOCK_S), _MAX_BLOCK_S)
         if kind is TestKind.HITS:
-            block = min(own.duration - _REST_S, _MAX_HIT_S)
+            block = min(settings.duration - _REST_S, _MAX_HIT_S)
             band = [0.0, 0.5 * monitor.rate]
             row = next((k for k, info in enumerate(monitor.channels) if info.at == "hammer"), None)
             if row is not None:
-                judge = HitJudge(row, monitor.rate, _MIN_PEAK_RATIO * own.level, block)
+                judge = HitJudge(row, monitor.rate, _MIN_PEAK_RATIO * settings.level, block)
         elif kind is TestKind.TONES:
             band = [0.0, monitor.rate / _MIN_SAMPLES_PER_PERIOD]
         try:

@@ -244,19 +244,19 @@ class RigView:
 
         Springs are drawn once at their rest length; a stretched spring is scaled along z.
         """
-        moved = motion.displacement * self.magnification
-        below = np.zeros(moved.shape[1])
+        shift = motion.displacement * self.magnification
+        below = np.zeros(shift.shape[1])
         top = 0.0
         for place in range(self.bodies):
-            yield f"rig/body_{place + 1}", _along_z(self.stack.bottoms[place] + moved[place]), None
+            yield f"rig/body_{place + 1}", _along_z(self.stack.bottoms[place] + shift[place]), None
             if self.sprung[place]:
                 length = self.stack.lengths[place]
-                stretch = (length + moved[place] - below) / length
+                stretch = (length + shift[place] - below) / length
                 yield f"rig/spring_{place + 1}", _along_z(top + below), _along_z(stretch, 1.0)
-            below, top = moved[place], self.stack.bottoms[place] + self.stack.heights[place]
+            below, top = shift[place], self.stack.bottoms[place] + self.stack.heights[place]
         for table, rows in zip(self.shaker_tables, motion.tables * self.magnification, strict=True):
             yield table.entity("table"), _along_z(table.top + rows), None
-            stretch = (COIL_LENGTH + moved[table.body - 1] - rows) / COIL_LENGTH
+            stretch = (COIL_LENGTH + shift[table.body - 1] - rows) / COIL_LENGTH
             yield table.entity("coil_spring"), _along_z(table.top + rows), _along_z(stretch, 1.0)
         if motion.gap is not None:
             for place in range(len(self.scene.dampers)):

@@ -57,12 +57,12 @@ def cavities(dampers: Sequence[Damper], body: int, magnification: float) -> list
     """Return the cavities of a body (from 1), from left to right in the scene's order."""
     inside = [place for place, damper in enumerate(dampers) if damper.body == body]
     pitch = (WIDTH - WALL) / max(len(inside), 1)
-    found = []
+    positions = []
     for k, place in enumerate(inside):
         clearance = dampers[place].clearance * magnification
         ceiling = None if clearance > HEADROOM else WALL + DAMPER_HEIGHT + clearance
-        found.append(Cavity(place, (k + 0.5) * pitch - (WIDTH - WALL) / 2, pitch - WALL, ceiling))
-    return found
+        positions.append(Cavity(place, (k + 0.5) * pitch - (WIDTH - WALL) / 2, pitch - WALL, ceiling))
+    return positions
 
 
 def walls(inside: Sequence[Cavity]) -> list[Box]:
@@ -74,8 +74,8 @@ def walls(inside: Sequence[Cavity]) -> list[Box]:
         (((WIDTH - WALL) / 2, 0, height / 2), (WALL, DEPTH, height)),
     ]
     for cavity in inside:
-        left = cavity.x - (cavity.width + WALL) / 2
-        parts.append(((left, 0, height / 2), (WALL, DEPTH, height)))
+        left_wall_x = cavity.x - (cavity.width + WALL) / 2
+        parts.append(((left_wall_x, 0, height / 2), (WALL, DEPTH, height)))
         if cavity.ceiling is not None:
             middle, size = (cavity.ceiling + height) / 2, height - cavity.ceiling
             parts.append(((cavity.x, 0, middle), (cavity.width, DEPTH, size)))

@@ -30,20 +30,20 @@ def part_workspace(size: int) -> PartWorkspace:
 
 
 @unfused_kernel
-def through_parts(pieces: CubicInput, part: int, tables: Tables, state: Array, workspace: PartWorkspace) -> int:
+def through_parts(cubics: CubicInput, part: int, tables: Tables, state: Array, workspace: PartWorkspace) -> int:
     """Propagate the circuit's vector in the workspace over an interval with breaks; return the next part."""
     vector, work = workspace.vector, workspace.work
-    interval = pieces.broken[part]
+    interval = cubics.broken[part]
     vector[:] = 0.0
     for j in range(tables.states):
         vector[j] = state[j]
-    while part < pieces.broken.size and pieces.broken[part] == interval:
-        share = pieces.parts[part, LENGTH]
+    while part < cubics.broken.size and cubics.broken[part] == interval:
+        share = cubics.parts[part, LENGTH]
         if share > 0.0:
-            begin_part(tables, pieces.parts[part], vector)
+            begin_part(tables, cubics.parts[part], vector)
             advance(tables, share, workspace)
         for r in range(tables.width):
-            vector[r] += tables.impulse[r] * pieces.parts[part, JUMP]
+            vector[r] += tables.impulse[r] * cubics.parts[part, JUMP]
         part += 1
     form_moments(tables, vector, work)
     return part

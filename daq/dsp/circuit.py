@@ -105,11 +105,11 @@ class Circuit:
         d = np.ones(len(sections) + 1)
         # `c` and `d` are those of the part connected so far: they feed the next section's input.
         for i, section in enumerate(sections):
-            own = slice(first[i], first[i + 1])
-            a[own] = np.outer(section.b, c)
-            a[own, own] = section.a
-            b[: i + 1, own] = np.outer(d[: i + 1], section.b)
+            states = slice(first[i], first[i + 1])
+            a[states] = np.outer(section.b, c)
+            a[states, states] = section.a
+            b[: i + 1, states] = np.outer(d[: i + 1], section.b)
             c *= section.d
-            c[own] = section.c
+            c[states] = section.c
             d[: i + 1] *= section.d
         return cls(a, b, c, d, tuple(int(state) for state in first))

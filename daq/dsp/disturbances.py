@@ -44,11 +44,11 @@ class Offset:
 @unfused_kernel
 def _settle(samples: Array, level: float, loss: float, missing: Array) -> None:
     """Fill in the samples one by one, so that they do not depend on where a block ends."""
-    left = missing[0]
+    deviation = missing[0]
     for i in range(samples.size):
-        samples[i] = level - left
-        left = fused(-loss, left, left)
-    missing[0] = left
+        samples[i] = level - deviation
+        deviation = fused(-loss, deviation, deviation)
+    missing[0] = deviation
 
 
 class Disturbances:
@@ -81,8 +81,8 @@ class Disturbances:
             # The sample at or after the end of each interval; an interval of a sample that began in the last block
             # continues with the numbers drawn there.
             sample = -(-np.arange(first, stop) // self._each)
-            drawn = np.concatenate([self._last, voltages], axis=1)
-            voltages, self._last = drawn[:, sample - (self._drawn - 1)], drawn[:, -1:]
+            voltages_with_last = np.concatenate([self._last, voltages], axis=1)
+            voltages, self._last = voltages_with_last[:, sample - (self._drawn - 1)], voltages_with_last[:, -1:]
             self._split(voltages, (np.arange(first, stop) - 1) % self._each)
         self._drawn += count
         return voltages

@@ -110,9 +110,9 @@ class ForceInterpolator:
         smooth[0, 0], smooth[0, 1:], smooth[1] = self._last, force[:-1], force
         smooth[2] = 0.5 * (smooth[0] + force)
         smooth[3] = smooth[0] / 3.0 + force / 6.0
-        pieces = CubicInput(smooth, *(empty_parts(1) if self._fresh else _WITHOUT_PARTS))
+        cubics = CubicInput(smooth, *(empty_parts(1) if self._fresh else _WITHOUT_PARTS))
         self._last, self._fresh = float(force[-1]), False
-        return pieces
+        return cubics
 
 
 @unfused_kernel
@@ -160,28 +160,32 @@ def _cut(
     `at_break` are acceleration and velocity, before and after, and displacement of all points at the breaks;
     `rows` are those of the point at the samples, `last` at the sample before the block.
     """
-    left, right = ends
+    begin_state, end_state = ends
     acceleration, velocity, displacement = at_break
-    done = 0.0
+    elapsed = 0.0
     for b in range(interval.size):
         k = interval[b]
         if b == 0 or interval[b - 1] != k:
             if k == 0:
-                put(last, left)
+                put(last, begin_state)
             else:
-                _pick(rows, k - 1, left)
-            done = 0.0
-        right[0], right[1], right[2] = acceleration[0, row, b], velocity[0, row, b], displacement[row, b]
-        reached = min(max(offset[b] / h, done), 1.0)
-        _part(left, right, reached - done, h, parts[count])
+                _pick(rows, k - 1, begin_state)
+            elapsed = 0.0
+        end_state[0], end_state[1], end_state[2] = acceleration[0, row, b], velocity[0, row, b], displacement[row, b]
+        reached = min(max(offset[b] / h, elapsed), 1.0)
+        _part(begin_state, end_state, reached - elapsed, h, parts[count])
         broken[count] = k
         parts[count, JUMP] = (velocity[1, row, b] - velocity[0, row, b]) / h
         count += 1
-        left[0], left[1], left[2] = acceleration[1, row, b], velocity[1, row, b], displacement[row, b]
-        done = reached
+        begin_state[0], begin_state[1], begin_state[2] = (
+            acceleration[1, row, b],
+            velocity[1, row, b],
+            displacement[row, b],
+        )
+        elapsed = reached
         if b + 1 == interval.size or interval[b + 1] != k:
-            _pick(rows, k, right)
-            _part(left, right, 1.0 - done, h, parts[count])
+            _pick(rows, k, end_state)
+            _part(begin_state, end_state, 1.0 - elapsed, h, parts[count])
             broken[count] = k
             count += 1
     return count
@@ -194,15 +198,15 @@ def _pick(rows: tuple[Array, Array, Array], sample: int, out: Array) -> None:
 
 
 @unfused_kernel
-def _part(left: Array, right: Array, share: float, h: float, out: Array) -> None:
+def _part(begin_state: Array, end_state: Array, share: float, h: float, out: Array) -> None:
     """Describe the input between two nodes, each given by acceleration, velocity and displacement; no impulse."""
-    out[0], out[1], out[LENGTH], out[JUMP] = left[0], right[0], share, 0.0
+    out[0], out[1], out[LENGTH], out[JUMP] = begin_state[0], end_state[0], share, 0.0
     if share == 0.0:
         out[2], out[3] = 0.0, 0.0
         return
     t = share * h
-    out[2] = (right[1] - left[1]) / t
+    out[2] = (end_state[1] - begin_state[1]) / t
     if share < STRAIGHT:
-        out[3] = (left[0] - right[0]) / 12.0 + 0.5 * out[2]
+        out[3] = (begin_state[0] - end_state[0]) / 12.0 + 0.5 * out[2]
     else:
-        out[3] = ((right[2] - left[2]) / t - left[1]) / t
+        out[3] = ((end_state[2] - begin_state[2]) / t - begin_state[1]) / t

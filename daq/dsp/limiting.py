@@ -86,7 +86,7 @@ def limits_of(
     fastest = float(np.abs(np.linalg.eigvals(circuit.a)).max(initial=0.0)) / (2 * np.pi * rate)
     count = max(FEWEST_CHECKS, int(np.ceil(CHECKS * fastest)))
     steps = np.array(
-        [max(least, int(np.ceil(each * fastest))) for each, least in zip(STEPS, FEWEST_STEPS, strict=True)]
+        [max(fewest, int(np.ceil(each * fastest))) for each, fewest in zip(STEPS, FEWEST_STEPS, strict=True)]
     )
 
     # The excess over the limit is missing behind the sensor, and shifts its zero.
@@ -101,24 +101,24 @@ def limits_of(
             excess_input[shift] = -section.a[0, 0] / rate
     excess_ramps = np.array([_ramps(generator, excess_input, count) for count in steps])
     everything, start = with_disturbances(generator, circuit, rate, tables.integrals, entries)
-    held = np.array([(expm(everything / count) @ start)[:width, states + 4 :].T for count in steps])
+    steady_response = np.array([(expm(everything / count) @ start)[:width, states + 4 :].T for count in steps])
     steady = np.array([entry.degree == 0 for entry in entries], dtype=bool)
-    held[:, ~steady] = 0.0
+    steady_response[:, ~steady] = 0.0
     varying = tables.step[states + 4 :].copy()
     varying[steady] = 0.0
     through = output[width]
     watched = [(np.concatenate([output[:size], np.zeros(len(everything) - size)]), reach)]
     watched += [(np.eye(len(everything))[state], rails[state]) for state in range(states)]
-    watched = [(row, most) for row, most in watched if np.isfinite(most)]
-    checks, most = _check_rows(watched, everything, start, states, count)
+    watched = [(row, linear_limit) for row, linear_limit in watched if np.isfinite(linear_limit)]
+    checks, linear_limit = _check_rows(watched, everything, start, states, count)
     return Limits(
         checks=checks,
-        most=most,
+        most=linear_limit,
         # Rounding must not make it smaller than the bounded value.
-        safe=np.abs(checks / most[:, None]).max(axis=0) * (1.0 + 1e-9),
+        safe=np.abs(checks / linear_limit[:, None]).max(axis=0) * (1.0 + 1e-9),
         steps=steps,
         step=laid_out(np.array([expm(generator / count) for count in steps])),
-        held=np.ascontiguousarray(held),
+        held=np.ascontiguousarray(steady_response),
         varying=varying,
         limit=reach,
         output=output,
@@ -158,13 +158,13 @@ def _check_rows(
     """Rows of the limited voltages at each check, and the magnitudes that prove them within their limits in between."""
     over_check = expm(everything / count)
     checks = np.zeros((len(watched) * count, start.shape[1]))
-    most = np.zeros(len(checks))
+    linear_limit = np.zeros(len(checks))
     for number, (row, largest) in enumerate(watched):
         for check in range(count):
             row = row @ over_check
             checks[number * count + check] = row @ start
-        most[number * count : (number + 1) * count] = largest * NEAR_LIMIT
-    return np.ascontiguousarray(input_first(checks, states)), most
+        linear_limit[number * count : (number + 1) * count] = largest * NEAR_LIMIT
+    return np.ascontiguousarray(input_first(checks, states)), linear_limit
 
 
 @unfused_kernel
@@ -201,13 +201,13 @@ def _exceeds(values: Array, limit: float) -> bool:
 
 @unfused_kernel
 def follow_closely(
-    pieces: CubicInput,
+    cubics: CubicInput,
     part: int,
     interval: int,
     tables: Tables,
     limits: Limits,
     state: Array,
-    held: Array,
+    steady_response: Array,
     overload: Array,
     workspace: PartWorkspace,
 ) -> tuple[int, float]:
@@ -216,14 +216,18 @@ def follow_closely(
     Moments are in the workspace's vector, the severity of the interval in `overload` (see
     `daq.dsp.propagation.propagate`).
     """
-    after, excess, near, reached = _in_steps(COARSE, pieces, part, interval, tables, limits, state, held, workspace)
-    if near:
-        after, excess, near, reached = _in_steps(FINE, pieces, part, interval, tables, limits, state, held, workspace)
+    after, excess, is_near_limit, reached = _in_steps(
+        COARSE, cubics, part, interval, tables, limits, state, steady_response, workspace
+    )
+    if is_near_limit:
+        after, excess, is_near_limit, reached = _in_steps(
+            FINE, cubics, part, interval, tables, limits, state, steady_response, workspace
+        )
     vector = workspace.vector
     form_moments(tables, vector, workspace.work)
-    for e in range(held.shape[0]):
+    for e in range(steady_response.shape[0]):
         for r in range(tables.width):
-            vector[r] += limits.varying[e, r] * held[e, interval]
+            vector[r] += limits.varying[e, r] * steady_response[e, interval]
     for j in range(tables.states):
         state[j] = min(max(vector[j], -limits.rails[j]), limits.rails[j])
     if reached:
@@ -236,13 +240,13 @@ def follow_closely(
 @unfused_kernel
 def _in_steps(
     size: int,
-    pieces: CubicInput,
+    cubics: CubicInput,
     part: int,
     interval: int,
     tables: Tables,
     limits: Limits,
     state: Array,
-    held: Array,
+    steady_response: Array,
     workspace: PartWorkspace,
 ) -> tuple[int, float, bool, bool]:
     """Propagate the vector over an interval in coarse or fine steps.
@@ -250,19 +254,19 @@ def _in_steps(
     Return the next part, the final excess over the limit, whether the sensor's output came near its limit, and
     whether any limit was reached.
     """
-    vector, whole = workspace.vector, workspace.whole
+    vector, full_step = workspace.vector, workspace.whole
     steps = limits.steps[size]
-    _begin(limits, size, state, held[:, interval], vector, workspace.steady)
-    node, place, excess, near, reached, more = 0, 0.0, 0.0, False, False, True
+    _begin(limits, size, state, steady_response[:, interval], vector, workspace.steady)
+    node, place, excess, is_near_limit, reached, more = 0, 0.0, 0.0, False, False, True
     while more:
-        more = _next_part(pieces, part, interval, whole)
-        part += part < pieces.broken.size and pieces.broken[part] == interval
-        end = place + whole[LENGTH] if more else 1.0
+        more = _next_part(cubics, part, interval, full_step)
+        part += part < cubics.broken.size and cubics.broken[part] == interval
+        end = place + full_step[LENGTH] if more else 1.0
         vector[tables.width :] = 0.0
-        if whole[LENGTH] > 0.0:
-            begin_part(tables, whole, vector)
+        if full_step[LENGTH] > 0.0:
+            begin_part(tables, full_step, vector)
         if node == 0:
-            near |= abs(_sensor_output(limits, vector)) > limits.limit * NEAR_LIMIT
+            is_near_limit |= abs(_sensor_output(limits, vector)) > limits.limit * NEAR_LIMIT
             excess = _excess(limits, vector)
         while node < steps and (node + 1) / steps <= end:
             if place == node / steps:
@@ -274,7 +278,7 @@ def _in_steps(
             place = node / steps
             for r in range(tables.width):
                 vector[r] += excess * limits.excess_ramps[size, 0, r] + workspace.steady[r]
-            near |= abs(_sensor_output(limits, vector)) > limits.limit * NEAR_LIMIT
+            is_near_limit |= abs(_sensor_output(limits, vector)) > limits.limit * NEAR_LIMIT
             excess = limits.relief[size] * _excess(limits, vector)
             if excess != 0.0:
                 for r in range(tables.width):
@@ -284,33 +288,33 @@ def _in_steps(
         if end > place:
             advance(tables, end - place, workspace)
             place = end
-        limited = abs(whole[JUMP]) > limits.least
+        limited = abs(full_step[JUMP]) > limits.least
         reached |= limited
         for r in range(tables.width):
-            vector[r] += (limits.impulse[r] if limited else tables.impulse[r]) * whole[JUMP]
-    return part, excess, near, reached
+            vector[r] += (limits.impulse[r] if limited else tables.impulse[r]) * full_step[JUMP]
+    return part, excess, is_near_limit, reached
 
 
 @unfused_kernel
-def _begin(limits: Limits, size: int, state: Array, held: Array, vector: Array, steady: Array) -> None:
+def _begin(limits: Limits, size: int, state: Array, steady_response: Array, vector: Array, steady: Array) -> None:
     """Copy the states to the vector, and sum up the contributions of steady disturbances to it over each step."""
     vector[:] = 0.0
     for j in range(state.size):
         vector[j] = state[j]
     steady[:] = 0.0
-    for e in range(held.size):
+    for e in range(steady_response.size):
         for r in range(limits.held.shape[2]):
-            steady[r] += held[e] * limits.held[size, e, r]
+            steady[r] += steady_response[e] * limits.held[size, e, r]
 
 
 @unfused_kernel
-def _next_part(pieces: CubicInput, part: int, interval: int, out: Array) -> bool:
+def _next_part(cubics: CubicInput, part: int, interval: int, out: Array) -> bool:
     """Take the next part of an interval, all of it if nothing breaks it; say whether more parts follow."""
-    if part < pieces.broken.size and pieces.broken[part] == interval:
-        put(pieces.parts[part], out)
-        return bool(part + 1 < pieces.broken.size and pieces.broken[part + 1] == interval)
+    if part < cubics.broken.size and cubics.broken[part] == interval:
+        put(cubics.parts[part], out)
+        return bool(part + 1 < cubics.broken.size and cubics.broken[part + 1] == interval)
     for k in range(4):
-        out[k] = pieces.smooth[k, interval]
+        out[k] = cubics.smooth[k, interval]
     out[LENGTH], out[JUMP] = 1.0, 0.0
     return False
 

@@ -38,11 +38,11 @@ def scratch_for(tables: Tables) -> CircuitWorkspace:
 
 @unfused_kernel
 def propagate(
-    pieces: CubicInput,
+    cubics: CubicInput,
     tables: Tables,
     limits: Limits | None,
     state: Array,  # (states,) at the last sample; updated
-    held: Array,  # disturbances, V; (disturbances, intervals)
+    disturbances: Array,  # disturbances, V; (disturbances, intervals)
     rows: Array,  # outputs at the samples, from state, input and excess over the limit
     rows_input: Array,
     rows_excess: Array,
@@ -59,11 +59,11 @@ def propagate(
     reached, and the next intervals after an overload, are processed one by one (`daq.dsp.limiting`).
     """
     course = scratch.course
-    behind = 4 + held.shape[0]
-    part, first, intervals = 0, 0, pieces.smooth.shape[1]
+    behind = 4 + disturbances.shape[0]
+    part, first, intervals = 0, 0, cubics.smooth.shape[1]
     while first < intervals:
         overload[1 + first] = 0.0
-        broken = part < pieces.broken.size and pieces.broken[part] == first
+        broken = part < cubics.broken.size and cubics.broken[part] == first
         # A circuit without limits is compiled without their code.
         close = False
         if limits is not None:
@@ -71,9 +71,9 @@ def propagate(
         stop, excess = first + 1, 0.0
         if not broken and not close:
             stop = min(first + STRETCH, intervals)
-            if part < pieces.broken.size:
-                stop = min(stop, pieces.broken[part])
-            _lay_out(pieces, held, first, stop, course)
+            if part < cubics.broken.size:
+                stop = min(stop, cubics.broken[part])
+            _lay_out(cubics, disturbances, first, stop, course)
             _through_stretch(tables, state, course, scratch.sums, stop - first)
             count = stop - first
             if limits is not None:
@@ -90,10 +90,12 @@ def propagate(
                 factored_sums(tables.spread, course, 0, course.shape[1], 1, averages, first, stop - first)
         if broken or close:
             if close and limits is not None:
-                part, excess = follow_closely(pieces, part, first, tables, limits, state, held, overload, scratch.parts)
+                part, excess = follow_closely(
+                    cubics, part, first, tables, limits, state, disturbances, overload, scratch.parts
+                )
             else:
-                part = through_parts(pieces, part, tables, state, scratch.parts)
-                _disturb(tables, state, held[:, first], scratch.parts.vector)
+                part = through_parts(cubics, part, tables, state, scratch.parts)
+                _disturb(tables, state, disturbances[:, first], scratch.parts.vector)
             for j in range(tables.states):
                 course[behind + j, 1] = state[j]
             for k in range(tables.integrals):
@@ -101,18 +103,18 @@ def propagate(
         for r in range(rows.shape[0]):
             weighted_sums(course, behind, 1, rows[r], tables.states, scratch.sums[0], stop - first)
             for k in range(first, stop):
-                points[r, k] = fused(rows_input[r], pieces.smooth[1, k], scratch.sums[0, k - first])
+                points[r, k] = fused(rows_input[r], cubics.smooth[1, k], scratch.sums[0, k - first])
             points[r, first] += rows_excess[r] * excess
         first = stop
 
 
 @unfused_kernel
-def _lay_out(pieces: CubicInput, held: Array, first: int, stop: int, course: Array) -> None:
+def _lay_out(cubics: CubicInput, disturbances: Array, first: int, stop: int, course: Array) -> None:
     """Copy input and disturbances of a stretch to the rows above the states."""
     for k in range(4):
-        put(pieces.smooth[k, first:stop], course[k, : stop - first])
-    for e in range(held.shape[0]):
-        put(held[e, first:stop], course[4 + e, : stop - first])
+        put(cubics.smooth[k, first:stop], course[k, : stop - first])
+    for e in range(disturbances.shape[0]):
+        put(disturbances[e, first:stop], course[4 + e, : stop - first])
 
 
 @unfused_kernel
@@ -121,22 +123,22 @@ def _through_stretch(tables: Tables, state: Array, course: Array, sums: Array, c
     behind = course.shape[0] - tables.states
     for section in range(tables.sections.size - 1):
         begin, end = tables.sections[section], tables.sections[section + 1]
-        known = behind + begin
-        weighted_sums(course, 0, 0, tables.weights[begin], known, sums[0], count)
+        n_known = behind + begin
+        weighted_sums(course, 0, 0, tables.weights[begin], n_known, sums[0], count)
         if end == begin + 1:
-            state[begin] = _first_order(tables.step[begin, begin], state[begin], sums[0][:count], course[known])
+            state[begin] = _first_order(tables.step[begin, begin], state[begin], sums[0][:count], course[n_known])
         else:
-            weighted_sums(course, 0, 0, tables.weights[begin + 1], known, sums[1], count)
-            _second_order(tables.step, begin, state, sums[0][:count], sums[1], course[known], course[known + 1])
+            weighted_sums(course, 0, 0, tables.weights[begin + 1], n_known, sums[1], count)
+            _second_order(tables.step, begin, state, sums[0][:count], sums[1], course[n_known], course[n_known + 1])
 
 
 @unfused_kernel
-def _first_order(own: float, first: float, added: Array, path: Array) -> float:
+def _first_order(decay: float, first: float, added: Array, path: Array) -> float:
     """Propagate the state of a section of first order; return the last value."""
     x = first
     for k in range(added.size):
         path[k] = x
-        x = fused(own, x, added[k])
+        x = fused(decay, x, added[k])
     path[added.size] = x
     return x
 
@@ -155,10 +157,10 @@ def _second_order(step: Array, begin: int, state: Array, added: Array, also: Arr
 
 
 @unfused_kernel
-def _disturb(tables: Tables, state: Array, held: Array, vector: Array) -> None:
+def _disturb(tables: Tables, state: Array, disturbances: Array, vector: Array) -> None:
     """Add the disturbances at the end of an interval with breaks."""
-    for e in range(held.shape[0]):
+    for e in range(disturbances.shape[0]):
         for r in range(tables.width):
-            vector[r] += tables.step[tables.states + 4 + e, r] * held[e]
+            vector[r] += tables.step[tables.states + 4 + e, r] * disturbances[e]
     for j in range(tables.states):
         state[j] = vector[j]

@@ -48,20 +48,20 @@ class Delay:
         self._last = np.zeros(4)
         self._tail = np.zeros((0, 6))
 
-    def shift(self, pieces: CubicInput) -> CubicInput:
+    def shift(self, cubics: CubicInput) -> CubicInput:
         """Return the delayed input over the same number of intervals."""
-        if pieces.smooth.size == 0:
-            return pieces
-        smooth = np.empty(pieces.smooth.shape)
+        if cubics.smooth.size == 0:
+            return cubics
+        smooth = np.empty(cubics.smooth.shape)
         # A broken interval makes two: each of its parts is in one of them or cut in two, and each has a part
         # more.
         waiting = len(self._tail)
-        room = waiting + 4 * pieces.broken.size + 4
+        room = waiting + 4 * cubics.broken.size + 4
         broken, parts = empty_parts(room)
         tail = np.zeros((room, 6))
         tail[:waiting] = self._tail
         count, waiting = _shift(
-            pieces, self._share, self._joined, self._last, waiting, smooth, broken, parts, tail, np.empty(4)
+            cubics, self._share, self._joined, self._last, waiting, smooth, broken, parts, tail, np.empty(4)
         )
         self._tail = tail[:waiting]
         return CubicInput(smooth, broken[:count], parts[:count])
@@ -84,7 +84,7 @@ def _joined(share: float) -> Array:
 
 @unfused_kernel
 def _shift(
-    pieces: CubicInput,
+    cubics: CubicInput,
     share: float,
     joined: Array,
     last: Array,
@@ -93,25 +93,25 @@ def _shift(
     broken: NDArray[np.int64],
     parts: Array,
     ends: Array,
-    whole: Array,
+    full_cubic: Array,
 ) -> tuple[int, int]:
     """Fill in the delayed intervals; return the number of their parts and of those left over.
 
     `last` is the interval before, updated; if it was broken, its end is in the `tail` first parts of `ends`.
     """
     for r in range(4):
-        _join(pieces.smooth, joined[r], last, smooth[r])
+        _join(cubics.smooth, joined[r], last, smooth[r])
     count, at, i, intervals = 0, 0, 0, smooth.shape[1]
     head = 1.0 - share
     while i < intervals:
         if tail == 0:
             # Whole intervals after whole ones are joined already.
-            broken_next = pieces.broken[at] if at < pieces.broken.size else intervals
+            broken_next = cubics.broken[at] if at < cubics.broken.size else intervals
             if broken_next > i:
                 i = broken_next
-                put(pieces.smooth[:, i - 1], last)
+                put(cubics.smooth[:, i - 1], last)
                 continue
-        whole_now = at == pieces.broken.size or pieces.broken[at] != i
+        whole_now = at == cubics.broken.size or cubics.broken[at] != i
         # The end of the interval before.
         if tail == 0:
             broken[count] = i
@@ -123,36 +123,36 @@ def _shift(
             count += 1
         tail = 0
         # The beginning of this one; if it is broken, its end in parts for the next.
-        put(pieces.smooth[:, i], last)
+        put(cubics.smooth[:, i], last)
         if whole_now:
             broken[count] = i
             _between(last, 0.0, head, head, 0.0, parts[count])
             count += 1
             i += 1
             continue
-        done = 0.0
-        while at < pieces.broken.size and pieces.broken[at] == i:
-            part = pieces.parts[at]
+        elapsed = 0.0
+        while at < cubics.broken.size and cubics.broken[at] == i:
+            part = cubics.parts[at]
             size = part[LENGTH]
-            if done + size <= head and size > 0.0:
+            if elapsed + size <= head and size > 0.0:
                 broken[count] = i
                 put(part, parts[count])
                 count += 1
             else:
-                put(part, whole)
-                before = max(head - done, 0.0) if size > 0.0 else 0.0
+                put(part, full_cubic)
+                before = max(head - elapsed, 0.0) if size > 0.0 else 0.0
                 if before > 0.0:
                     broken[count] = i
-                    _between(whole, 0.0, before / size, before, 0.0, parts[count])
+                    _between(full_cubic, 0.0, before / size, before, 0.0, parts[count])
                     count += 1
                 if size > 0.0:
-                    _between(whole, before / size, 1.0, size - before, part[JUMP], ends[tail])
+                    _between(full_cubic, before / size, 1.0, size - before, part[JUMP], ends[tail])
                 else:
                     put(part, ends[tail])
                 tail += 1
-            done += size
+            elapsed += size
             at += 1
-        if done == 0.0:
+        if elapsed == 0.0:
             # The instant at which a run begins: before it there is rest, for as long as the delay.
             ends[0, :LENGTH] = 0.0
             ends[0, LENGTH] = share
@@ -164,9 +164,9 @@ def _shift(
 
 
 @unfused_kernel
-def _join(pieces: Array, weights: Array, last: Array, out: Array) -> None:
+def _join(cubics: Array, weights: Array, last: Array, out: Array) -> None:
     """Join every interval with the previous interval as if both were whole; one quantity of the result."""
-    start, end, mean, moment = pieces[0], pieces[1], pieces[2], pieces[3]
+    start, end, mean, moment = cubics[0], cubics[1], cubics[2], cubics[3]
     out[0] = _weighted_sum(
         weights, last[0], last[1], last[2], last[3], start[0], end[0], mean[0], moment[0],
     )  # fmt: skip
@@ -187,10 +187,10 @@ def _weighted_sum(
 
 
 @unfused_kernel
-def _between(whole: Array, begin: float, end: float, length: float, jump: float, out: Array) -> None:
+def _between(full_cubic: Array, begin: float, end: float, length: float, jump: float, out: Array) -> None:
     """Describe the part of a cubic between two shares of its length, with a length and an impulse."""
     out[LENGTH], out[JUMP] = length, jump
-    a, b, mean, moment = whole[0], whole[1], whole[2], whole[3]
+    a, b, mean, moment = full_cubic[0], full_cubic[1], full_cubic[2], full_cubic[3]
     c1 = -9.0 * a + 3.0 * b - 24.0 * mean + 60.0 * moment
     c2 = 18.0 * a - 12.0 * b + 84.0 * mean - 180.0 * moment
     c3 = -10.0 * a + 10.0 * b - 60.0 * mean + 120.0 * moment

@@ -15,8 +15,8 @@ _WINDOW = 0.1
 def excite(station: Station, test: Free) -> Excitation:
     """Record a free decay."""
     first, total = station.now, station.samples(test.duration)
-    while (done := station.now - first) < total:
-        yield station.quiet(min(station.samples(_WINDOW), total - done))
-        done = station.now - first
-        station.report(done / total, f"{done / station.rate:.1f} s of {test.duration:g} s")
+    while (elapsed := station.now - first) < total:
+        yield station.quiet(min(station.samples(_WINDOW), total - elapsed))
+        elapsed = station.now - first
+        station.report(elapsed / total, f"{elapsed / station.rate:.1f} s of {test.duration:g} s")
     station.mark("free", first, first + total)

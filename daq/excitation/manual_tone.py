@@ -97,14 +97,14 @@ class HandTone:
             station.force_weights(1.0)
         tone = SteadyTone(station, self.knobs.asked[0], controlled=not station.force_is_drive)
         while not self.knobs.quit:
-            asked = self.knobs.asked
+            requested = self.knobs.asked
             # The held interval is marked at once, whether the knobs or the run ends it.
-            with closing(self._at(tone, *asked)) as work:
+            with closing(self._at(tone, *requested)) as work:
                 phase, window = tone.phase, next(work)
                 while True:
                     readings = yield window
-                    self.report(self._reading(tone, readings, phase, asked))
-                    if self.knobs.quit or self.knobs.asked != asked:
+                    self.report(self._reading(tone, readings, phase, requested))
+                    if self.knobs.quit or self.knobs.asked != requested:
                         break
                     phase, window = tone.phase, work.send(readings)
         yield tone.end()
@@ -149,12 +149,12 @@ class HandTone:
             if station.now > first:
                 station.mark("measure", first, station.now, drive=tone.amplitude, force=force, settled=settled, **facts)
 
-    def _reading(self, tone: SteadyTone, readings: Array, phase: float, asked: tuple[float, float]) -> ToneReading:
+    def _reading(self, tone: SteadyTone, readings: Array, phase: float, requested: tuple[float, float]) -> ToneReading:
         motions, station = tone.amplitudes(readings, phase), tone.station
         # The drive is amplitude * sin(phase), and a complex amplitude A represents Re(A e^{i phase}).
         force = -1j * tone.amplitude
         if not station.force_is_drive:
             force, motions = complex(motions[0]), motions[1:]
         names = [info.name for info in station.channels if info.quantity not in ("force", "voltage")]
-        moved = {name: complex(value) for name, value in zip(names, motions, strict=True)}
-        return ToneReading(*asked, self._is_steady, tone.amplitude, force, moved)
+        displacement = {name: complex(value) for name, value in zip(names, motions, strict=True)}
+        return ToneReading(*requested, self._is_steady, tone.amplitude, force, displacement)

@@ -38,7 +38,7 @@ def excite(station: Station, test: Random) -> Excitation:
     total = station.samples(test.duration)
     block = min(total, station.samples(_BLOCK_S))
     envelope = _burst_envelope(block, test.burst, station.samples(_EDGE_S))
-    first, done, clipped = station.now, 0, 0
+    first, played, clipped = station.now, 0, 0
     # The rate of the white noise, a divisor of the drive's, is at least four times the highest frequency.
     max_divisor = max(1, period // (4 * int(lines[-1])))
     rate_divisor = next(divisor for divisor in range(max_divisor, 0, -1) if period % divisor == 0)
@@ -58,23 +58,23 @@ def excite(station: Station, test: Random) -> Excitation:
     if len(station.shakers) > 1:
         facts["shakers"] = list(station.shakers)
     try:
-        while done < total:
+        while played < total:
             # Overlap-add convolution makes the noise continuous across windows.
-            pieces = shaped_noise()
-            pieces[:, : tails.shape[1]] += tails
-            wave, tails = pieces[:, :period], pieces[:, period:]
-            size = min(period, total - done)
-            samples = np.arange(done, done + size)
+            shaped = shaped_noise()
+            shaped[:, : tails.shape[1]] += tails
+            wave, tails = shaped[:, :period], shaped[:, period:]
+            size = min(period, total - played)
+            samples = np.arange(played, played + size)
             wave = wave[:, :size] * envelope[samples % block]
             wave *= np.minimum(1.0, np.minimum(samples, total - 1 - samples) / station.samples(_EDGE_S))
             clipped += int(np.sum(abs(wave) > station.drive_limit))
             yield station.drives(np.clip(wave, -station.drive_limit, station.drive_limit))
-            done += size
-            station.report(done / total, f"{done / station.rate:.0f} s of {test.duration:g} s")
+            played += size
+            station.report(played / total, f"{played / station.rate:.0f} s of {test.duration:g} s")
     finally:
         # A test that ends early has measured up to this sample.
-        if done:
-            station.mark("measure", first, first + done, level=level, **facts)
+        if played:
+            station.mark("measure", first, first + played, level=level, **facts)
     if clipped:
         station.warn(f"the amplifier's limit clipped {clipped} of {total} drive samples. Lower the level.")
 

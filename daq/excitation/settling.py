@@ -183,12 +183,16 @@ class Settling:
         half = count // 2
         halves = self._observations[-count:-half], self._observations[-half:]
         means = [_mean(part) for part in halves]
-        early, late = (
+        scatter_before, scatter_after = (
             np.sqrt(_SUM(abs(part - mean) ** 2, axis=0) / half) for part, mean in zip(halves, means, strict=True)
         )
-        error, magnitude = np.hypot(early, late) / np.sqrt(half), self._magnitude()
+        error, magnitude = np.hypot(scatter_before, scatter_after) / np.sqrt(half), self._magnitude()
         agree = abs(means[1] - means[0]) < np.maximum(2.0 * error, self.tolerance * magnitude)
-        return agree & (late > _MIN_SCATTER_RATIO * early) & (np.maximum(early, late) < max_scatter * magnitude)
+        return (
+            agree
+            & (scatter_after > _MIN_SCATTER_RATIO * scatter_before)
+            & (np.maximum(scatter_before, scatter_after) < max_scatter * magnitude)
+        )
 
 
 def _mean(observations: ComplexArray) -> ComplexArray:

@@ -67,9 +67,9 @@ class Station:
         """Return a drive with a wave at one input, by default the driven shaker; shape (inputs, samples)."""
         name = self.scene.at_driven("shaker") if name is None else name
         if name not in self.inputs:
-            there = f"only the {' and the '.join(self.inputs)}" if self.inputs else "no drive input"
+            existing_inputs = f"only the {' and the '.join(self.inputs)}" if self.inputs else "no drive input"
             raise SceneError(
-                f"test: drives the {name}, but the scene has {there}. "
+                f"test: drives the {name}, but the scene has {existing_inputs}. "
                 + ("Add a shaker to the scene." if name != "hammer" else "Choose another test.")
             )
         rows = np.zeros((len(self.inputs), wave.size))

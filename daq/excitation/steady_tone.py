@@ -96,8 +96,8 @@ class SteadyTone(Tone):
             for weights, row in zip(motions, self._rows, strict=True):
                 weights[row] = self.station.displacement(row, self.frequency)
             self._weights = np.array([*force, *motions]).reshape(-1, channels)
-        turned = 2.0 * np.pi * self.frequency * self.station.latency / self.rate
-        return self._weights @ lock_in(readings, self.frequency, self.rate, phase - turned)
+        latency_phase = 2.0 * np.pi * self.frequency * self.station.latency / self.rate
+        return self._weights @ lock_in(readings, self.frequency, self.rate, phase - latency_phase)
 
     def observe(self, samples: int) -> Generator[Array, Array, ComplexArray]:
         """Hold the tone for a window and return its amplitudes."""
@@ -106,13 +106,13 @@ class SteadyTone(Tone):
 
     def mean(self, samples: int) -> Generator[Array, Array, ComplexArray]:
         """Hold the tone and return its mean amplitudes; only a piece of the readings is in memory."""
-        piece = whole_periods(self.frequency, self.rate, _PIECE / self.rate)
+        piece_samples = whole_periods(self.frequency, self.rate, _PIECE / self.rate)
         total: ComplexArray = np.zeros(0, dtype=complex)
-        left = samples
-        while left:
-            size = piece if left >= 2 * piece else left
+        remaining = samples
+        while remaining:
+            size = piece_samples if remaining >= 2 * piece_samples else remaining
             read = size / samples * (yield from self.observe(size))
-            total, left = (total + read if total.size else read), left - size
+            total, remaining = (total + read if total.size else read), remaining - size
         return total
 
     def settle(self, frequency: float, drive: float, tolerance: float, longest: float) -> Generator[Array, Array, bool]:
@@ -171,8 +171,8 @@ def _change(control: AmplitudeControl, detector: Settling, drive: float) -> floa
         excessive = detector.rising and abs(detector.latest[0]) > _EXCESSIVE * control.level
         return control.cut(drive, float(abs(detector.latest[0]))) if excessive else None
     # The predicted force is usable long before the transient has decayed, as soon as the prediction is constant.
-    known = detector.settled or float(detector.wavering()[0]) < 0.3 * abs(force / control.level - 1.0)
-    if not known or control.is_at_level(force, standard_error):
+    is_predictable = detector.settled or float(detector.wavering()[0]) < 0.3 * abs(force / control.level - 1.0)
+    if not is_predictable or control.is_at_level(force, standard_error):
         return None
     change = control.next(drive, force)
     # At the limit of the amplifier, the point is measured as not settled.
@@ -228,22 +228,22 @@ class AmplitudeControl:
 
     def next(self, drive: float, force: float) -> float:
         """Compute the next drive amplitude, at most `limit`, from the present drive and its steady force in N."""
-        here, error = math.log(drive), math.log(self.level / max(force, 1e-9 * self.level))
+        log_drive, error = math.log(drive), math.log(self.level / max(force, 1e-9 * self.level))
         slope = 1.0
-        if self._before is not None and abs(here - self._before[0]) > 1e-3:
-            slope = (self._before[1] - error) / (here - self._before[0])
-        self._before = here, error
+        if self._before is not None and abs(log_drive - self._before[0]) > 1e-3:
+            slope = (self._before[1] - error) / (log_drive - self._before[0])
+        self._before = log_drive, error
         # The drives nearest to the level, below and above it.
         if error > 0.0:
-            self._low, self._high = here, self._high if self._high > here else math.inf
+            self._low, self._high = log_drive, self._high if self._high > log_drive else math.inf
         else:
-            self._low, self._high = self._low if self._low < here else -math.inf, here
+            self._low, self._high = self._low if self._low < log_drive else -math.inf, log_drive
         if self._high - self._low < _CLOSEST:
             self._low, self._high = -math.inf, math.inf
         longest = self._longest if slope >= _FLATTEST else 0.5 * self._longest
         step = error / (min(slope, _STEEPEST) if slope >= _FLATTEST else 1.0)
-        there = here + max(-longest, min(longest, step))
+        next_log_drive = log_drive + max(-longest, min(longest, step))
         if math.isfinite(self._high - self._low):
             margin = 0.1 * (self._high - self._low)
-            there = max(self._low + margin, min(self._high - margin, there))
-        return min(math.exp(there), self.limit)
+            next_log_drive = max(self._low + margin, min(self._high - margin, next_log_drive))
+        return min(math.exp(next_log_drive), self.limit)

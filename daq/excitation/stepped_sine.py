@@ -23,7 +23,7 @@ def excite(station: Station, test: SteppedSine) -> Excitation:
     """Run a stepped sine."""
     tone, steps = SteadyTone(station, test.order[0], station.controlled), list(test.order)
     turn = len(steps) // 2 if test.direction == "both" else len(steps)
-    total, done = len(test.levels) * len(steps), 0
+    total, n_completed = len(test.levels) * len(steps), 0
     unsettled: list[str] = []
     for level in test.levels:
         drive = tone.start(level)
@@ -33,7 +33,7 @@ def excite(station: Station, test: SteppedSine) -> Excitation:
         at_level = f"{level:g} N" if station.controlled else f"level {level:g}"
         for index, frequency in enumerate(steps):
             direction = "down" if test.direction == "down" or index >= turn else "up"
-            station.report(done / total, f"{frequency:.2f} Hz {direction}, {at_level}")
+            station.report(n_completed / total, f"{frequency:.2f} Hz {direction}, {at_level}")
             if station.controlled and reached:
                 drive = min(extrapolated(reached, frequency), station.drive_limit)
             facts = {"frequency": frequency, "level": level, "direction": direction}
@@ -45,7 +45,7 @@ def excite(station: Station, test: SteppedSine) -> Excitation:
                 unsettled.append(f"{frequency:.4g} Hz {direction} at {at_level}")
             drive = tone.amplitude
             reached = [*reached[-2:], (frequency, drive)]
-            done += 1
+            n_completed += 1
         yield tone.end()
     if unsettled:
         listed = ", ".join(unsettled[:_MAX_LISTED]) + (", ..." if len(unsettled) > _MAX_LISTED else "")
@@ -70,7 +70,8 @@ def extrapolated(reached: Sequence[tuple[float, float]], frequency: float) -> fl
     if len(reached) < 3 or len(set(frequencies)) < 3:
         return float(np.exp(drives[-1]))
     weights = [
-        np.prod([(frequency - other) / (own - other) for other in frequencies if other != own]) for own in frequencies
+        np.prod([(frequency - other) / (node - other) for other in frequencies if other != node])
+        for node in frequencies
     ]
     change = float(np.dot(weights, drives) - drives[-1])
     return float(np.exp(drives[-1] + (change if abs(change) < _MAX_LOG_CHANGE else 0.0)))

@@ -115,13 +115,13 @@ class SweepControl:
         step = observation.length / 2 / _STEPS
         for time in observation.middle + step * np.arange(1, _STEPS + 1):
             drive = complex(np.interp(time, times, drives))
-            moved = 1j * observation.angular_frequency(time - step / 2) - centre
-            decay = mode.pole - centre - moved
+            frequency_offset = 1j * observation.angular_frequency(time - step / 2) - centre
+            decay = mode.pole - centre - frequency_offset
             decayed, fed = exp(decay * step), mode.gain * step * integral(decay * step)
             free = decayed * envelope + fed * force
             # X = c F + x; the rate of change of the force is that at the end of the step, because it may be fast.
-            motion = per_motion + moved * motion_slope
-            stiff = per_force + moved * force_slope + motion * mode.residual_term + motion_slope * mode.gain
+            motion = per_motion + frequency_offset * motion_slope
+            stiff = per_force + frequency_offset * force_slope + motion * mode.residual_term + motion_slope * mode.gain
             inert = (force_slope + motion_slope * mode.residual_term) / step
             after = (drive - (motion + motion_slope * decay) * free + inert * force) / (stiff + inert)
             envelope = decayed * envelope + fed * (force + after) / 2

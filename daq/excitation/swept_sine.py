@@ -71,13 +71,13 @@ def excite(station: Station, test: SweptSine) -> Excitation:
                 f"{station.channels[station.spring_rows[0]].name} at the {station.scene.at_driven('table')} "
                 f"read nothing of the pretest, less than one count of the converter. {_SENSITIVITY_HINT}"
             )
-        total, done = station.samples(test.duration), 0
-        while done < total:
-            size = min(total - done, station.samples(_WINDOW_S))
-            phase = _phase(test, start, done, size, total)
+        total, played = station.samples(test.duration), 0
+        while played < total:
+            size = min(total - played, station.samples(_WINDOW_S))
+            phase = _phase(test, start, played, size, total)
             yield station.drive((amplitude * np.exp(1j * phase)).real)
-            done += size
-            station.report(done / total, f"{sweep_frequency(test, done / total):.2f} Hz")
+            played += size
+            station.report(played / total, f"{sweep_frequency(test, played / total):.2f} Hz")
     tone.amplitude, tone.frequency = abs(amplitude), test.to
     turns = float(sweep_turns(test, np.ones(1))[0])
     tone.phase = float(np.fmod(start + 2 * np.pi * turns + np.angle(1j * amplitude), 2 * np.pi))
@@ -90,30 +90,30 @@ def _sweep_controlled(
     station: Station, test: SweptSine, start: float, amplitude: complex, control: SweepControl, watch: LevelWatch
 ) -> Generator[Array, Array, complex]:
     """Sweep with a constant force amplitude; return the final amplitude of the drive."""
-    total, done, rate = station.samples(test.duration), 0, station.rate
+    total, played, rate = station.samples(test.duration), 0, station.rate
     rows = list(station.spring_rows)
     recent, phases = np.zeros((2, 0)), np.zeros(0)
     goal = amplitude
-    while done < total:
-        frequency = sweep_frequency(test, done / total)
-        size = min(total - done, max(_MIN_WINDOW_SAMPLES, round(_WINDOW_PERIODS * rate / frequency)))
-        phase = _phase(test, start, done, size, total)
+    while played < total:
+        frequency = sweep_frequency(test, played / total)
+        size = min(total - played, max(_MIN_WINDOW_SAMPLES, round(_WINDOW_PERIODS * rate / frequency)))
+        phase = _phase(test, start, played, size, total)
         envelope = amplitude + (goal - amplitude) * np.arange(size) / size
         readings = yield station.drive(np.real(envelope * np.exp(1j * phase)))
-        done, amplitude = done + size, goal
-        control.played(done / rate, amplitude)
+        played, amplitude = played + size, goal
+        control.played(played / rate, amplitude)
         length = observation_samples(frequency, rate)
         recent = np.concatenate([recent, readings[rows]], axis=1)[:, -length:]
         phases = np.concatenate([phases, phase])[-length:]
         if phases.size < length:
             continue
-        middle = sweep_frequency(test, (done - length / 2) / total)
+        middle = sweep_frequency(test, (played - length / 2) / total)
         table, body = _displacements(station, rows, middle, *estimate_amplitudes(recent, phases, rate))
         force = station.spring * (table - body)
         watch.add(station.now - length, station.now, middle, abs(force))
-        pace = (sweep_frequency(test, done / total) - middle) / (length / 2 / rate)
-        goal = control.next(Observation(done / rate, middle, pace, length / rate, body, force), size / rate)
-        station.report(done / total, f"{middle:.2f} Hz")
+        pace = (sweep_frequency(test, played / total) - middle) / (length / 2 / rate)
+        goal = control.next(Observation(played / rate, middle, pace, length / rate, body, force), size / rate)
+        station.report(played / total, f"{middle:.2f} Hz")
     return amplitude
 
 
@@ -179,9 +179,9 @@ def _displacements(
     return displacements
 
 
-def _phase(test: SweptSine, start: float, done: int, size: int, total: int) -> Array:
+def _phase(test: SweptSine, start: float, played: int, size: int, total: int) -> Array:
     """Return the phase of the tone, rad, at `size` samples of the sweep."""
-    return start + 2 * np.pi * sweep_turns(test, np.arange(done, done + size) / total)
+    return start + 2 * np.pi * sweep_turns(test, np.arange(played, played + size) / total)
 
 
 def sweep_frequency(test: SweptSine, part: float) -> float:

@@ -50,11 +50,11 @@ def read_table(path: Path) -> dict[str, Column]:
     rows = _from_csv(path, text) if path.suffix.lower() == ".csv" else _from_yaml(path, text)
     table: dict[str, Column] = {}
     mistakes = [] if rows else [f"{path} names no channel; expected lines such as {EXAMPLE}"]
-    for line, name, given in rows:
+    for line, name, values in rows:
         try:
             if name in table:
                 raise ValueError("a second line for this channel")
-            table[name] = column(given)
+            table[name] = column(values)
         except ValueError as error:
             mistakes.append(f"{path}:{line}: {name}: {error}")
     if mistakes:
@@ -110,8 +110,8 @@ def _from_yaml(path: Path, text: str) -> Rows:
         raise SceneError(f"{path}: expected a line for each channel, such as {EXAMPLE}")
     # A line of a column alone: `body1: ai0`.
     return [
-        (document.line((name,)), name, given if isinstance(given, dict) else {"column": given})
-        for name, given in content.items()
+        (document.line((name,)), name, values if isinstance(values, dict) else {"column": values})
+        for name, values in content.items()
     ]
 
 
@@ -127,6 +127,6 @@ def _from_csv(path: Path, text: str) -> Rows:
         if len(line) > len(heading):
             raise SceneError(f"{path}:{number}: {len(line)} cells under a heading of {len(heading)}")
         if any(cell.strip() for cell in line):
-            given = dict(zip(heading, line, strict=False))
-            rows.append((number, given.pop("channel").strip(), given))
+            values = dict(zip(heading, line, strict=False))
+            rows.append((number, values.pop("channel").strip(), values))
     return rows

@@ -127,23 +127,23 @@ def missing_rows(times: Iterable[Array], resolution: float) -> list[Missing]:
     step, rows, even_time, even_steps = 0.0, 0, 0.0, 0
     before = np.empty(0)
     jumps: list[tuple[int, float]] = []
-    for piece in times:
-        steps = np.diff(np.concatenate([before, piece]))
+    for times_block in times:
+        steps = np.diff(np.concatenate([before, times_block]))
         if not rows:
             step = float(np.median(steps)) if steps.size else 0.0
             if not (step > 0.0 and resolution <= _STEP_TOLERANCE * step):
                 return []
-        wide = steps > _GAP_INTERVALS * step
-        regular = steps[~wide]
+        is_gap = steps > _GAP_INTERVALS * step
+        regular = steps[~is_gap]
         if not (abs(regular - step) <= _STEP_TOLERANCE * step + 2.0 * resolution).all():
             return []
         # The step to the first row of a further piece begins in the piece before.
         first = rows if before.size else 1
-        jumps += [(first + int(at), float(steps[at])) for at in np.flatnonzero(wide)]
+        jumps += [(first + int(at), float(steps[at])) for at in np.flatnonzero(is_gap)]
         if len(jumps) > _MAX_GAPS:
             return []
         even_time, even_steps = even_time + float(regular.sum()), even_steps + regular.size
-        rows, before = rows + piece.size, piece[-1:]
+        rows, before = rows + times_block.size, times_block[-1:]
     if not jumps or not even_steps:
         return []
     try:
@@ -213,9 +213,9 @@ def looks_like_times(begin: Array, last: float, samples: int) -> bool:
     return bool((abs(begin - begin[0] - step * np.arange(begin.size)) < 0.1 * step).all())
 
 
-def warn_of_times(what: str, step: float) -> None:
+def warn_of_times(column: str, step: float) -> None:
     """Warn that unnamed numbers are taken for times."""
-    _warn(f"{what} rises evenly, by {step:.6g}: taken for times in s")
+    _warn(f"{column} rises evenly, by {step:.6g}: taken for times in s")
 
 
 def _warn(text: str) -> None:

@@ -38,8 +38,8 @@ def _sums(power: NDArray[np.complex128]) -> Array:
 
 
 def _is_returned(sums: Array) -> bool:
-    whole, clear, supplied = sums
-    return bool(clear > _MIN_CLEAR_SHARE * whole and -supplied > _REVERSED_SHARE * clear)
+    total, clear, supplied = sums
+    return bool(clear > _MIN_CLEAR_SHARE * total and -supplied > _REVERSED_SHARE * clear)
 
 
 class DrivingPower:

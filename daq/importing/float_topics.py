@@ -167,8 +167,8 @@ def _signal(path: Path, number: int, name: str, each: _Field, unit: str) -> Sign
     times = np.frombuffer(each.times, np.uint64)
     if (times[1:] < times[:-1]).any():
         order = np.argsort(times, kind="stable")
-        pieces = np.split(values, np.cumsum(counts)[:-1])
-        values, counts, times = np.concatenate([pieces[at] for at in order]), counts[order], times[order]
+        messages = np.split(values, np.cumsum(counts)[:-1])
+        values, counts, times = np.concatenate([messages[at] for at in order]), counts[order], times[order]
     since = (times - times[0]) * 1e-9
     clock = Clock(each.rate)
     if each.rate is None and values.size == times.size:

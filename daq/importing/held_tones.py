@@ -67,18 +67,18 @@ def held_tones(tracks: Sequence[Track], tolerance: float) -> list[HeldTone]:
     but its frequency drifts within a segment as from one segment to the next. The phase of noise is rarely linear.
     `tolerance` is the largest relative change of a settled amplitude.
     """
-    pieces = [piece for track in tracks for piece in _pieces(track) if not piece.is_fading]
-    pieces.sort(key=lambda piece: piece.first - piece.stop)
-    separate: list[_Piece] = []
-    for piece in pieces:
-        if all(piece.stop <= other.first or piece.first >= other.stop for other in separate):
-            separate.append(piece)
-    separate.sort(key=lambda piece: piece.first)
+    intervals = [interval for track in tracks for interval in _tone_intervals(track) if not interval.is_fading]
+    intervals.sort(key=lambda interval: interval.first - interval.stop)
+    separate: list[_ToneInterval] = []
+    for interval in intervals:
+        if all(interval.stop <= other.first or interval.first >= other.stop for other in separate):
+            separate.append(interval)
+    separate.sort(key=lambda interval: interval.first)
     # The shortest blocks average over the fewest samples and therefore resolve all tones.
     if not separate or _share(separate, tracks[-1]) < _MIN_HELD_SHARE:
         return []
     # In a sweep the frequency drifts within a segment as from one segment to the next.
-    middle, begins, ends = np.array([piece.frequencies() for piece in separate]).T
+    middle, begins, ends = np.array([interval.frequencies() for interval in separate]).T
     distance = abs(np.diff(middle))
     distance[distance < _SAME_FREQUENCY * middle[1:]] = np.inf
     nearest = np.minimum(np.append(distance, np.inf), np.insert(distance, 0, np.inf))
@@ -86,7 +86,7 @@ def held_tones(tracks: Sequence[Track], tolerance: float) -> list[HeldTone]:
         return []
     # Between successive tones of one frequency a controller changed the level: the last settled one is measured.
     tones: list[HeldTone] = []
-    for tone in (_settled(piece, tolerance) for piece in separate):
+    for tone in (_settled(interval, tolerance) for interval in separate):
         if not tones or abs(tone.frequency / tones[-1].frequency - 1.0) >= _SAME_FREQUENCY:
             tones.append(tone)
         elif tone.settled or not tones[-1].settled:
@@ -95,7 +95,7 @@ def held_tones(tracks: Sequence[Track], tolerance: float) -> list[HeldTone]:
 
 
 @dataclass(frozen=True)
-class _Piece:
+class _ToneInterval:
     """A segment of linear phase: blocks of a track."""
 
     track: Track
@@ -127,8 +127,8 @@ class _Piece:
     @property
     def is_fading(self) -> bool:
         """Whether the amplitude changes in the second half."""
-        late = np.log(self.track.amplitude[(self.begin + self.end) // 2 : self.end])
-        slope = np.polyfit(np.linspace(0.0, 1.0, late.size), late, 1)[0]
+        log_amplitude = np.log(self.track.amplitude[(self.begin + self.end) // 2 : self.end])
+        slope = np.polyfit(np.linspace(0.0, 1.0, log_amplitude.size), log_amplitude, 1)[0]
         return bool(abs(slope) > _MAX_FADE)
 
     def frequencies(self) -> tuple[float, float, float]:
@@ -149,7 +149,7 @@ def _unwrapped(track: Track, begin: int, end: int) -> Array:
     return np.concatenate([phase[:1], phase[0] + np.cumsum(advance)])
 
 
-def _pieces(track: Track) -> Iterator[_Piece]:
+def _tone_intervals(track: Track) -> Iterator[_ToneInterval]:
     """Cut a track into segments of linear phase."""
     if track.number.size < _MIN_BLOCKS:
         return
@@ -179,7 +179,7 @@ def _pieces(track: Track) -> Iterator[_Piece]:
                     more //= 2
             first, last = _ends(phase[at:stop])
             if last - first >= _MIN_BLOCKS:
-                yield _Piece(track, begin + at + first, begin + at + last)
+                yield _ToneInterval(track, begin + at + first, begin + at + last)
             at = stop
 
 
@@ -207,15 +207,17 @@ def _ends(phase: Array) -> tuple[int, int]:
     return (int(before[-1]) + 1 if before.size else 0), (int(after[0]) if after.size else size)
 
 
-def _share(pieces: Sequence[_Piece], track: Track) -> float:
+def _share(intervals: Sequence[_ToneInterval], track: Track) -> float:
     """Share of the time with a signal in which a tone is held."""
-    silence = _SILENCE_RATIO * float(np.median([piece.amplitude for piece in pieces]))
-    return sum(piece.stop - piece.first for piece in pieces) / (track.hop * max(int(np.sum(track.levels > silence)), 1))
+    silence = _SILENCE_RATIO * float(np.median([interval.amplitude for interval in intervals]))
+    return sum(interval.stop - interval.first for interval in intervals) / (
+        track.hop * max(int(np.sum(track.levels > silence)), 1)
+    )
 
 
-def _settled(piece: _Piece, tolerance: float) -> HeldTone:
+def _settled(interval: _ToneInterval, tolerance: float) -> HeldTone:
     """Remove the transient at the beginning of a segment."""
-    track, blocks = piece.track, slice(piece.begin, piece.end)
+    track, blocks = interval.track, slice(interval.begin, interval.end)
     size = track.amplitude[blocks]
     channels = np.vstack([track.ratio[:, blocks], (size / np.median(size))[None]])
     channels = channels[np.isfinite(channels).all(axis=1)]
@@ -223,10 +225,10 @@ def _settled(piece: _Piece, tolerance: float) -> HeldTone:
     for share in _LATE_SHARES:
         if not steady and size.size * share >= _MIN_BLOCKS:
             steady, begin = _steady_from(channels, round(size.size * (1.0 - share)), tolerance)
-    frequency = float(np.polyfit(np.arange(size.size - begin), piece.phase[begin:], 1)[0])
+    frequency = float(np.polyfit(np.arange(size.size - begin), interval.phase[begin:], 1)[0])
     return HeldTone(
-        piece.middle(piece.begin + begin),
-        piece.stop,
+        interval.middle(interval.begin + begin),
+        interval.stop,
         frequency / (2.0 * np.pi * track.hop),
         float(np.median(size[begin:])),
         steady,

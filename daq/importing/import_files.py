@@ -196,20 +196,20 @@ def _with_start_delays(assigned: Sequence[Assigned]) -> list[Assigned]:
     stated = [each.signal for each in assigned if each.column.delay is None]
     delayed = []
     for each in assigned:
-        late = 0.0
+        delay_s = 0.0
         if each.column.delay is None:
             signal, origin = each.signal, stated[0]
-            late = signal.start_s - origin.start_s
+            delay_s = signal.start_s - origin.start_s
             # Dates count where both have one.
             if signal.start_ns and origin.start_ns:
-                late += (signal.start_ns - origin.start_ns) * 1e-9
-        if abs(late) * each.info.rate > 0.5:
+                delay_s += (signal.start_ns - origin.start_ns) * 1e-9
+        if abs(delay_s) * each.info.rate > 0.5:
             raise RecordingError(
-                f"{each.signal.name!r} of {each.signal.file} begins {late:.6g} s after {stated[0].name!r} of "
+                f"{each.signal.name!r} of {each.signal.file} begins {delay_s:.6g} s after {stated[0].name!r} of "
                 f"{stated[0].file}: their samples were not taken together. Import them one by one or, where the files "
                 "are wrong, give delay: 0 s for both in the table."
             )
-        delayed.append(replace(each, info=replace(each.info, delay=each.info.delay - late)) if late else each)
+        delayed.append(replace(each, info=replace(each.info, delay=each.info.delay - delay_s)) if delay_s else each)
     return delayed
 
 
@@ -272,8 +272,8 @@ class _Import:
         motions = [row for row, info in enumerate(self._infos) if info.quantity in MOTIONS and [info.at] == places]
         self._powered = [forces[0], motions[0]] if len(forces) == 1 and motions else []
         self._power = DrivingPower(*(self._infos[row] for row in self._powered)) if self._powered else None
-        held = isinstance(scene.test, Sine | SteppedSine)
-        self._steps = StepFinder(scene, self._infos, rate) if held else None
+        is_tone_test = isinstance(scene.test, Sine | SteppedSine)
+        self._steps = StepFinder(scene, self._infos, rate) if is_tone_test else None
 
     def run(self, path: Path, overwrite: bool, progress: Progress | None) -> list[str]:
         """Write the recording; return the warnings about it."""
@@ -286,12 +286,12 @@ class _Import:
         ):
             for first in range(0, self._samples, _PIECE_SAMPLES):
                 stop = min(first + _PIECE_SAMPLES, self._samples)
-                piece = np.stack([self._piece(row, first, stop) for row in range(len(self._infos))])
-                recorder.write(piece)
+                block = np.stack([self._piece(row, first, stop) for row in range(len(self._infos))])
+                recorder.write(block)
                 if self._power is not None:
-                    self._power.add(*piece[self._powered])
+                    self._power.add(*block[self._powered])
                 if self._steps is not None:
-                    self._steps.add(piece)
+                    self._steps.add(block)
                 if progress is not None:
                     progress(stop / self._samples, f"{stop / self._rate:.0f} s")
             return [*self._mark_channels(recorder), *self._mark_test(recorder)]

@@ -62,14 +62,14 @@ class Rail:
             return self._runs[0][0]
         return None if self._open is None else self._open[0]
 
-    def runs(self, stop: int, least: int, drop: float) -> list[tuple[int, int]]:
+    def runs(self, stop: int, min_length: int, drop: float) -> list[tuple[int, int]]:
         """Return the segments [first, stop) of at least `least` samples at the largest value.
 
         They differ by at least `drop` from the samples next to them; `stop` is the number of all samples.
         """
         if self._open is not None:
             self._end(stop, np.nan)
-        return [(a, b) for a, b, fell in self._runs if b - a >= least and fell > drop]
+        return [(a, b) for a, b, fell in self._runs if b - a >= min_length and fell > drop]
 
 
 class Overloads:

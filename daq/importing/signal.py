@@ -58,9 +58,9 @@ class Signal:
 
         def row_at(number: int) -> int:
             """Return the first row whose sample number is at least `number`."""
-            passed = int(np.searchsorted(resumes, number, side="right"))
-            row = number - int(lost[passed])
-            return min(row, int(before[passed])) if passed < before.size else row
+            gaps_before = int(np.searchsorted(resumes, number, side="right"))
+            row = number - int(lost[gaps_before])
+            return min(row, int(before[gaps_before])) if gaps_before < before.size else row
 
         def read(start: int, stop: int) -> Array:
             first, last = row_at(start), row_at(stop)

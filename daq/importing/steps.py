@@ -35,11 +35,11 @@ class StepFinder:
         self._test, self._rate = scene.test, rate
         # The followed channel: a force, the drive, the table, or else the first.
         table = scene.at_driven("table") if scene.driven_shaker is not None else "table"
-        shown = [
+        reported = [
             *(row for row, info in enumerate(infos) if info.quantity == "force"),
             *(row for place in ("drive", table) for row, info in enumerate(infos) if info.at.startswith(place)),
         ]
-        self.row = shown[0] if shown else 0
+        self.row = reported[0] if reported else 0
         self._info = infos[self.row]
         run = (scene.test.frequency,) if isinstance(scene.test, Sine) else scene.test.order
         self._tracker = ToneTracker(rate, min(run) / _BAND_RATIO, max(run) * _BAND_RATIO, self.row)

@@ -35,8 +35,8 @@ def tdms_signals(path: Path, stack: ExitStack) -> list[Signal]:
     try:
         stack.enter_context(log_as_warning(path))
         file = stack.enter_context(nptdms.TdmsFile.open(path))
-        every = [channel for group in file.groups() for channel in group.channels()]
-        channels = [each for each in every if not each.properties.get("DecimationLevel")]
+        all_channels = [channel for group in file.groups() for channel in group.channels()]
+        channels = [each for each in all_channels if not each.properties.get("DecimationLevel")]
         several = len({channel.group_name for channel in channels}) > 1
         times = {channel.group_name: channel for channel in channels if _is_clock(channel, channels)}
         clocks = {group: _clock(path, channel) for group, channel in times.items()}

@@ -58,10 +58,10 @@ def beginning(path: Path) -> tuple[list[str], str]:
     """Return the first lines of a table, at least one, and its encoding."""
     with path.open("rb") as binary:
         begin = binary.read(1 << 18)
-    wide = begin.startswith((b"\xff\xfe", b"\xfe\xff"))
-    if b"\0" in begin and not wide:
+    is_utf16 = begin.startswith((b"\xff\xfe", b"\xfe\xff"))
+    if b"\0" in begin and not is_utf16:
         raise RecordingError(f"{path} is not text; expected a table of numbers")
-    encoding = "utf-16" if wide else "utf-8-sig"
+    encoding = "utf-16" if is_utf16 else "utf-8-sig"
     try:
         text = begin.decode(encoding)
     except UnicodeDecodeError as error:
@@ -148,9 +148,9 @@ def seconds_of_stamp(cell: str) -> float | None:
     """
     if ":" not in cell:
         return None
-    whole = cell if re.match(r"\d{4}-?\d\d", cell) else f"1970-01-01T{cell}"
+    date_and_time = cell if re.match(r"\d{4}-?\d\d", cell) else f"1970-01-01T{cell}"
     try:
-        stamp = datetime.fromisoformat(whole)
+        stamp = datetime.fromisoformat(date_and_time)
     except ValueError:
         return None
     return (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp()
@@ -207,11 +207,11 @@ def labview_heading(lines: Sequence[str], where: str) -> LabviewHeading:
             f"{where}: its LabVIEW heading does not end; expected {_LABVIEW_END} twice, names, and numbers"
         )
     separator = "," if _keys(lines[: ends[0]], r"[\t,]").get("Separator", ["Tab"])[0] == "Comma" else "\t"
-    whole, segment = _keys(lines[: ends[0]], separator), _keys(lines[ends[0] + 1 : ends[1]], separator)
+    file_keys, segment = _keys(lines[: ends[0]], separator), _keys(lines[ends[0] + 1 : ends[1]], separator)
     names = [cell.strip() for cell in lines[ends[1] + 1].rstrip("\r\n").split(separator)]
-    columns = whole.get("X_Columns", ["One"])[0]
+    columns = file_keys.get("X_Columns", ["One"])[0]
     # Old versions do not state the decimal separator.
-    numbers = [*whole.get("Decimal_Separator", []), *segment.get("Delta_X", [])]
+    numbers = [*file_keys.get("Decimal_Separator", []), *segment.get("Delta_X", [])]
     comma = separator != "," and "," in "".join(numbers)
     step = 2 if columns == "Multi" else 1
     try:
@@ -266,7 +266,7 @@ def _nanoseconds(stamp: str) -> int:
     if clock is None:
         return 0
     try:
-        whole = datetime(*map(int, clock.groups()[:6]), tzinfo=UTC)  # type: ignore[arg-type,misc]
+        instant = datetime(*map(int, clock.groups()[:6]), tzinfo=UTC)  # type: ignore[arg-type,misc]
     except ValueError:
         return 0
-    return max(0, int(whole.timestamp()) * 10**9 + int(float(clock[7] or 0.0) * 1e9))
+    return max(0, int(instant.timestamp()) * 10**9 + int(float(clock[7] or 0.0) * 1e9))

@@ -145,8 +145,8 @@ class _Table:
             last = (0, before)
         if self.rows:
             self._samples.append(last[1])
-            piece = min(1.0, PIECE / self.rows) * path.stat().st_size
-            require_memory_with_program(_READ_BYTES * piece, f"{path}: importing it")
+            piece_bytes = min(1.0, PIECE / self.rows) * path.stat().st_size
+            require_memory_with_program(_READ_BYTES * piece_bytes, f"{path}: importing it")
         self._reading = self._lines()
         self._position = 0
         self._last_piece: tuple[int, int, Array] = (-1, -1, np.empty((0, 0)))
@@ -206,8 +206,8 @@ class _Table:
     def _times(self, scale: float) -> Iterator[Array]:
         """Yield the first column in pieces, s."""
         lines = islice(self._lines(), self.rows)
-        while piece := list(islice(lines, PIECE)):
-            yield np.array([self._time(*each) for each in piece]) * scale
+        while block := list(islice(lines, PIECE)):
+            yield np.array([self._time(*each) for each in block]) * scale
 
     def _time(self, line_number: int, line: str) -> float:
         delimiter = self._layout.delimiter

@@ -81,19 +81,19 @@ class _Blocks:
 
     def add(self, samples: Array) -> None:
         rest = samples if self._rest is None else np.concatenate([self._rest, samples], axis=1)
-        whole = rest.shape[1] // self._averaged
-        self._rest = rest[:, whole * self._averaged :].copy()
-        averages = rest[:, : whole * self._averaged].reshape(len(rest), whole, self._averaged).mean(axis=2)
-        held = averages if self._averages is None else np.concatenate([self._averages, averages], axis=1)
-        blocks = (held.shape[1] - self._size) // self._hop + 1
+        n_averages = rest.shape[1] // self._averaged
+        self._rest = rest[:, n_averages * self._averaged :].copy()
+        averages = rest[:, : n_averages * self._averaged].reshape(len(rest), n_averages, self._averaged).mean(axis=2)
+        pending = averages if self._averages is None else np.concatenate([self._averages, averages], axis=1)
+        blocks = (pending.shape[1] - self._size) // self._hop + 1
         if blocks > 0:
-            self._analyse(held, blocks)
+            self._analyse(pending, blocks)
             self._done += blocks
-            held = held[:, blocks * self._hop :].copy()
-        self._averages = held
+            pending = pending[:, blocks * self._hop :].copy()
+        self._averages = pending
 
-    def _analyse(self, held: Array, blocks: int) -> None:
-        view = np.lib.stride_tricks.sliding_window_view(held, self._size, axis=1)[:, :: self._hop]
+    def _analyse(self, pending: Array, blocks: int) -> None:
+        view = np.lib.stride_tricks.sliding_window_view(pending, self._size, axis=1)[:, :: self._hop]
         reference = view[self._reference, :blocks]
         self._levels.append(np.nan_to_num(reference.std(axis=1)).astype(np.float32))
         size = np.asarray(np.nan_to_num(abs(np.fft.rfft(reference * self._window, axis=1))), dtype=float)
@@ -110,10 +110,10 @@ class _Blocks:
         if not resolved.size:
             return
         bins = np.clip(peak[resolved] - self._first_bin, 0, len(self._kernels) - 1)
-        spectra = np.empty((len(held), resolved.size), dtype=complex)
+        spectra = np.empty((len(pending), resolved.size), dtype=complex)
         for each in np.unique(bins):
-            here = bins == each
-            spectra[:, here] = view[:, resolved[here]] @ self._kernels[each]
+            selected = bins == each
+            spectra[:, selected] = view[:, resolved[selected]] @ self._kernels[each]
         reference_spectrum = spectra[self._reference]
         line_offset = offset[resolved]
         gain = 0.25 * self._size * np.sinc(line_offset) / (1.0 - line_offset**2)

@@ -58,14 +58,14 @@ def _numbers(raw: NDArray[np.uint8], floats: bool) -> Array:
     if depth == 1:
         return (raw[:, 0].astype(np.float64) - 128.0) / 128.0
     # As the most significant bytes of four, so that the sign bit is in its place.
-    wide = np.zeros((raw.shape[0], 4), np.uint8)
-    wide[:, 4 - depth :] = raw
-    return wide.view("<i4")[:, 0] / 2.0**31
+    padded = np.zeros((raw.shape[0], 4), np.uint8)
+    padded[:, 4 - depth :] = raw
+    return padded.view("<i4")[:, 0] / 2.0**31
 
 
 def _chunks(path: Path) -> tuple[bytes, int, int]:
     """Return the format, and the offset and size in bytes of the samples."""
-    form, large = b"", 0
+    form, size64 = b"", 0
     end = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(12)
@@ -75,11 +75,11 @@ def _chunks(path: Path) -> tuple[bytes, int, int]:
             name, size = struct.unpack("<4sI", chunk)
             at = file.tell()
             if name == b"ds64":
-                large = struct.unpack_from("<Q", file.read(min(size, 64)).ljust(16, b"\0"), 8)[0]
+                size64 = struct.unpack_from("<Q", file.read(min(size, 64)).ljust(16, b"\0"), 8)[0]
             elif name == b"fmt ":
                 form = file.read(min(size, 64))
             elif name == b"data":
-                size = large or size if size == _UNKNOWN or head[:4] == b"RF64" else size
+                size = size64 or size if size == _UNKNOWN or head[:4] == b"RF64" else size
                 if len(form) < 16:
                     raise RecordingError(f"{path}: no format before its samples: the file is damaged. Export it again.")
                 if size != _UNKNOWN and at + size > end:

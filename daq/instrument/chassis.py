@@ -277,9 +277,9 @@ class Chassis:
         waiting = sorted(self.inputs.values(), key=lambda each: isinstance(each.plan.start, OtherTask))
         for acquisition in waiting:
             self._pass_block(acquisition, blocks[acquisition.plan.rate])
-        own = blocks[self.bench.rate]
-        for listener in self.listeners if own.samples.size else ():
-            listener(self.bench, own)
+        full_rate = blocks[self.bench.rate]
+        for listener in self.listeners if full_rate.samples.size else ():
+            listener(self.bench, full_rate)
         self.changed.notify_all()
         self.sleepers.wake(self.position)
         notified = [task for task in (*self.inputs, *self.outputs) if task.passed()]

@@ -54,11 +54,11 @@ def _modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
     if not outputs:
         described.append(_IDEAL_OUTPUTS)
     usb, compact = ([each for each in described if each.bus == bus] for bus in (USB_BUS, COMPACT_DAQ_BUS))
-    own = [replace(each, name=f"Dev{number}") for number, each in enumerate(usb, 1)]
+    modules = [replace(each, name=f"Dev{number}") for number, each in enumerate(usb, 1)]
     slots = [replace(each, name=f"cDAQ1Mod{slot}", chassis="cDAQ1", slot=slot) for slot, each in enumerate(compact, 1)]
     chassis = [Module("cDAQ1", "cDAQ-9178", category=CHASSIS_CATEGORY, bus=USB_BUS)] if slots else []
     everything = replace(
-        (own or slots)[0],
+        (modules or slots)[0],
         name="",
         inputs=tuple(range(len(terminals.bench.channels))),
         outputs=tuple(range(len(terminals.drive_per_volt))),
@@ -67,7 +67,7 @@ def _modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
         chassis="",
         slot=0,
     )
-    return [*chassis, *slots, *own, everything]
+    return [*chassis, *slots, *modules, everything]
 
 
 _IDEAL_OUTPUTS = Module("", "shotrig outputs")

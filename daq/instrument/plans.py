@@ -113,13 +113,13 @@ def _source(task: TaskSettings, name: str, chassis: Chassis) -> Source | None:
     settings = task.groups["trig"]
     kind = settings[f"{name}_trig_type"]
 
-    def own(key: str) -> Any:
+    def setting(key: str) -> Any:
         return settings[f"{prefix}_{name}_trig_{key}"]
 
     def on_channel(source: str, condition: Condition) -> tuple[int, Condition]:
-        wanted = source.lower().lstrip("/")
+        terminal = source.lower().lstrip("/")
         for row, each in enumerate(task.channels):
-            if wanted in (each.name.lower(), each.port.name.lower()):
+            if terminal in (each.name.lower(), each.port.name.lower()):
                 return row, condition
         raise DaqError(
             f"analog trigger source {source!r}: expected one of the task's input channels, "
@@ -130,21 +130,23 @@ def _source(task: TaskSettings, name: str, chassis: Chassis) -> Source | None:
     if kind == TriggerType.NONE:
         return None
     if kind == TriggerType.TIME:
-        late = settings["start_trig_trig_when"] - chassis.time_ns(chassis.position) * 1e-9
-        return AtTime(chassis.elapsed + max(0.0, late))
+        start_delay_s = settings["start_trig_trig_when"] - chassis.time_ns(chassis.position) * 1e-9
+        return AtTime(chassis.elapsed + max(0.0, start_delay_s))
     if kind == TriggerType.DIGITAL_EDGE:
         prefix = "dig_edge"
-        return digital_source(own("src"), Slope(own("edge")))
+        return digital_source(setting("src"), Slope(setting("edge")))
     if kind == TriggerType.ANALOG_EDGE:
         prefix = "anlg_edge"
-        return AnalogSource((on_channel(own("src"), edge(Slope(own("slope")), own("lvl"), own("hyst"))),))
+        return AnalogSource(
+            (on_channel(setting("src"), edge(Slope(setting("slope")), setting("lvl"), setting("hyst"))),)
+        )
     if kind == TriggerType.ANALOG_WINDOW:
         prefix = "anlg_win"
-        inside = window(WindowCondition(own("when")), own("btm"), own("top"))
-        return AnalogSource((on_channel(own("src"), inside),))
+        inside = window(WindowCondition(setting("when")), setting("btm"), setting("top"))
+        return AnalogSource((on_channel(setting("src"), inside),))
     if kind == TriggerType.ANALOG_MULTI_EDGE:
         prefix = "anlg_multi_edge"
-        names, slopes, levels = unflatten(own("srcs")), own("slopes"), own("lvls")
+        names, slopes, levels = unflatten(setting("srcs")), setting("slopes"), setting("lvls")
         if not len(names) == len(slopes) == len(levels):
             raise DaqError(
                 f"{len(names)} trigger sources, {len(slopes)} slopes and {len(levels)} levels: give as many of each",

@@ -57,10 +57,10 @@ class Task:
         except DaqError:
             return None
 
-    def check_idle(self, what: str, code: Code = Code.CAN_NOT_PERFORM_OP_WHILE_TASK_RUNNING) -> None:
+    def check_idle(self, operation: str, code: Code = Code.CAN_NOT_PERFORM_OP_WHILE_TASK_RUNNING) -> None:
         """Check that the task is not running."""
         if self.running:
-            raise DaqError(f"{what}: not possible while the task is running. Call stop() first.", code)
+            raise DaqError(f"{operation}: not possible while the task is running. Call stop() first.", code)
 
     # States
 
@@ -108,12 +108,12 @@ class Task:
         """
         if not self.running:
             return 0
-        early = not self.endless and not self.finished
+        is_early = not self.endless and not self.finished
         failure = None if self._reported else self.failure
         self.end()
         if failure is not None:
             raise failure
-        return STOPPED_BEFORE_DONE if early else 0
+        return STOPPED_BEFORE_DONE if is_early else 0
 
     def end(self) -> None:
         """End the present run, if any."""

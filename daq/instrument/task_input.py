@@ -276,8 +276,8 @@ def _counts(channel: Channel, samples: NDArray[Any]) -> NDArray[Any]:
         raise unsupported(
             "an unscaled read", "The scene's converter has no counts: give it bits and a range, or read volts."
         )
-    full = 2.0 ** (bits - 1)
-    return np.clip(np.rint(samples / channel.range * full), -full, full - 1)
+    full_scale = 2.0 ** (bits - 1)
+    return np.clip(np.rint(samples / channel.range * full_scale), -full_scale, full_scale - 1)
 
 
 def _reason(run: Acquisition) -> str:

@@ -70,15 +70,15 @@ def set_value(task: Task, group: str, name: str, value: Any) -> None:
         if divisor <= 0.0:
             raise invalid_value(f"{name} is {divisor:g}: expected a positive number")
         name, value = "samp_clk_rate", _module(task).timebase / divisor
-    own = task.settings.groups[group]
-    value = coerce(name, value, own[name])
+    settings = task.settings.groups[group]
+    value = coerce(name, value, settings[name])
     if name == "samp_clk_rate" and task.settings.channels:
         task.settings.channels[0].module.coerced(value, output=task.settings.kind == "ao")
     if name == "channels_to_read":
         task.settings.find(value)
     if name.endswith("_buf_size") and value < 0:
         raise invalid_value(f"{name} {value}: expected 0 samples at least")
-    own[name] = value
+    settings[name] = value
     if name == "output_buf_size":
         task.output.buffer = None
 
@@ -171,9 +171,9 @@ def _module(task: Task) -> Module:
 
 
 def _edge_source(task: Task, name: str) -> str:
-    own = str(task.settings.groups["trig"][name])
+    source = str(task.settings.groups["trig"][name])
     names = {name.lower() for each in task.settings.channels for name in (each.name, each.port.name)}
-    return own if own.lower() in names else full_terminal(task, own)
+    return source if source.lower() in names else full_terminal(task, source)
 
 
 _COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {

@@ -42,21 +42,21 @@ class Terminals:
     def __init__(self, scene: Scene) -> None:
         # Ticks per sample of the converter that suit the fastest rate of each module and the intervals that its
         # converter needs: where modules divide one clock, all their samples then coincide with ticks.
-        own, named = scene.converter.sample_rate, scene.converter.preset
+        sample_rate, named = scene.converter.sample_rate, scene.converter.preset
         sheets = [None if shaker.output is None else shaker.output.preset for shaker in scene.shakers]
         inputs = None if named is None else module(named).inputs
         outputs = [None if name is None else module(name).outputs for name in sheets]
         fastest, *others = (DIVIDED.fastest if each is None else each.rates.fastest for each in (inputs, *outputs))
-        needed = [own * oversampling(scene), *others]
-        if fastest > own:
+        needed = [sample_rate * oversampling(scene), *others]
+        if fastest > sample_rate:
             needed.append(fastest * oversampling(at_rate(scene, fastest)))
-        self.bench = bench = Bench(scene, math.ceil(max(needed) / own - 1e-6))
+        self.bench = bench = Bench(scene, math.ceil(max(needed) / sample_rate - 1e-6))
         counts = bool(bench.channels) and bench.channels[0].volts_per_count is not None
         self.dtype: type[np.generic] = np.int32 if counts else np.float64
         self._outputs = [row for row, name in enumerate(bench.inputs) if name != "hammer"]
         self.drive_per_volt = np.array([DRIVE_PER_VOLT[bench.drive_units[row]] for row in self._outputs])
         self._converter = complete_from_preset(scene.converter)
-        station = Station(scene, bench.channels, bench.inputs, bench.rate, mark=lambda *given, **fields: None)
+        station = Station(scene, bench.channels, bench.inputs, bench.rate, mark=lambda *arguments, **fields: None)
         self._test = BackgroundTest(station, bench.ticks, bench.physical)
 
     def warm_up(self) -> None:
@@ -116,7 +116,7 @@ class Terminals:
 
         Raises `DaqError` with -50103 for an input in use that has another coupling or supply.
         """
-        wiring, taken = list(self.bench.wiring), set(in_use)
+        wiring, used = list(self.bench.wiring), set(in_use)
         for each in channels:
             before = wiring[each.row]
             # The supply current, A; None if the scene does not model the supply.
@@ -126,18 +126,18 @@ class Terminals:
             elif supply is not None:
                 supply = supply or each.module.currents[0]
             coupling = Coupling(each.settings["ai_coupling"]).name
-            wanted = before.replace(coupling=coupling, excitation=supply)
-            present, new = (input_settings(self.bench.scene.converter, wired) for wired in (before, wanted))
+            requested = before.replace(coupling=coupling, excitation=supply)
+            present, new = (input_settings(self.bench.scene.converter, wired) for wired in (before, requested))
             if (present.coupling or "DC", present.excitation) == (new.coupling or "DC", new.excitation):
                 continue
-            if each.row in taken:
+            if each.row in used:
                 raise DaqError(
                     f"the resource is reserved: {each.port.name} is in use with another coupling or sensor supply. "
                     "Stop that task, or give both the same.",
                     Code.PAL_RESOURCE_RESERVED,
                 )
-            wiring[each.row] = wanted
-            taken.add(each.row)
+            wiring[each.row] = requested
+            used.add(each.row)
         self.bench.rewire(wiring)
 
     def supply(self, row: int) -> float | None:

@@ -52,14 +52,14 @@ class Pace:
         if self._origin is None:
             # The simulation may have been compiled before the first block; time starts now.
             self._origin = now - position / self._rate
-        early = self._origin + position / self._rate - now
-        if early > 0:
-            time.sleep(early)
-        elif early < -_MAX_DELAY_S:
-            self._origin -= early
+        lead_s = self._origin + position / self._rate - now
+        if lead_s > 0:
+            time.sleep(lead_s)
+        elif lead_s < -_MAX_DELAY_S:
+            self._origin -= lead_s
             if not self.skipped_s:
                 self._report("the machine is too slow for real time. The display runs slower than real time.")
-            self.skipped_s -= early
+            self.skipped_s -= lead_s
 
 
 def record_live(

@@ -63,17 +63,17 @@ class Screen:
         if self._scene.dampers:
             self._traces.dampers(true.first, true.gap, true.contact)
         size = true.displacement.shape[1]
-        drawn = np.arange((-true.first) % self._step, size, self._step)
+        indices = np.arange((-true.first) % self._step, size, self._step)
         bodies = self._scene.structure.bodies
         motion = RigPose(
-            true.displacement[:bodies, drawn],
-            true.displacement[bodies : bodies + len(self._scene.tables), drawn],
-            true.gap[:, drawn] if self._scene.dampers else None,
+            true.displacement[:bodies, indices],
+            true.displacement[bodies : bodies + len(self._scene.tables), indices],
+            true.gap[:, indices] if self._scene.dampers else None,
         )
         self._position = true.first + size
-        if drawn.size:
+        if indices.size:
             self._fit(motion)
-            self._traces.motion(self._view, true.first + drawn, motion)
+            self._traces.motion(self._view, true.first + indices, motion)
 
     def read(self, reading: ToneReading) -> None:
         """Show the readings of the tone, a few times per second."""
@@ -113,19 +113,19 @@ def page(reading: ToneReading) -> str:
         "| channel | displacement | over force | phase |",
         "|---|---|---|---|",
     ]
-    for name, moved in reading.displacement.items():
+    for name, displacement in reading.displacement.items():
         ratio = reading.receptance(name)
         figures = f"{abs(ratio) * 1e3:.4g} mm/N | {math.degrees(cmath.phase(ratio)):.1f}°"
         if not reading.held:
             figures = "- | -"
-        lines.append(f"| {escape_markdown(name)} | {abs(moved) * 1e3:.4g} mm | {figures} |")
+        lines.append(f"| {escape_markdown(name)} | {abs(displacement) * 1e3:.4g} mm | {figures} |")
     return "\n".join(lines) + "\n"
 
 
 def sentence(reading: ToneReading) -> str:
     """Return a held reading as a line of text."""
     responses = ", ".join(
-        f"{name} {abs(moved) * 1e3:.3g} mm ({math.degrees(cmath.phase(reading.receptance(name))):.0f}°)"
-        for name, moved in reading.displacement.items()
+        f"{name} {abs(displacement) * 1e3:.3g} mm ({math.degrees(cmath.phase(reading.receptance(name))):.0f}°)"
+        for name, displacement in reading.displacement.items()
     )
     return f"{reading.frequency:g} Hz: {abs(reading.force):.3g} N held; {responses}"

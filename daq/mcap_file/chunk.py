@@ -126,10 +126,10 @@ def records_in(records: memoryview, stored: int) -> Iterator[tuple[int, memoryvi
 
     `stored` is the number of bytes that the chunk takes in the file.
     """
-    place, end, left = 0, len(records), FEW_RECORDS + stored
+    place, end, budget = 0, len(records), FEW_RECORDS + stored
     while place < end:
-        left -= 1
-        if left < 0:
+        budget -= 1
+        if budget < 0:
             raise Damage(f"it holds more than {FEW_RECORDS + stored} records in {stored} bytes")
         if end - place < RECORD_HEAD.size:
             raise Damage("a record in it is cut short")

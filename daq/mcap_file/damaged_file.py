@@ -128,7 +128,7 @@ class DamagedFile:
             return None
         (packed,) = struct.unpack_from("<Q", head, fixed - 8)
         reason = ""
-        for content_length in sorted({length, fixed + packed}, key=lambda it: it != length):
+        for content_length in sorted({length, fixed + packed}, key=lambda candidate: candidate != length):
             if not fixed <= content_length <= LARGEST_CHUNK + fixed or begin + content_length > self.size:
                 continue
             content = bytearray(self._read(begin, content_length))

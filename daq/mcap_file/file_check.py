@@ -91,10 +91,10 @@ class _Check:
             self._data_record(opcode, content)
             self.place = begin + RECORD_HEAD.size + len(content)
         expected = parse(Opcode.DATA_END, content).data_section_crc
-        found = 0
+        crc = 0
         for start in range(0, begin if expected else 0, _AT_ONCE):
-            found = zlib.crc32(self._file.read(start, min(_AT_ONCE, begin - start)), found)
-        if found != expected:
+            crc = zlib.crc32(self._file.read(start, min(_AT_ONCE, begin - start)), crc)
+        if crc != expected:
             raise Damage("the checksum of the data section is wrong")
         self._summary()
 
@@ -200,8 +200,8 @@ class _Check:
         if size != len(content) - 6 or size % _ENTRY.itemsize or channel in chunk.message_index_offsets:
             raise Damage("a message index is malformed")
         listed = np.frombuffer(content, _ENTRY, offset=6)
-        there = self._messages.get(channel, np.empty(0, _ENTRY))
-        if not np.array_equal(np.sort(listed, order="place"), there):
+        entries = self._messages.get(channel, np.empty(0, _ENTRY))
+        if not np.array_equal(np.sort(listed, order="place"), entries):
             raise Damage(f"the message index of channel {channel} does not agree with the chunk before it")
         chunk.message_index_offsets[channel] = self.place
         chunk.message_index_length += RECORD_HEAD.size + len(content)
@@ -245,10 +245,10 @@ class _Check:
             raise Damage("the footer does not agree with the file")
         if footer.summary_offset_start not in (0, offsets or self.place):
             raise Damage("the footer states another place of the summary offsets")
-        for kind, left in self._unlisted.items():
+        for kind, unlisted in self._unlisted.items():
             # Another program may leave out a kind of index.
-            if left and (self._ours or self._listed[kind]):
-                raise Damage(f"the summary does not list the record at byte {min(left)}")
+            if unlisted and (self._ours or self._listed[kind]):
+                raise Damage(f"the summary does not list the record at byte {min(unlisted)}")
 
     def _summary_record(self, opcode: int, record: Any, written: dict[int, int]) -> None:
         """Compare a record of the summary with the record that it repeats."""

@@ -57,10 +57,10 @@ class Container:
         if not self._summary_has_checksum:
             raise self.error("is damaged: its summary has no checksum")
 
-    def error(self, what: str) -> RecordingError:
+    def error(self, problem: str) -> RecordingError:
         """Make an error with the remedy for a damaged file."""
         return RecordingError(
-            f"{self.path}: the file {what}. Run `daq recover {self.path} -o FIXED.mcap` to recover the intact part."
+            f"{self.path}: the file {problem}. Run `daq recover {self.path} -o FIXED.mcap` to recover the intact part."
         )
 
     def _summary(self) -> Summary:
@@ -122,12 +122,12 @@ class Container:
     def metadata(self) -> dict[str, dict[str, str]]:
         """Read the metadata records by their names; the last record of a name is used."""
         try:
-            found = {}
+            metadata = {}
             for index in self.summary.metadata:
                 content = self._record(Opcode.METADATA, index.offset, index.length, LARGEST_RECORD)
                 record = parse(Opcode.METADATA, content, self.checksums_needed)
-                found[record.name] = record.metadata
-            return found
+                metadata[record.name] = record.metadata
+            return metadata
         except Damage as damage:
             raise self.error(f"is damaged: {damage}") from damage
 

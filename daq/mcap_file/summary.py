@@ -117,10 +117,10 @@ def read_summary(data: memoryview, file_size: int) -> Summary:
         if opcode == Opcode.CHUNK_INDEX:
             chunk_places[length].append(place)
         elif opcode in others:
-            found = others[opcode]
-            if len(found) == MOST_RECORDS:
+            records = others[opcode]
+            if len(records) == MOST_RECORDS:
                 raise Damage(f"the summary has more than {MOST_RECORDS} records of one kind")
-            found.append(parse(opcode, data[place : place + length]))
+            records.append(parse(opcode, data[place : place + length]))
         place += length
     table, holders = _chunk_table(data, chunk_places, file_size)
     return Summary(
@@ -142,8 +142,8 @@ def _chunk_table(
     holders: list[tuple[NDArray[Any], NDArray[np.int64]]] = []
     count = 0
     for length, at in places.items():
-        for piece in range(0, len(at), 4096):
-            table = _chunk_indexes(data, length, at[piece : piece + 4096])
+        for start in range(0, len(at), 4096):
+            table = _chunk_indexes(data, length, at[start : start + 4096])
             beyond = table["offsets"].clip(0, file_size) + table["lengths"].clip(0, file_size) > file_size
             if (beyond | (table["offsets"] > file_size)).any():
                 raise Damage("a chunk index points beyond the end of the file")
@@ -166,8 +166,8 @@ def _chunk_table(
     if not holders:
         return arrays, {}
     # Channel and chunk in one number, so that a single sort puts chunks in order under their channels.
-    held = np.concatenate([channels for channels, _ in holders]).astype(np.int64)
-    pairs = np.sort(held * count + rank[np.concatenate([numbers for _, numbers in holders])])
+    channel_ids = np.concatenate([channels for channels, _ in holders]).astype(np.int64)
+    pairs = np.sort(channel_ids * count + rank[np.concatenate([numbers for _, numbers in holders])])
     channel, chunk = np.divmod(pairs[np.diff(pairs, prepend=-1) > 0], count)
     begins = np.flatnonzero(np.diff(channel, prepend=-1) > 0)
     split = np.split(chunk, begins)[1:]

@@ -163,8 +163,10 @@ class ChunkedFile:
         self._stream.write(b"".join(indexes))
         before = self._times or (earliest, latest)
         self._times = min(before[0], earliest), max(before[1], latest)
-        known = _CHUNK_INDEX.size - RECORD_HEAD.size + _PLACE.size * len(places) + self._chunk_sizes.size
-        front = _CHUNK_INDEX.pack(_CHUNK_INDEX_CODE, known, earliest, latest, begin, length, _PLACE.size * len(places))
+        fixed_size = _CHUNK_INDEX.size - RECORD_HEAD.size + _PLACE.size * len(places) + self._chunk_sizes.size
+        front = _CHUNK_INDEX.pack(
+            _CHUNK_INDEX_CODE, fixed_size, earliest, latest, begin, length, _PLACE.size * len(places)
+        )
         sizes = self._chunk_sizes.pack(end - begin - length, len(name), name, len(packed), size)
         self._chunks.append(b"".join((front, *places, sizes)))
         return True
@@ -248,9 +250,9 @@ def _by_channel(channels: NDArray[Any], index: NDArray[Any]) -> Iterator[tuple[i
     channels, index = channels.ravel(), index.ravel()
     order = np.argsort(channels, kind="stable")
     starts = np.flatnonzero(np.diff(channels[order], prepend=-1))
-    pieces = np.split(index[order], starts[1:])
+    groups = np.split(index[order], starts[1:])
     for place in np.argsort(order[starts]).tolist():
-        yield int(channels[order[starts[place]]]), pieces[place].tobytes()
+        yield int(channels[order[starts[place]]]), groups[place].tobytes()
 
 
 class Message(NamedTuple):

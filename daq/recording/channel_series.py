@@ -50,8 +50,8 @@ class Series:
         """Type of the samples in the file: `float64`, `float32` or `counts`."""
         return next(stored for stored, (schema, _, _) in SCHEMAS.items() if schema == self._schema)
 
-    def _error(self, what: str) -> RecordingError:
-        return RecordingError(f"{self._container.path}: {self.topic}: {what}")
+    def _error(self, problem: str) -> RecordingError:
+        return RecordingError(f"{self._container.path}: {self.topic}: {problem}")
 
     @cached_property
     def clock(self) -> Timebase:
@@ -151,8 +151,8 @@ class Series:
         for block in self.blocks(start, stop):
             begin, end = max(block.first_sample, start), min(block.stop, stop)
             values[reached - start : begin - start] = np.nan
-            there = block.samples[begin - block.first_sample : end - block.first_sample]
-            np.multiply(there, self.scale, out=values[begin - start : end - start], dtype=np.float64)
+            block_samples = block.samples[begin - block.first_sample : end - block.first_sample]
+            np.multiply(block_samples, self.scale, out=values[begin - start : end - start], dtype=np.float64)
             reached = end
         values[reached - start :] = np.nan
         return values
@@ -164,10 +164,10 @@ class Series:
         begin, end = np.searchsorted(self._ends, [start, stop], side="right")
         chunks = self._chunks[int(begin) : int(end) + 1]
         # No sample takes less than four bytes in a chunk.
-        most = int(np.minimum(self._container.summary.unpacked[chunks], 1 << 40).sum()) // 4
-        if most * LEAST_SHARE < stop - start:
+        max_samples = int(np.minimum(self._container.summary.unpacked[chunks], 1 << 40).sum()) // 4
+        if max_samples * LEAST_SHARE < stop - start:
             raise self._error(
-                f"samples {start} to {stop - 1}: at most {most} of them are in the file. Choose a range "
+                f"samples {start} to {stop - 1}: at most {max_samples} of them are in the file. Choose a range "
                 "before or after them (--from, --to)."
             )
 

@@ -42,8 +42,8 @@ def motion_sources(points: Iterable[str], channels: Sequence[ChannelInfo], truth
     sources = []
     for point in points:
         at = {info.quantity: info.name for info in channels if info.at == point}
-        known = ("displacement",) if truth else ("displacement", "velocity", "acceleration")
-        quantity = next((each for each in known if each in at), None)
+        quantities = ("displacement",) if truth else ("displacement", "velocity", "acceleration")
+        quantity = next((each for each in quantities if each in at), None)
         if quantity is None:
             sources.append(MotionSource(point, None, "truth" if truth else "nothing"))
         else:

@@ -149,12 +149,12 @@ def _filtered(samples: Array, taps: Array, step: int) -> Array:
     every step of the filter, and the sums along its diagonals are the result.
     """
     steps = taps.size // step
-    kept = samples.shape[1] // step - steps + 1
-    signals = samples[:, : (kept + steps - 1) * step].reshape(len(samples), -1, step)
+    n_outputs = samples.shape[1] // step - steps + 1
+    signals = samples[:, : (n_outputs + steps - 1) * step].reshape(len(samples), -1, step)
     parts = signals @ taps[:-1].reshape(steps, step).T
-    result = taps[-1] * samples[:, steps * step :: step][:, :kept]
+    result = taps[-1] * samples[:, steps * step :: step][:, :n_outputs]
     for k in range(steps):
-        result += parts[:, k : k + kept, k]
+        result += parts[:, k : k + n_outputs, k]
     return result
 
 

@@ -131,8 +131,8 @@ class Marker:
         kind, first = content.pop("kind", None), content.pop("first_sample", None)
         last = content.pop("last_sample", None)
         ends = first if last is None else last
-        whole = type(first) is int and type(ends) is int and 0 <= first <= ends <= MAX_SAMPLES
-        if not isinstance(kind, str) or not whole:
+        is_interval = type(first) is int and type(ends) is int and 0 <= first <= ends <= MAX_SAMPLES
+        if not isinstance(kind, str) or not is_interval:
             raise RecordingError(
                 f"{MARKERS}: a message has kind {kind!r:.80} and samples {first!r:.40} to {last!r:.40}; expected text "
                 "and whole numbers from 0, in order."

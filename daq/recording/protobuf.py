@@ -31,10 +31,10 @@ def descriptors(package: str, messages: tuple[tuple[str, tuple[tuple[str, str], 
     described = descriptor_pb2.FileDescriptorSet()
     kinds = descriptor_pb2.FieldDescriptorProto
     for message, fields in messages:
-        made = file.message_type.add(name=message)
+        message_type = file.message_type.add(name=message)
         for number, (name, kind) in enumerate(fields, start=1):
             repeated, kind = kind.endswith("[]"), kind.removesuffix("[]")
-            field = made.field.add(name=name, number=number)
+            field = message_type.field.add(name=name, number=number)
             field.label = kinds.LABEL_REPEATED if repeated else kinds.LABEL_OPTIONAL
             if "." not in kind:
                 field.type = kinds.Type.Value(f"TYPE_{kind.upper()}")

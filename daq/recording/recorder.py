@@ -160,10 +160,10 @@ class Recorder:
             raise RunError("recording.samples: counts, but the samples are volts. Give the converter bits and a range.")
         if self._stored != "counts" and counts:
             samples = samples * np.array([[info.volts_per_count or 1.0] for info in self.channels])
-        taken = 0
-        while taken < samples.shape[1]:
-            group_end = taken + self._group - self._raw.position % self._group
-            part, taken = samples[:, taken:group_end], group_end
+        written = 0
+        while written < samples.shape[1]:
+            group_end = written + self._group - self._raw.position % self._group
+            part, written = samples[:, written:group_end], group_end
             self._raw.add(part)
             if self._display is not None:
                 self._shown.add(part)
@@ -308,7 +308,7 @@ class Recorder:
         return self._file.add_channel(topic, schema.message_encoding, number, metadata)
 
     def _end(self, status: str, reason: str) -> None:
-        full = None
+        disk_error = None
         if not self._full:
             try:
                 for stream in self._streams:
@@ -325,7 +325,7 @@ class Recorder:
                 if self._disk.failed:
                     raise
                 # The reserve suffices to end the file.
-                full, status, reason = error, "failed", str(error)
+                disk_error, status, reason = error, "failed", str(error)
         self._write_markers(math.inf)
         outcome = {"status": status, "reason": reason, "samples": str(self._written)}
         self._file.add_metadata("outcome", checked(outcome | {"markers": str(self._marked)}))
@@ -336,8 +336,8 @@ class Recorder:
         else:
             with self._torn_on_failure():
                 self._disk.finish()
-        if full is not None:
-            raise full
+        if disk_error is not None:
+            raise disk_error
 
     # -- the groups of samples ---------------------------------------------------------------------------
 

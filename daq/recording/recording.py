@@ -127,17 +127,17 @@ class Recording(Result):
     def _info(self, name: str, series: Series) -> ChannelInfo:
         """Make a channel of a topic's metadata, with usual values for those that another writer leaves out."""
         where = f"{self.path}: {series.topic!s:.80}"
-        given = {"name": name, "at": "", "sensitivity": "1.0"} | series.metadata
-        given["rate"] = repr(series.clock.rate)
-        if "quantity" not in given:
-            given["quantity"] = next((key for key, unit in UNITS.items() if unit == given.get("unit")), "")
-        if given["quantity"] not in UNITS:
+        metadata = {"name": name, "at": "", "sensitivity": "1.0"} | series.metadata
+        metadata["rate"] = repr(series.clock.rate)
+        if "quantity" not in metadata:
+            metadata["quantity"] = next((key for key, unit in UNITS.items() if unit == metadata.get("unit")), "")
+        if metadata["quantity"] not in UNITS:
             raise RecordingError(f"{where}: its metadata state no quantity; expected one of {', '.join(UNITS)}.")
         if series.clock != next(iter(self._series.values())).clock:
             raise RecordingError(f"{where}: another sample clock; expected one clock for all channels.")
         try:
             usual = ChannelInfo(name, "", "force", 1.0, 1.0).to_metadata()
-            return ChannelInfo.from_metadata(usual | given)
+            return ChannelInfo.from_metadata(usual | metadata)
         except RecordingError as error:
             raise RecordingError(f"{where}: {error}") from error
 
@@ -196,8 +196,8 @@ class Recording(Result):
             If there is no such channel or sample, or the file is damaged there.
         """
         if channel not in self._series:
-            near = get_close_matches(str(channel), self._series, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else "."
+            similar = get_close_matches(str(channel), self._series, n=1)
+            hint = f"; did you mean {similar[0]!r}?" if similar else "."
             raise RecordingError(f"{self.path}: no channel {channel!r}{hint} Choose one of {', '.join(self._series)}.")
         start, stop = self._range(start, stop)
         return self._series[channel].read(start, stop)
@@ -284,8 +284,8 @@ class Recording(Result):
     def markers(self) -> list[Marker]:
         """The markers of the test, by their first samples."""
         with add_path(self.path):
-            found = [Marker.from_json(data) for data in self._messages(layout.MARKERS)]
-        return sorted((marker for marker in found if marker.kind != "start"), key=lambda marker: marker.first_sample)
+            markers = [Marker.from_json(data) for data in self._messages(layout.MARKERS)]
+        return sorted((marker for marker in markers if marker.kind != "start"), key=lambda marker: marker.first_sample)
 
     @cached_property
     def gaps(self) -> list[Gap]:
@@ -305,8 +305,8 @@ class Recording(Result):
     def events(self) -> NDArray[Any]:
         """True changes of contact: fields `time` [s], `damper` (from 1), `kind` and `speed` [m/s]."""
         with add_path(self.path):
-            found = [event_from_json(data) for data in self._messages(layout.EVENTS)]
-        return np.array(found, dtype=EVENT_TYPE)
+            events = [event_from_json(data) for data in self._messages(layout.EVENTS)]
+        return np.array(events, dtype=EVENT_TYPE)
 
     def _messages(self, topic: str) -> Iterator[memoryview]:
         if topic in self._topics:
@@ -397,7 +397,7 @@ class Recording(Result):
 
         check_file(self._container)
         _ = self.metadata, self.markers, self.events
-        for series in (each for of in self._truth.values() for each in of.values()):
+        for series in (each for by_place in self._truth.values() for each in by_place.values()):
             for _ in series.blocks(0, series.stop):
                 pass
         for name in self._series:

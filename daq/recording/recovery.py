@@ -126,17 +126,17 @@ def _descriptions(
             counts = dict(summary.statistics.channel_message_counts) if summary.statistics else None
             return summary.schemas, summary.channels, counts
     except RecordingError:
-        known: dict[int, dict[int, Any]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
+        records_by_id: dict[int, dict[int, Any]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
     for part in damaged.parts():
         if isinstance(part, Intact) and isinstance(part.content, memoryview):
             with suppress(Damage):
                 for opcode, content in records_in(part.content, part.stored):
-                    if opcode in known:
+                    if opcode in records_by_id:
                         record = parse(opcode, content)
-                        known[opcode][record.id] = record
-            if known[Opcode.CHANNEL]:
+                        records_by_id[opcode][record.id] = record
+            if records_by_id[Opcode.CHANNEL]:
                 break
-    return known[Opcode.SCHEMA], known[Opcode.CHANNEL], None
+    return records_by_id[Opcode.SCHEMA], records_by_id[Opcode.CHANNEL], None
 
 
 class _Salvage:
@@ -261,10 +261,10 @@ class _Salvage:
                 "or were cut off"
             )
         end = max(end, known_end or 0)
-        lost, kept = {}, {}
+        lost, recovered = {}, {}
         for number, spans in self._spans.items():
             topic = channels[number].topic
-            kept[topic] = sum(stop - first for first, stop in spans)
+            recovered[topic] = sum(stop - first for first, stop in spans)
             gaps = self._gaps if topic.startswith(layout.RAW) else []
             missing = list(_without(_without([(0, end)], spans), gaps))
             if missing:
@@ -283,7 +283,7 @@ class _Salvage:
             self._notes.append(f"{self._orphans} messages belong to topics whose description is lost")
         if not self._has_scene:
             self._notes.append(f"the scene ({layout.SCENE_FILE}) is lost")
-        return Salvage(self._source, self._target, clock.rate, kept, lost, messages, self._notes)
+        return Salvage(self._source, self._target, clock.rate, recovered, lost, messages, self._notes)
 
     def _end(self, salvage: Salvage) -> None:
         """Mark the losses in the file, and end it."""

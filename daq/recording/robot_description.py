@@ -136,9 +136,9 @@ class RobotDescription:
         seconds, rest_ns = np.divmod(times_ns, np.uint64(10**9))
         messages = np.empty((times_ns.size, len(self._message)), np.uint8)
         messages[:] = np.frombuffer(self._message, np.uint8)
-        whole, rest = varints(seconds, _WIDE), varints(rest_ns, _WIDE)
+        encoded_seconds, rest = varints(seconds, _WIDE), varints(rest_ns, _WIDE)
         for (stamp, height), row in zip(self._places, np.ascontiguousarray(heights, "<f8"), strict=True):
-            messages[:, stamp + 3 : stamp + 3 + _WIDE] = whole
+            messages[:, stamp + 3 : stamp + 3 + _WIDE] = encoded_seconds
             messages[:, stamp + 4 + _WIDE : stamp + len(_STAMP)] = rest
             messages[:, height : height + _HEIGHT] = row.view(np.uint8).reshape(-1, _HEIGHT)
         return messages

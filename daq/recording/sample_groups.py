@@ -33,9 +33,13 @@ class Group:
         """
         for start, samples in self.acquired():
             stop = start + samples.shape[1]
-            whole = min(start + -start % length, stop)
-            rest = max(whole, stop - stop % length)
-            for begin, end, size in ((start, whole, whole - start), (whole, rest, length), (rest, stop, stop - rest)):
+            block_end = min(start + -start % length, stop)
+            rest = max(block_end, stop - stop % length)
+            for begin, end, size in (
+                (start, block_end, block_end - start),
+                (block_end, rest, length),
+                (rest, stop, stop - rest),
+            ):
                 if begin < end:
                     part = samples[:, begin - start : end - start]
                     yield begin, part.reshape(len(part), (end - begin) // size, size)
@@ -59,16 +63,16 @@ class Grouping:
 
     def add(self, samples: NDArray[Any]) -> None:
         """Take the next samples, (rows, any number); they are copied."""
-        taken = 0
-        while taken < samples.shape[1]:
+        copied = 0
+        while copied < samples.shape[1]:
             start, group = self.position, self._current
-            piece = samples[:, taken : taken + group.first + self._length - start]
-            stop = start + piece.shape[1]
-            group.samples[:, start - group.first : stop - group.first] = piece
+            part = samples[:, copied : copied + group.first + self._length - start]
+            stop = start + part.shape[1]
+            group.samples[:, start - group.first : stop - group.first] = part
             if group.spans and group.spans[-1][1] == start:
                 start = group.spans.pop()[0]
             group.spans.append((start, stop))
-            taken += piece.shape[1]
+            copied += part.shape[1]
             self._move_to(stop)
 
     def skip(self, count: int) -> None:

@@ -60,10 +60,10 @@ class Truth:
         self._recent: dict[int, Group] = {}
         self._rows = np.r_[:points, len(MOTION) * points : len(MOTION) * points + dampers]
         self._last = np.zeros(len(self.drawn))
-        real, whole = block_schema(SCHEMAS["float64"][0]), block_schema(SCHEMAS["counts"][0])
+        real_schema, integer_schema = block_schema(SCHEMAS["float64"][0]), block_schema(SCHEMAS["counts"][0])
         self.chunks: list[list[tuple[int, int, int]]] = []
 
-        def topic(point: str, quantity: str, unit: str, schema: Schema = real, **more: str) -> int:
+        def topic(point: str, quantity: str, unit: str, schema: Schema = real_schema, **more: str) -> int:
             fields = {"point": point, "quantity": quantity, "unit": unit, **more}
             return register(f"{TRUTH}{point.replace(' ', '_')}/{quantity}", schema, fields)
 
@@ -72,7 +72,7 @@ class Truth:
             self.chunks.append([(0, kind * points + row, number) for kind, number in enumerate(motion)])
         for damper, point in enumerate(dampers_of(scene)):
             gap, states = topic(point, "gap", "m"), "0 flight, 1 floor, 2 ceiling"
-            contact = topic(point, "contact", "", whole, values=states)
+            contact = topic(point, "contact", "", integer_schema, values=states)
             self.chunks.append([(0, len(MOTION) * points + damper, gap), (1, damper, contact)])
         self._topic = register(EVENTS, EVENT_SCHEMA, {}) if dampers else 0
 
@@ -92,11 +92,11 @@ class Truth:
 
     def take(self, number: int) -> tuple[Group | None, Group | None]:
         """Remove and give the groups of a cell of the grid; `positions` still uses them."""
-        real, whole = (stream.complete.pop(number, None) for stream in self.streams)
+        real, positions = (stream.complete.pop(number, None) for stream in self.streams)
         if real is not None:
             self._recent = {n: each for n, each in self._recent.items() if n >= number - SHOWN_GROUPS}
             self._recent[number] = real
-        return real, whole
+        return real, positions
 
     def events_before(self, stop: float) -> list[Message]:
         """Remove and give the events before a sample.

@@ -81,10 +81,10 @@ def install() -> None:
 
 def _with_options(make: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(make)
-    def call(*given: Any, **named: Any) -> Any:
+    def call(*positional: Any, **named: Any) -> Any:
         if named.get("grpc_options") is None:
             named["grpc_options"] = _options()
-        return make(*given, **named)
+        return make(*positional, **named)
 
     return call
 

@@ -57,10 +57,10 @@ def _method_handler(method: Any, answer: Callable[..., Any]) -> Any:
         except DecodeError:
             return context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"expected a {request.DESCRIPTOR.full_name}")
 
-    def respond(given: Any, context: grpc.ServicerContext) -> Any:
+    def respond(request: Any, context: grpc.ServicerContext) -> Any:
         if method.client_streaming:
-            return answer((parsed(each, context) for each in given), context)
-        return answer(parsed(given, context), context)
+            return answer((parsed(each, context) for each in request), context)
+        return answer(parsed(request, context), context)
 
     make = grpc.unary_unary_rpc_method_handler
     if method.server_streaming:

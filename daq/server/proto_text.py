@@ -42,9 +42,9 @@ def _block(head: str, body: Iterator[str] | Any) -> Iterator[str]:
 
 
 def _method(method: Any) -> str:
-    given = f"{'stream ' if method.client_streaming else ''}{method.input_type}"
+    request_type = f"{'stream ' if method.client_streaming else ''}{method.input_type}"
     answer = f"{'stream ' if method.server_streaming else ''}{method.output_type}"
-    return f"rpc {method.name}({given}) returns ({answer});"
+    return f"rpc {method.name}({request_type}) returns ({answer});"
 
 
 def _enum(enum: Any) -> Iterator[str]:

@@ -70,8 +70,8 @@ def decode(request: Any) -> dict[str, Any]:
     fields: dict[str, Any] = {}
     for name, choice, kind, repeated in _fields(request.DESCRIPTOR):
         if choice:
-            given = request.WhichOneof(choice)
-            fields[name] = 0 if given is None else getattr(request, given)
+            field_name = request.WhichOneof(choice)
+            fields[name] = 0 if field_name is None else getattr(request, field_name)
             continue
         value = getattr(request, name)
         if repeated and name not in _SAMPLES and len(value) > _MAX_ENTRIES:
@@ -152,8 +152,8 @@ def encode(response: Any, values: Mapping[str, Any]) -> bytes:
 
 def timestamp(seconds: float) -> Timestamp:
     """Convert seconds since 1970 to a timestamp message."""
-    whole = int(seconds // 1)
-    return Timestamp(seconds=whole, nanos=min(round((seconds - whole) * 1e9), 999_999_999))
+    whole_seconds = int(seconds // 1)
+    return Timestamp(seconds=whole_seconds, nanos=min(round((seconds - whole_seconds) * 1e9), 999_999_999))
 
 
 def attribute_name(request: Any) -> str | None:

@@ -74,9 +74,9 @@ class ServedInstrument:
         return meaning(code)
 
 
-def cut(text: str, most: int = _MAX_TEXT_BYTES) -> str:
+def cut(text: str, max_bytes: int = _MAX_TEXT_BYTES) -> str:
     """Shorten a text to the size of a header."""
-    return text.encode(errors="replace")[:most].decode(errors="ignore")
+    return text.encode(errors="replace")[:max_bytes].decode(errors="ignore")
 
 
 def error_text(error: DaqError, task: str) -> str:

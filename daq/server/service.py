@@ -65,13 +65,13 @@ class Server:
             ],
         )
         self._discovery = Discovery()
-        own = [
+        services = [
             grpc.method_handlers_generic_handler(
                 service.full_name, {each.name: self._handler(each) for each in methods(service)}
             )
             for service in (SERVICE, SESSION_SERVICE)
         ]
-        self._server.add_generic_rpc_handlers((*own, *self._discovery.handlers, *further))
+        self._server.add_generic_rpc_handlers((*services, *self._discovery.handlers, *further))
         if credentials is None:
             self.port = self._server.add_insecure_port(address)
         else:
@@ -126,10 +126,10 @@ class Server:
         except DaqError as error:
             task = self.sessions.task_name(call.fields.get("task", ""))
             message = error_text(error, task)
-            done = "written" if "Write" in name else "read"
+            direction = "written" if "Write" in name else "read"
             metadata = [("ni-error", str(error.code))]
             if error.done is not None or name.startswith(("Read", "Write")):
-                metadata.append((f"ni-samps-per-chan-{done}", str(error.done or 0)))
+                metadata.append((f"ni-samps-per-chan-{direction}", str(error.done or 0)))
             context.set_trailing_metadata(tuple(metadata))
             context.abort(grpc.StatusCode.UNKNOWN, message)
         except SessionExists as error:
@@ -197,17 +197,17 @@ class Server:
 
 _EVENTS: dict[str, tuple[Callable[[Task, dict[str, Any], Any], None], Callable[..., dict[str, Any]]]] = {
     "RegisterEveryNSamplesEvent": (
-        lambda task, given, put: task.events.listen_every(
-            given["every_n_samples_event_type"], given["n_samples"], put, outputs=task.settings.kind == "ao"
+        lambda task, given, queue_event: task.events.listen_every(
+            given["every_n_samples_event_type"], given["n_samples"], queue_event, outputs=task.settings.kind == "ao"
         ),
         lambda given, value: {"n_samples": value, "every_n_samples_event_type": given["every_n_samples_event_type"]},
     ),
     "RegisterDoneEvent": (
-        lambda task, given, put: task.events.listen_done(put),
+        lambda task, given, queue_event: task.events.listen_done(queue_event),
         lambda given, value: {"status": value},
     ),
     "RegisterSignalEvent": (
-        lambda task, given, put: task.events.listen_signal(given["signal_id"], put),
+        lambda task, given, queue_event: task.events.listen_signal(given["signal_id"], queue_event),
         lambda given, value: {"signal_id": value},
     ),
 }

@@ -42,8 +42,8 @@ class Sessions:
     per connection.
     """
 
-    def __init__(self, chassis: Chassis, storage: Storage, most: int) -> None:
-        self._chassis, self._storage, self._most = chassis, storage, most
+    def __init__(self, chassis: Chassis, storage: Storage, max_sessions: int) -> None:
+        self._chassis, self._storage, self._most = chassis, storage, max_sessions
         self._open: dict[str, Session] = {}
         self._numbers = itertools.count(1)
         self._lock = threading.RLock()
@@ -80,17 +80,17 @@ class Sessions:
             self._open[session] = Session(task, peer, {peer})
             return session, True
 
-    def check_memory(self, name: str, most: int) -> None:
+    def check_memory(self, name: str, max_bytes: int) -> None:
         """Check that the buffers of a client do not exceed `most` bytes; otherwise release the last buffer."""
         with self._lock:
             session = self._open.get(name)
             if session is None:
                 return
             size = sum(each.task.memory for each in self._open.values() if each.owner == session.owner)
-        if size > most:
+        if size > max_bytes:
             session.task.free_memory()
             raise invalid_value(
-                f"the buffers of this client's tasks would take {size >> 20} MB; the maximum is {most >> 20} MB. "
+                f"the buffers of this client's tasks would take {size >> 20} MB; the maximum is {max_bytes >> 20} MB. "
                 "Use smaller buffers, or close tasks."
             )
 

@@ -97,15 +97,15 @@ class Chain:
         overload = np.zeros(volts.shape, dtype=bool)
         for row, (interpolator, path) in enumerate(zip(self._interpolators, self._paths, strict=True)):
             if isinstance(interpolator, MotionInterpolator):
-                pieces = interpolator.cut(motion)
+                cubics = interpolator.cut(motion)
             else:
                 # The force or voltage at a channel is a factor times an input; zero of a hammer that is not used.
                 name, factor = self._sources[row]
                 external = np.zeros(count)
                 if forces is not None and name in self._inputs:
                     external = np.ascontiguousarray(factor * forces[self._inputs.index(name)], dtype=float)
-                pieces = interpolator.cut(external)
-            volts[row], overload[row] = path.measure(pieces, jitter)
+                cubics = interpolator.cut(external)
+            volts[row], overload[row] = path.measure(cubics, jitter)
         self.overload = overload[:, max(self.latency - first, 0) :]
         return volts[:, max(self.latency - first, 0) :]
 

@@ -49,8 +49,8 @@ class Quantiser:
             return samples, samples != volts
         codes = volts / self._count
         np.rint(codes, out=codes)
-        full = 2.0 ** (self._bits - 1)
-        clipped = np.minimum(np.maximum(codes, -full), full - 1.0)
+        full_scale = 2.0 ** (self._bits - 1)
+        clipped = np.minimum(np.maximum(codes, -full_scale), full_scale - 1.0)
         return clipped.astype(np.int32), clipped != codes
 
 
@@ -82,19 +82,21 @@ class Outputs:
             if settings.range is None:
                 continue
             row = inputs.index(at_shaker("shaker", number, len(scene.shakers)))
-            full = settings.range * DRIVE_PER_VOLT[units[row]]
-            self._rows.append((row, full, None if settings.bits is None else 2.0 * full / 2.0**settings.bits))
+            full_scale = settings.range * DRIVE_PER_VOLT[units[row]]
+            self._rows.append(
+                (row, full_scale, None if settings.bits is None else 2.0 * full_scale / 2.0**settings.bits)
+            )
 
     def put_out(self, drive: Array) -> Array:
         """Return the output for a drive, shape (inputs, samples)."""
         if not self._rows:
             return drive
         output = drive.copy()
-        for row, full, step in self._rows:
+        for row, full_scale, step in self._rows:
             if step is None:
-                np.clip(output[row], -full, full, out=output[row])
+                np.clip(output[row], -full_scale, full_scale, out=output[row])
             else:
-                output[row] = np.clip(np.rint(output[row] / step), -full / step, full / step - 1.0) * step
+                output[row] = np.clip(np.rint(output[row] / step), -full_scale / step, full_scale / step - 1.0) * step
         return output
 
 

@@ -92,20 +92,20 @@ class SignalPath:
             noise_generator = generator(seed, name, "converter noise")
             self._noise = Noise(converter.noise, None, sample_rate, noise_generator)
 
-    def measure(self, pieces: CubicInput, timing_error: Array | None) -> tuple[Array, NDArray[np.bool_] | bool]:
+    def measure(self, cubics: CubicInput, timing_error: Array | None) -> tuple[Array, NDArray[np.bool_] | bool]:
         """Return the volts at the samples that end intervals of a block, and where a limit has affected them.
 
         `timing_error`: delay of each sample, in standard deviations of the jitter.
         """
         if self._delay is not None:
-            pieces = self._delay.shift(pieces)
-        intervals = pieces.smooth.shape[1]
+            cubics = self._delay.shift(cubics)
+        intervals = cubics.smooth.shape[1]
         ends = slice(-self._interval % self._oversampling, intervals, self._oversampling)
         self._interval += intervals
         disturbances = self._disturbances.draw(intervals)
         points = np.empty((self._rows_input.size, intervals))
         propagate(
-            pieces, self._tables, self._limits, self._state, disturbances, self._rows, self._rows_input,
+            cubics, self._tables, self._limits, self._state, disturbances, self._rows, self._rows_input,
             self._rows_excess, points, self._sampler.moments_buffer(intervals),
             self._overloads.severity_buffer(intervals), self._scratch,
         )  # fmt: skip

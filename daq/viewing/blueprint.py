@@ -34,24 +34,24 @@ def layout(
     overloaded channels; `eye` is position and target of the camera, `span_s` start and end on the timeline, `speed` the
     playback speed (1 is real time).
     """
-    near = _cursor_range(PERIODS / lowest_hz, PERIODS / lowest_hz)
+    cursor_range = _cursor_range(PERIODS / lowest_hz, PERIODS / lowest_hz)
     entity, title = plots[0]
     # By default the viewer shows about a minute around the cursor.
     begin, end = (rrb.TimeRangeBoundary.absolute(seconds=at) for at in span_s)
     axis = rrb.TimeAxis(view_range=rrb.TimeRange(start=begin, end=end))
-    whole = rrb.TimeSeriesView(origin=entity, name=f"{title}, whole recording", plot_legend=_legend(), axis_x=axis)
+    full_view = rrb.TimeSeriesView(origin=entity, name=f"{title}, whole recording", plot_legend=_legend(), axis_x=axis)
     phases = rrb.StateTimelineView(
         origin="test",
         contents=["test/phase", f"{OVERLOADS}/**"],
         name="test (grey: settling, green: measuring, or the decay after a hit; red: overloaded)",
         time_view=axis,
     )
-    curves = [_curves(entity, f"{title} around the cursor", near) for entity, title in plots]
-    right: list[rrb.TimeSeriesView | rrb.StateTimelineView | rrb.Tabs] = [whole, phases]
+    curves = [_curves(entity, f"{title} around the cursor", cursor_range) for entity, title in plots]
+    right: list[rrb.TimeSeriesView | rrb.StateTimelineView | rrb.Tabs] = [full_view, phases]
     right.append(curves[0] if len(curves) == 1 else rrb.Tabs(*curves, active_tab=0))
     if dampers:
-        right.append(_curves("dampers/gap_mm", "damper gap [mm] around the cursor (truth)", near))
-        axis = rrb.TimeAxis(view_range=near)
+        right.append(_curves("dampers/gap_mm", "damper gap [mm] around the cursor (truth)", cursor_range))
+        axis = rrb.TimeAxis(view_range=cursor_range)
         right.append(rrb.StateTimelineView(origin="dampers/contact", name="contact (truth)", time_view=axis))
     notes = rrb.Tabs(
         rrb.Spatial2DView(origin="spectrum", name="spectrum"),
@@ -103,17 +103,17 @@ def _page(
         line_grid=False,
         eye_controls=rrb.EyeControls3D(position=position, look_target=target, eye_up=(0, 0, 1)),
     )
-    left = rrb.Vertical(rig, notes, row_shares=[1.6, 1.0])
+    left_column = rrb.Vertical(rig, notes, row_shares=[1.6, 1.0])
     return rrb.Blueprint(
-        rrb.Horizontal(left, rrb.Vertical(*right, row_shares=shares), column_shares=[1.0, 1.35]),
+        rrb.Horizontal(left_column, rrb.Vertical(*right, row_shares=shares), column_shares=[1.0, 1.35]),
         panel,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )
 
 
-def _curves(entity: str, title: str, near: rrb.TimeRange) -> rrb.TimeSeriesView:
-    ranges = rrb.VisibleTimeRange(TIMELINE, near)
+def _curves(entity: str, title: str, cursor_range: rrb.TimeRange) -> rrb.TimeSeriesView:
+    ranges = rrb.VisibleTimeRange(TIMELINE, cursor_range)
     return rrb.TimeSeriesView(origin=entity, name=title, time_ranges=ranges, plot_legend=_legend())
 
 

@@ -126,11 +126,11 @@ def describe(recording: Recording) -> Iterator[str]:
     if recording.source:
         yield f"  imported  from {recording.source}"
     yield f"  rate      {recording.rate:.10g} Hz, stored as {recording.stored}"
-    wide = max(map(len, recording.channels))
+    name_width = max(map(len, recording.channels))
     for place, (name, info) in enumerate(recording.channels.items()):
         label = "channels" if place == 0 else ""
         sensor = f"{info.quantity}, {info.sensitivity:.6g} V per {info.unit}"
-        yield f"  {label:9} {name:{wide}}  {_position(recording, info.at)}, {sensor}, {_SAMPLING[info.sampling]}"
+        yield f"  {label:9} {name:{name_width}}  {_position(recording, info.at)}, {sensor}, {_SAMPLING[info.sampling]}"
     if recording.truth_points:
         points, events = ", ".join(recording.truth_points), recording.events.size
         yield f"  truth     of {points}; {events} changes of contact"

@@ -117,10 +117,10 @@ def draw_picture(
     with output_source(*source):
         reject_foreign_files(file)
     with tempfile.TemporaryDirectory(prefix="shotrig-") as folder:
-        drawn = Path(folder) / "replay.rrd"
-        save(replay, drawn, progress)
+        rrd_path = Path(folder) / "replay.rrd"
+        save(replay, rrd_path, progress)
         png, views = picture(
-            drawn, at - replay.start / rate, size, (replay.stop - 1 - replay.start) / rate, _LAST_ENTITY
+            rrd_path, at - replay.start / rate, size, (replay.stop - 1 - replay.start) / rate, _LAST_ENTITY
         )
     with output_source(*source), atomic_write(file) as part:
         part.write_bytes(png)

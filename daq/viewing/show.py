@@ -86,8 +86,8 @@ def replay(
             return target
         if screenshot is not None:
             target = as_path(screenshot, "screenshot")
-            drawn = outputs.draw_picture(part, target, at, progress)
-            announce(f"{target}: the rig at {drawn:.3f} s")
+            picture = outputs.draw_picture(part, target, at, progress)
+            announce(f"{target}: the rig at {picture:.3f} s")
             return target
     if web:
         with suppress(KeyboardInterrupt):

@@ -60,10 +60,12 @@ def spectrum_picture(recording: Recording, start: int, stop: int, size: tuple[in
         members = {name: info for name, info in recording.channels.items() if info.quantity == quantity}
         spectra = {name: peak_spectrum(recording, name, start, stop) for name in members}
         frequency = next(iter(spectra.values()))[0]
-        shown = (frequency >= 1.0) & (frequency <= max(100.0, 8 * natural_hz[-1]))
+        in_range = (frequency >= 1.0) & (frequency <= max(100.0, 8 * natural_hz[-1]))
         for name, (_, amplitude) in spectra.items():
             colour = tuple(level / 255 for level in channel_colour(members[name].at))
-            panel.loglog(frequency[shown], amplitude[shown], color=colour, label=escape_figure(name), linewidth=1.0)
+            panel.loglog(
+                frequency[in_range], amplitude[in_range], color=colour, label=escape_figure(name), linewidth=1.0
+            )
         for line in natural_hz[natural_hz > 1.0]:
             panel.axvline(line, color=_FOREGROUND, linewidth=0.8, linestyle=":", alpha=0.7)
         panel.set_ylabel(f"{quantity} [{unit}]", color=_FOREGROUND)

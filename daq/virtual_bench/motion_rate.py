@@ -33,8 +33,8 @@ class MotionAtRate:
     def take(self, motion: Motion, forces: Array) -> tuple[Motion, Array]:
         """Take the next ticks, drive of shape (inputs, ticks); return the complete groups of instants."""
         stop = motion.first + forces.shape[1]
-        whole = (stop - 1) % self._group == 0
-        if self._rate == 1 and self._first == 0 and self._output_stop == motion.first and whole:
+        is_group_end = (stop - 1) % self._group == 0
+        if self._rate == 1 and self._first == 0 and self._output_stop == motion.first and is_group_end:
             # The instants are the ticks, and none is pending: nothing needs to be copied.
             self._next = self._output_stop = stop
             return motion, forces
@@ -122,8 +122,8 @@ def _between_ticks(
     c3 = -10.0 * start + 10.0 * end - 60.0 * mean + 120.0 * moment
     acceleration = start + u * (c1 + u * (c2 + u * c3))
     velocity = speed + length * u * (start + u * (c1 / 2 + u * (c2 / 3 + u * c3 / 4)))
-    moved = length * u * (speed + length * u * (start / 2 + u * (c1 / 6 + u * (c2 / 12 + u * c3 / 20))))
+    increment = length * u * (speed + length * u * (start / 2 + u * (c1 / 6 + u * (c2 / 12 + u * c3 / 20))))
     lines = np.concatenate([*last[3:], forces], axis=1)
     before = np.floor(when).astype(np.int64) + lead
     force = lines[:, before] + (when - np.floor(when)) * (lines[:, before + 1] - lines[:, before])
-    return displacement[:, left] + moved, velocity, acceleration, force
+    return displacement[:, left] + increment, velocity, acceleration, force

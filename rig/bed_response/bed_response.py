@@ -120,14 +120,14 @@ def bed_response(
         raise SceneError(
             f"scene {scene.name!r} has no bed of grains that can move. Add grains: {{diameter: 2 mm}} to a damper."
         )
-    pieces = [_Piece(scene, float(frequency), periods) for frequency in requested]
+    cases = [_Piece(scene, float(frequency), periods) for frequency in requested]
 
     def pack() -> None:
         # Packed here once and stored, the beds are available to all workers.
         for spheres in spheres_of(scene).values():
             settled(spheres)
 
-    motions = _STUDY.run(pieces, table, cluster, progress, pack)
+    motions = _STUDY.run(cases, table, cluster, progress, pack)
     return BedResponse(requested, tuple(grains for grains, _ in motions), tuple(mass for _, mass in motions))
 
 
@@ -146,14 +146,14 @@ def text(response: BedResponse) -> str:
     return "\n".join([*lines, "m/N: of the body that moves most; the rest: of the first bed", "", response.summary()])
 
 
-def _compute(piece: _Piece) -> tuple[SteadyBed, SteadyBed]:
-    scene, frequency, periods = piece
+def _compute(case: _Piece) -> tuple[SteadyBed, SteadyBed]:
+    scene, frequency, periods = case
     return steady_grains(scene, frequency, periods, MAX_BLOCKS), steady_mass(scene, frequency)
 
 
-def _key(piece: _Piece) -> tuple[str, float]:
-    inputs = piece.scene.to_si_yaml(), piece.frequency, piece.periods, lammps_version()
-    return digest(inputs), piece.frequency
+def _key(case: _Piece) -> tuple[str, float]:
+    inputs = case.scene.to_si_yaml(), case.frequency, case.periods, lammps_version()
+    return digest(inputs), case.frequency
 
 
 def _to_json_types(motion: SteadyBed) -> dict[str, Any]:

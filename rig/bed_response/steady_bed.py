@@ -132,13 +132,13 @@ def steady_mass(scene: Scene, frequency: float) -> SteadyBed:
         for wall, kind, sign in ((FLOOR, "floor", 1.0), (CEILING, "ceiling", -1.0)):
             hits = damper_events[damper_events["kind"] == kind]
             impacts = (1.0 + restitution) * reduced_mass * hits["speed"]
-            riding = np.where(run.contact[row, averaged] == wall + 1, load, 0.0)
-            impulse[wall, k] = (impacts.sum() + sign * riding.sum()) / _AVERAGED_PERIODS
+            floor_force = np.where(run.contact[row, averaged] == wall + 1, load, 0.0)
+            impulse[wall, k] = (impacts.sum() + sign * floor_force.sum()) / _AVERAGED_PERIODS
             energy[k] += (
                 0.5 * reduced_mass * (1.0 - restitution**2) * float((hits["speed"] ** 2).sum()) / _AVERAGED_PERIODS
             )
             if wall == FLOOR:
-                moment[k] = impacts @ np.exp(2j * np.pi * frequency * hits["time"]) + riding @ phase_factor
+                moment[k] = impacts @ np.exp(2j * np.pi * frequency * hits["time"]) + floor_force @ phase_factor
         flight[k] = np.mean(run.contact[row, averaged] == 0)
     return SteadyBed(
         compliance=response.compliance[:, 0],

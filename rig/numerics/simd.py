@@ -103,12 +103,12 @@ def _add_product(builder: Any, arguments: list[Any], row: Any, registers: int) -
     for register in range(registers):
         first = builder.load(lanes(constant, row, register), align=8)
         totals.append([cgutils.alloca_once_value(builder, value) for value in (first, *others)])
-    whole = builder.sub(columns, builder.srem(columns, number(at_once)))
-    with cgutils.for_range_slice(builder, number(0), whole, number(at_once), _INDEX) as (column, _):
+    vector_columns = builder.sub(columns, builder.srem(columns, number(at_once)))
+    with cgutils.for_range_slice(builder, number(0), vector_columns, number(at_once), _INDEX) as (column, _):
         for count in range(at_once):
             add_column(builder.add(column, number(count)), count)
     if at_once > 1:
-        with cgutils.for_range_slice(builder, whole, columns, number(1), _INDEX) as (column, _):
+        with cgutils.for_range_slice(builder, vector_columns, columns, number(1), _INDEX) as (column, _):
             add_column(column, 0)
     for register in range(registers):
         sums = [builder.load(total) for total in totals[register]]
@@ -143,8 +143,8 @@ def _product(many: bool) -> Any:
         typing_context: Any, matrix: Any, start: Any, constant: Any, offset: Any, vector: Any, columns: Any,
         rows: Any, out: Any, row: Any,
     ) -> Any:  # fmt: skip
-        whole = types.intp
-        signature = types.void(matrix, whole, constant, whole, vector, whole, whole, out, whole)
+        integer = types.intp
+        signature = types.void(matrix, integer, constant, integer, vector, integer, integer, out, integer)
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             _, start, _, offset, _, columns, rows, _, row = arguments
@@ -216,10 +216,10 @@ def _negative_lanes(typing_context: Any, vector: Any, row: Any) -> Any:
 @inlined_kernel
 def minimum(vector: Any) -> float:
     """Return the smallest element of a vector of shape (multiple of LANES,)."""
-    least = np.inf
+    smallest = np.inf
     for row in range(0, vector.shape[0], LANES):
-        least = min(least, _lane_minimum(vector, row))  # type: ignore[call-arg]  # numba supplies the context
-    return least
+        smallest = min(smallest, _lane_minimum(vector, row))  # type: ignore[call-arg]  # numba supplies the context
+    return smallest
 
 
 @inlined_kernel
@@ -315,10 +315,10 @@ def combine(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, ou
 def combine_many(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, out: Any) -> None:
     """Compute out = matrix[slot]^T vector + constant[slot] for many rows; more code, but fewer reads of the vector."""
     rows = constant.shape[1]
-    start, many = slot * matrix.shape[1] * rows, rows - rows % (SUMS * LANES)
-    if many > 0:
-        _many(matrix, start, constant, slot * rows, vector, columns, rows, out, many)
-    _combine_from(matrix, constant, slot, vector, columns, out, many)
+    start, n_vector_rows = slot * matrix.shape[1] * rows, rows - rows % (SUMS * LANES)
+    if n_vector_rows > 0:
+        _many(matrix, start, constant, slot * rows, vector, columns, rows, out, n_vector_rows)
+    _combine_from(matrix, constant, slot, vector, columns, out, n_vector_rows)
 
 
 @inlined_kernel

@@ -54,8 +54,12 @@ class Measurement:
 
     def settings(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Convert the arguments of a script for a channel to the driver's names of the settings."""
-        own = {"units": self.units, "sensitivity": self.sensitivity, "sensitivity_units": f"{self.sensitivity}_units"}
-        return {own.get(name) or _SETTINGS[name]: value for name, value in given.items()}
+        defaults = {
+            "units": self.units,
+            "sensitivity": self.sensitivity,
+            "sensitivity_units": f"{self.sensitivity}_units",
+        }
+        return {defaults.get(name) or _SETTINGS[name]: value for name, value in given.items()}
 
     @property
     def takes_volts(self) -> bool:

@@ -23,7 +23,11 @@ _REFERENCE_TRIGGER, _START_TRIGGER = 4, 8
 CHASSIS_CATEGORY, MODULE_CATEGORY, SOUND_AND_VIBRATION = 14658, 14659, 14649
 COMPACT_DAQ_BUS, USB_BUS = 14637, 12586
 # Terminals with the signals of the chassis, or of a separate device.
-_TERMINALS = ("PFI0", "PFI1", *(f"a{way}/{signal}" for way in "io" for signal in ("SampleClock", "StartTrigger")))
+_TERMINALS = (
+    "PFI0",
+    "PFI1",
+    *(f"a{direction}/{signal}" for direction in "io" for signal in ("SampleClock", "StartTrigger")),
+)
 _TERMINALS += ("ai/ReferenceTrigger",)
 # Rates of inputs and outputs without a named module: 51.2 kS/s divided by integers up to 31.
 DIVIDED = Rates(51200.0 / 31, 51200.0, tuple(51200.0 / divisor for divisor in range(31, 0, -1)))

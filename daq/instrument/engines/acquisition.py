@@ -188,8 +188,8 @@ class Acquisition:
     def _find_start(self, tick: int, x: NDArray[Any], at: int, moment: Moment) -> int | None:
         source = self.plan.start
         if isinstance(source, AnalogSource):
-            found = self._crossing(self._start_finders, x[:, at:])
-            return None if found is None else at + found
+            crossing = self._crossing(self._start_finders, x[:, at:])
+            return None if crossing is None else at + crossing
         if isinstance(source, SyncPulse | AtTime):
             when: int | None = source.next_tick(max(self.armed_at, tick + at), self.plan.rate)
         else:
@@ -201,8 +201,8 @@ class Acquisition:
 
     def _crossing(self, finders: list[tuple[int, CrossingFinder]], x: NDArray[Any], skip: int = 0) -> int | None:
         """Return the first crossing of several channels; all finders process all samples."""
-        found = [finder.find(self.plan.reading(row, x[row]), skip) for row, finder in finders]
-        return min((each for each in found if each is not None), default=None)
+        crossings = [finder.find(self.plan.reading(row, x[row]), skip) for row, finder in finders]
+        return min((each for each in crossings if each is not None), default=None)
 
     def _store(self, tick: int, x: NDArray[Any], over: NDArray[np.bool_], moment: Moment) -> int:
         if self.plan.reference is not None and self.trigger is None:
@@ -231,7 +231,7 @@ class Acquisition:
         earliest = self.first_tick + self.plan.pretrigger
         skip = min(max(0, earliest - tick), count)
         if isinstance(source, AnalogSource):
-            found = self._crossing(self._reference_finders, x, skip)
+            crossing = self._crossing(self._reference_finders, x, skip)
         else:
             assert source is not None
             when = (
@@ -239,9 +239,9 @@ class Acquisition:
                 if isinstance(source, SyncPulse | AtTime)
                 else self._instant_after(moment(source))
             )
-            found = None if when is None or not max(earliest, tick) <= when < tick + count else when - tick
-        if found is not None:
-            self.trigger = self.ring.written + found
+            crossing = None if when is None or not max(earliest, tick) <= when < tick + count else when - tick
+        if crossing is not None:
+            self.trigger = self.ring.written + crossing
             self._end = self.trigger + self.plan.samples - self.plan.pretrigger
             self.position = self.first_readable
 

@@ -89,10 +89,10 @@ class _Tdms:
             ) from None
         if append and path.exists():
             with log_as_warning(path):
-                taken = {each.name for each in nptdms.TdmsFile.read_metadata(path).groups()}
-            wanted, number = group, 1
-            while group in taken:
-                group, number = f"{wanted} #{number}", number + 1
+                existing = {each.name for each in nptdms.TdmsFile.read_metadata(path).groups()}
+            requested, number = group, 1
+            while group in existing:
+                group, number = f"{requested} #{number}", number + 1
         self._nptdms, self._group, self._plan = nptdms, group, plan
         start = np.datetime64(start_ns, "ns").astype("datetime64[us]")
         self._properties = [
@@ -252,8 +252,8 @@ def _named(channels: Sequence[ChannelInfo], names: Sequence[str]) -> list[Channe
     named: list[ChannelInfo] = []
     for info, name in zip(channels, names, strict=True):
         if "/" in name:
-            taken = {*names, *(each.name for each in named)}
+            used = {*names, *(each.name for each in named)}
             device = name.partition("/")[0]
-            name = info.name if info.name not in taken else f"{info.name} on {device}"
+            name = info.name if info.name not in used else f"{info.name} on {device}"
         named.append(replace(info, name=name))
     return named

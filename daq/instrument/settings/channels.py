@@ -94,11 +94,11 @@ def _defaults(kind: Measurement | None) -> dict[str, Any]:
     if kind is None:
         return _OUTPUT
     name = next(name for name, each in MEASUREMENTS.items() if each.type == kind.type)
-    own = {"bridge": "Bridge" in name or "Strain" in name or "Excit" in name}
-    own |= {key: key in name.lower() for key in ("current", "pos", "microphone")}
+    belongs = {"bridge": "Bridge" in name or "Strain" in name or "Excit" in name}
+    belongs |= {key: key in name.lower() for key in ("current", "pos", "microphone")}
     defaults = dict(_INPUT)
-    for key, wanted in own.items():
-        defaults |= _OF_MEASUREMENT[key] if wanted else {}
+    for key, is_default in belongs.items():
+        defaults |= _OF_MEASUREMENT[key] if is_default else {}
     defaults[kind.units] = 10348
     if kind.sensitivity:
         defaults |= {kind.sensitivity: 1.0, f"{kind.sensitivity}_units": 0}
@@ -193,11 +193,11 @@ class Channel:
 
         Raises `DaqError` with -200695 or -200694, and with -200077.
         """
-        own, module = self.settings, self.module
+        settings, module = self.settings, self.module
         for name in self.unset_limits:
             self.get(name)
-        supplies = own.get("ai_excit_src") == Excitation.INTERNAL
-        if supplies and module.supply_coupling == "AC" and own["ai_coupling"] != Coupling.AC:
+        supplies = settings.get("ai_excit_src") == Excitation.INTERNAL
+        if supplies and module.supply_coupling == "AC" and settings["ai_coupling"] != Coupling.AC:
             raise invalid_value(
                 f"channel {self.name}: {module.product_type} supplies sensors with AC coupling only. Leave "
                 "ai_coupling at AC, or set ai_excit_src to NONE."
@@ -205,10 +205,10 @@ class Channel:
 
     def check(self) -> None:
         """Check that the settings are consistent and that the module supports them; see `declare`."""
-        own = self.settings
+        settings = self.settings
         if self.kind is not None:
-            self.kind.check_units(own)
-        low, high = own[f"{self.side}_min"], own[f"{self.side}_max"]
+            self.kind.check_units(settings)
+        low, high = settings[f"{self.side}_min"], settings[f"{self.side}_max"]
         if not (math.isfinite(low) and math.isfinite(high)):
             raise invalid_value(f"channel {self.name}: limits {low:g} to {high:g}: expected finite numbers")
         if not sys.float_info.min <= self.volts_per_unit < math.inf:
@@ -218,25 +218,25 @@ class Channel:
                 f"channel {self.name}: the lower limit {low:g} is not below the upper limit {high:g}. Exchange them.",
                 Code.MIN_NOT_LESS_THAN_MAX,
             )
-        full = self.module.output_range if self.kind is None else (self.module.ranges or (math.inf,))[-1]
+        full_scale = self.module.output_range if self.kind is None else (self.module.ranges or (math.inf,))[-1]
         in_volts = not self.scaled and (self.kind is None or self.kind.takes_volts)
-        if self._largest_volts() > full * (1 + 1e-9) and in_volts:
-            scale = full / self.volts_per_unit
+        if self._largest_volts() > full_scale * (1 + 1e-9) and in_volts:
+            scale = full_scale / self.volts_per_unit
             raise invalid_value(
                 f"channel {self.name}: limits {low:g} to {high:g} {self.unit} exceed the range of "
-                f"{self.module.product_type}, {-scale:g} to {scale:g} {self.unit} (±{full:g} V). Give limits within it."
+                f"{self.module.product_type}, {-scale:g} to {scale:g} {self.unit} (±{full_scale:g} V). Give limits within it."
             )
         if self.kind is None:
             return
         choices: tuple[tuple[str, int, type[IntEnum], tuple[IntEnum, ...]], ...] = (
-            ("terminal configuration", own["ai_term_cfg"], Wiring, (*self.module.wirings, Wiring.DEFAULT)),
-            ("coupling", own["ai_coupling"], Coupling, self.module.couplings),
+            ("terminal configuration", settings["ai_term_cfg"], Wiring, (*self.module.wirings, Wiring.DEFAULT)),
+            ("coupling", settings["ai_coupling"], Coupling, self.module.couplings),
         )
-        for what, value, names, supported in choices:
+        for setting, value, names, supported in choices:
             if value not in supported:
                 name = names(value).name if value in list(names) else value
                 raise invalid_value(
-                    f"channel {self.name}: {what} {name}: {self.module.product_type} has "
+                    f"channel {self.name}: {setting} {name}: {self.module.product_type} has "
                     + ", ".join(each.name for each in supported if each != Wiring.DEFAULT)
                 )
 
@@ -279,10 +279,10 @@ class Channel:
 
 
 def _limit(channel: Channel, sign: float) -> float:
-    own = channel.settings
+    settings = channel.settings
     assert channel.kind is not None
     if channel.scaled or channel.range == math.inf or not channel.kind.takes_volts:
-        return float(own["ai_max" if sign > 0 else "ai_min"])
+        return float(settings["ai_max" if sign > 0 else "ai_min"])
     return sign * channel.range / channel.volts_per_unit
 
 

@@ -168,8 +168,8 @@ class Properties:
     (5120.0, True)
     """
 
-    def __init__(self, what: str, defaults: Mapping[str, Any]) -> None:
-        self._what, self._defaults = what, defaults
+    def __init__(self, owner: str, defaults: Mapping[str, Any]) -> None:
+        self._what, self._defaults = owner, defaults
         self._set: dict[str, Any] = {}
 
     def __getitem__(self, name: str) -> Any:

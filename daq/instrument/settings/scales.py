@@ -44,37 +44,37 @@ class Scale:
         Raises `DaqError` with -200077 for an invalid value, -200601 for a parameter that a scale of this type does
         not have.
         """
-        own = self.settings
-        if name not in own or name == "type":
+        settings = self.settings
+        if name not in settings or name == "type":
             raise DaqError(f"a scale of this type has no {name} to set", Code.PROPERTY_NOT_SUPPORTED_FOR_SCALE_TYPE)
-        return Scale(own["type"], own | {name: coerce(name, value, own[name])})
+        return Scale(settings["type"], settings | {name: coerce(name, value, settings[name])})
 
     def convert(self, values: Array) -> Array:
         """Scale readings.
 
         Raises `DaqError` with -200077, if the scale is invalid.
         """
-        own = self.settings
-        if own["type"] == LINEAR:
-            scaled = own["lin_slope"] * values + own["lin_y_intercept"]
-        elif own["type"] == MAP_RANGES:
-            low, high = own["map_pre_scaled_min"], own["map_pre_scaled_max"]
+        settings = self.settings
+        if settings["type"] == LINEAR:
+            scaled = settings["lin_slope"] * values + settings["lin_y_intercept"]
+        elif settings["type"] == MAP_RANGES:
+            low, high = settings["map_pre_scaled_min"], settings["map_pre_scaled_max"]
             if low == high:
                 raise invalid_value("the range of a map scale before scaling is empty. Give two different limits.")
-            first, last = own["map_scaled_min"], own["map_scaled_max"]
+            first, last = settings["map_scaled_min"], settings["map_scaled_max"]
             scaled = first + (values - low) * (last - first) / (high - low)
-        elif own["type"] == POLYNOMIAL:
-            scaled = np.polynomial.polynomial.polyval(values, own["poly_forward_coeff"])
-        elif len(own["table_pre_scaled_vals"]) != len(own["table_scaled_vals"]):
+        elif settings["type"] == POLYNOMIAL:
+            scaled = np.polynomial.polynomial.polyval(values, settings["poly_forward_coeff"])
+        elif len(settings["table_pre_scaled_vals"]) != len(settings["table_scaled_vals"]):
             raise DaqError(
-                f"a table scale with {len(own['table_pre_scaled_vals'])} values before and "
-                f"{len(own['table_scaled_vals'])} after scaling: give as many of both",
+                f"a table scale with {len(settings['table_pre_scaled_vals'])} values before and "
+                f"{len(settings['table_scaled_vals'])} after scaling: give as many of both",
                 Code.MISMATCHED_INPUT_ARRAY_SIZES,
             )
         else:
-            given = np.array(own["table_pre_scaled_vals"])
-            order = np.argsort(given)
-            scaled = np.interp(values, given[order], np.array(own["table_scaled_vals"])[order])
+            pre_scaled = np.array(settings["table_pre_scaled_vals"])
+            order = np.argsort(pre_scaled)
+            scaled = np.interp(values, pre_scaled[order], np.array(settings["table_scaled_vals"])[order])
         return np.asarray(scaled, dtype=np.float64)
 
 

@@ -83,11 +83,11 @@ class TaskSettings:
     def require(self, kind: str) -> None:
         """Check that the task has inputs (-200460) or outputs (-200459)."""
         if self.kind != kind:
-            what, code = {
+            problem, code = {
                 "ai": ("input channels: add some with ai_channels.add_...", Code.READ_NO_INPUT_CHANS_IN_TASK),
                 "ao": ("output channels: add some with ao_channels.add_...", Code.WRITE_NO_OUTPUT_CHANS_IN_TASK),
             }[kind]
-            raise DaqError(f"the task has no {what}", code)
+            raise DaqError(f"the task has no {problem}", code)
 
     def add(self, physical: str, name: str, kind: Measurement | None, given: Mapping[str, Any]) -> list[Channel]:
         """Add channels.

@@ -29,11 +29,11 @@ def _check_width(counts: _Counts, width: int, code: Code) -> None:
         )
 
 
-def _check_room(room: int, needed: int, what: str) -> None:
+def _check_room(room: int, needed: int, unit: str) -> None:
     """Check that the array of the client is large enough for the samples."""
     if needed > room:
         raise DaqError(
-            f"the array has room for {room} {what}, {needed} are to be read: make it larger",
+            f"the array has room for {room} {unit}, {needed} are to be read: make it larger",
             Code.READ_BUFFER_TOO_SMALL,
             done=0,
         )
@@ -41,26 +41,26 @@ def _check_room(room: int, needed: int, what: str) -> None:
 
 def _read(counts: _Counts | None = None) -> Handler:
     def read(call: Call) -> Answer:
-        given, task = call.fields, call.task
+        fields, task = call.fields, call.task
         task.settings.require("ai")
         if counts is not None:
             _check_width(counts, 8 * task.raw_width, Code.READ_DATA_TYPE_TOO_SMALL)
-        channels, samples = len(task.settings.rows_to_read()), given["num_samps_per_chan"]
+        channels, samples = len(task.settings.rows_to_read()), fields["num_samps_per_chan"]
 
-        def check(wanted: int) -> None:
-            _check_room(given["array_size_in_samps"], wanted * channels, "samples")
-            call.instrument.check_size(wanted * channels * 8)
+        def check(required: int) -> None:
+            _check_room(fields["array_size_in_samps"], required * channels, "samples")
+            call.instrument.check_size(required * channels * 8)
 
-        reading = task.read(samples, given["timeout"], counts is not None, check)
-        by_channel, values = given["fill_mode"] == _BY_CHANNEL, reading.samples
-        done = values.shape[1]
+        reading = task.read(samples, fields["timeout"], counts is not None, check)
+        by_channel, values = fields["fill_mode"] == _BY_CHANNEL, reading.samples
+        samples_read = values.shape[1]
         if counts is not None:
             values = values.astype(counts)
-        if by_channel and reading.error is None and done < samples:
+        if by_channel and reading.error is None and samples_read < samples:
             # These are the remaining samples of a finite task: each channel keeps its position in the array.
-            values = np.pad(values, ((0, 0), (0, samples - done)))
+            values = np.pad(values, ((0, 0), (0, samples - samples_read)))
         values = values if by_channel else values.T
-        return _with_status(call, reading, {"read_array": values, "samps_per_chan_read": done})
+        return _with_status(call, reading, {"read_array": values, "samps_per_chan_read": samples_read})
 
     return read
 
@@ -70,8 +70,8 @@ def _with_status(call: Call, reading: Reading, answer: Answer) -> Answer:
     error = reading.error
     if error is None:
         return answer
-    done = reading.samples.shape[1]
-    if not done:
+    samples_read = reading.samples.shape[1]
+    if not samples_read:
         raise DaqError(str(error), error.code, done=0)
     call.instrument.store_error(call.peer, error, call.task.name)
     return answer | {"status": error.code}
@@ -85,16 +85,16 @@ def _read_scalar(call: Call) -> Answer:
 
 
 def _read_raw(call: Call) -> Answer:
-    given, task = call.fields, call.task
+    fields, task = call.fields, call.task
     task.settings.require("ai")
-    width, room = task.raw_width, given["array_size_in_bytes"]
-    channels, samples = len(task.settings.rows_to_read()), given["num_samps_per_chan"]
+    width, room = task.raw_width, fields["array_size_in_bytes"]
+    channels, samples = len(task.settings.rows_to_read()), fields["num_samps_per_chan"]
     call.instrument.check_size(room)
 
-    def check(wanted: int) -> None:
-        _check_room(room, wanted * channels * width, "bytes")
+    def check(required: int) -> None:
+        _check_room(room, required * channels * width, "bytes")
 
-    reading = task.read(samples, given["timeout"], True, check)
+    reading = task.read(samples, fields["timeout"], True, check)
     kind = np.int16 if width == 2 else np.int32
     data = reading.samples.T.astype(kind).tobytes().ljust(room, b"\0")
     count = reading.samples.shape[1]
@@ -143,12 +143,12 @@ def _table(task: Task, data: NDArray[np.float64], samples: int, by_channel: bool
 
 def _write(counts: _Counts | None = None) -> Handler:
     def write(call: Call) -> Answer:
-        given, task = call.fields, call.task
+        fields, task = call.fields, call.task
         if counts is None:
-            data = np.asarray(given["write_array"], dtype=np.float64)
+            data = np.asarray(fields["write_array"], dtype=np.float64)
         else:
             _check_width(counts, _count_bits(task), Code.WRITE_DATA_TYPE_TOO_SMALL)
-            limits, numbers = np.iinfo(counts), np.array(given["write_array"], dtype=np.int64)
+            limits, numbers = np.iinfo(counts), np.array(fields["write_array"], dtype=np.int64)
             wrong = (numbers < limits.min) | (numbers > limits.max)
             if wrong.any():
                 raise DaqError(
@@ -157,9 +157,9 @@ def _write(counts: _Counts | None = None) -> Handler:
                     done=0,
                 )
             data = numbers.astype(f"i{limits.bits // 8}").astype(np.float64)
-        table = _table(task, data, given["num_samps_per_chan"], given["data_layout"] == _BY_CHANNEL)
+        table = _table(task, data, fields["num_samps_per_chan"], fields["data_layout"] == _BY_CHANNEL)
         volts = table if counts is None else table * _volts_per_count(task)
-        return {"samps_per_chan_written": task.write(volts, given["auto_start"], given["timeout"])}
+        return {"samps_per_chan_written": task.write(volts, fields["auto_start"], fields["timeout"])}
 
     return write
 
@@ -181,29 +181,29 @@ def _volts_per_count(task: Task) -> NDArray[np.float64]:
 
 
 def _write_scalar(call: Call) -> None:
-    given = call.fields
-    call.task.write(np.array([[given["value"]]]), given["auto_start"], given["timeout"])
+    fields = call.fields
+    call.task.write(np.array([[fields["value"]]]), fields["auto_start"], fields["timeout"])
 
 
 def _write_raw(call: Call) -> Answer:
-    given, task = call.fields, call.task
+    fields, task = call.fields, call.task
     kind = np.dtype(f"i{_count_bits(task) // 8}")
     # An incomplete sample at the end of the array is not written.
-    n_values = given["num_samps"] * len(task.settings.channels)
-    count = min(n_values, len(given["write_array"]) // kind.itemsize)
-    data = np.frombuffer(given["write_array"], dtype=kind, count=max(count, 0))
-    table = _table(task, data.astype(float), given["num_samps"], by_channel=False)
-    written = task.write(table * _volts_per_count(task), given["auto_start"], given["timeout"])
+    n_values = fields["num_samps"] * len(task.settings.channels)
+    count = min(n_values, len(fields["write_array"]) // kind.itemsize)
+    data = np.frombuffer(fields["write_array"], dtype=kind, count=max(count, 0))
+    table = _table(task, data.astype(float), fields["num_samps"], by_channel=False)
+    written = task.write(table * _volts_per_count(task), fields["auto_start"], fields["timeout"])
     return {"samps_per_chan_written": written}
 
 
 def _write_waveforms(call: Call) -> Answer:
-    given = call.fields
-    rows = [np.array(each.y_data) for each in given["waveforms"]]
+    fields = call.fields
+    rows = [np.array(each.y_data) for each in fields["waveforms"]]
     if len({row.size for row in rows}) > 1:
         raise DaqError("the waveforms differ in length: write as many samples for each channel", -200101, 0)
     volts = np.stack(rows) if rows else np.zeros((0, 0))
-    return {"samps_per_chan_written": call.task.write(volts, given["auto_start"], given["timeout"])}
+    return {"samps_per_chan_written": call.task.write(volts, fields["auto_start"], fields["timeout"])}
 
 
 CALLS: dict[str, Handler] = {

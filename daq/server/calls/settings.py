@@ -40,7 +40,9 @@ def _triggers(which: str) -> dict[str, Handler]:
         f"CfgAnlgWindow{name}Trig": _trigger(which, "anlg_win", **source, **when, **window),
         f"CfgAnlgMultiEdge{name}Trig": _trigger(which, "anlg_multi_edge", **several),
         f"CfgDigEdge{name}Trig": _trigger(which, "dig_edge", **source, trigger_edge="edge"),
-        f"Disable{name}Trig": does(lambda task, given: set_value(task, "trig", f"{which}_trig_type", TriggerType.NONE)),
+        f"Disable{name}Trig": does(
+            lambda task, fields: set_value(task, "trig", f"{which}_trig_type", TriggerType.NONE)
+        ),
     }
 
 
@@ -68,19 +70,19 @@ def _timestamp(event: TimestampEvent | None) -> Handler:
 
 def _create_scale(kind: int, *names: tuple[str, str]) -> Handler:
     def create(call: Call) -> None:
-        given = call.fields
-        settings = {key: plain(given[name]) for name, key in names}
-        common = {key: given[key] for key in ("pre_scaled_units", "scaled_units")}
+        fields = call.fields
+        settings = {key: plain(fields[name]) for name, key in names}
+        common = {key: fields[key] for key in ("pre_scaled_units", "scaled_units")}
         storage = call.instrument.storage
-        storage.store(storage.scales, given["name"], Scale(kind, settings | common))
+        storage.store(storage.scales, fields["name"], Scale(kind, settings | common))
 
     return create
 
 
 def _reverse(call: Call) -> Answer:
-    given = call.fields
+    fields = call.fields
     order = ("forward_coeffs", "min_val_x", "max_val_x", "num_points_to_compute", "reverse_poly_order")
-    return {"reverse_coeffs": reverse_polynomial(*(plain(given[name]) for name in order))}
+    return {"reverse_coeffs": reverse_polynomial(*(plain(fields[name]) for name in order))}
 
 
 def _save_task(call: Call) -> None:
@@ -97,10 +99,10 @@ def _save_channel(call: Call) -> None:
 
 
 def _save_scale(call: Call) -> None:
-    storage, given = call.instrument.storage, call.fields
-    name = given["save_as"] or given["scale_name"]
-    storage.store(storage.scales, name, storage.scale(given["scale_name"]))
-    storage.authors[name] = given["author"]
+    storage, fields = call.instrument.storage, call.fields
+    name = fields["save_as"] or fields["scale_name"]
+    storage.store(storage.scales, name, storage.scale(fields["scale_name"]))
+    storage.authors[name] = fields["author"]
 
 
 def _forget(group: str, field_name: str) -> Handler:
@@ -113,52 +115,52 @@ def _forget(group: str, field_name: str) -> Handler:
 
 CALLS: dict[str, Handler] = {
     "CfgSampClkTiming": does(
-        lambda task, given: set_values(
+        lambda task, fields: set_values(
             task,
             "timing",
-            samp_clk_rate=given["rate"],
-            samp_clk_src=given["source"],
-            samp_clk_active_edge=given["active_edge"],
-            samp_quant_samp_mode=given["sample_mode"],
-            samp_quant_samp_per_chan=given["samps_per_chan"],
+            samp_clk_rate=fields["rate"],
+            samp_clk_src=fields["source"],
+            samp_clk_active_edge=fields["active_edge"],
+            samp_quant_samp_mode=fields["sample_mode"],
+            samp_quant_samp_per_chan=fields["samps_per_chan"],
             samp_timing_type=TimingType.SAMPLE_CLOCK,
         )
     ),
     **_triggers("start"),
     **_triggers("ref"),
     "CfgTimeStartTrig": does(
-        lambda task, given: set_values(
+        lambda task, fields: set_values(
             task,
             "trig",
             start_trig_type=TriggerType.TIME,
-            start_trig_trig_when=given["when"],
-            start_trig_timescale=given["timescale"],
+            start_trig_trig_when=fields["when"],
+            start_trig_timescale=fields["timescale"],
         )
     ),
     "GetStartTrigTrigWhen": lambda call: {"data": get_value(call.task, "trig", "start_trig_trig_when")},
-    "SetStartTrigTrigWhen": does(lambda task, given: set_value(task, "trig", "start_trig_trig_when", given["data"])),
+    "SetStartTrigTrigWhen": does(lambda task, fields: set_value(task, "trig", "start_trig_trig_when", fields["data"])),
     "GetStartTrigTimestampVal": _timestamp(TimestampEvent.START_TRIGGER),
     "GetRefTrigTimestampVal": _timestamp(TimestampEvent.REFERENCE_TRIGGER),
     "GetFirstSampTimestampVal": _timestamp(TimestampEvent.FIRST_SAMPLE),
     "WaitForValidTimestamp": _timestamp(None),
     "ExportSignal": _export_signal,
     "CfgInputBuffer": does(
-        lambda task, given: set_value(task, "buffer", "input_buf_size", given["num_samps_per_chan"])
+        lambda task, fields: set_value(task, "buffer", "input_buf_size", fields["num_samps_per_chan"])
     ),
     "CfgOutputBuffer": does(
-        lambda task, given: set_value(task, "buffer", "output_buf_size", given["num_samps_per_chan"])
+        lambda task, fields: set_value(task, "buffer", "output_buf_size", fields["num_samps_per_chan"])
     ),
     "ConfigureLogging": does(
-        lambda task, given: set_values(
+        lambda task, fields: set_values(
             task,
             "read",
-            logging_file_path=given["file_path"],
-            logging_mode=given["logging_mode"],
-            logging_tdms_group_name=given["group_name"],
-            logging_tdms_operation=given["operation"],
+            logging_file_path=fields["file_path"],
+            logging_mode=fields["logging_mode"],
+            logging_tdms_group_name=fields["group_name"],
+            logging_tdms_operation=fields["operation"],
         )
     ),
-    "StartNewFile": does(lambda task, given: task.start_new_file(given["file_path"])),
+    "StartNewFile": does(lambda task, fields: task.start_new_file(fields["file_path"])),
     "CreateLinScale": _create_scale(LINEAR, ("slope", "lin_slope"), ("y_intercept", "lin_y_intercept")),
     "CreateMapScale": _create_scale(
         MAP_RANGES,

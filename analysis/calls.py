@@ -125,18 +125,18 @@ def frf(
     from analysis.responses.frequency_responses import frequency_responses
     from rig.results.response import stack
 
-    found = []
+    responses = []
     for source, label in _sources(recordings):
         if isinstance(source, Path):
             curves = read_curves(source, reference, response, unit)
-            found.append(_labelled(stack([curve.to(motion) for curve in curves]), label))
+            responses.append(_labelled(stack([curve.to(motion) for curve in curves]), label))
             continue
         with source as rec:
             for each in frequency_responses(
                 rec, response, reference, motion, estimator, block, progress, overlap, window
             ):
-                found.append(_labelled(each, label, rec.scene.name))
-    return Results(found)
+                responses.append(_labelled(each, label, rec.scene.name))
+    return Results(responses)
 
 
 def modes(
@@ -163,8 +163,8 @@ def modes(
     """
     from analysis.modal.identification import identify
 
-    found = frf(recordings, None, reference, block=block, unit=unit, progress=progress)
-    return Results(_labelled(identify(each, modes), each.label) for each in found)
+    responses = frf(recordings, None, reference, block=block, unit=unit, progress=progress)
+    return Results(_labelled(identify(each, modes), each.label) for each in responses)
 
 
 def dampers(recordings: Recordings, progress: Progress | None = None) -> Results[Dampers]:
@@ -178,12 +178,12 @@ def dampers(recordings: Recordings, progress: Progress | None = None) -> Results
     from analysis.damper_motion.dampers import dampers_in
     from analysis.presentation.expectations import expect
 
-    found: list[Dampers] = []
+    results: list[Dampers] = []
     for source, label in _sources(recordings):
         with _only_recordings(source) as rec:
             expect(rec, rec.path, "dampers")
-            found += dampers_in(rec, label, progress)
-    return Results(found)
+            results += dampers_in(rec, label, progress)
+    return Results(results)
 
 
 def compare(recordings: Sequence[OneRecording], progress: Progress | None = None) -> Comparison:
@@ -294,8 +294,8 @@ def paper(
 
 
 def _each(recordings: Recordings) -> list[OneRecording]:
-    one = isinstance(recordings, str | Path) or hasattr(recordings, "channels")
-    return [recordings] if one else list(recordings)  # type: ignore[arg-type, list-item]
+    is_single = isinstance(recordings, str | Path) or hasattr(recordings, "channels")
+    return [recordings] if is_single else list(recordings)  # type: ignore[arg-type, list-item]
 
 
 def _paths(recordings: Recordings) -> list[Path]:

@@ -426,7 +426,7 @@ def design(
             uncertain=(damping_off, stiffness_off),
             cluster=cluster,
             table=table,
-            progress=lambda done, total: report_progress(done / total, f"{done} of {total}"),
+            progress=lambda n_completed, total: report_progress(n_completed / total, f"{n_completed} of {total}"),
             say=partial(report_progress, 1.0),
         )
         report_progress(1.0, "writing")

@@ -217,9 +217,12 @@ def count_progress(title: str) -> Iterator[Callable[[int, int], None]]:
     """Show the number of finished pieces: ``report(done, total)``."""
     with progress(title) as report:
 
-        def count(done: int, total: int) -> None:
+        def count(n_completed: int, total: int) -> None:
             # Figures and files are written after the last piece.
-            report(done / total if total else 1.0, f"{done} of {total}{', writing' if done >= total else ''}")
+            report(
+                n_completed / total if total else 1.0,
+                f"{n_completed} of {total}{', writing' if n_completed >= total else ''}",
+            )
 
         yield count
 

@@ -87,8 +87,8 @@ def _draw(study: ChainStudy) -> Figure:
         ("without noise, counts, tolerances, bias", study.without_noise, OWN),
     ]
     for group, points in groups:
-        own = own_setting(study.scene, group)
-        rows += [(f"{group}: {p.setting}{' (the scene)' * (p.setting == own)}", p, CHANGED) for p in points]
+        scene_setting = own_setting(study.scene, group)
+        rows += [(f"{group}: {p.setting}{' (the scene)' * (p.setting == scene_setting)}", p, CHANGED) for p in points]
     place = np.arange(len(rows), dtype=float)
     place[2:] += np.repeat(0.7 * np.arange(1, len(groups) + 1), [len(points) for _, points in groups])
     with new_figure(0.9 + 0.19 * place[-1], 9.0) as figure:

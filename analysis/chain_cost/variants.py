@@ -209,13 +209,13 @@ def _integrators(scene: Scene, lowest: float, peak_frequency: float) -> Iterator
     for order, name in enumerate(NAMES):
         channels = []
         for channel in scene.channels:
-            own = channel.integrator
+            integrator = channel.integrator
             if order == 0 or channel.measures_force:
                 changed = None
-            elif own is None:
+            elif integrator is None:
                 changed = Integrator(order=order, corner=CORNER * lowest, gain=omega**order)
             else:
-                changed = own.replace(order=order, gain=own.gain * omega ** (order - own.order))
+                changed = integrator.replace(order=order, gain=integrator.gain * omega ** (order - integrator.order))
             channels.append(channel.replace(integrator=changed))
         if tuple(channels) != scene.channels:
             yield Variant("integrator", name, scene.replace(channels=channels))

@@ -292,8 +292,10 @@ class MatchingPursuit:
     def _unexplained_segments(self, jump: float) -> list[tuple[int, int]]:
         """Return the first and last window of each segment with a residual larger than a jump of this size, m/s."""
         first = self._windows()
-        large = self._residual_squares(self.window_model.order) > (jump * self.window_model.template_norm) ** 2
-        return [(int(first[begin]), int(first[end - 1])) for begin, end in runs_of(large)]
+        above_threshold = (
+            self._residual_squares(self.window_model.order) > (jump * self.window_model.template_norm) ** 2
+        )
+        return [(int(first[begin]), int(first[end - 1])) for begin, end in runs_of(above_threshold)]
 
     def unresolved(self) -> Array:
         """Return the limits of segments with a residual far above the detection limit, samples; shape (n, 2)."""

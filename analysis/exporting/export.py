@@ -80,8 +80,8 @@ def write_csv(segment: Slice, path: Path) -> None:
 def write_npz(segment: Slice, path: Path) -> None:
     """Write an array for each channel, and ``channels``, ``units``, ``rate`` [Hz] and ``start_s``."""
     members = {name: re.sub(r"[^\w.-]", "_", name) for name in segment.channels}
-    taken = {"channels", "units", "rate", "start_s"}
-    if len({*members.values()} | taken) < len(members) + len(taken):
+    reserved = {"channels", "units", "rate", "start_s"}
+    if len({*members.values()} | reserved) < len(members) + len(reserved):
         names = ", ".join(members)
         raise SceneError(f"{segment.recording.path}: the channels {names} have equal names in .npz. Choose fewer.")
     with zipfile.ZipFile(path, "w") as archive:

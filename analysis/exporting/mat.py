@@ -72,7 +72,7 @@ def write_modes(modes: Modes, path: Path) -> None:
     )
 
 
-def variable_names(names: Iterable[str], taken: set[str]) -> list[str]:
+def variable_names(names: Iterable[str], reserved: set[str]) -> list[str]:
     """Convert names to valid MATLAB variable names.
 
     >>> variable_names(["body1", "3 +Z", "fs"], {"fs"})
@@ -82,7 +82,7 @@ def variable_names(names: Iterable[str], taken: set[str]) -> list[str]:
     """
     cleaned = [re.sub(r"\W", "_", name, flags=re.ASCII)[:50] for name in names]
     valid = [f"x{name}" if not name[:1].isalpha() else name for name in cleaned]
-    valid = [f"{name}_" if name in taken else name for name in valid]
+    valid = [f"{name}_" if name in reserved else name for name in valid]
     if len(set(valid)) < len(valid):
         raise SceneError(f".mat: the names {', '.join(names)} are equal as variables. Choose fewer channels.")
     return valid

@@ -83,24 +83,26 @@ def _energies(axes: Axes, energy: CycleEnergy, lines: Lines, true: np.ndarray | 
         axes.plot(abscissa, np.insert(1e3 * joule[order], gaps, np.nan), **style)
 
     determined = energy.dampers > energy.bound
-    into = np.where(determined, energy.dampers, np.nan)
+    into_dampers = np.where(determined, energy.dampers, np.nan)
     curve(energy.supplied, color="#000000", marker="o", label="supplied by the force")
     curve(energy.structure, color="#777777", marker="o", label="into the structure's damping, as in the scene")
-    curve(into, color=COLORS[1], marker="o", label="into the dampers")
-    axes.errorbar(energy.frequency, 1e3 * into, 1e3 * energy.bound, fmt="none", ecolor=COLORS[1], elinewidth=0.9)
+    curve(into_dampers, color=COLORS[1], marker="o", label="into the dampers")
+    axes.errorbar(
+        energy.frequency, 1e3 * into_dampers, 1e3 * energy.bound, fmt="none", ecolor=COLORS[1], elinewidth=0.9
+    )
     limit = 1e3 * np.maximum(energy.dampers + energy.bound, 0.0)
     axes.plot(
         energy.frequency[~determined], limit[~determined], "v", mfc="none", ms=4.5, mew=0.8, color=COLORS[1],
         label="into the dampers, upper limit",
     )  # fmt: skip
-    shown = [1e3 * energy.supplied, 1e3 * energy.structure, 1e3 * into, limit[~determined]]
+    plotted = [1e3 * energy.supplied, 1e3 * energy.structure, 1e3 * into_dampers, limit[~determined]]
     if true is not None:
         lost = np.where(true > 0, true, np.nan)
         curve(lost, color=COLORS[2], ls=":", marker="o", label="true loss in impacts")
-        shown.append(1e3 * lost)
+        plotted.append(1e3 * lost)
     if lines.unsteady is not None and lines.unsteady.any():
         axes.plot(energy.frequency[lines.unsteady], 1e3 * energy.supplied[lines.unsteady], "x", color="black", ms=6)
-    log_axis(axes, shown)
+    log_axis(axes, plotted)
     axes.set_ylabel("energy per period / mJ")
 
 

@@ -112,8 +112,8 @@ def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Par
                 place = ("structure", "masses", names.index(str(change.steps[2])))
                 chosen[k] = change = replace(change, steps=place)
             if not any(change.covers(each.place) for each in candidates):
-                every = (".".join(step for step in each.place if isinstance(step, str)) for each in candidates)
-                offered = ", ".join(dict.fromkeys(every))
+                all_keys = (".".join(step for step in each.place if isinstance(step, str)) for each in candidates)
+                offered = ", ".join(dict.fromkeys(all_keys))
                 raise SceneError(
                     f"free: {change.key}: nothing in scene {scene.name!r} can be fitted under this key. Use one of "
                     f"{offered} ([1] and so on selects an item of a list; values of 0 or infinity cannot be fitted)."

@@ -22,20 +22,21 @@ def scene_of_test(model: Scene, curves: Curves) -> Scene:
     recorded = curves.scene
     bodies = model.structure.bodies
     if recorded.structure.bodies != bodies or max(curves.bodies) >= bodies:
-        most = max(recorded.structure.bodies, max(curves.bodies) + 1)
+        n_bodies = max(recorded.structure.bodies, max(curves.bodies) + 1)
         raise SceneError(
-            f"{curves.label}: recorded on {most} bodies; the scene to fit has {bodies}. Fit a scene with these bodies."
+            f"{curves.label}: recorded on {n_bodies} bodies; the scene to fit has {bodies}. "
+            "Fit a scene with these bodies."
         )
-    left = list(enumerate(model.dampers))
+    remaining = list(enumerate(model.dampers))
     dampers = []
     for number, damper in enumerate(recorded.dampers, 1):
-        mine = next((pair for pair in left if pair[1].body == damper.body), None)
+        mine = next((pair for pair in remaining if pair[1].body == damper.body), None)
         if mine is None:
             raise SceneError(
                 f"{curves.label}: recorded with a damper in body {damper.body} (number {number} in its scene), which "
                 "the scene to fit lacks. Add it there, with its known values."
             )
-        left.remove(mine)
+        remaining.remove(mine)
         dampers.append(mine[1].with_valid(locked=damper.locked))
     # Both scenes are valid and have the same bodies, so this one is.
     return model.with_valid(shaker=recorded.shaker, test=recorded.test, dampers=tuple(dampers), channels=None)
@@ -80,12 +81,12 @@ def linear_slopes(
     dynamic = 1j * omega[:, None, None] * inertia - matrix
     by = np.linalg.solve(dynamic, np.array(right).transpose(2, 1, 0)).transpose(2, 1, 0)
     bodies = bench.structure.bodies
-    found = by[:, :bodies]
+    slopes = by[:, :bodies]
     if curves.reference == "table":
         table = system.points.index(bench.at_driven("table"))
         ratio = states[:bodies] / states[table]
-        found = (found - ratio * by[:, table, None]) / states[table]
-    return np.asarray(found[1:]), np.asarray(2.0 * np.pi * found[0])
+        slopes = (slopes - ratio * by[:, table, None]) / states[table]
+    return np.asarray(slopes[1:]), np.asarray(2.0 * np.pi * slopes[0])
 
 
 def _drive(bench: Scene) -> str:

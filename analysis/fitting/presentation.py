@@ -39,19 +39,19 @@ def present_fit(
         residuals = output.with_name(f"{output.stem}-residuals")
         create_folder(output.parent)
         reject_foreign_files(output, *(residuals.with_name(f"{residuals.name}.{ending}") for ending in ("png", "svg")))
-        found = fit(list(recordings), scene, free)
-        files = save_figure(fit_figure(found), residuals)
-        if found.misfit:
-            for warning in found.warnings:
+        result = fit(list(recordings), scene, free)
+        files = save_figure(fit_figure(result), residuals)
+        if result.misfit:
+            for warning in result.warnings:
                 warnings.warn(warning, stacklevel=2)
             for path in files:
                 print_line(f"wrote {path}")
-            raise RunError(f"{output}: not written, because the scene does not fit the recordings. {found.misfit}")
-        for line in describe(found):
+            raise RunError(f"{output}: not written, because the scene does not fit the recordings. {result.misfit}")
+        for line in describe(result):
             print_line(line)
         with atomic_write(output) as part:
-            part.write_text(found.scene.to_yaml(), encoding="utf-8")
-        return [output, *files], found.warnings
+            part.write_text(result.scene.to_yaml(), encoding="utf-8")
+        return [output, *files], result.warnings
 
 
 def describe(result: Fit) -> list[str]:

@@ -72,7 +72,7 @@ class Group:
         predicted = problem.predicted(x, self, scene)
         bench = scene_of_test(scene, curves)
         level, frequency = problem.operating_points(x, curves)
-        own, gain = problem.gains(x, curves)
+        channel_gains, gain = problem.gains(x, curves)
 
         def residual(k: int, value: ComplexArray) -> float:
             white = abs(curves.whiten[k] @ (value - curves.value[:, k]))
@@ -83,7 +83,7 @@ class Group:
         changed = False
         for k in np.flatnonzero(residuals > limit).tolist():
             for orbit, bodies in self.tones.alternatives(bench, level, frequency, k):
-                smaller = residual(k, own / gain * bodies[list(curves.bodies)])
+                smaller = residual(k, channel_gains / gain * bodies[list(curves.bodies)])
                 if smaller < 0.5 * residuals[k]:
                     self.tones.orbits[k], residuals[k], changed = orbit, smaller, True
                 if residuals[k] <= limit:
@@ -140,8 +140,8 @@ class Problem:
 
     def gains(self, x: Array, curves: Curves) -> tuple[Array, float]:
         """Return the relative gains of the response sensors, shape (responses,), and of the reference sensor."""
-        own = np.array([1.0 + self.deviation(x, sensor) for sensor in curves.sensors])
-        return own, 1.0 + self.deviation(x, curves.reference_sensor)
+        channel_gains = np.array([1.0 + self.deviation(x, sensor) for sensor in curves.sensors])
+        return channel_gains, 1.0 + self.deviation(x, curves.reference_sensor)
 
     def operating_points(self, x: Array, curves: Curves) -> tuple[Array, Array]:
         """Return the true level of the reference (NaN without tones) and the true frequency in Hz, shape (n,)."""
@@ -166,8 +166,10 @@ class Problem:
 
     def predicted(self, x: Array, group: Group, scene: Scene, search: bool = True) -> ComplexArray:
         """Return the predicted readings, shape (responses, n); NaN where there is no steady motion."""
-        own, gain = self.gains(x, group.curves)
-        return own[:, None] / gain * self._displacement_ratio(x, group, scene, search)[list(group.curves.bodies)]
+        channel_gains, gain = self.gains(x, group.curves)
+        return (
+            channel_gains[:, None] / gain * self._displacement_ratio(x, group, scene, search)[list(group.curves.bodies)]
+        )
 
     def _displacement_ratio(self, x: Array, group: Group, scene: Scene, search: bool = True) -> ComplexArray:
         """Return displacement of the bodies / reference, shape (bodies, n)."""
@@ -230,13 +232,13 @@ class Problem:
         base = [self.normalized_residuals(x, group, scene, model_error, search=False) for group in groups]
         columns: list[list[ComplexArray]] = [[] for _ in groups]
         for k in chosen:
-            moved = x.copy()
+            shifted = x.copy()
             # An undetermined unknown may have moved far beyond where its value still changes.
-            moved[k] += _STEP * max(1.0, abs(x[k]))
-            changed = self.scene(moved)
+            shifted[k] += _STEP * max(1.0, abs(x[k]))
+            changed = self.scene(shifted)
             for group, unchanged, column in zip(groups, base, columns, strict=True):
-                difference = self.normalized_residuals(moved, group, changed, model_error, search=False) - unchanged
-                column.append(difference / (moved[k] - x[k]))
+                difference = self.normalized_residuals(shifted, group, changed, model_error, search=False) - unchanged
+                column.append(difference / (shifted[k] - x[k]))
         return [np.stack(column, axis=-1) for column in columns]
 
     def _linear_slopes(
@@ -253,20 +255,20 @@ class Problem:
         benches = [self._neighbours(x, k, curves) for k in acting]
         frequency = self.operating_points(x, curves)[1]
         by_value, by_frequency = linear_slopes(scene_of_test(scene, curves), curves, frequency, benches)
-        values, (own, gain) = self.values(x), self.gains(x, curves)
+        values, (channel_gains, gain) = self.values(x), self.gains(x, curves)
         bodies, rows = self._displacement_ratio(x, group, scene), list(curves.bodies)
         slopes = np.zeros((len(chosen), *curves.value.shape), dtype=complex)
         for column, k in enumerate(chosen):
             if k in acting:
                 by_unknown = values[k] * self.parameters[k].slope(float(values[k]))
-                slopes[column] = own[:, None] / gain * by_value[acting.index(k)][rows] * by_unknown
+                slopes[column] = channel_gains[:, None] / gain * by_value[acting.index(k)][rows] * by_unknown
             elif count <= k < count + len(self.sensors):
                 sensor = self.sensors[k - count]
                 by_own = np.array([float(each == sensor) for each in curves.sensors])[:, None]
                 by_gain = float(curves.reference_sensor == sensor)
-                slopes[column] = (by_own - by_gain * own[:, None] / gain) / gain * bodies[rows]
+                slopes[column] = (by_own - by_gain * channel_gains[:, None] / gain) / gain * bodies[rows]
             elif k >= count:
-                slopes[column] = own[:, None] / gain * by_frequency[rows] * curves.frequency
+                slopes[column] = channel_gains[:, None] / gain * by_frequency[rows] * curves.frequency
         white = np.einsum("nij,cjn->nic", curves.whiten[used], slopes[:, :, used])
         return white / np.sqrt(1.0 + (model_error * group.local_peak[used]) ** 2)[..., None]
 

@@ -33,14 +33,14 @@ def doubts(
     if modes.model_error:
         stated = any(np.isfinite(curve.error).any() for curve in curves)
         expected = "error bars" if stated else "scatter"
-        found = f"the best linear fit leaves a residual of {100.0 * modes.model_error:.2g} % of the peak height"
+        residual_text = f"the best linear fit leaves a residual of {100.0 * modes.model_error:.2g} % of the peak height"
         if modes.model_error > _NONLINEAR:
             yield (
-                f"The response is nonlinear: {found}, more than the {expected}. These modes are the linear equivalent "
+                f"The response is nonlinear: {residual_text}, more than the {expected}. These modes are the linear equivalent "
                 "at this force level."
             )
         else:
-            yield f"Small model error: {found}, more than the {expected}. The uncertainties of the modes include it."
+            yield f"Small model error: {residual_text}, more than the {expected}. The uncertainties of the modes include it."
     if dropped:
         yield (
             f"Rejected the stable poles at {_listed(np.sort(dropped))} Hz: their damping or height is below the "

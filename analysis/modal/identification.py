@@ -334,11 +334,11 @@ def _local_median(error: Array, degrees: Array) -> Array:
 
     Errors estimated from few parts may be close to zero by chance, and such lines would dominate the fit.
     """
-    own = float(np.median(degrees))
-    if not 0.0 < own < _MIN_DEGREES:
+    median_degrees = float(np.median(degrees))
+    if not 0.0 < median_degrees < _MIN_DEGREES:
         return np.zeros(error.size)
     return np.asarray(
-        scipy.ndimage.median_filter(error, min(1 + 2 * int(_MIN_DEGREES / own), error.size), mode="nearest")
+        scipy.ndimage.median_filter(error, min(1 + 2 * int(_MIN_DEGREES / median_degrees), error.size), mode="nearest")
     )
 
 

@@ -41,15 +41,15 @@ def thin_out(curves: Sequence[Response]) -> list[Response]:
     level = np.log(np.maximum(size, 1e-12 * size.max()))
     peaks, _ = scipy.signal.find_peaks(level, prominence=np.log(_MIN_PEAK_RATIO))
     highest = peaks[np.argsort(scipy.signal.peak_prominences(level, peaks)[0])[::-1][:_MAX_PEAKS]]
-    kept = np.zeros(count, dtype=bool)
-    kept[:: -(-2 * count // MAX_LINES)] = True
+    selected = np.zeros(count, dtype=bool)
+    selected[:: -(-2 * count // MAX_LINES)] = True
     for peak in highest:
         below = np.flatnonzero(size < _FLANK_RATIO * size[peak])
         first = below[below < peak].max(initial=0)
         last = below[below > peak].min(initial=count - 1)
-        kept[np.unique(np.linspace(first, last, _LINES_PER_PEAK).astype(int))] = True
-        kept[max(peak - _LINES_PER_PEAK // 2, 0) : peak + _LINES_PER_PEAK // 2 + 1] = True
-    return [curve.at(kept) for curve in curves]
+        selected[np.unique(np.linspace(first, last, _LINES_PER_PEAK).astype(int))] = True
+        selected[max(peak - _LINES_PER_PEAK // 2, 0) : peak + _LINES_PER_PEAK // 2 + 1] = True
+    return [curve.at(selected) for curve in curves]
 
 
 def scatter(value: ComplexArray) -> Array:

@@ -130,13 +130,13 @@ class Modes(Result):
         keys = [place or f"channel {name}" for place, name in zip(places, self.responses, strict=True)]
         names, shapes, errors = [], [], []
         # The element that scales a shape has zero error. It gets the weight of the most precise other element.
-        least = np.min(self.shape_error, axis=0, initial=np.inf, where=self.shape_error > 0.0)
-        weights = 1.0 / np.where(np.isfinite(least), np.maximum(self.shape_error, least), 1.0) ** 2
+        smallest_error = np.min(self.shape_error, axis=0, initial=np.inf, where=self.shape_error > 0.0)
+        weights = 1.0 / np.where(np.isfinite(smallest_error), np.maximum(self.shape_error, smallest_error), 1.0) ** 2
         for key in dict.fromkeys(keys):
             rows = [row for row, other in enumerate(keys) if other == key]
             ratio = weights[rows] / weights[rows].sum(axis=0)
-            plain = len(rows) == 1 and (not places[rows[0]] or places[rows[0]].startswith("body "))
-            names.append(self.responses[rows[0]] if plain else key)
+            is_single_axis = len(rows) == 1 and (not places[rows[0]] or places[rows[0]].startswith("body "))
+            names.append(self.responses[rows[0]] if is_single_axis else key)
             shapes.append((ratio * self.shapes[rows]).sum(axis=0))
             errors.append(np.sqrt(((ratio * self.shape_error[rows]) ** 2).sum(axis=0)))
         shape, error = np.array(shapes), np.array(errors)

@@ -57,8 +57,8 @@ def select(curves: Curves, stable: ComplexArray, candidates: ComplexArray, max_m
     model = fit(curves, stable)
     # Spurious poles are removed, the least significant first.
     while (spurious := spurious_poles(curves, model)).size:
-        least = spurious[int(np.argmin(misfits_without(curves, model.poles)[spurious]))]
-        model = fit(curves, np.delete(model.poles, least))
+        least_needed = spurious[int(np.argmin(misfits_without(curves, model.poles)[spurious]))]
+        model = fit(curves, np.delete(model.poles, least_needed))
     current = _prune(curves, model)
     # Poles below and above the band represent curvature that residual terms cannot represent.
     low, high = curves.frequency[0], curves.frequency[-1]
@@ -168,11 +168,11 @@ def _prune(curves: Curves, model: Fit) -> Fit:
         poles = model.poles
         while poles.size:
             misfits = misfits_without(curves, poles)
-            least = int(np.argmin(misfits))
-            fewer = np.delete(poles, least)
+            least_needed = int(np.argmin(misfits))
+            fewer = np.delete(poles, least_needed)
             # Without a new fit of the other poles the increase of the misfit is overestimated. A pole that is not
             # significant here is therefore not significant after a new fit.
-            if _gain(curves, float(misfits[least]), model, fewer.size) > 0:
+            if _gain(curves, float(misfits[least_needed]), model, fewer.size) > 0:
                 break
             poles = fewer
         if poles.size < model.poles.size:

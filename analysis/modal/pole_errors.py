@@ -68,8 +68,8 @@ def refined_pole_errors(poles: ComplexArray, covariance: Array) -> tuple[Array, 
 
 
 def _add_min_uncertainty(poles: ComplexArray, f_error: Array, z_error: Array) -> tuple[Array, Array]:
-    least = -_MIN_UNCERTAINTY * poles.real
-    return np.hypot(f_error, least / (2 * np.pi)), np.hypot(z_error, least / abs(poles))
+    min_uncertainty = -_MIN_UNCERTAINTY * poles.real
+    return np.hypot(f_error, min_uncertainty / (2 * np.pi)), np.hypot(z_error, min_uncertainty / abs(poles))
 
 
 def propagate(poles: ComplexArray, factors: Sequence[Array]) -> tuple[Array, Array]:
@@ -161,8 +161,8 @@ def _covariance_factors(curves: Curves, model: Fit) -> tuple[Array, Array, Array
     independent = root * np.sqrt(model.misfit / degrees * length)
     # The pseudoinverse omits undetermined parameters, such as the width of a pole far narrower than the line spacing.
     with np.errstate(divide="ignore"):
-        least = model.misfit / degrees * length / np.diag(information)
-    omitted = np.maximum(least - np.sum(np.square(independent), axis=1), 0.0)
+        min_variance = model.misfit / degrees * length / np.diag(information)
+    omitted = np.maximum(min_variance - np.sum(np.square(independent), axis=1), 0.0)
     independent = np.concatenate([independent, np.diag(np.sqrt(omitted))], axis=1)
     # With few data the fit reduces each residual by a large factor, which is corrected (MacKinnon and White's HC3).
     correlated = np.asarray(inverse @ sums * (curves.n_values / degrees), dtype=float)

@@ -137,10 +137,10 @@ class Likelihood:
         """Compute the normal matrix and the right-hand side of a step."""
         residual, responses = self.residual(model), self.curves.value.shape[0]
         poles = 2 * model.poles.size
-        own = poles + self.terms.shape[1]
-        right_poles, right_own = np.zeros(poles), np.zeros((responses, own))
-        corner, side = np.zeros((poles, poles)), np.zeros((poles, responses, own))
-        block = np.zeros((own, own, responses, responses))
+        n_unknowns = poles + self.terms.shape[1]
+        right_poles, right_own = np.zeros(poles), np.zeros((responses, n_unknowns))
+        corner, side = np.zeros((poles, poles)), np.zeros((poles, responses, n_unknowns))
+        block = np.zeros((n_unknowns, n_unknowns, responses, responses))
         for part in self._parts(model):
             by_pole, by_own = self._slopes(model, part)
             information = self.information[part]
@@ -155,7 +155,7 @@ class Likelihood:
             weighted_residual = (information @ residual[part, :, None])[..., 0]
             right_poles += (flat.conj().T @ weighted_residual.ravel()).real
             right_own += (weighted_residual.T @ by_own.conj()).real
-        size = responses * own
+        size = responses * n_unknowns
         normal = np.empty((poles + size,) * 2)
         normal[:poles, :poles] = corner
         normal[:poles, poles:] = side.reshape(poles, size)
@@ -188,13 +188,13 @@ def take_step(curves: Curves, model: Fit, step: Array) -> Fit:
     poles = -decay * np.exp(np.clip(step[:modes], -1.0, 1.0)) + 1j * (
         model.poles.imag + decay * step[modes : 2 * modes]
     )
-    own = step[2 * modes :].reshape(responses, -1)
+    linear_step = step[2 * modes :].reshape(responses, -1)
     upper = np.zeros((responses, UPPER_TERMS))
-    upper[:, : curves.upper_terms] = own[:, 2 * modes + 1 :]
+    upper[:, : curves.upper_terms] = linear_step[:, 2 * modes + 1 :]
     return replace(
         model,
         poles=poles,
-        residue=model.residue + own[:, :modes] + 1j * own[:, modes : 2 * modes],
-        lower=model.lower + own[:, 2 * modes],
+        residue=model.residue + linear_step[:, :modes] + 1j * linear_step[:, modes : 2 * modes],
+        lower=model.lower + linear_step[:, 2 * modes],
         upper=model.upper + upper,
     )

@@ -108,19 +108,19 @@ def _draw_figures(curves: Sequence[Response], exact: Sequence[Response], stem: P
     quantity = f"{curves[0].name.capitalize()}"
     groups = _by_ratio(curves)
     if len(settings) == 1:
-        shown = [replace(frf, label=frf.ratio) for frf in curves]
+        labeled = [replace(frf, label=frf.ratio) for frf in curves]
         return save_figure(
-            frf_figure(shown, f"{quantity}: {settings[0]}", _without_duplicates(exact), _jump_marks(shown)), stem
+            frf_figure(labeled, f"{quantity}: {settings[0]}", _without_duplicates(exact), _jump_marks(labeled)), stem
         )
-    inputs = {shown[0].input for shown in groups}
+    inputs = {labeled[0].input for labeled in groups}
     files = []
-    for shown in groups:
-        first = shown[0]
+    for labeled in groups:
+        first = labeled[0]
         theory_curves = [frf for frf in exact if (frf.response, frf.input) == (first.response, first.input)]
         name = first.response if len(inputs) == 1 else first.ratio.replace(" / ", "-by-").replace(" ", "-")
         part = stem if len(groups) == 1 else of_part(stem, name)
         files += save_figure(
-            frf_figure(shown, f"{quantity}, {first.ratio}", _without_duplicates(theory_curves), _jump_marks(shown)),
+            frf_figure(labeled, f"{quantity}, {first.ratio}", _without_duplicates(theory_curves), _jump_marks(labeled)),
             part,
         )
     return files

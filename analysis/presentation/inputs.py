@@ -23,6 +23,6 @@ def read_curves(path: Path, reference: str, channels: Sequence[str] | None, unit
     curves = read_frfs(path, None if reference == "force" else reference, unit)
     missing = [name for name in channels or () if name not in {curve.response for curve in curves}]
     if missing:
-        known = ", ".join(curve.response for curve in curves)
-        raise RecordingError(f"{path}: no response {', '.join(missing)}. Choose from {known[:300]}.")
+        available = ", ".join(curve.response for curve in curves)
+        raise RecordingError(f"{path}: no response {', '.join(missing)}. Choose from {available[:300]}.")
     return [curve for curve in curves if not channels or curve.response in channels]

@@ -96,11 +96,11 @@ def read_slices(rec: Recording, channels: Sequence[str], bounds: Iterable[tuple[
         numbers = range(start // PIECE, -(-min(stop, rec.samples) // PIECE))
         stored = {number: stored[number] if number in stored else _piece(rec, channels, number) for number in numbers}
         out = np.full((len(channels), stop - start), np.nan)
-        for number, piece in stored.items():
+        for number, part in stored.items():
             first = number * PIECE
-            low, high = max(first, start), min(first + piece.shape[1], stop)
+            low, high = max(first, start), min(first + part.shape[1], stop)
             if high > low:
-                out[:, low - start : high - start] = piece[:, low - first : high - first]
+                out[:, low - start : high - start] = part[:, low - first : high - first]
         yield out
 
 

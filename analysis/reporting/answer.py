@@ -33,21 +33,23 @@ def _comparisons(changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> li
     """Describe, for each other recording, the change of the highest peak whose change is bounded."""
     sentences = []
     for label in dict.fromkeys(other.label for _, other, _ in changes):
-        here = [(first, change) for first, other, change in changes if other.label == label]
-        bounded = [pair for pair in here if all(map(isfinite, pair[1].decibel))]
-        first, highest = max(here, key=lambda pair: pair[1].bare.value)
+        own_changes = [(first, change) for first, other, change in changes if other.label == label]
+        bounded = [pair for pair in own_changes if all(map(isfinite, pair[1].decibel))]
+        first, highest = max(own_changes, key=lambda pair: pair[1].bare.value)
         if not bounded:
             sentences.append(f"“{label}” against “{first.label}”: the measured points determine no change of a peak.")
             continue
         _, change = max(bounded, key=lambda pair: pair[1].bare.value)
         best, low, high = change.decibel
-        what = f"the peak at {change.mode:.2f} Hz ({change.response})"
+        peak_text = f"the peak at {change.mode:.2f} Hz ({change.response})"
         if low <= 0.0 <= high:
-            text = f"“{label}” against “{first.label}”: no significant change of {what}, {low:+.1f} to {high:+.1f} dB"
+            text = (
+                f"“{label}” against “{first.label}”: no significant change of {peak_text}, {low:+.1f} to {high:+.1f} dB"
+            )
         else:
             verb = "lowers" if best < 0.0 else "raises"
             text = (
-                f"Compared with “{first.label}”, “{label}” {verb} {what} by {abs(best):.1f} dB "
+                f"Compared with “{first.label}”, “{label}” {verb} {peak_text} by {abs(best):.1f} dB "
                 f"(95 % interval {min(abs(low), abs(high)):.1f} to {max(abs(low), abs(high)):.1f} dB), "
                 f"from {1e6 * change.bare.value:.4g} to {1e6 * change.damped.value:.4g} µm/N"
             )
@@ -68,9 +70,9 @@ def _resonances(measured: Measured) -> list[str]:
         plural = "s" * (modes.frequency.size != 1)
         text = f"“{measured.label}”: {modes.frequency.size} resonance{plural} at {listed}"
         if each.highest is not None:
-            curve, found = each.highest
-            where = f"{curve.ratio}, {found.frequency:.4g} Hz"
-            text += f"; the highest compliance is {peak_height(found)} µm/N ({where})"
+            curve, highest = each.highest
+            where = f"{curve.ratio}, {highest.frequency:.4g} Hz"
+            text += f"; the highest compliance is {peak_height(highest)} µm/N ({where})"
         sentences.append(f"{text}.")
     return sentences
 
@@ -102,11 +104,11 @@ def _dampers(measured: Measured, result: Dampers) -> list[str]:
 def _decays(measurements: Sequence[Measured]) -> list[str]:
     parts = []
     for measured in measurements:
-        found = measured.decay
-        if found is None:
+        result = measured.decay
+        if result is None:
             continue
-        quiet = found.quiet_from
+        quiet = result.quiet_from
         below = "stays above 1 g" if np.isnan(quiet) else f"falls below 1 g after {quiet:.3g} s"
-        falls = "" if np.isnan(found.halving) else f" and loses its first 6 dB of energy in {found.halving:.3g} s"
-        parts.append(f"“{measured.label}”: after the hit, {found.channel} {below}{falls}")
+        falls = "" if np.isnan(result.halving) else f" and loses its first 6 dB of energy in {result.halving:.3g} s"
+        parts.append(f"“{measured.label}”: after the hit, {result.channel} {below}{falls}")
     return [f"{'; '.join(parts)}."] if parts else []

@@ -137,12 +137,12 @@ def _column(values: ArrayLike, positive: bool = False, exact: bool = False) -> A
     `positive`: drop values of zero and below, which a logarithmic axis cannot show.
     """
     column = np.asarray(values, dtype=float)
-    shown = np.isfinite(column) & (column > 0 if positive else True)
+    is_drawn = np.isfinite(column) & (column > 0 if positive else True)
     if column.size > _MAX_TEXT_COLUMN:
-        binary = np.where(shown, column, np.nan).astype("<f4")
+        binary = np.where(is_drawn, column, np.nan).astype("<f4")
         return {"float32": base64.b64encode(binary.tobytes()).decode()}
     digits = 8 if exact else _DIGITS
-    return [float(f"{value:.{digits}g}") if known else None for value, known in zip(column, shown, strict=True)]
+    return [float(f"{value:.{digits}g}") if known else None for value, known in zip(column, is_drawn, strict=True)]
 
 
 def level_image(levels: Array, x: tuple[float, float], y: tuple[float, float]) -> dict[str, Any]:

@@ -30,22 +30,22 @@ _MIN_BLOCK = 64
 def time_histories(rec: Recording) -> Chart:
     """Return a chart of all channels against time: every sample, or the envelope of a long recording."""
     names = list(rec.channels)
-    whole = rec.samples * len(names) <= _MAX_SAMPLES
+    is_complete = rec.samples * len(names) <= _MAX_SAMPLES
     time: Array | EvenlySpaced = EvenlySpaced(0.0, 1.0 / rec.rate, rec.samples)
-    if whole:
+    if is_complete:
         rows = np.stack([rec.read(name) for name in names])
     else:
         time, rows = _envelopes(rec, names)
     units = list(dict.fromkeys(rec.channels[name].unit for name in names))
     panels = []
     for unit in units:
-        shown = [name for name in names if rec.channels[name].unit == unit]
+        selected = [name for name in names if rec.channels[name].unit == unit]
         scale, shown_unit = (1e3, "mm") if unit == "m" else (1.0, unit)
-        curves = [Curve(name, time, scale * rows[names.index(name)], color=names.index(name)) for name in shown]
+        curves = [Curve(name, time, scale * rows[names.index(name)], color=names.index(name)) for name in selected]
         # The largest motion is drawn first, so that it hides no other channel.
         curves.sort(key=lambda curve: -float(np.ptp(curve.y)))
-        panels.append(Panel(rec.channels[shown[0]].quantity, shown_unit, curves, height=200))
-    how = "every sample" if whole else f"largest and smallest value of each of {_INTERVALS} intervals"
+        panels.append(Panel(rec.channels[selected[0]].quantity, shown_unit, curves, height=200))
+    how = "every sample" if is_complete else f"largest and smallest value of each of {_INTERVALS} intervals"
     return Chart(
         f"Time histories, {how}. Drag to zoom, double-click to reset.",
         f"Time histories of the channels {', '.join(names)} over {rec.duration:.4g} s.",

@@ -161,9 +161,9 @@ def highest_peak(
         top = int(np.argmax(lower_bound))
         if lower_bound[top] > height:
             frequency = float(compliance.frequency[top])
-            found = peak(frf, frequency / _PEAK_BAND_FACTOR, frequency * _PEAK_BAND_FACTOR)
-            if found is not None and not found.at_end:
-                highest, height = (frf, found), found.value
+            interpolated = peak(frf, frequency / _PEAK_BAND_FACTOR, frequency * _PEAK_BAND_FACTOR)
+            if interpolated is not None and not interpolated.at_end:
+                highest, height = (frf, interpolated), interpolated.value
     return highest
 
 

@@ -55,11 +55,11 @@ def resonances(measurements: Sequence[Measured]) -> str:
     return table("Resonances, with 95 % intervals", heading, rows) if rows else ""
 
 
-def peak_height(found: Peak) -> str:
+def peak_height(highest: Peak) -> str:
     """Format the height of a peak with its bound, µm/N, or its lower bound if the upper bound is infinite."""
-    if isinf(found.bound):
-        return f"at least {1e6 * found.low:.4g}"
-    return with_bound(1e6 * found.value, 1e6 * found.bound)
+    if isinf(highest.bound):
+        return f"at least {1e6 * highest.low:.4g}"
+    return with_bound(1e6 * highest.value, 1e6 * highest.bound)
 
 
 def with_bound(value: float, bound: float) -> str:
@@ -73,10 +73,10 @@ def with_bound(value: float, bound: float) -> str:
     return f"{round_to_bound(value, bound)} ± {round_to_bound(bound, bound)}" if bound > 0.0 else f"{value:.4g}"
 
 
-def changes_table(found: Sequence[tuple[Measured, Measured, PeakChange]]) -> str:
+def changes_table(changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> str:
     """Write a table of the changes of peaks, and whether each exceeds its uncertainty."""
     rows: list[tuple[str, ...]] = []
-    for first, other, change in found:
+    for first, other, change in changes:
         pair = f"{first.label} → {other.label}"
         if (pair,) not in rows:
             rows.append((pair,))
@@ -103,11 +103,11 @@ def decays(measurements: Sequence[Measured]) -> str:
     """Write a table of free-decay modes with their damping at the largest and the smallest amplitude."""
     rows: list[tuple[str, ...]] = []
     for measured in measurements:
-        found = measured.decay
-        if found is None:
+        result = measured.decay
+        if result is None:
             continue
-        rows.append((f"{measured.label}, {found.channel}",))
-        for mode in found.modes:
+        rows.append((f"{measured.label}, {result.channel}",))
+        for mode in result.modes:
             ends = ("too short or too noisy", "")
             if mode.damping.size:
                 first, last = (
@@ -123,9 +123,9 @@ def decays(measurements: Sequence[Measured]) -> str:
     return table("Free decay of each mode, with 95 % intervals", heading, rows) if rows else ""
 
 
-def budget(measured: Measured, curve: Response, found: Peak) -> str:
+def budget(measured: Measured, curve: Response, highest: Peak) -> str:
     """Write the uncertainty budget of a response at its peak: contribution, type, bound and share."""
-    point = int(np.argmin(abs(curve.frequency - found.frequency)))
+    point = int(np.argmin(abs(curve.frequency - highest.frequency)))
     unit, factor = curve.shown_in
     parts = {"noise (scatter)": ("A", float(curve.random_bound()[point]))}
     parts |= {name: ("B", float(part[point])) for name, part in curve.limits.items()}
@@ -140,10 +140,10 @@ def budget(measured: Measured, curve: Response, found: Peak) -> str:
         for name, (kind, bound) in sorted(parts.items(), key=lambda item: -item[1][1])
         if bound > 0.0
     ]
-    what = f"{measured.label}, {curve.ratio} at {curve.frequency[point]:.4g} Hz"
+    title = f"{measured.label}, {curve.ratio} at {curve.frequency[point]:.4g} Hz"
     height = with_bound(factor * float(abs(curve.value[point])), factor * float(curve.bound()[point]))
     return table(
-        f"Uncertainty budget of {what}: {height} {unit} (95 %)",
+        f"Uncertainty budget of {title}: {height} {unit} (95 %)",
         ["contribution", "type (GUM)", f"95 % bound / ({unit})", "share of the variance"],
         rows,
         numbers=2,
@@ -159,9 +159,9 @@ def test_text(scene: Scene) -> str:
     """
     if scene.test is None:
         return "none"
-    given = yaml.safe_load(write(scene.test, scene.structure))
-    kind = given.pop("kind", scene.test.kind).replace("_", " ")
-    return f"{kind}: {_listed(given)}" if given else kind
+    stated = yaml.safe_load(write(scene.test, scene.structure))
+    kind = stated.pop("kind", scene.test.kind).replace("_", " ")
+    return f"{kind}: {_listed(stated)}" if stated else kind
 
 
 def _listed(content: Mapping[str, object]) -> str:

@@ -75,8 +75,8 @@ def abbreviate_types(types: np.ndarray) -> np.ndarray:
     def abbreviate(text: str) -> str:
         parts = text.split("/")
         named = [p for p in parts if p in ("I", "II", "III", "riding")]
-        shown = named if len(named) == len(parts) else [*named, "other"]
-        return "/".join("r" if p == "riding" else p for p in dict.fromkeys(shown))
+        printed = named if len(named) == len(parts) else [*named, "other"]
+        return "/".join("r" if p == "riding" else p for p in dict.fromkeys(printed))
 
     return np.vectorize(abbreviate)(types)
 

@@ -125,5 +125,5 @@ def _format_duration(seconds: float) -> str:
     >>> _format_duration(42.3), _format_duration(192)
     ('42 s', '3 min 12 s')
     """
-    whole = round(seconds)
-    return f"{whole // 60} min {whole % 60} s" if whole >= 60 else f"{whole} s"
+    rounded = round(seconds)
+    return f"{rounded // 60} min {rounded % 60} s" if rounded >= 60 else f"{rounded} s"

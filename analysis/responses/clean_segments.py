@@ -40,49 +40,49 @@ class Flaw:
 
 def flaws(rec: Recording, channels: Collection[str], first: int, stop: int) -> list[Flaw]:
     """Find overloads and lost samples of the channels between two samples, sorted by their first sample."""
-    found = [
+    all_flaws = [
         Flaw(marker.first_sample, marker.stop, str(marker.fields.get("channel", "")), "overloaded")
         for marker in rec.overloads
         if marker.fields.get("channel") in channels
     ]
-    found += [
+    all_flaws += [
         Flaw(gap.first_sample, gap.last_sample + 1, next(n for n in gap.channels if n in channels), "lost")
         for gap in rec.gaps
         if set(gap.channels) & set(channels)
     ]
-    return sorted((flaw for flaw in found if flaw.first < stop and flaw.stop > first), key=lambda flaw: flaw.first)
+    return sorted((flaw for flaw in all_flaws if flaw.first < stop and flaw.stop > first), key=lambda flaw: flaw.first)
 
 
-def clean_segments(found: list[Flaw], first: int, stop: int) -> list[tuple[int, int]]:
+def clean_segments(all_flaws: list[Flaw], first: int, stop: int) -> list[tuple[int, int]]:
     """Return the segments (start, stop) between two samples that contain no flaw.
 
     >>> clean_segments([Flaw(20, 30, "a", "lost"), Flaw(25, 40, "b", "overloaded")], 0, 100)
     [(0, 20), (40, 100)]
     """
     clean, start = [], first
-    for flaw in found:
+    for flaw in all_flaws:
         if flaw.first > start:
             clean.append((start, min(flaw.first, stop)))
         start = max(start, flaw.stop)
     return [*clean, (start, stop)] if start < stop else clean
 
 
-def describe_flaws(rec: Recording, found: Sequence[Flaw]) -> str:
+def describe_flaws(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
     """Describe the flaws and their times: ``a3 overloaded (at 1.2 s, 4.5 s), a1 lost (at 7 s)``."""
     groups: dict[str, list[str]] = {}
-    for flaw in found:
+    for flaw in all_flaws:
         groups.setdefault(f"{flaw.channel} {flaw.reason}", []).append(f"{flaw.first / rec.rate:.4g} s")
     return ", ".join(
-        f"{what} (at {', '.join(times[:3])}{f' and {len(times) - 3} times more' if len(times) > 3 else ''})"
-        for what, times in groups.items()
+        f"{kind} (at {', '.join(times[:3])}{f' and {len(times) - 3} times more' if len(times) > 3 else ''})"
+        for kind, times in groups.items()
     )
 
 
-def remedy(rec: Recording, found: Sequence[Flaw]) -> str:
+def remedy(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
     """Recommend a remedy for flaws: another level, range or sensor, or more time for sensors to settle."""
-    reasons = {flaw.reason for flaw in found}
+    reasons = {flaw.reason for flaw in all_flaws}
     limits = []
-    for name in dict.fromkeys(flaw.channel for flaw in found if flaw.reason == "overloaded"):
+    for name in dict.fromkeys(flaw.channel for flaw in all_flaws if flaw.reason == "overloaded"):
         info = rec.channels[name]
         kind = {"acceleration": ACCELERATION, "force": FORCE}.get(info.quantity)
         for key, text in info.sensor.items():

@@ -203,11 +203,11 @@ def block_spectra(
     frequency = fft.rfftfreq(size, 1.0 / rec.rate)
     in_band = (frequency >= low) & (frequency <= min(high, 0.45 * rec.rate)) & (frequency > 0)
     cross: ComplexArray = np.zeros((int(in_band.sum()), len(names), len(names)), dtype=complex)
-    left, used, power = 0.0, 0, np.zeros(len(names))
+    end_ratio, used, power = 0.0, 0, np.zeros(len(names))
     blocks = read_slices(rec, names, ((begin, begin + size) for begin in starts))
-    for done, (begin, samples) in enumerate(zip(starts, blocks, strict=True), 1):
+    for n_completed, (begin, samples) in enumerate(zip(starts, blocks, strict=True), 1):
         if progress is not None:
-            progress(done, len(starts))
+            progress(n_completed, len(starts))
         if np.any((edges[:, 0] < begin + size) & (edges[:, 1] > begin)):
             continue
         samples = samples - samples.mean(axis=1, keepdims=True)
@@ -216,12 +216,12 @@ def block_spectra(
         used += 1
         power += np.mean(np.square(samples), axis=1)
         largest = np.maximum(abs(samples).max(axis=1), 1e-300)
-        left = max(left, float(np.max(abs(samples[:, -max(1, size // 50) :]).max(axis=1) / largest)))
+        end_ratio = max(end_ratio, float(np.max(abs(samples[:, -max(1, size // 50) :]).max(axis=1) / largest)))
     averages = Averages(
         tuple(names), frequency[in_band], np.asarray(cross / max(used, 1e-300), dtype=complex),
         independent_blocks(window, step, used) if used else 0.0, 0.0, rec.scene.name,
     )  # fmt: skip
-    return BlockSpectra(averages, used, all_flaws, left, power / max(used, 1))
+    return BlockSpectra(averages, used, all_flaws, end_ratio, power / max(used, 1))
 
 
 def sampled_window(name: str, size: int) -> Array:

@@ -65,10 +65,10 @@ class Request:
         out = []
         for source in sources:
             curves = []
-            for done, name in enumerate(self.names, 1):
+            for n_completed, name in enumerate(self.names, 1):
                 curves.append(source.frf(self.rec, name, self.reference, self.motion))
                 if self.progress is not None:
-                    self.progress(done, len(self.names))
+                    self.progress(n_completed, len(self.names))
             out.append(stack(annotate(self.rec, curves)))
         return out
 

@@ -86,12 +86,12 @@ class LockIn:
         projection = np.zeros((2 * self.harmonics + 2, len(samples)))
         for start, turn, basis in self._pieces(length):
             projection += turn @ (basis @ samples[:, start : start + basis.shape[1]].T)
-        own: Array = np.asarray(np.linalg.solve(self._gram(length)[0], projection), dtype=float)
+        coefficients: Array = np.asarray(np.linalg.solve(self._gram(length)[0], projection), dtype=float)
         squares = np.zeros(len(samples))
         for start, turn, basis in self._pieces(length):
-            residual = samples[:, start : start + basis.shape[1]] - (own.T @ turn) @ basis
+            residual = samples[:, start : start + basis.shape[1]] - (coefficients.T @ turn) @ basis
             squares += np.einsum("ij,ij->i", residual, residual)
-        self._parts.append(_Part(self._samples, length, projection, own, squares, samples[:, [0, -1]].T))
+        self._parts.append(_Part(self._samples, length, projection, coefficients, squares, samples[:, [0, -1]].T))
         self._samples += length
 
     def tone(self) -> ToneFit:
@@ -196,21 +196,21 @@ class LockIn:
 
 
 def parts_of_whole_periods(
-    first: int, last: int, frequency: float, rate: float, most: int = 20
+    first: int, last: int, frequency: float, rate: float, max_parts: int = 20
 ) -> list[tuple[int, int]]:
     """Split the window ``[first, last)`` into at most `most` parts of the same whole number of periods each.
 
     A remainder shorter than a part is discarded. Bounds are rounded to samples. A window shorter than one period is a
     single part.
 
-    >>> parts_of_whole_periods(0, 1000, 10.0, 1000.0, most=4)
+    >>> parts_of_whole_periods(0, 1000, 10.0, 1000.0, max_parts=4)
     [(0, 300), (300, 600), (600, 900)]
     """
     period = rate / frequency
     periods = int((last - first + 0.5) / period)
     if periods < 1:
         return [(first, last)]
-    each = -(-periods // most)
+    each = -(-periods // max_parts)
     count = periods // each
     edges = [first + round(index * each * period) for index in range(count + 1)]
     return list(pairwise(edges))

@@ -157,12 +157,12 @@ class LocalErrors:
         nearest = np.clip(np.searchsorted(0.5 * (centre[1:] + centre[:-1]), np.arange(bins)), 0, count - 1)
         reference_ratio: Array | None = None
         if self.one_reference:
-            reference, own, reference_ratio = _separate_noise(power, self.curve, self.drive, centre)
+            reference, variances, reference_ratio = _separate_noise(power, self.curve, self.drive, centre)
             within = np.clip(np.arange(bins) - first[nearest], 0, width - 1)
             curve = self.curve[nearest, :, within]
             noise = reference[nearest, None, None] * curve[:, :, None] * curve[:, None].conj()
             index = np.arange(elements)
-            noise[:, index, index] += own[nearest]
+            noise[:, index, index] += variances[nearest]
         else:
             noise = power[nearest]
         lines = np.empty((count, elements, elements), dtype=complex)
@@ -174,8 +174,10 @@ class LocalErrors:
         lines = lines / self.used + 2.0 * self.common[:, :, None] * self.common[:, None].conj()
         if reference_ratio is None:
             # The fit reproduces part of the noise of known power, so the residuals underestimate it.
-            stated, own = 2.0 * error**2, np.einsum("kaa->ka", lines).real
-            scale = np.sqrt(np.maximum(1.0, np.divide(stated, own, out=np.ones_like(own), where=own > 0.0)))
+            stated, variances = 2.0 * error**2, np.einsum("kaa->ka", lines).real
+            scale = np.sqrt(
+                np.maximum(1.0, np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0))
+            )
             lines = lines * scale[:, :, None] * scale[:, None]
         return LocalCovariance(_add_uncorrelated(lines), shared, self, noise, reference_ratio)
 
@@ -235,9 +237,9 @@ class LocalCovariance:
 
 def _scale_to_variances(lines: ComplexArray, error: Array) -> ComplexArray:
     """Scale covariances to stated standard uncertainties of either quadrature component."""
-    stated, own = 2.0 * error**2, np.einsum("kaa->ka", lines).real
+    stated, variances = 2.0 * error**2, np.einsum("kaa->ka", lines).real
     with np.errstate(invalid="ignore"):
-        ratio = np.sqrt(np.divide(stated, own, out=np.ones_like(own), where=own > 0.0))
+        ratio = np.sqrt(np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0))
     return np.asarray(lines * ratio[:, :, None] * ratio[:, None])
 
 

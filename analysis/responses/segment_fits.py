@@ -115,11 +115,12 @@ class SegmentFits:
         if self.bursts is not None:
             # The samples between bursts carry no information, because the force of an undriven spring follows from
             # its response. A segment that begins late in a burst responds mainly to the force before it.
-            period, on = self.bursts
+            period, on_samples = self.bursts
             clean = [
                 (start, stop)
                 for start, stop in clean
-                if np.sum((np.arange(start, stop) - self.first) % period < on) > max(4 * SIDE, _MIN_BURST * on)
+                if np.sum((np.arange(start, stop) - self.first) % period < on_samples)
+                > max(4 * SIDE, _MIN_BURST * on_samples)
             ]
         # The frequency range of a fit must be smaller than the band.
         min_length_s = 2 * SIDE / (self.high - self.low) if self.hits is None else 0.2
@@ -137,7 +138,7 @@ class SegmentFits:
         """Limit hits to the first hits that fit into memory; random tests are read in pieces."""
         if self.hits is None:
             return segments, []
-        budget, kept = _MAX_VALUES // len(self.channels), []
+        budget, selected = _MAX_VALUES // len(self.channels), []
         for segment in segments:
             start, stop = segment
             if stop - start > budget:
@@ -147,15 +148,15 @@ class SegmentFits:
                 stop = begins[-1] if begins else min(stop, start + budget)
             if not self.hits.inside(start, stop):
                 break
-            kept.append((start, stop))
+            selected.append((start, stop))
             budget -= stop - start
-            if kept[-1] != segment:
+            if selected[-1] != segment:
                 break
-        if kept == segments or not kept:
+        if selected == segments or not selected:
             return segments, []
-        used, total = (sum(len(self.hits.inside(*bounds)) for bounds in group) for group in (kept, segments))
-        return kept, [
-            f"Only {used} of {total} hits are used, before {kept[-1][1] / rate:.4g} s, because all of them need "
+        used, total = (sum(len(self.hits.inside(*bounds)) for bounds in group) for group in (selected, segments))
+        return selected, [
+            f"Only {used} of {total} hits are used, before {selected[-1][1] / rate:.4g} s, because all of them need "
             "more than a gigabyte of memory. Record at a lower rate or with a shorter interval between hits."
         ]
 

@@ -64,7 +64,7 @@ def sweeps(
         for marker, window in zip(markers, windows, strict=True)
     ]
     source = read_slices(rec, names, (part for group in parts for part in group))
-    for done, (marker, (first, stop), group) in enumerate(zip(markers, windows, parts, strict=True), 1):
+    for n_completed, (marker, (first, stop), group) in enumerate(zip(markers, windows, parts, strict=True), 1):
         samples = (next(source) for _ in group)
         frequency = float(marker.fields["frequency"])
         key = float(marker.fields.get("level", np.nan)), str(marker.fields.get("direction", "up"))
@@ -86,7 +86,7 @@ def sweeps(
         for _ in samples:
             pass
         if progress is not None:
-            progress(done, len(markers))
+            progress(n_completed, len(markers))
     if not runs:
         raise RecordingError(f"{rec.path}: {_why_nothing(rec, [each for some in left_out.values() for each in some])}")
     several = len(runs.keys() | left_out.keys()) > 1
@@ -99,7 +99,7 @@ def sweeps(
     ]
 
 
-def _notes(key: _Setting, found: list[_Point], left_out: list[_LeftOut], several: bool) -> list[str]:
+def _notes(key: _Setting, points: list[_Point], left_out: list[_LeftOut], several: bool) -> list[str]:
     """Describe the discarded frequencies of a sweep, with reasons, and those without steady-state motion."""
     setting = f"{format_number(key[0])} N {key[1]}: " if several else ""
     out = []
@@ -112,11 +112,11 @@ def _notes(key: _Setting, found: list[_Point], left_out: list[_LeftOut], several
         elif low == high:
             which = f"{low:.4g} Hz left out {len(places)} times"
         out.append(f"{setting}{which}: {why} in {'its window' if len(places) == 1 else 'their windows'}.")
-    if not found:
+    if not points:
         out.append(f"{setting}no frequency of this sweep is usable.")
-    unsteady = [not steady for _, _, steady in found]
+    unsteady = [not steady for _, _, steady in points]
     if any(unsteady):
-        where = format_frequencies([tone.frequency for tone, _, _ in found], unsteady)
+        where = format_frequencies([tone.frequency for tone, _, _ in points], unsteady)
         out.append(
             f"{setting}No steady state at {where}: these points are marked. The motion is irregular or needs a longer "
             "test.settle."

@@ -126,16 +126,16 @@ def sweep_spectra(
     if marker.fields.get("settled") is False:
         notes.append("The sweep began before steady state at its first frequency. Increase test: settle.")
     order = sorted(np.flatnonzero(is_clean), key=lambda index: bounds[index])
-    around = np.arange(-SIDE, SIDE + 1)
-    samples = np.empty((_POINTS, len(names), around.size), dtype=complex)
-    line_frequency = np.empty((_POINTS, around.size))
+    neighbours = np.arange(-SIDE, SIDE + 1)
+    samples = np.empty((_POINTS, len(names), neighbours.size), dtype=complex)
+    line_frequency = np.empty((_POINTS, neighbours.size))
     variances = np.empty((len(names), _POINTS))
     direction = 1 if marker.fields["to"] > marker.fields["from"] else -1
     noise_levels = []
     blocks = read_slices(rec, names, [bounds[index] for index in order])
-    for done, (index, block) in enumerate(zip(order, blocks, strict=True), 1):
+    for n_completed, (index, block) in enumerate(zip(order, blocks, strict=True), 1):
         if progress is not None:
-            progress(done, len(order))
+            progress(n_completed, len(order))
         size = block.shape[1]
         line = max(int(frequency[index] * size / rec.rate), SIDE + 1)
         # This shift moves the frequency exactly onto a line.
@@ -147,17 +147,17 @@ def sweep_spectra(
         quiet_lines = (
             np.arange(quiet_line - SIDE - 1, quiet_line + SIDE + 2) if has_noise else np.zeros(0, dtype=np.int64)
         )
-        lines = np.concatenate([line + around, quiet_lines])
+        lines = np.concatenate([line + neighbours, quiet_lines])
         spectrum = spectrum_at_lines(block - block.mean(axis=1, keepdims=True), lines, shift)
-        samples[index] = spectrum[:, : around.size]
-        line_frequency[index] = frequency[index] + around * rec.rate / size
+        samples[index] = spectrum[:, : neighbours.size]
+        line_frequency[index] = frequency[index] + neighbours * rec.rate / size
         begin, width = bounds[index][0], SIDE * rec.rate / size
         # A logarithmic sweep has only positive frequencies.
         edges = [max(frequency[index] + offset, 1e-6 * frequency[index]) for offset in (-width, width)]
         passes = [first + _sample_at(marker, edge, rec.rate) - begin for edge in edges]
         variances[:, index] = _samples_between(block, passes, rec.rate / frequency[index]).var(axis=1)
         if has_noise:
-            noise = _noise(spectrum[:, around.size :]) / size
+            noise = _noise(spectrum[:, neighbours.size :]) / size
             noise_levels.append((line_frequency[index, SIDE] + (quiet_line - line) * rec.rate / size, *noise))
     clean_points, lengths = np.array(sorted(order)), np.array([end - begin for begin, end in bounds])
     noise = _interpolate_noise(noise_levels, frequency[clean_points], len(names))
@@ -167,9 +167,9 @@ def sweep_spectra(
     spectra = LocalSpectra(
         names,
         np.moveaxis(samples[clean_points], 0, 1).reshape(1, len(names), -1),
-        np.ones((1, clean_points.size * around.size), dtype=complex),
+        np.ones((1, clean_points.size * neighbours.size), dtype=complex),
         line_frequency[clean_points].ravel(),
-        np.arange(clean_points.size) * around.size + SIDE,
+        np.arange(clean_points.size) * neighbours.size + SIDE,
         SIDE,
         1.0,
         gain,

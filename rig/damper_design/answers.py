@@ -84,8 +84,8 @@ class Answers:
         self._stored.sort()
 
 
-def _compute(piece: Piece) -> Peak:
-    question, choice = piece
+def _compute(case: Piece) -> Peak:
+    question, choice = case
     return question.worst(choice)
 
 

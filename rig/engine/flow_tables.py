@@ -125,11 +125,11 @@ class FlowTables:
         system, drive = self.system, self.drive
         nq, ns = system.coordinates, system.states
         dtype = self._precision
-        riding = [j for j in range(system.dampers) if configuration >> j & 1 and not system.finite_contact[j]]
+        on_floor = [j for j in range(system.dampers) if configuration >> j & 1 and not system.finite_contact[j]]
         contact_matrix, contact_constant = system.contact_forces(configuration)
         mass = system.mass.astype(dtype)
         constant = system.force_constant.astype(dtype) + contact_constant
-        for j in riding:
+        for j in on_floor:
             row = system.damper_coordinate[j]
             mass[row, row] += system.damper_mass[j]
             constant[row] -= dtype(system.damper_mass[j]) * dtype(system.gravity)
@@ -339,11 +339,11 @@ def _power_terms(matrix: np.ndarray) -> np.ndarray:
     powers = np.empty((TERMS, *matrix.shape), dtype=matrix.dtype)
     powers[0] = np.eye(len(matrix), dtype=matrix.dtype)
     powers[1] = matrix
-    done = 2
-    while done < TERMS:
-        count = min(done - 1, TERMS - done)
-        powers[done : done + count] = powers[done - 1] @ powers[1 : 1 + count]
-        done += count
+    n_computed = 2
+    while n_computed < TERMS:
+        count = min(n_computed - 1, TERMS - n_computed)
+        powers[n_computed : n_computed + count] = powers[n_computed - 1] @ powers[1 : 1 + count]
+        n_computed += count
     factorials = np.cumprod(np.maximum(np.arange(TERMS), 1).astype(matrix.dtype))
     return powers / factorials[:, None, None]
 

@@ -155,9 +155,9 @@ class Bed:
     def _new_lammps(self) -> Any:
         return new_lammps()
 
-    def _total(self, own: Array) -> Array:
+    def _total(self, local: Array) -> Array:
         """Sum over all grains, from the sum over the grains of this process."""
-        return own
+        return local
 
     def _view(self) -> None:
         """View LAMMPS's arrays of the grains; they do not move, as number and order of the grains do not change."""

@@ -77,8 +77,8 @@ class PartOfBed(Bed):
     def _new_lammps(self) -> Any:
         return new_lammps(communicators().COMM_WORLD)
 
-    def _total(self, own: Array) -> Array:
-        return sum_over_ranks(np.asarray(own))
+    def _total(self, local: Array) -> Array:
+        return sum_over_ranks(np.asarray(local))
 
     def _call(self, function: Callable[..., Any], *arguments: Any) -> None:
         from lammps import MPIAbortException

@@ -112,8 +112,8 @@ def rows_of(
     scene: Scene,
     over: str,
     frequency: Array,
-    least: float | None = None,
-    most: float | None = None,
+    lowest: float | None = None,
+    highest: float | None = None,
     rows: int = DEFAULT_ROWS,
 ) -> Array:
     """Select levels or clearances, evenly spaced in the logarithm.
@@ -124,14 +124,14 @@ def rows_of(
     `SceneError` if the ends are not a valid range.
     """
     scene_value, default = (_clearances if over == "clearance" else _levels)(scene, frequency)
-    low, high = default[0] if least is None else least, default[1] if most is None else most
+    low, high = default[0] if lowest is None else lowest, default[1] if highest is None else highest
     if not 0.0 < low < high or rows < 2:
         raise SceneError(
             f"{over}: got {low:.4g} to {high:.4g} in {rows} rows; expected a rising range above 0 and "
             "at least 2 rows (--least, --most, --rows)"
         )
     step = np.log(high / low) / (rows - 1)
-    if least is not None and most is not None:
+    if lowest is not None and highest is not None:
         return np.geomspace(low, high, rows)
     # Shift by less than half a row, so that one row is the scene's own value.
     shift = (np.log(scene_value / low) / step + 0.5) % 1.0 - 0.5

@@ -170,7 +170,7 @@ def map_motion(
     frequencies: ArrayLike | None = None,
     progress: Callable[[int, int], None] | None = None,
     cluster: str | None = None,
-    kept: Path | None = None,
+    table_path: Path | None = None,
 ) -> MotionMap:
     """Compute the steady motion over a grid of levels or clearances, and frequencies.
 
@@ -210,8 +210,10 @@ def map_motion(
     value = np.unique(positive_values(levels, KIND_OF_UNIT[unit], "values"))
     max_wait, count = _max_wait_periods(scene, frequency), frequency.size
     rows = [_Row(_scene_at(scene, over, float(each)), frequency, max_wait) for each in value]
-    report_points = None if progress is None else lambda done, total: progress(done * count, total * count)
-    points = _STUDY.run(rows, kept, cluster, report_points)
+    report_points = (
+        None if progress is None else lambda n_completed, total: progress(n_completed * count, total * count)
+    )
+    points = _STUDY.run(rows, table_path, cluster, report_points)
     return MotionMap(
         scene=scene,
         over=over,

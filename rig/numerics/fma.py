@@ -59,8 +59,8 @@ def _sums(same_rows: bool) -> Any:
         typing_context: Any, rows: Any, row: Any, stride: Any, factors: Any, factor: Any, step: Any, apart: Any,
         count: Any, out: Any, place: Any,
     ) -> Any:  # fmt: skip
-        whole = types.intp
-        signature = types.void(rows, whole, whole, factors, whole, whole, whole, whole, out, whole)
+        integer = types.intp
+        signature = types.void(rows, integer, integer, factors, integer, integer, integer, integer, out, integer)
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             rows, row, stride, factors, factor, step, apart, count, out, place = arguments
@@ -130,8 +130,8 @@ def factored_sums(rows: Any, factors: Any, start: int, step: int, apart: int, ou
     next sum; `first`, `count`: number of the first sum, and number of sums.
     """
     entries = rows.shape[0]
-    for done in range(0, count, SUMS_AT_ONCE):
-        place, factor = LANES * (first + done), start + done * apart
+    for first_sum in range(0, count, SUMS_AT_ONCE):
+        place, factor = LANES * (first + first_sum), start + first_sum * apart
         _factored_sums(rows, 0, LANES, factors, factor, step, apart, entries, out, place)
 
 
@@ -150,9 +150,9 @@ def _update_states(typing_context: Any, states: Any, keep: Any, weights: Any, va
         with cgutils.for_range_slice(builder, begin, size, step, size.type) as (place, _):
             before = load(context, builder, kinds[0], states, place)
             weight = load(context, builder, kinds[2], weights, place)
-            kept = load(context, builder, kinds[1], keep, place)
+            keep_factor = load(context, builder, kinds[1], keep, place)
             builder.store(builder.call(fma, [weight, before, builder.load(total)]), total)
-            store(context, builder, kinds[0], states, place, builder.call(fma, [kept, before, everywhere]))
+            store(context, builder, kinds[0], states, place, builder.call(fma, [keep_factor, before, everywhere]))
         sums = builder.load(total)
         for distance in (4, 2, 1):
             order = [(lane + distance) % LANES for lane in range(LANES)]

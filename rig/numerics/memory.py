@@ -16,7 +16,7 @@ LIMIT_VARIABLE = "SHOTRIG_MEMORY"
 _PREFIXES = {"": 1.0, "M": 1e6, "G": 1e9, "T": 1e12}
 
 
-def require_memory(size: float, what: str) -> None:
+def require_memory(size: float, purpose: str) -> None:
     """Reject a computation that would exceed the memory limit.
 
     `size`: bytes; `what`: name of the computation. Raises `RunError` if `size` exceeds 1 GB, or the limit in the
@@ -29,18 +29,18 @@ def require_memory(size: float, what: str) -> None:
     limit = memory_limit()
     if size > limit:
         raise RunError(
-            f"{what} would need {size / 1e9:.4g} GB of memory; the limit is {limit / 1e9:.3g} GB. Raise it by "
+            f"{purpose} would need {size / 1e9:.4g} GB of memory; the limit is {limit / 1e9:.3g} GB. Raise it by "
             f"the environment variable {LIMIT_VARIABLE}, such as {LIMIT_VARIABLE}=8GB."
         )
 
 
-def require_memory_with_program(size: float, what: str) -> None:
+def require_memory_with_program(size: float, purpose: str) -> None:
     """Reject a computation that would exceed the memory limit together with the program itself.
 
     Parameters and errors as `require_memory`; 0 bytes are never rejected.
     """
     if size > 0.0:
-        require_memory(PROGRAM_BYTES + size, what)
+        require_memory(PROGRAM_BYTES + size, purpose)
 
 
 def memory_limit() -> float:

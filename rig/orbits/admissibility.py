@@ -200,12 +200,12 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
                     _reduce_margin(distances, THROWN_OFF, i, sign * speed_change * omega / acc_unit)
         if separates:
             # At zero flight time the equations are singular, so a curve ends before.
-            landing = (event + 1) % events
-            while sequence.damper[landing] != j:
-                landing = (landing + 1) % events
-            next_period = equations.period if landing <= event else 0.0
-            flight_time = instants[landing] - instants[event] + next_period
-            if sequence.kind[landing] == (kinds.CEILING if ceiling else kinds.FLOOR):
+            next_event = (event + 1) % events
+            while sequence.damper[next_event] != j:
+                next_event = (next_event + 1) % events
+            next_period = equations.period if next_event <= event else 0.0
+            flight_time = instants[next_event] - instants[event] + next_period
+            if sequence.kind[next_event] == (kinds.CEILING if ceiling else kinds.FLOOR):
                 _reduce_margin(distances, FLIGHT_ENDS, j, flight_time * omega - MIN_FLIGHT_RAD)
     for j in range(nd):
         if equations.bed[j] >= 0:

@@ -99,8 +99,8 @@ class Plan:
 
     def same_cycle(self, other: Plan) -> bool:
         """Return whether the events are the same in the same cyclic order."""
-        own, others = self.label.split(), other.label.split()
-        return len(own) == len(others) and (own == others or " ".join(own) in " ".join(others + others))
+        events, others = self.label.split(), other.label.split()
+        return len(events) == len(others) and (events == others or " ".join(events) in " ".join(others + others))
 
 
 def derive_plan(

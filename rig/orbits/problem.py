@@ -299,10 +299,10 @@ def vary(setting: OperatingPoint, parameter: Parameter) -> Callable[[float], Ope
 
 def _riding_mass_and_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
     """Return the mass matrix with the riding dampers of a configuration, and constant forces with their weight."""
-    riding = np.array(
+    on_floor = np.array(
         [j for j in range(system.dampers) if configuration >> j & 1 and not system.finite_contact[j]], dtype=np.intp
     )
-    rows, masses = system.damper_coordinate[riding], system.damper_mass[riding]
+    rows, masses = system.damper_coordinate[on_floor], system.damper_mass[on_floor]
     added = np.zeros_like(system.mass)
     np.add.at(added, (rows, rows), masses)
     return system.mass + added, system.force_constant - system.gravity * added.sum(axis=0)

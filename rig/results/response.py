@@ -726,9 +726,9 @@ def _at_lines(curve: Response, lines: Array) -> Response:
     positions = np.searchsorted(lines, curve.frequency)
 
     def spread(column: NDArray[Any]) -> NDArray[Any]:
-        full = np.full((lines.size, *column.shape[1:]), np.nan, dtype=np.result_type(column, float))
-        full[positions] = column
-        return full
+        filled = np.full((lines.size, *column.shape[1:]), np.nan, dtype=np.result_type(column, float))
+        filled[positions] = column
+        return filled
 
     return replace(
         curve,

@@ -48,13 +48,13 @@ def low_spectra(
     filters = taps.reshape(-1, step).T
     n_rows = max(1, _MAX_MULTIPLICATIONS // filters.size)
     # The filter extends beyond both ends of the segment; the transform is periodic.
-    overlap, padding, piece = filters.shape[1], size - (stop - start), max(1, PIECE // step) * step
+    overlap, padding, piece_samples = filters.shape[1], size - (stop - start), max(1, PIECE // step) * step
     filtered = np.zeros((len(names), overlap + size // step))
     total, squares = np.zeros((2, len(names)))
     # Squares are computed relative to the first sample, because a large offset would hide the variation by rounding.
     offset = np.array([rec.read(name, start, start + 1)[0] for name in names])
-    for first in range(padding // step * step, size, piece):
-        block = np.zeros((len(names), min(piece, size - first)))
+    for first in range(padding // step * step, size, piece_samples):
+        block = np.zeros((len(names), min(piece_samples, size - first)))
         begin, end = max(first, padding), first + block.shape[1]
         for row, name in enumerate(names):
             block[row, begin - first :] = rec.read(name, begin - padding + start, end - padding + start)

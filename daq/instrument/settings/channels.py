@@ -224,7 +224,8 @@ class Channel:
             scale = full_scale / self.volts_per_unit
             raise invalid_value(
                 f"channel {self.name}: limits {low:g} to {high:g} {self.unit} exceed the range of "
-                f"{self.module.product_type}, {-scale:g} to {scale:g} {self.unit} (±{full_scale:g} V). Give limits within it."
+                f"{self.module.product_type}, {-scale:g} to {scale:g} {self.unit} (±{full_scale:g} V). "
+                "Give limits within it."
             )
         if self.kind is None:
             return

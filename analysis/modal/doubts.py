@@ -36,8 +36,8 @@ def doubts(
         residual_text = f"the best linear fit leaves a residual of {100.0 * modes.model_error:.2g} % of the peak height"
         if modes.model_error > _NONLINEAR:
             yield (
-                f"The response is nonlinear: {residual_text}, more than the {expected}. These modes are the linear equivalent "
-                "at this force level."
+                f"The response is nonlinear: {residual_text}, more than the {expected}. "
+                "These modes are the linear equivalent at this force level."
             )
         else:
             yield f"Small model error: {residual_text}, more than the {expected}. The uncertainties of the modes include it."

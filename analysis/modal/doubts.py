@@ -40,7 +40,10 @@ def doubts(
                 "These modes are the linear equivalent at this force level."
             )
         else:
-            yield f"Small model error: {residual_text}, more than the {expected}. The uncertainties of the modes include it."
+            yield (
+                f"Small model error: {residual_text}, more than the {expected}. "
+                "The uncertainties of the modes include it."
+            )
     if dropped:
         yield (
             f"Rejected the stable poles at {_listed(np.sort(dropped))} Hz: their damping or height is below the "

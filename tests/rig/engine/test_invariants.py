@@ -141,11 +141,11 @@ def test_impact_conserves_momentum(scene: rig.Scene, seed: int) -> None:
     time = (motion.break_sample - 1) / rate + motion.break_offset
     mode = np.ones(system.dampers, dtype=int)
     mode[[int(e["damper"]) - 1 for e in motion.events if e["time"] == 0.0]] = 0
-    events = [e for e in motion.events if e["time"] > 0.0]
+    events = motion.events[motion.events["time"] > 0.0]
     # Several breaks may coincide within rounding. No list assigns their events to them.
     for breaks in np.split(np.arange(time.size), np.flatnonzero(np.diff(time) > SIMULTANEITY_S) + 1):
         if breaks.size:
-            simultaneous = [e for e in events if np.abs(time[breaks] - e["time"]).min() <= 1e-12]
+            simultaneous = list(events[np.abs(time[breaks, None] - events["time"]).min(axis=0) <= 1e-12])
             next_mode = modes_after_breaks(system, motion, breaks.tolist(), simultaneous, mode)
             assert next_mode is not None, f"no assignment of {simultaneous} to breaks {breaks} conserves momentum"
             mode = next_mode

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 
 from hypothesis import HealthCheck, settings
@@ -23,3 +24,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # The same is true for nohup and the hang-up signal.
 if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+def pytest_collection_finish() -> None:
+    """Exclude all imported modules from garbage collection, which would scan them again in every test."""
+    gc.collect()
+    gc.freeze()

@@ -94,8 +94,8 @@ def run(package: Path, code: str = CALL, **environment: str) -> subprocess.Compl
     """Run code in a process of its own."""
     paths = [str(package.parent), str(Path(__file__).parents[3])]
     variables = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "NUMBA_CACHE_DIR": str(package / "cache")}
-    # Python itself goes by the time and size of a file.
-    variables |= {"PYTHONDONTWRITEBYTECODE": "1", "PYTHONPYCACHEPREFIX": str(package / "bytecode")} | environment
+    # Stored bytecode would be used again: Python compares only time and size of a source.
+    variables |= {"PYTHONDONTWRITEBYTECODE": "1"} | environment
     return subprocess.run([sys.executable, "-c", code], env=variables, check=True, capture_output=True, text=True)
 
 

@@ -106,9 +106,9 @@ class _Equations:
 
     def _add_coordinate(self, mass: float) -> int:
         row = len(self.mass)
-        self.mass, self.damping, self.stiffness = (
-            np.pad(matrix, (0, 1)) for matrix in (self.mass, self.damping, self.stiffness)
-        )
+        enlarged = np.zeros((3, row + 1, row + 1))
+        enlarged[:, :row, :row] = self.mass, self.damping, self.stiffness
+        self.mass, self.damping, self.stiffness = enlarged
         self.mass[row, row] = mass
         self.weight = np.append(self.weight, 0.0)
         return row
@@ -203,6 +203,8 @@ def _walls(mass: Array, dampers: list[Damper], bed_mass: Array) -> tuple[Array, 
     `mass` is the mass matrix without the dampers that move.
     """
     stiffness, damping = np.zeros((2, len(dampers), 2))
+    if all(damper.contact is None for damper in dampers):
+        return stiffness, damping
     mobility = np.diag(np.linalg.inv(mass))
     for row, damper in enumerate(dampers):
         contact = damper.contact

@@ -99,6 +99,8 @@ class StructuralModel:
         if missing:
             raise SceneError(f"riding: damper {missing[0]} of {count}; expected 1 to {count}")
         beds = sorted({*np.flatnonzero(self.locked).tolist(), *(number - 1 for number in numbers)})
+        if not beds:
+            return self
         mass = self.mass.copy()
         bodies = self.bed_body[beds]
         np.add.at(mass, (bodies, bodies), self.bed_mass[beds])
@@ -239,8 +241,12 @@ def chain_matrix(elements: tuple[float, ...]) -> Array:
     array([[ 4., -1.],
            [-1.,  1.]])
     """
-    values = np.array(elements)
-    return np.diag(values + np.append(values[1:], 0.0)) - np.diag(values[1:], 1) - np.diag(values[1:], -1)
+    values, body = np.array(elements, dtype=np.float64), np.arange(len(elements))
+    matrix = np.zeros((body.size, body.size))
+    matrix[body, body] = values
+    matrix[body[:-1], body[:-1]] += values[1:]
+    matrix[body[:-1], body[1:]] = matrix[body[1:], body[:-1]] = -values[1:]
+    return matrix
 
 
 def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
@@ -251,7 +257,7 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     bodies), column i is the shape of mode i, its largest element +1. Raises `SceneError` if the structure is statically
     unstable (a negative eigenvalue larger than rounding errors).
     """
-    squares, shapes = scipy.linalg.eigh(stiffness, mass)
+    squares, shapes = scipy.linalg.eigh(stiffness, mass, check_finite=False)
     rounding = 10 * len(squares) * np.finfo(float).eps * np.abs(squares).max(initial=0.0)
     if squares[0] < -rounding:
         raise SceneError(

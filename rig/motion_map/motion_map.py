@@ -191,7 +191,7 @@ def map_motion(
         Called with the number of points done and the total.
     cluster : str, optional
         As for `rig.design`.
-    kept : Path, optional
+    table_path : Path, optional
         CSV file to which each finished row is added; rows of the same map in this file are not recomputed.
 
     Raises

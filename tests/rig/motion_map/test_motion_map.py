@@ -122,7 +122,7 @@ def test_interrupted_map_stops_its_rows() -> None:
 
 
 def test_interrupted_map_continues_from_stored_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = {"values": [0.5, 1.0, 3.3], "frequencies": [49.0, 50.0], "kept": tmp_path / "map.kept"}
+    asked = {"values": [0.5, 1.0, 3.3], "frequencies": [49.0, 50.0], "table_path": tmp_path / "map.kept"}
 
     def interrupt(done: int, total: int) -> None:
         raise KeyboardInterrupt

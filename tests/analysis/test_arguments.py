@@ -105,10 +105,10 @@ def test_wrong_argument_is_explained(call: Any, said: str) -> None:
 
 @pytest.mark.thorough
 def test_fitted_value_is_freed_by_body(hit: Path) -> None:
-    found = analysis.fit(hit, BRACKET, ["structure.masses.arm"])
-    assert found["structure.masses.arm"].value == pytest.approx(1.1, rel=0.02)
+    result = analysis.fit(hit, BRACKET, ["structure.masses.arm"])
+    assert result["structure.masses.arm"].value == pytest.approx(1.1, rel=0.02)
     with pytest.raises(SceneError, match=r"did you mean 'structure.masses.arm'"):
-        found["structure.mass.arm"]
+        result["structure.mass.arm"]
 
 
 def test_sensors_of_body_form_one_point(hit: Path) -> None:

@@ -28,39 +28,39 @@ def axes():
 
 def test_frf_joins_recordings_in_one_table(axes):
     with daq.open(DAMPED) as rec:
-        found = analysis.frf([BARE, rec], ["body3"])
-    assert [each.keys() for each in found] == [("body3",), ("body3",)]
-    columns = found.columns()
-    assert {len(column) for column in columns.values()} == {sum(each.frequency.size for each in found)}
+        result = analysis.frf([BARE, rec], ["body3"])
+    assert [each.keys() for each in result] == [("body3",), ("body3",)]
+    columns = result.columns()
+    assert {len(column) for column in columns.values()} == {sum(each.frequency.size for each in result)}
     assert np.unique(columns["label"]).size == 2
-    found.plot(axes)
-    assert len(axes.get_legend().get_texts()) == 2 and found[1].label in found._repr_html_()
+    result.plot(axes)
+    assert len(axes.get_legend().get_texts()) == 2 and result[1].label in result._repr_html_()
 
 
 def test_modes_of_two_recordings_are_compared_by_mac():
-    found = analysis.modes([BARE, DAMPED], modes=3)
-    assert found[0].frequency == pytest.approx([13.04, 34.78, 49.66], rel=1e-3)
-    assert np.diag(analysis.mac(found[0].shapes, found[1].shapes)).min() > 0.99
+    result = analysis.modes([BARE, DAMPED], modes=3)
+    assert result[0].frequency == pytest.approx([13.04, 34.78, 49.66], rel=1e-3)
+    assert np.diag(analysis.mac(result[0].shapes, result[1].shapes)).min() > 0.99
 
 
 def test_dampers_returns_the_rows_of_the_command(tmp_path, axes):
-    [found] = analysis.dampers(DAMPED)
+    [result] = analysis.dampers(DAMPED)
     assert CliRunner().invoke(app, ["dampers", str(DAMPED), "-o", str(tmp_path)]).exit_code == 0
     [table] = tmp_path.glob("*.csv")
     with table.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    columns = found.columns()
+    columns = result.columns()
     assert [row["motion"] for row in rows] == columns["motion"].tolist()
     assert [float(row["dampers_J"]) for row in rows] == pytest.approx(columns["dampers_J"].tolist(), rel=1e-8)
-    found.plot(axes)
-    assert "dissipate most at 12.64 Hz" in found.summary()
+    result.plot(axes)
+    assert "dissipate most at 12.64 Hz" in result.summary()
 
 
 def test_compare_returns_the_changes_of_the_peaks(axes):
-    found = analysis.compare([BARE, DAMPED])
-    assert found.columns()["change_dB"].size == len(found.changes) > 0
-    found.plot(axes)
-    assert f"of {len(found.changes)} resonance peaks changed" in found.summary()
+    result = analysis.compare([BARE, DAMPED])
+    assert result.columns()["change_dB"].size == len(result.changes) > 0
+    result.plot(axes)
+    assert f"of {len(result.changes)} resonance peaks changed" in result.summary()
 
 
 def test_export_and_report_return_their_files(tmp_path):

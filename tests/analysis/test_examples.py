@@ -46,6 +46,6 @@ def test_example_shows_its_result(name, tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setenv("MPLBACKEND", "agg")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = runpy.run_path(str(EXAMPLES / f"{name}.py"))
+        result = runpy.run_path(str(EXAMPLES / f"{name}.py"))
     assert capsys.readouterr().out.count("\n") >= 1
-    assert RESULTS[name](found)
+    assert RESULTS[name](result)

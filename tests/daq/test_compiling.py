@@ -24,8 +24,8 @@ print(sorted({event.data["dispatcher"].py_func.__qualname__ for _, event in reco
 
 
 def test_nothing_compiles_after_warm_up() -> None:
-    done = subprocess.run([sys.executable, "-c", AFTERWARDS], check=True, capture_output=True, text=True)
-    assert done.stdout == "[]\n"
+    completed = subprocess.run([sys.executable, "-c", AFTERWARDS], check=True, capture_output=True, text=True)
+    assert completed.stdout == "[]\n"
 
 
 def test_unknown_part_is_rejected() -> None:

@@ -31,12 +31,12 @@ def test_command_is_a_documented_call(name: str) -> None:
 
 
 def test_info_is_a_result_with_a_table(recording: Path) -> None:
-    found = daq.info(recording, check=True)
-    assert str(found).startswith(found.summary()) and found.checked
-    assert found.columns()["name"].tolist() == ["body1", "body2", "body3", "hammer"]
-    assert found.next_steps[0] == f"analysis decay {recording}"
-    assert "body1" in found._repr_html_()
-    assert len(found.plot().lines) == 4
+    result = daq.info(recording, check=True)
+    assert str(result).startswith(result.summary()) and result.checked
+    assert result.columns()["name"].tolist() == ["body1", "body2", "body3", "hammer"]
+    assert result.next_steps[0] == f"analysis decay {recording}"
+    assert "body1" in result._repr_html_()
+    assert len(result.plot().lines) == 4
 
 
 def test_replay_returns_the_file_it_writes(recording: Path, tmp_path: Path) -> None:

@@ -63,20 +63,20 @@ def poles(ours: dict[str, np.ndarray]) -> Iterator[Row]:
         for f in ours["pole_Hz"]
     ]
     peer.pole_ind = [[order, one] for one in chosen]
-    found, damping = peer.pole_freq[order][chosen], peer.pole_xi[order][chosen]
-    damping, found = damping * found / (found + shift), found + shift
+    result, damping = peer.pole_freq[order][chosen], peer.pole_xi[order][chosen]
+    damping, result = damping * result / (result + shift), result + shift
     # The exponential window of the hits is in the curves that both were given; ours has been taken off.
-    for mode in range(found.size):
+    for mode in range(result.size):
         yield (
-            f"mode {mode + 1}, frequency, sdypy-EMA", abs(found[mode] / ours["pole_Hz"][mode] - 1), 2e-4,
-            f"{found[mode]:.5f} and {ours['pole_Hz'][mode]:.5f} Hz",
+            f"mode {mode + 1}, frequency, sdypy-EMA", abs(result[mode] / ours["pole_Hz"][mode] - 1), 2e-4,
+            f"{result[mode]:.5f} and {ours['pole_Hz'][mode]:.5f} Hz",
         )  # fmt: skip
         yield (
             f"mode {mode + 1}, damping ratio, sdypy-EMA", abs(damping[mode] / ours["pole_damping"][mode] - 1), 2e-2,
             f"{100 * damping[mode]:.4f} and {100 * ours['pole_damping'][mode]:.4f} %",
         )  # fmt: skip
     _, constants = peer.get_constants()
-    for mode in range(found.size):
+    for mode in range(result.size):
         a, b = constants[:, mode], ours["shapes"][:, mode]
         mac = abs(np.vdot(a, b)) ** 2 / (np.vdot(a, a).real * np.vdot(b, b).real)
         yield f"mode {mode + 1}, 1 - MAC, sdypy-EMA", 1.0 - mac, 1e-3, "shapes of both"

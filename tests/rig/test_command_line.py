@@ -179,8 +179,8 @@ console.report_activity = report_activity
 sys.argv = ["rig", "scenes"]
 command_line.run_command("rig.cli")
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
-    assert done.returncode == -signal.SIGINT and not done.stderr
+    completed = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert completed.returncode == -signal.SIGINT and not completed.stderr
 
 
 def test_long_silence_prints_a_notice(command, capsys, monkeypatch):
@@ -216,8 +216,8 @@ def test_compilation_is_reported_until_it_ends(command, capsys, monkeypatch):
 
 
 def run_rig(code: str, **how: object) -> tuple[int, str]:
-    done = subprocess.run([sys.executable, "-m", "rig", *code.split()], stderr=subprocess.PIPE, text=True, **how)  # type: ignore[call-overload]
-    return done.returncode, done.stderr
+    completed = subprocess.run([sys.executable, "-m", "rig", *code.split()], stderr=subprocess.PIPE, text=True, **how)  # type: ignore[call-overload]
+    return completed.returncode, completed.stderr
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")

@@ -36,13 +36,13 @@ def test_signal_at_import_ends_without_traceback(program, moment, ending):
     # With -S, `signal` and `lazy_loader` are not yet imported; the module search path must be set.
     begin = f"import sys; sys.path[:] = {sys.path!r}\n"
     words = [sys.executable, "-S", "-c", begin + COMMAND, program, moment, str(int(ending))]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    completed = subprocess.run(words, capture_output=True, text=True, check=False)
     # Shells report a signal that ends a process as 128 and its number.
-    assert done.returncode in (128 + ending, -ending)
-    assert done.stderr in ("", "interrupted\n") and not done.stdout
+    assert completed.returncode in (128 + ending, -ending)
+    assert completed.stderr in ("", "interrupted\n") and not completed.stdout
 
 
 def test_script_keeps_its_ctrl_c_handler():
     script = "import signal, rig, daq, analysis; print(signal.getsignal(signal.SIGINT).__name__)"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert done.stdout == "default_int_handler\n"
+    completed = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert completed.stdout == "default_int_handler\n"

@@ -23,9 +23,9 @@ def test_second_rank_executes_operations_of_the_first() -> None:
         "print(ranks.size(), part.own, part.whole, part.grow(0.5), part.whole)"
     )
 
-    done = on_two_ranks(_JOINED + program)
+    completed = on_two_ranks(_JOINED + program)
 
-    assert (done.returncode, done.stdout, done.stderr) == (0, "2 2.0 6.0 2.5 7.0\n", "")
+    assert (completed.returncode, completed.stdout, completed.stderr) == (0, "2 2.0 6.0 2.5 7.0\n", "")
 
 
 def test_common_failure_is_reported_once() -> None:
@@ -37,18 +37,18 @@ except RunError as error:
     print(error, part.whole)
 """
 
-    done = on_two_ranks(_JOINED + program)
+    completed = on_two_ranks(_JOINED + program)
 
-    assert (done.returncode, done.stdout, done.stderr) == (0, "nothing can be done 6.0\n", "")
+    assert (completed.returncode, completed.stdout, completed.stderr) == (0, "nothing can be done 6.0\n", "")
 
 
 @pytest.mark.parametrize("rank", [0, 1])
 def test_failure_of_one_rank_ends_both(rank: int) -> None:
-    done = on_two_ranks(_JOINED + f"part.fail_on({rank}); print('continued')")
+    completed = on_two_ranks(_JOINED + f"part.fail_on({rank}); print('continued')")
 
-    assert done.returncode == 1
-    assert "memory has run out here" in done.stderr
-    assert "continued" not in done.stdout
+    assert completed.returncode == 1
+    assert "memory has run out here" in completed.stderr
+    assert "continued" not in completed.stdout
 
 
 def test_output_is_awaited_until_it_is_read() -> None:
@@ -86,9 +86,9 @@ def test_output_to_a_file_is_not_awaited(tmp_path: Path) -> None:
 
 
 def test_ctrl_c_ends_both_ranks() -> None:
-    done = on_two_ranks(_JOINED + "part.interrupt_first()")
+    completed = on_two_ranks(_JOINED + "part.interrupt_first()")
 
-    assert done.returncode == 130
+    assert completed.returncode == 130
 
 
 def test_single_process_joins_alone(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,11 +121,11 @@ def test_several_ranks_compute_pieces_in_order(monkeypatch: pytest.MonkeyPatch) 
         here.append(number)
         return 2.0 * number
 
-    found = {}
+    computed = {}
     with Workers() as workers:
         for number, result in workers.compute(piece, pieces):
-            found[number] = result
+            computed[number] = result
             if number == 1:
                 pieces.append(5.0)
 
-    assert (found, here) == ({0: 2.0, 1: 4.0, 2: 10.0}, pieces)
+    assert (computed, here) == ({0: 2.0, 1: 4.0, 2: 10.0}, pieces)

@@ -52,12 +52,12 @@ def test_universal_file_keeps_lines_and_modes(binary, tmp_path):
         ordinate_axis_units_lab="g",
         orddenom_axis_units_lab="N",
     )
-    found = analysis.read_frfs(tmp_path / "a.uff")
-    assert [curve.response for curve in found] == ["1 -Z", "2 -Z"] and found[0].name == "accelerance"
-    for curve, row in zip(found, accelerance(1e-4), strict=True):
+    result = analysis.read_frfs(tmp_path / "a.uff")
+    assert [curve.response for curve in result] == ["1 -Z", "2 -Z"] and result[0].name == "accelerance"
+    for curve, row in zip(result, accelerance(1e-4), strict=True):
         np.testing.assert_allclose(curve.value, row[1:], rtol=1e-9)
         np.testing.assert_allclose(curve.frequency, FREQUENCY[1:], rtol=1e-5)
-    modes = analysis.identify(found)
+    modes = analysis.identify(result)
     np.testing.assert_allclose(modes.frequency, [40.002, 95.00076], rtol=1e-4)
     np.testing.assert_allclose(modes.damping, [0.01, 0.004], rtol=0.02)
 
@@ -74,18 +74,21 @@ def test_table_headings_give_parts_and_units(heading, columns, tmp_path):
     value = accelerance() / 9.80665
     rows = np.vstack([FREQUENCY, *columns(value[0]), *columns(value[1])]).T
     np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=heading, comments="")
-    found = analysis.read_frfs(tmp_path / "a.csv")
+    result = analysis.read_frfs(tmp_path / "a.csv")
     for name, row in zip(("tip", "root"), value, strict=True):
-        np.testing.assert_allclose(found[name].value, row[1:] * 9.80665, rtol=1e-9)
+        np.testing.assert_allclose(result[name].value, row[1:] * 9.80665, rtol=1e-9)
 
 
 def test_foreign_files_give_modes_and_curves(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     uff(tmp_path / "a.uff", accelerance(1e-3), ordinate_axis_units_lab="m/s2", orddenom_axis_units_lab="N")
-    done = CliRunner().invoke(app, ["modes", "a.uff"])
-    assert done.exit_code == 0 and "a, force at node 1 +Z: 2 modes" in done.output, (done.output, done.exception)
-    done = CliRunner().invoke(app, ["frf", "a.uff", "--motion", "acceleration"])
-    assert done.exit_code == 0, (done.output, done.exception)
+    completed = CliRunner().invoke(app, ["modes", "a.uff"])
+    assert completed.exit_code == 0 and "a, force at node 1 +Z: 2 modes" in completed.output, (
+        completed.output,
+        completed.exception,
+    )
+    completed = CliRunner().invoke(app, ["frf", "a.uff", "--motion", "acceleration"])
+    assert completed.exit_code == 0, (completed.output, completed.exception)
     frfs = analysis.read_frfs(tmp_path / "a-frf.csv")
     np.testing.assert_allclose(frfs["1 -Z"].value, accelerance(1e-3)[0, 1:], rtol=1e-8)
 

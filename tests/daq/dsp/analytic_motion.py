@@ -30,9 +30,9 @@ class Path:
             v = v + amplitude / w * np.sin(w * t + phase)
             a = a + amplitude * np.cos(w * t + phase)
         for instant, jump in self.impacts:
-            done = t > instant if strictly_before else t >= instant
-            x = x + done * jump * (t - instant)
-            v = v + done * jump
+            has_passed = t > instant if strictly_before else t >= instant
+            x = x + has_passed * jump * (t - instant)
+            v = v + has_passed * jump
         return np.stack([x, v, a])
 
 

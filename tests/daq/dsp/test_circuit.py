@@ -45,13 +45,13 @@ def test_series_circuit_passes_an_entry():
         circuit = Circuit.series([SECTIONS[k][0] for k in chosen])
         assert circuit.sections == tuple(np.cumsum([0, *(SECTIONS[k][0].states for k in chosen)]))
         states = circuit.sections[-1]
-        found = np.zeros((len(chosen) + 1, S.size), dtype=complex)
+        result = np.zeros((len(chosen) + 1, S.size), dtype=complex)
         for column, s in enumerate(S):
             inner = np.linalg.solve(s * np.eye(states) - circuit.a, circuit.b.T) if states else np.zeros((0, 1))
-            found[:, column] = circuit.c @ inner + circuit.d
+            result[:, column] = circuit.c @ inner + circuit.d
         for entry in range(len(chosen) + 1):
             follows = np.prod([SECTIONS[k][1] for k in chosen[entry:]], axis=0) * np.ones(S.size)
-            np.testing.assert_allclose(found[entry], follows, rtol=1e-8)
+            np.testing.assert_allclose(result[entry], follows, rtol=1e-8)
 
 
 def test_zero_shift_fades_with_its_time_constant():

@@ -69,8 +69,8 @@ def test_integrated_noise_has_density_of_each_stage(order):
         transfer = gain / np.abs(2j * np.pi * frequency + 2 * np.pi * corner) ** order
         expected = 2 * 0.01 * transfer if before else np.full(frequency.size, 1e-5)
         for low, high in ((2.0, 6.0), (20.0, 60.0), (100.0, 400.0)):
-            found = band(frequency, value, low, high)
-            assert found == pytest.approx(band(frequency, expected, low, high), rel=0.05)
+            result = band(frequency, value, low, high)
+            assert result == pytest.approx(band(frequency, expected, low, high), rel=0.05)
 
 
 def test_converter_noise_density_is_read():
@@ -96,8 +96,8 @@ def test_noise_before_decimation_is_filtered(integrator, oversampling):
     # White noise beyond half the rate folds back, as far as the filter lets it through.
     expected = np.hypot(through(frequency), through(rate - frequency))
     for low, high in ((0.02, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, 0.4), (0.4, 0.45), (0.455, 0.475), (0.475, 0.495)):
-        found = band(frequency, value, low * rate, high * rate)
-        assert found == pytest.approx(band(frequency, expected, low * rate, high * rate), rel=0.02)
+        result = band(frequency, value, low * rate, high * rate)
+        assert result == pytest.approx(band(frequency, expected, low * rate, high * rate), rel=0.02)
     assert band(frequency, expected, 0.475 * rate, 0.495 * rate) < 0.9 * band(
         frequency, expected, 0.4 * rate, 0.45 * rate
     )

@@ -27,8 +27,8 @@ def force_in_time(done: BenchRun, first: int, stop: int) -> np.ndarray:
 
 def test_random_force_has_band_and_level() -> None:
     test = {"kind": "random", "from": "8 Hz", "to": "60 Hz", "force": "2.6 N", "duration": "30 s"}
-    done = run(scene_with(test, shaker=FORCE))
-    drive = done.drive[0]
+    completed = run(scene_with(test, shaker=FORCE))
+    drive = completed.drive[0]
     assert drive.size == 30 * 5120
     assert drive.std() == pytest.approx(2.6, rel=0.03)
     power = np.abs(np.fft.rfft(drive)) ** 2
@@ -43,11 +43,11 @@ def test_random_force_has_band_and_level() -> None:
 
 def test_spring_drive_is_shaped_flat() -> None:
     test = {"kind": "random", "from": "15 Hz", "to": "32 Hz", "force": "2.6 N", "duration": "16 s"}
-    done = run(scene_with(test))
-    first, stop, _ = done.marked("measure")[0]
-    force = force_in_time(done, first, stop)
+    completed = run(scene_with(test))
+    first, stop, _ = completed.marked("measure")[0]
+    force = force_in_time(completed, first, stop)
     assert force.std() == pytest.approx(2.6, rel=0.1)
-    assert done.marked("settle")[0][2]["settled"] is True
+    assert completed.marked("settle")[0][2]["settled"] is True
 
 
 def test_bursts_end_in_silence() -> None:
@@ -55,9 +55,9 @@ def test_bursts_end_in_silence() -> None:
         "kind": "random", "from": "8 Hz", "to": "60 Hz", "force": "2.6 N", "duration": "16 s",
         "burst": "40 %",
     }  # fmt: skip
-    done = run(scene_with(test, shaker=FORCE))
-    _, _, fields = done.marked("measure")[0]
-    blocks = done.drive[0].reshape(-1, fields["block"])
+    completed = run(scene_with(test, shaker=FORCE))
+    _, _, fields = completed.marked("measure")[0]
+    blocks = completed.drive[0].reshape(-1, fields["block"])
     on = round(0.4 * fields["block"])
     assert len(blocks) == 2
     assert np.all(blocks[:, on:] == 0.0)
@@ -78,21 +78,21 @@ def test_realisations_are_periodic_multisines() -> None:
         "kind": "multisine", "from": "15 Hz", "to": "32 Hz", "period": "1 s", "periods": 3, "realisations": 2,
         "force": "2.6 N",
     }  # fmt: skip
-    done = run(scene_with(test))
-    assert len(done.marked("measure")) == 2
+    completed = run(scene_with(test))
+    assert len(completed.marked("measure")) == 2
     phases = []
-    for first, stop, fields in done.marked("measure"):
+    for first, stop, fields in completed.marked("measure"):
         assert (fields["period"], fields["periods"], fields["lines"]) == (5120, 3, [15, 32])
         assert stop - first == 3 * 5120
-        wave = done.drive[0, first:stop].reshape(3, -1)
+        wave = completed.drive[0, first:stop].reshape(3, -1)
         np.testing.assert_array_equal(wave[0], wave[1])
         spectrum = np.fft.rfft(wave[0])
         assert np.abs(np.delete(spectrum, range(15, 33))).max() < 1e-9 * np.abs(spectrum).max()
         phases.append(np.angle(spectrum[15:33]))
-        readings = done.readings[:, first:stop].reshape(len(done.readings), 3, -1)
+        readings = completed.readings[:, first:stop].reshape(len(completed.readings), 3, -1)
         change = np.sqrt(np.mean((readings[:, 2] - readings[:, 1]) ** 2, axis=1))
         assert np.all(change < 2e-3 * readings[:, 2].std(axis=1))
-        force = force_in_time(done, first, first + 5120)
+        force = force_in_time(completed, first, first + 5120)
         assert force.std() == pytest.approx(2.6, rel=0.05)
         lines = np.abs(np.fft.rfft(force))[15:33]
         assert lines.max() / lines.min() < 1.3
@@ -101,8 +101,8 @@ def test_realisations_are_periodic_multisines() -> None:
 
 def test_band_has_given_number_of_lines() -> None:
     test = {"kind": "multisine", "from": "8 Hz", "to": "60 Hz", "lines": 27, "periods": 2, "realisations": 1}
-    done = run(scene_with({**test, "force": "2.6 N"}, shaker=FORCE))
-    first, last = done.marked("measure")[0][2]["lines"]
+    completed = run(scene_with({**test, "force": "2.6 N"}, shaker=FORCE))
+    first, last = completed.marked("measure")[0][2]["lines"]
     assert last - first + 1 == 27
 
 
@@ -132,25 +132,25 @@ def impulse(**more: Any) -> BenchRun:
 
 
 def test_hits_follow_at_their_interval() -> None:
-    done = impulse()
-    assert done.drive.shape[1] == 1280 + 2 * 5120
-    hits = done.marked("hit")
+    completed = impulse()
+    assert completed.drive.shape[1] == 1280 + 2 * 5120
+    hits = completed.marked("hit")
     assert [first for first, _, _ in hits] == [1280, 1280 + 5120]
-    hammer = done.drive[list(done.bench.inputs).index("hammer")]
+    hammer = completed.drive[list(completed.bench.inputs).index("hammer")]
     for first, stop, fields in hits:
         assert fields["peak"] == 50.0 and fields["body"] == 2 and fields["double"] is False
         assert hammer[first:stop].max() == 50.0
         hammer[first:stop] = 0.0
     assert not hammer.any()
-    places = [channel.at for channel in done.bench.channels]
-    struck = done.readings[places.index("body 2")]
+    places = [channel.at for channel in completed.bench.channels]
+    struck = completed.readings[places.index("body 2")]
     assert np.abs(struck[1280:1400]).max() > 20.0 > np.abs(struck[:1280]).max()
 
 
 def test_double_hit_bounces_and_is_marked() -> None:
-    done = impulse(double_hit={"hits": [2], "after": "20 ms", "ratio": 0.4})
-    hammer = done.drive[list(done.bench.inputs).index("hammer")]
-    first, second = done.marked("hit")
+    completed = impulse(double_hit={"hits": [2], "after": "20 ms", "ratio": 0.4})
+    hammer = completed.drive[list(completed.bench.inputs).index("hammer")]
+    first, second = completed.marked("hit")
     assert not first[2]["double"] and second[2]["double"]
     peaks = [np.sort(np.unique(hammer[start:stop]))[-1] for start, stop, _ in (first, second)]
     assert peaks == [50.0, 50.0]
@@ -160,16 +160,16 @@ def test_double_hit_bounces_and_is_marked() -> None:
 
 def test_shaker_rests_during_hammer_test() -> None:
     test = {"kind": "impulse", "body": 1, "peak": "50 N", "width": "4 ms", "interval": "0.5 s"}
-    done = run(scene_with(test))
-    assert not done.drive[list(done.bench.inputs).index("shaker")].any()
+    completed = run(scene_with(test))
+    assert not completed.drive[list(completed.bench.inputs).index("shaker")].any()
 
 
 def test_released_mode_decays_freely() -> None:
     test = {"kind": "free", "mode": 1, "amplitude": "1 mm", "duration": "3 s"}
-    done = run(scene_with(test))
-    assert done.drive.shape[1] == 3 * 5120
-    assert not done.drive.any()
-    acceleration = done.readings[2]
+    completed = run(scene_with(test))
+    assert completed.drive.shape[1] == 3 * 5120
+    assert not completed.drive.any()
+    acceleration = completed.readings[2]
     ratio = np.abs(acceleration[-5120:]).max() / np.abs(acceleration[:5120]).max()
     # The table is fixed, so that the spring belongs to the vibrating system.
     assert 0.3 < ratio < 0.6

@@ -31,23 +31,23 @@ def compliance(done: BenchRun) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_stepped_compliance_is_exact() -> None:
-    done = run(scene_with({"kind": "stepped_sine", "frequencies": FREQUENCIES, "force": "2.6 N"}))
-    measured, exact = compliance(done)
+    completed = run(scene_with({"kind": "stepped_sine", "frequencies": FREQUENCIES, "force": "2.6 N"}))
+    measured, exact = compliance(completed)
     error = measured / exact - 1.0
-    assert len(done.marked("measure")) == len(FREQUENCIES)
+    assert len(completed.marked("measure")) == len(FREQUENCIES)
     assert np.abs(error).max() < 0.002
     assert np.abs(np.angle(1.0 + error, deg=True)).max() < 0.1
-    for first, stop, fields in done.marked("measure"):
+    for first, stop, fields in completed.marked("measure"):
         assert fields["settled"] is True
-        assert abs(done.spring_force(first, stop, fields["frequency"])) == pytest.approx(2.6, rel=0.006)
+        assert abs(completed.spring_force(first, stop, fields["frequency"])) == pytest.approx(2.6, rel=0.006)
         assert fields["force"] == pytest.approx(2.6, rel=0.006)
         assert stop - first == round(20 * 5120.0 / fields["frequency"])
-    assert not done.warnings
+    assert not completed.warnings
 
 
 def test_stepped_drive_never_jumps() -> None:
-    done = run(scene_with({"kind": "stepped_sine", "frequencies": [20.0, 21.0, 40.0], "force": "2.6 N"}))
-    drive = done.drive[0]
+    completed = run(scene_with({"kind": "stepped_sine", "frequencies": [20.0, 21.0, 40.0], "force": "2.6 N"}))
+    drive = completed.drive[0]
     largest = np.abs(drive).max()
     # The second difference of a 40 Hz tone is (2 pi f / rate)^2 of its amplitude; a jump would exceed it.
     assert np.abs(np.diff(drive, 2)).max() < 1.3 * (2 * np.pi * 40.0 / 5120.0) ** 2 * largest
@@ -58,18 +58,18 @@ def test_stepped_drive_never_jumps() -> None:
 def test_electrodynamic_shaker_holds_force() -> None:
     scene = rig.load("fig8-no-damper")
     test = {"kind": "stepped_sine", "frequencies": [12.0, 20.0, 34.777], "force": "2.6 N"}
-    done = run(scene.replace(test=test))
-    measured, exact = compliance(done)
+    completed = run(scene.replace(test=test))
+    measured, exact = compliance(completed)
     assert np.abs(measured[0] / exact[0] - 1.0).max() < 0.005
-    for first, stop, fields in done.marked("measure"):
-        assert abs(done.spring_force(first, stop, fields["frequency"])) == pytest.approx(2.6, rel=0.006)
+    for first, stop, fields in completed.marked("measure"):
+        assert abs(completed.spring_force(first, stop, fields["frequency"])) == pytest.approx(2.6, rel=0.006)
 
 
 def test_three_dampers_hold_force_at_resonance() -> None:
     scene = rig.load("fig8-three-dampers")
     test = {"kind": "stepped_sine", "from": "47 Hz", "to": "52 Hz", "points": 6, "force": "2.6 N"}
-    done = run(scene.replace(test=test))
-    forces = [fields["force"] for _, _, fields in done.marked("measure") if fields["settled"]]
+    completed = run(scene.replace(test=test))
+    forces = [fields["force"] for _, _, fields in completed.marked("measure") if fields["settled"]]
     assert len(forces) >= 5
     assert forces == pytest.approx([2.6] * len(forces), rel=0.02)
 
@@ -79,20 +79,20 @@ def test_levels_and_directions_run_in_order() -> None:
         "kind": "stepped_sine", "frequencies": [25.0, 26.0], "force": ["1 N", "2 N"], "direction": "both",
         "measure": {"periods": 5},
     }  # fmt: skip
-    done = run(scene_with(test))
-    reported = [(f["level"], f["direction"], f["frequency"]) for _, _, f in done.marked("measure")]
+    completed = run(scene_with(test))
+    reported = [(f["level"], f["direction"], f["frequency"]) for _, _, f in completed.marked("measure")]
     one = [("up", 25.0), ("up", 26.0), ("down", 26.0), ("down", 25.0)]
     assert reported == [(1.0, *step) for step in one] + [(2.0, *step) for step in one]
-    assert [fraction for fraction, _ in done.reports] == [k / 8 for k in range(9)]
+    assert [fraction for fraction, _ in completed.reports] == [k / 8 for k in range(9)]
 
 
 def test_unsettled_point_is_marked() -> None:
     test = {
         "kind": "stepped_sine", "frequencies": [13.037], "force": "2.6 N", "settle": {"longest": "2 s"},
     }  # fmt: skip
-    done = run(scene_with(test))
-    assert done.marked("measure")[0][2]["settled"] is False
-    assert "1 of 1 steps" in done.warnings[0] and "(13.04 Hz up at 2.6 N)" in done.warnings[0]
+    completed = run(scene_with(test))
+    assert completed.marked("measure")[0][2]["settled"] is False
+    assert "1 of 1 steps" in completed.warnings[0] and "(13.04 Hz up at 2.6 N)" in completed.warnings[0]
 
 
 def test_amplifier_limit_is_reported() -> None:
@@ -102,30 +102,30 @@ def test_amplifier_limit_is_reported() -> None:
         "kind": "stepped_sine", "frequencies": [20.0], "force": "2.6 N", "settle": {"longest": "6 s"},
         "measure": {"periods": 4},
     }  # fmt: skip
-    done = run(scene.replace(shaker=shaker, test=test))
-    assert np.abs(done.drive).max() <= 0.5 * (1 + 1e-12)
-    assert done.marked("measure")[0][2]["settled"] is False
+    completed = run(scene.replace(shaker=shaker, test=test))
+    assert np.abs(completed.drive).max() <= 0.5 * (1 + 1e-12)
+    assert completed.marked("measure")[0][2]["settled"] is False
 
 
 def test_force_shaker_is_driven_by_force() -> None:
     test = {"kind": "stepped_sine", "frequencies": [20.0, 40.0], "force": "2.6 N"}
-    done = run(scene_with(test, shaker={"kind": "force", "body": 1}))
-    for first, stop, fields in done.marked("measure"):
-        row = [channel.quantity for channel in done.bench.channels].index("force")
-        amplitudes = done.amplitudes(first, stop, fields["frequency"])
-        force = amplitudes[row] / done.bench.channels[row].response(fields["frequency"])
+    completed = run(scene_with(test, shaker={"kind": "force", "body": 1}))
+    for first, stop, fields in completed.marked("measure"):
+        row = [channel.quantity for channel in completed.bench.channels].index("force")
+        amplitudes = completed.amplitudes(first, stop, fields["frequency"])
+        force = amplitudes[row] / completed.bench.channels[row].response(fields["frequency"])
         assert abs(force) == pytest.approx(2.6, rel=1e-3)
-        exact = receptance(done.bench.scene, np.array([fields["frequency"]]))[0, 0]
-        motion = amplitudes[0] * done.to_displacement(0, fields["frequency"])
+        exact = receptance(completed.bench.scene, np.array([fields["frequency"]]))[0, 0]
+        motion = amplitudes[0] * completed.to_displacement(0, fields["frequency"])
         assert abs(motion / force / exact - 1.0) < 0.002
 
 
 def test_open_loop_drive_moves_table() -> None:
     test = {"kind": "stepped_sine", "frequencies": [20.0], "drive": "0.2 mm"}
-    done = run(scene_with(test))
-    first, stop, fields = done.marked("measure")[0]
+    completed = run(scene_with(test))
+    first, stop, fields = completed.marked("measure")[0]
     assert fields["drive"] == 0.2e-3
-    assert np.abs(done.drive[0, first:stop]).max() == pytest.approx(0.2e-3, rel=1e-3)
+    assert np.abs(completed.drive[0, first:stop]).max() == pytest.approx(0.2e-3, rel=1e-3)
 
 
 def test_missing_table_channel_is_reported() -> None:
@@ -145,18 +145,18 @@ def test_split_does_not_change_stepped_sine() -> None:
 
 def test_open_loop_tone_starts_with_sine() -> None:
     test = {"kind": "sine", "frequency": "218.8 rad/s", "force": "2.6 N", "duration": "0.5 s", "start": "empty"}
-    done = run(scene_with(test, shaker={"kind": "force", "body": 1}))
+    completed = run(scene_with(test, shaker={"kind": "force", "body": 1}))
     time = np.arange(2560) / 5120.0
-    np.testing.assert_allclose(done.drive[0], 2.6 * np.sin(218.8 * time), rtol=0, atol=1e-11)
-    assert done.marked("measure")[0][2]["settled"] is False
+    np.testing.assert_allclose(completed.drive[0], 2.6 * np.sin(218.8 * time), rtol=0, atol=1e-11)
+    assert completed.marked("measure")[0][2]["settled"] is False
 
 
 def test_controlled_tone_has_its_duration() -> None:
-    done = run(scene_with({"kind": "sine", "frequency": 25.0, "force": "2.6 N", "duration": "1 s"}))
-    first, stop, fields = done.marked("measure")[0]
+    completed = run(scene_with({"kind": "sine", "frequency": 25.0, "force": "2.6 N", "duration": "1 s"}))
+    first, stop, fields = completed.marked("measure")[0]
     assert stop - first == 5120
     assert fields["settled"] is True
-    assert abs(done.spring_force(first, stop, 25.0)) == pytest.approx(2.6, rel=0.006)
+    assert abs(completed.spring_force(first, stop, 25.0)) == pytest.approx(2.6, rel=0.006)
 
 
 @pytest.mark.thorough
@@ -164,8 +164,8 @@ def test_controlled_tone_has_its_duration() -> None:
     "sweep", [{"from": 15.0, "to": 32.0, "spacing": "log"}, {"from": 32.0, "to": 15.0, "spacing": "linear"}]
 )
 def test_frequency_and_force_follow_sweep(sweep: dict[str, Any]) -> None:
-    done = run(scene_with({"kind": "swept_sine", "force": "2.6 N", "duration": "20 s", **sweep}))
-    first, stop, fields = done.marked("measure")[0]
+    completed = run(scene_with({"kind": "swept_sine", "force": "2.6 N", "duration": "20 s", **sweep}))
+    first, stop, fields = completed.marked("measure")[0]
     assert stop - first == 20 * 5120
     assert (fields["from"], fields["to"], fields["duration"]) == (sweep["from"], sweep["to"], 20.0)
     for part in (0.1, 0.5, 0.9):
@@ -173,12 +173,12 @@ def test_frequency_and_force_follow_sweep(sweep: dict[str, Any]) -> None:
         begin = sweep["from"] * (sweep["to"] / sweep["from"]) ** part
         expected = begin if sweep["spacing"] == "log" else sweep["from"] + (sweep["to"] - sweep["from"]) * part
         window = slice(middle - 512, middle + 512)
-        crossings = np.flatnonzero(np.diff(np.signbit(done.drive[0, window]).astype(int)))
+        crossings = np.flatnonzero(np.diff(np.signbit(completed.drive[0, window]).astype(int)))
         counted = 5120.0 * (len(crossings) - 1) / (crossings[-1] - crossings[0]) / 2
         assert counted == pytest.approx(expected, rel=0.02)
-        force = abs(done.spring_force(middle - 256, middle + 256, counted))
+        force = abs(completed.spring_force(middle - 256, middle + 256, counted))
         assert force == pytest.approx(2.6, rel=0.1)
-    assert np.abs(np.diff(done.drive[0], 2)).max() < 0.01 * np.abs(done.drive).max()
+    assert np.abs(np.diff(completed.drive[0], 2)).max() < 0.01 * np.abs(completed.drive).max()
 
 
 def test_lock_in_ignores_offset_and_drift() -> None:

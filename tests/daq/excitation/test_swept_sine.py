@@ -57,8 +57,8 @@ def sweep(first: float, last: float, duration: float, force: float) -> dict[str,
 @pytest.mark.parametrize("scene", ["bare-structure", "fig8-no-damper", "fig8-three-dampers"])
 @pytest.mark.parametrize("band", [(11.0, 17.0), (17.0, 11.0)])
 def test_force_is_controlled_at_sharp_resonance(scene: str, band: tuple[float, float]) -> None:
-    done = run(rig.load(scene).replace(test=sweep(*band, duration=30.0, force=2.6)))
-    ratios = held(done)
+    completed = run(rig.load(scene).replace(test=sweep(*band, duration=30.0, force=2.6)))
+    ratios = held(completed)
     assert ratios.size > 100
     assert np.abs(ratios - 1.0).max() < 0.12
     assert np.mean(np.abs(ratios - 1.0) > 0.05) < 0.1
@@ -72,21 +72,21 @@ def test_falling_sweep_holds_force() -> None:
 def test_current_mode_holds_force_at_own_resonance() -> None:
     scene = rig.load("fig8-no-damper")
     shaker = scene.shaker.model_dump() | {"amplifier": {"mode": "current", "gain": "1 A/V"}}
-    done = run(scene.replace(shaker=shaker, test=sweep(38.0, 50.0, duration=15.0, force=2.6)))
-    assert np.abs(held(done) - 1.0).max() < 0.1
+    completed = run(scene.replace(shaker=shaker, test=sweep(38.0, 50.0, duration=15.0, force=2.6)))
+    assert np.abs(held(completed) - 1.0).max() < 0.1
 
 
 def test_weak_amplifier_marks_the_stretch() -> None:
     scene = rig.load("fig8-no-damper")
     shaker = scene.shaker.model_dump() | {"amplifier": {"limit": "2 V"}}
-    done = run(scene.replace(shaker=shaker, test=sweep(11.0, 14.0, duration=15.0, force=2.6)))
-    first, stop, _ = done.marked("measure")[0]
-    marked = done.marked("level")
+    completed = run(scene.replace(shaker=shaker, test=sweep(11.0, 14.0, duration=15.0, force=2.6)))
+    first, stop, _ = completed.marked("measure")[0]
+    marked = completed.marked("level")
     assert marked and all(first <= begin < end <= stop for begin, end, _ in marked)
     assert min(fields["worst"] for _, _, fields in marked) < 0.8
-    assert done.marked("measure")[0][2]["lowest"] < 0.8
-    assert np.abs(done.drive).max() <= 2.0 * (1 + 1e-12)
-    assert len(done.warnings) == 1 and "from its level of 2.6 N by more than 10%" in done.warnings[0]
+    assert completed.marked("measure")[0][2]["lowest"] < 0.8
+    assert np.abs(completed.drive).max() <= 2.0 * (1 + 1e-12)
+    assert len(completed.warnings) == 1 and "from its level of 2.6 N by more than 10%" in completed.warnings[0]
 
 
 def test_table_law_is_its_displacement() -> None:
@@ -122,8 +122,8 @@ def test_next_mode_is_known_in_time() -> None:
 @pytest.mark.parametrize(("volts", "reported"), [(10.0, "read nothing of the pretest"), (0.2, "less than one count")])
 def test_readings_below_a_count_end_sweep(volts: float, reported: str) -> None:
     scene = rig.loads(BELOW_COUNT).replace(converter={"rate": 2048.0, "bits": 16, "range": volts})
-    done = run(scene)
-    first, stop, _ = done.marked("measure")[0]
+    completed = run(scene)
+    first, stop, _ = completed.marked("measure")[0]
     assert stop - first == 2048
-    assert np.isfinite(done.drive).all()
-    assert reported in done.warnings[-1]
+    assert np.isfinite(completed.drive).all()
+    assert reported in completed.warnings[-1]

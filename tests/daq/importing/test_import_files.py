@@ -382,8 +382,8 @@ def test_import_command_lists_imports_and_never_overwrites(tmp_path, monkeypatch
     listed = CliRunner().invoke(app, ["import", "a.csv"])
     assert 'signal1: {column: "body1", unit: "g"}  # 3000 samples at 2048 Hz' in listed.output
     words = ["import", "a.csv", "--scene", "bench.yaml"]
-    done = CliRunner().invoke(app, words)
-    assert done.exit_code == 0 and "3000 samples of 3 channels" in done.output, done.output
+    completed = CliRunner().invoke(app, words)
+    assert completed.exit_code == 0 and "3000 samples of 3 channels" in completed.output, completed.output
     content = Path("a.mcap").read_bytes()
     assert CliRunner().invoke(app, words).exit_code == 0
     repeated = CliRunner().invoke(app, [*words, "--to", "1"])

@@ -132,6 +132,6 @@ def test_import_command_reports_steps(tmp_path, monkeypatch):
     npz(tmp_path / "a.npz", stepped([20.0, 25.0], dwell=2.0))
     scene = bench("{kind: stepped_sine, from: 20 Hz, to: 25 Hz, points: 2, force: 1 N}")
     (tmp_path / "bench.yaml").write_text(scene.to_si_yaml().replace("rate: 5120.0 Hz", "rate: 2048 Hz"))
-    done = CliRunner().invoke(app, ["import", "a.npz", "--scene", "bench.yaml"])
-    assert done.exit_code == 0, done.output
-    assert "2 steps detected, 20 to 25 Hz" in done.output
+    completed = CliRunner().invoke(app, ["import", "a.npz", "--scene", "bench.yaml"])
+    assert completed.exit_code == 0, completed.output
+    assert "2 steps detected, 20 to 25 Hz" in completed.output

@@ -345,8 +345,8 @@ def test_chunk_length_error_states_both_sizes(compression, more):
 
 def test_misfit_records_of_a_chunk_are_rejected():
     inside = record(4, b"channel") + INSIDE[0] + record(3, b"") + INSIDE[1]
-    found = [(opcode, bytes(content)) for opcode, content in records_in(memoryview(inside), len(inside))]
-    assert found == [(4, b"channel"), (5, INSIDE[0][9:]), (3, b""), (5, INSIDE[1][9:])]
+    result = [(opcode, bytes(content)) for opcode, content in records_in(memoryview(inside), len(inside))]
+    assert result == [(4, b"channel"), (5, INSIDE[0][9:]), (3, b""), (5, INSIDE[1][9:])]
     messages = list(messages_in(memoryview(inside), len(inside)))
     assert messages[0] == Stored(1, 7, 2000, 1000, memoryview(bytes(range(40))))
     assert [bytes(each.data) for each in messages] == [bytes(range(40)), b"second " * 4]

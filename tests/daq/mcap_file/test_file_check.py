@@ -24,12 +24,12 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def spans(data: bytes) -> list[tuple[int, int, int]]:
     """Opcode, beginning and end of each record."""
-    place, found = 8, []
+    place, result = 8, []
     while place < len(data) - 8:
         opcode, length = struct.unpack_from("<BQ", data, place)
-        found.append((opcode, place, place + 9 + length))
+        result.append((opcode, place, place + 9 + length))
         place += 9 + length
-    return found
+    return result
 
 
 def content(path: Path) -> list[object]:

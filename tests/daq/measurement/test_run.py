@@ -256,9 +256,9 @@ def test_forbidden_folder_is_named_in_a_line(
     monkeypatch.chdir(scene_file.parent)
     monkeypatch.setattr(Path, "mkdir", refuse)
     assert run_command(monkeypatch, "record", "hit.yaml") == 2
-    *_, said = capsys.readouterr().err.splitlines()
+    *_, message = capsys.readouterr().err.splitlines()
     folder = scene_file.parent / "recordings"
-    assert f"hit.mcap: cannot make the folder {folder} (Permission denied)" in said
+    assert f"hit.mcap: cannot make the folder {folder} (Permission denied)" in message
 
 
 def test_file_instead_of_folder_is_reported(tmp_path: Path) -> None:
@@ -292,12 +292,12 @@ def test_full_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_progress_warns_of_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    usage, said = shutil.disk_usage(tmp_path), []
+    usage, expected_text = shutil.disk_usage(tmp_path), []
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=(1 << 20) + 60_000))
     scene = hit().replace(test={**HIT, "repeats": 20})
     with pytest.raises(RunError, match="disk is full"):
-        daq.record(scene, tmp_path / "a.mcap", progress=lambda _, message: said.append(message))
-    assert any("the disk will be full before the end" in message for message in said)
+        daq.record(scene, tmp_path / "a.mcap", progress=lambda _, message: expected_text.append(message))
+    assert any("the disk will be full before the end" in message for message in expected_text)
 
 
 def test_nothing_begins_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -351,8 +351,10 @@ def test_several_scenes_have_own_files(
             assert recording.scene.seed == 7
         capsys.readouterr()
         assert run_command(monkeypatch, "info", str(path)) == 0
-        said = capsys.readouterr().out.splitlines()[-len(commands) - 1 :]
-        assert [line.split()[-3:] for line in said[:-1]] == [["analysis", command, str(path)] for command in commands]
+        message = capsys.readouterr().out.splitlines()[-len(commands) - 1 :]
+        assert [line.split()[-3:] for line in message[:-1]] == [
+            ["analysis", command, str(path)] for command in commands
+        ]
     assert run_command(monkeypatch, "record", *scenes, *to) == 2
     assert run_command(monkeypatch, "record", scenes[0], scenes[0], *to, "--overwrite") == 2
 
@@ -363,8 +365,8 @@ def test_impossible_name_is_reported_in_a_line(
 ) -> None:
     name = tmp_path / f"{'a' * 300}.mcap"
     assert run_command(monkeypatch, command, "fig8-no-damper", "-o", str(name)) == 2
-    (said,) = capsys.readouterr().err.splitlines()
-    assert said.startswith(f"error: {name}: cannot be created") and "-o FILE.mcap" in said
+    (message,) = capsys.readouterr().err.splitlines()
+    assert message.startswith(f"error: {name}: cannot be created") and "-o FILE.mcap" in message
 
 
 @pytest.mark.parametrize("scene", ["no-such-scene", "missing.yaml"])

@@ -39,13 +39,13 @@ def in_blocks(cuts, values):
 
 def stretches_of(flags):
     """FlaggedIntervals of flagged samples less than half a second apart, as (first, stop)."""
-    found = []
+    result = []
     for sample in np.flatnonzero(flags).tolist():
-        if found and sample - found[-1][1] < 0.5 * RATE:
-            found[-1] = (found[-1][0], sample + 1)
+        if result and sample - result[-1][1] < 0.5 * RATE:
+            result[-1] = (result[-1][0], sample + 1)
         else:
-            found.append((sample, sample + 1))
-    return found
+            result.append((sample, sample + 1))
+    return result
 
 
 @given(
@@ -128,17 +128,17 @@ def test_long_overload_ends_controlled_test(changes, rows, monkeypatch):
         clipped[row, 2] = True
         loss = ControlLoss(held, INFOS)
         # More than a second without a pause: after 4 + 4 samples it is just one.
-        said = [loss.watch(first, clipped) for first in (16, 20, 24)]
-        assert said[:2] == [None, None]
-        assert (said[2] is not None) == (row in rows)
+        message = [loss.watch(first, clipped) for first in (16, 20, 24)]
+        assert message[:2] == [None, None]
+        assert (message[2] is not None) == (row in rows)
         if row in rows:
-            assert f"input {info.name}: overloaded since 2.00 s" in said[2]
+            assert f"input {info.name}: overloaded since 2.00 s" in message[2]
             assert asked.pop() == (held, row, 3.5)
             # If several channels are clipped, the first is reported.
             clipped[sorted(rows)] = True
             loss.watch(40, clean)
-            said = [loss.watch(first, clipped) for first in (44, 52, 60)]
-            assert INFOS[min(rows)].name in said[2] and asked.pop()[1] == min(rows)
+            message = [loss.watch(first, clipped) for first in (44, 52, 60)]
+            assert INFOS[min(rows)].name in message[2] and asked.pop()[1] == min(rows)
             assert loss.watch(28, clean) is None
             assert [loss.watch(first, clipped) for first in (32, 36)] == [None, None]
 

@@ -68,8 +68,8 @@ def write(
 def messages(path: Path, topic: str) -> list[Message]:
     """Messages of a topic in the order of the file, read by the reference implementation with all checks."""
     with path.open("rb") as stream:
-        found = list(make_reader(stream, validate_crcs=True).iter_messages([topic], log_time_order=False))
-    return [message for _, _, message in found]
+        result = list(make_reader(stream, validate_crcs=True).iter_messages([topic], log_time_order=False))
+    return [message for _, _, message in result]
 
 
 def motion(first: int, samples: int, dampers: int = 0, points: int = 4, rate: float = RATE) -> rig.Motion:

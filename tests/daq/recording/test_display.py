@@ -16,9 +16,9 @@ def display_of(tmp_path, samples, topic, **changes):
     path = write(
         tmp_path / "d.mcap", samples, scene(recording={"display": True} | changes.pop("recording", {}), **changes)
     )
-    found = messages(path, topic)
-    times = np.array([message.log_time for message in found]) * 1e-9
-    return times, np.array([struct.unpack_from("<d", message.data, 20)[0] for message in found])
+    result = messages(path, topic)
+    times = np.array([message.log_time for message in result]) * 1e-9
+    return times, np.array([struct.unpack_from("<d", message.data, 20)[0] for message in result])
 
 
 def test_display_keeps_slow_tone_and_rejects_fast(tmp_path):
@@ -49,26 +49,26 @@ def test_waveform_restarts_after_a_gap(tmp_path):
         recorder.write(np.ones((2, 2000)))
         recorder.gap(5000)
         recorder.write(np.full((2, 2000), 3.0))
-    found = messages(tmp_path / "a.mcap", "/display/body1")
-    samples = np.array([round(message.log_time * 1e-9 * RATE) for message in found])
+    result = messages(tmp_path / "a.mcap", "/display/body1")
+    samples = np.array([round(message.log_time * 1e-9 * RATE) for message in result])
     assert not ((samples >= 2000) & (samples < 7000)).any()
-    values = np.array([struct.unpack_from("<d", message.data, 20)[0] for message in found]) * 500.0
+    values = np.array([struct.unpack_from("<d", message.data, 20)[0] for message in result]) * 500.0
     assert values == pytest.approx(np.where(samples < 2000, 1.0, 3.0), rel=1e-3)
 
 
 def transforms(path):
     """(times, {child: (parent, heights)}) of the transforms, decoded by protobuf itself."""
     made = message_class(TRANSFORMS_SCHEMA.data, TRANSFORMS_SCHEMA.name)
-    found = messages(path, "/tf")
+    result = messages(path, "/tf")
     links: dict[str, tuple[str, list[float]]] = {}
-    for message in found:
+    for message in result:
         for transform in made.FromString(message.data).transforms:
             assert transform.timestamp.seconds * 10**9 + transform.timestamp.nanos == message.log_time
             assert transform.rotation.w == 1.0
             links.setdefault(transform.child_frame_id, (transform.parent_frame_id, []))[1].append(
                 transform.translation.z
             )
-    return np.array([message.log_time for message in found]) * 1e-9, links
+    return np.array([message.log_time for message in result]) * 1e-9, links
 
 
 def test_displacement_channel_moves_its_body(tmp_path):

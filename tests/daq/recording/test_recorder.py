@@ -69,11 +69,11 @@ def test_marks_and_gaps_do_not_depend_on_split(tmp_path):
 
 def test_reference_reader_finds_the_layout(tmp_path):
     path = write(tmp_path / "a.mcap", noise(1500))
-    found = messages(path, "/raw/body1")
+    result = messages(path, "/raw/body1")
     step = [round(256 * n * 1e9 / RATE) for n in range(6)]
-    assert [message.publish_time for message in found] == step
-    assert [message.log_time for message in found] == [*step[1:], round(1500 * 1e9 / RATE)]
-    assert [message.sequence for message in found] == list(range(6))
+    assert [message.publish_time for message in result] == step
+    assert [message.log_time for message in result] == [*step[1:], round(1500 * 1e9 / RATE)]
+    assert [message.sequence for message in result] == list(range(6))
     summary = summary_of(path)
     assert {channel.topic for channel in summary.channels.values()} == {"/markers", "/raw/body1", "/raw/body2"}
     assert summary.statistics.attachment_count == 1
@@ -158,8 +158,8 @@ def test_failing_disk_leaves_flushed_samples(tmp_path):
 def test_full_disk_ends_the_recording_in_time(tmp_path, monkeypatch):
     samples, path = noise(5 * GROUP), tmp_path / "a.mcap"
     usage = shutil.disk_usage(tmp_path)
-    said = pytest.raises(RunError, match=r"disk is full.*first 1\.50 s")
-    with said, Recorder(path, scene(recording={"display": True}), channels(), RATE) as recorder:
+    message = pytest.raises(RunError, match=r"disk is full.*first 1\.50 s")
+    with message, Recorder(path, scene(recording={"display": True}), channels(), RATE) as recorder:
         recorder.write(samples[:, : 3 * GROUP])
         monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1 << 20))
         recorder.write(samples[:, 3 * GROUP :])
@@ -172,8 +172,8 @@ def test_full_disk_ends_the_recording_in_time(tmp_path, monkeypatch):
 
 def test_full_disk_is_reported_once(tmp_path, monkeypatch):
     path, usage = tmp_path / "a.mcap", shutil.disk_usage(tmp_path)
-    said = pytest.raises(RunError, match=r"first 0\.50 s, without an end.*daq recover")
-    with ExitStack() as limited, said as full, Recorder(path, scene(), channels(), RATE) as recorder:
+    message = pytest.raises(RunError, match=r"first 0\.50 s, without an end.*daq recover")
+    with ExitStack() as limited, message as full, Recorder(path, scene(), channels(), RATE) as recorder:
         recorder.write(noise(GROUP))
         monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1 << 20))
         # Not even the end of the file fits.

@@ -29,9 +29,9 @@ class ReflectedClient:
         return set(self.database.get_services())
 
     def call(self, service, method, /, **fields):
-        found = self.pool.FindServiceByName(service).FindMethodByName(method)
-        request = message_factory.GetMessageClass(found.input_type)
-        response = message_factory.GetMessageClass(found.output_type)
+        result = self.pool.FindServiceByName(service).FindMethodByName(method)
+        request = message_factory.GetMessageClass(result.input_type)
+        response = message_factory.GetMessageClass(result.output_type)
         ask = self.channel.unary_unary(
             f"/{service}/{method}",
             request_serializer=request.SerializeToString,
@@ -85,17 +85,19 @@ def test_client_of_reflection_writes_and_reads(client):
         client.daqmx("CfgSampClkTiming", task=task, samps_per_chan=500, **timing)
     client.daqmx("WriteAnalogF64", task=written_task, num_samps_per_chan=500, timeout=10.0, write_array=[5.0] * 500)
     client.daqmx("StartTask", task=written_task)
-    found = client.daqmx("ReadAnalogF64", task=read_task, num_samps_per_chan=500, timeout=10.0, array_size_in_samps=500)
+    result = client.daqmx(
+        "ReadAnalogF64", task=read_task, num_samps_per_chan=500, timeout=10.0, array_size_in_samps=500
+    )
     client.daqmx("ClearTask", task=written_task)
     client.daqmx("ClearTask", task=read_task)
-    assert found.samps_per_chan_read == 500
-    assert max(map(abs, found.read_array)) > 0.01
+    assert result.samps_per_chan_read == 500
+    assert max(map(abs, result.read_array)) > 0.01
 
 
 def test_devices_are_enumerated(rig, client):
-    found = client.call("nidevice_grpc.SessionUtilities", "EnumerateDevices").devices
+    result = client.call("nidevice_grpc.SessionUtilities", "EnumerateDevices").devices
     devices = rig.chassis.devices
-    assert [(each.name, each.model) for each in found] == [
+    assert [(each.name, each.model) for each in result] == [
         (name, devices.module(name).product_type) for name in devices.names
     ]
 

@@ -234,16 +234,16 @@ def test_public_address_needs_certificates(host):
 
 def test_failing_callback_does_not_stop_task(caplog):
     with daq.connect("bare-structure", clock="fast") as rig, inputs(rig, samps_per_chan=300) as task:
-        done, calls = threading.Event(), queue.Queue()
+        completed, calls = threading.Event(), queue.Queue()
 
         def raise_error(handle, kind, samples, data):
             calls.put(samples)
             raise RuntimeError("on purpose")
 
         task.register_every_n_samples_acquired_into_buffer_event(100, raise_error)
-        task.register_done_event(lambda *event: done.set())
+        task.register_done_event(lambda *event: completed.set())
         task.start()
         task.wait_until_done()
-        assert done.wait(60)
+        assert completed.wait(60)
         assert [calls.get(timeout=60.0) for _ in range(3)] == [100] * 3
         task.stop()

@@ -256,16 +256,16 @@ def test_callback_runs_at_each_multiple(chassis):
 
 def test_output_callbacks_run(chassis):
     # Each kind of event has its own thread, so the order is not fixed.
-    calls, done = queue.Queue(), queue.Queue()
+    calls, completed = queue.Queue(), queue.Queue()
     with Task() as driving:
         output(driving, np.zeros(50), samps_per_chan=250)
         driving.register_every_n_samples_transferred_from_buffer_event(100, lambda *event: calls.put(event[2]))
-        driving.register_done_event(lambda handle, status, data: done.put(status))
+        driving.register_done_event(lambda handle, status, data: completed.put(status))
         driving.start()
         driving.wait_until_done()
-        events = [event_queue.get(timeout=60.0) for event_queue in (calls, calls, done)]
+        events = [event_queue.get(timeout=60.0) for event_queue in (calls, calls, completed)]
     assert events == [100, 100, 0]
-    assert calls.empty() and done.empty()
+    assert calls.empty() and completed.empty()
 
 
 def test_real_clock_calls_on_other_thread(monkeypatch):

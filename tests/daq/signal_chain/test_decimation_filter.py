@@ -23,11 +23,11 @@ def test_pass_band_is_flat_and_delayed():
     for share in (0.02, 0.2, 0.4, PASS):
         chain, _ = chain_of(scene_of("", converter=FILTERED), oversampling=8)
         path = Path(tones=((1.0, share * RATE, 0.0),))
-        found = amplitude(chain.measure(motion_of([path], rate, 8 * 3000))[0], share * RATE, RATE)
-        assert abs(found) == pytest.approx(1.0, abs=3e-5)
-        delay_error = np.angle(found * np.exp(2j * np.pi * share * 38)) / (2 * np.pi * share)
+        result = amplitude(chain.measure(motion_of([path], rate, 8 * 3000))[0], share * RATE, RATE)
+        assert abs(result) == pytest.approx(1.0, abs=3e-5)
+        delay_error = np.angle(result * np.exp(2j * np.pi * share * 38)) / (2 * np.pi * share)
         assert delay_error == pytest.approx(0.0, abs=1e-3 / share * 0.01)
-        assert found == pytest.approx(complex(info.response(share * RATE)), abs=1e-5)
+        assert result == pytest.approx(complex(info.response(share * RATE)), abs=1e-5)
 
 
 @pytest.mark.parametrize("share", [STOP, 0.62, 0.97, 1.2, 1.9, 2.45, 3.3])

@@ -31,30 +31,30 @@ def averaged(volts: np.ndarray) -> np.ndarray:
 def test_drive_channel_reads_output_volts(shaker: str) -> None:
     volts = np.random.default_rng(1).standard_normal(200)
     text = f"shaker: {shaker}\nchannels: [{{name: drive, at: drive}}]\n"
-    found, channels = read(text, volts[None] * PER_VOLT[shaker])
+    result, channels = read(text, volts[None] * PER_VOLT[shaker])
     assert (channels[0].quantity, channels[0].unit) == ("voltage", "V")
-    assert found[0, 1:] == pytest.approx(averaged(volts), abs=1e-12)
+    assert result[0, 1:] == pytest.approx(averaged(volts), abs=1e-12)
 
 
 def test_each_drive_channel_reads_its_output() -> None:
     volts = np.random.default_rng(2).standard_normal((3, 200))
     text = f"shaker: [{FORCE}, {TABLE}, {COIL}]\nchannels: [{{name: c, at: drive 3}}, {{name: b, at: drive 2}}]\n"
-    found, _ = read(text, volts * np.array([[1.0], [1e-3], [1.0]]))
-    assert found[0, 1:] == pytest.approx(averaged(volts[2]), abs=1e-12)
-    assert found[1, 1:] == pytest.approx(averaged(volts[1]), abs=1e-12)
+    result, _ = read(text, volts * np.array([[1.0], [1e-3], [1.0]]))
+    assert result[0, 1:] == pytest.approx(averaged(volts[2]), abs=1e-12)
+    assert result[1, 1:] == pytest.approx(averaged(volts[1]), abs=1e-12)
 
 
 def test_output_module_clips_and_quantises() -> None:
     volts = np.array([[0.1001, 12.0, -12.0, 0.0]])
     text = "shaker: {kind: force, body: 1, output: {preset: NI 9263}}\nchannels: [{name: drive, at: drive}]\n"
-    found, _ = read(text, np.repeat(volts, 2, axis=1))
+    result, _ = read(text, np.repeat(volts, 2, axis=1))
     step = 20.0 / 2**16
-    assert found[0, 1::2] == pytest.approx([round(0.1001 / step) * step, 10.0 - step, -10.0, 0.0], abs=1e-12)
+    assert result[0, 1::2] == pytest.approx([round(0.1001 / step) * step, 10.0 - step, -10.0, 0.0], abs=1e-12)
 
 
 def test_input_module_converts_the_drive() -> None:
     volts = np.full((1, 3000), 4.0)
     text = f"shaker: {FORCE}\nchannels: [{{name: drive, at: drive, coupling: DC}}]\nconverter: {{preset: NI 9234}}\n"
-    found, channels = read(text, volts)
+    result, channels = read(text, volts)
     assert channels[0].volts_per_count == 10.0 / 2**24
-    assert found[0, -1] == pytest.approx(4.0, abs=1e-4)
+    assert result[0, -1] == pytest.approx(4.0, abs=1e-4)

@@ -101,8 +101,8 @@ def test_chain_study_corrects_force_sensor_preset() -> None:
 )
 def test_missing_force_settings_are_named(shaker, test, channels, missing) -> None:
     bench = Bench(scene_of(test, *channels, shaker=shaker))
-    said = missing_force_reference(bench.scene, bench.channels)
-    assert said is None if missing is None else missing in said
+    message = missing_force_reference(bench.scene, bench.channels)
+    assert message is None if missing is None else missing in message
 
 
 def test_analysis_names_the_missing_force_channel(tmp_path) -> None:

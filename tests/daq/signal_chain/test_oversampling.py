@@ -52,9 +52,9 @@ def test_alias_of_fast_rig_is_filtered(rate, share):
 def test_ringing_in_pass_band_reads_flat(rate, share):
     frequency = share * rate
     scene = oscillator(frequency, f"{{rate: {rate} Hz, filter: delta_sigma}}")
-    found = tone(read(scene, [3000])[0], frequency, rate)
+    result = tone(read(scene, [3000])[0], frequency, rate)
     peak = 1e-6 * (2 * np.pi * frequency) ** 2
-    assert 20 * np.log10(abs(found) / peak) == pytest.approx(0.0, abs=1e-3)
+    assert 20 * np.log10(abs(result) / peak) == pytest.approx(0.0, abs=1e-3)
 
 
 def test_long_skew_behind_filter_is_exact():
@@ -97,13 +97,13 @@ def test_oversampled_blocks_change_no_bit():
 def test_oversampled_motion_is_that_at_samples():
     scene = rig.load("fig8-three-dampers").replace(converter={"rate": "2 kHz", "filter": "delta_sigma"})
     drive = 2.0 * np.sin(2 * np.pi * 34.0 / 2000.0 * np.arange(1200))[None]
-    found = Bench(scene).acquire(drive).motion
+    result = Bench(scene).acquire(drive).motion
     expected = Plant(scene, 2000.0).advance(drive)
-    assert found.displacement == pytest.approx(expected.displacement, abs=1e-12)
-    assert np.array_equal(found.contact, expected.contact)
-    instants = [(motion.break_sample - 1) / 2000.0 + motion.break_offset for motion in (found, expected)]
+    assert result.displacement == pytest.approx(expected.displacement, abs=1e-12)
+    assert np.array_equal(result.contact, expected.contact)
+    instants = [(motion.break_sample - 1) / 2000.0 + motion.break_offset for motion in (result, expected)]
     assert instants[0] == pytest.approx(instants[1], abs=1e-10)
-    assert np.all((found.break_offset > 0.0) & (found.break_offset <= 1 / 2000.0 + 1e-15))
+    assert np.all((result.break_offset > 0.0) & (result.break_offset <= 1 / 2000.0 + 1e-15))
 
 
 @pytest.mark.parametrize(("rate", "expected"), [(77.0, 52), (400.0, 10), (5120.0, 2)])

@@ -171,9 +171,9 @@ def test_accelerations_are_integrated_and_described(tmp_path):
         motion = RecordedMotion(opened)
         assert all(f"high-passed at {HIGH_PASS_HZ:g} Hz" in source.sentence for source in motion.sources)
         parts = [part for _, part in motion.segments(0, opened.samples, 1)]
-        found = np.concatenate([np.vstack([part.displacement, part.tables]) for part in parts], axis=1)
-    late = slice(found.shape[1] // 2, None)
-    error = np.abs(found[:, late] - true[:, late]).max(axis=1)
+        result = np.concatenate([np.vstack([part.displacement, part.tables]) for part in parts], axis=1)
+    late = slice(result.shape[1] // 2, None)
+    error = np.abs(result[:, late] - true[:, late]).max(axis=1)
     # The high-pass turns a 30 Hz tone by about 5 degrees; what is left of the start-up drift adds to that.
     assert (error < 0.15 * np.abs(true[:, late]).max(axis=1)).all(), error
 
@@ -233,8 +233,8 @@ def test_hit_phase_extends_to_next_hit(tmp_path):
         recorder.mark("overload", 515, 520, channel="body1")
         recorder.mark("hit", 2560, 2580)
     with daq.open(path) as opened:
-        found = [(phase.label, phase.start, phase.stop) for phase in phases(opened, 0, 5120)]
-    assert found == [("hit 1", 512, 2560), ("hit 2", 2560, 5120)]
+        result = [(phase.label, phase.start, phase.stop) for phase in phases(opened, 0, 5120)]
+    assert result == [("hit 1", 512, 2560), ("hit 2", 2560, 5120)]
 
 
 def test_overloaded_channel_has_a_lane(tmp_path):

@@ -39,11 +39,11 @@ def drive(source, tick, ticks):
 def samples(source, blocks, rate):
     """Samples at a rate while blocks of so many ticks pass, each with the other rates sampled meanwhile."""
     source.leave_outputs()
-    tick, found = 0, []
+    tick, result = 0, []
     for ticks, others in blocks:
-        found.append(source.advance(drive(source, tick, ticks), ticks, {rate, *others})[rate].samples)
+        result.append(source.advance(drive(source, tick, ticks), ticks, {rate, *others})[rate].samples)
         tick += ticks
-    return np.concatenate(found, axis=1)
+    return np.concatenate(result, axis=1)
 
 
 @pytest.mark.thorough
@@ -64,17 +64,17 @@ def test_rate_is_as_if_alone(converter, rate):
     # Noise is drawn for each interval; at rates that do not divide the ticks a bench alone has fewer of them.
     source = bench(converter, SCENE.replace("noise: 20 ug/sqrt(Hz), ", "") if "USB" in converter else SCENE)
     ticks = round(0.2 * source.bench.tick_rate)
-    found = samples(source, [(ticks, ())], rate)
+    result = samples(source, [(ticks, ())], rate)
     setup = source.bench.scene.converter.replace(rate=rate)
     # The same straight lines, cut at the samples of that bench only where they are straight anyway.
     alone = Bench(source.bench.scene.replace(converter=setup))
-    count = found.shape[1]
+    count = result.shape[1]
     at = np.arange(count) / rate * source.bench.tick_rate
     line = np.interp(at, np.arange(ticks), drive(source, 0, ticks)[0])
     expected = alone.acquire(line[None]).samples
     scale = np.abs(expected).max(axis=1, keepdims=True).astype(float)
     # The drive between samples differs by (pi f / rate)^2 / 2.
-    np.testing.assert_allclose(found / scale, expected / scale, rtol=0, atol=3e-3 if rate < 1e4 else 3e-4)
+    np.testing.assert_allclose(result / scale, expected / scale, rtol=0, atol=3e-3 if rate < 1e4 else 3e-4)
 
 
 def test_late_rate_has_settled_filters():

@@ -81,9 +81,9 @@ def test_table_drive_becomes_the_axis() -> None:
         "shaker: {kind: table, body: 1, spring: 5 kN/m}\n"
         "test: {kind: sine, frequency: 14 Hz, drive: 1 mm}\n"
     )
-    found = rig.map_motion(scene, values=[2e-5, 1e-3], frequencies=[12.0, 14.0])
-    assert (found.over, found.unit) == ("drive", "m")
-    assert (found.kind[0] == KINDS.index("riding")).all()
+    result = rig.map_motion(scene, values=[2e-5, 1e-3], frequencies=[12.0, 14.0])
+    assert (result.over, result.unit) == ("drive", "m")
+    assert (result.kind[0] == KINDS.index("riding")).all()
     with pytest.raises(SceneError, match="expected drive"):
         rig.map_motion(scene, over="force")
 
@@ -92,8 +92,8 @@ def test_locked_dampers_keep_their_clearance() -> None:
     scene = rig.load("fig5-three-dampers")
     first, *rest = scene.dampers
     scene = scene.replace(dampers=(first.replace(locked=True), *rest))
-    found = rig.map_motion(scene, over="clearance", values=[0.5e-3], frequencies=[48.0, 50.0])
-    assert found.motion[0, 0].count("/") == 1
+    result = rig.map_motion(scene, over="clearance", values=[0.5e-3], frequencies=[48.0, 50.0])
+    assert result.motion[0, 0].count("/") == 1
     assert vertical_axis(scene, "clearance") == ("clearance", "m")
 
 
@@ -130,12 +130,12 @@ def test_interrupted_map_continues_from_stored_rows(tmp_path: Path, monkeypatch:
     with pytest.raises(KeyboardInterrupt):
         rig.map_motion("fig9", **asked, progress=interrupt)
     counts: list[int] = []
-    found = rig.map_motion("fig9", **asked, progress=lambda done, total: counts.append(done))
+    result = rig.map_motion("fig9", **asked, progress=lambda done, total: counts.append(done))
     assert counts == [2, 4, 6]
     again = rig.map_motion("fig9", **asked, progress=lambda done, total: counts.append(done))
     assert counts[3:] == [6]
     for name in ("kind", "motion", "impacts", "repetition", "periods", "cpu"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(again, name))
+        np.testing.assert_array_equal(getattr(result, name), getattr(again, name))
     monkeypatch.setattr("rig.study.code_digest", lambda *packages: "other code")
     rig.map_motion("fig9", **asked, progress=lambda done, total: counts.append(done))
     assert counts[4:] == [2, 4, 6], "rows of other code are not reused"

@@ -96,34 +96,34 @@ def test_integrated_motion_meets_every_condition(kind: str) -> None:
 
 
 def test_fig_9_has_type_ii_at_resonance() -> None:
-    found = fig9()
+    result = fig9()
 
-    (second,) = branches(found, "II")
+    (second,) = branches(result, "II")
     inside = second.frequency[second.valid & second.stable]
     assert inside.min() < 48.7
     assert inside.max() > 51.0
-    assert inside.min() < found.mode.riding_frequency < found.mode.frequency < inside.max()
-    assert [b.valid.all() for b in branches(found, "I")] == [True, True]
-    assert found.failures == ()
+    assert inside.min() < result.mode.riding_frequency < result.mode.frequency < inside.max()
+    assert [b.valid.all() for b in branches(result, "I")] == [True, True]
+    assert result.failures == ()
     worst = np.abs(second.compliance[second.valid]).max()
-    assert worst < 0.25 * np.abs(found.mode.receptance([found.mode.frequency]))[0]
+    assert worst < 0.25 * np.abs(result.mode.receptance([result.mode.frequency]))[0]
 
 
 @pytest.mark.thorough
 def test_fig_5_has_type_iii_at_resonance() -> None:
-    found = approximate_response(rig.load("fig5-single-damper"), 3, (48.0, 49.0))
+    result = approximate_response(rig.load("fig5-single-damper"), 3, (48.0, 49.0))
 
-    (third,) = branches(found, "III")
+    (third,) = branches(result, "III")
     assert third.valid.all()
     assert third.stable.all()
     assert (third.tau_1 < third.tau_2).all()
 
 
 def test_type_ii_ends_where_type_iii_begins() -> None:
-    found = fig9()
+    result = fig9()
 
-    (second,) = branches(found, "II")
-    (third,) = branches(found, "III")
+    (second,) = branches(result, "II")
+    (third,) = branches(result, "III")
     changes = np.flatnonzero(np.diff(second.valid.astype(int)))
     borders = 0.5 * (second.frequency[changes] + second.frequency[changes + 1])
     steps = np.abs(np.diff(second.frequency))[changes]
@@ -236,12 +236,12 @@ def test_zero_clearance_leaves_the_linear_response() -> None:
     scene = rig.load("fig9")
     locked = scene.replace(dampers=[scene.dampers[0].replace(clearance=0.0)])
 
-    found = approximate_response(locked, 3, (47.0, 52.0))
+    result = approximate_response(locked, 3, (47.0, 52.0))
 
-    assert found.branches == ()
+    assert result.branches == ()
     # One mode cannot show that riding changes the shape, nor what the other modes add.
     band = np.linspace(48.6, 49.2, 601)
-    ridden, exact = found.mode.receptance(band, riding=True), receptance(locked, band)[1]
+    ridden, exact = result.mode.receptance(band, riding=True), receptance(locked, band)[1]
     assert band[np.abs(ridden).argmax()] == pytest.approx(band[np.abs(exact).argmax()], rel=1e-3)
     assert np.abs(ridden).max() == pytest.approx(np.abs(exact).max(), rel=0.02)
 
@@ -251,9 +251,9 @@ def test_small_clearance_tends_to_the_riding_damper() -> None:
     away = []
     for clearance in (2e-5, 1e-5, 5e-6):
         narrow = scene.replace(dampers=[scene.dampers[0].replace(clearance=clearance)])
-        found = follow_mode(single_mode(narrow, 3), (48.9, 48.95), searches=1)
-        (branch,) = [b for b in found.branches if (b.valid & b.stable).any()]
-        riding = found.mode.receptance(branch.frequency, riding=True)
+        result = follow_mode(single_mode(narrow, 3), (48.9, 48.95), searches=1)
+        (branch,) = [b for b in result.branches if (b.valid & b.stable).any()]
+        riding = result.mode.receptance(branch.frequency, riding=True)
         away.append(np.abs(branch.compliance / riding - 1)[branch.valid].max())
 
     assert away[2] < 0.01

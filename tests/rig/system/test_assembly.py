@@ -24,7 +24,7 @@ def scene_of(**parts: object) -> rig.Scene:
 def response(system: HybridSystem, column: int = 0) -> dict[str, np.ndarray]:
     """Motion of every coordinate for one unit of drive at the frequencies of `S`, straight from the equations."""
     n, extra = system.coordinates, len(system.rate_state)
-    found = []
+    result = []
     for s in S:
         left = np.zeros((n + extra, n + extra), dtype=complex)
         left[:n, :n] = system.mass * s**2 - system.force_state[:, :n] - s * system.force_state[:, n : 2 * n]
@@ -32,8 +32,8 @@ def response(system: HybridSystem, column: int = 0) -> dict[str, np.ndarray]:
         left[n:, :n] = -system.rate_state[:, :n] - s * system.rate_state[:, n : 2 * n]
         left[n:, n:] = s * np.eye(extra) - system.rate_state[:, 2 * n :]
         right = np.concatenate([system.force_drive[:, column], system.rate_drive[:, column]])
-        found.append(np.linalg.solve(left, right))
-    return dict(zip(system.points, np.array(found).T, strict=False))
+        result.append(np.linalg.solve(left, right))
+    return dict(zip(system.points, np.array(result).T, strict=False))
 
 
 def link(spring: float, dashpot: float) -> np.ndarray:
@@ -128,8 +128,8 @@ def test_dampers_of_all_kinds_are_assembled() -> None:
     assert system.force_constant == pytest.approx([-2.0, 0.0, -0.2, -0.5, -0.1, -0.5, -0.2])
     short, long = 1.0 / (1.0 / 0.05 + 1.0 / 0.6), 1.0 / (1.0 / 0.02 + 1.0 / 0.8)
     for j, wall, mass, expected in ((1, 0, short, (1e-3, 0.4)), (1, 1, short, (1e-3, 0.4)), (2, 1, long, (2e-3, 0.7))):
-        found = duration_and_restitution(system.wall_stiffness[j, wall], system.wall_damping[j, wall], mass)
-        assert found == pytest.approx(expected)
+        result = duration_and_restitution(system.wall_stiffness[j, wall], system.wall_damping[j, wall], mass)
+        assert result == pytest.approx(expected)
     assert (system.wall_stiffness[2, 0], system.wall_damping[2, 0]) == (5e5, 2.0)
     assert not system.wall_stiffness[0].any() and not system.wall_damping[0].any()
     # At rest all weight hangs on the springs, and beds lie in their floors by their own.

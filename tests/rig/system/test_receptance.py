@@ -66,13 +66,13 @@ def test_lightly_damped_peaks_are_at_natural_frequencies(attached: bool, peaks: 
     scene = rig.load("bare-structure")
     scene = scene.replace(structure=scene.structure.replace(damping={"modal": 1e-4}))
     for peak in peaks:
-        found = minimize_scalar(
+        result = minimize_scalar(
             lambda w: -np.abs(receptance(scene, [w / (2.0 * np.pi)], attached)[2, 0]),
             bounds=(peak - 0.5, peak + 0.5),
             method="bounded",
             options={"xatol": 1e-5},
         )
-        assert found.x == pytest.approx(peak, abs=6e-4)
+        assert result.x == pytest.approx(peak, abs=6e-4)
 
 
 def test_table_response_follows_from_force_response() -> None:

@@ -256,7 +256,7 @@ def _dask(address: str, cleanup: ExitStack) -> Any:
             try:
                 cluster = LocalCluster(n_workers=cores(), threads_per_worker=1)
             except RuntimeError as error:
-                raise RunError(f"--cluster local: the workers do not start ({error})") from None
+                raise RunError(f"--cluster local: the workers do not start ({error}). Leave out --cluster.") from None
             scheduler = cleanup.enter_context(closing(cluster))
     try:
         client = cleanup.enter_context(closing(Client(scheduler, timeout=10)))

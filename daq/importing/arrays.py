@@ -112,7 +112,8 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
         listed = [f"{name} {array.shape}" for name, array in arrays.items()]
         more = " ..." if len(listed) > 8 else ""
         raise RecordingError(
-            f"{path} contains no array of samples; it contains {', '.join(listed[:8]) + more or 'nothing'}"
+            f"{path} contains no array of samples; it contains {', '.join(listed[:8]) + more or 'nothing'}. "
+            "Save the samples as numbers: one array a channel, or one with a row or column a channel."
         )
     scalars = {name: float(array.ravel()[0]) for name, array in numbers.items() if array.size == 1}
     # Units as `analysis export` writes them: two rows of texts, ``channels`` and ``units``.

@@ -119,13 +119,15 @@ def _from_csv(path: Path, text: str) -> Rows:
     try:
         lines = list(csv.reader(text.splitlines()))
     except csv.Error as error:
-        raise SceneError(f"{path} is not a table of channels: {error}") from None
+        raise SceneError(f"{path} is not a table of channels: {error}. Save it as CSV.") from None
     if not lines or "channel" not in (heading := [cell.strip() for cell in lines[0]]):
         raise SceneError(f"{path}:1: expected the heading channel,column and any of {','.join(_KEYS[1:])}")
     rows: Rows = []
     for number, line in enumerate(lines[1:], 2):
         if len(line) > len(heading):
-            raise SceneError(f"{path}:{number}: {len(line)} cells under a heading of {len(heading)}")
+            raise SceneError(
+                f"{path}:{number}: {len(line)} cells under a heading of {len(heading)}. Quote cells that contain commas."
+            )
         if any(cell.strip() for cell in line):
             values = dict(zip(heading, line, strict=False))
             rows.append((number, values.pop("channel").strip(), values))

@@ -173,7 +173,7 @@ def rate_with_gaps(
 ) -> float:
     """Estimate the rate in Hz from the first and the last time, s; warn where rows are missing."""
     if not last > first:
-        raise RecordingError(f"{where} do not increase: from {first!r} s to {last!r} s")
+        raise RecordingError(f"{where} do not increase: from {first!r} s to {last!r} s. Sort the rows by time.")
     lost = sum(count for _, count in missing)
     intervals = rows + lost - 1
     rate = rate_of_interval((last - first) / intervals, resolution / intervals)

@@ -126,7 +126,8 @@ def _from_csv(path: Path, text: str) -> Rows:
     for number, line in enumerate(lines[1:], 2):
         if len(line) > len(heading):
             raise SceneError(
-                f"{path}:{number}: {len(line)} cells under a heading of {len(heading)}. Quote cells that contain commas."
+                f"{path}:{number}: {len(line)} cells under a heading of {len(heading)}. "
+                "Quote cells that contain commas."
             )
         if any(cell.strip() for cell in line):
             values = dict(zip(heading, line, strict=False))

@@ -60,7 +60,7 @@ class Slice:
         """Return the data sheets of the channels."""
         return [self.recording.channels[name] for name in self.channels]
 
-    def pieces(self, names: Sequence[str]) -> Iterator[tuple[int, Array]]:
+    def blocks(self, names: Sequence[str]) -> Iterator[tuple[int, Array]]:
         """Yield the sample number and the samples (channels, piece) of each piece."""
         for first in range(self.start, self.stop, PIECE):
             last = min(first + PIECE, self.stop)

@@ -86,7 +86,7 @@ TABLE = Table(
     _HEADER,
     "beds against one mass",
     "beds.csv",
-    whole=("layers", "seed"),
+    integers=("layers", "seed"),
     words=("grains_motion_type", "mass_motion_type"),
 )
 

@@ -17,13 +17,13 @@ Piece = TypeVar("Piece", bound=tuple[object, ...])
 class Table(NamedTuple):
     """Columns of the table of a study.
 
-    `whole`, `words`: columns of integers and of words; all other columns contain floating-point numbers.
+    `integers`, `words`: columns of integers and of words; all other columns contain floating-point numbers.
     """
 
     header: tuple[str, ...]  # names of its columns
-    what: str  # description of the content, for messages
+    content: str  # description of the content, for messages
     file: str  # name of the bundled file
-    whole: tuple[str, ...] = ()
+    integers: tuple[str, ...] = ()
     words: tuple[str, ...] = ()
 
     @property
@@ -34,7 +34,7 @@ class Table(NamedTuple):
     def study(self, compute: Callable[[Piece], Row], piece_of: Callable[[Row], Piece]) -> Study[Piece, Row]:
         """Return the study whose values are the rows of this table."""
         return Study(
-            self.what,
+            self.content,
             self.header,
             compute,
             lambda case: case,
@@ -46,7 +46,7 @@ class Table(NamedTuple):
         """Convert a line to a row; raise `ValueError` if a cell has the wrong type for its column."""
         for name, cell in zip(self.header, line, strict=True):
             if name not in self.words:
-                (int if name in self.whole else float)(cell)
+                (int if name in self.integers else float)(cell)
             elif not cell:
                 raise ValueError(name)
         return dict(zip(self.header, line, strict=True))
@@ -54,7 +54,7 @@ class Table(NamedTuple):
     def read(self, path: Path | None = None) -> list[Row]:
         """Read the rows of a table, by default the bundled table; damaged rows are skipped."""
         rows = []
-        for line in read_rows(path or self.bundled, self.header, self.what):
+        for line in read_rows(path or self.bundled, self.header, self.content):
             with suppress(ValueError):
                 rows.append(self.row(line))
         return rows

@@ -44,7 +44,7 @@ class _Part:
     first: int
     length: int
     projection: Array  # products of the fitted terms with the samples, shape (terms, channels)
-    own: Array  # coefficients of the fit to this part, shape (terms, channels)
+    coefficients: Array  # coefficients of the fit to this part, shape (terms, channels)
     residual: Array  # its sum of squares, shape (channels,)
     ends: Array  # first and last sample, shape (2, channels)
 
@@ -84,11 +84,11 @@ class LockIn:
         """Add the next part of the window, shape (channels, samples); parts are contiguous."""
         length = samples.shape[1]
         projection = np.zeros((2 * self.harmonics + 2, len(samples)))
-        for start, turn, basis in self._pieces(length):
+        for start, turn, basis in self._sub_windows(length):
             projection += turn @ (basis @ samples[:, start : start + basis.shape[1]].T)
         coefficients: Array = np.asarray(np.linalg.solve(self._gram(length)[0], projection), dtype=float)
         squares = np.zeros(len(samples))
-        for start, turn, basis in self._pieces(length):
+        for start, turn, basis in self._sub_windows(length):
             residual = samples[:, start : start + basis.shape[1]] - (coefficients.T @ turn) @ basis
             squares += np.einsum("ij,ij->i", residual, residual)
         self._parts.append(_Part(self._samples, length, projection, coefficients, squares, samples[:, [0, -1]].T))
@@ -120,7 +120,7 @@ class LockIn:
             turn = np.exp(-2j * np.pi * np.fmod(self.frequency * part.first / self.rate, 1.0))
             parts[row] = amplitude[:, 0] + (local[0] + 1j * local[1]) * turn
             # Residual of the common fit: residual of the part's own fit, and the difference of the two fits.
-            squares += part.residual + np.sum(np.square(factor.T @ (part.own - common)), axis=0)
+            squares += part.residual + np.sum(np.square(factor.T @ (part.coefficients - common)), axis=0)
         return ToneFit(self.frequency, amplitude, parts, np.sqrt(squares / max(self._samples - size, 1)))
 
     def _edge(self, fits: list[Array], number: int) -> tuple[int, Array]:
@@ -150,11 +150,11 @@ class LockIn:
     def _gram(self, length: int) -> tuple[Array, Array]:
         """Gram matrix of a part's rows 1, slope, cos k, -sin k, and its Cholesky factor; stored by length."""
         if length not in self._grams:
-            gram = np.asarray(sum(turn @ basis @ basis.T @ turn.T for _, turn, basis in self._pieces(length)))
+            gram = np.asarray(sum(turn @ basis @ basis.T @ turn.T for _, turn, basis in self._sub_windows(length)))
             self._grams[length] = gram, np.linalg.cholesky(gram)
         return self._grams[length]
 
-    def _pieces(self, length: int) -> Iterator[tuple[int, Array, Array]]:
+    def _sub_windows(self, length: int) -> Iterator[tuple[int, Array, Array]]:
         """Yield the beginning of each piece of a part, its rows, and the matrix from these to the rows of the part.
 
         The rows of all pieces are equal except for the slope and a rotation of each tone. The rows of a single piece

@@ -95,7 +95,7 @@ def best_linear_approximation(
     rounding = reproducible[:, None] * (counts[:, None] / np.sqrt(samples) + gain[:, None] * amplitude)
     base = Lines(
         tuple(names), frequency, centre, noise, rec.scene.name, tuple(notes), unsettled,
-        around=SIDE, rotated=count, resolution=rounding,
+        n_neighbours=SIDE, rotated=count, resolution=rounding,
     )  # fmt: skip
     dampers_move = any(damper.moves for damper in rec.scene.dampers)
     if count == 1:

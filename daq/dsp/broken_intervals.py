@@ -20,7 +20,7 @@ class PartWorkspace(NamedTuple):
     work: Array
     nothing: Array
     steady: Array
-    whole: Array  # A part; (6,)
+    full_part: Array  # A part; (6,)
 
 
 def part_workspace(size: int) -> PartWorkspace:

@@ -41,12 +41,12 @@ class Limits(NamedTuple):
     # Contributions of input, disturbances and states, in the order of `Tables.weights`, to each limited voltage at
     # each check in an interval; (checks, 4 + disturbances + states).
     checks: Array
-    most: Array  # magnitude of these voltages up to which no limit is reached; (checks,)
+    linear_limit: Array  # magnitude of these voltages up to which no limit is reached; (checks,)
     safe: Array  # weights of the magnitudes of the same; if their sum is below 1, no check reaches a limit
     steps: NDArray[np.int64]  # coarse and fine steps in an interval propagated in steps; int64; (2,)
     step: Array  # the vector's transition over one of each; (2, size, size), as `Tables.coarse`
     # Contribution of 1 V of each steady disturbance to the vector over a step, and zeros; (2, disturbances, width).
-    held: Array
+    steady_response: Array
     # Contribution of 1 V of the other disturbances over an interval, in moments, not integrals; (disturbances, width).
     varying: Array
     limit: float  # of the sensor's output, V
@@ -56,7 +56,7 @@ class Limits(NamedTuple):
     # Excess at a step's end, relative to the excess without its own effect on the shift; (2,).
     relief: Array
     impulse: Array  # remaining effect of a unit impulse over the limit; (width,)
-    least: float  # smallest impulse over the limit, as in `CubicInput`; none behind a resonance
+    min_impulse: float  # smallest impulse over the limit, as in `CubicInput`; none behind a resonance
     shift: int  # state of the zero shift after an overload; -1: none
     rails: Array  # largest magnitude of each state, V; (states,)
     # Contribution of an even input that adds 1 V to each state over a step to the vector; (2, states, width).
@@ -113,19 +113,19 @@ def limits_of(
     checks, linear_limit = _check_rows(watched, everything, start, states, count)
     return Limits(
         checks=checks,
-        most=linear_limit,
+        linear_limit=linear_limit,
         # Rounding must not make it smaller than the bounded value.
         safe=np.abs(checks / linear_limit[:, None]).max(axis=0) * (1.0 + 1e-9),
         steps=steps,
         step=laid_out(np.array([expm(generator / count) for count in steps])),
-        held=np.ascontiguousarray(steady_response),
+        steady_response=np.ascontiguousarray(steady_response),
         varying=varying,
         limit=reach,
         output=output,
         excess_ramps=excess_ramps,
         relief=1.0 / (1.0 - excess_ramps[:, 1] @ output[:width]),
         impulse=generator[:width, width] + through * excess_input,
-        least=float(reach * SHORTEST * rate / abs(through)) if through else np.inf,
+        min_impulse=float(reach * SHORTEST * rate / abs(through)) if through else np.inf,
         shift=shift,
         rails=rails,
         holding=np.array([_holding_inputs(generator, states, count) for count in steps]),
@@ -180,11 +180,11 @@ def within(limits: Limits, course: Array, sizes: Array, sums: Array, count: int)
     weighted_sums(sizes, 0, 0, limits.safe, course.shape[0], sums, count)
     if not _exceeds(sums[:count], 1.0):
         return count
-    for check in range(limits.most.size):
+    for check in range(limits.linear_limit.size):
         weighted_sums(course, 0, 0, limits.checks[check], course.shape[0], sums, count)
-        if _exceeds(sums[:count], limits.most[check]):
+        if _exceeds(sums[:count], limits.linear_limit[check]):
             for k in range(count):
-                if abs(sums[k]) > limits.most[check]:
+                if abs(sums[k]) > limits.linear_limit[check]:
                     count = k
                     break
     return count
@@ -254,7 +254,7 @@ def _in_steps(
     Return the next part, the final excess over the limit, whether the sensor's output came near its limit, and
     whether any limit was reached.
     """
-    vector, full_step = workspace.vector, workspace.whole
+    vector, full_step = workspace.vector, workspace.full_part
     steps = limits.steps[size]
     _begin(limits, size, state, steady_response[:, interval], vector, workspace.steady)
     node, place, excess, is_near_limit, reached, more = 0, 0.0, 0.0, False, False, True
@@ -288,7 +288,7 @@ def _in_steps(
         if end > place:
             advance(tables, end - place, workspace)
             place = end
-        limited = abs(full_step[JUMP]) > limits.least
+        limited = abs(full_step[JUMP]) > limits.min_impulse
         reached |= limited
         for r in range(tables.width):
             vector[r] += (limits.impulse[r] if limited else tables.impulse[r]) * full_step[JUMP]
@@ -303,8 +303,8 @@ def _begin(limits: Limits, size: int, state: Array, steady_response: Array, vect
         vector[j] = state[j]
     steady[:] = 0.0
     for e in range(steady_response.size):
-        for r in range(limits.held.shape[2]):
-            steady[r] += steady_response[e] * limits.held[size, e, r]
+        for r in range(limits.steady_response.shape[2]):
+            steady[r] += steady_response[e] * limits.steady_response[size, e, r]
 
 
 @unfused_kernel

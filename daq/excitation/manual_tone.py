@@ -69,7 +69,7 @@ class ToneReading:
 
     frequency: float  # requested, Hz
     level: float  # requested, N
-    held: bool  # the level has been reached and the motion is steady
+    is_settled: bool  # the level has been reached and the motion is steady
     drive: float  # amplitude of the drive, in its unit
     force: complex  # of the coil spring, or the drive where the drive is the force, N
     displacement: dict[str, complex]  # by channel, m

@@ -286,7 +286,7 @@ class _Import:
         ):
             for first in range(0, self._samples, _PIECE_SAMPLES):
                 stop = min(first + _PIECE_SAMPLES, self._samples)
-                block = np.stack([self._piece(row, first, stop) for row in range(len(self._infos))])
+                block = np.stack([self._read_block(row, first, stop) for row in range(len(self._infos))])
                 recorder.write(block)
                 if self._power is not None:
                     self._power.add(*block[self._powered])
@@ -296,7 +296,7 @@ class _Import:
                     progress(stop / self._samples, f"{stop / self._rate:.0f} s")
             return [*self._mark_channels(recorder), *self._mark_test(recorder)]
 
-    def _piece(self, row: int, first: int, stop: int) -> Array:
+    def _read_block(self, row: int, first: int, stop: int) -> Array:
         """Read a piece of a channel in volts, NaN where the file has no number, and examine it."""
         each = self._assigned[row]
         volts = np.full(stop - first, np.nan)

@@ -84,8 +84,8 @@ def record_live(
 
     def read(reading: ToneReading) -> None:
         screen.read(reading)
-        state = reading.frequency, reading.level, reading.held
-        if reading.held and state != last[0]:
+        state = reading.frequency, reading.level, reading.is_settled
+        if reading.is_settled and state != last[0]:
             report(sentence(reading))
         last[0] = state
 

@@ -105,7 +105,7 @@ class Screen:
 
 def page(reading: ToneReading) -> str:
     """Return a reading as a page of Markdown."""
-    state = "held" if reading.held else "silent" if reading.level == 0.0 else "settling"
+    state = "held" if reading.is_settled else "silent" if reading.level == 0.0 else "settling"
     lines = [
         f"## {reading.frequency:.2f} Hz, {reading.level:g} N: {state}",
         f"force {abs(reading.force):.3f} N, drive amplitude {reading.drive:.4g}",
@@ -116,7 +116,7 @@ def page(reading: ToneReading) -> str:
     for name, displacement in reading.displacement.items():
         ratio = reading.receptance(name)
         figures = f"{abs(ratio) * 1e3:.4g} mm/N | {math.degrees(cmath.phase(ratio)):.1f}°"
-        if not reading.held:
+        if not reading.is_settled:
             figures = "- | -"
         lines.append(f"| {escape_markdown(name)} | {abs(displacement) * 1e3:.4g} mm | {figures} |")
     return "\n".join(lines) + "\n"

@@ -82,7 +82,7 @@ class _Check:
         opcode, content = self._next()
         if opcode != Opcode.HEADER:
             raise Damage("the file does not begin with a header")
-        self._plain(parse(Opcode.HEADER, content), content)
+        self._check_record(parse(Opcode.HEADER, content), content)
         while opcode != Opcode.DATA_END:
             begin = self.place
             opcode, content = self._next(move=False)
@@ -127,7 +127,7 @@ class _Check:
             self._unlisted[Opcode.ATTACHMENT_INDEX][self.place] = _fingerprint(index)
         elif opcode == Opcode.METADATA:
             record = parse(opcode, content, self._ours)
-            self._plain(record, content)
+            self._check_record(record, content)
             self._unlisted[Opcode.METADATA_INDEX][self.place] = _fingerprint(
                 records.MetadataIndex(self.place, length, record.name)
             )
@@ -140,7 +140,7 @@ class _Check:
         elif opcode != Opcode.DATA_END and (opcode < _PRIVATE or self._ours):
             raise Damage(f"a record of kind {opcode}, which does not belong there")
 
-    def _plain(self, record: Any, content: memoryview) -> None:
+    def _check_record(self, record: Any, content: memoryview) -> None:
         """Reject a record that is not encoded as our writer does: its lengths have no checksum."""
         builder = RecordBuilder()
         record.write(builder)

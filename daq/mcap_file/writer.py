@@ -79,9 +79,9 @@ class ChunkedFile:
         self._counts: dict[int, int] = {}
         self._times: tuple[int, int] | None = None
         stream.write(MAGIC)
-        self._put(records.Header("", library))
+        self._write_records(records.Header("", library))
 
-    def _put(self, *content: records.McapRecord) -> int:
+    def _write_records(self, *content: records.McapRecord) -> int:
         """Write records; give their size in bytes."""
         builder = RecordBuilder()
         for record in content:
@@ -174,19 +174,19 @@ class ChunkedFile:
     def add_attachment(self, create_time: int, log_time: int, name: str, media_type: str, data: bytes) -> None:
         """Write an attachment."""
         begin = self._stream.tell()
-        length = self._put(records.Attachment(create_time, log_time, name, media_type, data))
+        length = self._write_records(records.Attachment(create_time, log_time, name, media_type, data))
         index = records.AttachmentIndex(begin, length, log_time, create_time, len(data), name, media_type)
         self._attachments.append(index)
 
     def add_metadata(self, name: str, fields: Mapping[str, str]) -> None:
         """Write a metadata record."""
         begin = self._stream.tell()
-        length = self._put(records.Metadata(metadata=dict(fields), name=name))
+        length = self._write_records(records.Metadata(metadata=dict(fields), name=name))
         self._metadata.append(records.MetadataIndex(length=length, name=name, offset=begin))
 
     def finish(self) -> None:
         """Write the summary and the end of the file."""
-        self._put(records.DataEnd(0))
+        self._write_records(records.DataEnd(0))
         begin = self._stream.tell()
         first, last = self._times or (0, 0)
         statistics = records.Statistics(

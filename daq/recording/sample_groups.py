@@ -56,9 +56,9 @@ class Grouping:
         self.complete: dict[int, Group] = {}
         self.group_bytes = rows * length * kind.itemsize
         self._rows, self._length, self._kind = rows, length, kind
-        self._current = self._empty(0)
+        self._current = self._new_group(0)
 
-    def _empty(self, number: int) -> Group:
+    def _new_group(self, number: int) -> Group:
         return Group(number * self._length, np.empty((self._rows, self._length), self._kind), [])
 
     def add(self, samples: NDArray[Any]) -> None:
@@ -88,4 +88,4 @@ class Grouping:
         """Complete the group in progress, also an incomplete one."""
         if self._current.spans:
             self.complete[self._current.first // self._length] = self._current
-        self._current = self._empty(self.position // self._length)
+        self._current = self._new_group(self.position // self._length)

@@ -104,7 +104,7 @@ def _accelerations(flow: Any, model: Any, states: Array, slots: NDArray[np.int64
 
 
 #: Largest displacement; a larger motion has diverged, because no length in a scene is larger.
-MAX_DISPLACEMENT_M = LENGTH.most
+MAX_DISPLACEMENT_M = LENGTH.maximum
 
 
 class Propagator:

@@ -62,15 +62,15 @@ ppm = 1e-6
 class Kind:
     """Kind of a quantity: its name in messages, its SI unit, and an example of its spelling.
 
-    A nonzero magnitude must be between `least` and `most`, in SI. Outside these limits, powers and products in
+    A nonzero magnitude must be between `minimum` and `maximum`, in SI. Outside these limits, powers and products in
     the model overflow or underflow, or the computation does not end.
     """
 
     noun: str
     si: str
     example: str
-    least: float = 1e-18
-    most: float = 1e12
+    minimum: float = 1e-18
+    maximum: float = 1e12
 
     def supports(self, number: float) -> bool:
         """Return whether the model supports the magnitude of a number; zero and infinity are supported.
@@ -78,12 +78,12 @@ class Kind:
         >>> MASS.supports(1.0), MASS.supports(1e-30), TIME.supports(1e12), LENGTH.supports(math.inf)
         (True, False, False, True)
         """
-        return number == 0.0 or math.isinf(number) or self.least <= abs(number) <= self.most
+        return number == 0.0 or math.isinf(number) or self.minimum <= abs(number) <= self.maximum
 
     @property
     def range(self) -> str:
         """The allowed magnitudes in words."""
-        return f"from {self.least:g} {self.si} to {self.most:g} {self.si}".replace(" )", ")")
+        return f"from {self.minimum:g} {self.si} to {self.maximum:g} {self.si}".replace(" )", ")")
 
 
 MASS = Kind("a mass", "kg", "74 g", 1e-9, 1e9)
@@ -229,7 +229,7 @@ def positive_values(values: ArrayLike, kind: Kind, name: str) -> NDArray[np.floa
     if raw.dtype.kind == "U":
         raw = np.array([number(str(item), kind, name) for item in raw.flat]).reshape(raw.shape)
     numbers = np.asarray(raw, dtype=np.float64)
-    is_valid = (numbers >= kind.least) & (numbers <= kind.most)
+    is_valid = (numbers >= kind.minimum) & (numbers <= kind.maximum)
     if numbers.ndim != 1 or not numbers.size or not is_valid.all():
         invalid = ", ".join(map(str, numbers[~is_valid].tolist()[:3])) or "none"
         raise SceneError(

@@ -157,16 +157,18 @@ def _fit(
     powers = np.stack([offset**k for k in range(order + 1)], axis=-1)
     transients = [powers]
     transients += [((decay := slow[bins][:, None, :]) / _rms(decay))[..., None] for slow in reading.slow]
-    own = np.concatenate(transients, axis=-1)
+    transient = np.concatenate(transients, axis=-1)
     if begins:
         # The columns are zero if a segment has no separate transient at its beginning; the regularization omits them.
         at_start = np.where(np.isin(np.arange(segments), begins)[:, None], e, 0.0)[..., None]
-        own = np.concatenate([np.broadcast_to(own, (*x.shape, own.shape[-1])), at_start * own], axis=-1)
+        transient = np.concatenate(
+            [np.broadcast_to(transient, (*x.shape, transient.shape[-1])), at_start * transient], axis=-1
+        )
     shared = [f[..., None] * powers]
     for other in () if others is None else others:
         local_input = np.moveaxis(other[:, bins], 1, 0) * channel
         shared.append((local_input / np.maximum(_rms(local_input), _ZERO_POWER))[..., None] * powers)
-    terms = _Terms(np.concatenate(shared, axis=-1), own, offset[..., None] ** np.arange(1, poles + 1))
+    terms = _Terms(np.concatenate(shared, axis=-1), transient, offset[..., None] ** np.arange(1, poles + 1))
     # Multiplication by the denominator makes the problem linear, but it also weights the noise and fits poles to it.
     # A Gauss-Newton step corrects both.
     unknown, influence = _solve(terms, x, x)
@@ -174,7 +176,7 @@ def _fit(
     residual = x - model
     if poles:
         divisor = denominator[..., None]
-        slope = terms._replace(shared=terms.shared / divisor, own=terms.own / divisor)
+        slope = terms._replace(shared=terms.shared / divisor, transient=terms.transient / divisor)
         change, influence = _solve(slope, model / denominator, residual)
         stepped = _Unknown(*(np.add(*pair) for pair in zip(unknown, change, strict=True)))
         new_residual = x - terms.quotient(stepped)[0]
@@ -234,7 +236,7 @@ class _Terms(NamedTuple):
     # (lines, segments, width, order + 1)
     shared: ComplexArray | Array
     # columns of each segment's transients; shape (lines, segments or 1, width, terms)
-    own: ComplexArray | Array
+    transient: ComplexArray | Array
     powers: Array  # columns of the denominator; shape (lines, 1, width, poles)
 
     def response(self, unknown: _Unknown) -> ComplexArray:
@@ -244,7 +246,7 @@ class _Terms(NamedTuple):
     def quotient(self, unknown: _Unknown) -> tuple[ComplexArray, ComplexArray]:
         """Compute the model of the lines and its denominator."""
         denominator = self._denominator(unknown.denominator)
-        transients = (self.own @ unknown.transients[..., None])[..., 0]
+        transients = (self.transient @ unknown.transients[..., None])[..., 0]
         return self._numerator(unknown.numerator) / denominator + transients / denominator, denominator
 
     def _numerator(self, numerator: ComplexArray) -> ComplexArray:
@@ -268,8 +270,8 @@ def _solve(terms: _Terms, model: ComplexArray, right: ComplexArray) -> tuple[_Un
     `model`, multiplied by the denominator, and `right` have the shape (lines, segments, width).
     """
     lines, segments, width = right.shape
-    count = terms.own.shape[-1]
-    q, r = np.linalg.qr(_regularize(terms.own))
+    count = terms.transient.shape[-1]
+    q, r = np.linalg.qr(_regularize(terms.transient))
     adjoint = np.conj(np.swapaxes(q, 2, 3))
     shared = np.concatenate([terms.shared, -model[..., None] * terms.powers], axis=-1)
     system = np.concatenate([shared, right[..., None]], axis=-1)

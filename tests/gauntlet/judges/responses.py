@@ -46,10 +46,17 @@ _ROUNDING = 1e-9
 _FORCE_STEP = 2e-3
 # Largest relative derivative: larger values indicate a change to another type of motion.
 _MAX_RELATIVE_SLOPE = 20.0
-# Largest relative standard deviation of the true amplitudes of single periods of a regular motion.
+# Largest relative standard deviation of the true amplitudes in the parts of a regular motion.
 _MAX_AMPLITUDE_DEVIATION = 0.02
-# Number of compared periods.
-_COMPARED_PERIODS = 10
+# Largest relative change of the true amplitude from the first to the second half of a measurement in steady state: a
+# decaying transient that is as large as `_MIN_OTHER_DIFFERENCE` changes more.
+_MAX_STEADY_DRIFT = 1e-3
+# A steady motion whose amplitude differs from that of the orbit by more is another stable motion.
+_MIN_OTHER_DIFFERENCE = 0.01
+# Largest relative difference between an orbit and the settled simulation of the same motion.
+_MAX_DIFFERENCE_OF_ONE_MOTION = 1e-3
+# Number of parts of a measurement, each of whole periods, whose amplitudes are compared.
+_COMPARED_PARTS = 10
 # Largest relative deviation of the force for which the first-order correction is accurate to about 1e-5.
 _MAX_FORCE_DEVIATION = 2e-3
 
@@ -144,7 +151,10 @@ def judge(case: Case, kind: str) -> list[Verdict]:
 
 
 def _truth(scene: rig.Scene) -> Callable[[NDArray[np.float64]], NDArray[np.complex128]]:
-    """Return a function for the receptances of all bodies, NaN where the motion is irregular; results are stored."""
+    """Return a function for the receptances of all bodies; results are stored.
+
+    NaN where the motion is irregular, or where two stable motions exist: the path of the test decides between them.
+    """
     cache: dict[bytes, NDArray[np.complex128]] = {}
 
     def exact(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
@@ -157,8 +167,11 @@ def _truth(scene: rig.Scene) -> Callable[[NDArray[np.float64]], NDArray[np.compl
                 cache[key] = receptance(scene.replace(dampers=dampers), frequency)
             elif scene.dampers and isinstance(scene.driven_shaker, ForceShaker):
                 response = rig.orbit_response(scene, frequency)
-                cache[key] = np.where(response.simulated, np.nan, response.compliance)
+                settled = _steady_receptance(scene, frequency)
+                differs = np.any(abs(settled / response.compliance - 1.0) > _MAX_DIFFERENCE_OF_ONE_MOTION, axis=0)
+                cache[key] = np.where(response.simulated | differs, np.nan, response.compliance)
             elif scene.dampers:
+                # Through the coil spring, the harmonics of the dampers affect the force.
                 cache[key] = _steady_receptance(scene, frequency)
             else:
                 cache[key] = receptance(scene, frequency)
@@ -170,32 +183,40 @@ def _truth(scene: rig.Scene) -> Callable[[NDArray[np.float64]], NDArray[np.compl
 def _exclude_irregular(
     case: Case, exact: Callable[[NDArray[np.float64]], NDArray[np.complex128]]
 ) -> Callable[[NDArray[np.float64]], NDArray[np.complex128]]:
-    """Return ``exact`` with NaN at frequencies where the recorded true motion is irregular."""
-    recording, irregular = case.recording, []
+    """Return ``exact`` with NaN at frequencies where the recorded true motion is irregular or another steady motion."""
+    recording, excluded = case.recording, []
     if not case.scene.dampers or recording.truth_points == ():
         return exact
     for marker in recording.markers:
         if marker.kind == "measure" and "frequency" in marker.fields and marker.last_sample is not None:
             period = recording.rate / marker.fields["frequency"]
-            first, n_periods = marker.first_sample, int((marker.stop - marker.first_sample) / period)
-            edges = np.round(first + period * np.linspace(0, n_periods, min(n_periods, _COMPARED_PERIODS) + 1)).astype(
-                int
-            )
+            n_periods = int((marker.stop - marker.first_sample) / period)
+            part_periods = max(n_periods // _COMPARED_PARTS, 1)
+            edges = np.arange(n_periods // part_periods + 1) * part_periods * period
+            edges = marker.first_sample + np.round(edges).astype(int)
             motion = recording.truth("displacement", edges[0], edges[-1])
             tone = motion * np.exp(-2j * np.pi * np.arange(motion.shape[1]) / period)
-            parts = np.array([part.mean(axis=1) for part in np.split(tone, edges[1:-1] - first, axis=1)])
-            if np.any(parts.std(axis=0) > _MAX_AMPLITUDE_DEVIATION * abs(parts.mean(axis=0))):
-                irregular.append(marker.fields["frequency"])
+            amplitudes = 2.0 * abs(
+                np.array([part.mean(axis=1) for part in np.split(tone, edges[1:-1] - edges[0], axis=1)])
+            )
+            mean, middle = amplitudes.mean(axis=0), len(amplitudes) // 2
+            drift = np.max(abs(amplitudes[:middle].mean(axis=0) - amplitudes[middle:].mean(axis=0)) / mean)
+            is_other = False
+            if drift < _MAX_STEADY_DRIFT and isinstance(case.scene.driven_shaker, ForceShaker):
+                expected = abs(exact(np.array([marker.fields["frequency"]]))[: len(motion), 0])
+                is_other = bool(np.any(abs(mean / marker.fields["drive"] / expected - 1.0) > _MIN_OTHER_DIFFERENCE))
+            if np.any(amplitudes.std(axis=0) > _MAX_AMPLITUDE_DEVIATION * mean) or is_other:
+                excluded.append(marker.fields["frequency"])
 
     def regular(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
-        is_irregular = np.isclose(frequency[:, None], np.array(irregular), rtol=1e-3, atol=0.0).any(axis=1)
-        return np.where(is_irregular, np.nan, exact(frequency))
+        is_excluded = np.isclose(frequency[:, None], np.array(excluded), rtol=1e-3, atol=0.0).any(axis=1)
+        return np.where(is_excluded, np.nan, exact(frequency))
 
     return regular
 
 
 def _steady_receptance(scene: rig.Scene, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """Return receptances with a coil spring, through which the harmonics of the dampers affect the force."""
+    """Return receptances from simulation until steady state; NaN where it is not reached."""
     down = getattr(scene.test, "direction", "up") == "down"
     response = rig.frequency_response(scene, frequency, direction="down" if down else "up", longest=3000)
     order = np.argsort(response.frequency)

@@ -170,6 +170,8 @@
   });
   window.addEventListener("resize", resize);
   scheme.addEventListener("change", redraw);
-  window.addEventListener("beforeprint", () => { printing = true; redraw(); });
-  window.addEventListener("afterprint", () => { printing = false; redraw(); });
+  // Paper shows the scene files, which repeat the test.
+  const showDetails = (open) => document.querySelectorAll("details").forEach((details) => { details.open = open; });
+  window.addEventListener("beforeprint", () => { printing = true; showDetails(true); redraw(); });
+  window.addEventListener("afterprint", () => { printing = false; showDetails(false); redraw(); });
 })();

@@ -165,7 +165,7 @@ def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list
     the true share if the recording contains it.
     """
     indices = np.sort(np.argsort(energy.supplied, kind="stable")[::-1][:_PRINTED_FREQUENCIES])
-    heading = ["frequency / Hz", "supplied / mJ", "into dampers / %", "per 10 % of scene damping / %"]
+    heading = ["frequency / Hz", "supplied / mJ", "into dampers / %", "per 10 % error of scene damping / %"]
     rows = [heading if true is None else [*heading, "true impact loss / %"]]
     for i in indices:
         share, bound = (100.0 * energies[i] / energy.supplied[i] for energies in (energy.dampers, energy.bound))

@@ -83,7 +83,7 @@ def describe_frfs(curves: Sequence[Response]) -> list[str]:
     for title, group in groupby(curves, heading):
         group_curves = list(group)
         unit, factor = group_curves[0].shown_in
-        rows = [("response", f"highest / ({unit})", "at / Hz", "under / N", "largest contribution")]
+        rows = [("response", f"highest / ({unit})", "at / Hz", "force / N", "largest contribution")]
         remarks: list[str] = []
         for frf in group_curves:
             if not np.isfinite(frf.value).any():

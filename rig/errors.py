@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from difflib import get_close_matches
 from pathlib import Path
 
 
@@ -55,3 +56,13 @@ def add_path(path: Path) -> Iterator[None]:
         if str(error).startswith(str(path)):
             raise
         raise RecordingError(f"{path}: {error}") from error
+
+
+def suggestion(name: str, names: Iterable[str], otherwise: str = "", n: int = 1, cutoff: float = 0.6) -> str:
+    """Return the question whether one of the nearest names is meant; if none is similar, another text.
+
+    >>> suggestion("clearence", ["mass", "clearance"]), suggestion("x", ["mass"], "Give mass.")
+    ("Did you mean 'clearance'?", 'Give mass.')
+    """
+    similar = dict.fromkeys(get_close_matches(name, list(names), n=n, cutoff=cutoff))
+    return f"Did you mean {' or '.join(map(repr, similar))}?" if similar else otherwise

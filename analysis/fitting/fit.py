@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +18,7 @@ from analysis.fitting.parameters import Parameter, free_parameters, with_ratio_p
 from analysis.fitting.problem import Group, Problem
 from analysis.recordings.names import opened
 from rig.arrays import Array, ComplexArray
-from rig.errors import RecordingError, SceneError
+from rig.errors import RecordingError, SceneError, suggestion
 from rig.input_files import duplicate_files
 from rig.results import Result, complete_style, format_number
 from rig.scene.loading import SceneLike, scene_of
@@ -141,9 +140,8 @@ class Fit(Result):
         """Return a value by its key."""
         by_key = {value.key: value for value in self.parameters}
         if key not in by_key:
-            similar = get_close_matches(key, by_key, n=1)
-            hint = f"did you mean {similar[0]!r}?" if similar else f"it has {', '.join(by_key)}"
-            raise SceneError(f"no value {key!r} in the fit; {hint}")
+            hint = suggestion(key, by_key, f"Give one of {', '.join(by_key)}.")
+            raise SceneError(f"no value {key!r} in the fit. {hint}")
         return by_key[key]
 
     def summary(self) -> str:

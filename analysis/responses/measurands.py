@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.errors import RecordingError, SceneError
+from rig.errors import RecordingError, SceneError, suggestion
 from rig.results.response import MOTIONS
 
 if TYPE_CHECKING:
@@ -31,9 +30,9 @@ def find_channel(rec: Recording, name: str) -> ChannelInfo:
             return info
     if number is not None:
         raise RecordingError(f"{rec.path}: no channel at {name}. Choose one of {', '.join(channels)}.")
-    similar = difflib.get_close_matches(str(name), [*channels, *(info.at for info in channels.values()), *bodies], n=1)
-    hint = f" Did you mean {similar[0]!r}?" if similar else ""
-    raise RecordingError(f"{rec.path}: no channel {name!r}.{hint} The channels are {', '.join(channels)}.")
+    hint = suggestion(str(name), [*channels, *(info.at for info in channels.values()), *bodies])
+    channel_list = f"{hint and hint + ' '}The channels are {', '.join(channels)}."
+    raise RecordingError(f"{rec.path}: no channel {name!r}. {channel_list}")
 
 
 def body_names(rec: Recording) -> tuple[str, ...]:

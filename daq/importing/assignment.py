@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ from daq.signal_chain.channel import ChannelInfo, Quantity
 from daq.signal_chain.devices import stages
 from daq.signal_chain.stage import channel_info
 from rig.arrays import Array
-from rig.errors import SceneError
+from rig.errors import SceneError, suggestion
 from rig.scene.measurement_chain import Channel, Integrator
 from rig.scene.presets import complete_from_preset, input_settings
 from rig.scene.quantities import ACCELERATION_SENSITIVITY, FORCE_SENSITIVITY, parse
@@ -251,5 +250,5 @@ def _matches(name: str, signals: Sequence[Signal]) -> list[Signal]:
 
 
 def _hint(name: str, names: Sequence[str]) -> str:
-    similar = difflib.get_close_matches(name, names, n=1)
-    return f". Did you mean {similar[0]}?" if similar else ""
+    hint = suggestion(name, names)
+    return hint and f". {hint}"

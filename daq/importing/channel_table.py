@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import csv
-import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from rig.errors import SceneError
+from rig.errors import SceneError, suggestion
 from rig.input_files import read_file
 from rig.scene.quantities import FREQUENCY, TIME, parse
 from rig.scene.yaml_reader import read_yaml
@@ -71,9 +70,8 @@ def column(given: Mapping[str, Any]) -> Column:
     texts = {key: text for key, value in given.items() if value is not None and (text := str(value).strip())}
     for key in texts:
         if key not in _KEYS:
-            similar = difflib.get_close_matches(key, _KEYS, n=1)
-            hint = f". Did you mean {similar[0]}?" if similar else ""
-            raise ValueError(f"unknown key {key!r}; expected one of {', '.join(_KEYS)}{hint}")
+            hint = suggestion(key, _KEYS)
+            raise ValueError(f"unknown key {key!r}; expected one of {', '.join(_KEYS)}{hint and '. ' + hint}")
     if "column" not in texts:
         raise ValueError("column missing; expected the name of a signal in the files, or its number from 1")
     values: dict[str, Any] = dict(texts)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -21,7 +20,7 @@ from daq.recording.truth import dampers_of, points_of
 from daq.signal_chain.channel import UNITS, ChannelInfo
 from daq.signal_chain.field_checks import NAME, check
 from rig.arrays import Array
-from rig.errors import RecordingError, ShotrigError, add_path
+from rig.errors import RecordingError, ShotrigError, add_path, suggestion
 from rig.escaping import escape_html
 from rig.input_files import as_path
 from rig.results import Result, complete_style
@@ -196,9 +195,9 @@ class Recording(Result):
             If there is no such channel or sample, or the file is damaged there.
         """
         if channel not in self._series:
-            similar = get_close_matches(str(channel), self._series, n=1)
-            hint = f"; did you mean {similar[0]!r}?" if similar else "."
-            raise RecordingError(f"{self.path}: no channel {channel!r}{hint} Choose one of {', '.join(self._series)}.")
+            hint = suggestion(str(channel), self._series)
+            advice = f"{hint and hint + ' '}Choose one of {', '.join(self._series)}."
+            raise RecordingError(f"{self.path}: no channel {channel!r}. {advice}")
         start, stop = self._range(start, stop)
         return self._series[channel].read(start, stop)
 

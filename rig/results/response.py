@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from rig.arrays import Array, ComplexArray
-from rig.errors import SceneError
+from rig.errors import SceneError, suggestion
 from rig.results.result import Result, complete_style, missing_package
 from rig.results.text import format_quantity
 from rig.results.uncertainty import (
@@ -695,8 +694,7 @@ def _index(points: Sequence[Point], name: str, kind: str) -> int:
         channels = " or ".join(points[k].name for k in matches)
         raise SceneError(f"{len(matches)} {kind}s are at {name}. Select one by its channel: {channels}.")
     names = [point.name for point in points]
-    similar = get_close_matches(name, [*names, *(point.place for point in points)], n=1)
-    hint = f"Did you mean {similar[0]!r}?" if similar else f"Give one of {', '.join(names)}."
+    hint = suggestion(name, [*names, *(point.place for point in points)], f"Give one of {', '.join(names)}.")
     raise SceneError(f"no {kind} {name!r}. {hint}")
 
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from difflib import get_close_matches
 from typing import Any
 
-from rig.errors import SceneError
+from rig.errors import SceneError, suggestion
 from rig.scene.settings import Mistake, Place, at
 
 _NAME = re.compile(r"[^\W\d][\w.-]{0,39}")
@@ -124,7 +123,6 @@ def _unknown_name(name: str, names: Sequence[str] | None, bodies: int) -> str:
     if names is None:
         alternatives = f"its number, 1 to {bodies}" if bodies > 1 else "its number, from 1"
         return f"no body has the name {name[:60]!r}: the bodies have no names; expected {alternatives}"
-    similar = get_close_matches(name, names, n=1)
     listed_names = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
-    hint = f". Did you mean {similar[0]!r}?" if similar else f"; expected one of {listed_names}"
-    return f"no body has the name {name[:60]!r}{hint}"
+    hint = suggestion(name, names)
+    return f"no body has the name {name[:60]!r}" + (f". {hint}" if hint else f"; expected one of {listed_names}")

@@ -6,13 +6,12 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 from textwrap import fill
 from typing import Any
 
-from rig.errors import SceneError
+from rig.errors import SceneError, suggestion
 
 _SCHEMA = Path(__file__).parent / "data" / "scene.schema.json"
 _WIDTH = 100
@@ -196,9 +195,8 @@ def help_on(key: str | None = None) -> str:
         return kind_help
     if not matches:
         kinds = [f"{_dotted(part)}.{kind}" for part, kind in _kinds()]
-        similar = get_close_matches(wanted, [*by_name, *(name.rpartition(".")[2] for name in by_name), *kinds], n=3)
-        names = " or ".join(map(repr, dict.fromkeys(similar)))
-        hint = f"Did you mean {names}?" if similar else "`rig help` lists the keys at the top."
+        names = [*by_name, *(name.rpartition(".")[2] for name in by_name), *kinds]
+        hint = suggestion(wanted, names, "`rig help` lists the keys at the top.", n=3)
         raise SceneError(f"no key {key[:60]!r} in scene files. {hint}")
     return "\n\n".join("\n".join(_describe_key(entry, name)) for name in matches for entry in by_name[name])
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from pathlib import Path
 
-from rig.errors import SceneError
+from rig.errors import SceneError, suggestion
 from rig.input_files import read_file
 
 SCENES = Path(__file__).parent / "data" / "scenes"
@@ -46,8 +45,7 @@ def find_scene(scene: str | Path) -> Path:
         raise SceneError(
             f"{path}: the file does not exist; expected a scene file, or the name of a bundled scene (see: rig scenes)"
         )
-    similar = get_close_matches(str(scene), names, n=3, cutoff=0.5)
-    hint = f"Did you mean {' or '.join(map(repr, similar))}?" if similar else "`rig scenes` lists the bundled scenes."
+    hint = suggestion(str(scene), names, "`rig scenes` lists the bundled scenes.", n=3, cutoff=0.5)
     raise SceneError(f"{str(scene)[:100]!r} is neither a bundled scene nor a file. {hint}")
 
 

@@ -28,7 +28,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, InitErrorDetails, core_schema
 
-from rig.errors import SceneError
+from rig.errors import SceneError, suggestion
 from rig.scene.quantities import Kind, parse
 from rig.scene.quantity_field import Quantity, expectation, quantity_of, unexpected_value_error, validation_error
 
@@ -308,9 +308,8 @@ def unknown_key_message(key: str, keys: Iterable[str]) -> str:
     "unknown key 'clearence'. Did you mean 'clearance'?"
     """
     keys = list(keys)
-    similar = nearest_key(key, keys)
-    hint = f". Did you mean {similar!r}?" if similar else f"; expected one of {', '.join(keys)}"
-    return f"unknown key {key[:60]!r}{hint}"
+    hint = suggestion(key, keys)
+    return f"unknown key {key[:60]!r}" + (f". {hint}" if hint else f"; expected one of {', '.join(keys)}")
 
 
 def nearest_key(key: str, keys: Iterable[str]) -> str | None:
@@ -445,9 +444,8 @@ def by_kind(given: Mapping[str, Any], classes: Classes) -> type[Settings]:
     if isinstance(kind, str) and kind in kinds:
         return kinds[kind]
     names = f"one of {', '.join(kinds)}"
-    similar = get_close_matches(str(kind), kinds, n=1)
-    hint = f". Did you mean {similar[0]!r}?" if similar else ""
-    message = f"missing; expected {names}" if kind is None else expectation(kind, names) + hint
+    hint = suggestion(str(kind), kinds)
+    message = f"missing; expected {names}" if kind is None else expectation(kind, names) + (hint and f". {hint}")
     raise report("kind", [Mistake(("kind",), message)])
 
 
@@ -458,6 +456,5 @@ def by_key(given: Mapping[str, Any], classes: Classes) -> type[Settings]:
     if len(given_keys) == 1:
         return first_keys[given_keys[0]]
     names = f"exactly one of the keys {', '.join(first_keys)}"
-    similar = get_close_matches(" ".join(map(str, given)), first_keys, n=1)
-    hint = f". Did you mean {similar[0]!r}?" if similar else ""
-    raise validation_error(expectation(dict(given), names) + hint)
+    hint = suggestion(" ".join(map(str, given)), first_keys)
+    raise validation_error(expectation(dict(given), names) + (hint and f". {hint}"))

@@ -79,7 +79,7 @@ def test_recorded_scene_has_the_names(hit: Path) -> None:
         (lambda: analysis.fit(SWEEP, 7), "scene: got 7; expected a name, a path, a mapping or a rig.Scene"),
         (lambda: analysis.mac(np.eye(2), np.eye(3)), "expected two matrices with a row for each point"),
         (lambda: daq.open(7), "path: got 7; expected the path of a file"),
-        (lambda: daq.open(SWEEP).read("body4"), "no channel 'body4'; did you mean 'body"),
+        (lambda: daq.open(SWEEP).read("body4"), "no channel 'body4'. Did you mean 'body"),
         (lambda: daq.record(BRACKET, 7), "path: got 7; expected the path of a file"),
         (lambda: daq.record("fig99", "a.mcap"), "Did you mean 'fig9'"),
         (lambda: daq.recover(None, "a.mcap"), "path: got None; expected the path of a file"),
@@ -107,7 +107,7 @@ def test_wrong_argument_is_explained(call: Any, said: str) -> None:
 def test_fitted_value_is_freed_by_body(hit: Path) -> None:
     result = analysis.fit(hit, BRACKET, ["structure.masses.arm"])
     assert result["structure.masses.arm"].value == pytest.approx(1.1, rel=0.02)
-    with pytest.raises(SceneError, match=r"did you mean 'structure.masses.arm'"):
+    with pytest.raises(SceneError, match=r"Did you mean 'structure.masses.arm'"):
         result["structure.mass.arm"]
 
 

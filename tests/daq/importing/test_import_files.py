@@ -336,7 +336,7 @@ TABLES = {
     "channels: [body1": r"no closing \]",
     "- body1": "expected a line for each channel",
     "": "names no channel",
-    "body1: {columns: 1}": r"unknown key 'columns'.*column\?",
+    "body1: {columns: 1}": r"unknown key 'columns'.*'column'\?",
     "body1: {unit: g}": "column missing",
     "body1: {column: 1, sign: up}": "expected 1 or -1",
     "body1: {column: 1, offset: little}": "expected a number",
@@ -348,7 +348,7 @@ TABLES = {
     "body1: {column: 3}\nforce: {column: 1}": "swapped columns or a wrong unit",
     "body1: {column: 7}": "no column '7'; there are 1: body1",
     "body1: {column: 1, file: z.csv}": "file 'z.csv' is none of a.csv",
-    "bodi1: {column: 1}": r"not a channel of the scene.*body1\?",
+    "bodi1: {column: 1}": r"not a channel of the scene.*'body1'\?",
     "body1: 1\nbody2: 1": "the same signal",
     "body1: {column: 1, rate: 10}\nbody2: {column: 2, rate: 20}": "several rates",
 }

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 
+from rig.progress import CountProgress
 from rig.results.result import Result, join_columns
 
 if TYPE_CHECKING:
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from rig.scene.loading import SceneLike
 
 R = TypeVar("R", bound=Result)
-Progress = Callable[[int, int], None]
 OneRecording: TypeAlias = "Recording | str | Path"
 Recordings: TypeAlias = "OneRecording | Sequence[OneRecording]"
 
@@ -86,7 +86,7 @@ def frf(
     overlap: float | None = None,
     window: str | None = None,
     unit: str | None = None,
-    progress: Progress | None = None,
+    progress: CountProgress | None = None,
 ) -> Results[Response]:
     """Estimate frequency responses with 95 % bounds and coherence, as `analysis frf`.
 
@@ -145,7 +145,7 @@ def modes(
     modes: int | None = None,
     block: float | None = None,
     unit: str | None = None,
-    progress: Progress | None = None,
+    progress: CountProgress | None = None,
 ) -> Results[Modes]:
     """Estimate natural frequencies, damping ratios and mode shapes, as `analysis modes`.
 
@@ -167,7 +167,7 @@ def modes(
     return Results(_labelled(identify(each, modes), each.label) for each in responses)
 
 
-def dampers(recordings: Recordings, progress: Progress | None = None) -> Results[Dampers]:
+def dampers(recordings: Recordings, progress: CountProgress | None = None) -> Results[Dampers]:
     """Estimate impacts and dissipated energy of dampers in stepped sines, as `analysis dampers`.
 
     Returns
@@ -186,7 +186,7 @@ def dampers(recordings: Recordings, progress: Progress | None = None) -> Results
     return Results(results)
 
 
-def compare(recordings: Sequence[OneRecording], progress: Progress | None = None) -> Comparison:
+def compare(recordings: Sequence[OneRecording], progress: CountProgress | None = None) -> Comparison:
     """Compare height and frequency of resonance peaks with those of the first recording, as `analysis compare`."""
     from analysis.presentation.comparison import compare_peaks
 
@@ -194,7 +194,10 @@ def compare(recordings: Sequence[OneRecording], progress: Progress | None = None
 
 
 def report(
-    recordings: Recordings, output: str | Path | None = None, overwrite: bool = False, progress: Progress | None = None
+    recordings: Recordings,
+    output: str | Path | None = None,
+    overwrite: bool = False,
+    progress: CountProgress | None = None,
 ) -> Path:
     """Write an interactive HTML page about recordings, as `analysis report`; return its path.
 
@@ -221,7 +224,7 @@ def export(
     speed: float = 1.0,
     overwrite: bool = False,
     what: str = "samples",
-    progress: Progress | None = None,
+    progress: CountProgress | None = None,
 ) -> Path:
     """Export a recording as UFF, MATLAB, CSV, NPZ or WAV file, as `analysis export`; return its path.
 
@@ -252,7 +255,9 @@ def export(
     return target
 
 
-def cost(scene: SceneLike, frequency: Sequence[float] | None = None, progress: Progress | None = None) -> ChainStudy:
+def cost(
+    scene: SceneLike, frequency: Sequence[float] | None = None, progress: CountProgress | None = None
+) -> ChainStudy:
     """Measure error and computing time of the measurement chain, one effect at a time, as `analysis cost`.
 
     Parameters

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.progress import CountProgress
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, number
 
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
     from rig.steady_response.frequency_response import SteadyResponse
     from rig.work_precision.cost import Cost
 
-Progress = Callable[[int, int], None]
-
 
 def response(
     scene: SceneLike,
@@ -27,7 +26,7 @@ def response(
     last: float | str | None = None,
     points: int | None = None,
     direction: str | None = None,
-    progress: Progress | None = None,
+    progress: CountProgress | None = None,
 ) -> SteadyResponse:
     """Compute the steady response over frequency, at the level of the scene's test.
 
@@ -66,7 +65,7 @@ def grains(
     periods: int = 20,
     table: str | Path | None = None,
     cluster: str | None = None,
-    progress: Progress | None = None,
+    progress: CountProgress | None = None,
 ) -> BedResponse:
     """Compare beds of grains with one-mass models of the same beds, in steady motion at each frequency.
 
@@ -106,7 +105,7 @@ def map(
     points: int = 48,
     cluster: str | None = None,
     kept: str | Path | None = None,
-    progress: Progress | None = None,
+    progress: CountProgress | None = None,
 ) -> MotionMap:
     """Map motion types and settling time over level or clearance, and frequency.
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import IO, Any, ClassVar
 
 from rig.escaping import escape_terminal
+from rig.progress import CountProgress, FractionProgress
 
 # Time without output after which a command reports that it is still running.
 MAX_SILENCE_S = 12.0
@@ -166,7 +167,7 @@ def user_terminal() -> Iterator[None]:
 
 
 @contextmanager
-def progress(title: str) -> Iterator[Callable[[float, str], None]]:
+def progress(title: str) -> Iterator[FractionProgress]:
     """Show the progress of the body: ``report(fraction, message)``.
 
     A terminal shows a bar with the remaining time; other error outputs get a line at intervals.
@@ -213,7 +214,7 @@ def resumable(stored: bool = True) -> Iterator[None]:
 
 
 @contextmanager
-def count_progress(title: str) -> Iterator[Callable[[int, int], None]]:
+def count_progress(title: str) -> Iterator[CountProgress]:
     """Show the number of finished pieces: ``report(done, total)``."""
     with progress(title) as report:
 

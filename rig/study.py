@@ -16,12 +16,11 @@ import numpy as np
 
 from rig.errors import RunError
 from rig.output_files import atomic_write, csv_text
+from rig.progress import CountProgress
 from rig.workers import Workers
 
 Piece = TypeVar("Piece")
 Value = TypeVar("Value")
-#: Called with the number of pieces done and the total.
-Progress = Callable[[int, int], None]
 
 
 @functools.cache
@@ -59,7 +58,7 @@ class Study(Generic[Piece, Value]):
 
     def run(
         self, cases: Sequence[Piece], table: Path | None = None, cluster: str | None = None,
-        progress: Progress | None = None, prepare: Callable[[], object] = lambda: None,
+        progress: CountProgress | None = None, prepare: Callable[[], object] = lambda: None,
     ) -> list[Value]:  # fmt: skip
         """Compute pieces that are missing in the table; return the values of all pieces.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +24,7 @@ from daq.recording.recording import open as open_recording
 from rig.arrays import ComplexArray
 from rig.errors import RunError, ShotrigError
 from rig.motion_map.grid import columns
+from rig.progress import CountProgress
 from rig.scene.excitation import Measure, Settle, SteppedSine
 from rig.scene.quantities import FREQUENCY, positive_values
 from rig.scene.scene import Scene
@@ -89,7 +90,7 @@ class ChainStudy:
 
 
 def chain_study(
-    scene: Scene, frequencies: Sequence[float] | None = None, progress: Callable[[int, int], None] | None = None
+    scene: Scene, frequencies: Sequence[float] | None = None, progress: CountProgress | None = None
 ) -> ChainStudy:
     """Measure the effect of each part of a measurement chain on the compliance, and its computing time.
 

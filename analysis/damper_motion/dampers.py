@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -16,14 +16,13 @@ from analysis.responses.measurands import motion_channel_at
 from analysis.responses.stepped_sine import Sweep, sweeps
 from rig.arrays import Array
 from rig.errors import RecordingError
+from rig.progress import CountProgress
 from rig.results import Result, complete_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from daq.recording.recording import Recording
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, repr=False)
@@ -111,7 +110,7 @@ class Dampers(Result):
         ax.set(xlabel="frequency / Hz", ylabel="energy per period / mJ")
 
 
-def dampers_in(rec: Recording, label: str | None = None, progress: Progress | None = None) -> list[Dampers]:
+def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress | None = None) -> list[Dampers]:
     """Estimate the motion of the dampers and the energy per period in each sweep of a recording.
 
     `rec`: recording of a sine or stepped-sine test; `label`: label instead of the scene name. Raises

@@ -5,7 +5,6 @@ The types are those of the paper: riding (at rest on the floor), types I to III,
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -21,6 +20,7 @@ from analysis.damper_motion.free_flight import (
 from analysis.damper_motion.impact_detection import Impacts
 from analysis.damper_motion.landing_pulse import transmissibility
 from rig.arrays import Array
+from rig.progress import CountProgress
 from rig.results.response import MOTIONS
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ class DamperMotion:
 
 
 def damper_motion(
-    rec: Recording, sweep: Sweep, channel: str, progress: Callable[[int, int], None] | None = None
+    rec: Recording, sweep: Sweep, channel: str, progress: CountProgress | None = None
 ) -> list[DamperMotion]:
     """Estimate the motion of the dampers in the body of a channel in every measurement window.
 

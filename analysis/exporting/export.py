@@ -22,6 +22,7 @@ from analysis.recordings.names import takes_path
 from analysis.recordings.slices import Slice
 from rig.errors import RunError, SceneError
 from rig.output_files import atomic_write
+from rig.progress import CountProgress
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -170,7 +171,7 @@ def export(
     path: Path,
     speed: float = 1.0,
     overwrite: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    progress: CountProgress | None = None,
 ) -> list[str]:
     """Write a segment of a recording in the format given by the file name ending.
 
@@ -220,7 +221,7 @@ def export(
     return []
 
 
-def _counter(total: int, progress: Callable[[int, int], None]) -> Callable[[int], None]:
+def _counter(total: int, progress: CountProgress) -> Callable[[int], None]:
     samples_read = 0
 
     def count_samples(samples: int) -> None:

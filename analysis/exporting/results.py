@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.exporting import mat, uff
@@ -12,13 +12,14 @@ from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.frf_files import is_frf_file, read_frfs
 from rig.errors import SceneError
 from rig.output_files import atomic_write, resolve_output
+from rig.progress import CountProgress
 from rig.results.response import Response, stack
 
 ENDINGS = (".uff", ".unv", ".mat")
 
 
 def export_results(
-    file: Path, path: Path, what: str, overwrite: bool = False, progress: Callable[[int, int], None] | None = None
+    file: Path, path: Path, what: str, overwrite: bool = False, progress: CountProgress | None = None
 ) -> list[str]:
     """Write the FRFs or modes of a recording or of an FRF file, one output file for each sweep.
 
@@ -51,7 +52,7 @@ def export_results(
     return lines
 
 
-def _groups(file: Path, progress: Callable[[int, int], None] | None) -> list[tuple[Sequence[Response], list[int], int]]:
+def _groups(file: Path, progress: CountProgress | None) -> list[tuple[Sequence[Response], list[int], int]]:
     """Return sets of responses, the nodes of their points, and the node of the force."""
     if is_frf_file(file):
         curves = read_frfs(file)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,6 +15,7 @@ from analysis.responses.systematic import REFERENCE_NOISE, ROUGH, tolerance
 from daq.recording.recorded_test import TestKind
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
+from rig.progress import CountProgress
 from rig.results import format_number
 from rig.results.response import Response, stack
 from rig.results.uncertainty import CLOCK, SENSITIVITY, Covariance
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
     from rig.scene.scene import Scene
 
-Progress = Callable[[int, int], None]
 
 # No point is credited with a smaller error, relative to its value and to the largest of its curve.
 _LEAST, _LEAST_OF_TOP = 2e-5, 1e-7
@@ -84,7 +84,7 @@ class Curves:
         return any(damper.moves for damper in self.scene.dampers)
 
 
-def measured(rec: Recording, name: str, progress: Progress | None = None) -> list[Curves]:
+def measured(rec: Recording, name: str, progress: CountProgress | None = None) -> list[Curves]:
     """Estimate the curves of a fit: one set for each sweep or test of a recording.
 
     With a coil spring the reference is the displacement of the table: the responses are those of the structure with

@@ -24,12 +24,13 @@ from analysis.modal.identification import identify
 from analysis.modal.modes import Modes
 from analysis.presentation.expectations import duplicate_warnings, expect
 from analysis.presentation.output_names import check_outputs, output_stem, with_ending
-from analysis.presentation.result import Progress, Result, with_recording_name
+from analysis.presentation.result import Result, with_recording_name
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, relabel, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.measurands import reference_of, responses
 from rig.errors import SceneError
+from rig.progress import CountProgress
 from rig.results import round_to_bound
 from rig.results.response import Response
 from rig.results.result import Result as ResultBase
@@ -96,7 +97,7 @@ class Comparison(ResultBase):
         ax.set(xlabel="natural frequency / Hz", ylabel="change of the peak / dB")
 
 
-def compare_peaks(paths: Sequence[Path], progress: Progress | None = None) -> Comparison:
+def compare_peaks(paths: Sequence[Path], progress: CountProgress | None = None) -> Comparison:
     """Compare each resonance peak of the first recording with those of the others.
 
     `paths`: recordings with frequency responses of one structure. The first sweep (level, direction) of the first
@@ -188,7 +189,7 @@ def _format_change(value: tuple[float, float, float], digits: int) -> tuple[str,
     return estimate, f"{low} to {high}"
 
 
-def present_compare(paths: Sequence[Path], output: Path | None = None, progress: Progress | None = None) -> Result:
+def present_compare(paths: Sequence[Path], output: Path | None = None, progress: CountProgress | None = None) -> Result:
     """Print and tabulate the results of `compare_peaks`; the default folder is that of the first recording."""
     check_outputs(paths, output, "compare", "csv")
     comparison = compare_peaks(paths, progress)

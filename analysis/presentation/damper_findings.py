@@ -13,9 +13,10 @@ from analysis.damper_motion.energy_balance import CycleEnergy
 from analysis.damper_motion.motion_types import DamperMotion
 from analysis.presentation.expectations import expect
 from analysis.presentation.output_names import check_outputs, output_stem, with_ending
-from analysis.presentation.result import Progress, Result, with_recording_name
+from analysis.presentation.result import Result, with_recording_name
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, scene_labels
+from rig.progress import CountProgress
 from rig.results import format_frequencies, format_interval, format_number
 from rig.results.text import table_lines
 
@@ -35,7 +36,7 @@ _HEADING = (
 )  # fmt: skip
 
 
-def present_dampers(paths: Sequence[Path], output: Path | None = None, progress: Progress | None = None) -> Result:
+def present_dampers(paths: Sequence[Path], output: Path | None = None, progress: CountProgress | None = None) -> Result:
     """Report the motion of the dampers at each frequency of stepped-sine tests as text, figures and tables.
 
     `paths`: recordings of stepped-sine tests with dampers; `output`: folder for figures and tables; default: the

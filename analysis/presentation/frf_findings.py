@@ -13,12 +13,13 @@ import numpy as np
 from analysis.presentation.expectations import expect_all
 from analysis.presentation.inputs import labels, read_curves
 from analysis.presentation.output_names import check_outputs, of_part, output_stem, with_ending
-from analysis.presentation.result import Progress, Result, with_recording_name
+from analysis.presentation.result import Result, with_recording_name
 from analysis.recordings.names import opened, relabel
 from analysis.responses.curve_checks import jumps
 from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
 from analysis.responses.systematic import tolerance
+from rig.progress import CountProgress
 from rig.results import format_interval
 from rig.results.response import Response
 from rig.results.text import table_lines
@@ -38,7 +39,7 @@ def present_frf(
     estimator: str | None = None,
     block: float | None = None,
     theory: bool = False,
-    progress: Progress | None = None,
+    progress: CountProgress | None = None,
     overlap: float | None = None,
     window: str | None = None,
     unit: str | None = None,

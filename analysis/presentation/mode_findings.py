@@ -15,10 +15,11 @@ from analysis.modal.modes import Modes, mac
 from analysis.presentation.expectations import expect_all
 from analysis.presentation.inputs import labels, read_curves
 from analysis.presentation.output_names import check_outputs, output_stem, with_ending
-from analysis.presentation.result import Progress, Result, with_recording_name
+from analysis.presentation.result import Result, with_recording_name
 from analysis.recordings.names import opened, relabel
 from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
+from rig.progress import CountProgress
 from rig.results import format_interval
 from rig.results.response import Response
 from rig.results.text import table_lines
@@ -36,7 +37,7 @@ def present_modes(
     reference: str = "force",
     count: int | None = None,
     block: float | None = None,
-    progress: Progress | None = None,
+    progress: CountProgress | None = None,
     unit: str | None = None,
 ) -> Result:
     """Identify, draw and tabulate the modes of recordings or of FRF files of other programs."""

@@ -23,6 +23,7 @@ from analysis.responses.frequency_responses import frequency_responses
 from daq.recording.recorded_test import TestKind
 from daq.recording.recording import Recording
 from rig.errors import ShotrigError
+from rig.progress import CountProgress
 from rig.results.response import Response
 
 # A peak without an identified mode is interpolated between the frequencies divided and multiplied by this factor.
@@ -64,7 +65,7 @@ class Measurements:
     """The recordings of a report, which stay open inside the `with` block, and the warnings about them."""
 
     paths: Sequence[Path]
-    progress: Callable[[int, int], None] | None = None
+    progress: CountProgress | None = None
     all: list[Measured] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     _open: ExitStack = field(default_factory=ExitStack)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from importlib.resources import files
@@ -21,12 +21,11 @@ from analysis.reporting.responses import damper_chart, decay_charts, response_ch
 from analysis.reporting.tables import budget, changes_table, decays, resonances, settings, test_text
 from rig.escaping import escape_html
 from rig.output_files import atomic_write, create_folder
+from rig.progress import CountProgress
 from rig.provenance import output_source, reject_foreign_files, relative_paths
 
 
-def write_report(
-    paths: Sequence[Path], output: Path | None = None, progress: Callable[[int, int], None] | None = None
-) -> Result:
+def write_report(paths: Sequence[Path], output: Path | None = None, progress: CountProgress | None = None) -> Result:
     """Write one self-contained HTML report about recordings.
 
     `paths`: recordings; the first is the reference of the comparisons; `output`: folder for the page, or its file

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -26,6 +26,7 @@ from analysis.responses.systematic import (
 )
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
+from rig.progress import CountProgress
 from rig.results.response import Response
 
 if TYPE_CHECKING:
@@ -191,7 +192,7 @@ def block_spectra(
     window: Array,
     low: float,
     high: float,
-    progress: Callable[[int, int], None] | None = None,
+    progress: CountProgress | None = None,
 ) -> BlockSpectra:
     """Average the spectra of blocks after removal of each block's mean, from `low` to `high`, Hz.
 

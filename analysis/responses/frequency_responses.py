@@ -13,6 +13,7 @@ from analysis.responses.measurands import input_location, location_of, required_
 from analysis.responses.several_inputs import driven_forces, response_matrix
 from daq.recording.recorded_test import TestKind
 from rig.errors import RecordingError, SceneError
+from rig.progress import CountProgress
 from rig.results.response import MOTIONS, stack
 from rig.results.response import Response as Response
 from rig.scene.quantities import FORCE, number
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from daq.recording.markers import Marker
     from daq.recording.recording import Recording
 
-Progress = Callable[[int, int], None]
 # Kinds of tests that require markers of the measured intervals.
 _MARKED_KINDS = (TestKind.MULTISINE, TestKind.SWEEP, TestKind.RANDOM)
 # Kinds of tests without an estimator of their own.
@@ -55,7 +55,7 @@ class Request:
     reference: str
     motion: str
     blocks: Blocks
-    progress: Progress | None
+    progress: CountProgress | None
 
     channels: Sequence[str]  # of the responses and their reference
     measured: Sequence[Marker]  # markers of the measured intervals
@@ -161,7 +161,7 @@ def frequency_responses(
     motion: str = "displacement",
     estimator: str | None = None,
     block: float | None = None,
-    progress: Progress | None = None,
+    progress: CountProgress | None = None,
     overlap: float | None = None,
     window: str | None = None,
 ) -> list[Response]:

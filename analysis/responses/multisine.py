@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -19,6 +19,7 @@ from analysis.responses.spectral_lines import Lines, remainder
 from analysis.responses.systematic import counts_of, in_counts, reproducible_rounding, tone_gain
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
+from rig.progress import CountProgress
 
 if TYPE_CHECKING:
     from daq.recording.markers import Marker
@@ -52,7 +53,7 @@ def best_linear_approximation(
     markers: Sequence[Marker],
     names: Sequence[str],
     reference: str = "force",
-    progress: Callable[[int, int], None] | None = None,
+    progress: CountProgress | None = None,
 ) -> Lines:
     """Average over periods, then over realisations (one marker each), each rotated by the phase of its own reference.
 

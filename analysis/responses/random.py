@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,7 @@ from analysis.responses.estimators import Averages, block_spectra, noise_bandwid
 from analysis.responses.segment_fits import SegmentFits, warn_of_dampers
 from analysis.responses.systematic import in_counts, noise_gain
 from rig.errors import RecordingError, SceneError
+from rig.progress import CountProgress
 
 if TYPE_CHECKING:
     from daq.recording.markers import Marker
@@ -45,7 +46,7 @@ def averages(
     channels: Sequence[str],
     block: float | None = None,
     overlap: float = 0.5,
-    progress: Callable[[int, int], None] | None = None,
+    progress: CountProgress | None = None,
     window: str = "hann",
 ) -> Averages:
     """Average the spectra of a random test.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ from analysis.responses.scatter import Scatter, stacked
 from analysis.responses.spectral_lines import Lines, remainder
 from analysis.responses.systematic import counts_of, reproducible_rounding
 from rig.errors import RecordingError
+from rig.progress import CountProgress
 from rig.results import format_frequencies, format_number
 
 if TYPE_CHECKING:
@@ -45,9 +46,7 @@ class Sweep:
     windows: NDArray[np.int64]  # first and one-past-last sample of each window; int, shape (n, 2)
 
 
-def sweeps(
-    rec: Recording, channels: Sequence[str] | None = None, progress: Callable[[int, int], None] | None = None
-) -> list[Sweep]:
+def sweeps(rec: Recording, channels: Sequence[str] | None = None, progress: CountProgress | None = None) -> list[Sweep]:
     """Apply lock-in detection to every window marked ``measure``; group the results by level and direction."""
     markers = sorted(
         (m for m in rec.markers if m.kind == "measure" and "frequency" in m.fields), key=lambda m: m.first_sample

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,7 @@ from analysis.responses.segment_fits import warn_of_dampers
 from analysis.responses.systematic import UNSETTLED, in_counts, reproducible_rounding, tolerance, tone_gain
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
+from rig.progress import CountProgress
 from rig.results.response import MOTIONS, Response
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ class SweptTone:
 
 
 def sweep_spectra(
-    rec: Recording, marker: Marker, channels: Sequence[str], progress: Callable[[int, int], None] | None = None
+    rec: Recording, marker: Marker, channels: Sequence[str], progress: CountProgress | None = None
 ) -> SweptTone:
     """Compute the spectra of a sweep around each frequency, over the segment in which the tone is near it.
 

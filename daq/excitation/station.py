@@ -11,6 +11,7 @@ import numpy as np
 
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
+from rig.progress import FractionProgress
 from rig.scene.shaker import at_shaker
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ class Station:
     rate: float  # samples per second
     # ``mark(kind, first, stop, **fields)`` marks the samples `first` to `stop` - 1 in the recording.
     mark: Callable[..., Any]
-    report: Callable[[float, str], None] = lambda fraction, message: None  # the progress of the test
+    report: FractionProgress = lambda fraction, message: None  # the progress of the test
     warn: Callable[[str], None] = lambda message: None  # a warning for the end of the test
     latency: int = 0  # samples by which the readings precede the drive of the window (removed filter delay)
     now: int = 0  # number of the first sample of the next window

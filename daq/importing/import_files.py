@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -27,11 +27,10 @@ from rig.errors import RecordingError, RunWarning, SceneError, ShotrigError
 from rig.input_files import as_path, duplicate_files
 from rig.numerics.runs import runs_of
 from rig.output_files import atomic_write, resolve_output
+from rig.progress import FractionProgress
 from rig.scene.excitation import Free, Impulse, Multisine, Random, Sine, SteppedSine, SweptSine
 from rig.scene.loading import SceneLike, load
 from rig.scene.scene import Scene
-
-Progress = Callable[[float, str], None]
 
 # Samples of each channel in memory at a time.
 _PIECE_SAMPLES = 1 << 16
@@ -61,7 +60,7 @@ def import_files(
     from_s: float | None = None,
     to_s: float | None = None,
     overwrite: bool = False,
-    progress: Progress | None = None,
+    progress: FractionProgress | None = None,
 ) -> Path:
     r"""Make a recording of time histories that other programs have measured.
 
@@ -275,7 +274,7 @@ class _Import:
         is_tone_test = isinstance(scene.test, Sine | SteppedSine)
         self._steps = StepFinder(scene, self._infos, rate) if is_tone_test else None
 
-    def run(self, path: Path, overwrite: bool, progress: Progress | None) -> list[str]:
+    def run(self, path: Path, overwrite: bool, progress: FractionProgress | None) -> list[str]:
         """Write the recording; return the warnings about it."""
         source = ", ".join(dict.fromkeys(Path(each.signal.file).name for each in self._assigned))
         start_ns = max(each.signal.start_ns for each in self._assigned)

@@ -18,6 +18,7 @@ from daq.instrument.errors import Code, DaqError
 from daq.instrument.values import Coupling, Excitation
 from daq.signal_chain.oversampling import oversampling
 from daq.virtual_bench.bench import Bench, at_rate
+from rig.progress import FractionProgress
 from rig.scene.modules import module
 from rig.scene.presets import complete_from_preset, input_settings, needs_supply
 from rig.scene.shaker import DRIVE_PER_VOLT
@@ -88,7 +89,7 @@ class Terminals:
         scene: Scene,
         position: int,
         mark: Callable[..., Any],
-        report: Callable[[float, str], None],
+        report: FractionProgress,
         ended: Callable[[str], None],
         excite: Callable[[Station], PlayedSignal] = excitation,
     ) -> BackgroundTest:

@@ -26,10 +26,9 @@ from rig.errors import RecordingError, RunError, SceneError, ShotrigError
 from rig.errors import RunWarning as RunWarning  # public as daq.RunWarning
 from rig.input_files import as_path
 from rig.numerics.runs import runs_of
+from rig.progress import FractionProgress
 from rig.scene.loading import SceneLike, load
 from rig.scene.scene import Scene
-
-Progress = Callable[[float, str], None]
 
 # Fraction of a test after which the size of its recording can be extrapolated.
 _MIN_FRACTION = 0.02
@@ -41,7 +40,7 @@ def record(
     *,
     block: int | None = None,
     overwrite: bool = False,
-    progress: Progress | None = None,
+    progress: FractionProgress | None = None,
 ) -> Path:
     """Run the complete test of a scene, as on real hardware, and record it.
 
@@ -107,7 +106,7 @@ class MeasurementRun(BenchLoop):
         scene: Scene,
         path: Path,
         block: int | None = None,
-        progress: Progress | None = None,
+        progress: FractionProgress | None = None,
         excite: Callable[[Station], Excitation] = excitation,
         listener: Callable[[Block, Array], None] = lambda block, readings: None,
         kind: TestKind | None = None,

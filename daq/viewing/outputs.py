@@ -16,11 +16,12 @@ from uuid import uuid4
 
 import rerun as rr
 
-from daq.viewing.replay import Progress, Replay
+from daq.viewing.replay import Replay
 from daq.viewing.rerun_viewer import LOOPBACK, Viewer, can_open_windows, free_port, need_display, picture, viewer
 from rig.console import pause_reports
 from rig.errors import RunError, SceneError
 from rig.output_files import atomic_write
+from rig.progress import FractionProgress
 from rig.provenance import may_overwrite, output_source, reject_foreign_files, relative_paths
 
 APPLICATION = "shotrig"
@@ -35,7 +36,7 @@ _MAX_LIGHT_GB = 2.0
 _MAX_SINK_WAIT_S = 60.0
 
 
-def save(replay: Replay, file: Path, progress: Progress | None = None) -> None:
+def save(replay: Replay, file: Path, progress: FractionProgress | None = None) -> None:
     """Write a replay with its layout to an .rrd file; `rerun FILE.rrd` opens it.
 
     Raises `SceneError` for another suffix, `RunError` if the file cannot be written.
@@ -98,7 +99,7 @@ def draw_picture(
     replay: Replay,
     file: Path,
     at_s: float | None = None,
-    progress: Progress | None = None,
+    progress: FractionProgress | None = None,
     size: tuple[int, int] = (1600, 1000),
 ) -> float:
     """Draw a replay into a PNG file without a window; return the instant that was drawn, s.
@@ -136,7 +137,7 @@ def window(instead: str) -> AbstractContextManager[Viewer]:
     return viewer("--expect-data-soon")
 
 
-def show(replay: Replay, viewing: AbstractContextManager[Viewer], progress: Progress | None = None) -> None:
+def show(replay: Replay, viewing: AbstractContextManager[Viewer], progress: FractionProgress | None = None) -> None:
     """Show a replay in a `window` or on a `server` until the viewer ends; raise `RunError` if it does not start."""
     with viewing as running:
         # The viewer holds every value or drops the oldest.
@@ -180,7 +181,9 @@ def recording_stream() -> Iterator[rr.RecordingStream]:
         stream.disconnect()
 
 
-def _fill(replay: Replay, stream: rr.RecordingStream, drain: Callable[[], object], progress: Progress | None) -> None:
+def _fill(
+    replay: Replay, stream: rr.RecordingStream, drain: Callable[[], object], progress: FractionProgress | None
+) -> None:
     drain()
     # As the active layout: a viewer remembers the layout of an application and would ignore a default.
     stream.send_blueprint(replay.blueprint(), make_active=True, make_default=True)

@@ -18,6 +18,7 @@ from daq.viewing.marker_log import MarkedSlice, log_lines, overloads, phases
 from daq.viewing.recorded_motion import BLOCK, RecordedMotion
 from daq.viewing.viewer_stream import Traces, plots
 from rig.errors import SceneError
+from rig.progress import FractionProgress
 
 if TYPE_CHECKING:
     import rerun.blueprint as rrb
@@ -31,8 +32,6 @@ _MIN_FRAMES_PER_S = 100.0
 _MIN_MODE_HZ = 1.0
 # Number of poses above which their rate decreases.
 _MAX_FRAMES = 60_000
-
-Progress = Callable[[float, str], None]
 
 
 class Replay:
@@ -106,7 +105,9 @@ class Replay:
         curves = plots(self.recording.channels)
         return layout(curves, dampers, overloaded, self.lowest_hz, self.view.eye, span, self.speed)
 
-    def send(self, stream: rr.RecordingStream, drain: Callable[[], object], progress: Progress | None = None) -> None:
+    def send(
+        self, stream: rr.RecordingStream, drain: Callable[[], object], progress: FractionProgress | None = None
+    ) -> None:
         """Send everything to a stream; `drain` waits until its sink has received everything, to bound the memory."""
         from daq.viewing.spectrum_picture import spectrum_picture
 

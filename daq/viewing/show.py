@@ -8,9 +8,10 @@ from pathlib import Path
 
 from daq.recording.recording import Recording
 from daq.viewing import outputs
-from daq.viewing.replay import Progress, Replay
+from daq.viewing.replay import Replay
 from rig.errors import SceneError
 from rig.input_files import as_path
+from rig.progress import FractionProgress
 from rig.provenance import allow_overwriting
 
 
@@ -26,7 +27,7 @@ def replay(
     speed: float = 1.0,
     overwrite: bool = False,
     announce: Callable[[str], None] = print,
-    progress: Progress | None = None,
+    progress: FractionProgress | None = None,
 ) -> Path | None:
     """Show a recording in the viewer, write a file for it, or draw a picture.
 

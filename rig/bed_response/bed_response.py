@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,6 +16,7 @@ from rig.errors import SceneError
 from rig.grain_beds.lammps_library import lammps_version
 from rig.grain_beds.packing import settled
 from rig.grain_beds.spheres import spheres_of
+from rig.progress import CountProgress
 from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positive_values
@@ -103,7 +104,7 @@ def bed_response(
     periods: int = PERIODS,
     table: Path | None = None,
     cluster: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: CountProgress | None = None,
 ) -> BedResponse:
     """Simulate beds of grains at each frequency until their motion is steady, and the same beds as one mass.
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from rig.damper_design.choice import Choice, Question, Trial
 from rig.damper_design.worst_peak import Peak
+from rig.progress import CountProgress
 from rig.study import StoredValues, Study
 from rig.workers import Workers
 
@@ -28,9 +29,7 @@ class Answers:
     table cannot be written.
     """
 
-    def __init__(
-        self, workers: Workers, table: Path | None, progress: Callable[[int, int], None] | None, total: int
-    ) -> None:
+    def __init__(self, workers: Workers, table: Path | None, progress: CountProgress | None, total: int) -> None:
         self._workers, self._progress = workers, progress
         self._finished, self._total = 0, total
         self._stored = StoredValues(STUDY, table)

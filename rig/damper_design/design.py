@@ -22,6 +22,7 @@ from rig.damper_design.search import pieces, search
 from rig.damper_design.tolerance import Tolerance, clearance_tolerance
 from rig.damper_design.worst_peak import Peak
 from rig.figure_style import COLORS
+from rig.progress import CountProgress
 from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
@@ -158,7 +159,7 @@ def design(
     uncertain: Sequence[float | str] = (0.0, 0.0),
     cluster: str | None = None,
     table: Path | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: CountProgress | None = None,
     say: Callable[[str], None] | None = None,
 ) -> Design:
     """Choose the dampers that make the worst peak over a band and a range of levels smallest.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,6 +16,7 @@ from rig.escaping import escape_figure
 from rig.figure_style import cell_edges, new_figure, save_with_table, set_log_scale
 from rig.motion_map.grid import KIND_OF_UNIT, columns, rows_of, take_off, vertical_axis
 from rig.output_files import file_stem
+from rig.progress import CountProgress
 from rig.results import Result
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positive_values
@@ -168,7 +168,7 @@ def map_motion(
     over: str | None = None,
     values: ArrayLike | None = None,
     frequencies: ArrayLike | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: CountProgress | None = None,
     cluster: str | None = None,
     table_path: Path | None = None,
 ) -> MotionMap:

@@ -7,7 +7,6 @@ settles to another orbit or, if it is irregular, until it can be averaged.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +31,7 @@ from rig.orbits.problem import (
     parameter_values,
     vary,
 )
+from rig.progress import CountProgress
 from rig.results import Result
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.shaker import ForceShaker
@@ -155,7 +155,7 @@ def orbit_response(
     parameter: Parameter = "frequency",
     *,
     frequency: float | str | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: CountProgress | None = None,
 ) -> OrbitResponse:
     """Compute the steady motion of a scene at each value of a parameter, as exact stable orbits.
 
@@ -201,7 +201,7 @@ def sweep(
     base: OperatingPoint,
     parameter: Parameter,
     values: Array,
-    progress: Callable[[int, int], None] | None = None,
+    progress: CountProgress | None = None,
 ) -> OrbitResponse:
     """Compute `orbit_response` for an existing problem."""
     continuation = _Continuation(problem, base, parameter)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from rig.engine.trajectory import EVENT_NAMES
 from rig.errors import SceneError
 from rig.output_files import atomic_write
+from rig.progress import CountProgress
 from rig.provenance import reject_foreign_files
 from rig.scene.excitation import Impulse
 from rig.scene.scene import Scene
@@ -44,7 +44,7 @@ def simulate_to_file(
     duration: float | None,
     rate: float,
     frequency: float | None,
-    progress: Callable[[int, int], None],
+    progress: CountProgress,
 ) -> Run:
     """Simulate a scene and write the run; runs with grains keep a checkpoint next to the file until it is written.
 

@@ -16,6 +16,7 @@ from rig.engine.propagator import Propagator, sampled_propagator, tone_propagato
 from rig.engine.trajectory import EVENT, Trajectory, event_table, gaps_and_contacts
 from rig.errors import RunError, SceneError
 from rig.numerics.memory import require_memory
+from rig.progress import CountProgress
 from rig.ranks import size
 from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
@@ -112,7 +113,7 @@ def simulate(
     drive: ArrayLike | None = None,
     frequency: float | str | None = None,
     keep: Path | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: CountProgress | None = None,
 ) -> Run:
     """Simulate a scene without sensors and controller.
 
@@ -256,7 +257,7 @@ def _simulate_grains(
     samples: int,
     rate: float,
     keep: Path | None,
-    progress: Callable[[int, int], None] | None,
+    progress: CountProgress | None,
 ) -> Run:
     """Simulate beds of grains, starting from the checkpoint if it exists."""
     from rig.grain_beds.lammps_library import lammps_version

@@ -16,6 +16,7 @@ from rig.arrays import Array
 from rig.engine.propagator import Propagator, tone_propagator
 from rig.engine.trajectory import CONTACT_EVENTS
 from rig.errors import SceneError
+from rig.progress import CountProgress
 from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positive_values
@@ -182,7 +183,7 @@ def frequency_response(
     direction: str = "up",
     tolerance: float = 1e-8,
     longest: int = 20_000,
-    progress: Callable[[int, int], None] | None = None,
+    progress: CountProgress | None = None,
 ) -> SteadyResponse:
     """Compute the steady response of a scene at a list of frequencies.
 

@@ -1,0 +1,10 @@
+"""Types of the functions that long computations call with their progress."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+#: Called with the number of completed steps and the total number.
+CountProgress = Callable[[int, int], None]
+#: Called with the completed fraction and a text.
+FractionProgress = Callable[[float, str], None]

@@ -33,8 +33,6 @@ MOTION_COPIES = 2.0
 TRUTH_COPIES = 7.0
 # Number of copies of a multisine's period in memory.
 PERIOD_COPIES = 12.0
-# Longer tests are announced before they begin.
-ANNOUNCED_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -45,14 +43,6 @@ class Estimate:
     samples: float  # per channel
     disk: float  # bytes
     memory: float  # bytes
-    waits: bool  # for the steady state at each frequency, for an unknown time
-
-    def __str__(self) -> str:
-        more = "; waiting for steady motion is not included and may take many times as long" if self.waits else ""
-        return (
-            f"the test takes at least {duration_text(self.seconds)} on the bench: {self.samples:.3g} samples a "
-            f"channel, about {_size(self.disk)}{more}"
-        )
 
 
 def estimate(scene: Scene) -> Estimate:
@@ -60,8 +50,9 @@ def estimate(scene: Scene) -> Estimate:
 
     >>> import rig
     >>> scene = rig.load("fig10b-no-damper")
-    >>> print(estimate(scene.replace(test=scene.test.replace(repeats=200, interval="9 s"))))
-    the test takes at least 30.0 min on the bench: 9.22e+06 samples a channel, about 165.9 MB
+    >>> needed = estimate(scene.replace(test=scene.test.replace(repeats=200, interval="9 s")))
+    >>> needed.seconds, f"{needed.samples:.3g} samples a channel, {needed.disk / 1e6:.0f} MB"
+    (1800.0, '9.22e+06 samples a channel, 166 MB')
     """
     rate = scene.converter.sample_rate
     # A scene without channels has an ideal channel on every body and on the table.
@@ -78,7 +69,7 @@ def estimate(scene: Scene) -> Estimate:
     n_true_quantities = 3 * points + len(scene.dampers) if scene.recording.truth else 0
     storage_type = scene.recording.samples or ("float64" if scene.converter.bits is None else "counts")
     disk = samples * (BYTES_PER_SAMPLE[storage_type] * channels + TRUTH_BYTES_PER_SAMPLE * n_true_quantities)
-    return Estimate(seconds, samples, disk, memory, isinstance(scene.test, SteppedSine))
+    return Estimate(seconds, samples, disk, memory)
 
 
 def check_resources(resources: Estimate, path: Path) -> None:

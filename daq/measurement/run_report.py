@@ -26,16 +26,12 @@ if TYPE_CHECKING:
 def record_and_report(name: str, scene: Scene, path: Path, overwrite: bool, block: int | None) -> int:
     """Record a scene's test with a progress bar and print a summary; return the exit code, 130 if interrupted."""
     import daq
-    from daq.measurement.estimate import ANNOUNCED_S, estimate
 
     print(f"recording {name} to {path.absolute()}", file=sys.stderr)
     requested, rate = scene.converter.rate, scene.converter.sample_rate
     if rate != requested:
         module = scene.converter.preset
         print(f"{module} samples at {rate:.10g} Hz, the next rate of its clock above {requested:g} Hz", file=sys.stderr)
-    resources = estimate(scene)
-    if resources.seconds > ANNOUNCED_S:
-        print(resources, file=sys.stderr)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", daq.RunWarning)
         try:

@@ -169,8 +169,9 @@ class Projection:
 
     def __init__(self, curves: Curves, start: ComplexArray) -> None:
         self.s = 2j * np.pi * curves.frequency
-        self.value, self.weight, self.start = curves.value, curves.weight, start
-        self.upper_terms = curves.upper_terms
+        self.weight, self.start = curves.weight, start
+        self.target = _real_rows(curves.value * curves.weight, 1)[..., None]
+        self.residual_terms = np.stack(residual_terms(self.s)[: 1 + curves.upper_terms])
         self.scale = -start.real
         self._factorized: tuple[Array, _Factors] | None = None
         self._reduced: tuple[Array, Array] | None = None
@@ -184,20 +185,18 @@ class Projection:
 
     def columns(self, poles: ComplexArray) -> ComplexArray:
         """Return the basis for real unknowns: Re R, Im R of each mode, then lower and upper residuals."""
-        out = []
-        for p in poles:
-            direct, mirror = 1.0 / (self.s - p), 1.0 / (self.s - p.conjugate())
-            out += [direct + mirror, 1j * (direct - mirror)]
-        return np.stack([*out, *residual_terms(self.s)[: 1 + self.upper_terms]], axis=1)
+        direct, mirror = 1.0 / (self.s - poles[:, None]), 1.0 / (self.s - poles.conj()[:, None])
+        pairs = np.stack([direct + mirror, 1j * (direct - mirror)], axis=1)
+        rows = [pairs.reshape(2 * poles.size, *self.s.shape), self.residual_terms]
+        return np.ascontiguousarray(np.concatenate(rows).T)
 
     def factors(self, x: Array) -> _Factors:
         """Factorize the weighted basis of every response; the last result is stored."""
         if self._factorized is None or not np.array_equal(self._factorized[0], x):
             basis = _real_rows(self.columns(self.poles(x)) * self.weight[:, :, None], 1)
-            target = _real_rows(self.value * self.weight, 1)[..., None]
             size = np.linalg.norm(basis, axis=1, keepdims=True)
             q, r = np.linalg.qr(basis / size)
-            self._factorized = x.copy(), _Factors(q, r, size, np.swapaxes(q, 1, 2) @ target, target)
+            self._factorized = x.copy(), _Factors(q, r, size, np.swapaxes(q, 1, 2) @ self.target, self.target)
         return self._factorized[1]
 
     def unknowns(self, x: Array) -> Array:

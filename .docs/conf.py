@@ -68,12 +68,18 @@ def write_reference() -> None:
     from rig.scene.reference import reference_page
 
     REFERENCE.mkdir(exist_ok=True)
+    indexed: set[int] = set()
     for package in ("rig", "daq", "analysis"):
         module = import_module(package)
         lines = [f"# {package}: Python names", "", "```{eval-rst}", f".. currentmodule:: {package}", ""]
         for name in module.__all__:
-            kind = "class" if isinstance(getattr(module, name), type) else "function"
-            lines += [f".. auto{kind}:: {name}", *(["   :members:"] if kind == "class" else []), ""]
+            member = getattr(module, name)
+            kind = "class" if isinstance(member, type) else "function"
+            lines += [f".. auto{kind}:: {name}", *(["   :members:"] if kind == "class" else [])]
+            # A name that two packages export has one entry in the index.
+            lines += ["   :no-index:"] if id(member) in indexed else []
+            indexed.add(id(member))
+            lines.append("")
         (REFERENCE / f"{package}.md").write_text("\n".join([*lines, "```", ""]), encoding="utf-8")
         (REFERENCE / f"{package}-commands.md").write_text(commands(package), encoding="utf-8")
     (REFERENCE / "scenes.md").write_text(reference_page(), encoding="utf-8")

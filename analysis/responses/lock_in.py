@@ -198,7 +198,7 @@ class LockIn:
 def parts_of_whole_periods(
     first: int, last: int, frequency: float, rate: float, max_parts: int = 20
 ) -> list[tuple[int, int]]:
-    """Split the window ``[first, last)`` into at most `most` parts of the same whole number of periods each.
+    """Split the window ``[first, last)`` into at most `max_parts` parts of the same whole number of periods each.
 
     A remainder shorter than a part is discarded. Bounds are rounded to samples. A window shorter than one period is a
     single part.

@@ -63,7 +63,7 @@ class Rail:
         return None if self._open is None else self._open[0]
 
     def runs(self, stop: int, min_length: int, drop: float) -> list[tuple[int, int]]:
-        """Return the segments [first, stop) of at least `least` samples at the largest value.
+        """Return the segments [first, stop) of at least `min_length` samples at the largest value.
 
         They differ by at least `drop` from the samples next to them; `stop` is the number of all samples.
         """

@@ -38,12 +38,12 @@ class SessionExists(ShotrigError):
 class Sessions:
     """The sessions of a server.
 
-    `chassis`: chassis of the tasks; `storage`: storage of their custom scales; `most`: maximum number of open tasks
-    per connection.
+    `chassis`: chassis of the tasks; `storage`: storage of their custom scales; `max_sessions`: maximum number of open
+    tasks per connection.
     """
 
     def __init__(self, chassis: Chassis, storage: Storage, max_sessions: int) -> None:
-        self._chassis, self._storage, self._most = chassis, storage, max_sessions
+        self._chassis, self._storage, self._max_sessions = chassis, storage, max_sessions
         self._open: dict[str, Session] = {}
         self._numbers = itertools.count(1)
         self._lock = threading.RLock()
@@ -71,9 +71,10 @@ class Sessions:
                 return name, False
             if behavior == ATTACH:
                 raise DaqError(f"there is no session {name!r} to attach to", Code.INVALID_TASK)
-            if sum(each.owner == peer for each in self._open.values()) >= self._most:
+            if sum(each.owner == peer for each in self._open.values()) >= self._max_sessions:
                 raise DaqError(
-                    f"this client has {self._most} open tasks, the maximum. Close some.", Code.PAL_RESOURCE_RESERVED
+                    f"this client has {self._max_sessions} open tasks, the maximum. Close some.",
+                    Code.PAL_RESOURCE_RESERVED,
                 )
             task = Task(self._chassis, name, self._storage.scales)
             session = name or f"session_{next(self._numbers)}"
@@ -81,7 +82,7 @@ class Sessions:
             return session, True
 
     def check_memory(self, name: str, max_bytes: int) -> None:
-        """Check that the buffers of a client do not exceed `most` bytes; otherwise release the last buffer."""
+        """Check that the buffers of a client do not exceed `max_bytes`; otherwise release the last buffer."""
         with self._lock:
             session = self._open.get(name)
             if session is None:

@@ -118,9 +118,9 @@ def rows_of(
 ) -> Array:
     """Select levels or clearances, evenly spaced in the logarithm.
 
-    `over`: "force", "drive" or "clearance"; `frequency`: Hz; `least`, `most`: ends of the range. Default for levels:
-    from below the first take-off to well above it. Default for clearances: from a damper that hardly moves to a
-    damper that hardly reaches its ceiling. Unless both are given, one row is the scene's own value. Raises
+    `over`: "force", "drive" or "clearance"; `frequency`: Hz; `lowest`, `highest`: ends of the range. Default for
+    levels: from below the first take-off to well above it. Default for clearances: from a damper that hardly moves to
+    a damper that hardly reaches its ceiling. Unless both are given, one row is the scene's own value. Raises
     `SceneError` if the ends are not a valid range.
     """
     scene_value, default = (_clearances if over == "clearance" else _levels)(scene, frequency)

@@ -19,7 +19,7 @@ _PREFIXES = {"": 1.0, "M": 1e6, "G": 1e9, "T": 1e12}
 def require_memory(size: float, purpose: str) -> None:
     """Reject a computation that would exceed the memory limit.
 
-    `size`: bytes; `what`: name of the computation. Raises `RunError` if `size` exceeds 1 GB, or the limit in the
+    `size`: bytes; `purpose`: name of the computation. Raises `RunError` if `size` exceeds 1 GB, or the limit in the
     environment variable `SHOTRIG_MEMORY`.
 
     >>> require_memory(1e15, "a motion")  # doctest: +ELLIPSIS

@@ -160,7 +160,7 @@ def coerce(name: str, value: Any, default: Any) -> Any:
 class Properties:
     """Settings with their defaults.
 
-    `what`: group of the settings, for error messages; `defaults`: all settings with their defaults.
+    `owner`: group of the settings, for error messages; `defaults`: all settings with their defaults.
 
     >>> timing = Properties("timing", TIMING)
     >>> timing["samp_clk_rate"] = 5120

@@ -46,8 +46,8 @@ def aliased_shares(rec: Recording, shares: ReadingShares) -> tuple[Array, Array]
     Both have the shape (channels, lines). They are zero for recordings of other instruments, because the scene does not
     describe how these instruments generate the drive and filter their inputs.
     """
-    frequency, value, lower = shares.frequency, shares.value, shares.lower
-    true_ratio, recorded_ratio = np.zeros(lower.shape), np.zeros(lower.shape)
+    frequency, value, reference = shares.frequency, shares.value, shares.reference
+    true_ratio, recorded_ratio = np.zeros(reference.shape), np.zeros(reference.shape)
     if rec.source:
         return true_ratio, recorded_ratio
     # Above the modes, the acceleration of a body is at most its acceleration at the top of the band. The driven body is
@@ -67,7 +67,7 @@ def aliased_shares(rec: Recording, shares: ReadingShares) -> tuple[Array, Array]
         shaker = rec.scene.driven_shaker
         if info.at == "table" and isinstance(shaker, TableShaker | ElectrodynamicShaker):
             # A channel that is not used for the force measures the driven body itself.
-            spring_share = np.where(lower[row] == 0.0, 1.0 + shaker.spring * value, lower[row])
+            spring_share = np.where(reference[row] == 0.0, 1.0 + shaker.spring * value, reference[row])
             image_ratio = _image_ratio(shaker, frequency, images, spring_share)
             true_ratio[row] = _FURTHER_IMAGES * np.sum(transmission * image_ratio, axis=0)
             recorded_ratio[row] = relative_to_reading(true_ratio[row])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,16 +12,13 @@ from analysis.responses.systematic import (
     ReadingShares,
     clock_deviation,
     clock_part,
-    common_scale,
-    doubtful_reference_part,
     sensitivity_part,
+    uncertain_reference_part,
 )
 from rig.arrays import Array
-from rig.results.response import Response
 from rig.results.uncertainty import RandomErrors, UncertaintyBudget, radius
 
 if TYPE_CHECKING:
-    from analysis.responses.measurands import Measurand
     from daq.recording.recording import Recording
 
 
@@ -30,46 +27,24 @@ def assemble_budget(
     shares: ReadingShares,
     error: Array,
     degrees: Array,
-    causes: Mapping[str, Array],
-    doubts: Sequence[Array] = (),
+    estimator_limits: Mapping[str, Array],
+    reference_limits: Sequence[Array] = (),
     errors: RandomErrors | None = None,
     shared: float = 1.0,
     scale: float = 0.0,
 ) -> UncertaintyBudget:
     """Assemble the uncertainty budget of a response; the same for every estimator.
 
-    `error`: type A standard uncertainty of either quadrature component, shape (lines,). `causes`: limits of error from
-    the estimator. `doubts`: largest relative deviations of the reference. A reference that is smaller than recorded
-    increases the uncertainty beyond first-order propagation.
+    `error`: type A standard uncertainty of either quadrature component, shape (lines,). `estimator_limits`: limits of
+    error by name, which the estimator adds to those of the instrument. `reference_limits`: largest relative deviations
+    of the reference. A reference that is smaller than recorded increases the uncertainty beyond first-order
+    propagation. `scale`: from `common_scale`.
     """
-    limits = {**aliasing_part(rec, shares), **causes}
-    if len(doubts):
+    limits = {**aliasing_part(rec, shares), **estimator_limits}
+    if len(reference_limits):
         bound = np.sqrt(np.sum(np.square([error * radius(0.95, degrees), *limits.values()]), axis=0))
-        limits |= doubtful_reference_part(bound, np.sqrt(np.sum(np.square(doubts), axis=0)))
+        limits |= uncertain_reference_part(bound, np.sqrt(np.sum(np.square(reference_limits), axis=0)))
     limits |= sensitivity_part(rec, shares) | clock_part(rec, shares)
     return UncertaintyBudget.of(
         error, degrees, limits, errors=errors, shared=shared, clock=clock_deviation(rec), scale=scale
     )
-
-
-def measured_curve(
-    rec: Recording,
-    shares: ReadingShares,
-    above: Measurand,
-    below: Measurand,
-    reference: str,
-    error: Array,
-    degrees: Array,
-    causes: Mapping[str, Array],
-    doubts: Sequence[Array],
-    errors: RandomErrors,
-    shared: float = 1.0,
-    **fields: Any,
-) -> Response:
-    """Return the response of a measurand to a reference with its budget; `fields` as in `Response.curve`."""
-    scale = common_scale(rec, above.channels, below.channels)
-    budget = assemble_budget(rec, shares, error, degrees, causes, doubts, errors, shared, scale)
-    return Response.curve(
-        shares.frequency, shares.value, above.channels[0], reference=reference, motion=shares.motion,
-        uncertainty=budget, **fields,
-    )  # fmt: skip

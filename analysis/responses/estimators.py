@@ -11,7 +11,7 @@ import scipy
 from scipy import fft
 
 from analysis.recordings.slices import read_slices
-from analysis.responses.budget import measured_curve
+from analysis.responses.budget import assemble_budget
 from analysis.responses.clean_segments import Flaw, flaws
 from analysis.responses.measurands import motion_of, reference_of, reject_zero_reference
 from analysis.responses.random_errors import MeanErrors
@@ -19,6 +19,7 @@ from analysis.responses.systematic import (
     LEAKAGE,
     REFERENCE_NOISE,
     ReadingShares,
+    common_scale,
     reference_noise_part,
     rounding_part,
     shared_noise_part,
@@ -76,12 +77,12 @@ class Averages:
 
     def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
         """Estimate a frequency response with coherence; error bars after Bendat and Piersol, eq. 9.90."""
-        above = motion_of(rec, response, motion)
-        upper = above.row(rec, self.channels, self.frequency)
-        below = reference_of(rec, reference)
-        lower = below.row(rec, self.channels, self.frequency)
+        numerator = motion_of(rec, response, motion)
+        response_weights = numerator.row(rec, self.channels, self.frequency)
+        denominator = reference_of(rec, reference)
+        reference_weights = denominator.row(rec, self.channels, self.frequency)
         factor = square_root(self.cross)
-        x, f = (np.einsum("in,nir->nr", row, factor) for row in (upper, lower))
+        x, f = (np.einsum("in,nir->nr", row, factor) for row in (response_weights, reference_weights))
         sxx, sff = (np.sum(np.square(np.abs(amplitude)), axis=1) for amplitude in (x, f))
         sxf = np.sum(x * f.conj(), axis=1)
         reject_zero_reference(reference, sff)
@@ -91,29 +92,37 @@ class Averages:
             incoherence = np.sum(np.square(np.abs(x - (sxf / sff)[:, None] * f)), axis=1) / (abs(sxf) ** 2 / sff)
         coherence = 1.0 / (1.0 + incoherence)
         # Reading of each channel per unit of the reference.
-        readings = np.einsum("nij,jn->in", self.cross, lower.conj()) / sff
+        readings = np.einsum("nij,jn->in", self.cross, reference_weights.conj()) / sff
         # Coherence from few blocks is biased towards 1; the scatter has averages - 1 degrees of freedom.
-        free = self.averages - 1.0
-        error = abs(value) * np.sqrt(incoherence / (2.0 * free)) if free > 0.0 else np.full(value.shape, np.nan)
-        causes: dict[str, Array] = {}
+        n_free = self.averages - 1.0
+        error = np.full(value.shape, np.nan)
+        if n_free > 0.0:
+            error = abs(value) * np.sqrt(incoherence / (2.0 * n_free))
+        limits: dict[str, Array] = {}
         if self.unsmeared is not None:
             sharp = self.unsmeared.frf(rec, response, reference, motion)
-            causes[LEAKAGE] = leakage(self.frequency, value, error, sharp)
-        shares = ReadingShares(self.channels, self.frequency, motion, value, upper * readings, lower * readings)
+            limits[LEAKAGE] = leakage(self.frequency, value, error, sharp)
+        shares = ReadingShares(
+            self.channels, self.frequency, motion, value, response_weights * readings, reference_weights * readings
+        )
+        difference = response_weights - value * reference_weights
         incoherent = reference_noise_part(value, coherence)
-        if len(below.channels) > 1:
-            noise = self._incoherent_power(below.channels)
-            incoherent = np.maximum(incoherent, shared_noise_part(noise, upper - value * lower, lower, sff))
-        causes[REFERENCE_NOISE] = incoherent
-        causes |= rounding_part(self.gain, shares)
+        if len(denominator.channels) > 1:
+            noise = self._incoherent_power(denominator.channels)
+            incoherent = np.maximum(incoherent, shared_noise_part(noise, difference, reference_weights, sff))
+        limits[REFERENCE_NOISE] = incoherent
+        limits |= rounding_part(self.gain, shares)
         # Weights of the part that is not coherent with the reference, relative to its power (Bendat and Piersol,
         # chapter 7).
-        residual_weights = (upper - value * lower).T / np.sqrt(sff * max(free, 1e-300))[:, None]
-        degrees = np.full(value.shape, max(2.0 * free, 0.0))
-        doubts = [np.sum(zero_times(np.abs(shares.lower), self.gain), axis=0)]
-        return measured_curve(
-            rec, shares, above, below, reference, error, degrees, causes, doubts,
-            MeanErrors(residual_weights[:, None], self.cross),
+        residual_weights = difference.T / np.sqrt(sff * max(n_free, 1e-300))[:, None]
+        degrees = np.full(value.shape, max(2.0 * n_free, 0.0))
+        reference_limits = [np.sum(zero_times(np.abs(shares.reference), self.gain), axis=0)]
+        budget = assemble_budget(
+            rec, shares, error, degrees, limits, reference_limits, MeanErrors(residual_weights[:, None], self.cross),
+            scale=common_scale(rec, numerator.channels, denominator.channels),
+        )  # fmt: skip
+        return Response.curve(
+            self.frequency, value, numerator.channels[0], reference=reference, motion=motion, uncertainty=budget,
             coherence=coherence, label=self.label, resolution=self.resolution, warnings=self.warnings,
         )  # fmt: skip
 
@@ -122,8 +131,8 @@ class Averages:
         rows = [self.channels.index(name) for name in names]
         readings = square_root(self.cross)[:, rows]
         noise = np.zeros((len(self.channels), self.frequency.size))
-        for row, own, second in zip(rows, (0, 1), (1, 0), strict=True):
-            reading, other = readings[:, own], readings[:, second]
+        for index, row in enumerate(rows):
+            reading, other = readings[:, index], readings[:, 1 - index]
             power = np.sum(np.square(np.abs(other)), axis=1)
             common = np.sum(reading * other.conj(), axis=1) / np.maximum(power, 1e-300)
             noise[row] = np.sum(np.square(np.abs(reading - common[:, None] * other)), axis=1)

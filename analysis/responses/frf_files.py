@@ -131,8 +131,8 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
                 f"{path}: {name} is not a row of complex numbers over frequency. Export the file again."
             )
         # The unit of the ratio, from the axis labels.
-        above, below = uff.label(data_set, "ordinate"), uff.label(data_set, "orddenom")
-        label = f"({above})/({below})" if above and below else above
+        numerator, denominator = uff.label(data_set, "ordinate"), uff.label(data_set, "orddenom")
+        label = f"({numerator})/({denominator})" if numerator and denominator else numerator
         motion, scale = _ratio(f"{path}: {name}", unit or label)
         points, line = ((uff.point(data_set, "rsp"), uff.point(data_set, "ref")), str(data_set.get("id4") or ""))
         stated = deviation.get((points, f"{DEVIATION_LINE} {uff.title(data_set)}"))
@@ -179,23 +179,23 @@ def _ratio(where: str, unit: str) -> tuple[str, float]:
     if not unit:
         raise SceneError(f"{where}: the file states no unit. Add it, such as --unit m/s^2/N.")
     for pattern in (
-        r"\(?1/\(?(?P<below>[^()*]+)\)?\)?\s*\*\s*\(?(?P<above>[^()]+)\)?",
-        r"\((?P<above>.+)\)\s*/\s*\(?(?P<below>[^()/]+)\)?",
-        r"(?P<above>.+?)\s*/\s*\(?(?P<below>[^/()\s]+)(?:\s+s(?:\^?2|²)?)?\)?",
+        r"\(?1/\(?(?P<denominator>[^()*]+)\)?\)?\s*\*\s*\(?(?P<numerator>[^()]+)\)?",
+        r"\((?P<numerator>.+)\)\s*/\s*\(?(?P<denominator>[^()/]+)\)?",
+        r"(?P<numerator>.+?)\s*/\s*\(?(?P<denominator>[^/()\s]+)(?:\s+s(?:\^?2|²)?)?\)?",
     ):
         match = re.fullmatch(pattern, unit.strip())
         if match is None:
             continue
-        above, below = match["above"], match["below"]
+        numerator, denominator = match["numerator"], match["denominator"]
         # Notation of tables written by this program: m/(N s^2).
         if tail := re.fullmatch(r"(.+)/\((N) (s|s\^2|s²)\)", unit.strip()):
-            above, below = f"{tail[1]}/{tail[3]}", tail[2]
+            numerator, denominator = f"{tail[1]}/{tail[3]}", tail[2]
         try:
-            (motion, upper), (force, lower) = meaning(above), meaning(below)
+            (motion, motion_unit), (force, force_unit) = meaning(numerator), meaning(denominator)
         except ValueError:
             continue
         if motion in MOTIONS and force == "force":
-            return motion, upper / lower
+            return motion, motion_unit / force_unit
     raise SceneError(f"{where}: unit {unit!r}; expected motion per force, such as m/N, m/s/N, m/s^2/N or g/N")
 
 
@@ -257,13 +257,13 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
             raise RecordingError(
                 f"{path}: {name} has {', '.join(part)}; expected real and imag, or magnitude and phase"
             )
-        column_unit, upper = part["real"] if "real" in part else part["size"]
+        column_unit, first_column = part["real"] if "real" in part else part["size"]
         motion, scale = _ratio(f"{path}: {name}", unit or column_unit)
         if "real" in part:
-            value = upper + 1j * part["imag"][1]
+            value = first_column + 1j * part["imag"][1]
         else:
             phase_unit, phase = part["phase"]
-            value = upper * np.exp(1j * (phase if phase_unit.startswith("rad") else np.radians(phase)))
+            value = first_column * np.exp(1j * (phase if phase_unit.startswith("rad") else np.radians(phase)))
         curves.append(_curve(path, name, frequency, scale * value, motion))
     return curves
 

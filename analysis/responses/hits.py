@@ -101,7 +101,7 @@ class Hits:
         """List the hits that lie completely within a segment."""
         return [(begin, end) for begin, end in self.arrivals if begin >= start and end < stop]
 
-    def moving(self, rec: Recording, names: Sequence[str], start: int, stop: int) -> float:
+    def prior_motion(self, rec: Recording, names: Sequence[str], start: int, stop: int) -> float:
         """Estimate the largest motion or drift before the first hit of a segment, relative to the response after it.
 
         The result is infinite if the record before the hit is too short.
@@ -130,11 +130,11 @@ class Hits:
         inside = self.inside(start, stop)
         return bool(np.isfinite(motion) and len(inside) == 1 and 2 * SIDE * (inside[0][0] - start) < samples)
 
-    def isolate(self, rec: Recording, names: Sequence[str], block: Array, start: int, rest: bool) -> Array:
+    def isolate(self, rec: Recording, names: Sequence[str], block: Array, start: int, at_rest: bool) -> Array:
         """Subtract the zero of all channels; restrict the force to the hits and invert its high-pass filters."""
         inside = self.inside(start, start + block.shape[1])
         quiet = slice(max(inside[0][0] - start - int(PRE_HIT_S * rec.rate), 0), max(inside[0][0] - start, 1))
-        out = block - (block[:, quiet] if rest else block).mean(axis=1, keepdims=True)
+        out = block - (block[:, quiet] if at_rest else block).mean(axis=1, keepdims=True)
         row = names.index(self.channel)
         force = np.zeros(block.shape[1])
         for begin, end in inside:
@@ -144,7 +144,7 @@ class Hits:
             force_after = block[row, first:] - (before.mean() if before.size else 0.0)
             force[first:] += isolate_pulse(rec.channels[self.channel], force_after, 0, end - begin)
         out[row] = force
-        if rest:
+        if at_rest:
             # A sudden onset of integrator drift is a step, whose smooth spectrum decreases more slowly than that of a
             # displacement. The readings are therefore faded in over the first half of the samples before the hit.
             # In the second half a filter may already show the hit.

@@ -84,12 +84,12 @@ class LockIn:
         """Add the next part of the window, shape (channels, samples); parts are contiguous."""
         length = samples.shape[1]
         projection = np.zeros((2 * self.harmonics + 2, len(samples)))
-        for start, turn, basis in self._sub_windows(length):
-            projection += turn @ (basis @ samples[:, start : start + basis.shape[1]].T)
+        for start, rotation, basis in self._sub_windows(length):
+            projection += rotation @ (basis @ samples[:, start : start + basis.shape[1]].T)
         coefficients: Array = np.asarray(np.linalg.solve(self._gram(length)[0], projection), dtype=float)
         squares = np.zeros(len(samples))
-        for start, turn, basis in self._sub_windows(length):
-            residual = samples[:, start : start + basis.shape[1]] - (coefficients.T @ turn) @ basis
+        for start, rotation, basis in self._sub_windows(length):
+            residual = samples[:, start : start + basis.shape[1]] - (coefficients.T @ rotation) @ basis
             squares += np.einsum("ij,ij->i", residual, residual)
         self._parts.append(_Part(self._samples, length, projection, coefficients, squares, samples[:, [0, -1]].T))
         self._samples += length
@@ -113,12 +113,12 @@ class LockIn:
             gram, factor = self._gram(part.length)
             # Offset and slope of a single part would be nearly collinear with its tone, and its scatter too large:
             # only the residual of the common fit is fitted by the tones of the part.
-            rest = (part.projection - gram @ common)[2:]
+            common_residual = (part.projection - gram @ common)[2:]
             for sign, (sample, share) in zip((-1.0, 1.0), edges[row : row + 2], strict=True):
-                rest += sign * np.outer(self._tones(sample - part.first), share)
-            local = np.linalg.solve(gram[2:, 2:], rest)
-            turn = np.exp(-2j * np.pi * np.fmod(self.frequency * part.first / self.rate, 1.0))
-            parts[row] = amplitude[:, 0] + (local[0] + 1j * local[1]) * turn
+                common_residual += sign * np.outer(self._tones(sample - part.first), share)
+            local = np.linalg.solve(gram[2:, 2:], common_residual)
+            rotation = np.exp(-2j * np.pi * np.fmod(self.frequency * part.first / self.rate, 1.0))
+            parts[row] = amplitude[:, 0] + (local[0] + 1j * local[1]) * rotation
             # Residual of the common fit: residual of the part's own fit, and the difference of the two fits.
             squares += part.residual + np.sum(np.square(factor.T @ (part.coefficients - common)), axis=0)
         return ToneFit(self.frequency, amplitude, parts, np.sqrt(squares / max(self._samples - size, 1)))
@@ -132,15 +132,15 @@ class LockIn:
         last = len(self._parts) - 1
         edge = self._parts[number].first if number <= last else self._samples
         period = self.rate / self.frequency
-        lacking = round(edge / period) * period - edge
-        if not 0.0 < abs(lacking) <= 0.5:
+        missing = round(edge / period) * period - edge
+        if not 0.0 < abs(missing) <= 0.5:
             return edge, np.zeros(self._parts[0].ends.shape[1])
-        after = lacking > 0.0 and number <= last
+        after = missing > 0.0 and number <= last
         row = number if after else number - 1
         part = self._parts[row]
         sample = 0 if after else part.length - 1
         fit = np.array([1.0, -1.0 if after else 1.0, *self._tones(sample)]) @ fits[row]
-        return part.first + sample, lacking * (part.ends[0 if after else 1] - fit)
+        return part.first + sample, missing * (part.ends[0 if after else 1] - fit)
 
     def _tones(self, sample: int) -> Array:
         """Return the rows cos k, -sin k of the tones at a sample, shape (2 harmonics,)."""
@@ -150,7 +150,8 @@ class LockIn:
     def _gram(self, length: int) -> tuple[Array, Array]:
         """Gram matrix of a part's rows 1, slope, cos k, -sin k, and its Cholesky factor; stored by length."""
         if length not in self._grams:
-            gram = np.asarray(sum(turn @ basis @ basis.T @ turn.T for _, turn, basis in self._sub_windows(length)))
+            pieces = (rotation @ basis @ basis.T @ rotation.T for _, rotation, basis in self._sub_windows(length))
+            gram = np.asarray(sum(pieces))
             self._grams[length] = gram, np.linalg.cholesky(gram)
         return self._grams[length]
 
@@ -162,25 +163,26 @@ class LockIn:
         """
         for start in range(0, length, _CACHED):
             size = min(_CACHED, length - start)
-            turn = np.eye(2 * self.harmonics + 2)
+            rotation = np.eye(2 * self.harmonics + 2)
             # The slope of a part ranges from -1 to 1; that of a piece increases by 1 per sample.
             step = 2.0 / max(length - 1, 1)
-            turn[1, :2] = start * step - 1.0, step
-            self._rotate(turn, start)
+            rotation[1, :2] = start * step - 1.0, step
+            self._rotate(rotation, start)
             if size not in self._basis:
-                at, order = np.arange(size), np.arange(1, self.harmonics + 1)
-                tones = np.exp(2j * np.pi * np.fmod(np.outer(order, self.frequency / self.rate * at), 1.0))
+                sample_numbers, order = np.arange(size), np.arange(1, self.harmonics + 1)
+                cycles = np.outer(order, self.frequency / self.rate * sample_numbers)
+                tones = np.exp(2j * np.pi * np.fmod(cycles, 1.0))
                 basis = np.empty((2 * self.harmonics + 2, size))
-                basis[0], basis[1], basis[2::2], basis[3::2] = 1.0, at, tones.real, -tones.imag
+                basis[0], basis[1], basis[2::2], basis[3::2] = 1.0, sample_numbers, tones.real, -tones.imag
                 self._basis[size] = basis
-            yield start, turn, self._basis[size]
+            yield start, rotation, self._basis[size]
 
     def _rotate(self, matrix: Array, first: int) -> None:
         """Set the rotation blocks of the tones, from their rows at the first sample to those at another sample."""
-        tones, at = self._tones(first), 2 * np.arange(1, self.harmonics + 1)
+        tones, row = self._tones(first), 2 * np.arange(1, self.harmonics + 1)
         cos, minus_sin = tones[::2], tones[1::2]
-        matrix[at, at], matrix[at, at + 1] = cos, -minus_sin
-        matrix[at + 1, at], matrix[at + 1, at + 1] = minus_sin, cos
+        matrix[row, row], matrix[row, row + 1] = cos, -minus_sin
+        matrix[row + 1, row], matrix[row + 1, row + 1] = minus_sin, cos
 
     def _to_local(self, first: int, length: int) -> Array:
         """Matrix from the coefficients of the whole window to those of a part from sample `first` on."""
@@ -210,7 +212,7 @@ def parts_of_whole_periods(
     periods = int((last - first + 0.5) / period)
     if periods < 1:
         return [(first, last)]
-    each = -(-periods // max_parts)
-    count = periods // each
-    edges = [first + round(index * each * period) for index in range(count + 1)]
+    periods_per_part = -(-periods // max_parts)
+    count = periods // periods_per_part
+    edges = [first + round(index * periods_per_part * period) for index in range(count + 1)]
     return list(pairwise(edges))

@@ -94,37 +94,41 @@ def best_linear_approximation(
     # Worst case: a resonance reduces the reading to a single tone with the power of all lines.
     gain = np.minimum(tone_gain(in_counts(rec, names, np.sum(amplitude**2, axis=1) / 2.0)), 0.5)
     rounding = reproducible[:, None] * (counts[:, None] / np.sqrt(samples) + gain[:, None] * amplitude)
-    base = Lines(
+    noise_only = Lines(
         tuple(names), frequency, centre, noise, rec.scene.name, tuple(notes), unsettled,
-        n_neighbours=SIDE, rotated=count, resolution=rounding,
+        n_neighbours=SIDE, n_rotated=count, resolution=rounding,
     )  # fmt: skip
     dampers_move = any(damper.moves for damper in rec.scene.dampers)
     if count == 1:
-        return replace(base, warnings=(*notes, ONE_REALISATION)) if dampers_move else base
+        return replace(noise_only, warnings=(*notes, ONE_REALISATION)) if dampers_move else noise_only
     rows = (stack - centre) / np.sqrt(count * (count - 1.0))
     realisations = Scatter(rows, np.full(frequency.size, 2.0 * (count - 1.0)))
-    total = replace(base, scatter=realisations, noise=noise)
-    if _distorted(total, base):
-        return replace(total, warnings=(*notes, NONLINEAR))
-    return replace(total, warnings=(*notes, _undistorted(rec, total, reference))) if dampers_move else total
+    with_distortion = replace(noise_only, scatter=realisations, noise=noise)
+    if _distorted(with_distortion, noise_only):
+        return replace(with_distortion, warnings=(*notes, NONLINEAR))
+    if dampers_move:
+        return replace(with_distortion, warnings=(*notes, _undistorted(rec, with_distortion, reference)))
+    return with_distortion
 
 
-def _undistorted(rec: Recording, total: Lines, reference: str) -> str:
+def _undistorted(rec: Recording, averages: Lines, reference: str) -> str:
     """Return the warning for a test without detected distortion, with the force of a tone that lifts a damper."""
     lifting_forces = [(np.inf, np.nan)]
-    row = reference_of(rec, "force").row(rec, total.channels, total.frequency) if reference == "force" else 0.0
-    force: Array = np.asarray(abs(np.sum(row * total.mean, axis=0)))
+    force: Array = np.zeros(averages.frequency.size)
+    if reference == "force":
+        row = reference_of(rec, "force").row(rec, averages.channels, averages.frequency)
+        force = np.abs(np.sum(row * averages.mean, axis=0))
     for body in {damper.body for damper in rec.scene.dampers if not damper.locked}:
         info = motion_channel_at(rec, f"body {body}")
         if info is not None and reference == "force":
-            accelerance = np.nan_to_num(abs(total.frf(rec, info.name, motion="acceleration").value))
+            accelerance = np.nan_to_num(abs(averages.frf(rec, info.name, motion="acceleration").value))
             amplitudes = accelerance * force
             # Largest acceleration: peak value of a sum of tones with random phases.
             largest = min(_CREST_FACTOR * np.sqrt(np.sum(np.square(amplitudes)) / 2.0), amplitudes.sum())
             if largest > rec.scene.gravity:
                 return LIFTED
             peak = int(np.argmax(accelerance))
-            lifting_forces.append((rec.scene.gravity / accelerance[peak], total.frequency[peak]))
+            lifting_forces.append((rec.scene.gravity / accelerance[peak], averages.frequency[peak]))
     least_force, frequency = min(lifting_forces)
     levels = f"of more than {least_force:.2g} N at {frequency:.4g} Hz"
     if np.isinf(least_force):
@@ -154,12 +158,16 @@ def period_spectra(rec: Recording, names: Sequence[str], marker: Marker) -> Peri
     frequency = lines * rec.rate / size
     bounds = [(marker.first_sample + k * size, marker.first_sample + (k + 1) * size) for k in range(periods)]
     all_flaws = [flaws(rec, names, *bound) for bound in bounds]
-    clean = [bound for bound, found in zip(bounds, all_flaws, strict=True) if not found and bound[1] <= rec.samples]
+    clean = [
+        bound
+        for bound, period_flaws in zip(bounds, all_flaws, strict=True)
+        if not period_flaws and bound[1] <= rec.samples
+    ]
     notes = []
     if marker.fields.get("settled") is False:
         notes.append(f"Realisation {number} was measured before steady state. Increase test: settle.")
     if len(clean) < periods:
-        reasons = describe_flaws(rec, [flaw for found in all_flaws for flaw in found])
+        reasons = describe_flaws(rec, [flaw for period_flaws in all_flaws for flaw in period_flaws])
         notes.append(f"{periods - len(clean)} of {periods} periods of realisation {number} left out: {reasons}.")
     if len(clean) < 2:
         notes.append(f"Realisation {number} left out: fewer than two whole periods.")
@@ -181,9 +189,10 @@ def _without_drift(periods: Array, numbers: NDArray[np.int64]) -> Array:
     return np.asarray(periods - slopes[:, :, None] * np.linspace(-0.5, 0.5, periods.shape[2]))
 
 
-def _distorted(total: Lines, noise: Lines) -> bool:
+def _distorted(measured: Lines, noise: Lines) -> bool:
     """Return whether realisations scatter more than by noise, residual transients and rounding to counts."""
-    scatter, expected = (np.linalg.norm(lines.scatter.rows, axis=0) for lines in (total, noise))
-    limits = [part for part in (total.remainder, total.resolution) if part is not None]
-    distorted = (scatter > _NOISE_RATIO * expected + np.sum(limits, axis=0)) & (scatter > _MEAN_RATIO * abs(total.mean))
+    scatter, expected = (np.linalg.norm(lines.scatter.rows, axis=0) for lines in (measured, noise))
+    limits = [part for part in (measured.remainder, measured.resolution) if part is not None]
+    distorted = scatter > _NOISE_RATIO * expected + np.sum(limits, axis=0)
+    distorted &= scatter > _MEAN_RATIO * abs(measured.mean)
     return bool(np.max(distorted.mean(axis=1)) > _MIN_DISTORTED_LINES)

@@ -30,12 +30,13 @@ _ROUNDING_RATIO = 1e-9
 _TRANSITION_RATIO = 0.5
 
 
-def ringing(value: ComplexArray, frequency: Array, waited: Array, lasted: Array, error: Array) -> Array:
+def ringing(value: ComplexArray, frequency: Array, wait_s: Array, window_s: Array, error: Array) -> Array:
     """Compute the largest deviation of each point of a response by residual free vibration of the previous step.
 
     The initial value of a free vibration at the pole s is the difference c of the pole's contributions to the two
-    steady responses. It shifts the mean over a window of length L (`lasted`, s) by ``c exp(Re(s) t) |exp(l L) - 1| / |l
-    L|`` after a wait t (`waited`, s), with l = s - i w. The points are in the order of measurement.
+    steady responses. It shifts the mean over a window of length L (`window_s`) by
+    ``c exp(Re(s) t) |exp(l L) - 1| / |l L|`` after a wait t (`wait_s`), with l = s - i w. The points are in the order
+    of measurement.
 
     >>> frequency = np.linspace(18.5, 19.5, 25)
     >>> value = 1.0 / (2j * np.pi * frequency - (-1.0 + 2j * np.pi * 19.0))
@@ -43,11 +44,11 @@ def ringing(value: ComplexArray, frequency: Array, waited: Array, lasted: Array,
     >>> float((rings / abs(value))[12].round(4))
     0.0018
     """
-    rings = np.zeros(frequency.size)
+    deviation = np.zeros(frequency.size)
     omega = 2.0 * np.pi * frequency
     points = _POINTS_TWO_POLES if frequency.size >= _POINTS_TWO_POLES else _POINTS_ONE_POLE
     if frequency.size < points or not np.diff(omega).all():
-        return rings
+        return deviation
     for k in range(1, frequency.size):
         first = min(max(k - points // 2, 0), frequency.size - points)
         points_near = slice(first, first + points)
@@ -61,11 +62,11 @@ def ringing(value: ComplexArray, frequency: Array, waited: Array, lasted: Array,
         limit = max(noise, _ROUNDING_RATIO * abs(value[k]))
         relevant = (pole.real < 0.0) & (abs(distance.imag) < _MAX_HALF_WIDTHS * abs(distance.real)) & (change > limit)
         relevant &= abs(omega[k] - omega[k - 1]) < _MAX_SPACING_RATIO * abs(distance)
-        wait = max(waited[k] - _TRANSITION_RATIO * lasted[k], 0.0)
-        exponent = -distance[relevant] * lasted[k]
+        wait = max(wait_s[k] - _TRANSITION_RATIO * window_s[k], 0.0)
+        exponent = -distance[relevant] * window_s[k]
         amplitude = change[relevant] * np.exp(pole[relevant].real * wait)
-        rings[k] = np.sum(amplitude * abs(np.expm1(exponent) / exponent))
-    return rings
+        deviation[k] = np.sum(amplitude * abs(np.expm1(exponent) / exponent))
+    return deviation
 
 
 def _local_poles(
@@ -82,10 +83,10 @@ def _local_poles(
         powers = offset[:, None] ** np.arange(poles + 1)
         terms = np.concatenate([powers, -normalized[:, None] * powers[:, 1:]], axis=1)
         coefficients = np.linalg.lstsq(terms, normalized, rcond=None)[0]
-        above, below = coefficients[: poles + 1], np.append(1.0, coefficients[poles + 1 :])
-        roots = polynomial.polyroots(below)
-        residues = polynomial.polyval(roots, above) / polynomial.polyval(roots, polynomial.polyder(below))
-        residual = polynomial.polyval(offset, above) - normalized * polynomial.polyval(offset, below)
+        numerator, denominator = coefficients[: poles + 1], np.append(1.0, coefficients[poles + 1 :])
+        roots = polynomial.polyroots(denominator)
+        residues = polynomial.polyval(roots, numerator) / polynomial.polyval(roots, polynomial.polyder(denominator))
+        residual = polynomial.polyval(offset, numerator) - normalized * polynomial.polyval(offset, denominator)
         if np.sqrt(np.mean(np.square(np.abs(residual)))) * scale <= max_residual:
             break
     return np.asarray(1j * (centre + half_range * roots)), np.asarray(1j * half_range * scale * residues)

@@ -67,16 +67,16 @@ class SegmentFits:
 
     def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
         """Estimate the frequency response with coherence, random and systematic errors."""
-        above, below = motion_of(rec, response, motion), reference_of(rec, reference)
+        numerator, denominator = motion_of(rec, response, motion), reference_of(rec, reference)
         names, noise = self.channels, None
         if self.hits is not None:
             # The channels of each response determine whether the rig was at rest before its hits.
-            names = tuple(dict.fromkeys([*above.channels, *below.channels]))
-        spectra, moving, segments, notes = self.prepare(rec, names, below.channels)
+            names = tuple(dict.fromkeys([*numerator.channels, *denominator.channels]))
+        spectra, prior_motion, segments, notes = self.prepare(rec, names, denominator.channels)
         if self.hits is not None:
             noise = self.hits.force_noise(rec, segments, spectra.frequency[spectra.lines])
-        frf = spectra.frf(rec, above, below, reference, motion, self.label, (*self.warnings, *notes), noise)
-        return _with_motion_before(frf, moving)
+        frf = spectra.frf(rec, numerator, denominator, reference, motion, self.label, (*self.warnings, *notes), noise)
+        return _with_motion_before(frf, prior_motion)
 
     def prepare(
         self, rec: Recording, names: tuple[str, ...], references: Sequence[str]
@@ -88,9 +88,9 @@ class SegmentFits:
         segments, memory_notes = self._limit_memory(segments, rec.rate)
         notes += memory_notes
         if all_flaws:
-            kept_ratio = sum(stop - start for start, stop in segments) / (self.stop - self.first)
+            used_ratio = sum(stop - start for start, stop in segments) / (self.stop - self.first)
             notes.insert(
-                0, f"{100.0 * (1.0 - kept_ratio):.2g} % of the test left out: {describe_flaws(rec, all_flaws)}."
+                0, f"{100.0 * (1.0 - used_ratio):.2g} % of the test left out: {describe_flaws(rec, all_flaws)}."
             )
         if not segments:
             flawed = {flaw.channel for flaw in all_flaws}
@@ -102,8 +102,10 @@ class SegmentFits:
                 advice += f", or use only the other channels: --response {' --response '.join(others)}"
             raise RecordingError(f"{rec.path}: {' '.join([*notes, f'No response can be estimated: {advice}.'])}")
         if names not in self.computed:
-            moving = [] if self.hits is None else [self.hits.moving(rec, names, *bounds) for bounds in segments]
-            self.computed[names] = self._spectra(rec, names, segments, moving), moving
+            prior_motion = []
+            if self.hits is not None:
+                prior_motion = [self.hits.prior_motion(rec, names, *bounds) for bounds in segments]
+            self.computed[names] = self._spectra(rec, names, segments, prior_motion), prior_motion
         return *self.computed[names], segments, notes
 
     def _select_segments(
@@ -161,7 +163,7 @@ class SegmentFits:
         ]
 
     def _spectra(
-        self, rec: Recording, names: Sequence[str], segments: Sequence[tuple[int, int]], moving: Sequence[float]
+        self, rec: Recording, names: Sequence[str], segments: Sequence[tuple[int, int]], prior_motion: Sequence[float]
     ) -> LocalSpectra:
         """Compute the spectra of all segments, zero-padded at the beginning to the length of the longest."""
         # Zeros before each segment separate the residual vibration at its end from the response to its hit.
@@ -184,7 +186,7 @@ class SegmentFits:
             gain = np.repeat(noise_gain(in_counts(rec, names, power))[:, None], lines.size, axis=1)
         else:
             at_rest = [
-                self.hits.at_rest(motion, *bounds, size) for bounds, motion in zip(segments, moving, strict=True)
+                self.hits.at_rest(motion, *bounds, size) for bounds, motion in zip(segments, prior_motion, strict=True)
             ]
             blocks = []
             for (start, stop), rest in zip(segments, at_rest, strict=True):
@@ -230,9 +232,9 @@ class SegmentFits:
         return np.arange(first, last + 1, -(-(last - first) // _MAX_LINES))
 
 
-def _with_motion_before(frf: Response, moving: Sequence[float]) -> Response:
+def _with_motion_before(frf: Response, prior_motion: Sequence[float]) -> Response:
     """Add the effect of motion before the hits to a curve's uncertainty, and warn if it is large."""
-    largest = max((ratio for ratio in moving if np.isfinite(ratio)), default=None)
+    largest = max((ratio for ratio in prior_motion if np.isfinite(ratio)), default=None)
     if largest is None:
         return frf
     warning = (

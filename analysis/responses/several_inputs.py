@@ -195,14 +195,14 @@ class SpectralMatrix:
         )
         bias = np.einsum("nam,nm,nmk->nak", abs(value), noise, abs(inverse))
         error = np.sqrt(variance / 2.0)
-        smeared = np.empty(value.shape)
+        leakages = np.empty(value.shape)
         for a, output in enumerate(self.outputs):
             for k, force in enumerate(self.inputs):
                 sharp = self.sharp[output.name, force.name]
-                smeared[:, a, k] = leakage(self.frequency, value[:, a, k], error[:, a, k], sharp)
+                leakages[:, a, k] = leakage(self.frequency, value[:, a, k], error[:, a, k], sharp)
         points, degrees = (self.outputs, self.inputs), np.full(value.shape, 2.0 * count)
-        causes = {REFERENCE_NOISE: bias, LEAKAGE: smeared}
-        budget = _matrix_budget(rec, self.frequency, value, points, error, degrees, causes, MatrixErrors(covariance))
+        limits = {REFERENCE_NOISE: bias, LEAKAGE: leakages}
+        budget = _matrix_budget(rec, self.frequency, value, points, error, degrees, limits, MatrixErrors(covariance))
         response = Response(
             self.frequency, value, *points, budget, self.multiple_coherence(),
             label=averages.label, resolution=averages.resolution, warnings=averages.warnings,
@@ -248,18 +248,20 @@ def _outputs(rec: Recording, names: Sequence[str], motion: str) -> tuple[Point, 
 
 def _matrix_budget(
     rec: Recording, frequency: Array, value: ComplexArray, points: tuple[Sequence[Point], Sequence[Point]],
-    error: Array, degrees: Array, causes: dict[str, Array], errors: MatrixErrors | None, shared: float = 1.0,
+    error: Array, degrees: Array, limits: dict[str, Array], errors: MatrixErrors | None, shared: float = 1.0,
 ) -> UncertaintyBudget:  # fmt: skip
     """Assemble the budget of each matrix element from the gains of its output and input channels."""
     budgets = []
     for a, output in enumerate(points[0]):
         for k, force in enumerate(points[1]):
             shares = _element_shares(output.name, force.name, frequency, output.quantity, value[:, a, k])
-            limits = {name: limit[:, a, k] for name, limit in causes.items()}
-            scale = common_scale(rec, [output.name], [force.name])
+            element_limits = {name: limit[:, a, k] for name, limit in limits.items()}
             budgets.append(
-                assemble_budget(rec, shares, error[:, a, k], degrees[:, a, k], limits, shared=shared, scale=scale)
-            )
+                assemble_budget(
+                    rec, shares, error[:, a, k], degrees[:, a, k], element_limits, shared=shared,
+                    scale=common_scale(rec, [output.name], [force.name]),
+                )
+            )  # fmt: skip
     return replace(stacked(budgets, value.shape), errors=errors)
 
 
@@ -316,9 +318,9 @@ def _by_local_fits(
     propagation = np.einsum("npw,nqw->npq", influence, influence.conj())
     covariance = np.asarray(propagation * cross[:, elements][:, :, elements])
     points = _outputs(rec, names, motion), tuple(inputs)
-    causes = {MODEL: model_error, REFERENCE_NOISE: bias, RESOLUTION: rounding}
+    limits = {MODEL: model_error, REFERENCE_NOISE: bias, RESOLUTION: rounding}
     budget = _matrix_budget(
-        rec, frequency, value, points, error, degrees, causes, MatrixErrors(covariance), spectra.shared
+        rec, frequency, value, points, error, degrees, limits, MatrixErrors(covariance), spectra.shared
     )
     warnings = (*fits.warnings, *notes)
     return _add_warnings(
@@ -388,15 +390,17 @@ def _from_experiments(
     scatter = np.sum(np.square(np.abs(np.stack(values) - value)), axis=0) / max(count * (count - 1), 1)
     for a in range(value.shape[1]):
         for k in range(value.shape[2]):
-            own = covariance[:, a * len(inputs) + k, a * len(inputs) + k].real
-            expected = np.convolve(own, np.full(2 * SIDE + 1, 1.0 / (2 * SIDE + 1)), "same")
-            variance, single = (scatter[:, a, k], 2.0 * (count - 1.0)) if count > 1 else (own, free)
-            expected = np.maximum(expected, 1e-300)
-            moderated, freedom = moderate(variance, np.full(own.size, single), expected, SIDE)
-            error[:, a, k], degrees[:, a, k] = np.sqrt(moderated / 2.0), freedom
+            element = a * len(inputs) + k
+            noise_variance = covariance[:, element, element].real
+            expected = np.convolve(noise_variance, np.full(2 * SIDE + 1, 1.0 / (2 * SIDE + 1)), "same")
+            variance, line_degrees = (scatter[:, a, k], 2.0 * (count - 1.0)) if count > 1 else (noise_variance, free)
+            moderated, degrees[:, a, k] = moderate(
+                variance, np.full(variance.size, line_degrees), np.maximum(expected, 1e-300), SIDE
+            )
+            error[:, a, k] = np.sqrt(moderated / 2.0)
     points = _outputs(rec, names, motion), tuple(inputs)
-    causes = {UNSETTLED: np.mean(unsettled, axis=0)}
-    budget = _matrix_budget(rec, frequency, value, points, error, degrees, causes, MatrixErrors(covariance))
+    limits = {UNSETTLED: np.mean(unsettled, axis=0)}
+    budget = _matrix_budget(rec, frequency, value, points, error, degrees, limits, MatrixErrors(covariance))
     coherence = np.mean(coherences, axis=0)
     return _add_warnings(
         Response(frequency, value, *points, budget, coherence, label=rec.scene.name, warnings=tuple(notes))

@@ -10,12 +10,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from analysis.responses.budget import measured_curve
+from analysis.responses.budget import assemble_budget
 from analysis.responses.measurands import motion_of, reference_of, reject_zero_reference
 from analysis.responses.random_errors import MeanErrors
 from analysis.responses.ringing import ringing
 from analysis.responses.scatter import Scatter, moderate
-from analysis.responses.systematic import RESOLUTION, UNSETTLED, ReadingShares
+from analysis.responses.systematic import RESOLUTION, UNSETTLED, ReadingShares, common_scale
 from rig.arrays import Array, ComplexArray
 from rig.results.response import Response
 from rig.results.uncertainty import radius
@@ -63,64 +63,70 @@ class Lines:
     n_neighbours: int = 0
     noise: Scatter | None = None  # contribution of noise alone to `scatter`; None: all of it
     # number of parts of the mean that were rotated by the phase of their own reference, which aligns its noise too
-    rotated: int = 1
+    n_rotated: int = 1
     # largest error of each mean by rounding to counts; shape (channels, n)
     resolution: Array | None = None
-    # arguments `waited` and `lasted` of `ringing` for successive tones, s; each of shape (n,)
-    waited: Array | None = None
-    lasted: Array | None = None
+    # of successive tones: wait before each window, and length of the window, s; each of shape (n,)
+    wait: Array | None = None
+    duration: Array | None = None
 
     def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
         """Divide the mean response by the mean reference; their covariance propagates to first order."""
         names: Sequence[str] = self.channels
-        above = motion_of(rec, response, motion)
-        upper = above.row(rec, names, self.frequency)
-        below = reference_of(rec, reference)
-        lower = below.row(rec, names, self.frequency)
-        x, f = np.sum(upper * self.mean, axis=0), np.sum(lower * self.mean, axis=0)
+        numerator = motion_of(rec, response, motion)
+        response_weights = numerator.row(rec, names, self.frequency)
+        denominator = reference_of(rec, reference)
+        reference_weights = denominator.row(rec, names, self.frequency)
+        x, f = np.sum(response_weights * self.mean, axis=0), np.sum(reference_weights * self.mean, axis=0)
         reject_zero_reference(reference, f)
         value = x / f
         # d(x/f) = (dx - value df) / f, and both are sums over the same channels.
-        weights = (upper - value * lower) / f
+        weights = (response_weights - value * reference_weights) / f
         noise = self.scatter if self.noise is None else self.noise
         variance, degrees = self.scatter.variance(weights), self.scatter.degrees
         if self.n_neighbours:
             expected = noise.local_variance(weights, self.n_neighbours)
             variance, degrees = moderate(variance, degrees, expected, self.n_neighbours)
         error = np.sqrt(variance / 2.0)
-        causes: dict[str, Array] = {}
-        doubts = [self._reference_noise(lower, noise) / abs(f)]
+        limits: dict[str, Array] = {}
+        reference_limits = [self._reference_noise(reference_weights, noise) / abs(f)]
         # Residual transients and rounding add up in the worst case.
         unsettled = None if self.remainder is None else _TRANSIENT_FACTOR * self.remainder
         for name, limit in ((RESOLUTION, self.resolution), (UNSETTLED, unsettled)):
             if limit is not None:
-                causes[name] = np.sum(abs(weights) * limit, axis=0)
-                doubts.append(np.sum(abs(lower / f) * limit, axis=0))
-        if self.waited is not None and self.lasted is not None:
-            free_vibration = ringing(value, self.frequency, self.waited, self.lasted, error)
-            causes[UNSETTLED] = np.maximum(causes.get(UNSETTLED, 0.0), free_vibration)
+                limits[name] = np.sum(abs(weights) * limit, axis=0)
+                reference_limits.append(np.sum(abs(reference_weights / f) * limit, axis=0))
+        if self.wait is not None and self.duration is not None:
+            free_vibration = ringing(value, self.frequency, self.wait, self.duration, error)
+            limits[UNSETTLED] = np.maximum(limits.get(UNSETTLED, 0.0), free_vibration)
         with np.errstate(invalid="ignore", divide="ignore"):
             averages = 1.0 + self.scatter.degrees / 2.0
             coherence = 1.0 / (1.0 + averages * variance / abs(value) ** 2)
         means = np.einsum("rin,rjn->nij", self.scatter.rows, self.scatter.rows.conj())
-        shares = ReadingShares(names, self.frequency, motion, value, upper * self.mean / f, lower * self.mean / f)
+        shares = ReadingShares(
+            names, self.frequency, motion, value, response_weights * self.mean / f, reference_weights * self.mean / f
+        )
         amplitude = None if self.unsteady is None else abs(f)
-        return measured_curve(
-            rec, shares, above, below, reference, error, degrees, causes, doubts, MeanErrors(weights.T[:, None], means),
+        budget = assemble_budget(
+            rec, shares, error, degrees, limits, reference_limits, MeanErrors(weights.T[:, None], means),
+            scale=common_scale(rec, numerator.channels, denominator.channels),
+        )  # fmt: skip
+        return Response.curve(
+            self.frequency, value, numerator.channels[0], reference=reference, motion=motion, uncertainty=budget,
             coherence=coherence, label=self.label, warnings=self.warnings, unsteady=self.unsteady,
             amplitude=amplitude, omitted=self.left_out,
         )  # fmt: skip
 
-    def _reference_noise(self, lower: ComplexArray, noise: Scatter) -> Array:
+    def _reference_noise(self, reference_weights: ComplexArray, noise: Scatter) -> Array:
         """Compute the largest amplitude of noise in the reference at each line; shape (n,).
 
         Noise exceeds this limit at one line in a thousand, so that lines without excitation are discarded. Realisations
         that were rotated by the phase of their own reference scatter only in its amplitude. The periods of each
         realisation scatter by the whole noise.
         """
-        variance = np.nan_to_num(noise.local_variance(lower, self.n_neighbours))
+        variance = np.nan_to_num(noise.local_variance(reference_weights, self.n_neighbours))
         degrees = noise.degrees * (2 * self.n_neighbours + 1)
-        return np.asarray(np.sqrt(self.rotated * variance / 2.0) * radius(_REFERENCE_CONFIDENCE, degrees))
+        return np.asarray(np.sqrt(self.n_rotated * variance / 2.0) * radius(_REFERENCE_CONFIDENCE, degrees))
 
 
 def _noise(changes: ComplexArray) -> Array:

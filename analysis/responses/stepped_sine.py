@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,17 +22,33 @@ from rig.results import format_frequencies, format_number
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
+# Largest number of harmonics that are fitted with the tone.
 HARMONICS = 10
+# Largest number of parts of a window, whose scatter determines the uncertainty of its mean.
 PARTS = 20
 # A transient below this part of the tolerance of settling is not detectable in the parts of a window.
-_HIDDEN_TRANSIENT = 0.05
-
-# Tones of a window, its samples, and whether its motion was steady.
-_Point = tuple[ToneFit, tuple[int, int], bool]
-# Level and direction of a sweep; a frequency without a point, with the reason and its details.
-_Setting = tuple[float, str]
-_LeftOut = tuple[float, str, str]
+_UNDETECTED_TRANSIENT = 0.05
+# Reason for the omission of a window.
 _TOO_SHORT = "shorter than a period"
+
+# Level and direction of a sweep.
+_Setting = tuple[float, str]
+
+
+class _Point(NamedTuple):
+    """Measurement of a window."""
+
+    tone: ToneFit
+    window: tuple[int, int]  # first sample, and one past the last
+    steady: bool
+
+
+class _Omission(NamedTuple):
+    """A window that was not evaluated."""
+
+    frequency: float  # Hz
+    reason: str  # the same for all windows with the same flaw
+    details: str  # with the times of the flaws
 
 
 @dataclass(frozen=True)
@@ -52,8 +68,8 @@ def sweeps(rec: Recording, channels: Sequence[str] | None = None, progress: Coun
         (m for m in rec.markers if m.kind == "measure" and "frequency" in m.fields), key=lambda m: m.first_sample
     )
     names = list(rec.channels if channels is None else channels)
-    runs: dict[_Setting, list[_Point]] = {}
-    left_out: dict[_Setting, list[_LeftOut]] = {}
+    points: dict[_Setting, list[_Point]] = {}
+    omissions: dict[_Setting, list[_Omission]] = {}
     windows = []
     for marker in markers:
         stop = rec.samples if marker.last_sample is None else marker.stop
@@ -67,12 +83,12 @@ def sweeps(rec: Recording, channels: Sequence[str] | None = None, progress: Coun
         samples = (next(source) for _ in group)
         frequency = float(marker.fields["frequency"])
         key = float(marker.fields.get("level", np.nan)), str(marker.fields.get("direction", "up"))
-        spoilt = flaws(rec, names, first, stop)
+        window_flaws = flaws(rec, names, first, stop)
         if (stop - first) * frequency < 0.99 * rec.rate:
-            left_out.setdefault(key, []).append((frequency, _TOO_SHORT, _TOO_SHORT))
-        elif spoilt:
-            why = ", ".join(dict.fromkeys(f"{flaw.channel} {flaw.reason}" for flaw in spoilt))
-            left_out.setdefault(key, []).append((frequency, why, describe_flaws(rec, spoilt)))
+            omissions.setdefault(key, []).append(_Omission(frequency, _TOO_SHORT, _TOO_SHORT))
+        elif window_flaws:
+            reason = ", ".join(dict.fromkeys(f"{flaw.channel} {flaw.reason}" for flaw in window_flaws))
+            omissions.setdefault(key, []).append(_Omission(frequency, reason, describe_flaws(rec, window_flaws)))
         else:
             shortest = min(end - begin for begin, end in group)
             harmonics = int(max(1, min(HARMONICS, 0.45 * rec.rate / frequency, (shortest - 2) // 4)))
@@ -80,56 +96,57 @@ def sweeps(rec: Recording, channels: Sequence[str] | None = None, progress: Coun
             for part in samples:
                 lockin.add(part)
             steady = marker.fields.get("settled") is not False
-            runs.setdefault(key, []).append((lockin.tone(), (first, stop), steady))
-        # The samples of a window that is left out are skipped.
+            points.setdefault(key, []).append(_Point(lockin.tone(), (first, stop), steady))
+        # The samples of an omitted window are skipped.
         for _ in samples:
             pass
         if progress is not None:
             progress(n_completed, len(markers))
-    if not runs:
-        raise RecordingError(f"{rec.path}: {_why_nothing(rec, [each for some in left_out.values() for each in some])}")
-    several = len(runs.keys() | left_out.keys()) > 1
-    notes = {key: _notes(key, runs.get(key, []), left_out.get(key, []), several) for key in {**runs, **left_out}}
-    # A sweep without any point cannot have notes of its own; the first sweep reports them.
-    notes[next(iter(runs))] += [note for key, lost in notes.items() if key not in runs for note in lost]
+    if not points:
+        reasons = [omission.reason for sweep_omissions in omissions.values() for omission in sweep_omissions]
+        raise RecordingError(f"{rec.path}: {_reason_without_result(rec, reasons)}")
+    several = len(points.keys() | omissions.keys()) > 1
+    notes = {key: _notes(key, points.get(key, []), omissions.get(key, []), several) for key in {**points, **omissions}}
+    # A sweep without any point is not returned; the first sweep reports its notes.
+    notes[next(iter(points))] += [note for key in notes if key not in points for note in notes[key]]
     return [
-        _sweep(rec, key, points, notes[key], [each[0] for each in left_out.get(key, [])], several, tuple(names))
-        for key, points in runs.items()
+        _sweep(rec, key, sweep_points, notes[key], omissions.get(key, []), several, tuple(names))
+        for key, sweep_points in points.items()
     ]
 
 
-def _notes(key: _Setting, points: list[_Point], left_out: list[_LeftOut], several: bool) -> list[str]:
+def _notes(key: _Setting, points: list[_Point], omissions: list[_Omission], several: bool) -> list[str]:
     """Describe the discarded frequencies of a sweep, with reasons, and those without steady-state motion."""
     setting = f"{format_number(key[0])} N {key[1]}: " if several else ""
     out = []
-    for why in dict.fromkeys(each[1] for each in left_out):
-        places = [each for each in left_out if each[1] == why]
-        low, high = min(each[0] for each in places), max(each[0] for each in places)
-        which = f"{len(places)} frequencies from {low:.4g} to {high:.4g} Hz left out"
-        if len(places) == 1:
-            which, why = f"{low:.4g} Hz left out", places[0][2]
+    for reason in dict.fromkeys(omission.reason for omission in omissions):
+        group = [omission for omission in omissions if omission.reason == reason]
+        low, high = (limit(omission.frequency for omission in group) for limit in (min, max))
+        if len(group) == 1:
+            out.append(f"{setting}{low:.4g} Hz left out: {group[0].details} in its window.")
         elif low == high:
-            which = f"{low:.4g} Hz left out {len(places)} times"
-        out.append(f"{setting}{which}: {why} in {'its window' if len(places) == 1 else 'their windows'}.")
+            out.append(f"{setting}{low:.4g} Hz left out {len(group)} times: {reason} in their windows.")
+        else:
+            frequencies = f"{len(group)} frequencies from {low:.4g} to {high:.4g} Hz"
+            out.append(f"{setting}{frequencies} left out: {reason} in their windows.")
     if not points:
         out.append(f"{setting}no frequency of this sweep is usable.")
-    unsteady = [not steady for _, _, steady in points]
+    unsteady = [not point.steady for point in points]
     if any(unsteady):
-        where = format_frequencies([tone.frequency for tone, _, _ in points], unsteady)
+        frequencies = format_frequencies([point.tone.frequency for point in points], unsteady)
         out.append(
-            f"{setting}No steady state at {where}: these points are marked. The motion is irregular or needs a longer "
-            "test.settle."
+            f"{setting}No steady state at {frequencies}: these points are marked. The motion is irregular or needs a "
+            "longer test.settle."
         )
     return out
 
 
-def _why_nothing(rec: Recording, left_out: list[_LeftOut]) -> str:
+def _reason_without_result(rec: Recording, reasons: list[str]) -> str:
     duration = f"{rec.samples / rec.rate:.3g} s"
     for marker in rec.markers:
         if marker.kind == "abort":
             return f"nothing was measured in these {duration}, as the test ended early: {marker.fields['reason']}"
-    reasons = [why for _, why, _ in left_out]
-    if any("overloaded" in why for why in reasons):
+    if any("overloaded" in reason for reason in reasons):
         return (
             "the channels were overloaded in every measured window. Lower the level, widen the converter's range, or "
             "lower the sensitivity in the scene."
@@ -154,18 +171,18 @@ def _sweep(
     key: _Setting,
     points: list[_Point],
     notes: list[str],
-    left_out: list[float],
+    omissions: list[_Omission],
     several: bool,
     names: tuple[str, ...],
 ) -> Sweep:
     level, direction = key
-    tones = tuple(tone for tone, _, _ in points)
-    windows = np.array([window for _, window, _ in points])
-    # Where dampers move, the transient decays differently from what steady responses predict.
-    alone = not any(damper.moves for damper in rec.scene.dampers)
+    tones = tuple(point.tone for point in points)
+    windows = np.array([point.window for point in points])
+    # With moving dampers, a transient decays differently from the prediction by steady responses.
+    is_linear = not any(damper.moves for damper in rec.scene.dampers)
     settle = getattr(rec.scene.test, "settle", None)
-    hidden = 0.0 if alone or settle is None else _HIDDEN_TRANSIENT * settle.tolerance
-    waited = (windows[:, 0] - np.concatenate([[0], windows[:-1, 1]])) / rec.rate
+    undetected = 0.0 if is_linear or settle is None else _UNDETECTED_TRANSIENT * settle.tolerance
+    wait = (windows[:, 0] - np.concatenate([[0], windows[:-1, 1]])) / rec.rate
     lines = Lines(
         channels=names,
         frequency=np.array([tone.frequency for tone in tones]),
@@ -176,14 +193,17 @@ def _sweep(
         label=f"{rec.scene.name}{f', {format_number(level)} N {direction}' if several else ''}",
         warnings=tuple(notes),
         remainder=np.stack(
-            [np.maximum(remainder(tone.parts[:, :, None])[:, 0], hidden * abs(tone.amplitude[:, 0])) for tone in tones],
+            [
+                np.maximum(remainder(tone.parts[:, :, None])[:, 0], undetected * abs(tone.amplitude[:, 0]))
+                for tone in tones
+            ],
             axis=1,
         ),
         resolution=np.stack([_resolution(rec, names, tone) for tone in tones], axis=1),
-        unsteady=np.array([not steady for _, _, steady in points]),
-        left_out=np.array(left_out),
-        waited=waited if alone else None,
-        lasted=np.diff(windows)[:, 0] / rec.rate if alone else None,
+        unsteady=np.array([not point.steady for point in points]),
+        left_out=np.array([omission.frequency for omission in omissions]),
+        wait=wait if is_linear else None,
+        duration=np.diff(windows)[:, 0] / rec.rate if is_linear else None,
     )
     return Sweep(lines, tones, level, direction, windows)
 
@@ -192,12 +212,12 @@ def _resolution(rec: Recording, names: Sequence[str], tone: ToneFit) -> NDArray[
     """Compute the largest error of each amplitude of a tone by rounding to counts, shape (channels,).
 
     A tone below half a count is not recorded. The error of a larger tone, with an amplitude of a counts, is at most
-    ``2 / pi^2 / sqrt(a)`` (first term of the quantiser's series in Bessel functions (B. Widrow, I. Kollár,
-    Quantization Noise, Cambridge University Press 2008, sections 4 and 16)); noise reduces it.
+    ``2 / pi^2 / sqrt(a)``: the first term of the quantizer's series in Bessel functions (B. Widrow, I. Kollár,
+    Quantization Noise, Cambridge University Press 2008, sections 4 and 16). Noise reduces it.
     """
     count = counts_of(rec, names)
     step = np.where(count > 0.0, count, 1.0)
     size = np.maximum(abs(tone.amplitude[:, 0]) / step, 1e-300)
-    off = np.minimum(2.0 / np.pi**2 / np.sqrt(size), 0.5) * reproducible_rounding((tone.residual / step) ** 2)
+    first_term = np.minimum(2.0 / np.pi**2 / np.sqrt(size), 0.5) * reproducible_rounding((tone.residual / step) ** 2)
     # Factor 2: bound of all terms of the series.
-    return np.asarray(count * np.minimum(2.0 * off, 0.5))
+    return np.asarray(count * np.minimum(2.0 * first_term, 0.5))

@@ -63,8 +63,8 @@ class SweptTone:
 
     def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
         """Estimate the frequency response with coherence, random and systematic errors."""
-        above, below = motion_of(rec, response, motion), reference_of(rec, reference)
-        frf = self.spectra.frf(rec, above, below, reference, motion, self.label, self.warnings)
+        numerator, denominator = motion_of(rec, response, motion), reference_of(rec, reference)
+        frf = self.spectra.frf(rec, numerator, denominator, reference, motion, self.label, self.warnings)
         budget = frf.uncertainty
         assert isinstance(budget.errors, LocalErrors)
         # Segments of neighbouring frequencies overlap in time although their bins are counted as independent.
@@ -155,8 +155,8 @@ def sweep_spectra(
         begin, width = bounds[index][0], SIDE * rec.rate / size
         # A logarithmic sweep has only positive frequencies.
         edges = [max(frequency[index] + offset, 1e-6 * frequency[index]) for offset in (-width, width)]
-        passes = [first + _sample_at(marker, edge, rec.rate) - begin for edge in edges]
-        variances[:, index] = _samples_between(block, passes, rec.rate / frequency[index]).var(axis=1)
+        passage = [first + _sample_at(marker, edge, rec.rate) - begin for edge in edges]
+        variances[:, index] = _samples_between(block, passage, rec.rate / frequency[index]).var(axis=1)
         if has_noise:
             noise = _noise(spectrum[:, neighbours.size :]) / size
             noise_levels.append((line_frequency[index, SIDE] + (quiet_line - line) * rec.rate / size, *noise))
@@ -252,9 +252,9 @@ def _interpolate_noise(levels: Sequence[tuple[float, ...]], frequency: Array, ch
     """Interpolate the noise of each channel between the frequencies of its estimates; constant beyond them."""
     if not levels:
         return np.zeros((channels, frequency.size))
-    at, *power = np.array(sorted(levels)).T
+    noise_frequency, *power = np.array(sorted(levels)).T
     smooth = [scipy.ndimage.uniform_filter1d(row, 2 * SIDE + 1, mode="nearest") for row in power]
-    return np.array([np.interp(frequency, at, row) for row in smooth])
+    return np.array([np.interp(frequency, noise_frequency, row) for row in smooth])
 
 
 def _samples_between(block: Array, ends: Sequence[float], period: float) -> Array:

@@ -21,8 +21,13 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
 
 
-REFERENCE_NOISE, LEAKAGE, UNSETTLED = "noise in the reference", "leakage", "not yet steady"
-ALIASING, RESOLUTION, MODEL = "aliasing", "converter's resolution", "local model"
+# Names of the parts.
+REFERENCE_NOISE = "noise in the reference"
+LEAKAGE = "leakage"
+UNSETTLED = "not yet steady"
+ALIASING = "aliasing"
+RESOLUTION = "converter's resolution"
+MODEL = "local model"
 REFERENCE = "uncertain reference"
 JITTER = "jitter of the sampling instants"
 #: Parts whose sign and size differ from line to line.
@@ -47,14 +52,14 @@ class ReadingShares:
     names: Sequence[str]  # channels, in the order of the rows
     frequency: Array  # Hz, shape (lines,)
     motion: str  # quantity of the response
-    value: ComplexArray  # response, the sum of `upper`; shape (lines,)
-    upper: ComplexArray  # contribution of each channel to the response, shape (channels, lines)
-    lower: ComplexArray  # contribution of each channel to the reference, with the sum 1; shape (channels, lines)
+    value: ComplexArray  # response, the sum of its shares; shape (lines,)
+    response: ComplexArray  # contribution of each channel to the response, shape (channels, lines)
+    reference: ComplexArray  # contribution of each channel to the reference, with the sum 1; shape (channels, lines)
 
     @property
     def difference(self) -> ComplexArray:
         """Return the change of the response per relative change of each channel, shape (channels, lines)."""
-        return self.upper - self.value * self.lower
+        return self.response - self.value * self.reference
 
 
 def tolerance(info: ChannelInfo) -> float:
@@ -68,15 +73,15 @@ def tolerance(info: ChannelInfo) -> float:
     0.105
     """
 
-    def value(name: str, kind: Kind, default: float = 0.0) -> float:
+    def setting(name: str, kind: Kind, default: float = 0.0) -> float:
         for key, text in info.sensor.items():
             if key.endswith("." + name):
                 return abs(parse(text, kind))
         return default
 
-    thermal = value("temperature_drift", PER_KELVIN) * value("temperature_change", TEMPERATURE)
-    transverse = value("transverse", RATIO) * value("lateral", RATIO, _LATERAL_RATIO)
-    return value("sensitivity_tolerance", RATIO) + thermal + transverse
+    thermal = setting("temperature_drift", PER_KELVIN) * setting("temperature_change", TEMPERATURE)
+    transverse = setting("transverse", RATIO) * setting("lateral", RATIO, _LATERAL_RATIO)
+    return setting("sensitivity_tolerance", RATIO) + thermal + transverse
 
 
 def sensitivity_part(rec: Recording, shares: ReadingShares) -> dict[str, Array]:
@@ -85,10 +90,10 @@ def sensitivity_part(rec: Recording, shares: ReadingShares) -> dict[str, Array]:
     return {SENSITIVITY: gain_error_limit(gain, relative_to_reading(gain), shares)} if gain.any() else {}
 
 
-def common_scale(rec: Recording, above: Sequence[str], below: Sequence[str]) -> float:
+def common_scale(rec: Recording, outputs: Sequence[str], references: Sequence[str]) -> float:
     """Return the largest relative error of a single reference channel, common to all responses; 0 for several."""
-    is_common = len(below) == 1 and below[0] not in above
-    return tolerance(rec.channels[below[0]]) if is_common else 0.0
+    is_common = len(references) == 1 and references[0] not in outputs
+    return tolerance(rec.channels[references[0]]) if is_common else 0.0
 
 
 def relative_to_reading(deviation: Array) -> Array:
@@ -113,18 +118,19 @@ def gain_error_limit(gain: Array, gain_reading: Array, shares: ReadingShares) ->
     (channels, lines) or (channels, 1). The result is infinite if the true denominator may be zero.
     """
     parts: Array = np.asarray(abs(shares.difference), dtype=float)
-    in_reference: Array = np.asarray(abs(shares.lower), dtype=float)
+    in_reference: Array = np.asarray(abs(shares.reference), dtype=float)
     # Numerator and relative uncertainty of the denominator of each limit.
     quotients = [[np.sum(zero_times(part, gain_reading), axis=0) for part in (parts, in_reference)]]
     with np.errstate(divide="ignore", invalid="ignore"):
-        for row, own in enumerate(gain):
+        for row, channel_gain in enumerate(gain):
             others = np.arange(len(gain)) != row
-            other_error = gain_reading[others] * (1.0 + own)
-            difference = (own + gain[others]) * (1.0 + gain_reading[others])
-            deviation = parts[row] * own + np.sum(zero_times(parts[others], other_error), axis=0)
+            other_error = gain_reading[others] * (1.0 + channel_gain)
+            difference = (channel_gain + gain[others]) * (1.0 + gain_reading[others])
+            deviation = parts[row] * channel_gain + np.sum(zero_times(parts[others], other_error), axis=0)
             quotients.append([deviation, np.sum(zero_times(in_reference[others], difference), axis=0)])
         limits = [
-            np.where(doubt < 1.0, deviation / np.maximum(1.0 - doubt, 1e-300), np.inf) for deviation, doubt in quotients
+            np.where(uncertainty < 1.0, deviation / np.maximum(1.0 - uncertainty, 1e-300), np.inf)
+            for deviation, uncertainty in quotients
         ]
     return np.asarray(np.nanmin(limits, axis=0))
 
@@ -156,15 +162,15 @@ def shared_noise_part(noise: Array, difference: ComplexArray, lower: ComplexArra
         return np.asarray(np.where(noise_free > 0.0, bias / noise_free, np.inf))
 
 
-def doubtful_reference_part(bound: Array, doubt: Array) -> dict[str, Array]:
+def uncertain_reference_part(bound: Array, deviation: Array) -> dict[str, Array]:
     """Compute the additional error of a quotient whose denominator may be smaller than its reading.
 
     With errors dx of a response x = H f and df of its reference, x / f has the error ``(dx - H df) / (f - df)``: the
-    first-order error over ``1 - df / f``. `doubt` is the largest ``df / f``; from 1 on the error is unbounded.
+    first-order error over ``1 - df / f``. `deviation` is the largest ``df / f``; from 1 on the error is unbounded.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        excess = np.sqrt(1.0 / np.maximum(1.0 - doubt, 0.0) ** 2 - 1.0)
-        return {REFERENCE: np.where(doubt < 1.0, np.where(excess > 0.0, bound * excess, 0.0), np.inf)}
+        excess = np.sqrt(1.0 / np.maximum(1.0 - deviation, 0.0) ** 2 - 1.0)
+        return {REFERENCE: np.where(deviation < 1.0, np.where(excess > 0.0, bound * excess, 0.0), np.inf)}
 
 
 def rounding_part(gain: Array, shares: ReadingShares) -> dict[str, Array]:
@@ -239,8 +245,8 @@ def clock_part(rec: Recording, shares: ReadingShares) -> dict[str, Array]:
         slope_part = np.maximum(slope_part, deviation * _ASSUMED_SLOPE_RATIO * abs(value))
     measured = [rec.channels[name].quantity for name in shares.names]
     powers = np.array([[MOTIONS.index(name) if name in MOTIONS else 0.0] for name in measured])
-    order_part = np.sum((powers - MOTIONS.index(shares.motion)) * shares.upper, axis=0)
-    order_part = order_part - value * np.sum(powers * shares.lower, axis=0)
+    order_part = np.sum((powers - MOTIONS.index(shares.motion)) * shares.response, axis=0)
+    order_part = order_part - value * np.sum(powers * shares.reference, axis=0)
     return {CLOCK: slope_part + deviation * abs(order_part)}
 
 

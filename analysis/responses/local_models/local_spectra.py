@@ -12,7 +12,7 @@ import scipy
 from numpy.typing import NDArray
 from scipy import special
 
-from analysis.responses.budget import measured_curve
+from analysis.responses.budget import assemble_budget
 from analysis.responses.force_pulse import slow_and_fast
 from analysis.responses.local_models.jitter import jitter_part
 from analysis.responses.local_models.local_rational import ORDER, POWER_RATIO_95, LocalFit, Reading, local_fit
@@ -22,6 +22,7 @@ from analysis.responses.systematic import (
     MODEL,
     REFERENCE_NOISE,
     ReadingShares,
+    common_scale,
     reference_noise_part,
     rounding_part,
     shared_noise_part,
@@ -60,8 +61,8 @@ class LocalSpectra:
     def frf(
         self,
         rec: Recording,
-        above: Measurand,
-        below: Measurand,
+        numerator: Measurand,
+        denominator: Measurand,
         reference: str,
         motion: str,
         label: str,
@@ -73,7 +74,7 @@ class LocalSpectra:
         `reference_noise`, shape (lines,): relative variance of either quadrature component of the reference. If it is
         unknown, the coherence bounds it.
         """
-        names = list(dict.fromkeys([*above.channels, *below.channels]))
+        names = list(dict.fromkeys([*numerator.channels, *denominator.channels]))
         if names != list(self.channels):
             rows = [self.channels.index(name) for name in names]
             selected = replace(
@@ -84,53 +85,58 @@ class LocalSpectra:
                 noise=self.noise[rows],
                 jitter=self.jitter[:, rows],
             )
-            return selected.frf(rec, above, below, reference, motion, label, warnings, reference_noise)
+            return selected.frf(rec, numerator, denominator, reference, motion, label, warnings, reference_noise)
         frequency = self.frequency[self.lines]
-        force = self.spectrum(rec, below)
+        force = self.spectrum(rec, denominator)
         reject_zero_reference(reference, force)
-        upper, lower = above.row(rec, names, frequency), below.row(rec, names, frequency)
+        response_weights = numerator.row(rec, names, frequency)
+        reference_weights = denominator.row(rec, names, frequency)
         # Reading of each channel per unit of the reference.
         readings = np.zeros((len(names), frequency.size), dtype=complex)
         for index, name in enumerate(names):
-            if below.channels == (name,):
-                readings[index] = 1.0 / lower[index]
+            if denominator.channels == (name,):
+                readings[index] = 1.0 / reference_weights[index]
                 continue
-            fit = self._fit(rec, name, below)
+            fit = self._fit(rec, name, denominator)
             readings[index] = fit.value * rec.channels[name].response(frequency)
-            if name == above.channels[0]:
+            if name == numerator.channels[0]:
                 main_fit = fit
-        scale = abs(np.sum(upper * readings, axis=0)) / np.maximum(abs(main_fit.value), 1e-300)
+        value = np.sum(response_weights * readings, axis=0)
+        scale = abs(value) / np.maximum(abs(main_fit.value), 1e-300)
         # The fitted value follows the noise of the reference regardless of the residual.
-        noise = np.einsum("cn,cn->n", abs(lower) ** 2, self.noise)
+        noise = np.einsum("cn,cn->n", abs(reference_weights) ** 2, self.noise)
         variance = np.maximum(main_fit.variance, main_fit.noise_gain * noise) * scale**2
-        value = np.sum(upper * readings, axis=0)
-        shares = ReadingShares(names, frequency, motion, value, upper * readings, lower * readings)
-        difference = upper - value * lower
-        causes = (
+        shares = ReadingShares(
+            names, frequency, motion, value, response_weights * readings, reference_weights * readings
+        )
+        difference = response_weights - value * reference_weights
+        limits = (
             rounding_part(self.gain, shares)
             | jitter_part(self.jitter, difference, len(force) * self._power(force, self.side))
             | {MODEL: main_fit.model_error * scale}
         )
-        doubts = []
+        reference_limits = []
         if noise.any():
             # The relative change of the fit by noise of the reference is the effective uncertainty of the reference.
             squared = abs(main_fit.value) ** 2
             # Without a fit, the whole reference may be noise.
             noise_ratio = np.full(squared.shape, np.inf)
             np.divide(2.0 * main_fit.noise_gain * noise, squared, out=noise_ratio, where=squared > 0.0)
-            doubts.append(np.sqrt(POWER_RATIO_95 * noise_ratio))
+            reference_limits.append(np.sqrt(POWER_RATIO_95 * noise_ratio))
         if reference_noise is None:
             incoherent = reference_noise_part(value, main_fit.coherence)
-            if len(below.channels) > 1:
+            if len(denominator.channels) > 1:
                 power = np.minimum(self._power(force, 1), self._power(force, self.side)) * main_fit.independent
+                channel_noise = self._reference_noise(rec, denominator)
                 incoherent = np.maximum(
-                    incoherent, shared_noise_part(self._reference_noise(rec, below), difference, lower, power)
+                    incoherent, shared_noise_part(channel_noise, difference, reference_weights, power)
                 )
-            causes[REFERENCE_NOISE] = incoherent
+            limits[REFERENCE_NOISE] = incoherent
             common = np.zeros(frequency.size, dtype=complex)
         else:
             variance, common = variance + abs(value) ** 2 * reference_noise, value * np.sqrt(reference_noise)
-        to_motion = upper[names.index(above.channels[0])] * rec.channels[above.channels[0]].response(frequency)
+        output = numerator.channels[0]
+        to_motion = response_weights[names.index(output)] * rec.channels[output].response(frequency)
         errors = LocalErrors(
             influence=(main_fit.influence * to_motion[:, None, None])[:, None],
             first=main_fit.first,
@@ -139,12 +145,16 @@ class LocalSpectra:
             drive=self._power(force, self.side),
             free=float(main_fit.degrees[0]) / 2.0,
             used=self.used,
-            one_reference=below.channels[1:] == () and not noise.any(),
+            one_reference=denominator.channels[1:] == () and not noise.any(),
             common=common[:, None],
         )
-        return measured_curve(
-            rec, shares, above, below, reference, np.sqrt(variance), main_fit.degrees, causes, doubts, errors,
-            self.shared, coherence=main_fit.coherence, label=label, warnings=tuple(warnings),
+        budget = assemble_budget(
+            rec, shares, np.sqrt(variance), main_fit.degrees, limits, reference_limits, errors, self.shared,
+            common_scale(rec, numerator.channels, denominator.channels),
+        )  # fmt: skip
+        return Response.curve(
+            frequency, value, output, reference=reference, motion=motion, uncertainty=budget,
+            coherence=main_fit.coherence, label=label, warnings=tuple(warnings),
         )  # fmt: skip
 
     @property
@@ -183,10 +193,10 @@ class LocalSpectra:
             self.fits[name, to] = local_fit(reading, spectrum, self.ends, self.lines, side, self.used)
         return self.fits[name, to]
 
-    def _reference_noise(self, rec: Recording, below: Measurand) -> Array:
+    def _reference_noise(self, rec: Recording, denominator: Measurand) -> Array:
         """Return the upper limit of the noise power in the two channels of a spring force: their incoherent power."""
         limit = self.noise.copy()
-        for name, other in permutations(below.channels):
+        for name, other in permutations(denominator.channels):
             row = self.channels.index(name)
             fit = self._fit(rec, name, Measurand((other,), (1.0,), "displacement"))
             # Upper 95 % limit of the noise power for these degrees of freedom.

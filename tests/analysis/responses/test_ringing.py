@@ -16,12 +16,12 @@ POLE = -0.9 + 2j * np.pi * 19.0
 
 def test_residual_transients_stay_within_bound() -> None:
     frequency = np.linspace(18.55, 19.45, 25)
-    omega, waited, lasted = 2 * np.pi * frequency, 7.0, 1.1
+    omega, wait_s, window_s = 2 * np.pi * frequency, 7.0, 1.1
     steady = 1.0 / (1j * omega - POLE)
     change = np.diff(steady, prepend=steady[:1])
     rate = POLE - 1j * omega
-    transient = -change * np.exp(rate * waited) * np.expm1(rate * lasted) / (rate * lasted)
-    limit = ringing(steady + transient, frequency, np.full(25, waited), np.full(25, lasted), np.zeros(25))
+    transient = -change * np.exp(rate * wait_s) * np.expm1(rate * window_s) / (rate * window_s)
+    limit = ringing(steady + transient, frequency, np.full(25, wait_s), np.full(25, window_s), np.zeros(25))
     assert (limit[1:] >= abs(transient[1:])).all()
     # The transition to the next tone ends within the first half of a window.
     assert (limit[1:] <= 1.8 * abs(transient[1:])).all()
@@ -29,17 +29,18 @@ def test_residual_transients_stay_within_bound() -> None:
 
 def test_limit_holds_for_two_close_resonances() -> None:
     frequency = np.linspace(36.1, 41.5, 40)
-    omega, waited, lasted = 2 * np.pi * frequency, 6.0, 0.52
+    omega, wait_s, window_s = 2 * np.pi * frequency, 6.0, 0.52
     poles = np.array([[-1.2 + 2j * np.pi * 38.44], [-1.3 + 2j * np.pi * 39.0]])
     steady = np.array([[1.0], [-0.6]]) / (1j * omega - poles)
     change = np.diff(steady, axis=1, prepend=steady[:, :1])
     rate = poles - 1j * omega
-    transient = np.sum(-change * np.exp(rate * waited) * np.expm1(rate * lasted) / (rate * lasted), axis=0)
+    transient = np.sum(-change * np.exp(rate * wait_s) * np.expm1(rate * window_s) / (rate * window_s), axis=0)
     random = np.random.default_rng(1)
     error = np.full(40, 1e-5 * abs(steady).max())
     noise = error * (random.standard_normal(40) + 1j * random.standard_normal(40))
 
-    limit = ringing(steady.sum(axis=0) + transient + noise, frequency, np.full(40, waited), np.full(40, lasted), error)
+    measured = steady.sum(axis=0) + transient + noise
+    limit = ringing(measured, frequency, np.full(40, wait_s), np.full(40, window_s), error)
 
     significant = abs(transient) > 3.0 * error
     assert significant.sum() > 5

@@ -14,7 +14,6 @@ from analysis.responses.systematic import (
     ReadingShares,
     clock_part,
     counts_of,
-    doubtful_reference_part,
     in_counts,
     noise_gain,
     reference_noise_part,
@@ -24,6 +23,7 @@ from analysis.responses.systematic import (
     shared_noise_part,
     tolerance,
     tone_gain,
+    uncertain_reference_part,
 )
 from daq.signal_chain.channel import ChannelInfo
 
@@ -65,8 +65,8 @@ def test_data_sheet_tolerances_are_summed():
     assert tolerance(channel()) == 0.0
 
 
-def reading_shares(value, upper, lower, frequency=None, motion="acceleration", names="ab"):
-    return ReadingShares(names, frequency, motion, value, upper, lower)
+def reading_shares(value, response, reference, frequency=None, motion="acceleration", names="ab"):
+    return ReadingShares(names, frequency, motion, value, response, reference)
 
 
 def quotient_shares(frequency, value, motion="acceleration", names="ab"):
@@ -121,11 +121,11 @@ def test_h1_bias_reaches_its_bound():
 def test_smaller_reference_increases_the_error():
     doubt = np.array([0.0, 0.1, 0.5, 0.99, 1.0, 1.5])
     first_error = np.full(6, 0.3)
-    total = np.hypot(first_error, single_value(doubtful_reference_part(first_error, doubt)))
+    total = np.hypot(first_error, single_value(uncertain_reference_part(first_error, doubt)))
     assert total[:4] == pytest.approx(first_error[:4] / (1.0 - doubt[:4]))
     assert (total[4:] == np.inf).all()
     # If the response is unbounded, an exact reference adds no error.
-    assert single_value(doubtful_reference_part(np.array([np.inf]), np.array([0.0]))) == 0.0
+    assert single_value(uncertain_reference_part(np.array([np.inf]), np.array([0.0]))) == 0.0
 
 
 def test_gaussian_rounding_gain_is_bounded():

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from daq.instrument.devices.measurements import SUPPORTED_TYPES, VOLTAGE
 from daq.instrument.devices.modules import WIRING_BITS
 from daq.instrument.devices.names import parse_port
 from daq.instrument.errors import Code, DaqError, unsupported
@@ -27,8 +28,6 @@ _GROUPS = {
     "Buffer": "buffer",
     "ExportedSignal": "exported_signal",
 }
-# Output type of voltages, DAQmx_Val_Voltage.
-_VOLTAGE_OUTPUT = 10322
 # Version of the emulated driver: major, minor, update.
 DRIVER_VERSION = (26, 0, 0)
 
@@ -106,12 +105,12 @@ def _of_physical_channel(call: Call, name: str) -> Any:
     module = chassis.devices.module(port.device)
     module.row(port.kind, port.number)
     attributes: dict[str, Any] = {
-        "ai_supported_meas_types": sorted(module.measurements),
+        "ai_supported_meas_types": SUPPORTED_TYPES,
         "ai_term_cfgs": sum(WIRING_BITS.get(each, 0) for each in module.wirings),
         "ai_input_srcs": [port.name],
     }
     if port.kind == "ao":
-        attributes = {"ao_supported_output_types": [_VOLTAGE_OUTPUT], "ao_term_cfgs": 1}
+        attributes = {"ao_supported_output_types": [VOLTAGE], "ao_term_cfgs": 1}
     elif name.startswith("teds_"):
         return call.instrument.teds.read(port, name)
     if name not in attributes:

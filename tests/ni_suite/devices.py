@@ -21,7 +21,6 @@ from daq.signal_chain.channel import ChannelInfo
 from daq.virtual_bench.bench import samples_per_tick
 from rig.scene.modules import Rates
 
-_EVERYTHING = frozenset(each.type for each in MEASUREMENTS.values())
 _X_SERIES, _SC_EXPRESS, _DSA, _CHASSIS, _MODULE = 15858, 15886, 14649, 14658, 14659
 _TS_CHASSIS, _TS_MODULE = 16180, 16181
 _PCIE, _PXIE, _USB, _TCPIP, _CDAQ = 13612, 14706, 12586, 14828, 14637
@@ -44,7 +43,6 @@ def modules() -> list[Module]:
         output_rates=Rates(0.01, 100e6),
         couplings=(Coupling.DC, Coupling.AC),
         wirings=(Wiring.RSE, Wiring.NRSE, Wiring.DIFFERENTIAL),
-        measurements=_EVERYTHING,
         simultaneous=False,
     )
     x_series = replace(general, product_type="PCIe-6363", category=_X_SERIES, bus=_PCIE, inputs=rows, outputs=rows[:4])

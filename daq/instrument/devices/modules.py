@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from daq.instrument.devices.measurements import ACCELERATION, FORCE, MEASUREMENTS, MICROPHONE, VELOCITY, VOLTAGE
+from daq.instrument.devices.measurements import MEASUREMENTS, SUPPORTED_TYPES, VOLTAGE
 from daq.instrument.devices.names import GIVEN_BY_DRIVER
 from daq.instrument.errors import Code, DaqError, invalid_value
 from daq.instrument.values import Coupling, SampleMode, Wiring
@@ -45,8 +45,7 @@ class Module:
     be read and its outputs written without a sample clock; delta-sigma modules require a clock; `chassis`, `slot`:
     its chassis and slot; empty and 0 for a separate device.
 
-    `own_rate`: a rate that the clock generates exactly: that of the scene's converter, where no module is named;
-    `measurements`: kinds of measurement that it supports, by the driver's numbers.
+    `own_rate`: a rate that the clock generates exactly: that of the scene's converter, where no module is named.
     """
 
     name: str  # name on this bench
@@ -71,7 +70,6 @@ class Module:
     output_on_demand: bool = True
     teds: bool = True  # whether it reads the electronic data sheets of sensors
     simultaneous: bool = True
-    measurements: frozenset[int] = frozenset({VOLTAGE, ACCELERATION, FORCE, VELOCITY, MICROPHONE})
     chassis: str = ""
     slot: int = 0
     number: int = 0  # the driver's product number; 0 if not known
@@ -126,9 +124,8 @@ class Module:
 
     def no_measurement(self, where: str) -> DaqError:
         """Return the error for a measurement that it does not support (-200431)."""
-        names = ", ".join(name for name, each in MEASUREMENTS.items() if each.type in self.measurements)
         return DaqError(
-            f"{where}: {self.product_type} does not support this measurement; it measures {names}",
+            f"{where}: {self.product_type} does not support this measurement; it measures {', '.join(MEASUREMENTS)}",
             Code.PHYS_CHAN_MEAS_TYPE,
         )
 
@@ -182,7 +179,7 @@ class Module:
                 "ai_current_int_excit_discrete_vals": list(self.currents),
                 "ai_couplings": sum(_COUPLING_BITS[each] for each in self.couplings),
                 "ai_samp_modes": [int(each) for each in SampleMode],
-                "ai_supported_meas_types": sorted(self.measurements),
+                "ai_supported_meas_types": SUPPORTED_TYPES,
                 "ai_trig_usage": _REFERENCE_TRIGGER | _START_TRIGGER,
                 "ai_num_samp_timing_engines": 1,
             }

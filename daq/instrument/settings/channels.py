@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
-from daq.instrument.devices.measurements import MEASUREMENTS, MICROPHONE, VOLTAGE, Measurement
+from daq.instrument.devices.measurements import MICROPHONE, VOLTAGE, Measurement
 from daq.instrument.devices.modules import Module
 from daq.instrument.devices.names import Port
 from daq.instrument.errors import Code, DaqError, invalid_value, unsupported
@@ -46,34 +46,6 @@ _INPUT: dict[str, Any] = {
     "chan_descr": "",
     "chan_is_global": False,
 }
-# Settings of specific kinds of measurement.
-_OF_MEASUREMENT: dict[str, dict[str, Any]] = {
-    "bridge": {
-        "ai_bridge_cfg": 10182,
-        "ai_bridge_nom_resistance": 350.0,
-        "ai_bridge_initial_voltage": 0.0,
-        "ai_bridge_initial_ratio": 0.0,
-        "ai_bridge_electrical_units": 15897,
-        "ai_bridge_physical_units": 15875,
-        "ai_bridge_scale_type": 10230,
-        "ai_bridge_poly_forward_coeff": [],
-        "ai_bridge_poly_reverse_coeff": [],
-        "ai_bridge_table_electrical_vals": [],
-        "ai_bridge_table_physical_vals": [],
-        "ai_bridge_two_point_lin_first_electrical_val": 0.0,
-        "ai_bridge_two_point_lin_second_electrical_val": 0.0,
-        "ai_bridge_two_point_lin_first_physical_val": 0.0,
-        "ai_bridge_two_point_lin_second_physical_val": 0.0,
-        "ai_bridge_shunt_cal_enable": False,
-        "ai_strain_gage_cfg": 10183,
-        "ai_strain_gage_gage_factor": 2.0,
-        "ai_strain_gage_poisson_ratio": 0.3,
-        "ai_lead_wire_resistance": 0.0,
-    },
-    "current": {"ai_current_shunt_loc": 10200, "ai_current_shunt_resistance": 249.0},
-    "pos": {"ai_ac_excit_freq": 2500.0, "ai_ac_excit_wire_mode": 4, "ai_ac_excit_sync_enable": False},
-    "microphone": {"ai_sound_pressure_max_sound_pressure_lvl": 100.0},
-}
 _OUTPUT: dict[str, Any] = {
     "ao_min": -10.0,
     "ao_max": 10.0,
@@ -88,22 +60,6 @@ _OUTPUT: dict[str, Any] = {
     "chan_descr": "",
     "chan_is_global": False,
 }
-
-
-def _defaults(kind: Measurement | None) -> dict[str, Any]:
-    if kind is None:
-        return _OUTPUT
-    name = next(name for name, each in MEASUREMENTS.items() if each.type == kind.type)
-    belongs = {"bridge": "Bridge" in name or "Strain" in name or "Excit" in name}
-    belongs |= {key: key in name.lower() for key in ("current", "pos", "microphone")}
-    defaults = dict(_INPUT)
-    for key, is_default in belongs.items():
-        defaults |= _OF_MEASUREMENT[key] if is_default else {}
-    defaults[kind.units] = 10348
-    if kind.sensitivity:
-        defaults |= {kind.sensitivity: 1.0, f"{kind.sensitivity}_units": 0}
-        defaults |= {f"{kind.sensitivity.removesuffix('_sensitivity')}_db_ref": 1.0}
-    return defaults
 
 
 @dataclass
@@ -125,23 +81,23 @@ class Channel:
     ) -> Channel:
         """Declare an input, or an output for no kind of measurement.
 
-        Raises `DaqError` with -200170, if the terminal does not exist; -200431, if its module does not support the
-        measurement; -200077, for limits, a sensitivity, a wiring or a coupling that it does not support.
+        Raises `DaqError` with -200170, if the terminal does not exist; -200077, for limits, a sensitivity, a wiring or
+        a coupling that its module does not support.
         """
-        row, defaults = module.row("ao" if kind is None else "ai", port.number), _defaults(kind)
+        row, defaults = module.row("ao" if kind is None else "ai", port.number), dict(_OUTPUT)
         if kind is not None:
-            if kind.type not in module.measurements:
-                raise module.no_measurement(port.name)
+            defaults = _INPUT | kind.defaults()
             # A module whose IEPE supply requires AC coupling uses it by default where it supplies a sensor.
             supplies_ac = given.get("ai_excit_src") == Excitation.INTERNAL and module.supply_coupling == "AC"
             defaults["ai_coupling"] = Coupling.AC if supplies_ac else module.couplings[0]
         if kind is not None and kind.type == MICROPHONE:
-            loudest = given["ai_sound_pressure_max_sound_pressure_lvl"]
-            if not -1000.0 < loudest < 1000.0:
+            level_db = given["ai_sound_pressure_max_sound_pressure_lvl"]
+            if not -1000.0 < level_db < 1000.0:
                 raise invalid_value(
-                    f"channel {name}: a sound pressure level of {loudest:g} dB: expected up to some 100 dB"
+                    f"channel {name}: a sound pressure level of {level_db:g} dB: expected up to some 100 dB"
                 )
-            limit = 20e-6 * 10 ** (loudest / 20) * math.sqrt(2)
+            # Peak of a sine with this RMS level; the reference is 20 uPa.
+            limit = 20e-6 * 10 ** (level_db / 20) * math.sqrt(2)
             given = {"ai_min": -limit, "ai_max": limit, **given}
         channel = cls(name, port, module, row, kind, defaults, defaults | dict(given))
         channel.check()
@@ -169,7 +125,7 @@ class Channel:
             return self.module.output_range
         if "rng" in self.settings:
             return float(self.settings["rng"])
-        if self.scaled or not self.kind.takes_volts:
+        if self.scaled:
             return self.module.ranges[-1] if self.module.ranges else math.inf
         return self.module.range_for(self._largest_volts())
 
@@ -219,8 +175,7 @@ class Channel:
                 Code.MIN_NOT_LESS_THAN_MAX,
             )
         full_scale = self.module.output_range if self.kind is None else (self.module.ranges or (math.inf,))[-1]
-        in_volts = not self.scaled and (self.kind is None or self.kind.takes_volts)
-        if self._largest_volts() > full_scale * (1 + 1e-9) and in_volts:
+        if self._largest_volts() > full_scale * (1 + 1e-9) and not self.scaled:
             scale = full_scale / self.volts_per_unit
             raise invalid_value(
                 f"channel {self.name}: limits {low:g} to {high:g} {self.unit} exceed the range of "
@@ -280,10 +235,8 @@ class Channel:
 
 
 def _limit(channel: Channel, sign: float) -> float:
-    settings = channel.settings
-    assert channel.kind is not None
-    if channel.scaled or channel.range == math.inf or not channel.kind.takes_volts:
-        return float(settings["ai_max" if sign > 0 else "ai_min"])
+    if channel.scaled or channel.range == math.inf:
+        return float(channel.settings["ai_max" if sign > 0 else "ai_min"])
     return sign * channel.range / channel.volts_per_unit
 
 

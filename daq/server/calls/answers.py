@@ -13,8 +13,9 @@ from daq.server.attributes import attribute_call
 from daq.server.calls import channels, samples, settings, tasks
 from daq.server.calls.call import Call, Handler
 
+_INPUT_CHANNEL = re.compile(r"Create(TEDS)?AI(\w+)Chan")
 _CHANNEL = re.compile(r"Create(TEDS)?([ACD][IO])(\w*Chan\w*)")
-_WORDS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
+_WORDS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[a-z])(?=[0-9])|(?<=[A-Z])(?=[A-Z][a-z])")
 
 
 def answer_to(name: str) -> Handler | None:
@@ -22,11 +23,9 @@ def answer_to(name: str) -> Handler | None:
     for group in (tasks, channels, settings, samples):
         if name in group.CALLS:
             return group.CALLS[name]
-    kind = name.replace("ChanWithExcit", "WithExcitChan").removesuffix("Chan")
-    for prefix in ("CreateTEDSAI", "CreateAI"):
-        wanted = kind.removeprefix(prefix)
-        if kind.startswith(prefix) and (wanted in MEASUREMENTS or "Bridge" in wanted):
-            return channels.create_input(wanted, teds="TEDS" in prefix)
+    channel = _INPUT_CHANNEL.fullmatch(name)
+    if channel and channel[2] in MEASUREMENTS:
+        return channels.create_input(MEASUREMENTS[channel[2]], teds=bool(channel[1]))
     return attribute_call(name)
 
 

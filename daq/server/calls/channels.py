@@ -4,33 +4,32 @@ from __future__ import annotations
 
 from typing import Any
 
-from daq.instrument.devices.measurements import Measurement, measurement
+from daq.instrument.devices.measurements import Measurement
 from daq.instrument.devices.names import numbered, parse_port, unflatten
 from daq.instrument.devices.teds import sensitivity
 from daq.instrument.errors import Code, DaqError
 from daq.server.calls.call import Call, Handler, plain
 
 
-def create_input(kind: str, teds: bool) -> Handler:
-    """Return the handler that creates inputs of a kind, by its name in the driver's calls.
+def create_input(kind: Measurement, teds: bool) -> Handler:
+    """Return the handler that creates inputs.
 
     `teds`: whether the sensors' electronic data sheets give their sensitivities.
     """
-    measured, implied = measurement(kind)
 
     def create(call: Call) -> None:
         call.task.check_idle("adding channels")
-        given = {key: plain(value) for key, value in call.fields.items() if key != "task"}
-        physical, name = given.pop("physical_channel"), given.pop("name_to_assign_to_channel")
-        settings = measured.settings(given) | implied
+        arguments = {key: plain(value) for key, value in call.fields.items() if key != "task"}
+        physical, name = arguments.pop("physical_channel"), arguments.pop("name_to_assign_to_channel")
+        settings = kind.settings(arguments)
         if not teds:
-            call.task.settings.add(physical, name, measured, settings)
+            call.task.settings.add(physical, name, kind, settings)
             return
         terminals = unflatten(physical)
         names = numbered(name, len(terminals)) if name else [""] * len(terminals)
         for each, virtual in zip(terminals, names, strict=True):
-            own = settings | _settings_of_sensor(call, each, measured) | {"ai_is_teds": True}
-            call.task.settings.add(each, virtual, measured, own)
+            sensor_settings = _settings_of_sensor(call, each, kind)
+            call.task.settings.add(each, virtual, kind, settings | sensor_settings | {"ai_is_teds": True})
 
     return create
 

@@ -8,7 +8,7 @@ import grpc
 import nidaqmx
 import numpy as np
 import pytest
-from nidaqmx.constants import AcquisitionType
+from nidaqmx.constants import AccelSensitivityUnits, AccelUnits, AcquisitionType
 from nidaqmx.errors import DaqError, RpcError
 from nidaqmx.system import System
 
@@ -90,6 +90,17 @@ def test_defaults_are_those_of_driver(shared):
         assert caught.value.error_code == -200695
         channel.ai_max = 400.0
         assert task.ai_channels[0].ai_max == 400.0
+
+
+def test_reset_units_are_those_of_driver(shared):
+    with nidaqmx.Task(grpc_options=shared) as task:
+        units = AccelSensitivityUnits.VOLTS_PER_G
+        channel = task.ai_channels.add_ai_accel_chan(
+            "cDAQ1Mod1/ai0", sensitivity=0.1, sensitivity_units=units, units=AccelUnits.METERS_PER_SECOND_SQUARED
+        )
+        del channel.ai_accel_sensitivity_units, channel.ai_accel_units
+        assert channel.ai_accel_sensitivity_units is AccelSensitivityUnits.MILLIVOLTS_PER_G
+        assert channel.ai_accel_units is AccelUnits.G
 
 
 def test_terminal_may_be_used_twice():

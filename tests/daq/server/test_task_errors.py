@@ -7,7 +7,15 @@ import nidaqmx
 import numpy as np
 import pytest
 from nidaqmx._grpc_interpreter import _ERROR_MESSAGES
-from nidaqmx.constants import AcquisitionType, Edge, RegenerationMode, TaskMode, TerminalConfiguration, VoltageUnits
+from nidaqmx.constants import (
+    AccelSensitivityUnits,
+    AcquisitionType,
+    Edge,
+    RegenerationMode,
+    TaskMode,
+    TerminalConfiguration,
+    VoltageUnits,
+)
 from nidaqmx.errors import DaqError, DaqReadError, DaqResourceWarning, DaqWriteError
 
 import rig
@@ -175,6 +183,12 @@ def test_impossible_rate_is_rejected(chassis, rate):
     "call, hint",
     [
         (lambda task: task.ai_channels.add_ai_accel_chan("Dev1/ai1", units=VoltageUnits.VOLTS), "m/s^2"),
+        (
+            lambda task: task.ai_channels.add_ai_force_iepe_chan(
+                "Dev1/ai1", sensitivity_units=AccelSensitivityUnits.MILLIVOLTS_PER_G
+            ),
+            "mV/N",
+        ),
         (
             lambda task: task.ai_channels.add_ai_voltage_chan("Dev1/ai1", terminal_config=TerminalConfiguration.RSE),
             "PSEUDO_DIFF",

@@ -192,7 +192,7 @@ def add_caption(figure: Figure, *sentences: str) -> None:
 
 
 def add_legend_below(figure: Figure, *sentences: str) -> None:
-    """Add a common legend below all axes, with sentences above it as in `caption`."""
+    """Add a common legend below all axes, with sentences above it as in `add_caption`."""
     entries: dict[str, Any] = {}
     for axes in figure.axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -214,7 +214,7 @@ def _wrapped(figure: Figure, sentences: Sequence[str]) -> str:
 
 
 def save_with_table(figure: Figure, stem: Path, rows: Iterable[Sequence[object]]) -> list[Path]:
-    """Write a figure as `save`, and its table from rows of which the first is the header; return the three paths.
+    """Write a figure as `save_figure`, and its table (the first row is the header); return the three paths.
 
     Raises `SceneError`, `RunError` if a file cannot be written.
     """

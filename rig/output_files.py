@@ -73,8 +73,8 @@ def atomic_write(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
     renamed, it is saved under another name, which the message reports.
 
     `path`: file to create or replace, in an existing folder; `overwrite`: whether an existing file may be replaced;
-    omitted, as decided by `rig.provenance`. Yields temporary file to write, with the suffix of `path`. Raises
-    `SceneError` if `path` must not be written, see `destination`, or a protected file of that name was created in
+    omitted, as decided by `rig.provenance`. Yields the temporary file, with the suffix of `path`. Raises
+    `SceneError` if `path` must not be written (`resolve_output`), or a protected file of that name was created in
     the meantime. Raises `RunError` if the disk is full or fails.
     """
     marked, unmarked = (overwrite is None and can_contain_mark(path), overwrite is None and not can_contain_mark(path))

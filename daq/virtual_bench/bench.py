@@ -186,7 +186,7 @@ class Stream:
         motion, drive = self._motion.take(motion, drive)
         samples, overload = self._converter.convert(self._chain.measure(motion, drive))
         if self._intervals > 1:
-            motion = motion.every(self._intervals, self._interval)
+            motion = motion.decimated(self._intervals, self._interval)
         first = self._first + max(motion.first - self.latency, 0)
         return Block(first, samples, overload | self._chain.overload, motion)
 

@@ -74,7 +74,7 @@ def steady_grains(scene: Scene, frequency: float, block: int, max_blocks: int, m
     cycles = np.arange(steps + 1) / (_SAMPLES_PER_PERIOD * coupled.substeps)
     phase_factor: ComplexArray = np.exp(2j * np.pi * cycles)
     drive = np.real(tone.amplitudes[:, None] * phase_factor)
-    coupled.place(_initial_state(scene, system, frequency, tone.state), drive[:, 0])
+    coupled.set_state(_initial_state(scene, system, frequency, tone.state), drive[:, 0])
     blocks: list[SteadyBed] = []
     while len(blocks) < min_blocks or (not blocks[-1].steady and len(blocks) < max_blocks):
         trajectory, beds = coupled.march(drive)

@@ -18,7 +18,7 @@ from rig.damper_design.flight import Flight, compute_flight, describe_shortfall,
 from rig.damper_design.other_modes import ModePeaks, mode_peaks, select_outside_band
 from rig.damper_design.ranking import is_equally_good, pareto_front
 from rig.damper_design.request import parse_request
-from rig.damper_design.search import pieces, search
+from rig.damper_design.search import estimate_piece_count, search
 from rig.damper_design.tolerance import Tolerance, clearance_tolerance
 from rig.damper_design.worst_peak import Peak
 from rig.figure_style import COLORS
@@ -221,7 +221,8 @@ def design(
     )
     forces = chart_levels(question.levels)
     with Workers(cluster) as workers:
-        answers = Answers(workers, table, progress, pieces(question, space) + CHART_CLEARANCES.size * forces.size)
+        piece_count = estimate_piece_count(question, space) + CHART_CLEARANCES.size * forces.size
+        answers = Answers(workers, table, progress, piece_count)
         best, trials = search(question, space, answers)
         preferred = select_outside_band(question, trials, best, answers)
         if preferred != best:

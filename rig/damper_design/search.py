@@ -43,13 +43,13 @@ CLEARANCE_RATIO = 1.1
 FINAL_DESIGNS = 3
 
 
-def pieces(question: Question, space: Space) -> int:
-    """Estimate the number of pieces of a search."""
-    grid, each = len(space.locations) * len(GRID_MASS_RATIOS) * (GRID_CLEARANCES + 1), len(question.parts)
+def estimate_piece_count(question: Question, space: Space) -> int:
+    """Estimate the number of pieces (a design at one level, for one structure) that a search computes."""
+    grid, n_parts = len(space.locations) * len(GRID_MASS_RATIOS) * (GRID_CLEARANCES + 1), len(question.parts)
     return (
         grid
-        + int(0.4 * grid * each)
-        + (len(space.locations) + 2 * len(GRID_MASS_RATIOS)) * MAX_REFINEMENT_TRIALS * each
+        + int(0.4 * grid * n_parts)
+        + (len(space.locations) + 2 * len(GRID_MASS_RATIOS)) * MAX_REFINEMENT_TRIALS * n_parts
     )
 
 

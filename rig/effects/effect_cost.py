@@ -57,7 +57,7 @@ class EffectCost:
 def effect_costs(scene: Scene, progress: Callable[[str], None] | None = None) -> tuple[EffectCost, ...]:
     """Add a scene's effects one at a time and measure each.
 
-    Returns in the order of the signal: motion, measurement chain, recording.
+    The order is that of the signal: motion, measurement chain, recording.
     """
     steps: list[EffectStep] = list(motion_steps(scene))
     for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
@@ -109,13 +109,15 @@ def motion_steps(scene: Scene) -> Iterator[EffectStep]:
     """Yield the steps of the motion: structure, shaker, dampers, ceilings, restitution, finite-duration contact."""
     channels = {"channels": None}
     shaker = scene.driven_shaker
-    bare = scene.replace(dampers=(), **channels)
+    without_dampers = scene.replace(dampers=(), **channels)
     if shaker is not None and (len(scene.shakers) > 1 or not isinstance(shaker, ForceShaker)):
         test = None if scene.test is None or not isinstance(scene.test, Impulse) else scene.test
-        yield _step("structure", bare.replace(shaker=ForceShaker(body=shaker.bodies[0]), test=_of_one_shaker(test)))
-        yield _step("shaker", bare)
+        yield _step(
+            "structure", without_dampers.replace(shaker=ForceShaker(body=shaker.bodies[0]), test=_of_one_shaker(test))
+        )
+        yield _step("shaker", without_dampers)
     else:
-        yield _step("structure", bare)
+        yield _step("structure", without_dampers)
     if not scene.dampers:
         return
     variants: dict[str, dict[str, object]] = {
@@ -125,8 +127,8 @@ def motion_steps(scene: Scene) -> Iterator[EffectStep]:
         "finite-duration contact": {},
     }
     previous: tuple[object, ...] = ()
-    for name, without in variants.items():
-        dampers = tuple(damper.replace(**without) for damper in scene.dampers)
+    for name, removed in variants.items():
+        dampers = tuple(damper.replace(**removed) for damper in scene.dampers)
         if dampers != previous:
             yield _step(name, scene.replace(dampers=dampers, **channels))
         previous = dampers

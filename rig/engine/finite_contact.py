@@ -74,7 +74,7 @@ def wall_force(model: Model, z: Array, j: int, wall: int) -> float:
 
 @inlined_kernel
 def wall_force_rate(model: Model, z: Array, j: int, wall: int) -> float:
-    """Return the rate of that force, N/s; the accelerations must follow the state."""
+    """Return the rate of the wall force, N/s; `z` must contain the accelerations after the state."""
     acceleration = z[model.first_acceleration + model.bed[j]]
     rate = model.wall_stiffness[j, wall - 1] * gap_rate(model, z, j) + model.wall_damping[j, wall - 1] * acceleration
     return -rate if wall == FLOOR else rate
@@ -84,8 +84,8 @@ def wall_force_rate(model: Model, z: Array, j: int, wall: int) -> float:
 def _is_zero_force(model: Model, z: Array, j: int, wall: int) -> bool:
     """Return whether the force of a wall is zero within rounding.
 
-    It is, unless an impact of another damper opens or closes the contact through a full mass matrix. Without a dashpot,
-    the force of the spring is the rounding error of the overlap.
+    The force is zero at every touch and release, except where an impact of another damper opens or closes the contact
+    through a full mass matrix. Without a dashpot, the force is the rounding error of the overlap times the stiffness.
     """
     spring = model.wall_stiffness[j, wall - 1] * abs(overlap(model, z, j, wall))
     dashpot = model.wall_damping[j, wall - 1] * abs(gap_rate(model, z, j))

@@ -46,7 +46,7 @@ def sum_series(workspace: Workspace, tau: float, out: Array) -> None:
         powers[k] = powers[k - 2] * square
     for k in range(3, LENGTH + 1, 2):
         powers[k] = powers[k - 2] * square
-    combine(workspace.series_rows, workspace.nothing, 0, powers, LENGTH + 1, out)
+    combine(workspace.series_rows, workspace.zero_constant, 0, powers, LENGTH + 1, out)
 
 
 @inlined_kernel

@@ -128,7 +128,7 @@ class Propagator:
         self.workspace: Workspace = workspace_for(self.tables.flow, size)
         self.state.counters[CONFIGURATION] = system.all_on_floor
         self._window = aligned_zeros(LANES, padded_length(3 * system.coordinates + dampers))
-        self._no_motion, self._no_states = self.motion_samples(0), self.room(0)
+        self._no_motion, self._no_states = self.motion_samples(0), self.state_samples(0)
         self._no_drive = np.zeros((len(system.inputs), 2))
         self._elapsed = 0.0
         self._find_table()
@@ -144,14 +144,14 @@ class Propagator:
         flow = self.tables.flow
         return self.tables.size**2 if flow.stepping else flow.column.size * TERMS
 
-    def place(self, state: Array, drive: Array) -> NDArray[np.int64]:
+    def set_state(self, state: Array, drive: Array) -> NDArray[np.int64]:
         """Set the state, with every damper on its floor; dampers whose contact force would be tensile separate.
 
         Returns the dampers (from 0) that have separated.
         """
         self.state.z[: self.system.states] = state
         self.state.z[self.system.states : self.tables.size] = drive
-        self._go(
+        self._advance(
             Segments(_ZERO_STEPS, _NO_RENEWAL, self._no_drive, _NO_ROW), self._no_states, self._no_motion, UNSETTLED
         )
         separated = self.log.damper[: self.log.filled[0]].copy()
@@ -173,7 +173,7 @@ class Propagator:
         """Set the tone to the start of a period."""
         self.state.z[self.system.states : self.tables.size] = (level, 0.0)
 
-    def present(self) -> Trajectory:
+    def current_state(self) -> Trajectory:
         """Return the present state as a trajectory of one sample without events."""
         return Trajectory(
             self.state.z[None].copy(),
@@ -187,14 +187,14 @@ class Propagator:
         """Propagate through the sample intervals between the columns of a sampled drive (inputs, samples + 1)."""
         intervals = drive.shape[1] - 1
         segments = Segments(np.array([interval_steps]), ALL_SEGMENTS, drive, np.arange(intervals))
-        return self._run(segments, self.room(intervals), self._no_motion)
+        return self._run(segments, self.state_samples(intervals), self._no_motion)
 
     def through_interval(self, drive: Array, interval_steps: Array, states: StateSamples) -> Trajectory | None:
         """Propagate through one sample interval; fast, because the caller provides reusable arrays.
 
-        `states`: of one sample, for the state at the end; see `room`. Returns None if there was no event.
+        `states`: of one sample, for the state at the end; see `state_samples`. Returns None if there was no event.
         """
-        self._go(Segments(interval_steps, ALL_SEGMENTS, drive, _FIRST_ROW), states, self._no_motion)
+        self._advance(Segments(interval_steps, ALL_SEGMENTS, drive, _FIRST_ROW), states, self._no_motion)
         self._elapsed += float(interval_steps[0]) * self.tables.step
         return Trajectory(*states, *self._take_log()) if self.log.filled[:2].any() else None
 
@@ -213,7 +213,7 @@ class Propagator:
             window=self._window,
         )
 
-    def parts(self, motion: MotionSamples) -> tuple[Array, Array, Array, Array]:
+    def motion_parts(self, motion: MotionSamples) -> tuple[Array, Array, Array, Array]:
         """Return displacements, velocities and accelerations (points, samples) and gaps (dampers, samples)."""
         n, points, rows = self.system.coordinates, len(self.system.points), motion.rows
         displacement, velocity, acceleration = (rows[k * n : k * n + points] for k in range(3))
@@ -222,7 +222,7 @@ class Propagator:
     def sample_present(self, motion: MotionSamples, column: int) -> None:
         """Store the present motion in one column."""
         motion.begin[0] = column
-        self._go(Segments(_ZERO_STEPS, _NO_RENEWAL, self._no_drive, np.array([column])), self._no_states, motion)
+        self._advance(Segments(_ZERO_STEPS, _NO_RENEWAL, self._no_drive, np.array([column])), self._no_states, motion)
 
     def through_marks(
         self, steps: Array, sample_row: NDArray[np.int64], new_period: NDArray[np.bool_], level: float = 1.0
@@ -235,7 +235,7 @@ class Propagator:
         """
         # At the start of a period the drive states are (level, 0), as for a constant sampled drive.
         drive = np.full((1, len(steps) + 1), level)
-        states = self.room(int(sample_row.max(initial=-1)) + 1)
+        states = self.state_samples(int(sample_row.max(initial=-1)) + 1)
         return self._run(Segments(steps, new_period, drive, sample_row), states, self._no_motion)
 
     def accelerations(self, states: Array, slots: NDArray[np.int64]) -> Array:
@@ -246,7 +246,7 @@ class Propagator:
         first = self.tables.size
         return np.ascontiguousarray(states[:, first : first + self.system.coordinates].T)
 
-    def room(self, samples: int) -> StateSamples:
+    def state_samples(self, samples: int) -> StateSamples:
         """Allocate the states at a number of samples."""
         size, dampers = self.state.z.shape[0], self.system.dampers
         return StateSamples(
@@ -257,12 +257,12 @@ class Propagator:
         )
 
     def _run(self, segments: Segments, states: StateSamples, motion: MotionSamples) -> Trajectory:
-        self._go(segments, states, motion)
+        self._advance(segments, states, motion)
         self._check_divergence(segments, states, motion)
         self._elapsed += float(segments.steps.sum()) * (segments.row.size // segments.steps.size) * self.tables.step
         return Trajectory(*states, *self._take_log())
 
-    def _go(self, segments: Segments, states: StateSamples, motion: MotionSamples, status: int = STALE) -> None:
+    def _advance(self, segments: Segments, states: StateSamples, motion: MotionSamples, status: int = STALE) -> None:
         begin, remaining = 0, -1.0
         while True:
             reason, begin, remaining = _propagate(

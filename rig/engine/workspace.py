@@ -25,7 +25,7 @@ class Workspace(NamedTuple):
     contact: ContactWork
     series_rows: np.ndarray
     powers: np.ndarray
-    nothing: np.ndarray
+    zero_constant: np.ndarray
     series: np.ndarray
     work: np.ndarray
     spans: np.ndarray
@@ -46,7 +46,7 @@ def workspace_for(flow: Flow, size: int) -> Workspace:
         tableau=tableau,
         series_rows=tableau[None],
         powers=np.zeros(LENGTH + 1),
-        nothing=aligned_zeros(1, padded_length(columns)),
+        zero_constant=aligned_zeros(1, padded_length(columns)),
         bound=aligned_zeros(flow.bound_constant.shape[1]),
         derivative=aligned_zeros(flow.derivative_constant.shape[1]),
         contact=allocate_contact_work(flow.neighbour.shape[1], flow.derivative_constant.shape[1]),

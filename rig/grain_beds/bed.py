@@ -1,6 +1,6 @@
 """The grains of one cavity, in the frame of the cavity: floor, ceiling and side are at rest, LAMMPS moves the grains.
 
-In this frame the body's acceleration is a common change of the grains' velocities, which `Bed.kick` makes. Forces and
+In this frame the body's acceleration is an equal velocity change of all grains, which `Bed.kick` applies. Forces and
 impulses are those of LAMMPS's velocity Verlet scheme: with the force F of the walls before and F' after a step h, the
 grains receive the impulse (F + F') h / 2.
 """
@@ -58,7 +58,7 @@ class Bed:
         self._initialize()
         self._centre = self.centre
 
-    def stored(self) -> bytes:
+    def state_bytes(self) -> bytes:
         """Return the state of the grains and of their contacts, for `resume`.
 
         Neighbours and forces are computed again here and in `resume`, so that both beds continue with the same bits;
@@ -85,7 +85,7 @@ class Bed:
         """Advance by a number of steps."""
         self._command(f"run {steps} pre no post no")
 
-    def slow(self, relaxation: float) -> None:
+    def add_drag(self, relaxation: float) -> None:
         """Add a viscous drag to each grain, with a time constant in s; for packing."""
         self._command(f"fix slow all viscous {float(self._masses.mean()) / relaxation!r}", "run 0 post no")
 

@@ -1,10 +1,11 @@
 """Beds of grains coupled to the structure: force and motion are exchanged at every time step.
 
 The structure with its other dampers is propagated exactly over a step h under the beds' forces, which are interpolated
-linearly over the step. The body therefore receives the impulse (F + F') h / 2, which equals to rounding that of the
-walls on the grains in LAMMPS's velocity Verlet scheme. In the frame of the cavity the grains are kicked by the change
-of the body's velocity: half a step of the body's acceleration at the beginning, and at the end the rest of the exact
-change. Scheme and exchange are of second order in h; each exchange conserves momentum.
+linearly over the step. The body therefore receives the impulse (F + F') h / 2, which equals within rounding the impulse
+of the walls on the grains in LAMMPS's velocity Verlet scheme. In the frame of the cavity, the velocities of the grains
+change by the opposite of the body's velocity change: half a step of the body's acceleration at the beginning, and the
+remainder of the exact change at the end. Scheme and exchange are of second order in h; each exchange conserves
+momentum.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class CoupledState(NamedTuple):
     """State of a coupled system, for `CoupledPropagator.resume`.
 
     structure : `Propagator.snapshot` of the structure.
-    beds : `Bed.stored` of each.
+    beds : `Bed.state_bytes` of each.
     begin, impulse (beds,): momentum at the start, and impulse of the bodies since then, kg m/s.
     elapsed_steps : steps since the start.
     """
@@ -61,7 +62,7 @@ class CoupledPropagator:
 
     `interval`: sample interval of the drive, s; divided into the steps that the grains need; `system`: the scene's,
     in which each bed is one mass; `structure`: the structure with the dampers without grains, and the beds' forces
-    as further inputs; `substeps`: steps in a sample interval; `step`: s; `bodies`: coordinate of each bed's body.
+    as additional inputs; `substeps`: steps in a sample interval; `step`: s; `bodies`: coordinate of each bed's body.
     """
 
     def __init__(self, scene: Scene, interval: float) -> None:
@@ -70,7 +71,7 @@ class CoupledPropagator:
         self.substeps = max(1, int(np.ceil(interval / min(each.longest_step() for each in spheres.values()))))
         self.step = interval / self.substeps
         self.bodies = np.array([scene.dampers[row].body - 1 for row in spheres])
-        inner = _with_ports(scene, self.system, self.bodies)
+        inner = _with_bed_inputs(scene, self.system, self.bodies)
         self.structure, steps = sampled_propagator(inner, self.step)
         self._steps = np.array([steps])
         number = self.system.damper_number.tolist()
@@ -102,17 +103,17 @@ class CoupledPropagator:
         weight = self._mass * self.system.gravity
         return np.asarray(self.momentum - self._begin - (self._impulse - weight * (self._elapsed_steps * self.step)))
 
-    def place(self, state: Array, drive: Array) -> NDArray[np.int64]:
+    def set_state(self, state: Array, drive: Array) -> NDArray[np.int64]:
         """Set the structure's state with every damper on its floor; returns the dampers that separate at once."""
         columns = np.concatenate([drive[: len(self.system.inputs)], -self._force.sum(axis=1)])
-        lifted = self.structure.place(state, np.concatenate([columns, np.zeros(len(columns))]))
+        separated = self.structure.set_state(state, np.concatenate([columns, np.zeros(len(columns))]))
         self._read_beds()
         self._begin = self.momentum
-        return np.asarray(self._others[lifted], dtype=np.int64)
+        return np.asarray(self._others[separated], dtype=np.int64)
 
     def state(self) -> CoupledState:
-        """Return the state from which the motion continues with the same bits; see `Bed.stored`."""
-        beds = tuple(bed.stored() for bed in self.beds)
+        """Return the state from which the motion continues with the same bits; see `Bed.state_bytes`."""
+        beds = tuple(bed.state_bytes() for bed in self.beds)
         self._read_beds()
         return CoupledState(self.structure.snapshot(), beds, self._begin, self._impulse.copy(), self._elapsed_steps)
 
@@ -134,42 +135,42 @@ class CoupledPropagator:
         lift = np.empty((len(self.beds), steps + 1))
         forces[:, :, 0], lift[:, 0] = self._force, [bed.lift for bed in self.beds]
         columns = np.vstack([drive, np.zeros((len(self.beds), steps + 1))])
-        ports = columns[len(drive) :]
-        ports[:, 0] = -self._force.sum(axis=1)
-        samples, sample = self.structure.room(steps), self.structure.room(1)
+        bed_inputs = columns[len(drive) :]
+        bed_inputs[:, 0] = -self._force.sum(axis=1)
+        samples, sample = self.structure.state_samples(steps), self.structure.state_samples(1)
         event_logs: list[tuple[int, Trajectory]] = []
         for k in range(steps):
-            predicted = 0.5 * self.step * self._acceleration
+            predicted_change = 0.5 * self.step * self._acceleration
             for row, bed in enumerate(self.beds):
-                bed.kick(-predicted[row])
+                bed.kick(-predicted_change[row])
                 bed.advance()
                 forces[row, :, k + 1] = bed.forces()
                 lift[row, k + 1] = bed.lift
-            ports[:, k + 1] = -forces[:, :, k + 1].sum(axis=1)
+            bed_inputs[:, k + 1] = -forces[:, :, k + 1].sum(axis=1)
             events = self.structure.through_interval(columns[:, k : k + 2], self._steps, sample)
             if events is not None:
                 event_logs.append((k, events))
-            # Kick the grains by the rest of the change of their bodies' velocities.
+            # Apply the remainder of the velocity change of the bodies to the grains.
             velocity = sample.state[0, self.system.coordinates + self.bodies]
-            for bed, change in zip(self.beds, velocity - self._velocity - predicted, strict=True):
+            for bed, change in zip(self.beds, velocity - self._velocity - predicted_change, strict=True):
                 bed.kick(-change)
             self._velocity = velocity
             self._acceleration = sample.state[0, self.structure.tables.size + self.bodies]
             samples.state[k], samples.slot[k] = sample.state[0], sample.slot[0]
             samples.height[k], samples.mode[k] = sample.height[0], sample.mode[0]
         self._force = forces[:, :, -1].copy()
-        self._impulse -= 0.5 * self.step * (ports[:, :-1] + ports[:, 1:]).sum(axis=1)
+        self._impulse -= 0.5 * self.step * (bed_inputs[:, :-1] + bed_inputs[:, 1:]).sum(axis=1)
         self._elapsed_steps += steps
-        return _join(self.structure.present(), samples, event_logs), BedStates(forces, lift)
+        return _join(self.structure.current_state(), samples, event_logs), BedStates(forces, lift)
 
     def _read_beds(self) -> None:
         """Read the beds' present forces, and the motion of their bodies under them."""
         self._force = np.array([bed.forces() for bed in self.beds])
-        present = self.structure.present()
-        ports = self.structure.system.states + len(self.system.inputs)
-        present.state[0, ports : ports + len(self.beds)] = -self._force.sum(axis=1)
-        self._velocity = present.state[0, self.system.coordinates + self.bodies]
-        self._acceleration = self.structure.accelerations(present.state, present.slot)[self.bodies, 0]
+        current = self.structure.current_state()
+        bed_columns = self.structure.system.states + len(self.system.inputs)
+        current.state[0, bed_columns : bed_columns + len(self.beds)] = -self._force.sum(axis=1)
+        self._velocity = current.state[0, self.system.coordinates + self.bodies]
+        self._acceleration = self.structure.accelerations(current.state, current.slot)[self.bodies, 0]
 
     def motion_samples(self, samples: int) -> MotionSamples:
         """Allocate arrays for a number of samples."""
@@ -181,7 +182,7 @@ class CoupledPropagator:
             np.zeros((0, 0)),
         )
 
-    def parts(self, samples: MotionSamples) -> tuple[Array, Array, Array, Array]:
+    def motion_parts(self, samples: MotionSamples) -> tuple[Array, Array, Array, Array]:
         """Displacements, velocities, accelerations (points, samples) and gaps (dampers, samples) of samples."""
         n, points, rows = self.system.coordinates, len(self.system.points), samples.rows
         displacement, velocity, acceleration = (rows[k * n : k * n + points] for k in range(3))
@@ -190,7 +191,9 @@ class CoupledPropagator:
     def sample_present(self, samples: MotionSamples, column: int) -> None:
         """Fill one column with the present motion."""
         lift = np.array([[bed.lift] for bed in self.beds])
-        self._fill_samples(samples, slice(column, column + 1), self.structure.present(), self._force[:, :, None], lift)
+        self._fill_samples(
+            samples, slice(column, column + 1), self.structure.current_state(), self._force[:, :, None], lift
+        )
 
     def sample_motion(self, drive: Array, interval_steps: float, samples: MotionSamples, column: int) -> Trajectory:
         """Advance through the sample intervals between the columns of a drive; fill the samples from a column on."""
@@ -253,32 +256,36 @@ def interpolated(drive: Array, substeps: int) -> Array:
     return np.concatenate([(start + change * fraction).reshape(len(drive), -1), drive[:, -1:]], axis=1)
 
 
-def _with_ports(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp]) -> HybridSystem:
+def _with_bed_inputs(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp]) -> HybridSystem:
     """Compile a scene without its beds of grains, in the same coordinates, with the beds' forces as inputs.
 
-    `system`: the scene's; its initial state includes the beds' weight and is kept; `bodies`: coordinates on which
-    the forces act.
+    `system`: the scene's; its initial state, which includes the beds' weight, is also that of the result; `bodies`:
+    coordinates on which the forces act.
     """
     numbers = system.damper_number[system.grains]
     others = [damper for number, damper in enumerate(scene.dampers, 1) if number not in numbers]
-    bare = assemble(scene.replace(dampers=others))
-    ports = np.zeros((system.coordinates, len(bodies)))
-    ports[bodies, np.arange(len(bodies))] = 1.0
+    system_without_beds = assemble(scene.replace(dampers=others))
+    bed_inputs = np.zeros((system.coordinates, len(bodies)))
+    bed_inputs[bodies, np.arange(len(bodies))] = 1.0
     return replace(
-        bare,
-        inputs=(*bare.inputs, *(f"{FORCE_OF_BED} {number}" for number in numbers)),
-        drive_units=(*bare.drive_units, *("N" for _ in bodies)),
-        force_drive=np.hstack([bare.force_drive, ports]),
-        rate_drive=np.hstack([bare.rate_drive, np.zeros((len(bare.rate_drive), len(bodies)))]),
+        system_without_beds,
+        inputs=(*system_without_beds.inputs, *(f"{FORCE_OF_BED} {number}" for number in numbers)),
+        drive_units=(*system_without_beds.drive_units, *("N" for _ in bodies)),
+        force_drive=np.hstack([system_without_beds.force_drive, bed_inputs]),
+        rate_drive=np.hstack(
+            [system_without_beds.rate_drive, np.zeros((len(system_without_beds.rate_drive), len(bodies)))]
+        ),
         damper_number=system.damper_number[~system.grains],
         initial=system.initial,
     )
 
 
-def _join(present: Trajectory, samples: StateSamples, event_logs: list[tuple[int, Trajectory]]) -> Trajectory:
+def _join(current_state: Trajectory, samples: StateSamples, event_logs: list[tuple[int, Trajectory]]) -> Trajectory:
     """Join the steps of a march: states, events and breaks."""
     logs = {
-        item.name: np.concatenate([getattr(present, item.name), *(getattr(log, item.name) for _, log in event_logs)])
+        item.name: np.concatenate(
+            [getattr(current_state, item.name), *(getattr(log, item.name) for _, log in event_logs)]
+        )
         for item in fields(Trajectory)
         if item.name.startswith(("event", "break", "before", "after", "speed"))
     }

@@ -92,7 +92,7 @@ def _packed(spheres: Spheres, positions: Array, ceiling: float) -> Bed:
 def _drop(spheres: Spheres) -> Array:
     """Positions after the fall; the grains may still creep."""
     bed = _packed(spheres, _initial_positions(spheres), np.inf)
-    bed.slow(_DRAG_TIME)
+    bed.add_drag(_DRAG_TIME)
     weight = spheres.mass * STANDARD_GRAVITY
     for _ in range(_MAX_FALL_CHECKS):
         bed.advance(_FALL_STEPS)
@@ -106,7 +106,7 @@ def _drop(spheres: Spheres) -> Array:
 def _level(spheres: Spheres, fallen: Array) -> Array:
     """Positions under a lid that was lowered until it bears the bed's weight."""
     bed = _packed(spheres, fallen, highest(spheres, fallen))
-    bed.slow(_DRAG_TIME)
+    bed.add_drag(_DRAG_TIME)
     depth, weight = 0.0, spheres.mass * STANDARD_GRAVITY
     while -bed.forces()[CEILING] < weight:
         depth += _LID_SPEED * bed.step

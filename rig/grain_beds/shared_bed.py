@@ -39,9 +39,9 @@ def new_bed(spheres: Spheres, positions: Array, ceiling: float, gravity: float, 
 class PartOfBed(Bed):
     """The grains of a bed on one rank; forces and motion are those of all grains."""
 
-    def stored(self) -> bytes:
-        """As `Bed.stored`; also distributes the grains again, as `resume` does."""
-        stored = super().stored()
+    def state_bytes(self) -> bytes:
+        """As `Bed.state_bytes`; also distributes the grains again, as `resume` does."""
+        stored = super().state_bytes()
         self.resume(stored)
         return stored
 

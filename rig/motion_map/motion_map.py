@@ -131,7 +131,7 @@ class MotionMap(Result):
         ax.pcolormesh(*self.borders, self.kind, **mesh_style | style)
         for k in sorted(set(self.kind.ravel())):
             ax.plot([], [], "s", color=COLORS[k], label=LEGEND[k])
-        self.dress(ax)
+        self.draw_axes(ax)
 
     @property
     def borders(self) -> tuple[Array, Array]:
@@ -148,14 +148,14 @@ class MotionMap(Result):
             value = level_of(self.scene)
         return value if self.value[0] <= value <= self.value[-1] else None
 
-    def dress(self, ax: Axes) -> None:
+    def draw_axes(self, ax: Axes) -> None:
         """Draw axes, the take-off level, and the scene's own value."""
-        (left, *_, right), (low, *_, high) = self.borders
+        (lowest_hz, *_, highest_hz), (lowest_value, *_, highest_value) = self.borders
         ax.grid(False)
-        ax.set(xlim=(left, right), xlabel="frequency / Hz")
+        ax.set(xlim=(lowest_hz, highest_hz), xlabel="frequency / Hz")
         in_millimetres = self.unit == "m"
         set_log_scale(ax.yaxis, factor=1e3 if in_millimetres else 1.0)
-        ax.set(ylim=(low, high), ylabel=f"{self.over} / {'mm' if in_millimetres else self.unit}")
+        ax.set(ylim=(lowest_value, highest_value), ylabel=f"{self.over} / {'mm' if in_millimetres else self.unit}")
         if self.over != "clearance":
             ax.plot(self.frequency, self.take_off, color="black", lw=1.2)
         scene_value = self.own_value
@@ -354,7 +354,7 @@ def _draw(map_: MotionMap) -> Figure:
         mesh = right.pcolormesh(*map_.borders, map_.periods, cmap="viridis", norm=LogNorm(low, high), rasterized=True)
         bar = figure.colorbar(mesh, ax=right, label="periods computed until steady or irregular", pad=0.02)
         set_log_scale(bar.ax.yaxis)
-        map_.dress(right)
+        map_.draw_axes(right)
         right.set_ylabel("")
         left.set_title("Motion type of the most active damper")
         right.set_title("Computing time of the motion, not of a test")

@@ -50,20 +50,20 @@ def _sums(same_rows: bool) -> Any:
     """Return an intrinsic for sums in several registers at a time.
 
     out[place + 8 c + i] = sum_e rows[row + e stride + 8 c + i] factors[factor + e step] for the lanes i of all
-    registers c; or with `same_rows` sum_e rows[row + e stride + i] factors[factor + e step + c apart]. The indices are
-    those of flat arrays.
+    registers c; or with `same_rows` sum_e rows[row + e stride + i] factors[factor + e step + c sum_stride].
+    The indices are those of flat arrays.
     """
 
     @intrinsic
     def sums(
-        typing_context: Any, rows: Any, row: Any, stride: Any, factors: Any, factor: Any, step: Any, apart: Any,
+        typing_context: Any, rows: Any, row: Any, stride: Any, factors: Any, factor: Any, step: Any, sum_stride: Any,
         count: Any, out: Any, place: Any,
     ) -> Any:  # fmt: skip
         integer = types.intp
         signature = types.void(rows, integer, integer, factors, integer, integer, integer, integer, out, integer)
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            rows, row, stride, factors, factor, step, apart, count, out, place = arguments
+            rows, row, stride, factors, factor, step, sum_stride, count, out, place = arguments
             kinds, number = signature.args, count.type
             data = context.make_array(kinds[3])(context, builder, factors).data
             fma = _fused_lanes(builder)
@@ -82,7 +82,7 @@ def _sums(same_rows: bool) -> Any:
                 start = builder.add(factor, builder.mul(entry, step))
                 if same_rows:
                     shared = rows_at(first)
-                    return [(shared, factors_at(along(start, c, apart))) for c in range(SUMS_AT_ONCE)]
+                    return [(shared, factors_at(along(start, c, sum_stride))) for c in range(SUMS_AT_ONCE)]
                 shared = factors_at(start)
                 lanes = ir.Constant(number, LANES)
                 return [(rows_at(along(first, c, lanes)), shared) for c in range(SUMS_AT_ONCE)]
@@ -119,20 +119,22 @@ def weighted_sums(rows: Any, first: int, column: int, weights: Any, count: int, 
 
 
 @kernel
-def factored_sums(rows: Any, factors: Any, start: int, step: int, apart: int, out: Any, first: int, count: int) -> None:
+def factored_sums(
+    rows: Any, factors: Any, start: int, step: int, sum_stride: int, out: Any, first: int, count: int
+) -> None:
     """Compute sums of the same rows with different factors.
 
-    out[8 (first + b) + i] = sum_e rows[e, i] factors[start + e step + b apart] for all lanes i and b < count;
+    out[8 (first + b) + i] = sum_e rows[e, i] factors[start + e step + b sum_stride] for all lanes i and b < count;
     flat indices of `factors` and `out`. The count is rounded up to a multiple of `SUMS_AT_ONCE`, for which
     factors and `out` must have room.
 
-    `start`, `step`, `apart`: index of the first factor, and the distances to the factor of the next entry and of the
-    next sum; `first`, `count`: number of the first sum, and number of sums.
+    `start`: index of the first factor; `step`, `sum_stride`: distances to the factor of the next entry and of the next
+    sum; `first`, `count`: number of the first sum, and number of sums.
     """
     entries = rows.shape[0]
     for first_sum in range(0, count, SUMS_AT_ONCE):
-        place, factor = LANES * (first + first_sum), start + first_sum * apart
-        _factored_sums(rows, 0, LANES, factors, factor, step, apart, entries, out, place)
+        place, factor = LANES * (first + first_sum), start + first_sum * sum_stride
+        _factored_sums(rows, 0, LANES, factors, factor, step, sum_stride, entries, out, place)
 
 
 @intrinsic

@@ -135,7 +135,7 @@ def _many_rows(module: Any) -> Any:
     return module.globals[name]
 
 
-def _product(many: bool) -> Any:
+def _product(many_registers: bool) -> Any:
     """Return an intrinsic for the product of one register from `row` on, or of many registers up to `row`."""
 
     @intrinsic
@@ -153,7 +153,7 @@ def _product(many: bool) -> Any:
                 for place in (0, 2, 4, 7)
             )
             parts = [builder.gep(matrix, [start]), builder.gep(constant, [offset]), vector, out, columns, rows]
-            if many:
+            if many_registers:
                 builder.call(_many_rows(builder.module), [*parts, row])
             else:
                 _add_product(builder, parts, row, 1)
@@ -164,7 +164,7 @@ def _product(many: bool) -> Any:
     return product
 
 
-_one, _many = _product(many=False), _product(many=True)
+_one_register, _many_registers = _product(many_registers=False), _product(many_registers=True)
 
 
 @intrinsic
@@ -266,8 +266,8 @@ def _transpose_tile(
         def along(begin: Any, count: int, step: Any) -> Any:
             return builder.add(begin, builder.mul(number[count], step))
 
-        def choose(left: Any, right: Any, lanes: list[int]) -> Any:
-            return builder.shuffle_vector(left, right, ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes))
+        def choose(first: Any, second: Any, lanes: list[int]) -> Any:
+            return builder.shuffle_vector(first, second, ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes))
 
         tile = [load(context, builder, signature.args[0], source, along(start, i, width)) for i in range(LANES)]
         # Exchange blocks of one, two and four lanes across the diagonal.
@@ -317,7 +317,7 @@ def combine_many(matrix: Any, constant: Any, slot: int, vector: Any, columns: in
     rows = constant.shape[1]
     start, n_vector_rows = slot * matrix.shape[1] * rows, rows - rows % (SUMS * LANES)
     if n_vector_rows > 0:
-        _many(matrix, start, constant, slot * rows, vector, columns, rows, out, n_vector_rows)
+        _many_registers(matrix, start, constant, slot * rows, vector, columns, rows, out, n_vector_rows)
     _combine_from(matrix, constant, slot, vector, columns, out, n_vector_rows)
 
 
@@ -326,7 +326,7 @@ def _combine_from(matrix: Any, constant: Any, slot: int, vector: Any, columns: i
     rows = constant.shape[1]
     start = slot * matrix.shape[1] * rows
     for row in range(first, rows, LANES):
-        _one(matrix, start, constant, slot * rows, vector, columns, rows, out, row)
+        _one_register(matrix, start, constant, slot * rows, vector, columns, rows, out, row)
 
 
 @kernel
@@ -337,4 +337,4 @@ def multiply(matrix: Any, slot: int, vector: Any, constant: Any, out: Any) -> No
     """
     columns, rows = matrix.shape[1], matrix.shape[2]
     for row in range(0, rows, LANES):
-        _one(matrix, slot * columns * rows, constant, 0, vector, columns, rows, out, row)
+        _one_register(matrix, slot * columns * rows, constant, 0, vector, columns, rows, out, row)

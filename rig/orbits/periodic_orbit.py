@@ -152,7 +152,7 @@ def start_propagator(
         # x = X (cos wt, sin wt): the first column of X is the state at the start.
         response = (a[:n, n] - 1j * a[:n, n + 1]).astype(np.complex128)
         state += np.linalg.solve(1j * equations.omega * np.eye(n) - a[:n, :n], response).real
-    propagator.place(state, np.array([1.0, 0.0]))
+    propagator.set_state(state, np.array([1.0, 0.0]))
     return propagator, steps
 
 

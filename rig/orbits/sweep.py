@@ -289,7 +289,7 @@ class _Continuation:
             if point.orbit.flaw or not point.orbit.stable:
                 return None
             # The nodes of the extrapolation must differ, also where a sweep turns back.
-            other_points = [known for known in self.recent_points if known.value != target]
+            other_points = [recent for recent in self.recent_points if recent.value != target]
             self.recent_points = [*other_points[1 - EXTRAPOLATION_POINTS :], point]
             if target == value:
                 return point.orbit

@@ -218,8 +218,8 @@ def stacked(budgets: Sequence[UncertaintyBudget], shape: tuple[int, ...]) -> Unc
     lines = shape[0]
 
     def join(columns: Sequence[Array | None]) -> Array:
-        full = [np.zeros(lines) if column is None else column for column in columns]
-        return np.stack(full, axis=1).reshape(shape)
+        values = [np.zeros(lines) if column is None else column for column in columns]
+        return np.stack(values, axis=1).reshape(shape)
 
     parts = []
     for name, evaluation in names:
@@ -233,8 +233,8 @@ def stacked(budgets: Sequence[UncertaintyBudget], shape: tuple[int, ...]) -> Unc
             )
         )
     first, *others = (budget.errors for budget in budgets)
-    given = [errors for errors in others if errors is not None]
-    joined = first.joined(given) if first is not None and len(given) == len(others) else None
+    other_errors = [errors for errors in others if errors is not None]
+    joined = first.joined(other_errors) if first is not None and len(other_errors) == len(others) else None
     shared, clock, scale = (max(getattr(budget, name) for budget in budgets) for name in ("shared", "clock", "scale"))
     return UncertaintyBudget(tuple(parts), joined, shared, clock, scale)
 

@@ -75,16 +75,16 @@ class Change:
         return True
 
 
-def parse_changes(given: Mapping[str, Any]) -> list[Change]:
+def parse_changes(changes: Mapping[str, Any]) -> list[Change]:
     """Read changes from Python.
 
-    `given`: values by key, such as ``"dampers[2].clearance"``; items of lists count from 1. Raises `SceneError` if a
+    `changes`: values by key, such as ``"dampers[2].clearance"``; items of lists count from 1. Raises `SceneError` if a
     key is invalid.
 
     >>> parse_changes({"dampers[2].clearance": "1 mm"})[0].steps
     ('dampers', 1, 'clearance')
     """
-    return [Change(str(key), _parse_key(str(key)), value) for key, value in given.items()]
+    return [Change(str(key), _parse_key(str(key)), value) for key, value in changes.items()]
 
 
 def parse_options(settings: Iterable[str]) -> list[Change]:

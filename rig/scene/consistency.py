@@ -98,7 +98,7 @@ def _check_place_at_shaker(
     channel: Channel, shakers: tuple[Shaker, ...], test: Test | None, place: Place
 ) -> Iterable[Mistake]:
     """Check that the shaker measured by a channel exists and provides the measured quantity."""
-    kind, count = channel.what, len(shakers)
+    kind, count = channel.place_kind, len(shakers)
     if count > 1 and channel.number is None:
         names = ", ".join(at_shaker(kind, number, count) for number in range(1, count + 1))
         yield Mistake(place, f"there are {count} shakers; expected one of {names}")

@@ -310,8 +310,8 @@ class Free(Settings):
     def relations(self) -> Iterable[Mistake]:
         """Check that the initial state is given in exactly one form."""
         if (self.mode is None) != (self.amplitude is None):
-            given, missing = ("mode", "amplitude") if self.amplitude is None else ("amplitude", "mode")
-            yield Mistake((given,), f"given without {missing}; expected both or neither")
+            given_key, missing_key = ("mode", "amplitude") if self.amplitude is None else ("amplitude", "mode")
+            yield Mistake((given_key,), f"given without {missing_key}; expected both or neither")
         if self.mode is not None and (self.displacement is not None or self.velocity is not None):
             yield Mistake(("mode",), "given together with displacement or velocity; expected one of the two")
         if self.mode is None and self.displacement is None and self.velocity is None:

@@ -137,11 +137,11 @@ def _validate(document: Document, where: str, folder: Path | None, changes: Sequ
     scene, mistakes = _try_validation(content, folder)
     if scene is None or document.mistakes:
         mistakes.sort(key=lambda mistake: document.line(mistake.place))
-        own = _try_validation(document.content, folder)[1] if changes else mistakes
+        mistakes_without_changes = _try_validation(document.content, folder)[1] if changes else mistakes
         duplicates = [
             f"{where}:{line}: {dotted(mistake.place)}: {mistake.message}" for line, mistake in document.mistakes
         ]
-        invalid = [_describe(mistake, where, document, changes, own) for mistake in mistakes]
+        invalid = [_describe(mistake, where, document, changes, mistakes_without_changes) for mistake in mistakes]
         raise SceneError("\n".join([*duplicates, *invalid]))
     for warning in improbable_values(scene, content):
         warnings.warn(_describe(warning, where, document, changes, [warning]), SceneWarning, stacklevel=4)
@@ -157,11 +157,15 @@ def _try_validation(content: dict[str, Any], folder: Path | None) -> tuple[Scene
 
 
 def _describe(
-    mistake: Mistake, where: str, document: Document, changes: Sequence[Change], own: Sequence[Mistake]
+    mistake: Mistake,
+    where: str,
+    document: Document,
+    changes: Sequence[Change],
+    mistakes_without_changes: Sequence[Mistake],
 ) -> str:
     """Describe a mistake at its line of the file or, if a change caused it, at the change."""
     causes = [change for change in changes if change.covers(mistake.place)]
-    if not causes and mistake not in own:
+    if not causes and mistake not in mistakes_without_changes:
         causes = list(changes)
     if causes:
         return describe([mistake], f"{where} with {', '.join(map(str, causes))}")

@@ -182,10 +182,10 @@ class Channel(Settings):
     """Supply current of the sensor at this input [A], 0: none; None: as the converter."""
 
     @classmethod
-    def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
+    def kind_by_neighbours(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
         """Return the measured quantity as the kind of the limits."""
-        kind = {"1": VELOCITY, "2": LENGTH}.get(str(at(given, ("integrator", "order"))), ACCELERATION)
-        place = str(given.get("at")).partition(" ")[0]
+        kind = {"1": VELOCITY, "2": LENGTH}.get(str(at(content, ("integrator", "order"))), ACCELERATION)
+        place = str(content.get("at")).partition(" ")[0]
         kind = FORCE if place in FORCE_PLACES else VOLTAGE if place == VOLTAGE_PLACE else kind
         return {("alarm",): kind, ("abort",): kind}
 
@@ -203,7 +203,7 @@ class Channel(Settings):
             yield Mistake(("hammer",), f"given at {self.at}; expected it at: hammer or at: shaker")
 
     @property
-    def what(self) -> str:
+    def place_kind(self) -> str:
         """Kind of the place: body, table, hammer, shaker or drive."""
         return self.at.partition(" ")[0]
 
@@ -216,17 +216,17 @@ class Channel(Settings):
     @property
     def measures_force(self) -> bool:
         """Return whether the channel measures force, at the hammer or a shaker."""
-        return self.what in FORCE_PLACES
+        return self.place_kind in FORCE_PLACES
 
     @property
     def measures_voltage(self) -> bool:
         """Return whether the channel measures the voltage of an output."""
-        return self.what == VOLTAGE_PLACE
+        return self.place_kind == VOLTAGE_PLACE
 
     @property
     def body(self) -> int | None:
         """The body it is mounted on, from 1; None elsewhere."""
-        return self.number if self.what == "body" else None
+        return self.number if self.place_kind == "body" else None
 
 
 class DroppedBlock(Settings):

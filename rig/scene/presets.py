@@ -28,9 +28,11 @@ def complete_from_preset(settings: Device) -> Device:
         return settings
     kind = type(settings).__name__.lower()
     sheet = data_sheet(settings.preset, kind)
-    given = {name: value for name in type(settings).model_fields if (value := getattr(settings, name)) is not None}
+    given_values = {
+        name: value for name in type(settings).model_fields if (value := getattr(settings, name)) is not None
+    }
     try:
-        return type(settings).model_validate({**sheet.settings[kind], **given})
+        return type(settings).model_validate({**sheet.settings[kind], **given_values})
     except ValidationError as error:
         reasons = "; ".join(f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors())
         raise SceneError(f"{kind} with preset {sheet.name!r}: {reasons}") from None

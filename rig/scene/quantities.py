@@ -212,8 +212,8 @@ def ascending_pair(values: ArrayLike, kind: Kind, name: str) -> tuple[float, flo
     """
     ends = positive_values(values, kind, name).tolist()
     if len(ends) != 2 or not ends[0] < ends[1]:
-        given = ", ".join(f"{end:g} {kind.si}" for end in ends)
-        raise SceneError(f"{name}: got {given}; expected two values, the smaller one first")
+        texts = ", ".join(f"{end:g} {kind.si}" for end in ends)
+        raise SceneError(f"{name}: got {texts}; expected two values, the smaller one first")
     return ends[0], ends[1]
 
 

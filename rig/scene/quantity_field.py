@@ -128,13 +128,13 @@ def shorten(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def expectation(value: Any, what: str) -> str:
+def expectation(value: Any, expected: str) -> str:
     """Return the message for an unexpected value.
 
     >>> expectation("0.98 kg", "a length such as 0.98 mm")
     'got "0.98 kg"; expected a length such as 0.98 mm'
     """
-    return f"got {format_value(value)}; expected {what}"
+    return f"got {format_value(value)}; expected {expected}"
 
 
 def validation_error(message: str, absent: str = "") -> PydanticCustomError:
@@ -149,6 +149,6 @@ def printable(text: str) -> str:
     return text
 
 
-def unexpected_value_error(value: Any, what: str) -> PydanticCustomError:
+def unexpected_value_error(value: Any, expected: str) -> PydanticCustomError:
     """Return the pydantic error for a value that is not as expected."""
-    return validation_error(expectation(value, what))
+    return validation_error(expectation(value, expected))

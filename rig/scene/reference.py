@@ -15,10 +15,12 @@ from rig.errors import SceneError, suggestion
 
 _SCHEMA = Path(__file__).parent / "data" / "scene.schema.json"
 _WIDTH = 100
+# Default of a key whose value consists of keys.
+_DEFAULT_OF_KEYS = "the defaults of its keys"
 _INTRODUCTION = (
-    "Quantities carry units (0.98 mm, 6.6 kN/m, 5 %); a bare number is SI, a frequency Hz. What is left out and has no "
-    "default is not modelled: it adds no state, runs no code and costs nothing. What a key turns on has the name that "
-    "rig explain gives it; states are what it adds to the computation, timed by `rig explain SCENE --measure`."
+    "Quantities carry units (0.98 mm, 6.6 kN/m, 5 %). A number without a unit is in SI, a frequency in Hz. An effect "
+    "whose key is omitted and has no default is not modelled, and takes no computing time. Effects have their names in "
+    "rig explain, and the number of states that each adds; `rig explain SCENE --measure` measures their computing time."
 )
 #: Effect of a key under its name in `rig explain`, and the number of added states (None: it depends on the scene).
 EFFECTS: dict[str, tuple[str, int | None]] = {
@@ -66,15 +68,15 @@ class Key:
         Dotted name, with [] after a key whose value is a list of keys: ``dampers[].clearance``.
     kinds : tuple of str
         The kinds (of shaker, test, ...) with this key; empty: all kinds.
-    about, takes, without : str
+    meaning, values, default : str
         Meaning, allowed values, and the default if it is omitted.
     """
 
     name: str
     kinds: tuple[str, ...]
-    about: str
-    takes: str
-    without: str
+    meaning: str
+    values: str
+    default: str
 
     @property
     def effect(self) -> str:
@@ -92,13 +94,13 @@ def keys() -> tuple[Key, ...]:
 
     Keys that several kinds have in common are listed once.
 
-    >>> next(key for key in keys() if key.name == "dampers[].clearance").takes
+    >>> next(key for key in keys() if key.name == "dampers[].clearance").values
     'a length such as 0.98 mm, at least 0; a bare number is in m'
     """
     schema = json.loads(_SCHEMA.read_text(encoding="utf-8"))
     merged: dict[tuple[str, ...], Key] = {}
     for key in _keys_below(schema, schema, "", ()):
-        identity = (key.name, key.about, key.takes, key.without)
+        identity = (key.name, key.meaning, key.values, key.default)
         kinds = dict.fromkeys((*merged[identity].kinds, *key.kinds)) if identity in merged else key.kinds
         merged[identity] = replace(key, kinds=tuple(kinds))
     return tuple(merged.values())
@@ -108,9 +110,9 @@ def _keys_below(schema: Any, node: Any, path: str, kinds: tuple[str, ...]) -> It
     """Yield the keys below a node: keys of an object, of each alternative, or of the items of a list."""
     node = _resolve(schema, node)
     for choice in node.get("anyOf", ()):
-        listed = choice.get("type") == "array"
+        is_list = choice.get("type") == "array"
         # If a single item is allowed as well as a list, both have the same keys.
-        if not (listed and len(node["anyOf"]) > 1):
+        if not (is_list and len(node["anyOf"]) > 1):
             yield from _keys_below(schema, choice, path, kinds)
     if node.get("type") == "array":
         yield from _keys_below(schema, node["items"], f"{path}[]", kinds)
@@ -127,13 +129,13 @@ def _keys_below(schema: Any, node: Any, path: str, kinds: tuple[str, ...]) -> It
         default = field.get("default")
         alternatives = next((" or ".join(group) for group in groups if name in group), None)
         if alternatives is not None:
-            default = f"{alternatives} is needed"
+            default = f"{alternatives} is required"
         elif name in node.get("required", ()):
-            default = "needed"
+            default = "required"
         elif isinstance(default, dict):
-            default = "as its keys without a value"
+            default = _DEFAULT_OF_KEYS
         elif default is None or isinstance(default, list):
-            default = default_text.rstrip(".") or "not there"
+            default = default_text.rstrip(".") or "none"
         else:
             default = json.dumps(default).strip('"')
         full_name = f"{path}.{name}".lstrip(".")
@@ -186,17 +188,17 @@ def help_on(key: str | None = None) -> str:
     if key is None:
         lines = [_key_line(entry, entry.name) for entry in keys() if "." not in entry.name]
         return "\n".join([_wrap(_INTRODUCTION, ""), "", *lines, "", "more: rig help KEY, such as test.force"])
-    wanted = _dotted(key)
+    dotted_key = _dotted(key)
     by_name: dict[str, list[Key]] = {}
     for entry in keys():
         by_name.setdefault(_dotted(entry.name), []).append(entry)
-    matches = [wanted] if wanted in by_name else [name for name in by_name if name.endswith(f".{wanted}")]
-    if not matches and (kind_help := _help_on_kind(*wanted.rpartition(".")[::2])):
+    matches = [dotted_key] if dotted_key in by_name else [name for name in by_name if name.endswith(f".{dotted_key}")]
+    if not matches and (kind_help := _help_on_kind(*dotted_key.rpartition(".")[::2])):
         return kind_help
     if not matches:
         kinds = [f"{_dotted(part)}.{kind}" for part, kind in _kinds()]
         names = [*by_name, *(name.rpartition(".")[2] for name in by_name), *kinds]
-        hint = suggestion(wanted, names, "`rig help` lists the keys at the top.", n=3)
+        hint = suggestion(dotted_key, names, "`rig help` lists the keys at the top.", n=3)
         raise SceneError(f"no key {key[:60]!r} in scene files. {hint}")
     return "\n\n".join("\n".join(_describe_key(entry, name)) for name in matches for entry in by_name[name])
 
@@ -229,24 +231,24 @@ def _help_on_kind(part: str, kind: str) -> str:
 
 def _default_note(key: Key) -> str:
     """Return whether a key is required, or its default if it has one."""
-    if "needed" in key.without:
-        return f"   ({key.without})"
-    return "" if key.without in ("not there", "as its keys without a value") else f"   (default: {key.without})"
+    if "required" in key.default:
+        return f"   ({key.default})"
+    return "" if key.default in ("none", _DEFAULT_OF_KEYS) else f"   (default: {key.default})"
 
 
-def _describe_key(key: Key, plain: str) -> Iterator[str]:
+def _describe_key(key: Key, dotted_name: str) -> Iterator[str]:
     yield f"{key.name}{_kinds_note(key)}"
-    yield _wrap(key.about, "  ")
-    yield _wrap(f"takes: {key.takes}", "  ")
-    yield f"  left out: {key.without}"
+    yield _wrap(key.meaning, "  ")
+    yield _wrap(f"values: {key.values}", "  ")
+    yield f"  default: {key.default}"
     if key.effect:
-        yield f"  turns on: {key.effect}"
-    kinds = {kind: meaning for (part, kind), meaning in _kinds().items() if part == plain}
-    inner = [entry for entry in keys() if re.fullmatch(rf"{re.escape(plain)}\.\w+", _dotted(entry.name))]
+        yield f"  effect: {key.effect}"
+    kinds = {kind: meaning for (part, kind), meaning in _kinds().items() if part == dotted_name}
+    inner = [entry for entry in keys() if re.fullmatch(rf"{re.escape(dotted_name)}\.\w+", _dotted(entry.name))]
     if kinds:
         yield "  kinds:"
-        yield from (f"  {_key_line(replace(key, about=meaning), kind)}" for kind, meaning in kinds.items())
-        yield f"  more: rig help {plain}.KIND, such as {plain}.{next(iter(kinds))}"
+        yield from (f"  {_key_line(replace(key, meaning=meaning), kind)}" for kind, meaning in kinds.items())
+        yield f"  more: rig help {dotted_name}.KIND, such as {dotted_name}.{next(iter(kinds))}"
     elif inner:
         yield "  keys:"
         yield from (f"  {_key_line(entry, entry.name.rpartition('.')[2])}" for entry in inner)
@@ -254,7 +256,7 @@ def _describe_key(key: Key, plain: str) -> Iterator[str]:
 
 def _key_line(key: Key, name: str, note: str | None = None) -> str:
     # A full stop may be part of a name, and the text after a colon is the meaning of the key.
-    first_sentence = re.split(r"(?<=[\w\])%`])[.;](?:\s|$)", key.about)[0]
+    first_sentence = re.split(r"(?<=[\w\])%`])[.;](?:\s|$)", key.meaning)[0]
     note = _kinds_note(key) if note is None else note
     return fill(f"{first_sentence}{note}", _WIDTH, initial_indent=f"  {name:{18}} ", subsequent_indent=" " * 21)
 
@@ -276,13 +278,13 @@ def reference_page() -> str:
     lines = ["# Scene files", "", _INTRODUCTION]
     for key in keys():
         if "." not in key.name:
-            lines += ["", f"## {key.name}", "", key.about, "", f"Takes {key.takes}. Left out: {key.without}."]
+            lines += ["", f"## {key.name}", "", key.meaning, "", f"Values: {key.values}. Default: {key.default}."]
             inner = [entry for entry in keys() if _dotted(entry.name).startswith(f"{_dotted(key.name)}.")]
             if inner:
-                lines += ["", "| key | what it is | takes | left out | turns on |", "|---|---|---|---|---|"]
+                lines += ["", "| key | meaning | values | default | effect |", "|---|---|---|---|---|"]
             lines += [
-                f"| `{entry.name.partition('.')[2]}`{_kinds_note(entry)} | {entry.about} | {entry.takes} | "
-                f"{entry.without} | {entry.effect} |"
+                f"| `{entry.name.partition('.')[2]}`{_kinds_note(entry)} | {entry.meaning} | {entry.values} | "
+                f"{entry.default} | {entry.effect} |"
                 for entry in inner
             ]
     return "\n".join(lines) + "\n"

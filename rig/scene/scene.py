@@ -50,15 +50,15 @@ class Scene(Settings):
     """Seed of all random numbers of a run."""
 
     @classmethod
-    def prepare(cls, given: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Mistake]]:
+    def prepare(cls, content: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Mistake]]:
         """Replace names of bodies by their numbers."""
-        return replace_names(given)
+        return replace_names(content)
 
     @classmethod
-    def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
+    def kind_by_neighbours(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
         """Return the drive's kind, in the unit of the shaker's input."""
         kinds = {"table": LENGTH, "electrodynamic": VOLTAGE, "force": FORCE}
-        shaker, number = given.get("shaker"), str(at(given, ("test", "shaker")))
+        shaker, number = content.get("shaker"), str(at(content, ("test", "shaker")))
         if isinstance(shaker, list | tuple):
             chosen = int(number) if number.isdecimal() else 0
             shaker = shaker[chosen - 1] if 0 < chosen <= len(shaker) else None
@@ -100,9 +100,9 @@ class Scene(Settings):
             return (self.test.body,)
         return () if self.driven_shaker is None else self.driven_shaker.bodies
 
-    def at_driven(self, what: str) -> str:
+    def at_driven(self, place: str) -> str:
         """Name an input or a place ("shaker", "table" or "drive") at the driven shaker, with its number if needed."""
-        return at_shaker(what, self.driven or 1, len(self.shakers) or 1)
+        return at_shaker(place, self.driven or 1, len(self.shakers) or 1)
 
     def relations(self) -> Iterable[Mistake]:
         """Check the frequencies of the test against the sample rate."""

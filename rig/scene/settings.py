@@ -138,7 +138,7 @@ class Settings(_Model):
         return ()
 
     @classmethod
-    def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
+    def kind_by_neighbours(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
         """Return the required kind of each quantity, by place, that depends on other keys."""
         return {}
 
@@ -154,12 +154,12 @@ class Settings(_Model):
                     part.forget_spelling()
 
     @classmethod
-    def prepare(cls, given: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Mistake]]:
+    def prepare(cls, content: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Mistake]]:
         """Convert short forms to the form of the fields, and return the mistakes in them."""
-        return given, []
+        return content, []
 
     @classmethod
-    def place_as_given(cls, place: Place, given: Mapping[str, Any]) -> Place:
+    def place_as_given(cls, place: Place, content: Mapping[str, Any]) -> Place:
         """Return the place in the given content that corresponds to a place among the fields."""
         return place
 
@@ -260,18 +260,18 @@ class Settings(_Model):
     @classmethod
     def _check_groups(cls, data: Mapping[str, Any]) -> Iterable[Mistake]:
         for group in cls.one_of:
-            given = [key for key in group if data.get(key) is not None]
+            given_keys = [key for key in group if data.get(key) is not None]
             misspelt = {nearest_key(str(key), cls.keys()) for key in data if key not in cls.keys()}  # noqa: SIM118
-            if len(given) != 1 and not (not given and misspelt.intersection(group)):
+            if len(given_keys) != 1 and not (not given_keys and misspelt.intersection(group)):
                 alternatives = " or ".join(group)
-                problem = f"{' and '.join(given)} given together" if given else f"{alternatives} missing"
+                problem = f"{' and '.join(given_keys)} given together" if given_keys else f"{alternatives} missing"
                 yield Mistake((), f"{problem}; expected exactly one of {alternatives}")
 
     @classmethod
     def _wrong_kinds(cls, data: Mapping[str, Any], known_places: set[Place]) -> Iterable[Mistake]:
         for place, kind in cls.kind_by_neighbours(data).items():
-            given = at(data, place)
-            for value in given if isinstance(given, list | tuple) else [given]:
+            values = at(data, place)
+            for value in values if isinstance(values, list | tuple) else [values]:
                 if not isinstance(value, str) or place in known_places:
                     continue
                 try:
@@ -437,10 +437,10 @@ class OneOrSeveral:
         return tuple(settings)
 
 
-def by_kind(given: Mapping[str, Any], classes: Classes) -> type[Settings]:
+def by_kind(content: Mapping[str, Any], classes: Classes) -> type[Settings]:
     """Choose the class by the key `kind`."""
     kinds = {cls.model_fields["kind"].default: cls for cls in classes}
-    kind = given.get("kind")
+    kind = content.get("kind")
     if isinstance(kind, str) and kind in kinds:
         return kinds[kind]
     names = f"one of {', '.join(kinds)}"
@@ -449,12 +449,12 @@ def by_kind(given: Mapping[str, Any], classes: Classes) -> type[Settings]:
     raise report("kind", [Mistake(("kind",), message)])
 
 
-def by_key(given: Mapping[str, Any], classes: Classes) -> type[Settings]:
+def by_key(content: Mapping[str, Any], classes: Classes) -> type[Settings]:
     """Choose the class by its first key, which no other class has."""
     first_keys = {cls.keys()[0]: cls for cls in classes}
-    given_keys = [key for key in first_keys if key in given]
+    given_keys = [key for key in first_keys if key in content]
     if len(given_keys) == 1:
         return first_keys[given_keys[0]]
     names = f"exactly one of the keys {', '.join(first_keys)}"
-    hint = suggestion(" ".join(map(str, given)), first_keys)
-    raise validation_error(expectation(dict(given), names) + (hint and f". {hint}"))
+    hint = suggestion(" ".join(map(str, content)), first_keys)
+    raise validation_error(expectation(dict(content), names) + (hint and f". {hint}"))

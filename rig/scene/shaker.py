@@ -36,13 +36,13 @@ CoilSpring = Annotated[float, Quantity(STIFFNESS, above=0.0)]
 DRIVE_PER_VOLT = {"V": 1.0, "N": 1.0, "m": 1e-3}
 
 
-def at_shaker(what: str, number: int, shakers: int) -> str:
+def at_shaker(place: str, number: int, shakers: int) -> str:
     """Name an input or a place at a shaker, with the shaker's number if there are several.
 
     >>> at_shaker("table", 1, shakers=1), at_shaker("table", 2, shakers=3)
     ('table', 'table 2')
     """
-    return what if shakers == 1 else f"{what} {number}"
+    return place if shakers == 1 else f"{place} {number}"
 
 
 class Output(Settings):
@@ -157,9 +157,9 @@ class Amplifier(Settings):
     """Largest output [V or A]; infinite: no clipping."""
 
     @classmethod
-    def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
+    def kind_by_neighbours(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
         """Return the unit of the output, V or A, according to the mode."""
-        if given.get("mode") == "current":
+        if content.get("mode") == "current":
             return {("gain",): TRANSCONDUCTANCE, ("limit",): CURRENT}
         return {("gain",): RATIO, ("limit",): VOLTAGE}
 
@@ -182,17 +182,17 @@ class ElectrodynamicShaker(Settings):
 
     @model_validator(mode="before")
     @classmethod
-    def _complete_from_preset(cls, given: Any) -> Any:
+    def _complete_from_preset(cls, content: Any) -> Any:
         """Complete the given values with those of the data sheet."""
-        preset = given.get("preset") if isinstance(given, Mapping) else None
+        preset = content.get("preset") if isinstance(content, Mapping) else None
         if not isinstance(preset, str) or any(check_preset(preset, "shaker")):
-            return given
+            return content
         parts = {
-            part: {**values, **given.get(part, {})}
+            part: {**values, **content.get(part, {})}
             for part, values in data_sheet(preset, "shaker").settings["shaker"].items()
-            if isinstance(given.get(part, {}), Mapping)
+            if isinstance(content.get(part, {}), Mapping)
         }
-        return {**given, **parts}
+        return {**content, **parts}
 
     def relations(self) -> Iterable[Mistake]:
         """Check that the part is known."""

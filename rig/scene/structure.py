@@ -83,20 +83,20 @@ class Structure(Settings):
     """Names of the bodies of `matrices`, body 1 first, which can replace body numbers. None: numbers only."""
 
     @classmethod
-    def prepare(cls, given: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Mistake]]:
+    def prepare(cls, content: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Mistake]]:
         """Split masses with names into masses and names."""
-        masses = given.get("masses")
+        masses = content.get("masses")
         if not isinstance(masses, Mapping):
-            return given, []
-        has_names = given.get("names") is not None
+            return content, []
+        has_names = content.get("names") is not None
         mistakes = [Mistake(("names",), "given next to masses that have names; expected one of the two")] * has_names
-        return {**given, "masses": list(masses.values()), "names": list(map(str, masses))}, mistakes
+        return {**content, "masses": list(masses.values()), "names": list(map(str, masses))}, mistakes
 
     @classmethod
-    def place_as_given(cls, place: Place, given: Mapping[str, Any]) -> Place:
+    def place_as_given(cls, place: Place, content: Mapping[str, Any]) -> Place:
         """Return the place of a mass or a name if the masses are given by names."""
-        masses = given.get("masses")
-        if not isinstance(masses, Mapping) or place[:1] not in (("masses",), ("names",)) or given.get("names"):
+        masses = content.get("masses")
+        if not isinstance(masses, Mapping) or place[:1] not in (("masses",), ("names",)) or content.get("names"):
             return place
         return ("masses", *(list(masses)[key] if isinstance(key, int) else key for key in place[1:]))
 

@@ -28,7 +28,7 @@ def write_checkpoint(path: Path, settings: Mapping[str, Any], state: GrainsState
     """
     coupled = state.coupled
     arrays = {name: getattr(state, name) for name in _PLAIN_ARRAYS}
-    arrays |= {f"asked_{name}": digest(value) for name, value in settings.items()}
+    arrays |= {f"digest_{name}": digest(value) for name, value in settings.items()}
     arrays |= {f"structure_{number}": array for number, array in enumerate(coupled.structure)}
     arrays |= {f"bed_{number}": np.frombuffer(bed, dtype=np.uint8) for number, bed in enumerate(coupled.beds)}
     with atomic_write(path, overwrite=True) as temporary, temporary.open("wb") as file:
@@ -53,7 +53,7 @@ def read_checkpoint(path: Path, settings: Mapping[str, Any]) -> GrainsState | No
             stored = dict(arrays)
         if str(stored["code"]) != code_digest("rig"):
             raise ValueError(stored["code"])
-        different = [name for name, value in settings.items() if str(stored[f"asked_{name}"]) != digest(value)]
+        different = [name for name, value in settings.items() if str(stored[f"digest_{name}"]) != digest(value)]
         state = _restore_state(stored)
     except FileNotFoundError:
         return None

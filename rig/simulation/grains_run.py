@@ -61,7 +61,7 @@ class GrainsRun:
     def start(self) -> GrainsState:
         """Return the state at the start of the run."""
         coupled = self.coupled
-        separated = coupled.place(self._initial, self._drive(0, 0)[:, 0])
+        separated = coupled.set_state(self._initial, self._drive(0, 0)[:, 0])
         buffer = coupled.motion_samples(1)
         coupled.sample_present(buffer, 0)
         zeros = np.zeros(len(separated))
@@ -80,7 +80,7 @@ class GrainsRun:
         coupled, structure = self.coupled, self.coupled.structure
         first = state.samples - 1
         drive = self._drive(first, samples - 1)
-        start, initial = complete_state(structure), structure.present()
+        start, initial = complete_state(structure), structure.current_state()
         trajectory, bed_motion = coupled.march(drive)
         buffer = coupled.motion_samples(samples - state.samples)
         coupled.fill_samples(buffer, 0, trajectory, bed_motion)
@@ -111,9 +111,9 @@ class GrainsRun:
         )
 
     def motion(self, state: GrainsState) -> tuple[Array, Array, Array, Array]:
-        """Return displacement, velocity, acceleration and gap of the run so far, as `CoupledPropagator.parts`."""
+        """Return displacement, velocity, acceleration and gap so far, as `CoupledPropagator.motion_parts`."""
         buffer = self.coupled.motion_samples(0)
-        return self.coupled.parts(buffer._replace(rows=state.rows, contact=state.contact))
+        return self.coupled.motion_parts(buffer._replace(rows=state.rows, contact=state.contact))
 
     def _tone(self, tone: ToneDrive) -> Callable[[int, int], Array]:
         substeps, periods_per_step = self.coupled.substeps, self.coupled.step * tone.frequency

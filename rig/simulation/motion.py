@@ -53,7 +53,7 @@ class Motion:
     break_acceleration: Array
     events: NDArray[Any]
 
-    def every(self, step: int, interval: float) -> Self:
+    def decimated(self, step: int, interval: float) -> Self:
         """Return the same motion at every sample whose number is a multiple of `step`.
 
         Parameters

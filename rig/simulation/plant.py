@@ -89,7 +89,7 @@ class Plant:
         if first == 0 and samples:
             offset = 1
             self._last = block[:, :1].copy()
-            separated = self._propagator.place(
+            separated = self._propagator.set_state(
                 self.system.initial, np.concatenate([block[:, 0], np.zeros(len(self.inputs))])
             )
             self._propagator.sample_present(buffer, 0)
@@ -105,7 +105,7 @@ class Plant:
         """Return the motion of a block; segment s of the trajectory ends at sample `first_end` + s."""
         system, n, points = self.system, self.system.coordinates, len(self.system.points)
         interval = 1.0 / self.rate
-        displacement, velocity, acceleration, gap = self._propagator.parts(buffer)
+        displacement, velocity, acceleration, gap = self._propagator.motion_parts(buffer)
         before, after = trajectory.before, trajectory.after
         times = (first_end + trajectory.event_segment - 1) * interval + trajectory.event_offset
         events = event_table(times, trajectory.event_damper, trajectory.event_kind, trajectory.event_speed, system)

@@ -200,10 +200,10 @@ def _simulate_tone(
 ) -> Run:
     is_dense = rate > MIN_DENSE_SAMPLES * tone.frequency
     propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega, 1.0 / rate if is_dense else None)
-    separated = propagator.place(tone.state, np.array([1.0, 0.0]))
+    separated = propagator.set_state(tone.state, np.array([1.0, 0.0]))
     times, is_sample, new_period = _mark_times(duration, samples, rate, tone.frequency)
     start = complete_state(propagator)
-    initial = propagator.present()
+    initial = propagator.current_state()
     durations = np.diff(times).astype(np.float64)
     segment_steps = durations / propagator.tables.step
     if is_dense:
@@ -235,9 +235,9 @@ def _mark_times(
 
 def _simulate_sampled(scene: Scene, system: HybridSystem, drive: Array, rate: float) -> Run:
     propagator, steps = sampled_propagator(system, 1.0 / rate)
-    separated = propagator.place(system.initial, np.concatenate([drive[:, 0], np.zeros(len(system.inputs))]))
+    separated = propagator.set_state(system.initial, np.concatenate([drive[:, 0], np.zeros(len(system.inputs))]))
     start = complete_state(propagator)
-    initial = propagator.present()
+    initial = propagator.current_state()
     trajectory = propagator.through_samples(drive, steps)
     intervals = drive.shape[1] - 1
     begins = np.concatenate([initial.state, trajectory.state[:-1]])

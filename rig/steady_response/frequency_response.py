@@ -306,7 +306,7 @@ class SteadyContinuation:
         assert tone is not None
         propagator, steps = tone_propagator(self.system, tone.amplitudes, tone.omega)
         if previous is None:
-            propagator.place(tone.state, np.array([1.0, 0.0]))
+            propagator.set_state(tone.state, np.array([1.0, 0.0]))
         else:
             propagator.resume(previous.end)
         if not self.holds_spring_force:

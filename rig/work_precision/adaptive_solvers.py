@@ -34,8 +34,8 @@ Leg = Callable[[Array, list[Guard], float, Array, Array], tuple[float, Array, in
 class _Contacts:
     """Wall of each damper, and the guards that follow from it."""
 
-    def __init__(self, problem: FirstOrderForm, blind: float) -> None:
-        self.problem, self.blind = problem, blind
+    def __init__(self, problem: FirstOrderForm, guard_pause: float) -> None:
+        self.problem, self.guard_pause = problem, guard_pause
         self.mode = [FLOOR] * len(problem.rows)
         self.events: list[tuple[float, int, str]] = []
         self._disabled_until: dict[tuple[int, int], float] = {}
@@ -63,12 +63,12 @@ class _Contacts:
         self.events.append((now, j, WALLS[wall]))
         if wall == FLIGHT:
             problem.separate(z, j, wall_before, z[problem.system.coordinates + problem.rows[j]])
-            self._disabled_until[j, wall_before] = now + self.blind
+            self._disabled_until[j, wall_before] = now + self.guard_pause
             self.mode[j] = FLIGHT
         elif problem.impact(z, j, wall, float(problem.system.restitution[j])):
             self.mode[j] = wall
         else:
-            self._disabled_until[j, wall] = now + self.blind
+            self._disabled_until[j, wall] = now + self.guard_pause
         self._update()
 
     def release(self, z: Array, now: float) -> None:
@@ -81,13 +81,13 @@ class _Contacts:
             self.change(z, now, tensile[0], FLIGHT)
 
 
-def follow(problem: FirstOrderForm, leg: Leg, blind: float, limit: float) -> Outcome:
+def follow(problem: FirstOrderForm, leg: Leg, guard_pause: float, max_cpu: float) -> Outcome:
     """Compute the motion with an adaptive solver.
 
-    `leg`: integrates from one contact change to the next; `blind`: time for which a guard is disabled after its
-    separation, s; `limit`: CPU time limit, s. Raises `RunError` if the solver makes no progress or takes too long.
+    `leg`: integrates from one contact change to the next; `guard_pause`: time for which a guard is disabled after its
+    separation, s; `max_cpu`: CPU time limit, s. Raises `RunError` if the solver makes no progress or takes too long.
     """
-    n, contacts = problem.system.coordinates, _Contacts(problem, blind)
+    n, contacts = problem.system.coordinates, _Contacts(problem, guard_pause)
     state, now, times = np.array(problem.start), 0.0, problem.times
     samples = [state[:n]]
     cpu_start = time.process_time()
@@ -101,17 +101,17 @@ def follow(problem: FirstOrderForm, leg: Leg, blind: float, limit: float) -> Out
         contacts.release(state, now)
         if len(contacts.events) > MAX_EVENTS_PER_PERIOD * problem.periods:
             raise RunError(ENDLESS_EVENTS.format(now))
-        if time.process_time() - cpu_start > limit:
-            raise RunError(f"not done after {limit:.0f} s. Use a larger tolerance.")
+        if time.process_time() - cpu_start > max_cpu:
+            raise RunError(f"not done after {max_cpu:.0f} s. Use a larger tolerance.")
     return Outcome(np.array(samples).T, contacts.events)
 
 
-def scipy_leg(method: str, rtol: float, longest: float) -> Leg:
+def scipy_leg(method: str, rtol: float, max_step: float) -> Leg:
     """Return a scipy solver with its event detection."""
 
     def leg(matrix: Array, guards: list[Guard], t: float, z: Array, times: Array) -> tuple[float, Array, int, Array]:
         solution = _solve_ivp(
-            lambda _, z: matrix.dot(z), (t, times[-1]), z, method=method, rtol=rtol, max_step=longest,
+            lambda _, z: matrix.dot(z), (t, times[-1]), z, method=method, rtol=rtol, max_step=max_step,
             t_eval=times, events=[_event(guard, terminal=True, direction=-1) for guard in guards],
         )  # fmt: skip
         samples = solution.y.T if len(solution.t) else np.zeros((0, len(z)))
@@ -123,11 +123,11 @@ def scipy_leg(method: str, rtol: float, longest: float) -> Leg:
     return leg
 
 
-def _solve_ivp(*given: Any, rtol: float, **options: Any) -> Any:
+def _solve_ivp(*arguments: Any, rtol: float, **options: Any) -> Any:
     from scipy.integrate import solve_ivp
 
     try:
-        solution = solve_ivp(*given, rtol=rtol, atol=1e-3 * rtol, **options)
+        solution = solve_ivp(*arguments, rtol=rtol, atol=1e-3 * rtol, **options)
     except ValueError as error:
         # A guard may change sign over the step but not in the dense output, so that scipy's root search fails.
         raise RunError(SOLVER_STOPPED.format("scipy", error)) from None
@@ -196,7 +196,7 @@ def _distance(row: Array, _: float, z: Array) -> float:
     return float(row @ z)
 
 
-def cvode_leg(rtol: float, longest: float) -> Leg:
+def cvode_leg(rtol: float, max_step: float) -> Leg:
     """Return the solver CVODE (Adams) of SUNDIALS, through scikit-sundae."""
     from sksundae.cvode import CVODE
 
@@ -209,7 +209,7 @@ def cvode_leg(rtol: float, longest: float) -> Leg:
 
         vars(events).update(terminal=[True] * len(guards), direction=[-1] * len(guards))
         solver = CVODE(
-            slope, method="Adams", rtol=rtol, atol=1e-3 * rtol, max_step=longest, max_num_steps=100_000,
+            slope, method="Adams", rtol=rtol, atol=1e-3 * rtol, max_step=max_step, max_num_steps=100_000,
             eventsfn=events if guards else None, num_events=len(guards),
         )  # fmt: skip
         solution = solver.solve(np.concatenate([[t], times]), z)

@@ -79,11 +79,11 @@ class DormandPrince:
         size = problem.size
         self._work = (np.zeros((7, size)), np.zeros(size), np.zeros(size))
 
-    def follow(self, rtol: float, blind: float, longest: float) -> Outcome:
+    def follow(self, rtol: float, guard_pause: float, max_step: float) -> Outcome:
         """Compute the motion.
 
         `rtol`: relative tolerance; the absolute tolerance is a thousandth of it, as for the other adaptive solvers;
-        `blind`: time for which a guard is disabled after its separation, s; `longest`: longest step, s. Raises
+        `guard_pause`: time for which a guard is disabled after its separation, s; `max_step`: longest step, s. Raises
         `RunError` if a damper takes off and lands endlessly at one instant.
         """
         problem = self._problem
@@ -99,7 +99,7 @@ class DormandPrince:
         motion = np.zeros((problem.samples, problem.system.coordinates))
         start, times = np.array(problem.start), problem.times
         steps = MAX_STEPS_PER_PERIOD * problem.periods
-        if not _follow(self._tables, contacts, start, times, motion, rtol, blind, longest, steps, *self._work):
+        if not _follow(self._tables, contacts, start, times, motion, rtol, guard_pause, max_step, steps, *self._work):
             if contacts.filled[0] < max_events:
                 raise RunError(f"takes more than {steps} steps. Allow longer steps or larger errors.")
             raise RunError(ENDLESS_EVENTS.format(contacts.time[-1]))
@@ -225,37 +225,37 @@ def _log_event(contacts: Contacts, t: float, j: int, kind: int) -> None:
 
 
 @inlined_kernel
-def _separate(tables: Tables, contacts: Contacts, t: float, z: Array, j: int, speed: float, blind: float) -> None:
+def _separate(tables: Tables, contacts: Contacts, t: float, z: Array, j: int, speed: float, guard_pause: float) -> None:
     """Separate a riding damper from its wall."""
     wall = contacts.mode[j]
     z[tables.first + j] = z[tables.row[j]] + (tables.clearance[j] if wall == CEILING else 0.0)
     z[tables.first + contacts.mode.shape[0] + j] = speed
-    contacts.disabled_until[j, wall] = t + blind
+    contacts.disabled_until[j, wall] = t + guard_pause
     contacts.mode[j] = FLIGHT
 
 
 @inlined_kernel
-def _change(tables: Tables, contacts: Contacts, t: float, z: Array, j: int, wall: int, blind: float) -> None:
+def _change(tables: Tables, contacts: Contacts, t: float, z: Array, j: int, wall: int, guard_pause: float) -> None:
     """Separate a riding damper, or apply an impact of a damper in flight (Newton's restitution)."""
-    body = tables.coordinates + tables.row[j]
+    body_velocity = tables.coordinates + tables.row[j]
     if contacts.mode[j] != FLIGHT:
         _log_event(contacts, t, j, FLIGHT)
-        _separate(tables, contacts, t, z, j, z[body], blind)
+        _separate(tables, contacts, t, z, j, z[body_velocity], guard_pause)
         return
     _log_event(contacts, t, j, wall)
-    own = tables.first + contacts.mode.shape[0] + j
-    closing = z[own] - z[body]
+    damper_velocity = tables.first + contacts.mode.shape[0] + j
+    closing = z[damper_velocity] - z[body_velocity]
     restitution = tables.restitution[j]
-    z[body] += (1.0 + restitution) * closing / (1.0 + 1.0 / (tables.inverse_mass[j] * tables.mass[j]))
+    z[body_velocity] += (1.0 + restitution) * closing / (1.0 + 1.0 / (tables.inverse_mass[j] * tables.mass[j]))
     contacts.mode[j] = wall
-    z[own] = z[body]
+    z[damper_velocity] = z[body_velocity]
     z[tables.first + j] = z[tables.row[j]] + (tables.clearance[j] if wall == CEILING else 0.0)
     if restitution > 0.0:
-        _separate(tables, contacts, t, z, j, z[body] - restitution * closing, blind)
+        _separate(tables, contacts, t, z, j, z[body_velocity] - restitution * closing, guard_pause)
 
 
 @inlined_kernel
-def _release(tables: Tables, contacts: Contacts, t: float, z: Array, blind: float) -> int:
+def _release(tables: Tables, contacts: Contacts, t: float, z: Array, guard_pause: float) -> int:
     """Separate dampers with a tensile contact force in sequence; return the configuration; -1: the log is full."""
     # Damping couples a velocity jump into the contact forces of adjacent bodies, so that each may cause another.
     while contacts.filled[0] < contacts.time.shape[0]:
@@ -269,7 +269,7 @@ def _release(tables: Tables, contacts: Contacts, t: float, z: Array, blind: floa
                 tensile = j
         if tensile < 0:
             return at
-        _change(tables, contacts, t, z, tensile, FLIGHT, blind)
+        _change(tables, contacts, t, z, tensile, FLIGHT, guard_pause)
     return -1
 
 
@@ -281,29 +281,29 @@ def _store(motion: Array, row: int, z: Array) -> None:
 
 @kernel
 def _follow(
-    tables: Tables, contacts: Contacts, z: Array, times: Array, motion: Array, rtol: float, blind: float,
-    longest: float, steps: int, stages: Array, new: Array, work: Array,
+    tables: Tables, contacts: Contacts, z: Array, times: Array, motion: Array, rtol: float, guard_pause: float,
+    max_step: float, max_steps: int, stages: Array, new: Array, work: Array,
 ) -> bool:  # fmt: skip
     """Integrate with event location; return False if the number of events or steps exceeds its limit."""
     _store(motion, 0, z)
-    t, sample, h = 0.0, 1, min(longest, 1e-3 * (times[1] - times[0]))
-    at = _release(tables, contacts, t, z, blind)
+    t, sample, h = 0.0, 1, min(max_step, 1e-3 * (times[1] - times[0]))
+    at = _release(tables, contacts, t, z, guard_pause)
     _slope(tables, at, z, stages[0])
-    for _ in range(steps):
+    for _ in range(max_steps):
         if sample == times.shape[0]:
             return True
-        h = min(h, longest)
+        h = min(h, max_step)
         error_ratio = _step(tables, at, h, z, new, stages, rtol)
         factor = 5.0 if error_ratio == 0.0 else min(5.0, max(0.2, 0.9 * error_ratio**-0.2))
         if error_ratio > 1.0:
             h *= factor
             continue
-        step_fraction, which, wall = _first_event(tables, contacts, at, t, h, z, new, stages, work)
+        step_fraction, damper, wall = _first_event(tables, contacts, at, t, h, z, new, stages, work)
         while sample < times.shape[0] and times[sample] <= t + step_fraction * h:
             _dense(z, stages, h, (times[sample] - t) / h, work)
             _store(motion, sample, work)
             sample += 1
-        if which < 0:
+        if damper < 0:
             t += h
             for i in range(z.shape[0]):
                 z[i], stages[0, i] = new[i], stages[6, i]
@@ -313,8 +313,8 @@ def _follow(
         t += step_fraction * h
         for i in range(z.shape[0]):
             z[i] = work[i]
-        _change(tables, contacts, t, z, which, wall, blind)
-        at = _release(tables, contacts, t, z, blind)
+        _change(tables, contacts, t, z, damper, wall, guard_pause)
+        at = _release(tables, contacts, t, z, guard_pause)
         if at < 0:
             return False
         _slope(tables, at, z, stages[0])

@@ -225,9 +225,9 @@ def _draw_models(cost: Cost) -> Figure:
             if not np.isfinite(point.error):
                 continue
             if point.method == OTHER_PACKING:
-                axes.axhline(_shown(point), color=STYLE_OF_METHOD[point.method][0], ls="--", lw=1.0)
+                axes.axhline(_drawn_error(point), color=STYLE_OF_METHOD[point.method][0], ls="--", lw=1.0)
             axes.annotate(
-                point.setting, (point.cpu, _shown(point)), xytext=(8, -3), textcoords="offset points", fontsize=7
+                point.setting, (point.cpu, _drawn_error(point)), xytext=(8, -3), textcoords="offset points", fontsize=7
             )
         # Leave space for the labels at the right end.
         axes.margins(x=0.25)
@@ -235,7 +235,7 @@ def _draw_models(cost: Cost) -> Figure:
         return figure
 
 
-def _shown(point: Point) -> float:
+def _drawn_error(point: Point) -> float:
     """Return the error as drawn on the logarithmic axis."""
     return max(point.error, 1e-17)
 
@@ -251,16 +251,21 @@ def draw_points(axes: Axes, points: tuple[Point, ...], label: str) -> None:
         # A line connects settings of one kind; solvers with an error tolerance are a separate kind.
         series = [point for point in method_points if "blind" not in point.setting]
         axes.plot(
-            [point.cpu for point in series], [_shown(point) for point in series], "-", color=color, lw=1.0, alpha=0.6
+            [point.cpu for point in series],
+            [_drawn_error(point) for point in series],
+            "-",
+            color=color,
+            lw=1.0,
+            alpha=0.6,
         )
         for point in method_points:
             size = 12 if marker == "*" else 6
             face = color if point.right else "white"
-            axes.plot(point.cpu, _shown(point), marker, color=color, ms=size, zorder=3, mfc=face, mew=1.3)
+            axes.plot(point.cpu, _drawn_error(point), marker, color=color, ms=size, zorder=3, mfc=face, mew=1.3)
             if "blind" in point.setting or point.setting in ("as called", "warm"):
                 text = "careful" if "blind" in point.setting else point.setting
                 axes.annotate(
-                    text, (point.cpu, _shown(point)), xytext=(0, -14), textcoords="offset points", fontsize=7,
+                    text, (point.cpu, _drawn_error(point)), xytext=(0, -14), textcoords="offset points", fontsize=7,
                     color=color, ha="center",
                 )  # fmt: skip
         axes.plot([], [], marker + "-", color=color, ms=7, lw=1.0, label=method)

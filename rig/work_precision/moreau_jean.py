@@ -85,14 +85,19 @@ def moreau_jean(problem: FirstOrderForm, steps: int) -> Outcome:
 
 
 @cached_njit
-def _follow(parts: Step, start: Array, steps: int, every: int) -> tuple[Array, NDArray[np.int8]]:
-    """Integrate; return every `every`-th state, and the wall of each damper after each step."""
+def _follow(parts: Step, start: Array, steps: int, steps_per_sample: int) -> tuple[Array, NDArray[np.int8]]:
+    """Integrate; return the state after every `steps_per_sample` steps, and the wall of each damper after each step."""
     advance, cosine, sine, kick, gap, closing, clearance, restitution, omega, length = parts
     size, dampers = start.shape[0], gap.shape[0]
-    samples = np.zeros((steps // every + 1, size))
+    samples = np.zeros((steps // steps_per_sample + 1, size))
     walls = np.zeros((steps + 1, dampers), dtype=np.int8)
-    z, new = start.copy(), np.zeros(size)
-    side, before, free, impulse = np.zeros(dampers), np.zeros(dampers), np.zeros(dampers), np.zeros(dampers)
+    z, z_free = start.copy(), np.zeros(size)
+    wall_direction, velocity_before, free_velocity, impulse = (
+        np.zeros(dampers),
+        np.zeros(dampers),
+        np.zeros(dampers),
+        np.zeros(dampers),
+    )
     delassus = closing @ kick
     samples[0] = z
     walls[0] = 1
@@ -103,38 +108,38 @@ def _follow(parts: Step, start: Array, steps: int, every: int) -> tuple[Array, N
             value = cosine[i] * c + sine[i] * s
             for col in range(size):
                 value += advance[i, col] * z[col]
-            new[i] = value
+            z_free[i] = value
         for j in range(dampers):
             height = 0.0
-            before[j] = 0.0
-            free[j] = 0.0
+            velocity_before[j] = 0.0
+            free_velocity[j] = 0.0
             for i in range(size):
                 height += gap[j, i] * z[i]
-                before[j] += closing[j, i] * z[i]
-                free[j] += closing[j, i] * new[i]
-            predicted_height = height + 0.5 * length * before[j]
-            side[j] = 1.0 if predicted_height <= 0.0 else (-1.0 if predicted_height >= clearance[j] else 0.0)
+                velocity_before[j] += closing[j, i] * z[i]
+                free_velocity[j] += closing[j, i] * z_free[i]
+            predicted_height = height + 0.5 * length * velocity_before[j]
+            wall_direction[j] = 1.0 if predicted_height <= 0.0 else (-1.0 if predicted_height >= clearance[j] else 0.0)
             impulse[j] = 0.0
         for _ in range(MAX_CONTACT_ITERATIONS):
             change = 0.0
             for j in range(dampers):
-                if side[j] == 0.0:
+                if wall_direction[j] == 0.0:
                     continue
-                value = free[j] + restitution[j] * before[j]
+                value = free_velocity[j] + restitution[j] * velocity_before[j]
                 for other in range(dampers):
                     value += delassus[j, other] * impulse[other]
-                new_impulse = side[j] * max(0.0, side[j] * (impulse[j] - value / delassus[j, j]))
+                new_impulse = wall_direction[j] * max(0.0, wall_direction[j] * (impulse[j] - value / delassus[j, j]))
                 change = max(change, abs(new_impulse - impulse[j]))
                 impulse[j] = new_impulse
             if change == 0.0:
                 break
         for i in range(size):
-            value = new[i]
+            value = z_free[i]
             for j in range(dampers):
                 value += kick[i, j] * impulse[j]
             z[i] = value
         for j in range(dampers):
             walls[k + 1, j] = 0 if impulse[j] == 0.0 else (1 if impulse[j] > 0.0 else 2)
-        if (k + 1) % every == 0:
-            samples[(k + 1) // every] = z
+        if (k + 1) % steps_per_sample == 0:
+            samples[(k + 1) // steps_per_sample] = z
     return samples, walls

@@ -110,15 +110,15 @@ def motion_study(
     frequency = frequency if frequency is not None else hardest_frequency(scene, system)
     tone = tone_drive(scene, system, frequency)
     assert tone is not None
-    say = progress if progress is not None else lambda name: None
+    report = progress if progress is not None else lambda name: None
     duration, rate = periods / frequency, SAMPLES_PER_PERIOD * frequency
-    say("reference")
+    report("reference")
     run = simulate(scene, duration, rate, frequency=frequency)
     exact = exact_motion(system, tone, run, SAMPLES_PER_PERIOD)
     comparison = _Comparison(exact, run, system)
     points = []
     for method, setting, compute in _methods(scene, system, tone, periods):
-        say(f"{method}, {setting}")
+        report(f"{method}, {setting}")
         points.append(comparison.point(method, setting, compute, periods))
     best = min((p.error for p in points if p.error > 0.0), default=np.inf)
     margin = best / max(exact.agreement, 10.0 ** (-DIGITS))
@@ -204,14 +204,14 @@ def _adaptive(problem: FirstOrderForm, period: float) -> Methods:
     yield ("CVODE", "rtol 1e-12, step T/40, blind", partial(follow, problem, short_steps, GUARD_PAUSE_S, MAX_CPU_S))
 
 
-def _outcome(run: Run, system: HybridSystem, every: int = 1) -> Outcome:
-    return Outcome(run.displacement[:, ::every], events_of(run.events, system))
+def _outcome(run: Run, system: HybridSystem, sample_stride: int = 1) -> Outcome:
+    return Outcome(run.displacement[:, ::sample_stride], events_of(run.events, system))
 
 
 def _warm(system: HybridSystem, tone: ToneDrive, periods: int) -> Callable[[], Outcome]:
     """Return a run of the engine with prepared tables, whose cost is that of a long run."""
     propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega)
-    propagator.place(tone.state, np.array([1.0, 0.0]))
+    propagator.set_state(tone.state, np.array([1.0, 0.0]))
     begin = propagator.snapshot()
     lengths, rows = np.full(periods, steps), np.full(periods, -1)
     rows[-1] = 0

@@ -53,7 +53,7 @@ def engine_period(scene: rig.Scene, periods: int = PERIODS, repeats: int = 200) 
     """Return the engine's CPU time for a period of the drive, starting from rest, s."""
     system, tone = tone_of(scene)
     propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega)
-    propagator.place(tone.state, np.array([1.0, 0.0]))
+    propagator.set_state(tone.state, np.array([1.0, 0.0]))
     start = propagator.snapshot()
     segment_steps, rows, starts_period = (np.full(periods, steps), np.full(periods, -1), np.ones(periods, dtype=bool))
 

@@ -49,7 +49,7 @@ def print_step_times(positions_path: str, mass: float, cavity: float, steps: int
     coupled = coupling.CoupledPropagator(scene_of(mass, cavity), 1e-3)
     periods = 29.0 * coupled.step * np.arange(steps + 1)
     drive = 70.0 * mass * np.sin(2.0 * np.pi * periods)[None]
-    coupled.place(coupled.system.initial, drive[:, 0])
+    coupled.set_state(coupled.system.initial, drive[:, 0])
     times = []
     for first in range(0, steps, STEPS_PER_MEASUREMENT):
         start = time.process_time()

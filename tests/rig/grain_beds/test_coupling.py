@@ -22,7 +22,7 @@ def test_shaken_free_body_keeps_the_momentum() -> None:
     coupled = CoupledPropagator(scene, 1.0 / RATE)
     time = np.arange(coupled.substeps * 80 + 1) * coupled.step
     force = (0.4 * np.sin(188.5 * time) + 0.01 * 9.80665)[None]
-    coupled.place(coupled.system.initial, force[:, 0])
+    coupled.set_state(coupled.system.initial, force[:, 0])
 
     trajectory, beds = coupled.march(force)
 

@@ -72,7 +72,7 @@ def test_many_sections_keep_momentum_and_energy() -> None:
     coupled = CoupledPropagator(scene, 1.0 / RATE)
     drive = np.zeros((1, coupled.substeps * 20 + 1))
     drive[0] = 0.4 * np.sin(188.5 * coupled.step * np.arange(drive.shape[1]))
-    coupled.place(coupled.system.initial, drive[:, 0])
+    coupled.set_state(coupled.system.initial, drive[:, 0])
     contact_impulse = 0.0
 
     for start in range(0, drive.shape[1] - 1, coupled.substeps):
@@ -90,14 +90,14 @@ def test_read_bed_remembers_contact_stretch() -> None:
     scene = with_grains(mass="2 g", grains={"friction": 0.5})
     coupled = CoupledPropagator(scene, 1.0 / RATE)
     (bed,) = coupled.beds
-    bed.slow(1e-3)
+    bed.add_drag(1e-3)
     for _ in range(2000):
         bed.kick(-0.15 * 9.80665 * bed.step)
         bed.advance()
         bed.kick(-0.15 * 9.80665 * bed.step)
     before = bed.forces()
 
-    bed.resume(bed.stored())
+    bed.resume(bed.state_bytes())
 
     assert abs(before[2]) > 0.02 * bed.mass * 9.80665, "nothing hangs on the side"
     assert bed.forces() == pytest.approx(before, rel=1e-6)

@@ -22,7 +22,7 @@ def flying_grains() -> tuple[dict[str, NDArray[np.float64]], CoupledPropagator]:
     """Return the motion of grains that were accelerated into flight, and their propagator."""
     coupled = coupled_bed()
     force = np.repeat([1.5, -1.5], [150, 100])[None]
-    coupled.place(coupled.system.initial, force[:, 0])
+    coupled.set_state(coupled.system.initial, force[:, 0])
     trajectory, beds = coupled.march(force)
     motion = {
         "lift": beds.lift,

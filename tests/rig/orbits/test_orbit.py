@@ -276,7 +276,7 @@ def test_approximate_motion_repeats_in_a_one_mode_engine(
         q, u, a, b = branch.unknowns[:4, i] * length * np.array([1, omega, 1, 1])
         # The floor impact is tau = 0, where the force is F sin(-phi) = b: start the tone at that phase.
         phase = np.arctan2(b, a)
-        propagator.place(np.array([q, u]), np.array([np.cos(phase), np.sin(phase)]))
+        propagator.set_state(np.array([q, u]), np.array([np.cos(phase), np.sin(phase)]))
         trajectory = propagator.through_marks(np.array([steps]), np.array([0]), np.zeros(1, dtype=bool))
 
         instants = [branch.tau_0[i], branch.tau_1[i], *([branch.tau_2[i]] if kind == "III" else [branch.tau_1[i]])]

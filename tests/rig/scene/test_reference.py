@@ -14,11 +14,11 @@ from rig.scene.yaml_reader import read_yaml
 def test_every_key_is_explained_with_its_values() -> None:
     page = reference_page()
     for key in keys():
-        assert len(key.about) > 5 and key.takes and key.without, key
-        assert "None" not in key.about + key.without and "`" not in key.about, key
+        assert len(key.meaning) > 5 and key.values and key.default, key
+        assert "None" not in key.meaning + key.default and "`" not in key.meaning, key
         help_text = help_on(key.name)
-        assert key.name in help_text and f"left out: {key.without}" in help_text
-        assert key.about in page
+        assert key.name in help_text and f"default: {key.default}" in help_text
+        assert key.meaning in page
 
 
 def test_keys_of_bundled_scenes_are_explained() -> None:
@@ -38,13 +38,13 @@ def test_keys_of_bundled_scenes_are_explained() -> None:
 @pytest.mark.parametrize(
     ("key", "expected_text"),
     [
-        ("dampers[2].clearance", "takes: a length such as 0.98 mm, at least 0; a bare number is in m"),
+        ("dampers[2].clearance", "values: a length such as 0.98 mm, at least 0; a bare number is in m"),
         ("clearance", "dampers[].clearance"),
-        ("test.force", "left out: force or drive is needed"),
+        ("test.force", "default: force or drive is required"),
         ("settle", "tolerance"),
         ("direction", "one of up, down, both"),
-        ("integrator.corner", "left out: 0.0"),
-        ("accelerometer.q", "left out: 30"),
+        ("integrator.corner", "default: 0.0"),
+        ("accelerometer.q", "default: 30"),
     ],
 )
 def test_key_is_explained_by_full_name_or_end(key, expected_text) -> None:
@@ -126,11 +126,11 @@ ON: dict[str, tuple[dict[str, object], dict[str, object]]] = {
 
 def test_every_optional_key_adds_its_effect_and_states() -> None:
     assert {key.replace("[1]", "") for key in ON} == set(EFFECTS)
-    for key, (without, with_it) in ON.items():
+    for key, (initial_changes, effect_changes) in ON.items():
         effect, states = EFFECTS[key.replace("[1]", "")]
         before, after = (
             {(effect.part, effect.name): effect.states for effect in rig.explain(rig.load("fig9", changes)).effects}
-            for changes in ({**PLAIN, **without}, {**PLAIN, **with_it})
+            for changes in ({**PLAIN, **initial_changes}, {**PLAIN, **effect_changes})
         )
         new = {name for place, name in after if after[place, name] != before.get((place, name))}
         added = sum(
@@ -140,4 +140,4 @@ def test_every_optional_key_adds_its_effect_and_states() -> None:
             if name == effect
         )
         assert effect in new and (states is None or added == states), (key, new, added)
-        assert f"turns on: {effect}" in help_on(key)
+        assert f"effect: {effect}" in help_on(key)

@@ -8,9 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.measurement.limits import FlaggedIntervals
+from daq.instrument.engines.log import MarkedRecording
 from daq.recording.recorded_test import TestKind
-from daq.recording.recorder import Recorder
 from rig.errors import ShotrigError
 
 if TYPE_CHECKING:
@@ -33,17 +32,16 @@ class BenchRecordings:
         self._test: tuple[Scene, TestKind] | None = None
         self._ending = False
         self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._recorder: Recorder | None = None
-        self._overloads: FlaggedIntervals | None = None
+        self._recording: MarkedRecording | None = None
         self._first = 0
-        self._settings: Any = None
+        self._channels: Any = None
         self._thread = threading.Thread(target=self._work, name="bench recorder", daemon=True)
         self._thread.start()
 
     @property
     def running(self) -> bool:
         """Whether a file is being written."""
-        return self._recorder is not None
+        return self._recording is not None
 
     def begin_test(self, scene: Scene, kind: TestKind) -> None:
         """Begin another recording, with the test of a scene."""
@@ -63,8 +61,8 @@ class BenchRecordings:
         busy = self._test is not None or self._chassis.inputs or self._chassis.outputs
         if self.wanted and busy:
             test, channels = self._test, bench.channels
-            time = self._chassis.time_ns(round(block.first * bench.tick_rate / bench.rate))
-            self._jobs.put(lambda: self._write(bench, channels, block, test, time))
+            time_ns = self._chassis.time_ns(round(block.first * bench.tick_rate / bench.rate))
+            self._jobs.put(lambda: self._write(bench, channels, block, test, time_ns))
         elif self.running:
             self._jobs.put(self._complete)
         if self._ending:
@@ -83,27 +81,23 @@ class BenchRecordings:
                 job()
             except ShotrigError as error:
                 self.problem, self.wanted = str(error), False
-                self._recorder = self._overloads = None
+                self._recording = None
 
-    def _write(self, bench: Any, channels: Any, block: Any, test: tuple[Scene, TestKind] | None, time: int) -> None:
-        if channels is not self._settings:
+    def _write(self, bench: Any, channels: Any, block: Any, test: tuple[Scene, TestKind] | None, time_ns: int) -> None:
+        if channels is not self._channels:
             self._complete()
-            self._settings = channels
-        if self._recorder is None:
+            self._channels = channels
+        if self._recording is None:
             scene, kind = test or (bench.scene, TestKind.NONE)
-            scene = scene.replace(recording=scene.recording.replace(truth=False))
-            path = self._free()
+            path = self._next_path()
             path.parent.mkdir(parents=True, exist_ok=True)
             overwrite = self._overwrite and not self.paths
-            self._recorder = Recorder(path, scene, channels, bench.rate, time, overwrite, test_kind=kind)
-            self._overloads = FlaggedIntervals("overload", channels, self._mark)
+            self._recording = MarkedRecording(path, scene, channels, bench.rate, time_ns, overwrite, kind)
             self._first, self.problem = block.first, ""
             self.paths.append(path)
-        assert self._overloads is not None
-        self._recorder.write(block.samples)
-        self._overloads.add(block.first, block.overload)
+        self._recording.write(block.samples, block.overload)
 
-    def _free(self) -> Path:
+    def _next_path(self) -> Path:
         """Choose the name of the next recording."""
         if not self.paths and (self._overwrite or not self._path.exists()):
             return self._path
@@ -114,15 +108,10 @@ class BenchRecordings:
 
     def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
         # An event that began before the recording is not complete in it.
-        if self._recorder is not None and self._recorder.accepts_samples and first >= self._first:
-            self._recorder.mark(kind, first - self._first, stop - 1 - self._first, **fields)
+        if self._recording is not None and first >= self._first:
+            self._recording.mark(kind, first - self._first, stop - self._first, **fields)
 
     def _complete(self) -> None:
-        if self._recorder is not None:
-            recorder, self._recorder = self._recorder, None
-            if self._overloads is not None:
-                # FlaggedIntervals mark by way of the recorder.
-                self._recorder = recorder
-                self._overloads.close()
-                self._recorder = None
-            recorder.close("complete", "")
+        if self._recording is not None:
+            recording, self._recording = self._recording, None
+            recording.close()

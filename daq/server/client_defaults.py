@@ -1,21 +1,21 @@
 """Connects scripts without gRPC options to the rig, through changed defaults of NI's client.
 
-Only public names of the client are changed: its classes with a parameter `grpc_options` receive default options, and
-`System.local` returns `System.remote`. The change takes effect when a script imports the client, in the process of
-the script and in its child processes, by fork and by spawn.
+Only public names are changed, when Python starts: the client's classes with a parameter `grpc_options` receive default
+options, and `System.local` returns `System.remote`. This applies to the process of the script and to its child
+processes, by fork and by spawn.
+
+On the fast clock bench time passes only during calls. `time.sleep` and `input` are therefore replaced by calls:
+Python's audit events report them, but no public hook replaces their waiting.
 """
 
 from __future__ import annotations
 
 import builtins
 import functools
-import importlib.util
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
-from importlib.machinery import ModuleSpec
-from types import ModuleType
+from collections.abc import Callable
 from typing import Any
 
 SERVER, FAST, LIMITED = "SHOTRIG_SERVER", "SHOTRIG_FAST", "SHOTRIG_LIMITED"
@@ -25,66 +25,39 @@ _channels: dict[int, Any] = {}
 
 
 def prepare() -> None:
-    """Prepare the import of the client, and let bench time pass while the script sleeps."""
-    sys.meta_path.insert(0, _ClientFinder())
+    """Connect the client to the rig, and let bench time pass while the script sleeps or waits for Enter."""
+    _set_default_connection()
     if os.environ.get(FAST):
-        time.sleep = functools.partial(_ask, "Pass")
+        time.sleep = functools.partial(_pass_bench_time, "Pass")
     if os.environ.get(FAST) or os.environ.get(LIMITED):
         builtins.input = _wait_for_enter
     if os.environ.get(LIMITED):
-        show = sys.excepthook
-        sys.excepthook = lambda kind, *rest: None if kind is KeyboardInterrupt else show(kind, *rest)
+        print_traceback = sys.excepthook
+        # Ctrl-C at the time limit is a regular end.
+        sys.excepthook = lambda kind, *rest: None if kind is KeyboardInterrupt else print_traceback(kind, *rest)
 
 
-class _ClientFinder:
-    """Finds the package of the client, and changes its defaults after the import."""
-
-    def find_spec(
-        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
-        if name != "nidaqmx":
-            return None
-        sys.meta_path.remove(self)
-        spec = importlib.util.find_spec(name)
-        loader: Any = spec and spec.loader
-        if loader is not None:
-            execute = loader.exec_module
-
-            def exec_module(module: ModuleType) -> None:
-                execute(module)
-                install()
-
-            loader.exec_module = exec_module
-        return spec
-
-
-def install() -> None:
-    """Set the rig as the default connection of the client's classes."""
+def _set_default_connection() -> None:
     import nidaqmx
-    from nidaqmx import system
+    from nidaqmx import Scale, system
     from nidaqmx.system import storage
 
-    owners = [(nidaqmx, "Task"), (nidaqmx, "Scale"), (system, "Device"), (system, "PhysicalChannel")]
-    owners += [(storage, name) for name in ("PersistedTask", "PersistedChannel", "PersistedScale")]
-    for module, name in owners:
-        owner = getattr(module, name, None)
-        if owner is not None:
-            owner.__init__ = _with_options(owner.__init__)
+    persisted = (storage.PersistedTask, storage.PersistedChannel, storage.PersistedScale)
+    for owner in (nidaqmx.Task, Scale, system.Device, system.PhysicalChannel, *persisted):
+        owner.__init__ = _with_options(owner.__init__)
     kinds = ("lin", "map", "polynomial", "table")
     for name in ("calculate_reverse_poly_coeff", *(f"create_{kind}_scale" for kind in kinds)):
-        function = getattr(nidaqmx.Scale, name, None)
-        if function is not None:
-            setattr(nidaqmx.Scale, name, staticmethod(_with_options(function)))
+        setattr(Scale, name, staticmethod(_with_options(getattr(Scale, name))))
     remote = system.System.remote
     system.System.local = staticmethod(lambda: remote(_options()))
 
 
-def _with_options(make: Callable[..., Any]) -> Callable[..., Any]:
-    @functools.wraps(make)
-    def call(*positional: Any, **named: Any) -> Any:
-        if named.get("grpc_options") is None:
-            named["grpc_options"] = _options()
-        return make(*positional, **named)
+def _with_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    @functools.wraps(function)
+    def call(*arguments: Any, **keywords: Any) -> Any:
+        if keywords.get("grpc_options") is None:
+            keywords["grpc_options"] = _options()
+        return function(*arguments, **keywords)
 
     return call
 
@@ -117,11 +90,11 @@ def open_channel(address: str) -> Any:
     )
 
 
-def _ask(call: str, seconds: float = 0.0) -> None:
+def _pass_bench_time(call: str, seconds: float = 0.0) -> None:
     _channel().unary_unary(f"/shotrig.Bench/{call}")(repr(float(seconds)).encode())
 
 
 def _wait_for_enter(text: object = "", /) -> str:
     print(text, end="", flush=True)
-    _ask("Prompt")
+    _pass_bench_time("Prompt")
     return ""

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.instrument.chassis import Chassis
-from daq.recording.recorder import Recorder
+from daq.instrument.engines.log import MarkedRecording
 
 if TYPE_CHECKING:
     import rerun as rr
 
 # Maximum number of blocks that wait for the display; a delayed view omits blocks, a recording never does.
-_WAITING = 64
+_MAX_WAITING_BLOCKS = 64
 
 
 class LiveView:
@@ -34,12 +34,12 @@ class LiveView:
         bench = chassis.bench
         self._chassis = chassis
         self._screen = Screen(stream, bench.scene, bench.channels, bench.rate)
-        self._blocks: queue.Queue[tuple[Any, NDArray[np.float64]] | None] = queue.Queue(_WAITING)
+        self._blocks: queue.Queue[tuple[Any, NDArray[np.float64]] | None] = queue.Queue(_MAX_WAITING_BLOCKS)
         self._thread = threading.Thread(target=self._show, name="view", daemon=True)
         self._thread.start()
-        chassis.listeners.append(self._hear)
+        chassis.listeners.append(self._on_block)
 
-    def _hear(self, bench: Any, block: Any) -> None:
+    def _on_block(self, bench: Any, block: Any) -> None:
         if not self._blocks.full():
             self._blocks.put_nowait((block, bench.physical(block.samples)))
 
@@ -50,13 +50,13 @@ class LiveView:
     def close(self) -> None:
         """Show the waiting blocks, and end."""
         with self._chassis.changed:
-            self._chassis.listeners.remove(self._hear)
+            self._chassis.listeners.remove(self._on_block)
         self._blocks.put(None)
         self._thread.join()
 
 
 class LiveRecording:
-    """Records all channels of a bench while clients use it.
+    """Records all channels of a bench while clients use it, and marks overloads.
 
     A change of the input settings starts another file, with a number appended to its name.
 
@@ -66,32 +66,32 @@ class LiveRecording:
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool = False) -> None:
         self._chassis, self._path, self._overwrite = chassis, path, overwrite
         self._channels: Any = None
-        self._recorder: Recorder | None = None
+        self._recording: MarkedRecording | None = None
         self.paths: list[Path] = []
-        chassis.listeners.append(self._hear)
+        chassis.listeners.append(self._on_block)
 
-    def _hear(self, bench: Any, block: Any) -> None:
+    def _on_block(self, bench: Any, block: Any) -> None:
         if bench.channels is not self._channels:
             self._complete()
             number = f"-{len(self.paths) + 1}" if self.paths else ""
             self.paths.append(self._path.with_name(f"{self._path.stem}{number}{self._path.suffix}"))
-            start = self._chassis.time_ns(round(block.first * bench.tick_rate / bench.rate))
-            # The truth of a scene belongs to a complete test.
-            scene = bench.scene.replace(recording=bench.scene.recording.replace(truth=False))
+            start_ns = self._chassis.time_ns(round(block.first * bench.tick_rate / bench.rate))
             self._channels = bench.channels
-            self._recorder = Recorder(self.paths[-1], scene, bench.channels, bench.rate, start, self._overwrite)
-        assert self._recorder is not None
-        self._recorder.write(block.samples)
+            self._recording = MarkedRecording(
+                self.paths[-1], bench.scene, bench.channels, bench.rate, start_ns, self._overwrite
+            )
+        assert self._recording is not None
+        self._recording.write(block.samples, block.overload)
 
     def _complete(self) -> None:
-        if self._recorder is not None:
-            self._recorder.close("complete", "")
-            self._recorder = None
+        if self._recording is not None:
+            self._recording.close()
+            self._recording = None
 
     def close(self) -> None:
         """Complete the recording; if it is empty, report this on stderr."""
         with self._chassis.changed:
-            self._chassis.listeners.remove(self._hear)
+            self._chassis.listeners.remove(self._on_block)
             self._complete()
         if not self.paths:
             # The terminal may be closed already.

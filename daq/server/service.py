@@ -191,7 +191,7 @@ class Server:
             connected = _connected_to(self.port)
             if connected is None:
                 continue
-            for name in self.sessions.sweep(connected, self.limits.patience):
+            for name in self.sessions.end_abandoned(connected, self.limits.patience):
                 print(f"task {name} was closed: its client has gone", file=sys.stderr, flush=True)
 
 

@@ -13,12 +13,13 @@ from daq.instrument.chassis import Chassis
 from daq.instrument.errors import Code, DaqError, invalid_value
 from daq.instrument.settings.storage import Storage
 from daq.instrument.task import Task
+from daq.instrument.values import TaskMode
 from rig.errors import ShotrigError
 
 INITIALIZE, ATTACH = 1, 2
-# Interval at which a client that waits for a name is checked, s: it may have disconnected.
-_LOOK_S = 0.1
-_MOST_NAMES = 10_000
+# Interval at which the server checks whether a client that waits for a name is still connected, s.
+_CHECK_INTERVAL_S = 0.1
+_MAX_NAMES = 10_000
 
 
 @dataclass
@@ -28,7 +29,7 @@ class Session:
     task: Task
     owner: str  # connection that created it
     users: set[str] = field(default_factory=set)  # connections that have used it
-    left_at: float | None = None  # time at which all of them were disconnected, s
+    disconnected_at: float | None = None  # time at which all of them were disconnected, s
 
 
 class SessionExists(ShotrigError):
@@ -48,8 +49,8 @@ class Sessions:
         self._numbers = itertools.count(1)
         self._lock = threading.RLock()
 
-    def open(self, name: str, behavior: int, peer: str) -> tuple[str, bool]:
-        """Open a session, or attach to the session of that name.
+    def open(self, name: str, behavior: int, peer: str, strict: bool = False) -> tuple[str, bool]:
+        """Open a session, or attach to the session of that name; `strict` does not attach.
 
         Returns
         -------
@@ -61,10 +62,11 @@ class Sessions:
         SessionExists
             If a new session was requested and the name exists.
         DaqError
-            With -200088, if there is no session to attach to; with -50103, if the client has reached its maximum.
+            With -200088, if there is no session to attach to; with -50103, if the client has reached its maximum; with
+            -200089, if there is a task of that name to which the session cannot attach.
         """
         with self._lock:
-            if name and name in self._open:
+            if name and name in self._open and not strict:
                 if behavior == INITIALIZE:
                     raise SessionExists(f"there is a session {name!r} already")
                 self._open[name].users.add(peer)
@@ -95,13 +97,6 @@ class Sessions:
                 "Use smaller buffers, or close tasks."
             )
 
-    def check_free(self, name: str) -> None:
-        """Check that no task has the name; with -200089."""
-        if name in self._chassis.tasks:
-            raise DaqError(
-                f"there is a task named {name!r} already. Close it first, or choose another name.", Code.DUPLICATE_TASK
-            )
-
     def find(self, name: str, peer: str) -> Task:
         """Return the task of a session; with -200088, if the session does not exist."""
         with self._lock:
@@ -109,7 +104,7 @@ class Sessions:
             if session is None:
                 raise DaqError("the task does not exist, or has been closed. Create another task.", Code.INVALID_TASK)
             session.users.add(peer)
-            session.left_at = None
+            session.disconnected_at = None
             return session.task
 
     def task_name(self, name: str) -> str:
@@ -129,7 +124,7 @@ class Sessions:
             del self._open[name]
         session.task.close()
 
-    def end_on(self, device: str, peer: str) -> None:
+    def abort_on_device(self, device: str, peer: str) -> None:
         """Abort the tasks of a client on a device; with -50103, if other clients use the device too."""
         with self._lock:
             sessions = [each for each in self._open.values() if device in each.task.settings.device_names]
@@ -140,9 +135,9 @@ class Sessions:
                     Code.PAL_RESOURCE_RESERVED,
                 )
             for each in sessions:
-                each.task.control(5)
+                each.task.control(TaskMode.ABORT)
 
-    def sweep(self, connected: Collection[tuple[str, int]], patience: float) -> list[str]:
+    def end_abandoned(self, connected: Collection[tuple[str, int]], patience: float) -> list[str]:
         """End the sessions of clients that disconnected without closing them.
 
         `connected`: address and port of every connected client; `patience`: time for which a session waits for its
@@ -153,10 +148,10 @@ class Sessions:
             now = time.monotonic()
             for name, session in list(self._open.items()):
                 if any(_endpoint(each) in connected for each in session.users):
-                    session.left_at = None
-                elif session.left_at is None:
-                    session.left_at = now
-                elif now - session.left_at >= patience:
+                    session.disconnected_at = None
+                elif session.disconnected_at is None:
+                    session.disconnected_at = now
+                elif now - session.disconnected_at >= patience:
                     ended.append(self._open.pop(name).task)
         for task in ended:
             task.close()
@@ -183,16 +178,16 @@ class Reservations:
         self._holders: dict[str, str] = {}
         self._changed = threading.Condition()
 
-    def reserve(self, name: str, client: str, waits: Callable[[], bool]) -> bool:
+    def reserve(self, name: str, client: str, is_waiting: Callable[[], bool]) -> bool:
         """Reserve a name as soon as no other client has reserved it; return False if the client no longer waits."""
         with self._changed:
             while self._holders.get(name, client) != client:
-                if not waits():
+                if not is_waiting():
                     return False
-                self._changed.wait(_LOOK_S)
-            if name not in self._holders and len(self._holders) >= _MOST_NAMES:
+                self._changed.wait(_CHECK_INTERVAL_S)
+            if name not in self._holders and len(self._holders) >= _MAX_NAMES:
                 raise DaqError(
-                    f"{_MOST_NAMES} names are reserved, the maximum. Release some before reserving {name!r}.",
+                    f"{_MAX_NAMES} names are reserved, the maximum. Release some before reserving {name!r}.",
                     Code.PAL_RESOURCE_RESERVED,
                 )
             self._holders[name] = client

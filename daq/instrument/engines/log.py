@@ -21,27 +21,30 @@ if TYPE_CHECKING:
     from daq.instrument.engines.acquisition import Acquisition, InputPlan
     from daq.instrument.settings.properties import Properties
     from daq.instrument.settings.task_settings import TaskSettings
+    from daq.recording.recorded_test import TestKind
     from daq.signal_chain.channel import ChannelInfo
     from daq.virtual_bench.bench import Bench
     from rig.scene.scene import Scene
 
 
-class _Recording:
-    """A recording in the format of `daq record`."""
+class MarkedRecording:
+    """A recording in the format of `daq record` that marks its overloads; it has no truth of a complete test."""
 
     def __init__(
-        self, path: Path, scene: Scene, channels: Sequence[ChannelInfo], rate: float, start_ns: int, overwrite: bool
+        self,
+        path: Path,
+        scene: Scene,
+        channels: Sequence[ChannelInfo],
+        rate: float,
+        start_ns: int,
+        overwrite: bool,
+        test_kind: TestKind | None = None,
     ) -> None:
         from daq.recording.recorder import Recorder
 
-        # The truth of a scene belongs to a complete test; a task logs only its channels.
         scene = scene.replace(recording=scene.recording.replace(truth=False))
-        self._recorder = Recorder(path, scene, channels, rate, start_ns, overwrite)
-        self._overloads = FlaggedIntervals(
-            "overload",
-            channels,
-            lambda kind, first, stop, **fields: self._recorder.mark(kind, first, stop - 1, **fields),
-        )
+        self._recorder = Recorder(path, scene, channels, rate, start_ns, overwrite, test_kind=test_kind)
+        self._overloads = FlaggedIntervals("overload", channels, self.mark)
         self._outcome = "complete", ""
 
     def write(self, samples: NDArray[Any], overload: NDArray[np.bool_]) -> None:
@@ -50,10 +53,17 @@ class _Recording:
         self._recorder.write(samples)
         self._overloads.add(first, overload)
 
+    def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
+        """Mark the samples from `first` to before `stop`, unless writing has failed."""
+        if self._recorder.accepts_samples:
+            self._recorder.mark(kind, first, stop - 1, **fields)
+
     def gap(self, samples: int) -> None:
+        """Append lost samples."""
         self._recorder.gap(samples)
 
     def trigger(self, sample: int) -> None:
+        """Mark the sample of the trigger."""
         self._recorder.mark("trigger", sample)
 
     def abort(self, reason: str) -> None:
@@ -62,6 +72,7 @@ class _Recording:
         self._outcome = "failed", reason
 
     def close(self) -> None:
+        """Complete the file."""
         self._overloads.close()
         self._recorder.close(*self._outcome)
 
@@ -135,7 +146,7 @@ class _Tdms:
         )
 
 
-_File = _Recording | _Tdms
+_File = MarkedRecording | _Tdms
 
 
 class TaskLog:
@@ -234,7 +245,7 @@ def open_log(name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_
                 group = settings["logging_tdms_group_name"] or name
                 units = [each.unit for each in task.channels]
                 return _Tdms(path, group, names, units, plan, start_ns, append)
-            return _Recording(path, bench.scene, _named(infos, names), plan.rate, start_ns, exists)
+            return MarkedRecording(path, bench.scene, _named(infos, names), plan.rate, start_ns, exists)
         except DaqError:
             raise
         except (ShotrigError, OSError) as error:

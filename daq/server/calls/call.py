@@ -38,12 +38,12 @@ class Call:
         return self.instrument.sessions.find(self.fields["task"], self.peer)
 
 
-def plain(value: Any) -> Any:
+def plain_value(value: Any) -> Any:
     """Return the value of a field; numpy arrays become lists."""
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def does(action: Callable[[Task, dict[str, Any]], Any]) -> Handler:
+def task_action(action: Callable[[Task, dict[str, Any]], Any]) -> Handler:
     """Return the handler for an action of a task; a number that the action returns is the status."""
 
     def act(call: Call) -> Answer:

@@ -8,7 +8,7 @@ from daq.instrument.devices.measurements import Measurement
 from daq.instrument.devices.names import numbered, parse_port, unflatten
 from daq.instrument.devices.teds import sensitivity
 from daq.instrument.errors import Code, DaqError
-from daq.server.calls.call import Call, Handler, plain
+from daq.server.calls.call import Call, Handler, plain_value
 
 
 def create_input(kind: Measurement, teds: bool) -> Handler:
@@ -19,7 +19,7 @@ def create_input(kind: Measurement, teds: bool) -> Handler:
 
     def create(call: Call) -> None:
         call.task.check_idle("adding channels")
-        arguments = {key: plain(value) for key, value in call.fields.items() if key != "task"}
+        arguments = {key: plain_value(value) for key, value in call.fields.items() if key != "task"}
         physical, name = arguments.pop("physical_channel"), arguments.pop("name_to_assign_to_channel")
         settings = kind.settings(arguments)
         if not teds:

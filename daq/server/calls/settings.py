@@ -6,7 +6,7 @@ from daq.instrument.errors import invalid_value, unsupported
 from daq.instrument.settings.scales import LINEAR, MAP_RANGES, POLYNOMIAL, TABLE, Scale, reverse_polynomial
 from daq.instrument.task_properties import get_value, set_value, set_values, time_of
 from daq.instrument.values import Signal, TimestampEvent, TimingType, TriggerType, enum_member
-from daq.server.calls.call import Answer, Call, Handler, does, plain
+from daq.server.calls.call import Answer, Call, Handler, plain_value, task_action
 
 # Kinds of triggers that calls configure, by the driver's prefix of their settings.
 _TRIGGERS = {
@@ -21,7 +21,9 @@ def _trigger(which: str, prefix: str, **names: str) -> Handler:
     """Return the handler that configures a trigger; `names` maps fields to settings."""
 
     def configure(call: Call) -> None:
-        settings = {f"{prefix}_{which}_trig_{key}": plain(call.fields[field_name]) for field_name, key in names.items()}
+        settings = {
+            f"{prefix}_{which}_trig_{key}": plain_value(call.fields[field_name]) for field_name, key in names.items()
+        }
         if "pretrigger_samples" in call.fields:
             settings["ref_trig_pretrig_samples"] = call.fields["pretrigger_samples"]
         set_values(call.task, "trig", **settings, **{f"{which}_trig_type": _TRIGGERS[prefix]})
@@ -40,7 +42,7 @@ def _triggers(which: str) -> dict[str, Handler]:
         f"CfgAnlgWindow{name}Trig": _trigger(which, "anlg_win", **source, **when, **window),
         f"CfgAnlgMultiEdge{name}Trig": _trigger(which, "anlg_multi_edge", **several),
         f"CfgDigEdge{name}Trig": _trigger(which, "dig_edge", **source, trigger_edge="edge"),
-        f"Disable{name}Trig": does(
+        f"Disable{name}Trig": task_action(
             lambda task, fields: set_value(task, "trig", f"{which}_trig_type", TriggerType.NONE)
         ),
     }
@@ -71,7 +73,7 @@ def _timestamp(event: TimestampEvent | None) -> Handler:
 def _create_scale(kind: int, *names: tuple[str, str]) -> Handler:
     def create(call: Call) -> None:
         fields = call.fields
-        settings = {key: plain(fields[name]) for name, key in names}
+        settings = {key: plain_value(fields[name]) for name, key in names}
         common = {key: fields[key] for key in ("pre_scaled_units", "scaled_units")}
         storage = call.instrument.storage
         storage.store(storage.scales, fields["name"], Scale(kind, settings | common))
@@ -82,7 +84,7 @@ def _create_scale(kind: int, *names: tuple[str, str]) -> Handler:
 def _reverse(call: Call) -> Answer:
     fields = call.fields
     order = ("forward_coeffs", "min_val_x", "max_val_x", "num_points_to_compute", "reverse_poly_order")
-    return {"reverse_coeffs": reverse_polynomial(*(plain(fields[name]) for name in order))}
+    return {"reverse_coeffs": reverse_polynomial(*(plain_value(fields[name]) for name in order))}
 
 
 def _save_task(call: Call) -> None:
@@ -114,7 +116,7 @@ def _forget(group: str, field_name: str) -> Handler:
 
 
 CALLS: dict[str, Handler] = {
-    "CfgSampClkTiming": does(
+    "CfgSampClkTiming": task_action(
         lambda task, fields: set_values(
             task,
             "timing",
@@ -128,7 +130,7 @@ CALLS: dict[str, Handler] = {
     ),
     **_triggers("start"),
     **_triggers("ref"),
-    "CfgTimeStartTrig": does(
+    "CfgTimeStartTrig": task_action(
         lambda task, fields: set_values(
             task,
             "trig",
@@ -138,19 +140,21 @@ CALLS: dict[str, Handler] = {
         )
     ),
     "GetStartTrigTrigWhen": lambda call: {"data": get_value(call.task, "trig", "start_trig_trig_when")},
-    "SetStartTrigTrigWhen": does(lambda task, fields: set_value(task, "trig", "start_trig_trig_when", fields["data"])),
+    "SetStartTrigTrigWhen": task_action(
+        lambda task, fields: set_value(task, "trig", "start_trig_trig_when", fields["data"])
+    ),
     "GetStartTrigTimestampVal": _timestamp(TimestampEvent.START_TRIGGER),
     "GetRefTrigTimestampVal": _timestamp(TimestampEvent.REFERENCE_TRIGGER),
     "GetFirstSampTimestampVal": _timestamp(TimestampEvent.FIRST_SAMPLE),
     "WaitForValidTimestamp": _timestamp(None),
     "ExportSignal": _export_signal,
-    "CfgInputBuffer": does(
+    "CfgInputBuffer": task_action(
         lambda task, fields: set_value(task, "buffer", "input_buf_size", fields["num_samps_per_chan"])
     ),
-    "CfgOutputBuffer": does(
+    "CfgOutputBuffer": task_action(
         lambda task, fields: set_value(task, "buffer", "output_buf_size", fields["num_samps_per_chan"])
     ),
-    "ConfigureLogging": does(
+    "ConfigureLogging": task_action(
         lambda task, fields: set_values(
             task,
             "read",
@@ -160,7 +164,7 @@ CALLS: dict[str, Handler] = {
             logging_tdms_operation=fields["operation"],
         )
     ),
-    "StartNewFile": does(lambda task, fields: task.start_new_file(fields["file_path"])),
+    "StartNewFile": task_action(lambda task, fields: task.start_new_file(fields["file_path"])),
     "CreateLinScale": _create_scale(LINEAR, ("slope", "lin_slope"), ("y_intercept", "lin_y_intercept")),
     "CreateMapScale": _create_scale(
         MAP_RANGES,

@@ -8,17 +8,15 @@ from pathlib import Path
 from daq.instrument.devices.names import parse_port
 from daq.instrument.errors import Code, DaqError, invalid_value
 from daq.instrument.task import Task
-from daq.server.calls.call import Answer, Call, Handler, does
+from daq.server.calls.call import Answer, Call, Handler, task_action
 from daq.server.protocol import DeviceProperties
 from rig.input_files import read_file
 
 
 def _create_task(call: Call) -> Answer:
-    name, sessions = call.fields["session_name"], call.instrument.sessions
-    if call.strict and name:
-        sessions.check_free(name)
-    session, new = sessions.open(name, call.fields.get("initialization_behavior", 0), call.peer)
-    return {"task": session, "new_session_initialized": new}
+    name, behavior = call.fields["session_name"], call.fields.get("initialization_behavior", 0)
+    session, is_new = call.instrument.sessions.open(name, behavior, call.peer, call.strict)
+    return {"task": session, "new_session_initialized": is_new}
 
 
 def _load_task(call: Call) -> Answer:
@@ -32,24 +30,24 @@ def _load_task(call: Call) -> Answer:
     return answer
 
 
-def _nth(values: Callable[[Task], list[str]]) -> Handler:
-    def ask(call: Call) -> Answer:
+def _nth_name(values: Callable[[Task], list[str]]) -> Handler:
+    def get_name(call: Call) -> Answer:
         names, index = values(call.task), call.fields["index"]
         if not 1 <= index <= len(names):
             raise invalid_value(f"number {index}: expected 1 to {len(names)}")
         return {"buffer": names[index - 1]}
 
-    return ask
+    return get_name
 
 
-def _on_device(call: Call) -> Answer:
+def _check_device(call: Call) -> Answer:
     call.instrument.chassis.devices.module(call.fields["device_name"])
     return {}
 
 
 def _reset_device(call: Call) -> None:
     module = call.instrument.chassis.devices.module(call.fields["device_name"])
-    call.instrument.sessions.end_on(module.name, call.peer)
+    call.instrument.sessions.abort_on_device(module.name, call.peer)
 
 
 def _teds(action: str) -> Handler:
@@ -72,7 +70,7 @@ def _teds(action: str) -> Handler:
     return act
 
 
-def _devices(call: Call) -> Answer:
+def _enumerate_devices(call: Call) -> Answer:
     devices = call.instrument.chassis.devices
     return {
         "devices": [
@@ -88,7 +86,7 @@ def _devices(call: Call) -> Answer:
     }
 
 
-def _names(call: Call) -> tuple[str, str]:
+def _reservation(call: Call) -> tuple[str, str]:
     name, client = call.fields["reservation_id"], call.fields["client_id"]
     if not (name and client):
         raise invalid_value("a reservation needs a reservation_id and a client_id: give both")
@@ -105,38 +103,42 @@ CALLS: dict[str, Handler] = {
     "CreateTask": _create_task,
     "LoadTask": _load_task,
     "ClearTask": lambda call: call.instrument.sessions.close(call.fields["task"], call.peer),
-    "StartTask": does(lambda task, given: task.start()),
-    "StopTask": does(lambda task, given: task.stop()),
-    "TaskControl": does(lambda task, given: task.control(given["action"])),
+    "StartTask": task_action(lambda task, fields: task.start()),
+    "StopTask": task_action(lambda task, fields: task.stop()),
+    "TaskControl": task_action(lambda task, fields: task.control(fields["action"])),
     "IsTaskDone": lambda call: {"is_task_done": call.task.is_done()},
-    "WaitUntilTaskDone": does(lambda task, given: task.wait_until_done(given["time_to_wait"])),
-    "GetNthTaskChannel": _nth(lambda task: [each.name for each in task.settings.channels]),
-    "GetNthTaskDevice": _nth(lambda task: task.settings.device_names),
-    "GetNthTaskReadChannel": _nth(
+    "WaitUntilTaskDone": task_action(lambda task, fields: task.wait_until_done(fields["time_to_wait"])),
+    "GetNthTaskChannel": _nth_name(lambda task: [each.name for each in task.settings.channels]),
+    "GetNthTaskDevice": _nth_name(lambda task: task.settings.device_names),
+    "GetNthTaskReadChannel": _nth_name(
         lambda task: [task.settings.channels[row].name for row in task.settings.rows_to_read()]
     ),
     "GetErrorString": lambda call: {
         "error_string": call.instrument.text_of_error(call.peer, call.fields["error_code"])
     },
-    "UnregisterEveryNSamplesEvent": does(
-        lambda task, given: task.events.listen_every(given["every_n_samples_event_type"], 0, None)
+    "UnregisterEveryNSamplesEvent": task_action(
+        lambda task, fields: task.events.listen_every(fields["every_n_samples_event_type"], 0, None)
     ),
-    "UnregisterDoneEvent": does(lambda task, given: task.events.listen_done(None)),
-    "UnregisterSignalEvent": does(lambda task, given: task.events.listen_signal(given["signal_id"], None)),
-    "SelfTestDevice": _on_device,
-    "SelfCal": _on_device,
-    "RestoreLastExtCalConst": _on_device,
+    "UnregisterDoneEvent": task_action(lambda task, fields: task.events.listen_done(None)),
+    "UnregisterSignalEvent": task_action(lambda task, fields: task.events.listen_signal(fields["signal_id"], None)),
+    "SelfTestDevice": _check_device,
+    "SelfCal": _check_device,
+    "RestoreLastExtCalConst": _check_device,
     "ResetDevice": _reset_device,
-    "UnreserveNetworkDevice": _on_device,
-    "ReserveNetworkDevice": _on_device,
-    "DeviceSupportsCal": lambda call: _on_device(call) | {"cal_supported": False},
+    "UnreserveNetworkDevice": _check_device,
+    "ReserveNetworkDevice": _check_device,
+    "DeviceSupportsCal": lambda call: _check_device(call) | {"cal_supported": False},
     "ConfigureTEDS": _teds("configure"),
     "ClearTEDS": _teds("clear"),
     "WriteToTEDSFromArray": _teds("write"),
     "WriteToTEDSFromFile": _teds("write_file"),
-    "EnumerateDevices": _devices,
-    "Reserve": lambda call: {"is_reserved": call.instrument.reservations.reserve(*_names(call), waits=call.is_active)},
-    "IsReservedByClient": lambda call: {"is_reserved": call.instrument.reservations.is_reserved_by(*_names(call))},
-    "Unreserve": lambda call: {"is_unreserved": call.instrument.reservations.release(*_names(call))},
+    "EnumerateDevices": _enumerate_devices,
+    "Reserve": lambda call: {
+        "is_reserved": call.instrument.reservations.reserve(*_reservation(call), is_waiting=call.is_active)
+    },
+    "IsReservedByClient": lambda call: {
+        "is_reserved": call.instrument.reservations.is_reserved_by(*_reservation(call))
+    },
+    "Unreserve": lambda call: {"is_unreserved": call.instrument.reservations.release(*_reservation(call))},
     "ResetServer": _reset_server,
 }

@@ -12,6 +12,7 @@ from nidaqmx.system import System
 from rerun.chunk import RrdReader
 
 import daq
+import rig
 from daq.instrument.connecting import connect_scene
 from daq.server.client_defaults import open_channel
 from daq.server.live import LiveRecording, LiveView
@@ -121,6 +122,17 @@ def test_name_with_other_address_is_not_loopback(monkeypatch):
         answer = [(0, 0, 0, "", (each, 0)) for each in addresses]
         monkeypatch.setattr(socket, "getaddrinfo", lambda *_, answer=answer: answer)
         assert _is_loopback("a.name") is expected
+
+
+def test_live_recording_marks_overloads(tmp_path):
+    scene = rig.load("bare-structure", {"converter.bits": 24, "converter.range": "1 mV"})
+    with daq.connect(scene, clock="fast") as connection, nidaqmx.Task(grpc_options=connection) as task:
+        task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0", min_val=-1e-3, max_val=1e-3)
+        task.timing.cfg_samp_clk_timing(5120.0, samps_per_chan=2000)
+        with contextlib.closing(LiveRecording(connection.chassis, tmp_path / "run.mcap")):
+            task.read(2000)
+    with daq.open(tmp_path / "run.mcap") as recording:
+        assert {mark.kind for mark in recording.markers} == {"overload"}
 
 
 def test_recording_without_samples_is_reported(tmp_path, capsys):

@@ -1,6 +1,6 @@
-"""Recordings become compliance, decay, modes, figures and verdicts."""
+"""Analysis of recordings: frequency responses, free decays, modes, damper motion, fits of scenes, reports."""
 
-# A command that is interrupted while it is imported has nothing to say, and least of all a traceback.
+# A command that is interrupted during its imports exits without a traceback.
 try:
     from rig.interruption import restore_default_interrupt
 
@@ -10,6 +10,6 @@ except KeyboardInterrupt:
 
 import lazy_loader
 
-# A module is imported when one of the names of `__init__.pyi` is first used, so that importing the package stays
-# quick: numba alone takes longer to import than a whole impulse test takes to run.
+# Each module is imported when one of its names in `__init__.pyi` is first used, because the import of all modules takes
+# longer than the analysis of a short test.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

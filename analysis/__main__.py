@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-# For matrices as narrow as these, a linear algebra library's threads wait for each other longer than they compute.
+# The matrices are so small that the threads of OpenBLAS would wait for each other longer than they compute.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 

@@ -39,41 +39,41 @@ class Results(Result, Sequence[R], Generic[R]):
     """
 
     def __init__(self, results: Iterable[R]) -> None:
-        self._each = tuple(results)
+        self._results = tuple(results)
 
     def __getitem__(self, index: Any) -> Any:
         """Return one result, or a selection of them."""
-        return Results(self._each[index]) if isinstance(index, slice) else self._each[index]
+        return Results(self._results[index]) if isinstance(index, slice) else self._results[index]
 
     def __len__(self) -> int:
-        return len(self._each)
+        return len(self._results)
 
     def __iter__(self) -> Iterator[R]:
-        return iter(self._each)
+        return iter(self._results)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Join the columns that all results have; the column `label` names the recording and sweep."""
-        every = [dict(each.columns()) for each in self._each]
-        names = [name for name in (every[0] if every else {}) if all(name in each for each in every)]
+        all_columns = [dict(result.columns()) for result in self._results]
+        names = [name for name in (all_columns[0] if all_columns else {}) if all(name in each for each in all_columns)]
         tables = []
-        for each, columns in zip(self._each, every, strict=True):
+        for result, columns in zip(self._results, all_columns, strict=True):
             count = len(next(iter(columns.values()), ()))
-            label = np.full(count, str(getattr(each, "label", "")))
+            label = np.full(count, str(getattr(result, "label", "")))
             tables.append({name: columns[name] for name in names} | {"label": label})
         return join_columns(tables)
 
     def summary(self) -> str:
-        """Summaries of all results, a line each."""
-        return "\n".join(each.summary() for each in self._each)
+        """Return the summaries of all results, one per line."""
+        return "\n".join(result.summary() for result in self._results)
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw all results into the same axes."""
-        for each in self._each:
-            each.draw(ax, **style)
+        for result in self._results:
+            result.draw(ax, **style)
 
     def _repr_html_(self) -> str:
-        """Show each result, as notebooks do."""
-        return "".join(each._repr_html_() for each in self._each)
+        """Return the HTML that notebooks show for each result."""
+        return "".join(result._repr_html_() for result in self._results)
 
 
 def frf(
@@ -95,30 +95,32 @@ def frf(
     recordings : daq.Recording, str, Path or a sequence of these
         Recordings, or .uff and .csv files with responses that other programs have estimated.
     response : sequence of str, optional
-        Channels; omitted, all on bodies.
+        Channels; if omitted, all on bodies.
     reference : {'force', 'table'}
         Input: force on the structure, or displacement of the table.
     motion : {'displacement', 'velocity', 'acceleration'}
         Receptance, mobility or accelerance.
     estimator : {'H1', 'H2', 'Hv'}, optional
-        Average spectra of blocks, for random tests and hits; omitted, the whole record, without leakage.
+        Average the spectra of blocks, for random tests and hits. If omitted, the whole record is evaluated, without
+        leakage.
     block, overlap, window
-        Length of blocks in s, overlap as a share, and window, as `scipy.signal.get_window` names it.
+        Length of the blocks in s, their overlap as a fraction of the length, and their window by its name in
+        `scipy.signal.get_window`.
     unit : str, optional
-        Of files that state none, such as ``"g/N"``.
+        Unit of the values, such as ``"g/N"``, for files that do not state it.
     progress : callable, optional
-        Called with (done, in all).
+        Called with (completed, total).
 
     Returns
     -------
     Results of Response
-        One for each sweep, with all outputs.
+        A response for each sweep, with all outputs.
 
     Examples
     --------
     >>> import analysis
-    >>> found = analysis.frf("recordings/demo-sweep-no-damper.mcap")
-    >>> found[0].keys()
+    >>> responses = analysis.frf("recordings/demo-sweep-no-damper.mcap")
+    >>> responses[0].keys()
     ('body1', 'body2', 'body3')
     """
     from analysis.presentation.inputs import read_curves
@@ -132,10 +134,10 @@ def frf(
             responses.append(_labelled(stack([curve.to(motion) for curve in curves]), label))
             continue
         with source as rec:
-            for each in frequency_responses(
+            for sweep in frequency_responses(
                 rec, response, reference, motion, estimator, block, progress, overlap, window
             ):
-                responses.append(_labelled(each, label, rec.scene.name))
+                responses.append(_labelled(sweep, label, rec.scene.name))
     return Results(responses)
 
 
@@ -152,14 +154,14 @@ def modes(
     Parameters
     ----------
     recordings, reference, block, unit, progress
-        As of `frf`.
+        As in `frf`.
     modes : int, optional
-        Number of modes to keep; omitted, all stable ones.
+        Largest number of modes; if omitted, all significant modes.
 
     Returns
     -------
     Results of Modes
-        One for each sweep. `analysis.mac` compares the shapes of two of them.
+        Modes of each sweep. `analysis.mac` compares the shapes of two sweeps.
     """
     from analysis.modal.identification import identify
 
@@ -173,15 +175,15 @@ def dampers(recordings: Recordings, progress: CountProgress | None = None) -> Re
     Returns
     -------
     Results of Dampers
-        One for each sweep.
+        Result of each sweep.
     """
     from analysis.damper_motion.dampers import dampers_in
-    from analysis.presentation.expectations import expect
+    from analysis.presentation.inputs import check_recording
 
     results: list[Dampers] = []
     for source, label in _sources(recordings):
         with _only_recordings(source) as rec:
-            expect(rec, rec.path, "dampers")
+            check_recording(rec, rec.path, "dampers")
             results += dampers_in(rec, label, progress)
     return Results(results)
 
@@ -204,9 +206,9 @@ def report(
     Parameters
     ----------
     output : str or Path, optional
-        Folder, or .html file; omitted, the folder of the first recording.
+        Folder, or .html file; if omitted, the folder of the first recording.
     overwrite : bool
-        Replace a page that exists.
+        Whether an existing page may be replaced.
     """
     from analysis.reporting.report import write_report
     from rig.provenance import allow_overwriting
@@ -233,13 +235,13 @@ def export(
     output : str or Path
         File to write: .uff, .mat, .csv, .npz or .wav.
     channel : sequence of str, optional
-        Omitted, all.
+        Channels; if omitted, all.
     start, stop : float, optional
-        Times in s; omitted, from end to end.
+        Limits of the segment in s; if omitted, the whole recording.
     speed : float
-        Of sound files.
+        Playback speed factor of a .wav file: with 10, a tone of 30 Hz sounds at 300 Hz.
     what : {'samples', 'frfs', 'modes'}
-        The last two go into .uff or .mat.
+        Content of the file. Frequency responses and modes require .uff or .mat.
     """
     from analysis.exporting.export import export as export_segment
     from analysis.exporting.results import export_results
@@ -258,12 +260,12 @@ def export(
 def cost(
     scene: SceneLike, frequency: Sequence[float] | None = None, progress: CountProgress | None = None
 ) -> ChainStudy:
-    """Measure error and computing time of the measurement chain, one effect at a time, as `analysis cost`.
+    """Measure error and computing time of the measurement chain, with one part changed at a time, as `analysis cost`.
 
     Parameters
     ----------
     frequency : sequence of float, optional
-        Hz; omitted, both ends of the test and the hardest.
+        Test frequencies in Hz; if omitted, both ends of the test and the frequency of largest acceleration.
     """
     from analysis.chain_cost.study import chain_study
     from rig.scene.loading import scene_of
@@ -287,7 +289,7 @@ def paper(
     fresh : sequence of str
         Parts to compute again.
     cluster : str, optional
-        As for `rig.design`.
+        Address of a Dask scheduler, as in `rig.design`.
     progress : callable, optional
         Called with lines of text.
     """
@@ -298,22 +300,22 @@ def paper(
         return reproduce(Path(output), progress or (lambda _: None), fresh, cluster)
 
 
-def _each(recordings: Recordings) -> list[OneRecording]:
+def _listed(recordings: Recordings) -> list[OneRecording]:
     is_single = isinstance(recordings, str | Path) or hasattr(recordings, "channels")
     return [recordings] if is_single else list(recordings)  # type: ignore[arg-type, list-item]
 
 
 def _paths(recordings: Recordings) -> list[Path]:
-    return [Path(each) if isinstance(each, str | Path) else each.path for each in _each(recordings)]
+    return [Path(each) if isinstance(each, str | Path) else each.path for each in _listed(recordings)]
 
 
 def _sources(recordings: Recordings) -> Iterator[tuple[Any, str]]:
-    """Each recording as a context, or the path of a file with responses, with its label."""
+    """Yield each recording as a context, or the path of a file with responses, with its label."""
     from analysis.presentation.inputs import labels
     from analysis.responses.frf_files import is_frf_file
 
-    each, paths = _each(recordings), _paths(recordings)
-    for source, path, label in zip(each, paths, labels(paths), strict=True):
+    sources, paths = _listed(recordings), _paths(recordings)
+    for source, path, label in zip(sources, paths, labels(paths), strict=True):
         yield path if is_frf_file(path) else _opened(source), label
 
 

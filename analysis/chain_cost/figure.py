@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.chain_cost.study import ChainStudy, Measurement
-from analysis.chain_cost.variants import GROUPS, own_setting
+from analysis.chain_cost.variants import GROUPS, scene_setting
 from rig.escaping import escape_figure
 from rig.figure_style import COLORS, new_figure, save_with_table
 from rig.output_files import file_stem
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
     from rig.scene.scene import Scene
 
-OWN, CHANGED, FAINT = COLORS[1], COLORS[0], "#a0a0a0"
+SCENE_COLOR = COLORS[1]
+CHANGED_COLOR = COLORS[0]
+UNCORRECTED_COLOR = "#a0a0a0"
 
 
 def table(study: ChainStudy) -> str:
@@ -83,37 +85,40 @@ def _draw(study: ChainStudy) -> Figure:
     """Draw a row for each changed part of the chain: measurement error and computing time."""
     groups = [(group, [p for p in study.points if p.group == group]) for group in GROUPS]
     rows = [
-        ("the scene as it is", study.unchanged, OWN),
-        ("without noise, counts, tolerances, bias", study.without_noise, OWN),
+        ("the scene as it is", study.unchanged, SCENE_COLOR),
+        ("without noise, counts, tolerances, bias", study.without_noise, SCENE_COLOR),
     ]
     for group, points in groups:
-        scene_setting = own_setting(study.scene, group)
-        rows += [(f"{group}: {p.setting}{' (the scene)' * (p.setting == scene_setting)}", p, CHANGED) for p in points]
-    place = np.arange(len(rows), dtype=float)
-    place[2:] += np.repeat(0.7 * np.arange(1, len(groups) + 1), [len(points) for _, points in groups])
-    with new_figure(0.9 + 0.19 * place[-1], 9.0) as figure:
-        left, right = figure.subplots(1, 2, sharey=True, width_ratios=(2.2, 1.0))
-        for y, (_, point, shade) in zip(place, rows, strict=True):
+        unchanged_setting = scene_setting(study.scene, group)
+        rows += [
+            (f"{group}: {p.setting}{' (the scene)' * (p.setting == unchanged_setting)}", p, CHANGED_COLOR)
+            for p in points
+        ]
+    position = np.arange(len(rows), dtype=float)
+    position[2:] += np.repeat(0.7 * np.arange(1, len(groups) + 1), [len(points) for _, points in groups])
+    with new_figure(0.9 + 0.19 * position[-1], 9.0) as figure:
+        error_axes, cost_axes = figure.subplots(1, 2, sharey=True, width_ratios=(2.2, 1.0))
+        for y, (_, point, shade) in zip(position, rows, strict=True):
             if np.isfinite(point.error):
-                error, raw = max(point.error, 1e-17), max(point.correction, 1e-17)
-                left.plot([error, raw], [y, y], color=FAINT, lw=0.8, zorder=1)
-                left.plot(raw, y, "o", color=FAINT, mfc="white", ms=4.5)
-                left.plot(error, y, "o", color=shade, ms=6)
-                right.barh(y, 1e3 * point.cpu / point.duration, 0.6, color=shade)
+                error, uncorrected = max(point.error, 1e-17), max(point.correction, 1e-17)
+                error_axes.plot([error, uncorrected], [y, y], color=UNCORRECTED_COLOR, lw=0.8, zorder=1)
+                error_axes.plot(uncorrected, y, "o", color=UNCORRECTED_COLOR, mfc="white", ms=4.5)
+                error_axes.plot(error, y, "o", color=shade, ms=6)
+                cost_axes.barh(y, 1e3 * point.cpu / point.duration, 0.6, color=shade)
             else:
-                left.annotate("cannot be measured", (0.02, y), xycoords=("axes fraction", "data"), va="center",
+                error_axes.annotate("cannot be measured", (0.02, y), xycoords=("axes fraction", "data"), va="center",
                               fontsize=7.5, color="#666666")  # fmt: skip
-        left.axvline(study.unchanged.error, color=OWN, lw=0.8, ls="--", zorder=0)
-        left.set(xscale="log", xlabel="error, relative")
-        left.set_yticks(place, [escape_figure(text) for text, *_ in rows])
-        left.set_ylim(place[-1] + 0.8, -0.8)
-        right.set_xlabel("CPU time / (ms per s of test)")
-        for axes in (left, right):
+        error_axes.axvline(study.unchanged.error, color=SCENE_COLOR, lw=0.8, ls="--", zorder=0)
+        error_axes.set(xscale="log", xlabel="error, relative")
+        error_axes.set_yticks(position, [escape_figure(text) for text, *_ in rows])
+        error_axes.set_ylim(position[-1] + 0.8, -0.8)
+        cost_axes.set_xlabel("CPU time / (ms per s of test)")
+        for axes in (error_axes, cost_axes):
             axes.grid(False, axis="y")
             axes.tick_params(axis="y", length=0)
-        left.plot([], [], "o", color=CHANGED, ms=6, label="compliance, corrected by the data sheets")
-        left.plot([], [], "o", color=FAINT, mfc="white", ms=4.5, label="displacement, not corrected")
-        left.plot([], [], "--", color=OWN, lw=0.8, label="the scene as it is")
+        error_axes.plot([], [], "o", color=CHANGED_COLOR, ms=6, label="compliance, corrected by the data sheets")
+        error_axes.plot([], [], "o", color=UNCORRECTED_COLOR, mfc="white", ms=4.5, label="displacement, not corrected")
+        error_axes.plot([], [], "--", color=SCENE_COLOR, lw=0.8, label="the scene as it is")
         figure.legend(loc="outside lower center", ncols=3)
         figure.suptitle(escape_figure(study.scene.name))
         return figure

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.chain_cost.variants import Variant, plain, quiet, variants
+from analysis.chain_cost.variants import Variant, expand_chain, variants, without_noise
 from analysis.responses.frequency_responses import frequency_responses
 from daq.measurement.run import record
 from daq.recording.recording import open as open_recording
@@ -62,31 +62,31 @@ UNMEASURABLE = "the scene as it is cannot be measured: {}. Run `daq record` with
 class Measurement:
     """Measured error and time of a chain variant."""
 
-    group: str
-    setting: str  # Changed part of the chain, and its setting
+    group: str  # changed part of the chain; "" for the scene itself
+    setting: str  # setting of the changed part
     cpu: float  # CPU time of recording and analysis, s; NaN after a failure
-    duration: float  # Length of the test, s
+    duration: float  # length of the test, s
     error: float
     """Largest error of the compliance over measured bodies and frequencies, relative to the largest compliance.
     Channels are corrected by their data sheets: frequency response of sensor, amplifier and converter."""
     correction: float
     """Size of that correction: largest relative error of a displacement computed with nominal sensitivities
     only. In a compliance most of it cancels if all channels are identical."""
-    note: str = ""  # Warnings of test and analysis, or the reason for a failure
+    note: str = ""  # warnings of test and analysis, or the reason of a failure
 
 
 @dataclass(frozen=True)
 class ChainStudy:
     """Result of `chain_study`."""
 
-    scene: Scene  # With its chain written out
+    scene: Scene  # with presets expanded and all channels named
     frequency: tuple[float, ...]  # Hz
-    unchanged: Measurement  # The scene as it is
+    unchanged: Measurement  # the scene as it is
     without_noise: Measurement
     """The scene without noise, quantization, sensor tolerances and bias, which no data sheet can correct; the
     baseline of all changes."""
-    points: tuple[Measurement, ...]  # Results with one part of the chain changed at a time
-    reference: str  # Reference of the errors, and its origin
+    points: tuple[Measurement, ...]  # results with one part of the chain changed at a time
+    reference: str  # reference of the errors, and its origin
 
 
 def chain_study(
@@ -106,33 +106,35 @@ def chain_study(
     or its channels do not measure the force. Raises `RunError` if no motion repeats every period, or the unchanged
     scene cannot be measured.
     """
-    base = plain(scene)
-    level_of(base)
-    chosen = (
+    expanded = expand_chain(scene)
+    level_of(expanded)
+    tested = (
         tuple(np.unique(positive_values(frequencies, FREQUENCY, "frequencies")).tolist())
         if frequencies
-        else steady_frequencies(base)
+        else steady_frequencies(expanded)
     )
-    base = base.replace(test=_test(base, chosen), recording=base.recording.replace(display=False, truth=False))
-    peak_frequency = chosen[int(np.argmax(_accelerations(base, chosen)))]
-    linear = assemble(base).dampers == 0
+    expanded = expanded.replace(
+        test=_test(expanded, tested), recording=expanded.recording.replace(display=False, truth=False)
+    )
+    peak_frequency = tested[int(np.argmax(_accelerations(expanded, tested)))]
+    linear = assemble(expanded).dampers == 0
     with tempfile.TemporaryDirectory() as folder:
         bench = _Bench(Path(folder), linear)
         # Run once without measurement, so that compilation is excluded from the cost; this run also gives the
         # voltages.
         try:
-            volts = bench.largest_volts(base)
+            volts = bench.largest_volts(expanded)
         except ShotrigError as error:
             raise type(error)(UNMEASURABLE.format(error)) from None
-        todo = [
-            Variant("", "as it is", base),
-            Variant("", "without noise and tolerances", quiet(base)),
-            *variants(base, min(chosen), peak_frequency, max(chosen), volts),
+        all_variants = [
+            Variant("", "as it is", expanded),
+            Variant("", "without noise and tolerances", without_noise(expanded)),
+            *variants(expanded, min(tested), peak_frequency, max(tested), volts),
         ]
         measured: list[Measurement] = []
-        for number, variant in enumerate(todo):
+        for number, variant in enumerate(all_variants):
             if progress is not None:
-                progress(number, len(todo))
+                progress(number, len(all_variants))
             measured.append(bench.measurement(variant))
             if np.isnan(measured[0].error):
                 raise RunError(UNMEASURABLE.format(measured[0].note))
@@ -142,7 +144,7 @@ def chain_study(
         else f"the engine's steady motion under the drive stated in the recording, repeating "
         f"within {REFERENCE_TOLERANCE:.0e}"
     )
-    return ChainStudy(base, chosen, measured[0], measured[1], tuple(measured[2:]), reference)
+    return ChainStudy(expanded, tested, measured[0], measured[1], tuple(measured[2:]), reference)
 
 
 def steady_frequencies(scene: Scene) -> tuple[float, ...]:
@@ -157,20 +159,20 @@ def steady_frequencies(scene: Scene) -> tuple[float, ...]:
     motion = with_ideal_force(scene)
     candidates = columns(motion, points=CANDIDATES)
     if assemble(motion).dampers == 0:
-        good = np.ones(len(candidates), dtype=bool)
+        is_steady = np.ones(len(candidates), dtype=bool)
     else:
         response = frequency_response(motion, candidates, direction="both", tolerance=1e-6, longest=6000)
         upward, downward = slice(len(candidates)), slice(None, len(candidates) - 1, -1)
         up, down = response.compliance[:, upward], response.compliance[:, downward]
         repeats = response.converged & (response.repetition == 1)
-        good = repeats[upward] & repeats[downward]
-        good &= np.abs(up - down).max(axis=0) < SAME_MOTION_TOLERANCE * np.abs(up).max(axis=0)
-    if not good.any():
+        is_steady = repeats[upward] & repeats[downward]
+        is_steady &= np.abs(up - down).max(axis=0) < SAME_MOTION_TOLERANCE * np.abs(up).max(axis=0)
+    if not is_steady.any():
         raise RunError(
             "the motion is periodic at none of the frequencies tried, so that there is no reference "
             "compliance. Choose others with --frequency, or another level."
         )
-    steady = candidates[good]
+    steady = candidates[is_steady]
     peak_frequency = steady[int(np.argmax(_accelerations(motion, steady)))]
     return tuple(sorted({float(f"{f:.4g}") for f in (steady[0], peak_frequency, steady[-1])}))
 
@@ -213,15 +215,15 @@ class _Bench:
         times, notes = [], []
         try:
             for _ in range(REPEATS):
-                begun = time.process_time()
-                with warnings.catch_warnings(record=True) as caught:
+                start = time.process_time()
+                with warnings.catch_warnings(record=True) as raised_warnings:
                     warnings.simplefilter("always")
                     path = self._record(variant.scene)
                     with open_recording(path) as rec:
                         curves = frequency_responses(rec)[0]
-                times.append(time.process_time() - begun)
+                times.append(time.process_time() - start)
             # A warning about settling is omitted, because the error includes the residual transient.
-            notes += [str(warning.message) for warning in caught if "overload" in str(warning.message)]
+            notes += [str(warning.message) for warning in raised_warnings if "overload" in str(warning.message)]
             notes += [warning for curve in curves for warning in curve.warnings if "overload" in warning]
             with open_recording(path) as rec:
                 reference = self._reference_compliance(rec)

@@ -19,6 +19,7 @@ RATES = (0.125, 0.25, 0.5, 2.0, 4.0, 8.0)
 SAMPLES_A_PERIOD = 4.0
 #: Mounted resonances of the sensors, relative to the highest frequency.
 RESONANCES = (10.0, 100.0, 1000.0)
+#: Bits of the converter.
 BITS = (24, 16, 12)
 #: Lower corner frequency of an added integrator, relative to the lowest frequency.
 CORNER = 0.1
@@ -40,12 +41,12 @@ GROUPS = ("sensor", "noise", "integrator", "anti-alias filter", "sample rate", "
 class Variant:
     """A scene with one part of its chain changed."""
 
-    group: str  # Changed part, one of `GROUPS`; "" for the scene itself
-    setting: str  # New setting of that part
+    group: str  # changed part, one of `GROUPS`; "" for the scene itself
+    setting: str  # new setting of this part
     scene: Scene
 
 
-def plain(scene: Scene) -> Scene:
+def expand_chain(scene: Scene) -> Scene:
     """Expand a scene's chain: presets filled in, channels named, no limits of the readings.
 
     Raises `SceneError` if no channel measures the force.
@@ -75,11 +76,8 @@ def _written_out(channel: Channel) -> Channel:
     return channel.replace(accelerometer=sensor, hammer=hammer, alarm=None, abort=None)
 
 
-def own_setting(scene: Scene, group: str) -> str:
-    """Describe the own setting of a plain scene for a group.
-
-    `group`: one of `GROUPS`.
-    """
+def scene_setting(scene: Scene, group: str) -> str:
+    """Describe the unchanged setting of the part `group`, one of `GROUPS`, in an expanded scene."""
     converter, channels = scene.converter, scene.channels or ()
     if group == "sample rate":
         return f"{converter.rate:.6g} Hz"
@@ -99,8 +97,8 @@ def own_setting(scene: Scene, group: str) -> str:
     return " and ".join(dict.fromkeys(texts))
 
 
-def quiet(scene: Scene) -> Scene:
-    """Remove noise, quantization, sensor tolerances and bias, which no data sheet can correct, from a plain scene."""
+def without_noise(scene: Scene) -> Scene:
+    """Remove noise, quantization, sensor tolerances and bias, which no data sheet can correct, in an expanded scene."""
     return _exact_sensors(_without_counts(_with_noise(scene, 0.0)))
 
 
@@ -124,20 +122,20 @@ def _without_counts(scene: Scene) -> Scene:
 def variants(
     scene: Scene, lowest: float, peak_frequency: float, highest: float, largest_volts: float
 ) -> Iterator[Variant]:
-    """Change one part at a time in the scene from `quiet`, where noise does not mask the effects.
+    """Change one part at a time in the scene from `without_noise`, where noise does not mask the effects.
 
-    `scene`: as returned by `plain`; `lowest`, `peak_frequency`, `highest`: measured frequencies, Hz; an added
+    `scene`: as returned by `expand_chain`; `lowest`, `peak_frequency`, `highest`: measured frequencies, Hz; an added
     integrator has unit gain at `peak_frequency`; `largest_volts`: largest reading of the unchanged scene, V, which
     determines the range of a converter without a range.
     """
     for name, factor in (("the scene's", 1.0), ("ten times", 10.0)):
-        loud = _with_noise(scene, factor)
-        if loud != _with_noise(scene, 0.0):
-            yield Variant("noise", name, _exact_sensors(_without_counts(loud)))
+        noisy = _with_noise(scene, factor)
+        if noisy != _with_noise(scene, 0.0):
+            yield Variant("noise", name, _exact_sensors(_without_counts(noisy)))
     if _exact_sensors(scene) != scene:
         yield Variant("sensor", "tolerances, bias", _without_counts(_with_noise(scene, 0.0)))
     full_scale = scene.converter.range or HEADROOM * largest_volts
-    scene = quiet(scene)
+    scene = without_noise(scene)
     yield from _resonances(scene, highest)
     yield from _integrators(scene, lowest, peak_frequency)
     if scene.converter.filter is None:
@@ -179,7 +177,7 @@ def _resonances(scene: Scene, highest: float) -> Iterator[Variant]:
 
 
 def _with_noise(scene: Scene, factor: float) -> Scene:
-    """Multiply all noise densities and the jitter of a plain scene by a factor; 0 removes them."""
+    """Multiply all noise densities and the jitter of an expanded scene by a factor; 0 removes them."""
 
     def scaled(noise: float | None) -> float | None:
         return None if noise is None or factor == 0.0 else factor * noise

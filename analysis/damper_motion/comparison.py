@@ -18,6 +18,7 @@ from rig.results.uncertainty import SENSITIVITY
 _BAND_BELOW_RATIO = 0.15
 # Maximum relative error with which neighbours predict a point; above it, the curve has a jump.
 _MAX_PREDICTION_ERROR = 0.2
+# Number of frequencies of the interpolated curve between the neighbours of the highest point.
 _GRID_POINTS = 801
 # Maximum relative interpolation error at a peak; above it, a smaller frequency step is recommended.
 _MAX_INTERPOLATION_ERROR = 0.01
@@ -25,31 +26,25 @@ _MAX_INTERPOLATION_ERROR = 0.01
 
 @dataclass(frozen=True)
 class Peak:
-    """A resonance peak of a measured receptance.
+    """A resonance peak of a measured receptance."""
 
-    `value`, `bound`: height and its 95 % bound, m/N. `bound` is infinite if the curve has a jump, or if points were
-    excluded next to the highest point; `value` is then a lower bound of the height; `frequency`, `first`, `last`:
-    frequency of the peak, and its limits, Hz.
-
-    `at_end`: whether the highest point is at an end of the band, and therefore on the flank of another peak.
-    """
-
-    value: float
+    value: float  # height, m/N; a lower limit of the height if `bound` is infinite
+    # 95 % bound of the height, m/N; infinite if the curve has a jump or points next to the highest point were excluded
     bound: float
-    frequency: float
-    first: float
-    last: float
-    least: float = 0.0  # lower limit of the height: lower bound of the highest measured point, m/N
-    between: float = 0.0  # part of `bound` due to interpolation between the points, m/N
+    frequency: float  # Hz
+    first: float  # lower limit of the frequency, Hz
+    last: float  # upper limit of the frequency, Hz
+    lower_limit: float = 0.0  # of the height: lower limit of the highest measured point, m/N
+    interpolation_bound: float = 0.0  # part of `bound` due to interpolation between the points, m/N
     step: float = 0.0  # largest frequency step next to the highest point, Hz; 0 if there is no interpolation
-    at_end: bool = False
+    at_end: bool = False  # whether the highest point is at an end of the band, on the flank of another peak
 
     @property
     def low(self) -> float:
         """Lower limit of the height, m/N."""
         if self.at_end:
             return 0.0
-        return self.value if isinf(self.bound) else max(self.value - self.bound, self.least)
+        return self.value if isinf(self.bound) else max(self.value - self.bound, self.lower_limit)
 
 
 def peak(frf: Response, low: float, high: float) -> Peak | None:
@@ -75,38 +70,40 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
     scatter = np.nan_to_num(in_band.random_bound()[valid])
     point_bound = np.nan_to_num(in_band.bound()[valid])
     highest = _highest_local_maximum(magnitude, scatter)
-    five = np.arange(max(highest - 2, 0), min(highest + 3, f.size))
+    five_points = np.arange(max(highest - 2, 0), min(highest + 3, f.size))
     if highest in (0, f.size - 1):
         return Peak(float(magnitude[highest]), inf, float(f[highest]), float(f[0]), float(f[-1]), at_end=True)
-    three = slice(highest - 1, highest + 2)
-    others = five[five != highest]
+    three_points = slice(highest - 1, highest + 2)
+    others = five_points[five_points != highest]
     predicted = _interpolate(f[others], inverse[others], f[[highest]])
-    jump = five.size > 3 and abs(abs(1.0 / predicted[0]) / magnitude[highest] - 1.0) > _MAX_PREDICTION_ERROR
+    jump = five_points.size > 3 and abs(abs(1.0 / predicted[0]) / magnitude[highest] - 1.0) > _MAX_PREDICTION_ERROR
     if jump or f.size < 4 or np.any((in_band.omitted > f[highest - 1]) & (in_band.omitted < f[highest + 1])):
         return Peak(float(magnitude[highest]), inf, float(f[highest]), float(f[highest - 1]), float(f[highest + 1]))
     grid = np.linspace(f[highest - 1], f[highest + 1], _GRID_POINTS)
-    curve = abs(1.0 / _interpolate(f[three], inverse[three], grid))
-    curve_of_five = abs(1.0 / _interpolate(f[five], inverse[five], grid))
+    curve = abs(1.0 / _interpolate(f[three_points], inverse[three_points], grid))
+    curve_of_five = abs(1.0 / _interpolate(f[five_points], inverse[five_points], grid))
     peak_index = int(np.argmax(curve))
     # Sensitivity of the interpolated 1/H at the peak to each point; the bounds are propagated to the peak.
-    sensitivity = abs(_interpolate(f[three], np.eye(3), grid[[peak_index]]))[:, 0]
-    measured_bound = curve[peak_index] ** 2 * float(sensitivity @ (point_bound[three] / magnitude[three] ** 2))
+    sensitivity = abs(_interpolate(f[three_points], np.eye(3), grid[[peak_index]]))[:, 0]
+    measured_bound = curve[peak_index] ** 2 * float(
+        sensitivity @ (point_bound[three_points] / magnitude[three_points] ** 2)
+    )
     prediction_error = _prediction_error(f, inverse, scatter / magnitude**2, highest)
     interpolation_bound = 2.0 * float(
         abs(curve_of_five.max() - curve[peak_index]) + prediction_error * curve[peak_index]
     )
     bound = measured_bound + interpolation_bound
     possible = grid[(curve >= curve[peak_index] - bound) | (curve_of_five >= curve_of_five.max() - bound)]
-    high_enough = np.concatenate([possible, f[magnitude + point_bound >= curve[peak_index] - bound]])
+    possible_frequencies = np.concatenate([possible, f[magnitude + point_bound >= curve[peak_index] - bound]])
     return Peak(
         float(curve[peak_index]),
         bound,
         float(grid[peak_index]),
-        float(high_enough.min()),
-        float(high_enough.max()),
+        float(possible_frequencies.min()),
+        float(possible_frequencies.max()),
         float(magnitude[highest] - point_bound[highest]),
         interpolation_bound,
-        float(np.diff(f[three]).max()),
+        float(np.diff(f[three_points]).max()),
     )
 
 
@@ -158,12 +155,12 @@ class PeakChange:
     """Damping ratio of that mode."""
     bare: Peak
     damped: Peak
-    as_read: tuple[Peak, Peak] | None = None
+    without_sensitivity: tuple[Peak, Peak] | None = None
     """Both peaks without the sensitivity errors, which cancel in the change if the same sensors measured both."""
 
     @property
     def _compared(self) -> tuple[Peak, Peak]:
-        return self.as_read or (self.bare, self.damped)
+        return self.without_sensitivity or (self.bare, self.damped)
 
     @property
     def decibel(self) -> tuple[float, float, float]:
@@ -187,10 +184,10 @@ class PeakChange:
         return self.damping * self.bare.value / self.damped.value
 
 
-def _ratio_dB(above: float, below: float) -> float:  # noqa: N802
-    if above <= 0.0 or below == inf:
+def _ratio_dB(numerator: float, denominator: float) -> float:  # noqa: N802
+    if numerator <= 0.0 or denominator == inf:
         return -inf
-    return inf if below <= 0.0 or above == inf else 20.0 * log10(above / below)
+    return inf if denominator <= 0.0 or numerator == inf else 20.0 * log10(numerator / denominator)
 
 
 def peak_changes(
@@ -216,13 +213,13 @@ def peak_changes(
                 continue
             if after.at_end and not covers(curve, before.frequency):
                 continue
-            as_read = None
+            without_sensitivity = None
             if curve.response in same_sensors:
-                before_as_read, after_as_read = (peak(response.without(SENSITIVITY), first, last) for response in pair)
-                assert before_as_read is not None
-                assert after_as_read is not None
-                as_read = before_as_read, after_as_read
-            out.append(PeakChange(curve.response, float(f), float(zeta), before, after, as_read))
+                bare_as_read, damped_as_read = (peak(response.without(SENSITIVITY), first, last) for response in pair)
+                assert bare_as_read is not None
+                assert damped_as_read is not None
+                without_sensitivity = bare_as_read, damped_as_read
+            out.append(PeakChange(curve.response, float(f), float(zeta), before, after, without_sensitivity))
     return out
 
 
@@ -234,9 +231,9 @@ def covers(curve: Response, frequency: float) -> bool:
 def peak_bands(modes: Modes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the natural frequencies in ascending order, and the limits of the bands of their peaks, Hz."""
     frequency = np.sort(modes.frequency)
-    between = np.sqrt(frequency[1:] * frequency[:-1])
-    low = np.maximum(frequency * (1.0 - _BAND_BELOW_RATIO), np.append(0.0, between))
-    high = np.minimum(frequency * (1.0 + _BAND_BELOW_RATIO / 2), np.append(between, inf))
+    midpoints = np.sqrt(frequency[1:] * frequency[:-1])
+    low = np.maximum(frequency * (1.0 - _BAND_BELOW_RATIO), np.append(0.0, midpoints))
+    high = np.minimum(frequency * (1.0 + _BAND_BELOW_RATIO / 2), np.append(midpoints, inf))
     return frequency, low, high
 
 
@@ -269,18 +266,18 @@ def coarse_step_warnings(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
     `peaks`: natural frequency of the mode, Hz, name of the response, and the peak.
     """
     coarse: dict[float, dict[str, Peak]] = {}
-    for mode, response, peak_of_response in peaks:
+    for mode, response, response_peak in peaks:
         if (
-            not isinf(peak_of_response.bound)
-            and peak_of_response.between > _MAX_INTERPOLATION_ERROR * peak_of_response.value
+            not isinf(response_peak.bound)
+            and response_peak.interpolation_bound > _MAX_INTERPOLATION_ERROR * response_peak.value
         ):
-            coarse.setdefault(mode, {})[response] = peak_of_response
+            coarse.setdefault(mode, {})[response] = response_peak
     messages = []
     for _, by_response in sorted(coarse.items()):
         worst = max(
-            by_response.values(), key=lambda peak_of_response: peak_of_response.between / peak_of_response.value
+            by_response.values(), key=lambda response_peak: response_peak.interpolation_bound / response_peak.value
         )
-        error = worst.between / worst.value
+        error = worst.interpolation_bound / worst.value
         responses, deviation = ", ".join(by_response), format_number(float(f"{100 * error:.2g}"))
         # The error of interpolation falls at least with the square of the step.
         messages.append(

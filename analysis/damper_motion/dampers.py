@@ -68,7 +68,9 @@ class Dampers(Result):
         motions = [body[i] for i in range(count) for body in self.bodies]
         # If impacts may have been missed, their number is unknown.
         floor, ceiling = (
-            np.array([getattr(motion, wall) if motion.repeats else np.nan for motion in motions], dtype=np.float64)
+            np.array(
+                [getattr(motion, wall) if motion.pattern_periods else np.nan for motion in motions], dtype=np.float64
+            )
             for wall in ("floor", "ceiling")
         )
         if not self.bodies:

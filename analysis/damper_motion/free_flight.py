@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 # Part of the segment that is excluded at each end, relative to its length: the correction mirrors the samples there.
 _EXCLUDED_END_RATIO = 0.05
+# Minimum number of flights that are consistent with the impacts.
 _MIN_FLIGHTS = 6
 # Minimum share of flights among the intervals between impacts.
 _MIN_FLIGHT_RATIO = 0.25

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from analysis.damper_motion.impact_model import impact_models
 from analysis.damper_motion.landing_pulse import landing_pulse
 from analysis.damper_motion.matching_pursuit import (
-    CALM_SHARE,
     DETECTION_MARGIN_SIGMAS,
     DETECTION_SIGMAS,
     MODEL_ERROR,
+    NOISE_QUANTILE,
     NOISE_REDUCTION,
     RESIDUAL_RATIO,
     MatchingPursuit,
@@ -62,8 +62,8 @@ _DECAY_TIMES = 4.0
 _SIDE_ORDER = 3
 # If the largest jump is below this multiple of the noise, other jumps may have inflated the noise estimate.
 _UNCERTAIN_SIGMAS = 40.0
-# Share of the windows from which the noise is then estimated again.
-_CALMEST_RATIO = 0.1
+# Quantile of the jump filter's output from which the noise is then estimated again.
+_LOW_NOISE_QUANTILE = 0.1
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ def impacts(
         raise RecordingError(f"{info.name}: reads zero throughout this segment. Check what it is connected to.")
     rate, noise_floor = rec.rate / decimation, noise_floor / decimation**0.5
     readings, valid = _average_groups(samples, decimation), _average_groups(valid_samples, decimation) == 1.0
-    search = MatchingPursuit(models, readings, valid, noise_floor, rate, CALM_SHARE)
+    search = MatchingPursuit(models, readings, valid, noise_floor, rate, NOISE_QUANTILE)
     if not search.valid.any():
         raise RecordingError(
             f"{info.name}: lost or overloaded samples leave no {min_samples} samples in a row. Choose another segment, "
@@ -186,10 +186,10 @@ def impacts(
     largest = max((abs(jump.sizes[0]) for jump in jumps), default=0.0 if pulse else np.inf)
     if largest < _UNCERTAIN_SIGMAS * noise:
         # Frequent impacts raise the noise estimate of most windows, and so mask each other.
-        calmer = MatchingPursuit(models, readings, valid, noise_floor, rate, _CALMEST_RATIO)
-        calmer_jumps = calmer.run()
-        if calmer.jump_noise < NOISE_REDUCTION * noise:
-            search, jumps, noise = calmer, calmer_jumps, calmer.jump_noise
+        second_search = MatchingPursuit(models, readings, valid, noise_floor, rate, _LOW_NOISE_QUANTILE)
+        second_jumps = second_search.run()
+        if second_search.jump_noise < NOISE_REDUCTION * noise:
+            search, jumps, noise = second_search, second_jumps, second_search.jump_noise
     fitted = [(values.time, values.time_error, values.sizes[0], values.error) for values in jumps]
     position, position_error, jump, error = np.array(fitted).reshape(-1, 4).T
     largest = float(abs(jump).max(initial=0.0))
@@ -261,7 +261,7 @@ def _valid_samples(rec: Recording, name: str, samples: Array, start: int, ring: 
     return valid
 
 
-def _acceleration(samples: Array, places: Array, info: ChannelInfo, duration: float) -> Array:
+def _acceleration(samples: Array, impact_samples: Array, info: ChannelInfo, duration: float) -> Array:
     """Estimate the acceleration at jumps by a polynomial through samples on both sides; `duration` of contact in s."""
     integrations = 2 - MOTIONS.index(info.quantity)
     # The high-pass filters of integrators are corrected, because they distort slow motion.
@@ -272,13 +272,13 @@ def _acceleration(samples: Array, places: Array, info: ChannelInfo, duration: fl
     slowest = min((-pole.real for pole in info.poles if abs(pole) > info.rate), default=np.inf)
     gap = 2 + int(np.ceil(_DECAY_TIMES * info.rate / slowest + duration * info.rate))
     side = max(_MIN_SIDE_SAMPLES, round(_SIDE_TIME_S * info.rate))
-    out = np.full(places.size, np.nan)
-    jump_sample = np.floor(places).astype(np.intp)
+    out = np.full(impact_samples.size, np.nan)
+    jump_sample = np.floor(impact_samples).astype(np.intp)
     evaluable = np.flatnonzero((jump_sample >= side) & (jump_sample + gap + side <= samples.size))
     offsets = np.concatenate([np.arange(-side, 0), np.arange(gap, gap + side)])
     for index in evaluable:
         indices = jump_sample[index] + offsets
-        time = (indices - places[index] - 0.5 * info.average) / (side + gap)
+        time = (indices - impact_samples[index] - 0.5 * info.average) / (side + gap)
         columns = [time**power for power in range(integrations + _SIDE_ORDER + 1)]
         if integrations:
             columns.append(np.maximum(time, 0.0) ** (integrations - 1) * (time > 0))

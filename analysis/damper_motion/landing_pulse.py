@@ -36,7 +36,7 @@ class Pulse:
     damping_ratio: float
     """Damping ratio of the mass on the contact."""
     angular_frequency: float
-    """Natural angular_frequency frequency of the mass on the contact, rad/s."""
+    """Natural angular frequency of the mass on the contact, rad/s."""
 
     def velocity_change_ratio(self, time: Array) -> Array:
         """Return the completed part of the velocity change of the body at a time after first contact, s.

@@ -45,6 +45,7 @@ RESIDUAL_RATIO = 0.02
 _KINK_JUMP_RATIO = 1.0
 # For finite-duration contact: the time that replaces the sample, relative to the contact duration.
 _KINK_DURATION_RATIO = 1.0 / 6.0
+# Maximum number of searches of the residual.
 _MAX_ROUNDS = 12
 # Maximum number of iterations that centre a window on a jump.
 _MAX_CENTRINGS = 4
@@ -89,8 +90,8 @@ _MAX_STEP_SIGMAS = 3.0
 _MIN_JUMP_STEP_RATIO = 0.02
 # The noise is assumed constant over this number of windows.
 _NOISE_WINDOWS = 8
-# Share of these windows, the calmest, from which the noise is estimated.
-CALM_SHARE = 0.5
+# Quantile of the jump filter's output from which the noise is estimated: impacts hardly affect the median.
+NOISE_QUANTILE = 0.5
 # Number of samples in one matrix product: small enough for the cache, and for BLAS to use a single thread.
 _BLOCK_SAMPLES = 256
 
@@ -98,31 +99,31 @@ _BLOCK_SAMPLES = 256
 class MatchingPursuit:
     """Search of one segment: its differenced residual, and the jumps that were subtracted.
 
-    `models`: one model for each order of the smooth motion; the search chooses the order; `samples`, `good`:
-    readings, and which of them are valid; `noise_floor`: minimum standard deviation of a reading; `calm_share`:
-    share of the windows from which the noise of the search is estimated.
+    `models`: one model for each order of the smooth motion; the search chooses the order; `samples`, `is_valid`:
+    readings, and which of them are valid; `noise_floor`: minimum standard deviation of a reading; `noise_quantile`:
+    quantile of the filter output from which the noise is estimated.
     """
 
     def __init__(
         self,
         models: Sequence[ImpactModel],
         samples: Array,
-        good: NDArray[np.bool_],
+        is_valid: NDArray[np.bool_],
         noise_floor: float,
         rate: float,
-        calm_share: float = CALM_SHARE,
+        noise_quantile: float = NOISE_QUANTILE,
     ) -> None:
         from scipy.ndimage import minimum_filter1d
 
-        self.floor, self.rate, self.calm_share = noise_floor, rate, calm_share
-        if not good.all():
-            samples = np.interp(np.arange(samples.size), np.flatnonzero(good), samples[good])
+        self.floor, self.rate, self.noise_quantile = noise_floor, rate, noise_quantile
+        if not is_valid.all():
+            samples = np.interp(np.arange(samples.size), np.flatnonzero(is_valid), samples[is_valid])
         self.model = model = models[0]
         self.residual = np.diff(samples, model.difference)
         self.prior = self._prior_deviations(samples)
         # Distance of a window's sample 0 from its first difference.
         self.window_offset = model.difference - model.window_start
-        overlaps_invalid = np.convolve(~good, np.ones(model.separation), mode="full")[model.separation - 1 :]
+        overlaps_invalid = np.convolve(~is_valid, np.ones(model.separation), mode="full")[model.separation - 1 :]
         self.valid = (overlaps_invalid == 0)[: self.residual.size - model.window + 1]
         # A jump in the last samples of a segment is outside all windows and appears in the nearest window as a jump at
         # another time.
@@ -131,7 +132,7 @@ class MatchingPursuit:
         self._cache: dict[object, Array] = {}
         smallest_noise = np.inf
         for model in models if self.valid.any() else ():
-            noise = model.noise_gain * float(np.median(self._noise_level(model, calm_share)))
+            noise = model.noise_gain * float(np.median(self._noise_level(model, noise_quantile)))
             if noise < NOISE_REDUCTION * smallest_noise:
                 smallest_noise, self.model = noise, model
         # Model for the residual of whole windows, which may need a higher polynomial order than the jump filters.
@@ -144,12 +145,12 @@ class MatchingPursuit:
                 break
         for jump in sorted(self.jumps, key=lambda jump: abs(jump.sizes[0])):
             nearest = min(self.jumps, key=lambda other: abs(other.time - jump.time))
-            self._refine(nearest, self.noise(self.calm_share))
-        base, least_variance = self.model.order, np.inf
+            self._refine(nearest, self.noise(self.noise_quantile))
+        base, smallest_variance = self.model.order, np.inf
         for order in (base, *(base + increase for increase in _HIGHER_ORDERS)):
             variance = float(np.median(self._residual_squares(order))) / (self.model.window - order - 1)
-            if _ORDER_REDUCTION * variance < least_variance:
-                least_variance, self.window_model = variance, with_order(self.model, order)
+            if _ORDER_REDUCTION * variance < smallest_variance:
+                smallest_variance, self.window_model = variance, with_order(self.model, order)
         limit = self._detection_limit
         for first, last in self._unexplained_segments(_GROUP_SEARCH_RATIO * limit):
             self._search_jointly(first, last, limit)
@@ -361,24 +362,24 @@ class MatchingPursuit:
         step = _STEP_PRIOR_RATIO * max(large_motion, self.floor * self.rate**order)
         return step, step * 2 * np.pi * _KINK_PRIOR_HZ
 
-    def noise(self, calm_share: float = CALM_SHARE) -> Array:
+    def noise(self, noise_quantile: float = NOISE_QUANTILE) -> Array:
         """Estimate the standard deviation of a reading at every sample from the jump filter output; shape (places,).
 
         The result is cached until the residual changes.
         """
-        key = "noise", calm_share
+        key = "noise", noise_quantile
         if key not in self._cache:
-            self._cache[key] = self._noise_level(self.model, calm_share)
+            self._cache[key] = self._noise_level(self.model, noise_quantile)
         return self._cache[key]
 
-    def _noise_level(self, model: ImpactModel, calm_share: float) -> Array:
+    def _noise_level(self, model: ImpactModel, noise_quantile: float) -> Array:
         """Estimate the noise over a few windows from a quantile of the filter outputs that impacts hardly affect."""
         from scipy.ndimage import maximum_filter1d
         from scipy.special import ndtri
 
         middle_filter = model.filters[(2 * MAX_SHIFT + 1) * model.instants // 2, 2]
         magnitude = abs(np.correlate(self.residual, middle_filter, "valid"))
-        typical = float(_quantile(magnitude[self.valid], calm_share))
+        typical = float(_quantile(magnitude[self.valid], noise_quantile))
         magnitude[~self.valid] = typical
         parts = max(1, magnitude.size // (_NOISE_WINDOWS * model.window))
         # The first parts have one sample more than the others.
@@ -386,9 +387,9 @@ class MatchingPursuit:
         lengths = np.full(parts, length) + (np.arange(parts) < long_parts)
         split = long_parts * (length + 1)
         rows = magnitude[:split].reshape(long_parts, length + 1), magnitude[split:].reshape(-1, length)
-        levels = np.concatenate([_quantile(row, calm_share) for row in rows if row.size])
+        levels = np.concatenate([_quantile(row, noise_quantile) for row in rows if row.size])
         local_level = np.maximum(maximum_filter1d(levels, 3), typical)
-        return np.maximum(np.repeat(local_level, lengths) / ndtri(0.5 + 0.5 * calm_share), self.floor)
+        return np.maximum(np.repeat(local_level, lengths) / ndtri(0.5 + 0.5 * noise_quantile), self.floor)
 
     def _likelihood_ratio(self) -> tuple[Array, Array]:
         """Compute the generalized likelihood ratio of a jump at every sample, in noise variances, and the noise.
@@ -396,7 +397,7 @@ class MatchingPursuit:
         The filters of all sub-sample times span a space of few dimensions. The projections of a window on this space
         bound the outputs of all filters, which are therefore computed only where a jump may be detected.
         """
-        noise = self.noise(self.calm_share)
+        noise = self.noise(self.noise_quantile)
         basis, weights = self.model.search_basis
         windows = np.lib.stride_tricks.sliding_window_view(self.residual, self.model.window)
         projected = np.empty((len(basis), len(windows)))

@@ -50,42 +50,45 @@ class DamperMotion:
     channel: str
     """Channel on the damper's body."""
     floor: float
+    """Number of impacts on the floor per period."""
     ceiling: float
-    """Number of impacts per period on the ceiling; `floor` is the number on the floor."""
-    stays: bool | None
+    """Number of impacts on the ceiling per period."""
+    stays_at_ceiling: bool | None
     """Whether the damper stays at the ceiling after an impact there, which it does while the body's acceleration is
     below -g. None if undetermined: the acceleration crosses -g within half a sample interval of the impact, the
     rebound may take too long, or finite-duration contact may extend the push of the ceiling."""
     threshold: float
     """Detection limit: smallest velocity jump that is reliably detected, m/s."""
-    rides: bool
+    stays_on_floor: bool
     """Whether the body's acceleration stays above -g by more than the channel's errors, so that all dampers stay at
     rest on the floor."""
     restitution: Restitution | None = None
     """Coefficient of restitution, if the body has a single damper and its impacts determine it."""
-    repeats: int = 1
+    pattern_periods: int = 1
     """Number of periods after which all impacts recur within the time resolution of the channel; 0: no pattern."""
-    may_reach: bool = False
+    may_reach_ceiling_unseen: bool = False
     """Whether the damper may reach the ceiling with impacts that are too weak to be detected."""
 
     @property
     def name(self) -> str:
         """Type of motion, in the terms of the paper if they apply."""
         if self.floor == 0 and self.ceiling == 0:
-            return "riding" if self.rides else "unseen"
-        if not self.repeats:
+            return "riding" if self.stays_on_floor else "unseen"
+        if not self.pattern_periods:
             return "unsure: impacts are missed, or the motion is irregular"
         once_per_period = abs(self.floor - 1.0) < _COUNT_TOLERANCE and (
             self.ceiling == 0 or abs(self.ceiling - 1.0) < _COUNT_TOLERANCE
         )
         uncertainty = ""
-        if once_per_period and self.repeats == 1:
-            if self.ceiling == 0 and not self.may_reach:
+        if once_per_period and self.pattern_periods == 1:
+            if self.ceiling == 0 and not self.may_reach_ceiling_unseen:
                 return "I"
-            if self.ceiling and self.stays is not None:
-                return "III" if self.stays else "II"
+            if self.ceiling and self.stays_at_ceiling is not None:
+                return "III" if self.stays_at_ceiling else "II"
             uncertainty = ", staying or not" if self.ceiling else ", and perhaps weak ones on the ceiling"
-        floor, ceiling = (round(count * self.repeats) / self.repeats for count in (self.floor, self.ceiling))
+        floor, ceiling = (
+            round(count * self.pattern_periods) / self.pattern_periods for count in (self.floor, self.ceiling)
+        )
         return f"other: {floor:.3g} floor and {ceiling:.3g} ceiling impacts a period{uncertainty}"
 
 
@@ -133,12 +136,12 @@ def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, 
     periods = detected.searched * frequency
     ceiling = detected.kind == "ceiling"
     begin, end = (at / rate for at in (motion.start, motion.start + motion.samples.size))
-    repeats = _recurrence_periods(detected, frequency, begin, end) if detected.time.size else 1
+    pattern_periods = _recurrence_periods(detected, frequency, begin, end) if detected.time.size else 1
     # Without a pattern, impacts may have been missed, so that free flights cannot be identified.
-    estimate = restitution(motion, dampers[0]) if len(dampers) == 1 and repeats else None
-    stays = None
+    estimate = restitution(motion, dampers[0]) if len(dampers) == 1 and pattern_periods else None
+    stays_at_ceiling = None
     if ceiling.any():
-        stays = _stays_at_ceiling(
+        stays_at_ceiling = _stays_at_ceiling(
             detected.acceleration[ceiling] + gravity,
             np.pi * frequency * (1.0 / rate + 2.0 * detected.contact_duration) * amplitude,
             _fastest_rebound(motion, dampers, estimate),
@@ -149,11 +152,11 @@ def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, 
         detected.channel,
         float(np.sum(~ceiling)) / periods,
         float(np.sum(ceiling)) / periods,
-        stays,
+        stays_at_ceiling,
         detected.threshold,
         _least_acceleration(motion, numbers, frequency) > -gravity,
         estimate,
-        repeats,
+        pattern_periods,
         not ceiling.any() and any(may_reach_ceiling(motion, damper) for damper in dampers),
     )
 

@@ -24,7 +24,7 @@ def export_results(
     """Write the FRFs or modes of a recording or of an FRF file, one output file for each sweep.
 
     `file`: a recording, or an FRF file that `analysis.read_frfs` can read; `path`: output file, ``.uff``, ``.unv``
-    or ``.mat``; the files of the second and later sweeps are numbered; `what`: 'frfs' or 'modes'. Results to write;
+    or ``.mat``; the files of the second and later sweeps are numbered; `what`: results to write, 'frfs' or 'modes';
     `overwrite`: whether existing files with different content may be replaced. Returns messages for the user. Raises
     `SceneError` if the file name ending is unknown, or the file exists.
     """

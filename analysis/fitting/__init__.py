@@ -1,5 +1,5 @@
-"""A scene fitted to recordings of the real structure: its values with 95 % intervals, and which are undetermined.
+"""Fit of a scene to recordings of the real structure: values with 95 % intervals.
 
-Knows the rig, as its model of what was recorded. Start with `fit`; `problem` is the least squares, `estimate`
-solves it and says how certain the values are, `identifiability` which of them go together.
+Start with `fit`. `problem` states the least-squares problem, `estimate` solves it and computes the covariance, and
+`identifiability` lists the values that the recordings determine only in combination.
 """

@@ -60,16 +60,16 @@ _MIN_RESPONSES = 2
 
 
 def cause(problem: Problem) -> tuple[bool, str]:
-    """Try single mistakes in the recordings without moving dampers, and name the one that explains the misfit best.
+    """Try single mistakes in the recordings without moving dampers, and name the mistake that explains the misfit best.
 
-    Returns `explains`, whether one of them explains the misfit; `text`, the mistake, or what was tried.
+    Returns whether a mistake explains the misfit; and a text with the mistake, or with the trials.
     """
-    bare = [group.curves for group in problem.groups if group.tones is None]
-    if not bare:
+    linear_curves = [group.curves for group in problem.groups if group.tones is None]
+    if not linear_curves:
         return False, (
             "No recording without moving dampers is among them. Add one, so that the structure can be fitted alone."
         )
-    uncorrected = _fit_structure(problem, bare).variance
+    uncorrected = _fit_structure(problem, linear_curves).variance
     if uncorrected < _MAX_NOISE_VARIANCE:
         return False, (
             "The recordings without moving dampers fit, so the dampers differ from the scene's, or the errors of their "
@@ -77,8 +77,8 @@ def cause(problem: Problem) -> tuple[bool, str]:
         )
     limit = max(_MAX_NOISE_VARIANCE, _EXPLAINED_RATIO * uncorrected)
     explanations: list[tuple[float, str, bool]] = []
-    for kind in (_try_reversed_signs, _try_swaps, _try_factors, _try_damping, _try_delays):
-        explanations += [each for each in kind(problem, bare) if each[0] < limit]
+    for trials in (_try_reversed_signs, _try_swaps, _try_factors, _try_damping, _try_delays):
+        explanations += [each for each in trials(problem, linear_curves) if each[0] < limit]
         if any(variance < _MAX_NOISE_VARIANCE and is_named for variance, _, is_named in explanations):
             break
     if explanations:
@@ -86,8 +86,8 @@ def cause(problem: Problem) -> tuple[bool, str]:
         return is_named, f"{text}: corrected, the rest fits."
     contradicting = [
         sensor.name
-        for sensor in _sensors(bare)
-        if (others := _omit_sensor(bare, sensor)) and _fit_structure(problem, others).variance < limit
+        for sensor in _sensors(linear_curves)
+        if (others := _omit_sensor(linear_curves, sensor)) and _fit_structure(problem, others).variance < limit
     ]
     if len(contradicting) == 1:
         return True, (
@@ -102,7 +102,7 @@ def cause(problem: Problem) -> tuple[bool, str]:
 
 def mass_scale_error(problem: Problem, x: Array) -> str:
     """Describe the common factor of all fitted masses if it is so large that a unit must be wrong; "" otherwise."""
-    masses = [k for k, parameter in enumerate(problem.parameters) if parameter.what == "masses"]
+    masses = [k for k, parameter in enumerate(problem.parameters) if parameter.quantity == "masses"]
     if not masses:
         return ""
     factor = float(np.exp(np.mean((x - problem.start)[masses])))
@@ -115,56 +115,56 @@ def mass_scale_error(problem: Problem, x: Array) -> str:
     )
 
 
-# Corrections of one kind: the residual variance with each, its description, and whether it is a known mistake.
+# Trials of corrections: the residual variance with each, its description, and whether it is a known mistake.
 _Explanations = Iterator[tuple[float, str, bool]]
 
 
-def _try_reversed_signs(problem: Problem, bare: list[Curves]) -> _Explanations:
-    references = dict.fromkeys(curves.reference_sensor for curves in bare)
-    for sensor in (*references, *_sensors(bare)):
+def _try_reversed_signs(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
+    references = dict.fromkeys(curves.reference_sensor for curves in linear_curves)
+    for sensor in (*references, *_sensors(linear_curves)):
         reversed_sign = []
-        for curves in bare:
+        for curves in linear_curves:
             signs = np.array([-1.0 if each == sensor else 1.0 for each in curves.sensors])[:, None]
             reversed_sign.append(_multiply(curves, -signs if curves.reference_sensor == sensor else signs))
         yield _fit_structure(problem, reversed_sign).variance, f"The sign of {sensor.name} is reversed", True
 
 
-def _try_swaps(problem: Problem, bare: list[Curves]) -> _Explanations:
-    names = dict.fromkeys(sensor.name for curves in bare for sensor in curves.sensors)
+def _try_swaps(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
+    names = dict.fromkeys(sensor.name for curves in linear_curves for sensor in curves.sensors)
     for pair in islice(combinations(names, 2), _MAX_PAIRS):
-        other = dict(zip(pair, reversed(pair), strict=True))
+        swap_partner = dict(zip(pair, reversed(pair), strict=True))
         swapped = []
-        for curves in bare:
+        for curves in linear_curves:
             sensors = [sensor.name for sensor in curves.sensors]
             body = dict(zip(sensors, curves.bodies, strict=True))
-            places = [other.get(name, name) if body.keys() >= other.keys() else name for name in sensors]
+            places = [swap_partner.get(name, name) if body.keys() >= swap_partner.keys() else name for name in sensors]
             swapped.append(replace(curves, bodies=tuple(body[name] for name in places)))
         yield _fit_structure(problem, swapped).variance, f"{pair[0]} and {pair[1]} are swapped", True
 
 
-def _try_factors(problem: Problem, bare: list[Curves]) -> _Explanations:
+def _try_factors(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
     """Yield the best-fitting factor of each sensor; without a matching unit error the structure may also differ."""
-    references = [curves.reference_sensor for curves in bare]
-    for sensor in dict.fromkeys((*_sensors(bare), *references)):
-        free = replace(sensor, tolerance=_FREE_TOLERANCE)
-        freed = _fit_structure(
+    references = [curves.reference_sensor for curves in linear_curves]
+    for sensor in dict.fromkeys((*_sensors(linear_curves), *references)):
+        freed_sensor = replace(sensor, tolerance=_FREE_TOLERANCE)
+        refit = _fit_structure(
             problem,
             [
                 replace(
                     curves,
-                    sensors=tuple(free if each == sensor else each for each in curves.sensors),
-                    reference_sensor=free if curves.reference_sensor == sensor else curves.reference_sensor,
+                    sensors=tuple(freed_sensor if each == sensor else each for each in curves.sensors),
+                    reference_sensor=freed_sensor if curves.reference_sensor == sensor else curves.reference_sensor,
                 )
-                for curves in bare
+                for curves in linear_curves
             ],
         )
-        factor = 1.0 + freed.problem.deviation(freed.x, free)
+        factor = 1.0 + refit.problem.deviation(refit.x, freed_sensor)
         unit_error = _unit_error(factor)
         text = f"{sensor.name} reads {factor:.4g} times the value that fits{unit_error or _NO_UNIT_ERROR}"
-        yield freed.variance, text, bool(unit_error)
+        yield refit.variance, text, bool(unit_error)
 
 
-def _try_damping(problem: Problem, bare: list[Curves]) -> _Explanations:
+def _try_damping(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
     """Try the other form of damping of a chain, with equal damping of the modes."""
     structure = problem.model.structure
     if structure.masses is None or structure.springs is None:
@@ -179,22 +179,28 @@ def _try_damping(problem: Problem, bare: list[Curves]) -> _Explanations:
         form = ModalDamping(modal=tuple(float(max(each, 1e-4)) for each in modes.damping_ratio))
         text = "a ratio for each mode fits: give structure.damping: {modal: [...]}"
     model = problem.model.replace(structure=structure.replace(damping=form))
-    yield (_fit_structure(problem, bare, model).variance, f"The damping is not of the scene's form; {text}", True)
+    yield (
+        _fit_structure(problem, linear_curves, model).variance,
+        f"The damping is not of the scene's form; {text}",
+        True,
+    )
 
 
-def _try_delays(problem: Problem, bare: list[Curves]) -> _Explanations:
-    undelayed = _fit_structure(problem, bare)
-    for sensor in dict.fromkeys((*_sensors(bare), *(curves.reference_sensor for curves in bare))):
-        guess, trial = _estimate_delay(bare, sensor), undelayed
-        if guess:
-            trial = _fit_structure(problem, [_compensate_delay(curves, sensor, guess) for curves in bare])
+def _try_delays(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
+    undelayed = _fit_structure(problem, linear_curves)
+    for sensor in dict.fromkeys((*_sensors(linear_curves), *(curves.reference_sensor for curves in linear_curves))):
+        initial_delay, trial = _estimate_delay(linear_curves, sensor), undelayed
+        if initial_delay:
+            trial = _fit_structure(
+                problem, [_compensate_delay(curves, sensor, initial_delay) for curves in linear_curves]
+            )
         if trial.variance > undelayed.variance:
-            trial, guess = undelayed, 0.0
+            trial, initial_delay = undelayed, 0.0
 
         def variance(delay: float, trial: _Refit = trial, sensor: Sensor = sensor) -> float:
-            return trial.adjusted([_compensate_delay(curves, sensor, delay) for curves in bare]).variance
+            return trial.adjusted([_compensate_delay(curves, sensor, delay) for curves in linear_curves]).variance
 
-        bounds = (guess - _DELAY_ERROR, guess + _DELAY_ERROR)
+        bounds = (initial_delay - _DELAY_ERROR, initial_delay + _DELAY_ERROR)
         best = scipy.optimize.minimize_scalar(variance, bounds=bounds, options={"xatol": 1e-6})
         delay = float(best.x)
         if abs(delay) > _MIN_DELAY:
@@ -203,9 +209,9 @@ def _try_delays(problem: Problem, bare: list[Curves]) -> _Explanations:
             yield float(best.fun), text, True
 
 
-def _sensors(bare: list[Curves]) -> list[Sensor]:
+def _sensors(linear_curves: list[Curves]) -> list[Sensor]:
     """Return the sensors of all responses."""
-    return list(dict.fromkeys(sensor for curves in bare for sensor in curves.sensors))
+    return list(dict.fromkeys(sensor for curves in linear_curves for sensor in curves.sensors))
 
 
 def _multiply(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
@@ -219,14 +225,14 @@ def _multiply(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
     )
 
 
-def _estimate_delay(bare: list[Curves], sensor: Sensor) -> float:
+def _estimate_delay(linear_curves: list[Curves], sensor: Sensor) -> float:
     """Return the delay of a sensor, s, that aligns its phase best with the others.
 
-    A delay adds a phase proportional to frequency; without it the phase is trial 0 or 180 degrees away from modes.
+    A delay adds a phase proportional to frequency; without a delay the phase away from resonances is 0 or 180 degrees.
     """
     alignment = np.zeros(_DELAYS.size)
-    sign = -1.0 if any(curves.reference_sensor == sensor for curves in bare) else 1.0
-    for curves in bare:
+    sign = -1.0 if any(curves.reference_sensor == sensor for curves in linear_curves) else 1.0
+    for curves in linear_curves:
         reference = curves.reference_sensor == sensor
         rows = [k for k, channel_sensor in enumerate(curves.sensors) if reference or channel_sensor == sensor]
         # The doubled phase does not depend on the sign.
@@ -245,10 +251,10 @@ def _compensate_delay(curves: Curves, sensor: Sensor, delay: float) -> Curves:
     return _multiply(curves, np.exp(2j * np.pi * delay * np.outer(delays, curves.frequency)))
 
 
-def _omit_sensor(bare: list[Curves], sensor: Sensor) -> list[Curves]:
+def _omit_sensor(linear_curves: list[Curves], sensor: Sensor) -> list[Curves]:
     """Leave out the responses of a sensor; empty if fewer than two responses would remain."""
     out = []
-    for curves in bare:
+    for curves in linear_curves:
         rows = [k for k, each in enumerate(curves.sensors) if each != sensor]
         if len(rows) < _MIN_RESPONSES:
             return []
@@ -294,7 +300,7 @@ class _Refit:
     def adjusted(self, curves: list[Curves]) -> _Refit:
         """Fit slightly different curves, starting from these values."""
         trial = Problem(self.problem.model, self.problem.parameters, curves)
-        return _Refit(trial, solve(trial, self.x, trial.groups, 0.0, most=5))
+        return _Refit(trial, solve(trial, self.x, trial.groups, 0.0, max_evaluations=5))
 
 
 def _fit_structure(problem: Problem, curves: list[Curves], model: Scene | None = None) -> _Refit:
@@ -302,20 +308,22 @@ def _fit_structure(problem: Problem, curves: list[Curves], model: Scene | None =
     parameters = [parameter for parameter in problem.parameters if parameter.place[0] != "dampers"]
     if model is not None:
         # The free values stay free, and so are those of the new form of damping.
-        free = {parameter.key for parameter in parameters}
+        free_keys = {parameter.key for parameter in parameters}
         new = ("structure", "damping")
         parameters = [
-            parameter for parameter in free_parameters(model) if parameter.key in free or parameter.place[:2] == new
+            parameter
+            for parameter in free_parameters(model)
+            if parameter.key in free_keys or parameter.place[:2] == new
         ]
     trial = Problem(model or problem.model, parameters, curves)
     x = initial_unknowns(trial, trial.groups)
     for model_error in (0.1, 0.01, 0.0):
-        x = solve(trial, x, trial.groups, model_error, most=15)
+        x = solve(trial, x, trial.groups, model_error, max_evaluations=15)
     return _Refit(trial, x)
 
 
 def _unit_error(factor: float) -> str:
-    for known, text in _UNIT_ERRORS.items():
-        if abs(factor / known - 1.0) < _UNIT_TOLERANCE:
+    for unit_factor, text in _UNIT_ERRORS.items():
+        if abs(factor / unit_factor - 1.0) < _UNIT_TOLERANCE:
             return f" ({text})"
     return ""

@@ -22,8 +22,9 @@ COVERAGE_FACTOR = 1.96
 _MODEL_ERRORS = (0.1, 0.01, 0.0)
 # The same from random initial values, which are used if modes were not identified or led to no solution.
 _MODEL_ERRORS_RANDOM = (0.3, 0.1, 0.01, 0.0)
-# Standard deviation of random initial values from the guess, in logarithms, and their number.
+# Standard deviation of the logarithms of random initial values from the guess.
 _RANDOM_SD = 0.15
+# Number of random initial values.
 _RANDOM_STARTS = 8
 # Mean square of the residuals above which the structure is searched from random initial values.
 _MAX_STRUCTURE_VARIANCE = 4.0
@@ -31,21 +32,21 @@ _MAX_STRUCTURE_VARIANCE = 4.0
 _MAX_NOISE_VARIANCE = 1.3
 # Model errors of the first fits of the dampers.
 _MODEL_ERRORS_DAMPERS = (0.2, 0.05)
-# The smallest model error: large residuals have little weight, so that a point in another motion does not decide.
-_ROBUST = 1e-6
+# The smallest model error: large residuals have little weight, so that a point in another motion has little effect.
+_ROBUST_MODEL_ERROR = 1e-6
 # Factors of the initial masses and clearances of all dampers, tried if the values of the scene lead to no solution.
 _MASS_FACTORS = (1.0, 0.7, 0.4, 1.5)
 _CLEARANCE_FACTORS = (0.6, 1.7, 0.3)
 # Factor of the clearances with which no damper reaches its ceiling.
-_OUT_OF_REACH = 30.0
+_UNREACHED_CLEARANCE_FACTOR = 30.0
 # Mean square of the residuals up to which the orbits explain the curves; noise alone leaves slightly below 1.
-_EXPLAINED = 1.5
+_MAX_EXPLAINED_SQUARE = 1.5
 # Upper limit of each squared residual in the robust cost.
 _MAX_SQUARE = 9.0
 # Squared residual of a point without a motion.
 _FAILED_SQUARE = 1e6
 # Robust cost of initial values that fail at about half of the points.
-_HALF_FAILED = 4.5
+_HALF_FAILED_COST = 4.5
 # Rounds of fitting all unknowns, each after a search for other motions at outliers.
 _ROUNDS = 4
 # Number of clusters of neighbouring frequencies in a group whose residuals may have a common cause.
@@ -79,74 +80,76 @@ class Estimate:
 
 def estimate(problem: Problem, report: Report) -> Estimate:
     """Estimate the unknowns: first of the structure from linear recordings, then of the dampers, then all together."""
-    bare = [group for group in problem.groups if group.tones is None]
+    linear_groups = [group for group in problem.groups if group.tones is None]
     report("structure")
-    x = _structure(problem, bare) if bare else problem.start.copy()
-    damped = [group for group in problem.groups if group.tones is not None]
-    if damped:
+    x = _estimate_structure(problem, linear_groups) if linear_groups else problem.start.copy()
+    damper_groups = [group for group in problem.groups if group.tones is not None]
+    if damper_groups:
         report("dampers")
-        x = _damped(problem, x, damped, bool(bare), report)
+        x = _estimate_dampers(problem, x, damper_groups, bool(linear_groups), report)
     return Estimate(x, *_covariance(problem, x))
 
 
-def _damped(
-    problem: Problem, structure: Array, damped: Sequence[Group], structure_known: bool, report: Report
+def _estimate_dampers(
+    problem: Problem, structure: Array, damper_groups: Sequence[Group], structure_known: bool, report: Report
 ) -> Array:
     """Estimate all unknowns with the dampers from several starts, the scene's values first; the best result is kept.
 
     A ceiling with impacts and a ceiling out of reach are different optima, so that both are tried.
     """
-    best, lowest_cost, motions = structure, np.inf, [group.motions() for group in damped]
+    best, lowest_cost, motions = structure, np.inf, [group.motions() for group in damper_groups]
     begin = structure
-    # Last words of the keys of dampers' unknowns; "" for all others.
-    names = ["" if parameter.damper is None else parameter.what for parameter in problem.parameters]
+    # Quantity of each unknown of a damper; "" for all others.
+    names = ["" if parameter.damper is None else parameter.quantity for parameter in problem.parameters]
     names += [""] * (problem.size - len(names))
     bounded = "clearance" in names
     starts = [(1.0, 1.0), *product(_MASS_FACTORS, _CLEARANCE_FACTORS if bounded else (1.0,))]
-    for mass, clearance in [*starts, (1.0, _OUT_OF_REACH)] if bounded else starts:
-        if lowest_cost < _EXPLAINED and clearance < _OUT_OF_REACH:
+    for mass, clearance in [*starts, (1.0, _UNREACHED_CLEARANCE_FACTOR)] if bounded else starts:
+        if lowest_cost < _MAX_EXPLAINED_SQUARE and clearance < _UNREACHED_CLEARANCE_FACTOR:
             continue
-        if clearance == _OUT_OF_REACH:
+        is_unreached = clearance == _UNREACHED_CLEARANCE_FACTOR
+        if is_unreached:
             begin = best
         report("all")
-        for group, state in zip(damped, motions, strict=True):
+        for group, state in zip(damper_groups, motions, strict=True):
             group.restore(state)
         factors = {"mass": mass, "mass_ratio": mass, "clearance": clearance}
         x = begin + np.log([factors.get(name, 1.0) for name in names])
         # The prior would pull an unreached ceiling back.
-        active = [k for k, name in enumerate(names) if clearance != _OUT_OF_REACH or name != "clearance"]
+        active = [k for k, name in enumerate(names) if not is_unreached or name != "clearance"]
         # First roughly, with the structure fixed if linear recordings determine it.
         rough = [k for k in active if names[k] or not structure_known]
         for model_error in _MODEL_ERRORS_DAMPERS if rough else ():
-            x = solve(problem, x, damped, model_error, rough, 6)
+            x = solve(problem, x, damper_groups, model_error, rough, 6)
         if rough:
-            problem.residual(x, damped)
-        # If a ceiling explains the curves, a ceiling out of reach that residuals most points is not refined.
-        refuted = lowest_cost < _EXPLAINED and _robust_cost(problem, x, damped) > _HALF_FAILED
+            problem.residual(x, damper_groups)
+        # If a ceiling explains the curves, an unreached ceiling that fails at half of the points is not refined.
+        refuted = lowest_cost < _MAX_EXPLAINED_SQUARE and _robust_cost(problem, x, damper_groups) > _HALF_FAILED_COST
         for round_number in range(0 if refuted else _ROUNDS):
             scene = problem.scene(x)
-            changed = [group.choose_motions(problem, x, scene) for group in damped]
+            changed = [group.choose_motions(problem, x, scene) for group in damper_groups]
             if not any(changed) and round_number > 0:
                 break
-            x = solve(problem, x, problem.groups, _MODEL_ERRORS[-2] if round_number == 0 else _ROBUST, active, 8)
+            model_error = _MODEL_ERRORS[-2] if round_number == 0 else _ROBUST_MODEL_ERROR
+            x = solve(problem, x, problem.groups, model_error, active, 8)
             x = solve(problem, x, problem.groups, 0.0, active, 12)
-        cost = _robust_cost(problem, x, damped)
-        # A single point does not prove ceiling impacts: it may be in another kind of motion.
-        if cost < lowest_cost + _MAX_SQUARE * (clearance == _OUT_OF_REACH) / min(g.used.size for g in damped):
-            best, lowest_cost, motions = x, cost, [group.motions() for group in damped]
-    for group, state in zip(damped, motions, strict=True):
+        cost = _robust_cost(problem, x, damper_groups)
+        # A single point does not prove ceiling impacts, because its motion may be of another type.
+        if cost < lowest_cost + _MAX_SQUARE * is_unreached / min(group.used.size for group in damper_groups):
+            best, lowest_cost, motions = x, cost, [group.motions() for group in damper_groups]
+    for group, state in zip(damper_groups, motions, strict=True):
         group.restore(state)
     problem.residual(best, problem.groups)
     return best
 
 
-def _robust_cost(problem: Problem, x: Array, damped: Sequence[Group]) -> float:
-    """Mean square of the residuals of all points, each limited by the Geman-McClure function.
+def _robust_cost(problem: Problem, x: Array, damper_groups: Sequence[Group]) -> float:
+    """Compute the mean square of the residuals of all points, each limited by the Geman-McClure function.
 
     S. Geman, D. McClure, Bulletin of the International Statistical Institute 52 (1987) 5-21.
     """
     scene, costs = problem.scene(x), []
-    for group in damped:
+    for group in damper_groups:
         residual = problem.predicted(x, group, scene) - group.curves.value
         white = np.einsum("nij,jn->ni", group.curves.whiten, residual)
         square = np.nan_to_num(abs(white) ** 2 / 2.0, nan=_FAILED_SQUARE)
@@ -154,22 +157,22 @@ def _robust_cost(problem: Problem, x: Array, damped: Sequence[Group]) -> float:
     return float(np.mean(np.concatenate(costs)))
 
 
-def _structure(problem: Problem, bare: Sequence[Group]) -> Array:
+def _estimate_structure(problem: Problem, linear_groups: Sequence[Group]) -> Array:
     """Estimate the structure from linear recordings: from their modes, else from random starts around the guess."""
-    best = initial_unknowns(problem, bare)
+    best = initial_unknowns(problem, linear_groups)
     for model_error in _MODEL_ERRORS:
-        best = solve(problem, best, bare, model_error)
-    lowest_square = mean_square(problem, best, bare)
+        best = solve(problem, best, linear_groups, model_error)
+    lowest_square = mean_square(problem, best, linear_groups)
     active = [k for k, each in enumerate(problem.parameters) if each.place[0] == "structure"]
-    random = np.random.default_rng(0)
+    generator = np.random.default_rng(0)
     for number in range(_RANDOM_STARTS):
         if lowest_square < _MAX_STRUCTURE_VARIANCE:
             break
         x = problem.start.copy()
-        x[active] += random.normal(0.0, _RANDOM_SD * min(number, 1), len(active))
+        x[active] += generator.normal(0.0, _RANDOM_SD * min(number, 1), len(active))
         for model_error in _MODEL_ERRORS_RANDOM:
-            x = solve(problem, x, bare, model_error, most=15)
-        if (square := mean_square(problem, x, bare)) < lowest_square:
+            x = solve(problem, x, linear_groups, model_error, max_evaluations=15)
+        if (square := mean_square(problem, x, linear_groups)) < lowest_square:
             best, lowest_square = x, square
     return best
 
@@ -180,23 +183,23 @@ def solve(
     groups: Sequence[Group],
     model_error: float,
     active: Sequence[int] | None = None,
-    most: int = 30,
+    max_evaluations: int = 30,
 ) -> Array:
     """Minimize the squared residuals over active unknowns, from x."""
-    chosen = list(range(problem.size) if active is None else active)
+    free_indices = list(range(problem.size) if active is None else active)
 
     def all_unknowns(values: Array) -> Array:
         out = x.copy()
-        out[chosen] = values
+        out[free_indices] = values
         return out
 
     solution = scipy.optimize.least_squares(
         lambda values: problem.residual(all_unknowns(values), groups, model_error),
-        x[chosen],
-        jac=lambda values: problem.jacobian(all_unknowns(values), groups, model_error, chosen),
+        x[free_indices],
+        jac=lambda values: problem.jacobian(all_unknowns(values), groups, model_error, free_indices),
         x_scale="jac",
-        loss={0.0: "linear", _ROBUST: "cauchy"}.get(model_error, "soft_l1"),
-        max_nfev=most,
+        loss={0.0: "linear", _ROBUST_MODEL_ERROR: "cauchy"}.get(model_error, "soft_l1"),
+        max_nfev=max_evaluations,
         ftol=1e-8 if model_error == 0.0 else 1e-3,
         xtol=1e-10,
         gtol=1e-10,
@@ -208,13 +211,13 @@ def solve(
 
 
 def mean_square(problem: Problem, x: Array, groups: Sequence[Group], model_error: float = 0.0) -> float:
-    """Mean square of the residuals of some groups, in standard deviations."""
+    """Compute the mean square of the residuals of some groups, in standard deviations."""
     residuals = problem.residual(x, groups, model_error)[: -problem.size]
     return float(np.mean(residuals**2)) if residuals.size else 0.0
 
 
 def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
-    """Factor of the covariance of the unknowns, as in `Estimate`, and the mean square of the residuals.
+    """Return a factor of the covariance of the unknowns, as in `Estimate`, and the mean square of the residuals.
 
     Systematic errors shift the unknowns; each shift is added. Residuals larger than the stated errors enlarge the
     covariance by their mean square. Residuals with common causes, between responses and over neighbouring
@@ -223,13 +226,13 @@ def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
     """
     shifts: list[Array] = []
     data, scores, square, count = np.zeros((0, problem.size)), [np.diag(1.0 / problem.prior_sd)], 0.0, 0
-    random = np.zeros((problem.size, problem.size))
+    score_covariance = np.zeros((problem.size, problem.size))
     for group in problem.groups:
         jacobian = problem.jacobian(x, [group])[: -problem.size]
         residuals = problem.residual(x, [group])[: -problem.size]
         used = int(group.used.sum())
         data = np.asarray(np.linalg.qr(np.concatenate([data, jacobian]), mode="r"))
-        random += _score_covariance(group, jacobian)
+        score_covariance += _score_covariance(group, jacobian)
         shifts += [jacobian.T @ error for error in _systematic_errors(group)]
         square += float(residuals @ residuals)
         count += residuals.size
@@ -244,19 +247,19 @@ def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
     variance = square / max(count - problem.size, 1)
     # Factor F of the inverse F F^T of the normal matrix with the prior precision.
     bread = np.linalg.inv(np.linalg.qr(np.concatenate([data, np.diag(1.0 / problem.prior_sd)]), mode="r"))
-    size, axes = np.linalg.eigh(random)
+    size, axes = np.linalg.eigh(score_covariance)
     root = axes * np.sqrt(np.maximum(size, 0.0) * max(variance, 1.0))
     stated = bread @ (bread.T @ np.concatenate([root, np.diag(1.0 / problem.prior_sd)], axis=1))
-    wider = np.ones(problem.size)
+    inflation = np.ones(problem.size)
     if variance > _MAX_NOISE_VARIANCE or all(group.curves.level is not None for group in problem.groups):
         clustered = bread @ (bread.T @ np.concatenate(scores, axis=1))
-        wider = np.maximum(np.linalg.norm(clustered, axis=1) / np.linalg.norm(stated, axis=1), 1.0)
+        inflation = np.maximum(np.linalg.norm(clustered, axis=1) / np.linalg.norm(stated, axis=1), 1.0)
     systematic = bread @ (bread.T @ np.array(shifts).T)
-    return np.concatenate([wider[:, None] * stated, systematic], axis=1), variance
+    return np.concatenate([inflation[:, None] * stated, systematic], axis=1), variance
 
 
 def _systematic_errors(group: Group) -> Iterator[Array]:
-    """Whitened residuals of errors that are equal at all lines: gain and phase of each response.
+    """Yield the whitened residuals of errors that are equal at all lines: gain and phase of each response.
 
     Each is uniformly distributed within its limit, so that its standard deviation is limit / sqrt(3).
     """
@@ -278,7 +281,7 @@ def _systematic_errors(group: Group) -> Iterator[Array]:
 
 
 def _score_covariance(group: Group, jacobian: Array) -> Array:
-    """Covariance of the scores ``J^T r`` of a group from random errors, shared ones included."""
+    """Compute the covariance of the scores ``J^T r`` of a group from random errors, including common errors."""
     curves, used = group.curves, group.used
     if curves.errors.reference is None:
         # Whitened errors have unit variance; the uncertainty of the variance itself is in the weights.

@@ -15,24 +15,26 @@ if TYPE_CHECKING:
 
     from analysis.fitting.fit import Compared, Fit
 
-# Sweeps drawn, and the height of each in inches.
-MOST_ROWS, _ROW = 8, 2.4
+# Largest number of sweeps that are drawn.
+MAX_ROWS = 8
+# Height of a row of the figure, inches.
+_ROW_HEIGHT_IN = 2.4
 # A frequency step that exceeds its neighbours by this factor is a gap in a curve.
-_GAP = 3.0
+_GAP_RATIO = 3.0
 
 
 def fit_figure(result: Fit) -> Figure:
     """Draw one row for each sweep or test: measured and fitted curves on the left, residuals on the right."""
-    rows = result.compared[:MOST_ROWS]
+    rows = result.compared[:MAX_ROWS]
     bands = [(float(compared.curves.frequency.min()), float(compared.curves.frequency.max())) for compared in rows]
     crosses = "" if all(compared.used.all() for compared in rows) else " Crosses: points left out of the fit."
-    with new_figure(_ROW * len(rows) + 1.0, 10.0) as figure:
+    with new_figure(_ROW_HEIGHT_IN * len(rows) + 1.0, 10.0) as figure:
         axes = figure.subplots(len(rows), 2, squeeze=False)
-        for compared, band, (left, right) in zip(rows, bands, axes, strict=True):
-            _draw(left, right, compared)
+        for compared, band, (curve_axes, residual_axes) in zip(rows, bands, axes, strict=True):
+            _draw(curve_axes, residual_axes, compared)
             # Only rows of the same band may share the numbers below the last.
             labelled = compared is rows[-1] or any(band != other for other in bands)
-            for ax in (left, right):
+            for ax in (curve_axes, residual_axes):
                 frequency_axis(ax, *band, labelled)
         add_legend_below(
             figure,
@@ -41,25 +43,26 @@ def fit_figure(result: Fit) -> Figure:
     return figure
 
 
-def _draw(left: Axes, right: Axes, compared: Compared) -> None:
+def _draw(curve_axes: Axes, residual_axes: Axes, compared: Compared) -> None:
     curves, order = compared.curves, np.argsort(compared.curves.frequency, kind="stable")
     frequency, used = curves.frequency[order], compared.used[order]
     factor, unit = (1.0, "m/m") if curves.reference == "table" else (1e6, "µm/N")
     steps = np.diff(frequency)
     neighbours = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
-    gaps = np.flatnonzero(steps > _GAP * neighbours) + 1 if steps.size > 1 else np.empty(0, dtype=int)
+    gaps = np.flatnonzero(steps > _GAP_RATIO * neighbours) + 1 if steps.size > 1 else np.empty(0, dtype=int)
     for k, sensor in enumerate(curves.sensors):
-        for ax, size in ((left, factor * abs(curves.value[k, order])), (right, compared.misses[k, order])):
+        magnitude, residual = factor * abs(curves.value[k, order]), compared.normalized_residuals[k, order]
+        for ax, size in ((curve_axes, magnitude), (residual_axes, residual)):
             ax.plot(frequency, np.where(used, size, np.nan), ".", color=color_of(k), label=sensor.name)
             ax.plot(frequency, np.where(used, np.nan, size), "x", color=color_of(k))
         line = np.insert(factor * abs(compared.predicted[k, order]), gaps, np.nan)
-        left.plot(np.insert(frequency, gaps, np.nan), line, "-", lw=0.8, color=color_of(k))
-    log_axis(left, [factor * abs(curves.value)])
-    left.set_ylabel(f"|x / {curves.reference}| / ({unit})")
-    add_title(left, curves.label)
-    log_axis(right, [compared.misses], max_decades=5.0)
-    right.axhline(2.0, color="#555555", lw=0.6)
-    right.set_ylabel("residual / std. deviation")
+        curve_axes.plot(np.insert(frequency, gaps, np.nan), line, "-", lw=0.8, color=color_of(k))
+    log_axis(curve_axes, [factor * abs(curves.value)])
+    curve_axes.set_ylabel(f"|x / {curves.reference}| / ({unit})")
+    add_title(curve_axes, curves.label)
+    log_axis(residual_axes, [compared.normalized_residuals], max_decades=5.0)
+    residual_axes.axhline(2.0, color="#555555", lw=0.6)
+    residual_axes.set_ylabel("residual / std. deviation")
     missing = int((~used).sum())
     left_out = f", {missing} point{'s' if missing > 1 else ''} left out" if missing else ""
-    add_title(right, f"Residual {format_number(100 * compared.relative)} % of the curve, rms{left_out}")
+    add_title(residual_axes, f"Residual {format_number(100 * compared.relative)} % of the curve, rms{left_out}")

@@ -93,8 +93,8 @@ class Compared:
 
     curves: Curves  # measured
     predicted: ComplexArray  # NaN where the model has no steady motion, shape (responses, n)
-    used: NDArray[np.bool_]  # points that count, shape (n,)
-    misses: Array  # residuals in standard deviations, shape (responses, n)
+    used: NDArray[np.bool_]  # fitted points, shape (n,)
+    normalized_residuals: Array  # residuals in standard deviations, shape (responses, n)
     relative: float
 
 
@@ -107,21 +107,25 @@ class Fit(Result):
     scene : Scene
         Scene with the fitted values; undetermined values stay near their start.
     parameters : tuple of Fitted
+        Fitted values with their 95 % intervals.
     correlation : ndarray, shape (parameters, parameters)
         Correlation of the errors of their logarithms.
     sensitivities : mapping of str to (float, float)
         Relative deviation of the sensitivity of each sensor with a tolerance, and its 95 % bound.
     modes : tuple of Mode
+        Modes of the fitted structure.
     damping : tuple of LevelDamping
-        Damping of the structure from each sweep alone, without that of the dampers, which is in their model.
+        Damping of the structure from each sweep alone, without the damping by the dampers.
     compared : tuple of Compared
+        Measured and predicted curves of each sweep or test.
     variance : float
         Mean square of the residuals in standard deviations: at most about 1 where the stated errors explain them.
     misfit : str
-        Why the scene does not fit the recordings; "" where it does. Then no value is determined.
+        Reason why the scene does not fit the recordings, so that no value is determined; "" if it fits.
     together : tuple of str
         Combinations of values that the recordings cannot separate.
     warnings : tuple of str
+        Consequences for the results, in full sentences.
     """
 
     scene: Scene
@@ -147,8 +151,8 @@ class Fit(Result):
     def summary(self) -> str:
         """Return whether the scene fits, and how many values are determined."""
         statuses = [parameter.status for parameter in self.parameters]
-        words = {"roughly": "roughly determined"}
-        counts = ", ".join(f"{statuses.count(kind)} {words.get(kind, kind)}" for kind in dict.fromkeys(statuses))
+        texts = {"roughly": "roughly determined"}
+        counts = ", ".join(f"{statuses.count(kind)} {texts.get(kind, kind)}" for kind in dict.fromkeys(statuses))
         return f"{self.scene.name}: {'does not fit; ' if self.misfit else ''}{counts}"
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -160,7 +164,7 @@ class Fit(Result):
         """Draw the largest residual over frequency, in standard deviations."""
         for compared in self.compared:
             order = np.argsort(compared.curves.frequency, kind="stable")
-            worst = np.where(compared.used, compared.misses.max(axis=0), np.nan)[order]
+            worst = np.where(compared.used, compared.normalized_residuals.max(axis=0), np.nan)[order]
             ax.semilogy(
                 compared.curves.frequency[order], worst, ".-", **complete_style(style, label=compared.curves.label)
             )
@@ -177,8 +181,8 @@ def fit(
 
     The responses of each sweep to the force or the table motion are compared, weighted by their stated errors; the
     sensitivities of sensors are free within their tolerances. Where dampers move, the model computes exact periodic
-    motions. Initial values come from modes. The prior of a free value is its value in the scene within a factor of
-    e: it matters only where the recordings do not determine the value, which is then reported.
+    motions. Initial values come from the identified modes. Each free value has a prior: its value in the scene, within
+    a factor of e. The prior has an effect only on values that the recordings do not determine; these are reported.
 
     Parameters
     ----------
@@ -208,8 +212,8 @@ def fit(
     --------
     >>> import analysis, rig
     >>> guess = rig.load("bare-structure", {"structure.masses": ["0.8 kg", "0.7 kg", "0.6 kg"]})
-    >>> found = analysis.fit("recordings/demo-sweep-no-damper.mcap", guess)
-    >>> found.misfit, found["structure.masses[1]"].status
+    >>> result = analysis.fit("recordings/demo-sweep-no-damper.mcap", guess)
+    >>> result.misfit, result["structure.masses[1]"].status
     ('', 'determined')
     """
     report = progress or (lambda _: None)
@@ -221,14 +225,14 @@ def fit(
     model = with_ratio_per_mode(scene)
     parameters = free_parameters(model, free)
     report("reading")
-    several: Sequence[Any] = recordings if isinstance(recordings, list | tuple) else [recordings]
-    for recording in several:
+    sources: Sequence[Any] = recordings if isinstance(recordings, list | tuple) else [recordings]
+    for recording in sources:
         if not isinstance(recording, str | Path) and not hasattr(recording, "channels"):
             raise RecordingError(f"fit: {recording!r:.60} is not a recording. Give paths, or recordings from daq.open.")
-    paths = [Path(each) if isinstance(each, str | Path) else each.path for each in several]
+    paths = [Path(each) if isinstance(each, str | Path) else each.path for each in sources]
     for first, again in duplicate_files(paths):
         raise SceneError(f"{again}: the same content as {first}, which would count twice. Give each recording once.")
-    curves = [each for recording in several for each in _curves(recording)]
+    curves = [each for recording in sources for each in _curves(recording)]
     if not curves:
         raise RecordingError("fit: no recordings. Give at least one.")
     problem = Problem(model, parameters, curves)
@@ -306,7 +310,7 @@ def _clearance_limits(problem: Problem, estimated: Estimate) -> dict[int, float]
     limits = {
         k: problem.clearance_limit(estimated.x, parameter)
         for k, parameter in enumerate(problem.parameters)
-        if parameter.what == "clearance" and COVERAGE_FACTOR * deviation[k] > _MAX_HALF_WIDTH
+        if parameter.quantity == "clearance" and COVERAGE_FACTOR * deviation[k] > _MAX_HALF_WIDTH
     }
     return {k: limit for k, limit in limits.items() if limit > 0.0}
 

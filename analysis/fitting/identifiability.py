@@ -1,4 +1,4 @@
-"""What the recordings determine: combinations of values that leave the curves unchanged, and damping by sweep."""
+"""Identifiability: combinations of values that leave the curves unchanged, and damping by sweep."""
 
 from __future__ import annotations
 
@@ -72,9 +72,10 @@ def coupled_values(problem: Problem, estimated: Estimate, statuses: Sequence[str
     undetermined = []
     for k in sorted({*range(count)} - {*determined}):
         never_moves = problem.parameters[k].damper is not None and not moving
-        why = " (no recording in which its damper moves)" if never_moves else ""
+        reason = " (no recording in which its damper moves)" if never_moves else ""
         undetermined.append(
-            f"{problem.parameters[k].key} is not determined by these recordings{why}; it keeps about its initial value."
+            f"{problem.parameters[k].key} is not determined by these recordings{reason}; it keeps about its initial "
+            "value."
         )
     if not determined:
         return tuple(undetermined)

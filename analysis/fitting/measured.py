@@ -25,20 +25,23 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
 
-# No point is credited with a smaller error, relative to its value and to the largest of its curve.
-_LEAST, _LEAST_OF_TOP = 2e-5, 1e-7
+# Smallest error of a point, relative to its value.
+_MIN_RELATIVE_ERROR = 2e-5
+# Smallest error of a point, relative to the largest value of its curve.
+_MIN_ERROR_TO_LARGEST = 1e-7
 # Error of the separation of reference noise from the noise of several responses, as a share of the noise.
-_SPLIT = 0.5
-# Systematic errors that are free parameters of the fit, and those that are not smooth errors of single responses.
-_FREE = (SENSITIVITY, CLOCK)
-_NOT_SMOOTH = (*_FREE, REFERENCE_NOISE, *ROUGH)
-# Fewer points than this cannot be judged.
-_FEWEST = 8
+_SEPARATION_ERROR_RATIO = 0.5
+# Systematic errors that are parameters of the fit.
+_FREE_PARTS = (SENSITIVITY, CLOCK)
+# Systematic errors that are not smooth errors of single responses.
+_EXCLUDED_FROM_SMOOTH = (*_FREE_PARTS, REFERENCE_NOISE, *ROUGH)
+# Smallest number of points of a fit.
+_MIN_POINTS = 8
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """A physical sensor: channels of several recordings have one in common if they are called alike."""
+    """A physical sensor; equal sensors in several recordings have the same deviation of their sensitivity."""
 
     name: str
     at: str
@@ -55,7 +58,7 @@ class Curves:
     `rough`, `smooth`, shape (responses, n): limits of the systematic errors that differ from line to line, and of
     those that do not. Sensor tolerances are not included, because they are parameters of the fit.
 
-    `whiten`: applied to errors, gives components of which each quadrature has variance 1, shape (n, responses,
+    `whiten`: matrices that convert errors to components whose quadratures have variance 1, shape (n, responses,
     responses).
     """
 
@@ -88,9 +91,9 @@ def measured(rec: Recording, name: str, progress: CountProgress | None = None) -
     """Estimate the curves of a fit: one set for each sweep or test of a recording.
 
     With a coil spring the reference is the displacement of the table: the responses are those of the structure with
-    the spring to ground, and no small difference of two readings enters.
+    the spring to ground, without the small difference of two readings.
 
-    Raises `RecordingError` if the recording holds no responses, or dampers in a test that is not of tones.
+    Raises `RecordingError` if the recording contains no responses, or moving dampers without steady tones.
     """
     scene = rec.scene
     if not rec.test.drives:
@@ -131,38 +134,39 @@ def measured(rec: Recording, name: str, progress: CountProgress | None = None) -
 
 
 def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str) -> Curves:
-    alive = [k for k, frf in enumerate(frfs) if np.any(frf.value != 0.0)]
-    dead = [frf.response for frf in frfs if not np.any(frf.value != 0.0)]
-    if not alive:
+    measuring = [k for k, frf in enumerate(frfs) if np.any(frf.value != 0.0)]
+    zero_responses = [frf.response for frf in frfs if not np.any(frf.value != 0.0)]
+    if not measuring:
         raise RecordingError(
-            f"{label}: all responses read zero throughout: dead or not connected ({', '.join(dead)}). Check them."
+            f"{label}: all responses read zero throughout: dead or not connected ({', '.join(zero_responses)}). Check "
+            "them."
         )
-    notes = [f"{name} reads zero throughout: dead or not connected. It is left out." for name in dead]
-    frfs = [frfs[k] for k in alive]
+    notes = [f"{name} reads zero throughout: dead or not connected. It is left out." for name in zero_responses]
+    frfs = [frfs[k] for k in measuring]
     value = np.stack([frf.value for frf in frfs])
-    bound = np.linalg.norm(np.vstack([_limits(frfs, without=_NOT_SMOOTH), _limits(frfs, ROUGH)]), axis=0)
+    bound = np.linalg.norm(np.vstack([_limits(frfs, without=_EXCLUDED_FROM_SMOOTH), _limits(frfs, ROUGH)]), axis=0)
     unsteady = np.any(
         [frf.unsteady for frf in frfs if frf.unsteady is not None] or [np.zeros(bound.size, bool)], axis=0
     )
     is_valid = np.isfinite(value).all(axis=0) & np.isfinite(bound) & ~unsteady & (frfs[0].frequency > 0.0)
-    if is_valid.sum() < _FEWEST:
+    if is_valid.sum() < _MIN_POINTS:
         raise RecordingError(
             f"{label}: too few points with a value and a finite bound ({int(is_valid.sum())}). "
-            f"Record at least {_FEWEST}. " + " ".join(frfs[0].warnings)
+            f"Record at least {_MIN_POINTS}. " + " ".join(frfs[0].warnings)
         )
     sensors = tuple(_sensor(rec, frf.response) for frf in frfs)
     errors = stack(frfs).covariance().at(is_valid)
     frfs = [frf.at(is_valid) for frf in frfs]
-    too_low, common = _reference_noise(frfs, errors)
+    relative_bias, common = _reference_noise(frfs, errors)
     return Curves(
         label=label,
         scene=rec.scene,
         frequency=frfs[0].frequency,
-        value=value[:, is_valid] * (1.0 + too_low),
+        value=value[:, is_valid] * (1.0 + relative_bias),
         whiten=_whitening(frfs, errors),
         errors=errors,
         rough=_limits(frfs, ROUGH),
-        smooth=_limits(frfs, without=_FREE if errors.reference is None else _NOT_SMOOTH),
+        smooth=_limits(frfs, without=_FREE_PARTS if errors.reference is None else _EXCLUDED_FROM_SMOOTH),
         common=common,
         sensors=sensors,
         reference_sensor=_sensor(rec, reference_of(rec, reference).channels[0]),
@@ -176,59 +180,48 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
 
 
 def _limits(frfs: Sequence[Response], names: Collection[str] | None = None, without: Collection[str] = ()) -> Array:
-    """Root of the sum of squares of the systematic errors of some names, or of all but some; shape (responses, n)."""
-    return np.stack(
-        [
-            np.linalg.norm(
-                [
-                    np.zeros(frf.value.size),
-                    *(
-                        each
-                        for name, each in frf.limits.items()
-                        if name in (names or frf.limits) and name not in without
-                    ),
-                ],
-                axis=0,
-            )
-            for frf in frfs
-        ]
-    )
+    """Return the root sum of squares of selected systematic errors, by default of all; shape (responses, n)."""
+    rows = []
+    for frf in frfs:
+        selected = [part for name, part in frf.limits.items() if name in (names or frf.limits) and name not in without]
+        rows.append(np.linalg.norm([np.zeros(frf.value.size), *selected], axis=0))
+    return np.stack(rows)
 
 
 def _reference_noise(frfs: Sequence[Response], errors: Covariance) -> tuple[Array, Array]:
-    """Relative bias of all responses by noise of the reference, and its limit of error; shape (n,)."""
+    """Return the relative bias of all responses by noise of the reference, and its limit of error; shape (n,)."""
     size = np.stack([np.maximum(abs(frf.value), 1e-300) for frf in frfs])
     # Noise of a response also lowers its coherence; the smallest share over the responses is that of the reference.
     bias_limit: Array = np.asarray((_limits(frfs, [REFERENCE_NOISE]) / size).min(axis=0))
     if errors.reference is None or len(frfs) < 2:
         return np.zeros(bias_limit.size), bias_limit
-    share = np.minimum(errors.reference, 0.5)
-    return share / (1.0 - share), _SPLIT * share
+    noise_ratio = np.minimum(errors.reference, 0.5)
+    return noise_ratio / (1.0 - noise_ratio), _SEPARATION_ERROR_RATIO * noise_ratio
 
 
 def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
-    """Inverse square root of the covariance of one quadrature, at each frequency."""
-    half = errors.lines / 2.0
-    variance = np.einsum("nii->ni", half).real.copy()
+    """Return the inverse square root of the covariance of one quadrature, at each frequency."""
+    quadrature_covariance = errors.lines / 2.0
+    variance = np.einsum("nii->ni", quadrature_covariance).real.copy()
     size = np.stack([abs(frf.value) for frf in frfs], axis=1)
-    # A single average gives no scatter to estimate the covariance from.
-    half[~np.isfinite(half).all(axis=(1, 2))] = 0.0
+    # A single average has no scatter, so that the covariance is unknown.
+    quadrature_covariance[~np.isfinite(quadrature_covariance).all(axis=(1, 2))] = 0.0
     variance = np.where(np.isfinite(variance), variance, (0.01 * np.median(size, axis=0)) ** 2)
-    variance_floor = (_LEAST * size) ** 2 + (_LEAST_OF_TOP * size.max(axis=0)) ** 2
+    variance_floor = (_MIN_RELATIVE_ERROR * size) ** 2 + (_MIN_ERROR_TO_LARGEST * size.max(axis=0)) ** 2
     # A variance estimated from few degrees of freedom is uncertain: Student's t.
-    inflation, rest = np.ones(variance.shape), _limits(frfs, ROUGH)
+    inflation, systematic = np.ones(variance.shape), _limits(frfs, ROUGH)
     if errors.reference is None:
-        rest = _limits(frfs, without=_FREE)
+        systematic = _limits(frfs, without=_FREE_PARTS)
         degrees = np.stack([frf.degrees for frf in frfs], axis=1)
         inflation = np.where(degrees > 4.0, degrees / np.maximum(degrees - 2.0, 1.0), 2.0)
     index = np.arange(len(frfs))
-    half *= inflation[:, :1, None]
-    half[:, index, index] = inflation * variance + rest.T**2 / 3.0 + variance_floor
-    return inverse_root(half)
+    quadrature_covariance *= inflation[:, :1, None]
+    quadrature_covariance[:, index, index] = inflation * variance + systematic.T**2 / 3.0 + variance_floor
+    return inverse_root(quadrature_covariance)
 
 
 def inverse_root(covariance: ComplexArray) -> ComplexArray:
-    """Inverse Cholesky factors of covariances, shape (n, responses, responses)."""
+    """Return the inverse Cholesky factors of covariances, shape (n, responses, responses)."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
 

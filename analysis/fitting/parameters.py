@@ -42,19 +42,19 @@ class Parameter:
     start: float  # its value in the scene, in SI
 
     @property
-    def what(self) -> str:
+    def quantity(self) -> str:
         """Name of the value: the last word of its key."""
         return next(str(step) for step in reversed(self.place) if isinstance(step, str))
 
     @property
     def unit(self) -> str:
         """Unit; "" for a ratio."""
-        return _UNITS.get(self.what, "")
+        return _UNITS.get(self.quantity, "")
 
     @property
     def limit(self) -> float:
         """Largest relative half width of the 95 % interval of a determined value."""
-        return _LIMITS.get(self.what, _LIMIT)
+        return _LIMITS.get(self.quantity, _LIMIT)
 
     @property
     def damper(self) -> int | None:
@@ -64,7 +64,7 @@ class Parameter:
     @property
     def below_one(self) -> bool:
         """Whether the value is a ratio below 1."""
-        return self.what in ("restitution", "modal")
+        return self.quantity in ("restitution", "modal")
 
     def slope(self, value: float) -> float:
         """Return the relative derivative of the value with respect to its unknown."""

@@ -1,4 +1,4 @@
-"""Predicted response of a scene to the test of a recording, with riding dampers, in closed form."""
+"""Predicted response of a scene to the test of a recording, with all dampers at rest, in closed form."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ def scene_of_test(model: Scene, curves: Curves) -> Scene:
     remaining = list(enumerate(model.dampers))
     dampers = []
     for number, damper in enumerate(recorded.dampers, 1):
-        mine = next((pair for pair in remaining if pair[1].body == damper.body), None)
-        if mine is None:
+        match = next((pair for pair in remaining if pair[1].body == damper.body), None)
+        if match is None:
             raise SceneError(
                 f"{curves.label}: recorded with a damper in body {damper.body} (number {number} in its scene), which "
                 "the scene to fit lacks. Add it there, with its known values."
             )
-        remaining.remove(mine)
-        dampers.append(mine[1].with_valid(locked=damper.locked))
+        remaining.remove(match)
+        dampers.append(match[1].with_valid(locked=damper.locked))
     # Both scenes are valid and have the same bodies, so this one is.
     return model.with_valid(shaker=recorded.shaker, test=recorded.test, dampers=tuple(dampers), channels=None)
 
 
-def riding(bench: Scene, curves: Curves, frequency: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Displacements / reference with riding dampers: of the bodies, and of the beds that could lift off.
+def linear_response(bench: Scene, curves: Curves, frequency: Array) -> tuple[ComplexArray, ComplexArray]:
+    """Return displacement / reference with all dampers at rest: of the bodies, and of the beds that could lift off.
 
     A bed with finite-duration contact moves on the spring of its floor, so that it lifts off at another acceleration.
 
@@ -73,19 +73,21 @@ def linear_slopes(
     inertia, matrix, _ = riding_equations(system, _drive(bench))
     omega = 2.0 * np.pi * frequency
     states = riding_response(system, _drive(bench), omega)
-    right = [-1j * (inertia @ states)]
-    for more, less, distance in changed:
-        each = zip(*(riding_equations(assemble(scene), _drive(scene)) for scene in (more, less)), strict=True)
-        by_inertia, by_matrix, by_inflow = ((high - low) / distance for high, low in each)
-        right.append(by_matrix @ states + by_inflow[:, None] - 1j * omega * (by_inertia @ states))
+    right_sides = [-1j * (inertia @ states)]
+    for larger, smaller, distance in changed:
+        equation_pairs = zip(
+            *(riding_equations(assemble(scene), _drive(scene)) for scene in (larger, smaller)), strict=True
+        )
+        by_inertia, by_matrix, by_inflow = ((high - low) / distance for high, low in equation_pairs)
+        right_sides.append(by_matrix @ states + by_inflow[:, None] - 1j * omega * (by_inertia @ states))
     dynamic = 1j * omega[:, None, None] * inertia - matrix
-    by = np.linalg.solve(dynamic, np.array(right).transpose(2, 1, 0)).transpose(2, 1, 0)
+    solution = np.linalg.solve(dynamic, np.array(right_sides).transpose(2, 1, 0)).transpose(2, 1, 0)
     bodies = bench.structure.bodies
-    slopes = by[:, :bodies]
+    slopes = solution[:, :bodies]
     if curves.reference == "table":
         table = system.points.index(bench.at_driven("table"))
         ratio = states[:bodies] / states[table]
-        slopes = (slopes - ratio * by[:, table, None]) / states[table]
+        slopes = (slopes - ratio * solution[:, table, None]) / states[table]
     return np.asarray(slopes[1:]), np.asarray(2.0 * np.pi * slopes[0])
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from analysis.fitting.measured import Curves, Sensor
 from analysis.fitting.parameters import Parameter, with_values
-from analysis.fitting.predicted import linear_slopes, riding, scene_of_test
+from analysis.fitting.predicted import linear_response, linear_slopes, scene_of_test
 from analysis.fitting.steady_tones import SteadyTones, StoredOrbit
 from rig.arrays import Array, ComplexArray
 from rig.scene.scene import Scene
@@ -46,7 +46,7 @@ class Group:
     """Points that are fitted, shape (n,)."""
     local_peak: Array
     """Largest whitened value near each point, shape (n, responses)."""
-    last: tuple[tuple[float, ...], bool, ComplexArray] | None = field(default=None, repr=False)
+    cached: tuple[tuple[float, ...], bool, ComplexArray] | None = field(default=None, repr=False)
 
     def motions(self) -> Motions:
         """Return the state of the motions, for `restore`."""
@@ -57,7 +57,7 @@ class Group:
         """Restore a state of the motions."""
         assert self.tones is not None
         used, orbits, previous = motions
-        self.used, self.last = used.copy(), None
+        self.used, self.cached = used.copy(), None
         self.tones.orbits, self.tones.previous = list(orbits), list(previous)
         self.tones.failed.clear()
 
@@ -88,7 +88,7 @@ class Group:
                     self.tones.orbits[k], residuals[k], changed = orbit, smaller, True
                 if residuals[k] <= limit:
                     break
-        self.used, self.last = residuals <= limit, None
+        self.used, self.cached = residuals <= limit, None
         return changed or bool(np.any(self.used != used_before))
 
 
@@ -125,8 +125,8 @@ class Problem:
 
     def values(self, x: Array) -> Array:
         """Return the values of the parameters, in SI units."""
-        inside = np.clip(x - self.start, -_MAX_CHANGE, _MAX_CHANGE) + self.start
-        return np.array([each.value(value) for each, value in zip(self.parameters, inside, strict=False)])
+        limited = np.clip(x - self.start, -_MAX_CHANGE, _MAX_CHANGE) + self.start
+        return np.array([each.value(value) for each, value in zip(self.parameters, limited, strict=False)])
 
     def scene(self, x: Array) -> Scene:
         """Return the model with the values of the unknowns."""
@@ -177,14 +177,14 @@ class Problem:
         level, frequency = self.operating_points(x, curves)
         gain = 0.0 if group.tones is None else self.gains(x, curves)[1]
         key = (*x[: len(self.parameters)].tolist(), float(x[-1]) if self.clock > 0.0 else 0.0, gain)
-        if group.last is None or group.last[0] != key or (search and not group.last[1]):
+        if group.cached is None or group.cached[0] != key or (search and not group.cached[1]):
             bench = scene_of_test(scene, curves)
             if group.tones is None:
-                bodies = riding(bench, curves, frequency)[0]
+                bodies = linear_response(bench, curves, frequency)[0]
             else:
                 bodies = group.tones.response(bench, level, frequency, search)
-            group.last = (key, search, bodies)
-        return group.last[2]
+            group.cached = (key, search, bodies)
+        return group.cached[2]
 
     def normalized_residuals(
         self, x: Array, group: Group, scene: Scene, model_error: float = 0.0, search: bool = True
@@ -210,28 +210,28 @@ class Problem:
 
         It is exact where the rig is linear. Orbits are refined from those at x, with the same events.
         """
-        chosen = list(range(self.size)) if active is None else list(active)
+        indices = list(range(self.size)) if active is None else list(active)
         scene = self.scene(x)
         moving = [group for group in groups if group.tones is not None]
-        following = iter(self._differences(x, moving, scene, model_error, chosen))
+        following = iter(self._differences(x, moving, scene, model_error, indices))
         parts = [
-            self._linear_slopes(x, group, scene, model_error, chosen) if group.tones is None else next(following)
+            self._linear_slopes(x, group, scene, model_error, indices) if group.tones is None else next(following)
             for group in groups
         ]
-        flat = np.concatenate([np.zeros((0, len(chosen))), *(part.reshape(-1, len(chosen)) for part in parts)])
-        prior = np.zeros((self.size, len(chosen)))
-        prior[chosen, range(len(chosen))] = 1.0 / self.prior_sd[chosen]
+        flat = np.concatenate([np.zeros((0, len(indices))), *(part.reshape(-1, len(indices)) for part in parts)])
+        prior = np.zeros((self.size, len(indices)))
+        prior[indices, range(len(indices))] = 1.0 / self.prior_sd[indices]
         return np.concatenate([flat.real, flat.imag, prior])
 
     def _differences(
-        self, x: Array, groups: Sequence[Group], scene: Scene, model_error: float, chosen: Sequence[int]
+        self, x: Array, groups: Sequence[Group], scene: Scene, model_error: float, indices: Sequence[int]
     ) -> list[ComplexArray]:
         """Differentiate the residuals of each group by finite differences; shape (used, responses, chosen)."""
         if not groups:
             return []
         base = [self.normalized_residuals(x, group, scene, model_error, search=False) for group in groups]
         columns: list[list[ComplexArray]] = [[] for _ in groups]
-        for k in chosen:
+        for k in indices:
             shifted = x.copy()
             # An undetermined unknown may have moved far beyond where its value still changes.
             shifted[k] += _STEP * max(1.0, abs(x[k]))
@@ -242,31 +242,32 @@ class Problem:
         return [np.stack(column, axis=-1) for column in columns]
 
     def _linear_slopes(
-        self, x: Array, group: Group, scene: Scene, model_error: float, chosen: Sequence[int]
+        self, x: Array, group: Group, scene: Scene, model_error: float, indices: Sequence[int]
     ) -> ComplexArray:
         """Differentiate the residuals of a group in which no damper moves; shape (used, responses, chosen)."""
         curves, used, count = group.curves, group.used, len(self.parameters)
         # Of dampers at rest on their floors, only the masses have an effect.
-        acting = [
+        effective = [
             k
-            for k in chosen
-            if k < count and (self.parameters[k].damper is None or self.parameters[k].what in ("mass", "mass_ratio"))
+            for k in indices
+            if k < count
+            and (self.parameters[k].damper is None or self.parameters[k].quantity in ("mass", "mass_ratio"))
         ]
-        benches = [self._neighbours(x, k, curves) for k in acting]
+        benches = [self._neighbours(x, k, curves) for k in effective]
         frequency = self.operating_points(x, curves)[1]
         by_value, by_frequency = linear_slopes(scene_of_test(scene, curves), curves, frequency, benches)
         values, (channel_gains, gain) = self.values(x), self.gains(x, curves)
         bodies, rows = self._displacement_ratio(x, group, scene), list(curves.bodies)
-        slopes = np.zeros((len(chosen), *curves.value.shape), dtype=complex)
-        for column, k in enumerate(chosen):
-            if k in acting:
+        slopes = np.zeros((len(indices), *curves.value.shape), dtype=complex)
+        for column, k in enumerate(indices):
+            if k in effective:
                 by_unknown = values[k] * self.parameters[k].slope(float(values[k]))
-                slopes[column] = channel_gains[:, None] / gain * by_value[acting.index(k)][rows] * by_unknown
+                slopes[column] = channel_gains[:, None] / gain * by_value[effective.index(k)][rows] * by_unknown
             elif count <= k < count + len(self.sensors):
                 sensor = self.sensors[k - count]
-                by_own = np.array([float(each == sensor) for each in curves.sensors])[:, None]
+                by_response_gain = np.array([float(each == sensor) for each in curves.sensors])[:, None]
                 by_gain = float(curves.reference_sensor == sensor)
-                slopes[column] = (by_own - by_gain * channel_gains[:, None] / gain) / gain * bodies[rows]
+                slopes[column] = (by_response_gain - by_gain * channel_gains[:, None] / gain) / gain * bodies[rows]
             elif k >= count:
                 slopes[column] = channel_gains[:, None] / gain * by_frequency[rows] * curves.frequency
         white = np.einsum("nij,cjn->nic", curves.whiten[used], slopes[:, :, used])
@@ -276,11 +277,11 @@ class Problem:
         """Return benches with a slightly larger and a slightly smaller value, and the difference of the values."""
         values, place = self.values(x).tolist(), self.parameters[k].place
         places = [parameter.place for parameter in self.parameters]
-        more, less = (
+        larger, smaller = (
             with_values(self.model, dict(zip(places, values, strict=True)) | {place: values[k] * factor})
             for factor in (1.0 + _MATRIX_STEP, 1.0 - _MATRIX_STEP)
         )
-        return scene_of_test(more, curves), scene_of_test(less, curves), 2.0 * _MATRIX_STEP * values[k]
+        return scene_of_test(larger, curves), scene_of_test(smaller, curves), 2.0 * _MATRIX_STEP * values[k]
 
 
 def _local_peaks(curves: Curves) -> Array:

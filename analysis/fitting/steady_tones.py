@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from analysis.fitting.measured import Curves
-from analysis.fitting.predicted import riding
+from analysis.fitting.predicted import linear_response
 from rig.arrays import Array, ComplexArray
 from rig.errors import RunError, SceneError, UncoveredMotionError
 from rig.orbits.admissibility import evaluate_motion
@@ -93,7 +93,7 @@ class SteadyTones:
         Hz; `search`: whether orbits are checked and searched; otherwise the stored ones are refined as they are, for
         derivatives.
         """
-        response, beds = riding(bench, self.curves, frequency)
+        response, beds = linear_response(bench, self.curves, frequency)
         # A damper lifts off where the acceleration amplitude of its bed exceeds gravity.
         acceleration = (2.0 * np.pi * frequency) ** 2 * level * abs(beds).max(axis=0, initial=0.0)
         stored = np.array([orbit is not None for orbit in self.orbits])
@@ -273,9 +273,9 @@ class _OrbitSolver:
         if refined is None:
             return None
         force, amplitude = level[0] * self._force_ratio(refined[1]), level[0]
-        for between in np.linspace(frequency[0], frequency[1], _CONTINUATION_STEPS + 1)[1:].tolist():
+        for intermediate_frequency in np.linspace(frequency[0], frequency[1], _CONTINUATION_STEPS + 1)[1:].tolist():
             for _ in range(_LEVEL_CORRECTIONS if self.spring else 1):
-                refined = self.refine(orbit, between, amplitude, check=False)
+                refined = self.refine(orbit, intermediate_frequency, amplitude, check=False)
                 if refined is None:
                     return None
                 amplitude = force / self._force_ratio(refined[1])

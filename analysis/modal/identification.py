@@ -9,9 +9,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from analysis.modal.doubts import doubts
 from analysis.modal.line_choice import in_gaps, is_peak, scatter, thin_out
 from analysis.modal.lscf import chart, merge_charts
+from analysis.modal.mode_warnings import mode_warnings
 from analysis.modal.modes import MAX_RELATIVE_UNCERTAINTY, Modes
 from analysis.modal.order_selection import MAX_MODES, better_model, in_band, narrower_than_resolution, select
 from analysis.modal.pole_errors import pole_errors, refined_pole_errors, systematic_pole_errors
@@ -103,11 +103,13 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     # Expanded uncertainties (95 %) are twice the standard uncertainties.
     included: tuple[str, ...] = ()
     if refinement is None:
-        random = pole_errors(weighted, model)
+        random_errors = pole_errors(weighted, model)
     else:
-        included, random = refinement.parts, refined_pole_errors(model.poles, refinement.covariance)
+        included, random_errors = refinement.parts, refined_pole_errors(model.poles, refinement.covariance)
     systematic = systematic_pole_errors(curves, model.poles, included)
-    f_error, z_error = (np.hypot(*pair) for pair in zip(random, (0.5 * part for part in systematic), strict=True))
+    f_error, z_error = (
+        np.hypot(*pair) for pair in zip(random_errors, (0.5 * part for part in systematic), strict=True)
+    )
     # The frequency of a pole is unknown if the uncertainty of the curves is unbounded.
     frequency: Array = np.asarray(abs(model.poles) / (2 * np.pi), dtype=float)
     unbounded = inside & (2.0 * f_error >= frequency)
@@ -147,8 +149,8 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
         input=curves[0].input,
         places=tuple(curve.output_at for curve in curves),
     )
-    left_out = [frf.response for frf in frfs if frf.response not in result.responses]
-    notes = doubts(result, curves, count, dropped, uncertain, unmeasured, left_out)
+    unused = [frf.response for frf in frfs if frf.response not in result.responses]
+    notes = mode_warnings(result, curves, count, dropped, uncertain, unmeasured, unused)
     return replace(result, warnings=(*curves[0].warnings, *notes))
 
 
@@ -258,16 +260,16 @@ def _remove_spurious_poles(curves: Curves, model: Fit, frfs: Sequence[Response])
     while model.poles.size:
         _, z_error = pole_errors(curves, model)
         damping = z_error * abs(model.poles) / -model.poles.real
-        doubt = np.where(
+        relative_uncertainty = np.where(
             in_band(curves, model.poles),
             np.maximum(damping, MAX_RELATIVE_UNCERTAINTY * _systematic_ratio(model, frfs)),
             0.0,
         )
         for k in np.flatnonzero(narrower_than_resolution(curves, model.poles)):
             line = int(np.argmin(abs(curves.frequency - abs(model.poles[k]) / (2 * np.pi))))
-            doubt[k] = 0.0 if any(is_peak(abs(row), line) for row in curves.value) else np.inf
-        worst = int(np.argmax(doubt))
-        if doubt[worst] < MAX_RELATIVE_UNCERTAINTY:
+            relative_uncertainty[k] = 0.0 if any(is_peak(abs(row), line) for row in curves.value) else np.inf
+        worst = int(np.argmax(relative_uncertainty))
+        if relative_uncertainty[worst] < MAX_RELATIVE_UNCERTAINTY:
             break
         dropped.append(abs(model.poles[worst]) / (2 * np.pi))
         model = fit(curves, np.delete(model.poles, worst))

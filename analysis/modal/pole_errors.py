@@ -89,30 +89,30 @@ def propagate(poles: ComplexArray, factors: Sequence[Array]) -> tuple[Array, Arr
 
 
 def systematic_pole_errors(
-    frfs: Sequence[Response], poles: ComplexArray, without: Sequence[str] = ()
+    frfs: Sequence[Response], poles: ComplexArray, included: Sequence[str] = ()
 ) -> tuple[Array, Array]:
     """Return limits of the systematic errors of natural frequencies [Hz] and damping ratios, shape (modes,).
 
     A reference that is the difference of two readings with gain errors contains a part of the response. To first order
     the effect is a stiffness error: a relative error d of the curve at s shifts the pole p by ``d |s - p|`` (no shift
     if d is constant). An error at the peak alone, and the leakage of a window, may also change its width. The random
-    errors already include the parts `without`.
+    errors already contain the parts `included`.
     """
-    width_parts = tuple(name for name in _WIDTH_PARTS if name not in without)
-    half = half_width(poles)
+    width_parts = tuple(name for name in _WIDTH_PARTS if name not in included)
+    half_width_hz = half_width(poles)
     resolution = max(curve.resolution for curve in frfs)
-    f_error = np.where(2.0 * half < resolution, _MAX_LINE_ERROR * resolution, 0.0)
-    widening = np.minimum(LEAKAGE_FACTOR * resolution**2 / half, _MAX_WIDENING * resolution)
+    f_error = np.where(2.0 * half_width_hz < resolution, _MAX_LINE_ERROR * resolution, 0.0)
+    widening = np.minimum(LEAKAGE_FACTOR * resolution**2 / half_width_hz, _MAX_WIDENING * resolution)
     z_error = 2.0 * np.pi * widening / abs(poles)
     for curve in frfs:
         stiffness, phase, width = (_relative(curve, names) for names in (_STIFFNESS_PARTS, _PHASE_PARTS, width_parts))
         for i, p in enumerate(poles):
             natural = abs(p) / (2.0 * np.pi)
-            distance = abs(curve.frequency - natural - 1j * half[i])
-            real, complex_ = (_shift(error, distance, float(half[i])) for error in (stiffness, phase))
-            peak = float(np.nan_to_num(width[int(np.argmin(distance))], nan=1.0, posinf=1.0)) * float(half[i])
+            distance = abs(curve.frequency - natural - 1j * half_width_hz[i])
+            real, complex_ = (_shift(error, distance, float(half_width_hz[i])) for error in (stiffness, phase))
+            peak = float(np.nan_to_num(width[int(np.argmin(distance))], nan=1.0, posinf=1.0)) * float(half_width_hz[i])
             f_error[i] = max(f_error[i], float(np.linalg.norm([real, complex_, peak])))
-            decay = float(np.linalg.norm([half[i] / natural * real, complex_, peak]))
+            decay = float(np.linalg.norm([half_width_hz[i] / natural * real, complex_, peak]))
             z_error[i] = max(z_error[i], decay / natural)
     return f_error, z_error
 
@@ -125,12 +125,12 @@ def _relative(curve: Response, names: Sequence[str]) -> Array:
     )
 
 
-def _shift(error: Array, distance: Array, half: float) -> float:
+def _shift(error: Array, distance: Array, half_width_hz: float) -> float:
     """Compute the shift of a pole, Hz, by the relative errors of a curve at some distances from the pole."""
     bounded = np.isfinite(error)
     if not bounded.any():
         return float("inf")
-    flanks = distance <= max(_FLANK_HALF_WIDTHS * half, np.sort(distance)[:4].max())
+    flanks = distance <= max(_FLANK_HALF_WIDTHS * half_width_hz, np.sort(distance)[:4].max())
     shift = np.where(bounded, error - error[bounded].min(), np.inf) * distance
     # If the uncertainty of the curve around a pole is unbounded, so is the uncertainty of the pole.
     return float(np.quantile(shift[flanks], 0.75, method="higher"))

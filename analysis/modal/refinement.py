@@ -138,39 +138,41 @@ class Likelihood:
         residual, responses = self.residual(model), self.curves.value.shape[0]
         poles = 2 * model.poles.size
         n_unknowns = poles + self.terms.shape[1]
-        right_poles, right_own = np.zeros(poles), np.zeros((responses, n_unknowns))
-        corner, side = np.zeros((poles, poles)), np.zeros((poles, responses, n_unknowns))
-        block = np.zeros((n_unknowns, n_unknowns, responses, responses))
+        right_poles, right_residues = np.zeros(poles), np.zeros((responses, n_unknowns))
+        pole_block, coupling_block = np.zeros((poles, poles)), np.zeros((poles, responses, n_unknowns))
+        residue_block = np.zeros((n_unknowns, n_unknowns, responses, responses))
         for part in self._parts(model):
-            by_pole, by_own = self._slopes(model, part)
+            by_pole, by_residue = self._slopes(model, part)
             information = self.information[part]
             weighted = information @ by_pole
             flat = by_pole.reshape(-1, poles)
-            corner += (weighted.conj().reshape(-1, poles).T @ flat).real
-            side += (weighted.conj().transpose(2, 1, 0).reshape(-1, len(by_own)) @ by_own).real.reshape(side.shape)
+            pole_block += (weighted.conj().reshape(-1, poles).T @ flat).real
+            coupling_block += (
+                weighted.conj().transpose(2, 1, 0).reshape(-1, len(by_residue)) @ by_residue
+            ).real.reshape(coupling_block.shape)
             # The information is Hermitian, so the real part of the product needs two real products only.
-            pairs = (by_own.conj()[:, :, None] * by_own[:, None]).reshape(len(by_own), -1).T
-            lines = information.reshape(len(by_own), -1)
-            block += (pairs.real @ lines.real - pairs.imag @ lines.imag).reshape(block.shape)
+            pairs = (by_residue.conj()[:, :, None] * by_residue[:, None]).reshape(len(by_residue), -1).T
+            lines = information.reshape(len(by_residue), -1)
+            residue_block += (pairs.real @ lines.real - pairs.imag @ lines.imag).reshape(residue_block.shape)
             weighted_residual = (information @ residual[part, :, None])[..., 0]
             right_poles += (flat.conj().T @ weighted_residual.ravel()).real
-            right_own += (weighted_residual.T @ by_own.conj()).real
+            right_residues += (weighted_residual.T @ by_residue.conj()).real
         size = responses * n_unknowns
         normal = np.empty((poles + size,) * 2)
-        normal[:poles, :poles] = corner
-        normal[:poles, poles:] = side.reshape(poles, size)
+        normal[:poles, :poles] = pole_block
+        normal[:poles, poles:] = coupling_block.reshape(poles, size)
         normal[poles:, :poles] = normal[:poles, poles:].T
-        normal[poles:, poles:] = block.transpose(2, 0, 3, 1).reshape(size, size)
-        return normal, np.concatenate([right_poles, right_own.ravel()])
+        normal[poles:, poles:] = residue_block.transpose(2, 0, 3, 1).reshape(size, size)
+        return normal, np.concatenate([right_poles, right_residues.ravel()])
 
     def weights(self, model: Fit, rows: Array) -> ComplexArray:
         """Compute the weights of the errors in combinations of the parameters; shape (n, responses, combinations)."""
         poles, responses = 2 * model.poles.size, self.curves.value.shape[0]
-        pole_rows, own_rows = rows[:poles], rows[poles:].reshape(responses, -1, rows.shape[1])
+        pole_rows, residue_rows = rows[:poles], rows[poles:].reshape(responses, -1, rows.shape[1])
         out = []
         for part in self._parts(model):
-            by_pole, by_own = self._slopes(model, part)
-            change = by_pole @ pole_rows + (by_own @ own_rows).transpose(1, 0, 2)
+            by_pole, by_residue = self._slopes(model, part)
+            change = by_pole @ pole_rows + (by_residue @ residue_rows).transpose(1, 0, 2)
             out.append(self.information[part] @ change)
         return np.concatenate(out)
 

@@ -22,9 +22,8 @@ from analysis.damper_motion.comparison import (
 )
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes
-from analysis.presentation.expectations import duplicate_warnings, expect
-from analysis.presentation.output_names import check_outputs, output_stem, with_ending
-from analysis.presentation.result import Result, with_recording_name
+from analysis.presentation.inputs import check_recording, duplicate_warnings
+from analysis.presentation.outputs import CommandOutput, check_outputs, output_stem, with_ending, with_recording_name
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, relabel, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
@@ -33,8 +32,7 @@ from rig.errors import SceneError
 from rig.progress import CountProgress
 from rig.results import round_to_bound
 from rig.results.response import Response
-from rig.results.result import Result as ResultBase
-from rig.results.result import complete_style
+from rig.results.result import Result, complete_style
 from rig.results.text import table_lines
 from rig.results.uncertainty import SENSITIVITY
 
@@ -48,7 +46,7 @@ _HEADING = (
     "shift_low_Hz", "shift_high_Hz", "peak_from m/N", "bound_from m/N", "peak_to m/N", "bound_to m/N",
 )  # fmt: skip
 
-_JUMPS = (
+_UNBOUNDED_PEAKS = (
     "A peak may be higher than measured where its curve has a jump, an end or excluded points next to "
     "the highest point, or only three points. Measure more densely there, upwards and downwards (test: "
     "direction: both), without overloads."
@@ -56,7 +54,7 @@ _JUMPS = (
 
 
 @dataclass(frozen=True, repr=False)
-class Comparison(ResultBase):
+class Comparison(Result):
     """Changes of resonance peaks from the first recording to the others.
 
     Attributes
@@ -110,7 +108,7 @@ def compare_peaks(paths: Sequence[Path], progress: CountProgress | None = None) 
     measured_points: list[MeasurementPoints] = []
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
-            expect(rec, path, "frf")
+            check_recording(rec, path, "frf")
             measured_points.append(MeasurementPoints.of(path, rec))
             measured_points[-1].comparable_with(measured_points[0])
             groups = frequency_responses(rec, progress=progress)
@@ -144,7 +142,9 @@ def compare_peaks(paths: Sequence[Path], progress: CountProgress | None = None) 
         lines += _uncompared_peaks(changes, ((paths[0], bare), (path, group)), modes)
         jumps |= any(isinf(change.bare.bound + change.damped.bound) for change in changes)
         all_changes += [(bare[0], group[0], change) for change in changes]
-    return Comparison(tuple(all_changes), tuple(lines), (*dict.fromkeys(notes), *((_JUMPS,) if jumps else ())))
+    return Comparison(
+        tuple(all_changes), tuple(lines), (*dict.fromkeys(notes), *((_UNBOUNDED_PEAKS,) if jumps else ()))
+    )
 
 
 def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
@@ -189,13 +189,15 @@ def _format_change(value: tuple[float, float, float], digits: int) -> tuple[str,
     return estimate, f"{low} to {high}"
 
 
-def present_compare(paths: Sequence[Path], output: Path | None = None, progress: CountProgress | None = None) -> Result:
+def present_compare(
+    paths: Sequence[Path], output: Path | None = None, progress: CountProgress | None = None
+) -> CommandOutput:
     """Print and tabulate the results of `compare_peaks`; the default folder is that of the first recording."""
     check_outputs(paths, output, "compare", "csv")
     comparison = compare_peaks(paths, progress)
     with output_stem(paths, output, "compare", "csv") as stem:
         table = write_table(with_ending(stem, "csv"), _HEADING, (_row(*change) for change in comparison.changes))
-    return Result((table,), comparison.lines, comparison.warnings)
+    return CommandOutput((table,), comparison.lines, comparison.warnings)
 
 
 def _uncompared_peaks(

@@ -11,9 +11,8 @@ import numpy as np
 from analysis.damper_motion.dampers import Dampers, dampers_in
 from analysis.damper_motion.energy_balance import CycleEnergy
 from analysis.damper_motion.motion_types import DamperMotion
-from analysis.presentation.expectations import expect
-from analysis.presentation.output_names import check_outputs, output_stem, with_ending
-from analysis.presentation.result import Result, with_recording_name
+from analysis.presentation.inputs import check_recording
+from analysis.presentation.outputs import CommandOutput, check_outputs, output_stem, with_ending, with_recording_name
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, scene_labels
 from rig.progress import CountProgress
@@ -36,7 +35,9 @@ _HEADING = (
 )  # fmt: skip
 
 
-def present_dampers(paths: Sequence[Path], output: Path | None = None, progress: CountProgress | None = None) -> Result:
+def present_dampers(
+    paths: Sequence[Path], output: Path | None = None, progress: CountProgress | None = None
+) -> CommandOutput:
     """Report the motion of the dampers at each frequency of stepped-sine tests as text, figures and tables.
 
     `paths`: recordings of stepped-sine tests with dampers; `output`: folder for figures and tables; default: the
@@ -52,7 +53,7 @@ def present_dampers(paths: Sequence[Path], output: Path | None = None, progress:
         check_outputs([path], output, "dampers", "csv")
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
-            expect(rec, path, "dampers")
+            check_recording(rec, path, "dampers")
             results = dampers_in(rec, label, progress)
         notes += with_recording_name(path, [warning for dampers in results for warning in dampers.warnings])
         lines += [line for dampers in results for line in describe(dampers)]
@@ -63,7 +64,7 @@ def present_dampers(paths: Sequence[Path], output: Path | None = None, progress:
                     files += save_figure(dampers_figure(dampers), part)
             rows = chain.from_iterable(map(_rows, results))
             files.append(write_table(with_ending(stem, "csv"), _HEADING, rows))
-    return Result(tuple(files), tuple(lines), tuple(notes))
+    return CommandOutput(tuple(files), tuple(lines), tuple(notes))
 
 
 def _rows(dampers: Dampers) -> list[tuple[str | float, ...]]:

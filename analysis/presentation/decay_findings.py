@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.decays.free_decay import INITIAL_DECAY_DB, Decay, decay
-from analysis.presentation.expectations import duplicate_warnings, expect
-from analysis.presentation.output_names import check_outputs, output_stem
-from analysis.presentation.result import Result, with_recording_name
+from analysis.presentation.inputs import check_recording, duplicate_warnings
+from analysis.presentation.outputs import CommandOutput, check_outputs, output_stem, with_recording_name
 from analysis.recordings.names import opened, relabel, scene_labels
 from daq.recording.recorded_test import TestKind
 from rig.results.text import format_interval, table_lines
@@ -33,7 +32,7 @@ _TOO_SHORT = ("too short", "-")
 
 def present_decay(
     paths: Sequence[Path], output: Path | None = None, channel: str | None = None, hit: int = 1
-) -> Result:
+) -> CommandOutput:
     """Draw and tabulate free decays; the curves of several recordings are overlaid."""
     from analysis.figures.decay_figure import decay_figure
     from analysis.presentation.tables import damping_table, envelope_table
@@ -44,7 +43,7 @@ def present_decay(
     check_outputs(paths, output, "decay", "png", "svg")
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
-            expect(rec, path, "decay")
+            check_recording(rec, path, "decay")
             decays.append(relabel(decay(rec, channel, hit), rec.scene.name, label))
             was_hit = rec.test.kind is not TestKind.FREE
         notes += with_recording_name(path, decays[-1].warnings)
@@ -54,7 +53,9 @@ def present_decay(
         files = save_figure(decay_figure(decays, title), stem)
         files.append(envelope_table(stem.with_name(stem.name + "-envelope.csv"), decays))
         files.append(damping_table(stem.with_name(stem.name + "-damping.csv"), decays))
-    return Result(tuple(files), tuple(line for result in decays for line in describe_decay(result)), tuple(notes))
+    return CommandOutput(
+        tuple(files), tuple(line for result in decays for line in describe_decay(result)), tuple(notes)
+    )
 
 
 def describe_decay(decay: Decay) -> list[str]:

@@ -24,9 +24,9 @@ SWEEPS = ("fig8-no-damper", "fig8-three-dampers")
 IMPULSES = ("fig10b-no-damper", "fig10b-three-dampers")
 
 # Coarse frequency grid over the band, Hz.
-_COARSE = np.linspace(8.0, 60.0, 34)
+_COARSE_HZ = np.linspace(8.0, 60.0, 34)
 # Fine grids around the resonances without dampers and with dampers at rest, whose mass lowers the frequencies, Hz.
-_FINE = (np.linspace(11.8, 13.6, 14), np.linspace(32.0, 35.6, 13), np.linspace(45.5, 51.0, 12))
+_FINE_HZ = (np.linspace(11.8, 13.6, 14), np.linspace(32.0, 35.6, 13), np.linspace(45.5, 51.0, 12))
 
 
 def frequencies() -> list[float]:
@@ -35,29 +35,29 @@ def frequencies() -> list[float]:
     >>> frequencies()[0], frequencies()[-1]
     (8.0, 60.0)
     """
-    return [float(f) for f in np.unique(np.round(np.concatenate([_COARSE, *_FINE]), 3))]
+    return [float(f) for f in np.unique(np.round(np.concatenate([_COARSE_HZ, *_FINE_HZ]), 3))]
 
 
-def demonstrate(folder: Path, say: Callable[[str], None], at: Sequence[float] | None = None) -> list[Path]:
+def demonstrate(folder: Path, print_line: Callable[[str], None], sweep_hz: Sequence[float] | None = None) -> list[Path]:
     """Record two stepped sines and two impulse tests in parallel, analyze them, and suggest next commands.
 
-    `folder`: output folder for recordings, figures and tables; `say`: called with each line of text; `at`:
+    `folder`: output folder for recordings, figures and tables; `print_line`: called with each line of text; `sweep_hz`:
     frequencies of the stepped sines, Hz; default: `frequencies`. Returns all files written.
     """
     start = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
-    say("Recording two stepped sines (without and with three dampers) and two impulse tests ...")
+    print_line("Recording two stepped sines (without and with three dampers) and two impulse tests ...")
     recordings = {name: folder / f"{name}.mcap" for name in (*SWEEPS, *IMPULSES)}
     for name, path in recordings.items():
-        if path.exists() and not (may_overwrite() or is_recorded(_scene(name, tuple(at or frequencies())), path)):
+        if path.exists() and not (may_overwrite() or is_recorded(_scene(name, tuple(sweep_hz or frequencies())), path)):
             raise SceneError(
                 f"{path} exists and is not the demonstration's: it is left as it is. Choose another folder with "
                 "--output, or pass --overwrite"
             )
-    for name, seconds in _record_all(recordings, tuple(at or frequencies())):
-        say(f"  {recordings[name]} contains {seconds:.0f} s ({time.monotonic() - start:.0f} s after the start)")
+    for name, seconds in _record_all(recordings, tuple(sweep_hz or frequencies())):
+        print_line(f"  {recordings[name]} contains {seconds:.0f} s ({time.monotonic() - start:.0f} s after the start)")
     files = list(recordings.values())
-    say("Reading the recordings, and nothing else, for compliance, decay and modes ...")
+    print_line("Reading the recordings, and nothing else, for compliance, decay and modes ...")
     sweeps, hits = [recordings[name] for name in SWEEPS], [recordings[name] for name in IMPULSES]
     for result in (
         present_frf(sweeps, folder, theory=True),
@@ -65,40 +65,40 @@ def demonstrate(folder: Path, say: Callable[[str], None], at: Sequence[float] | 
         present_modes(sweeps[:1], folder),
     ):
         for line in result.lines:
-            say(f"  {line}")
+            print_line(f"  {line}")
         for warning in result.warnings:
-            say(f"  note: {warning}")
+            print_line(f"  note: {warning}")
         files += result.files
-    say(f"Done in {time.monotonic() - start:.0f} s. Written:")
+    print_line(f"Done in {time.monotonic() - start:.0f} s. Written:")
     for path in files:
-        say(f"  {path}")
-    say("Next commands:")
+        print_line(f"  {path}")
+    print_line("Next commands:")
     for command in (
         f"daq replay {recordings['fig8-three-dampers']}",
         f"daq info {recordings['fig10b-three-dampers']}",
         f"analysis report {' '.join(str(path) for path in sweeps)}",
         "rig scenes",
     ):
-        say(f"  {command}")
+        print_line(f"  {command}")
     return files
 
 
-def _record_all(recordings: dict[str, Path], at: tuple[float, ...]) -> Iterator[tuple[str, float]]:
+def _record_all(recordings: dict[str, Path], sweep_hz: tuple[float, ...]) -> Iterator[tuple[str, float]]:
     """Record on all cores; yield the name and duration (s) of each recording when it is complete."""
     # The long sweeps start first; the short impulse tests then use the cores that become free.
-    jobs = [(name, path, at) for name, path in recordings.items()]
+    jobs = [(name, path, sweep_hz) for name, path in recordings.items()]
     with Workers() as workers:
         for number, seconds in workers.compute(_record, jobs):
             yield jobs[number][0], seconds
 
 
-def _scene(name: str, at: tuple[float, ...]) -> Scene:
+def _scene(name: str, sweep_hz: tuple[float, ...]) -> Scene:
     import rig
 
     scene = rig.load(name)
     if name not in SWEEPS:
         return scene
-    test = {"kind": "stepped_sine", "frequencies": at, "force": 2.6, "settle": {"longest": 20.0}}
+    test = {"kind": "stepped_sine", "frequencies": sweep_hz, "force": 2.6, "settle": {"longest": 20.0}}
     return scene.replace(test=test)
 
 
@@ -108,10 +108,10 @@ def _record(job: tuple[str, Path, tuple[float, ...]]) -> float:
 
     import daq
 
-    name, path, at = job
+    name, path, sweep_hz = job
     with warnings.catch_warnings():
         # The recording's markers contain the same warnings, and the analysis reports them.
         warnings.simplefilter("ignore", daq.RunWarning)
-        daq.record(_scene(name, at), path, overwrite=True)
+        daq.record(_scene(name, sweep_hz), path, overwrite=True)
     with daq.open(path) as rec:
         return rec.samples / rec.rate

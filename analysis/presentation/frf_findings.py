@@ -10,10 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.presentation.expectations import expect_all
-from analysis.presentation.inputs import labels, read_curves
-from analysis.presentation.output_names import check_outputs, of_part, output_stem, with_ending
-from analysis.presentation.result import Result, with_recording_name
+from analysis.presentation.inputs import check_inputs, labels, read_curves
+from analysis.presentation.outputs import (
+    CommandOutput,
+    check_outputs,
+    of_part,
+    output_stem,
+    with_ending,
+    with_recording_name,
+)
 from analysis.recordings.names import opened, relabel
 from analysis.responses.curve_checks import jumps
 from analysis.responses.frequency_responses import Blocks, frequency_responses
@@ -43,14 +48,14 @@ def present_frf(
     overlap: float | None = None,
     window: str | None = None,
     unit: str | None = None,
-) -> Result:
+) -> CommandOutput:
     """Draw and tabulate frequency responses; several files are overlaid in one figure for each response."""
     from analysis.presentation.tables import frf_table
 
     curves: list[Response] = []
     exact: list[Response] = []
     blocks = Blocks(estimator, block, overlap, window)
-    notes = expect_all(paths, "frf", blocks, theory, unit)
+    notes = check_inputs(paths, "frf", blocks, theory, unit)
     check_outputs(paths, output, "frf", "csv")
     tolerance_notes: list[str] = []
     for path, label in zip(paths, labels(paths), strict=True):
@@ -70,7 +75,7 @@ def present_frf(
     with output_stem(paths, output, "frf", "csv") as stem:
         files = _draw_figures(curves, exact, stem)
         files.append(frf_table(with_ending(stem, "csv"), curves))
-    return Result(tuple(files), (*describe_frfs(curves), *dict.fromkeys(tolerance_notes)), tuple(notes))
+    return CommandOutput(tuple(files), (*describe_frfs(curves), *dict.fromkeys(tolerance_notes)), tuple(notes))
 
 
 def describe_frfs(curves: Sequence[Response]) -> list[str]:

@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes, mac
-from analysis.presentation.expectations import expect_all
-from analysis.presentation.inputs import labels, read_curves
-from analysis.presentation.output_names import check_outputs, output_stem, with_ending
-from analysis.presentation.result import Result, with_recording_name
+from analysis.presentation.inputs import check_inputs, labels, read_curves
+from analysis.presentation.outputs import CommandOutput, check_outputs, output_stem, with_ending, with_recording_name
 from analysis.recordings.names import opened, relabel
 from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
@@ -39,7 +37,7 @@ def present_modes(
     block: float | None = None,
     progress: CountProgress | None = None,
     unit: str | None = None,
-) -> Result:
+) -> CommandOutput:
     """Identify, draw and tabulate the modes of recordings or of FRF files of other programs."""
     from analysis.figures.modes_figure import modes_figure
     from analysis.presentation.tables import modes_table
@@ -48,7 +46,7 @@ def present_modes(
     all_modes: list[Modes] = []
     files: list[Path] = []
     lines: list[str] = []
-    notes = expect_all(paths, "modes", Blocks(block=block), unit=unit)
+    notes = check_inputs(paths, "modes", Blocks(block=block), unit=unit)
     check_outputs(paths, output, "modes", "csv")
     for path, label in zip(paths, labels(paths), strict=True):
         identified: list[tuple[Sequence[Response], Modes, np.ndarray | None]] = []
@@ -71,7 +69,7 @@ def present_modes(
             notes += with_recording_name(path, [*modes.warnings, *theory_warnings(modes, theory)])
     with output_stem(paths, output, "modes", "csv") as stem:
         files.append(modes_table(with_ending(stem, "csv"), all_modes))
-    return Result(tuple(files), tuple(lines), tuple(notes))
+    return CommandOutput(tuple(files), tuple(lines), tuple(notes))
 
 
 def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:

@@ -13,6 +13,7 @@ from analysis.reporting.measured import Measured
 from analysis.reporting.tables import peak_height, with_bound
 from rig.results import format_frequencies
 
+# Number of sentences in the summary.
 _MAX_SENTENCES = 3
 
 
@@ -33,9 +34,9 @@ def _comparisons(changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> li
     """Describe, for each other recording, the change of the highest peak whose change is bounded."""
     sentences = []
     for label in dict.fromkeys(other.label for _, other, _ in changes):
-        own_changes = [(first, change) for first, other, change in changes if other.label == label]
-        bounded = [pair for pair in own_changes if all(map(isfinite, pair[1].decibel))]
-        first, highest = max(own_changes, key=lambda pair: pair[1].bare.value)
+        changes_of_label = [(first, change) for first, other, change in changes if other.label == label]
+        bounded = [pair for pair in changes_of_label if all(map(isfinite, pair[1].decibel))]
+        first, highest = max(changes_of_label, key=lambda pair: pair[1].bare.value)
         if not bounded:
             sentences.append(f"“{label}” against “{first.label}”: the measured points determine no change of a peak.")
             continue
@@ -78,7 +79,7 @@ def _resonances(measured: Measured) -> list[str]:
 
 
 def _dampers(measured: Measured, result: Dampers) -> list[str]:
-    """Frequencies with detected impacts, and the largest dissipated share of the supplied energy."""
+    """State the frequencies with detected impacts, and the largest dissipated share of the supplied energy."""
     frequency = result.sweep.lines.frequency
     hit = np.zeros(frequency.size, dtype=bool)
     for motions in result.bodies:

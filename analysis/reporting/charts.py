@@ -132,7 +132,7 @@ def _curve(curve: Curve, positive: bool) -> dict[str, Any]:
 
 
 def _column(values: ArrayLike, positive: bool = False, exact: bool = False) -> Any:
-    """Numbers as JSON, with null for undefined values; long columns as 32-bit binary.
+    """Convert numbers to JSON, with null for undefined values; long columns become 32-bit binary.
 
     `positive`: drop values of zero and below, which a logarithmic axis cannot show.
     """

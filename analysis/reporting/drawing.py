@@ -14,13 +14,20 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
     from rig.scene.shaker import Shaker
 
-# Sizes in px.
-_BODY_WIDTH, _BODY_HEIGHT = 150, 54
+# Size of a body, px.
+_BODY_WIDTH = 150
+_BODY_HEIGHT = 54
+# Distance between two bodies, px.
 _SPACING = 48
+# Position of the left edge of the bodies, px.
 _LEFT = 190
+# Margin above and below the drawing, px.
 _MARGIN = 20
-_SHAPE_WIDTH, _SHAPE_HEIGHT = 90, 26
-_LARGEST_SWING = 16.0
+# Size of a body in a mode shape, px.
+_SHAPE_WIDTH = 90
+_SHAPE_HEIGHT = 26
+# Amplitude of the largest element of an animated mode shape, px.
+_MAX_AMPLITUDE = 16.0
 # Number of zigzag corners of a drawn spring.
 _COILS = 8
 
@@ -57,7 +64,7 @@ def _ground(y: float) -> str:
 
 
 def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
-    """One body, the spring below it and the dampers inside."""
+    """Draw a body, the spring below it and the dampers inside."""
     structure = scene.structure
     middle = _LEFT + _BODY_WIDTH / 2
     mass = "" if structure.masses is None else f", {structure.masses[body - 1]:.4g} kg"
@@ -94,7 +101,7 @@ def _spring(x: float, top: float, bottom: float) -> str:
 
 
 def _shaker(shaker: Shaker, y: float, number: int | None) -> Iterator[str]:
-    """Shaker to the left of the body that it drives, with its spring if it has one."""
+    """Draw a shaker to the left of the body that it drives, with its coil spring if it has one."""
     title = {"force": "force", "table": "shaker table", "electrodynamic": "electrodynamic shaker"}[shaker.kind]
     yield f'<text x="4" y="{y - 30:g}">{escape_html(title)}{"" if number is None else f" {number}"}</text>'
     if shaker.kind != "force":
@@ -107,7 +114,7 @@ def _shaker(shaker: Shaker, y: float, number: int | None) -> Iterator[str]:
 
 
 def _sensors(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
-    """Names of the channels to the right of the bodies on which they are mounted."""
+    """Write the names of the channels to the right of the bodies on which they are mounted."""
     places: dict[str, list[str]] = {}
     tables, others = dict(scene.tables), []
     for channel in scene.channels or ():
@@ -143,7 +150,7 @@ def mode_drawing(shapes: BodyShapes, mode: int, title: str) -> str:
         box = f'x="24" y="{y}" width="{_SHAPE_WIDTH}" height="{_SHAPE_HEIGHT}" rx="3"'
         parts.append(
             f'<rect {box} stroke="currentColor" stroke-opacity="0.4" stroke-dasharray="3 3"/>'
-            f'<g class="moving" style="--swing:{_LARGEST_SWING * element:.2f}px">'
+            f'<g class="moving" style="--swing:{_MAX_AMPLITUDE * element:.2f}px">'
             f'<rect {box} stroke="#0072B2" fill="#0072B2" fill-opacity="0.18"/>'
             f'<text x="30" y="{y + 17}">{escape_html(name)}</text></g>'
             f'<text x="{_SHAPE_WIDTH + 32}" y="{y + 17}">{element:+.2f}</text>'

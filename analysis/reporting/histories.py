@@ -17,12 +17,14 @@ if TYPE_CHECKING:
 # A recording with at most this number of samples (all channels) is drawn completely; a longer recording is drawn as
 # the envelope of each interval.
 _MAX_SAMPLES = 300_000
+# Number of these intervals.
 _INTERVALS = 1500
-# Maximum number of spectra in a spectrogram, and of spectral lines in each.
+# Maximum number of spectra in a spectrogram.
 _SPECTRA = 300
+# Number of spectral lines in each spectrum.
 _LINES = 160
 # Highest frequency of a spectrogram, as a multiple of the highest natural frequency of the structure.
-_SPECTRUM_TO = 3.0
+_MAX_FREQUENCY_RATIO = 3.0
 # Minimum block length in samples: shorter blocks have too little frequency resolution.
 _MIN_BLOCK = 64
 
@@ -45,9 +47,9 @@ def time_histories(rec: Recording) -> Chart:
         # The largest motion is drawn first, so that it hides no other channel.
         curves.sort(key=lambda curve: -float(np.ptp(curve.y)))
         panels.append(Panel(rec.channels[selected[0]].quantity, shown_unit, curves, height=200))
-    how = "every sample" if is_complete else f"largest and smallest value of each of {_INTERVALS} intervals"
+    resolution = "every sample" if is_complete else f"largest and smallest value of each of {_INTERVALS} intervals"
     return Chart(
-        f"Time histories, {how}. Drag to zoom, double-click to reset.",
+        f"Time histories, {resolution}. Drag to zoom, double-click to reset.",
         f"Time histories of the channels {', '.join(names)} over {rec.duration:.4g} s.",
         panels,
         x_name="time",
@@ -56,7 +58,7 @@ def time_histories(rec: Recording) -> Chart:
 
 
 def _envelopes(rec: Recording, names: list[str]) -> tuple[Array, Array]:
-    """Alternating minimum and maximum of each interval: time, shape (2 n,), and values, shape (channels, 2 n)."""
+    """Return minimum and maximum of each interval in turn: time, shape (2 n,), and values, shape (channels, 2 n)."""
     edges = np.linspace(0, rec.samples, _INTERVALS + 1).astype(int)
     low = np.full((len(names), _INTERVALS), np.inf)
     high = -low
@@ -74,7 +76,7 @@ def _envelopes(rec: Recording, names: list[str]) -> tuple[Array, Array]:
 def spectrograms(rec: Recording) -> list[Chart]:
     """Return one spectrogram for each channel: Hann-windowed power spectra at equal time steps."""
     natural = structural_model(rec.scene).modes.frequency
-    highest = min(rec.rate / 2, _SPECTRUM_TO * float(natural.max()))
+    highest = min(rec.rate / 2, _MAX_FREQUENCY_RATIO * float(natural.max()))
     block = int(min(rec.samples, rec.rate * _LINES / highest))
     if block < _MIN_BLOCK:
         return []

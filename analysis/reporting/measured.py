@@ -17,7 +17,7 @@ from analysis.decays.free_decay import Decay, decay
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes
 from analysis.presentation.comparison import MeasurementPoints
-from analysis.presentation.result import with_recording_name
+from analysis.presentation.outputs import with_recording_name
 from analysis.recordings.names import opened, relabel, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
 from daq.recording.recorded_test import TestKind
@@ -29,8 +29,8 @@ from rig.results.response import Response
 # A peak without an identified mode is interpolated between the frequencies divided and multiplied by this factor.
 _PEAK_BAND_FACTOR = 1.1
 
-P = ParamSpec("P")
-Found = TypeVar("Found")
+Parameters = ParamSpec("Parameters")
+Returned = TypeVar("Returned")
 
 
 @dataclass(frozen=True)
@@ -66,14 +66,14 @@ class Measurements:
 
     paths: Sequence[Path]
     progress: CountProgress | None = None
-    all: list[Measured] = field(default_factory=list)
+    results: list[Measured] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     _open: ExitStack = field(default_factory=ExitStack)
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             for path, label in zip(self.paths, scene_labels(self.paths), strict=True):
-                self.all.append(self._measure(path, label, stack.enter_context(opened(path))))
+                self.results.append(self._measure(path, label, stack.enter_context(opened(path))))
             self._open = stack.pop_all()
         return self
 
@@ -84,7 +84,7 @@ class Measurements:
 
     def changes(self) -> list[tuple[Measured, Measured, PeakChange]]:
         """Compute the change of each resonance peak from the first recording to every other recording."""
-        first, *others = self.all
+        first, *others = self.results
         if not first.passes or first.passes[0].modes is None:
             return []
         return [
@@ -97,20 +97,19 @@ class Measurements:
     def _measure(self, path: Path, label: str, rec: Recording) -> Measured:
         groups = None
         if rec.test.drives:
-            what = "Frequency responses"
-            groups = self._attempt(path, what, frequency_responses, rec, progress=self.progress)
+            groups = self._attempt(path, "Frequency responses", frequency_responses, rec, progress=self.progress)
         passes = tuple(self._pass(path, label, rec, group) for group in groups or ())
         stepped = rec.test.kind is TestKind.TONES and rec.scene.dampers
         dampers = self._attempt(path, "Dampers", dampers_in, rec, progress=self.progress) if stepped else None
-        for each in dampers or ():
-            self._note(path, [*each.missing, *each.warnings])
-        decayed = None
+        for sweep_dampers in dampers or ():
+            self._note(path, [*sweep_dampers.missing, *sweep_dampers.warnings])
+        free_decay = None
         if rec.test.decays:
-            decayed = self._attempt(path, "Free decay", decay, rec)
-            if decayed is not None:
-                decayed = relabel(decayed, rec.scene.name, label)
-                self._note(path, decayed.warnings)
-        return Measured(path, label, rec, passes, tuple(dampers or ()), decayed)
+            free_decay = self._attempt(path, "Free decay", decay, rec)
+            if free_decay is not None:
+                free_decay = relabel(free_decay, rec.scene.name, label)
+                self._note(path, free_decay.warnings)
+        return Measured(path, label, rec, passes, tuple(dampers or ()), free_decay)
 
     def _pass(self, path: Path, label: str, rec: Recording, group: Sequence[Response]) -> Pass:
         frfs = [relabel(frf, rec.scene.name, label) for frf in group]
@@ -123,13 +122,18 @@ class Measurements:
         return Pass(frfs, relabel(modes, rec.scene.name, label), peaks, highest_peak(frfs, peaks))
 
     def _attempt(
-        self, path: Path, what: str, compute: Callable[P, Found], *args: P.args, **kwargs: P.kwargs
-    ) -> Found | None:
+        self,
+        path: Path,
+        analysis: str,
+        compute: Callable[Parameters, Returned],
+        *args: Parameters.args,
+        **kwargs: Parameters.kwargs,
+    ) -> Returned | None:
         """Return the result of an analysis; if it fails, add a warning with the reason and return None."""
         try:
             return compute(*args, **kwargs)
         except ShotrigError as error:
-            self._note(path, [f"{what}: not available. {error}"])
+            self._note(path, [f"{analysis}: not available. {error}"])
             return None
 
     def _note(self, path: Path, notes: Sequence[str]) -> None:
@@ -137,13 +141,15 @@ class Measurements:
 
 
 def _highest_peaks(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[Response, Peak] | None, ...]:
-    """Response with the highest compliance peak near each mode, in the order of `modes`."""
+    """Return the response with the highest compliance peak near each mode, in the order of `modes`."""
     curves = [frf for frf in frfs if frf.reference == "force"]
     _, low, high = peak_bands(modes)
     out: list[tuple[Response, Peak] | None] = []
     for rank in np.argsort(np.argsort(modes.frequency)):
         peaks = [(curve, peak(curve, low[rank], high[rank])) for curve in curves]
-        inside = [(curve, each) for curve, each in peaks if each is not None and not each.at_end]
+        inside = [
+            (curve, curve_peak) for curve, curve_peak in peaks if curve_peak is not None and not curve_peak.at_end
+        ]
         out.append(max(inside, key=lambda pair: pair[1].value, default=None))
     return tuple(out)
 
@@ -151,7 +157,10 @@ def _highest_peaks(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[Respon
 def highest_peak(
     frfs: Sequence[Response], peaks: Sequence[tuple[Response, Peak] | None]
 ) -> tuple[Response, Peak] | None:
-    """Response with the highest compliance peak: near a mode, or where the lower bound of the curve is higher still."""
+    """Return the response with the highest compliance peak, near a mode or at another frequency.
+
+    A peak at another frequency counts if the lower limit of its curve is higher than the peaks near modes.
+    """
     highest = max(filter(None, peaks), key=lambda pair: pair[1].value, default=None)
     height = 0.0 if highest is None else highest[1].value
     for frf in frfs:
@@ -172,7 +181,7 @@ def _changes(first: Measured, other: Measured) -> list[PeakChange]:
     """Compare the peaks of two recordings; errors of shared sensors cancel in the ratio."""
     modes = first.passes[0].modes
     assert modes is not None
-    before, after = MeasurementPoints.of(first.path, first.rec), MeasurementPoints.of(other.path, other.rec)
-    after.comparable_with(before)
-    same = after.same_sensors(before)
-    return [change for each in other.passes for change in peak_changes(modes, first.passes[0].frfs, each.frfs, same)]
+    points, reference_points = (MeasurementPoints.of(measured.path, measured.rec) for measured in (other, first))
+    points.comparable_with(reference_points)
+    same_sensors, bare = points.same_sensors(reference_points), first.passes[0].frfs
+    return [change for sweep in other.passes for change in peak_changes(modes, bare, sweep.frfs, same_sensors)]

@@ -10,8 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-from analysis.presentation.output_names import output_stem, with_ending
-from analysis.presentation.result import Result
+from analysis.presentation.outputs import CommandOutput, output_stem, with_ending
 from analysis.reporting.answer import answer
 from analysis.reporting.charts import ChartWriter
 from analysis.reporting.drawing import mode_drawing, rig_drawing
@@ -25,7 +24,9 @@ from rig.progress import CountProgress
 from rig.provenance import output_source, reject_foreign_files, relative_paths
 
 
-def write_report(paths: Sequence[Path], output: Path | None = None, progress: CountProgress | None = None) -> Result:
+def write_report(
+    paths: Sequence[Path], output: Path | None = None, progress: CountProgress | None = None
+) -> CommandOutput:
     """Write one self-contained HTML report about recordings.
 
     `paths`: recordings; the first is the reference of the comparisons; `output`: folder for the page, or its file
@@ -55,12 +56,12 @@ def write_report(paths: Sequence[Path], output: Path | None = None, progress: Co
         create_folder(target.parent)
         with atomic_write(target) as part:
             part.write_text(page, encoding="utf-8")
-    return Result((target,), tuple(sentences), tuple(measurements.warnings))
+    return CommandOutput((target,), tuple(sentences), tuple(measurements.warnings))
 
 
 @contextmanager
 def _page(paths: Sequence[Path], output: Path | None) -> Iterator[Path]:
-    """Path of the page; writing inside the `with` block follows the overwriting rule of `rig.provenance`."""
+    """Yield the path of the page; writing inside the `with` block follows the overwriting rule of `rig.provenance`."""
     if output is not None and output.suffix.lower() in {".html", ".htm"} and not output.is_dir():
         with output_source("report", *relative_paths(paths, output.parent)):
             reject_foreign_files(output)
@@ -72,11 +73,11 @@ def _page(paths: Sequence[Path], output: Path | None) -> Iterator[Path]:
 
 def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str], str]:
     """Return the summary, and the sections of the page as HTML."""
-    results, charts = measurements.all, ChartWriter()
+    results, charts = measurements.results, ChartWriter()
     compared = measurements.changes()
     sentences = answer(results, compared)
     parts = ['<section class="answer">', *(f"<p>{escape_html(text)}</p>" for text in sentences)]
-    parts += [f'<p class="test">{escape_html(text)}</p>' for text in dict.fromkeys(map(_tested, results))]
+    parts += [f'<p class="test">{escape_html(text)}</p>' for text in dict.fromkeys(map(_test_description, results))]
     parts.append("</section>")
     parts += [changes_table(compared), resonances(results), decays(results)]
     if measurements.warnings:
@@ -86,25 +87,25 @@ def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str],
     if responses:
         parts += ["<h2>Frequency responses</h2>", *responses]
     parts += _modes(results)
-    dampers = [charts.write(damper_chart(each, result)) for each in results for result in each.dampers]
+    dampers = [charts.write(damper_chart(measured, result)) for measured in results for result in measured.dampers]
     if dampers:
         parts += ["<h2>Dampers</h2>", *dampers]
     free = [charts.write(chart) for chart in decay_charts(results)]
     if free:
         parts += ["<h2>Free decays</h2>", *free]
     parts += _budgets(results)
-    for each in results:
+    for measured in results:
         parts += [
-            f"<h2>Recording {escape_html(each.path.name)}</h2>",
-            f"<figure>{rig_drawing(each.rec.scene)}</figure>",
+            f"<h2>Recording {escape_html(measured.path.name)}</h2>",
+            f"<figure>{rig_drawing(measured.rec.scene)}</figure>",
         ]
-        parts += [settings(each), charts.write(time_histories(each.rec))]
-        parts += [charts.write(chart) for chart in spectrograms(each.rec)]
+        parts += [settings(measured), charts.write(time_histories(measured.rec))]
+        parts += [charts.write(chart) for chart in spectrograms(measured.rec)]
     parts += _commands(paths, results)
     return sentences, "\n".join(parts)
 
 
-def _tested(measured: Measured) -> str:
+def _test_description(measured: Measured) -> str:
     """Describe the test of a recording: excitation, channels, duration."""
     rec = measured.rec
     return (
@@ -114,10 +115,10 @@ def _tested(measured: Measured) -> str:
 
 
 def _modes(results: Sequence[Measured]) -> list[str]:
-    """Mode shapes of the first sweep of each recording."""
+    """Draw the mode shapes of the first sweep of each recording."""
     parts = []
-    for each in results:
-        for modes in [sweep.modes for sweep in each.passes[:1] if sweep.modes is not None]:
+    for measured in results:
+        for modes in [sweep.modes for sweep in measured.passes[:1] if sweep.modes is not None]:
             bodies = modes.of_bodies()
             if len(bodies.names) < 2 or not modes.frequency.size:
                 continue
@@ -125,39 +126,40 @@ def _modes(results: Sequence[Measured]) -> list[str]:
                 mode_drawing(bodies, k, f"{frequency:.4g} Hz, damping ratio {modes.damping_text(k)}")
                 for k, frequency in enumerate(modes.frequency)
             ]
-            parts += [f"<h3>{escape_html(each.label)}</h3>", f'<div class="shapes">{"".join(drawings)}</div>']
+            parts += [f"<h3>{escape_html(measured.label)}</h3>", f'<div class="shapes">{"".join(drawings)}</div>']
     return ["<h2>Mode shapes</h2>", *parts] if parts else []
 
 
 def _budgets(results: Sequence[Measured]) -> list[str]:
-    """Uncertainty budget at the highest peak of each recording."""
-    first = [(each, each.passes[0].highest) for each in results if each.passes]
-    tables = [budget(each, *highest) for each, highest in first if highest is not None]
+    """Write the uncertainty budget at the highest peak of each recording."""
+    first = [(measured, measured.passes[0].highest) for measured in results if measured.passes]
+    tables = [budget(measured, *highest) for measured, highest in first if highest is not None]
     return ["<h2>Uncertainty</h2>", *tables] if tables else []
 
 
 def _commands(paths: Sequence[Path], results: Sequence[Measured]) -> list[str]:
-    """Commands that reproduce the recordings and the results, and the version of shotrig."""
+    """List the commands that reproduce the recordings and the results, and the version of shotrig."""
     all_paths = " ".join(shlex.quote(str(path)) for path in paths)
     named = [
-        ("frf", [each for each in results if each.passes]),
-        ("modes", [each for each in results if any(sweep.modes is not None for sweep in each.passes)]),
-        ("dampers", [each for each in results if each.dampers]),
-        ("decay", [each for each in results if each.decay is not None]),
+        ("frf", [measured for measured in results if measured.passes]),
+        ("modes", [measured for measured in results if any(sweep.modes is not None for sweep in measured.passes)]),
+        ("dampers", [measured for measured in results if measured.dampers]),
+        ("decay", [measured for measured in results if measured.decay is not None]),
     ]
-    recorded = [each for each in results if not each.rec.source and each.rec.scene.test is not None]
+    recorded = [measured for measured in results if not measured.rec.source and measured.rec.scene.test is not None]
     lines = [
-        f"daq record {shlex.quote(each.path.stem + '.yaml')} -o {shlex.quote(str(each.path))}" for each in recorded
+        f"daq record {shlex.quote(measured.path.stem + '.yaml')} -o {shlex.quote(str(measured.path))}"
+        for measured in recorded
     ]
     lines += [
-        f"analysis {command} {' '.join(shlex.quote(str(each.path)) for each in which)}"
+        f"analysis {command} {' '.join(shlex.quote(str(measured.path)) for measured in which)}"
         for command, which in named
         if which
     ]
     lines.append(f"analysis report {all_paths}")
     origin = f"Made with shotrig {version('shotrig')}."
     if recorded:
-        names = ", ".join(f"{each.path.stem}.yaml" for each in recorded)
+        names = ", ".join(f"{measured.path.stem}.yaml" for measured in recorded)
         origin += f" Save the scene file of each recording (above) as {names}. The same seed gives the same samples."
     return [
         "<h2>How to repeat this</h2>",

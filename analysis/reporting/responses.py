@@ -22,9 +22,9 @@ def response_charts(measurements: Sequence[Measured]) -> list[Chart]:
     The responses of a single recording share a chart. With several recordings each response has its own chart, so
     that the recordings can be compared. Responses to different inputs never share a chart.
     """
-    measured = [each for each in measurements if each.passes]
-    curves = [frf for each in measured for sweep in each.passes for frf in sweep.frfs]
-    several = len({each.label for each in measured}) > 1
+    with_responses = [measured for measured in measurements if measured.passes]
+    curves = [frf for measured in with_responses for sweep in measured.passes for frf in sweep.frfs]
+    several = len({measured.label for measured in with_responses}) > 1
     charts = []
     for key in dict.fromkeys((frf.ratio if several else frf.input) for frf in curves):
         group = [frf for frf in curves if key == (frf.ratio if several else frf.input)]
@@ -64,7 +64,7 @@ def response_chart(curves: Sequence[Response], names: Sequence[str]) -> Chart:
 
 
 def _limits(curves: Sequence[Curve]) -> tuple[float, float]:
-    """Limits of a logarithmic axis for all values; the uncertainty bounds may exceed them."""
+    """Return the limits of a logarithmic axis for all values; the uncertainty bounds may exceed them."""
     values = np.concatenate([np.asarray(curve.y, dtype=float) for curve in curves])
     values = values[np.isfinite(values) & (values > 0)]
     return (float(values.min()) / 1.5, 1.5 * float(values.max())) if values.size else (0.1, 10.0)
@@ -88,7 +88,7 @@ def damper_chart(measured: Measured, result: Dampers) -> Chart:
     panels = []
     impacts = []
     for k, motions in enumerate(result.bodies):
-        count = np.array([m.floor + m.ceiling if m.repeats else np.nan for m in motions])
+        count = np.array([m.floor + m.ceiling if m.pattern_periods else np.nan for m in motions])
         impacts.append(Curve(motions[0].channel, frequency[order], count[order], color=k))
     if impacts:
         panels.append(Panel("impacts", "per period", impacts, height=170))
@@ -127,10 +127,10 @@ def decay_charts(measurements: Sequence[Measured]) -> list[Chart]:
         energies.append(Curve(label, result.time[::step], result.energy[::step], color=k))
         for mode in result.modes:
             if mode.damping.size:
-                percent, half = 100.0 * mode.damping, 200.0 * mode.damping_error
+                percent, bound = 100.0 * mode.damping, 200.0 * mode.damping_error
                 name = f"{label}, {mode.centre:.4g} Hz"
                 order = np.argsort(mode.amplitude)
-                low, high = (percent - half)[order], (percent + half)[order]
+                low, high = (percent - bound)[order], (percent + bound)[order]
                 amplitude = mode.amplitude[order]
                 damping.append(Curve(name, amplitude, percent[order], low, high, color=len(damping)))
     channels = ", ".join(dict.fromkeys(result.channel for _, result in labeled_decays))

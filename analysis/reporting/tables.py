@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
 # Maximum number of overloads or gaps that are listed individually.
-_NAMED = 5
+_MAX_LISTED = 5
 
 
 def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], numbers: int = 0) -> str:
@@ -43,14 +43,14 @@ def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], n
 def resonances(measurements: Sequence[Measured]) -> str:
     """Write a table of natural frequencies, damping ratios and the highest peak near each."""
     rows: list[tuple[str, ...]] = []
-    for modes, peaks in ((each.modes, each.peaks) for measured in measurements for each in measured.passes):
+    for modes, peaks in ((sweep.modes, sweep.peaks) for measured in measurements for sweep in measured.passes):
         if modes is None:
             continue
         rows.append((modes.label,))
         for k, highest in enumerate(peaks):
             frequency = with_bound(float(modes.frequency[k]), 2.0 * float(modes.frequency_error[k]))
-            where, height = ("", "") if highest is None else (highest[0].ratio, peak_height(highest[1]))
-            rows.append((frequency, modes.damping_text(k), where, height))
+            location, height = ("", "") if highest is None else (highest[0].ratio, peak_height(highest[1]))
+            rows.append((frequency, modes.damping_text(k), location, height))
     heading = ["natural frequency / Hz", "damping ratio", "highest at", "peak / (µm/N)"]
     return table("Resonances, with 95 % intervals", heading, rows) if rows else ""
 
@@ -81,12 +81,12 @@ def changes_table(changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> s
         if (pair,) not in rows:
             rows.append((pair,))
         best, low, high = change.decibel
-        shift, down, up = change.shift
+        shift, shift_low, shift_high = change.shift
         exceeds = "yes" if low > 0.0 or high < 0.0 else "no" if isfinite(low) and isfinite(high) else "not bounded"
         decibel = f"{best:+.1f}" if isfinite(low) or isfinite(high) else "unknown"
-        shift_text = f"{shift:+.2f} ({down:+.2f} to {up:+.2f})"
-        where = f"{change.response}, {change.mode:.2f} Hz"
-        rows.append((where, decibel, _interval(low, high), shift_text, exceeds))
+        shift_text = f"{shift:+.2f} ({shift_low:+.2f} to {shift_high:+.2f})"
+        location = f"{change.response}, {change.mode:.2f} Hz"
+        rows.append((location, decibel, _interval(low, high), shift_text, exceeds))
     heading = ["response, mode", "peak / dB", "95 % interval / dB", "shift / Hz", "exceeds the bounds"]
     return table("Changes of the resonance peaks", heading, rows) if rows else ""
 
@@ -192,7 +192,7 @@ def settings(measured: Measured) -> str:
         ("recorded by", f"shotrig {rec.metadata.get('run', {}).get('shotrig', '(unknown version)')}"),
         ("seed", str(scene.seed)),
     ]
-    about = "".join(
+    facts_html = "".join(
         f"<tr><th>{escape_html(key)}</th><td class='text'>{escape_html(value)}</td></tr>" for key, value in facts
     )
     middle = _middle_frequency(measured)
@@ -210,13 +210,13 @@ def settings(measured: Measured) -> str:
     ]
     heading = ["channel", "at", "quantity", "sensitivity", "tolerance", "range", f"gain at {middle:.3g} Hz"]
     return (
-        f"<table>{about}</table>{table('Channels', heading, channels)}"
+        f"<table>{facts_html}</table>{table('Channels', heading, channels)}"
         f"<details><summary>Scene file</summary><pre>{escape_html(scene.to_yaml())}</pre></details>"
     )
 
 
 def _middle_frequency(measured: Measured) -> float:
-    """Frequency at which channel gains are listed, Hz: geometric mean of the test band or of the modes."""
+    """Return the frequency at which channel gains are listed, Hz: geometric mean of the test band or of the modes."""
     if measured.passes:
         band = measured.passes[0].frfs[0].frequency
         return float(np.sqrt(band[band > 0].min() * band.max()))
@@ -234,5 +234,5 @@ def _damper(damper: Damper, body: str) -> str:
 def _places(rec: Recording, places: Sequence[tuple[int, object]]) -> str:
     if not places:
         return "none"
-    first = "; ".join(f"{sample / rec.rate:.3f} s ({name})" for sample, name in places[:_NAMED])
-    return f"{len(places)}: {first}{' ...' if len(places) > _NAMED else ''}"
+    first = "; ".join(f"{sample / rec.rate:.3f} s ({name})" for sample, name in places[:_MAX_LISTED])
+    return f"{len(places)}: {first}{' ...' if len(places) > _MAX_LISTED else ''}"

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
-_COLOR_LIMIT = 40.0  # Deviation at the ends of the color scale, %
+# Deviation at the ends of the color scale, %.
+_COLOR_LIMIT = 40.0
 
 
 def beds(parts: Parts) -> Figure:

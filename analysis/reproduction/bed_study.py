@@ -124,8 +124,8 @@ def settings() -> list[Setting]:
 def scene_of_bed(setting: Setting, **grains: float) -> Scene:
     """Build the scene of a setting; arguments override the defaults of the grains."""
     count, cavity = BEDS[setting.layers]
-    chosen = {"diameter": 2e-3, "cavity": cavity, "side_friction": 0.0, "modulus": MODULUS_PA}
-    bed = Grains.model_validate(chosen | grains)
+    settings_of_grains = {"diameter": 2e-3, "cavity": cavity, "side_friction": 0.0, "modulus": MODULUS_PA}
+    bed = Grains.model_validate(settings_of_grains | grains)
     bed = bed.replace(time_step=bed.time_step or TIME_STEP_RATIO * rayleigh_time(bed, bed.density))
     mass = count * bed.density * math.pi / 6.0 * bed.diameter**3
     body, stiffness_per_mass = mass / SHAKEN_MASS_RATIO, (2.0 * math.pi * setting.frequency) ** 2
@@ -157,14 +157,14 @@ def compare_beds(setting: Setting) -> Row:
     return dict(zip(_HEADER, row, strict=True))
 
 
-def follow(path: Path, points: int | None, say: Callable[[str], None], cluster: str | None = None) -> None:
+def follow(path: Path, points: int | None, print_line: Callable[[str], None], cluster: str | None = None) -> None:
     """Simulate settings and add each result to a table; settings already in the table are not repeated.
 
     `path`: CSV file; the rows are sorted in the order of `settings` when all are complete; `points`: number of
-    settings, from the first; None: all; `say`: called with one line of text per setting; `cluster`: see
+    settings, from the first; None: all; `print_line`: called with one line of text per setting; `cluster`: see
     `rig.workers.Workers`. Raises `RunError` if the file is not such a table, or cannot be written.
     """
-    complete(path, TABLE.study(compare_beds, setting_of), settings()[:points], _describe_row, say, cluster)
+    complete(path, TABLE.study(compare_beds, setting_of), settings()[:points], _describe_row, print_line, cluster)
 
 
 def table(path: Path | None = None) -> Arrays:

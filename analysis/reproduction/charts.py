@@ -24,7 +24,7 @@ def region(parts: Parts) -> Figure:
     with new_figure(4.0) as figure:
         axes = figure.subplots()
         texts = np.vectorize("{:.1f}".format)(ratio)
-        image = _map(axes, single, ratio, "viridis", 1.0, 5.0, texts, ratio < 3.4, 8)
+        image = _draw_map(axes, single, ratio, "viridis", 1.0, 5.0, texts, ratio < 3.4, 8)
         for i, j in np.argwhere(holds_c2(parts)):
             axes.add_patch(Rectangle((j - 0.47, i - 0.45), 0.94, 0.90, fill=False, ec=RED, lw=2))
         axes.set_title("C2: peak with one damper over peak with three (framed: the claim holds)")
@@ -63,7 +63,7 @@ def design(parts: Parts) -> Figure:
             cells = zip(data["peak"].flat, abbreviate_types(data["type_there"]).flat, data["exact"].flat, strict=True)
             labels = [f"{'' if exact else '~'}{1e6 * peak:.0f}\n{kind}" for peak, kind, exact in cells]
             texts, peak = np.array(labels).reshape(data["peak"].shape), data["peak"]
-            image = _map(axes, data, 1e6 * peak, "magma_r", 40.0, 450.0, texts, peak > 2.4e-4, 7)
+            image = _draw_map(axes, data, 1e6 * peak, "magma_r", 40.0, 450.0, texts, peak > 2.4e-4, 7)
             axes.set_title(f"{title}: peak |X₂/F₁|, and the motion there (~ irregular)")
             figure.colorbar(image, ax=axes, label="µm/N", extend="max")
     return figure
@@ -87,7 +87,7 @@ def trust(parts: Parts) -> Figure:
     with new_figure(3.8) as figure:
         axes = figure.subplots()
         texts = np.where(np.isfinite(error), np.vectorize("{:+.0f} %".format)(error), "none")
-        image = _map(axes, parts["scan-single"], error, "RdBu_r", -30.0, 30.0, texts, abs(error) > 18, 7.5)
+        image = _draw_map(axes, parts["scan-single"], error, "RdBu_r", -30.0, 30.0, texts, abs(error) > 18, 7.5)
         axes.set_title("Approximate method: error of its peak (one damper in body 2, third mode)")
         figure.colorbar(image, ax=axes, label="% of the simulated peak", extend="both")
     return figure
@@ -127,21 +127,23 @@ def optimum(parts: Parts) -> Figure:
     return figure
 
 
-def _map(
+def _draw_map(
     axes: Axes,
     data: Columns,
     values: np.ndarray,
-    colours: str,
+    colormap: str,
     low: float,
     high: float,
     texts: np.ndarray,
-    light: np.ndarray,
-    size: float,
+    has_white_text: np.ndarray,
+    font_size: float,
 ) -> AxesImage:
-    """Draw values as colors over clearance and force, with a text in each cell, white where `light` is true."""
-    image = axes.imshow(values, origin="lower", aspect="auto", cmap=colours, vmin=low, vmax=high)
+    """Draw values as colors over clearance and force, with a text in each cell."""
+    image = axes.imshow(values, origin="lower", aspect="auto", cmap=colormap, vmin=low, vmax=high)
     for (i, j), text in np.ndenumerate(texts):
-        axes.text(j, i, text, ha="center", va="center", fontsize=size, color="white" if light[i, j] else BLACK)
+        axes.text(
+            j, i, text, ha="center", va="center", fontsize=font_size, color="white" if has_white_text[i, j] else BLACK
+        )
     axes.grid(False)
     axes.set_xticks(range(values.shape[1]), [f"{1e3 * c:g}" for c in data["clearance"]])
     axes.set_yticks(range(values.shape[0]), [f"{f:g}" for f in data["force"]])

@@ -12,12 +12,15 @@ from analysis.reproduction.figures import Columns, Parts
 from analysis.reproduction.parts import FIGURE_5, NOISES
 from rig.scene.scene import STANDARD_GRAVITY
 
+# Natural frequencies of the paper, rad/s.
 PAPER_OMEGA = np.array([81.9, 218.8, 312.4])
+# Force of Fig 8.
 FORCE_C3_N = 2.6
 # Smallest relative difference at which curves count as different.
 MIN_DIFFERENCE = 0.1
 # Smallest ratio of the difference at antiresonances to that at peaks.
 MIN_DIFFERENCE_RATIO = 5.0
+# Mode shapes of the paper, shape (bodies, modes).
 PAPER_SHAPES = np.array([[0.415, 0.783, 1], [1, 0.498, -0.91], [-0.848, 1, -0.465]]).T
 
 

@@ -73,9 +73,9 @@ def contacts() -> list[Contact]:
     ]
 
 
-def follow(path: Path, say: Callable[[str], None], cluster: str | None = None) -> None:
+def follow(path: Path, print_line: Callable[[str], None], cluster: str | None = None) -> None:
     """Simulate one mass on every contact at every setting; see `stored_table.complete`."""
-    complete(path, TABLE.study(simulate_contact, _contact_of), contacts(), _describe_row, say, cluster)
+    complete(path, TABLE.study(simulate_contact, _contact_of), contacts(), _describe_row, print_line, cluster)
 
 
 def simulate_contact(contact: Contact) -> Row:
@@ -210,5 +210,5 @@ def _describe_row(row: Row) -> str:
     level, clearance, restitution, duration = _contact_of(row)
     return (
         f"{level:g} g, clearance {1e3 * clearance:g} mm, restitution {restitution:g}, {1e3 * duration:g} ms: "
-        f"{row['energy']} of the weight over a millimetre taken in a period"
+        f"{row['energy']} times the weight times 1 mm dissipated per period"
     )

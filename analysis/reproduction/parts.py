@@ -12,15 +12,23 @@ from analysis.reproduction import bed_study, contact_study, experiment, scan, si
 from analysis.reproduction.store import PaperPart
 from rig.scene.scene import Scene
 
+# Band around the third mode.
 THIRD_MODE_BAND_HZ = (45.0, 54.0)
+# Forces of the scans, N.
 FORCES = np.array([2.0, 2.6, 3.3, 4.0, 5.0, 7.5, 10.0, 15.0])
+# Clearances of the scans, m.
 CLEARANCES = 1e-3 * np.array([0.3, 0.4, 0.5, 0.6, 0.7, 1.0, 1.4, 2.0, 3.0])
 # Force [N] and clearance [m] of Figs 5 and 6.
 FIGURE_5 = (3.3, 0.5e-3)
+# Frequency band around each mode, Hz.
 MODE_BANDS = {1: (11.5, 14.0), 2: (31.0, 36.0), 3: (45.5, 51.5)}
+# Damping ratios for Fig 9.
 DAMPINGS = np.array([0.003, 0.005, 0.0075, 0.01, 0.015])
+# Clearances for Fig 9, m.
 FIGURE_9_CLEARANCES = 1e-3 * np.array([0.9, 0.98, 1.05, 1.1, 1.15, 1.2, 1.3])
+# Mass ratios for the best clearance.
 MASS_RATIOS = (0.03, 0.06, 0.10)
+# Mass ratios of the search for the best damper.
 WIDE_MASS_RATIOS = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3])
 # Damping ratios of each mode in Fig 8, which the paper does not state.
 UNSTATED_DAMPINGS = np.array([0.002, 0.005, 0.01, 0.02])

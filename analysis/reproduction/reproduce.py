@@ -41,13 +41,13 @@ FIGURES: dict[str, Callable[[paper_figures.Parts], Figure]] = {
 
 
 def reproduce(
-    folder: Path, say: Callable[[str], None], fresh: Sequence[str] = (), cluster: str | None = None
+    folder: Path, print_line: Callable[[str], None], fresh: Sequence[str] = (), cluster: str | None = None
 ) -> list[Path]:
     """Compute missing parts, draw all figures, and write the page.
 
     `folder`: folder for recordings, data, figures and pages. Results of an earlier run with the same inputs are
-    reused; `say`: called with one line of text at a time; `fresh`: names of parts to recompute; `cluster`: as for
-    `rig.design`; its workers must have access to the folder under the same name. Returns figures and pages. Raises
+    reused; `print_line`: called with one line of text at a time; `fresh`: names of parts to recompute; `cluster`: as
+    for `rig.design`; its workers must have access to the folder under the same name. Returns figures and pages. Raises
     `SceneError` if `fresh` contains an unknown part. Raises `RunError` if the folder cannot be written.
     """
     start = time.monotonic()
@@ -68,12 +68,12 @@ def reproduce(
         else:
             stored[part.name] = results
     effort = sum(part.effort for part in missing) / cores()
-    say(
+    print_line(
         f"{len(stored)} of {len(parts)} parts are stored, {len(missing)} are to be computed"
         + (f": about {_format_duration(effort)} on {cores()} free cores, the longest parts first." if missing else ".")
     )
     if missing:
-        progress = _Progress(missing, say)
+        progress = _Progress(missing, print_line)
         for part, arrays in compute(missing, folder, cluster):
             stored[part.name] = arrays
             progress.add(part)
@@ -84,8 +84,8 @@ def reproduce(
             files += save_figure(draw(stored), folder / name)
         files += write_pages(folder, assessed, stored)
     for claim in assessed:
-        say(f"  {claim.name}: {claim.verdict}")
-    say(f"Done in {time.monotonic() - start:.0f} s. Read {folder / 'index.html'} or {folder / 'index.md'}.")
+        print_line(f"  {claim.name}: {claim.verdict}")
+    print_line(f"Done in {time.monotonic() - start:.0f} s. Read {folder / 'index.html'} or {folder / 'index.md'}.")
     return files
 
 
@@ -101,20 +101,20 @@ def compute(parts: Sequence[PaperPart], folder: Path, cluster: str | None = None
 class _Progress:
     """Progress report: completed share of the work, and estimated remaining time."""
 
-    def __init__(self, parts: Sequence[PaperPart], say: Callable[[str], None]) -> None:
-        self.say, self.began = say, time.monotonic()
+    def __init__(self, parts: Sequence[PaperPart], print_line: Callable[[str], None]) -> None:
+        self.print_line, self.start = print_line, time.monotonic()
         self.count, self.total = len(parts), sum(part.effort for part in parts)
-        self.finished, self.done = 0, 0.0
+        self.finished, self.finished_effort = 0, 0.0
 
     def add(self, part: PaperPart) -> None:
         """Report a finished part."""
         self.finished += 1
-        self.done += part.effort
-        elapsed = time.monotonic() - self.began
-        remaining = elapsed * (self.total - self.done) / self.done
-        self.say(
-            f"  [{self.finished}/{self.count}] {part.title} ({part.name}): {100 * self.done / self.total:.0f} % done "
-            f"after {_format_duration(elapsed)}, "
+        self.finished_effort += part.effort
+        elapsed = time.monotonic() - self.start
+        remaining = elapsed * (self.total - self.finished_effort) / self.finished_effort
+        self.print_line(
+            f"  [{self.finished}/{self.count}] {part.title} ({part.name}): "
+            f"{100 * self.finished_effort / self.total:.0f} % done after {_format_duration(elapsed)}, "
             + (f"about {_format_duration(remaining)} left" if self.finished < self.count else "the last part")
         )
 

@@ -17,6 +17,7 @@ from rig.scene.scene import Scene
 from rig.steady_response.motion_type import combined_type
 from rig.system.structural_model import receptance
 
+# Body whose peak compliance is scanned, from 1.
 BODY = 2
 # Force levels of the robust optimum, relative to the nominal force.
 LEVELS = np.array([0.8, 1.0, 1.25])

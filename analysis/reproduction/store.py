@@ -37,12 +37,12 @@ def remove_partial(folder: Path) -> None:
 class PaperPart:
     """A part of the reproduction that can be computed independently."""
 
-    name: str  # File stem of its results
-    depends: str  # All inputs of its results: scenes, grids, choices
+    name: str  # file stem of its results
+    depends: str  # all inputs of its results: scenes, grids, choices
     compute: Callable[..., Arrays]
     """Takes `arguments` and returns arrays by name; a module-level function, for use in other processes."""
-    arguments: Mapping[str, Any]  # Arguments of `compute`
-    title: str  # For the progress report
+    arguments: Mapping[str, Any]  # arguments of `compute`
+    title: str  # for the progress report
     effort: float = 1.0
     """Approximate time relative to other parts, for the order and the estimate of the remaining time."""
 

@@ -61,17 +61,17 @@ class Table(NamedTuple):
 
 
 def complete(
-    path: Path, study: Study[Piece, Row], cases: Sequence[Piece], words: Callable[[Row], str],
-    say: Callable[[str], None], cluster: str | None = None,
+    path: Path, study: Study[Piece, Row], cases: Sequence[Piece], describe: Callable[[Row], str],
+    print_line: Callable[[str], None], cluster: str | None = None,
 ) -> None:  # fmt: skip
     """Compute missing pieces of a table, and sort its rows when complete; rows of other pieces are last.
 
-    `path`: CSV file; `words`: returns a description of a row; `say`: called with a line for each new row; `cluster`:
-    see `rig.workers.Workers`. Raises `RunError` if the file is not such a table, or cannot be written.
+    `path`: CSV file; `describe`: returns a description of a row; `print_line`: called with a line for each new row;
+    `cluster`: see `rig.workers.Workers`. Raises `RunError` if the file is not such a table, or cannot be written.
     """
     stored = StoredValues(study, path)
     missing = sum(case not in stored for case in cases)
     for n_completed, row in enumerate(stored.complete(cases, cluster), 1):
-        say(f"[{n_completed}/{missing}] {words(row)}")
+        print_line(f"[{n_completed}/{missing}] {describe(row)}")
     position = {case: number for number, case in enumerate(cases)}
     stored.sort(lambda case: (position.get(case, len(position)), case))

@@ -158,7 +158,9 @@ def run_trial(seed: int, number: int) -> Trial:
     if fit.misfit:
         return Trial(scene.name, (), seconds, f"misfit: {fit.misfit}")
     values = [
-        JudgedValue(scene.name, true.what, fitted.status, float(np.log(fitted.value / true.start)), fitted.half_width)
+        JudgedValue(
+            scene.name, true.quantity, fitted.status, float(np.log(fitted.value / true.start)), fitted.half_width
+        )
         for true, fitted in zip(parameters, fit.parameters, strict=True)
     ]
     omega, _ = natural_modes(*structure_matrices(scene.structure)[::2])

@@ -13,7 +13,7 @@ import pytest
 import rig
 from analysis.chain_cost.figure import table, write
 from analysis.chain_cost.study import ChainStudy, chain_study, steady_frequencies
-from analysis.chain_cost.variants import GROUPS, own_setting, plain, quiet, variants
+from analysis.chain_cost.variants import GROUPS, expand_chain, scene_setting, variants, without_noise
 from rig.errors import RunError, SceneError
 
 ONE_BODY = """
@@ -86,11 +86,11 @@ def test_table_and_file_list_every_point(study: ChainStudy, tmp_path: Path) -> N
 
 
 def test_one_change_keeps_motion_and_chain() -> None:
-    scene = plain(rig.load("fig9"))
+    scene = expand_chain(rig.load("fig9"))
     for variant in variants(scene, 46.0, 49.0, 54.0, 1.0):
         assert variant.scene.dampers == scene.dampers
         assert variant.scene.shaker == scene.shaker
-        expected = scene if variant.group == "noise" else quiet(scene)
+        expected = scene if variant.group == "noise" else without_noise(scene)
         assert variant.group in GROUPS
         if variant.group in ("sample rate", "bits", "anti-alias filter"):
             assert variant.scene.channels == expected.channels
@@ -104,7 +104,7 @@ def test_only_tolerance_point_has_sensor_tolerances() -> None:
     scene = scene.replace(channels=[c.replace(accelerometer={"preset": "PCB 352C33"}) for c in scene.channels])
     settings_with_tolerance = [
         variant.setting
-        for variant in variants(plain(scene), 46.0, 49.0, 54.0, 1.0)
+        for variant in variants(expand_chain(scene), 46.0, 49.0, 54.0, 1.0)
         if any(c.accelerometer is not None and c.accelerometer.sensitivity_tolerance for c in variant.scene.channels)
     ]
     assert settings_with_tolerance == ["tolerances, bias"]
@@ -117,10 +117,10 @@ def test_named_parts_give_the_same_chain() -> None:
     channels = [c.replace(accelerometer={"preset": "PCB 352C33"}) for c in scene.channels]
     scene = scene.replace(channels=channels, converter={"preset": "NI 9234", "rate": 5000.0})
     drive = np.sin(np.arange(500) * 0.05)[None]
-    from_presets, from_values = Bench(scene), Bench(plain(scene))
+    from_presets, from_values = Bench(scene), Bench(expand_chain(scene))
     assert from_values.rate == from_presets.rate == 5120.0
     np.testing.assert_array_equal(from_values.acquire(drive).samples, from_presets.acquire(drive).samples)
-    assert own_setting(plain(scene), "anti-alias filter") == "on"
+    assert scene_setting(expand_chain(scene), "anti-alias filter") == "on"
 
 
 def test_chosen_frequencies_give_period_one_motion() -> None:

@@ -149,17 +149,17 @@ def test_possible_flight_is_not_called_riding() -> None:
 
 @pytest.mark.parametrize(("floor", "ceiling"), [(1.1, 0), (1, 1), (0.48, 0.31)])
 def test_irregular_impacts_have_no_type(floor, ceiling) -> None:
-    motion_type = DamperMotion(30.0, "body2", floor, ceiling, False, 1e-3, False, repeats=0).name
+    motion_type = DamperMotion(30.0, "body2", floor, ceiling, False, 1e-3, False, pattern_periods=0).name
     assert motion_type == "unsure: impacts are missed, or the motion is irregular"
 
 
 def test_repeats_after_two_periods_count_halves() -> None:
-    motion_type = DamperMotion(30.0, "body2", 0.53, 1.47, False, 1e-3, False, repeats=2).name
+    motion_type = DamperMotion(30.0, "body2", 0.53, 1.47, False, 1e-3, False, pattern_periods=2).name
     assert motion_type == "other: 0.5 floor and 1.5 ceiling impacts a period"
 
 
 def test_reachable_ceiling_excludes_type_i() -> None:
-    motion_type = DamperMotion(30.0, "body2", 1, 0, False, 1e-3, False, may_reach=True).name
+    motion_type = DamperMotion(30.0, "body2", 1, 0, False, 1e-3, False, may_reach_ceiling_unseen=True).name
     assert motion_type == "other: 1 floor and 0 ceiling impacts a period, and perhaps weak ones on the ceiling"
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import daq
 import rig
-from analysis.chain_cost.variants import plain, quiet
+from analysis.chain_cost.variants import expand_chain, without_noise
 from analysis.responses.frequency_responses import frequency_responses
 from daq.measurement.run import missing_force_reference
 from daq.virtual_bench.bench import Bench
@@ -73,10 +73,10 @@ def test_missing_force_channel_is_announced(tmp_path) -> None:
 
 def test_chain_study_corrects_force_sensor_preset() -> None:
     scene = scene_of(STEPS, BODY, "{name: f, at: shaker, hammer: {preset: PCB 086C03, noise: 1 mN/sqrt(Hz)}}")
-    written = plain(scene).channels
+    written = expand_chain(scene).channels
     assert written is not None and written[1].hammer is not None
     assert written[1].hammer.sensitivity_tolerance == 0.15 and written[1].hammer.preset is None
-    silent = quiet(plain(scene)).channels
+    silent = without_noise(expand_chain(scene)).channels
     assert silent is not None and silent[1].hammer is not None
     assert silent[1].hammer.sensitivity_tolerance is None and silent[1].hammer.noise is None
     assert silent[1].hammer.sensitivity == written[1].hammer.sensitivity

@@ -1,4 +1,7 @@
-"""Output file names of a command, derived from its input names; results of other inputs are never overwritten."""
+"""Output of a command: files, lines and warnings.
+
+File names are derived from the names of the inputs; results of other inputs are never overwritten.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import hashlib
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from rig.errors import RunError
@@ -15,6 +19,20 @@ from rig.provenance import is_from_another_source, may_overwrite, output_source,
 _MAX_PART_LENGTH = 40
 # Maximum length of a file name that combines the names of several recordings.
 _MAX_NAME_LENGTH = 60
+
+
+@dataclass(frozen=True)
+class CommandOutput:
+    """Output of a command."""
+
+    files: tuple[Path, ...]
+    lines: tuple[str, ...]
+    warnings: tuple[str, ...]  # each begins with the name of its recording
+
+
+def with_recording_name(path: Path, notes: Sequence[str]) -> list[str]:
+    """Prefix each warning with the name of its recording."""
+    return [f"{path.name}: {note}" for note in notes]
 
 
 @contextmanager

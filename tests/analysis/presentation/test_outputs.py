@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from analysis.presentation.output_names import of_part, output_stem, with_ending
+from analysis.presentation.outputs import of_part, output_stem, with_ending
 from analysis.presentation.tables import write_table
 from rig.errors import RunError, SceneError
 

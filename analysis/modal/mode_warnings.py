@@ -11,30 +11,30 @@ from analysis.modal.pole_errors import LEAKAGE_FACTOR
 from rig.arrays import Array
 from rig.results.response import Response
 
-# A damping ratio with a larger relative uncertainty is reported.
-_REPORTED = 0.02
-# Ratio of resolution to half of the half-power bandwidth at which leakage causes this uncertainty.
-_WIDENING_RATIO = float(np.sqrt(_REPORTED / LEAKAGE_FACTOR))
+# A damping ratio with a larger relative standard uncertainty causes a warning.
+_MAX_DAMPING_UNCERTAINTY = 0.02
+# Ratio of resolution to half of the half-power bandwidth at which leakage raises the damping ratio by this part.
+_WIDENING_RATIO = float(np.sqrt(_MAX_DAMPING_UNCERTAINTY / LEAKAGE_FACTOR))
 # A larger residual, relative to the peak height, indicates a nonlinear response.
-_NONLINEAR = 0.005
+_MAX_LINEAR_RESIDUAL = 0.005
 
 
-def doubts(
+def mode_warnings(
     modes: Modes,
     curves: Sequence[Response],
     count: int | None,
     dropped: Sequence[float],  # Hz: poles of undetermined damping or peak height
     uncertain_poles: Array,  # Hz: poles where the uncertainty of the curves is too large
     unmeasured: Array,  # Hz: poles around which no line was measured
-    left_out: Sequence[str],  # responses that were not used
+    unused_responses: Sequence[str],  # responses that were not used
 ) -> Iterator[str]:
     """Yield warnings about modes; `count` modes were requested."""
-    yield from (f"{name} was left out: its uncertainty is unbounded." for name in left_out)
+    yield from (f"{name} was left out: its uncertainty is unbounded." for name in unused_responses)
     if modes.model_error:
-        stated = any(np.isfinite(curve.error).any() for curve in curves)
-        expected = "error bars" if stated else "scatter"
+        has_error_bars = any(np.isfinite(curve.error).any() for curve in curves)
+        expected = "error bars" if has_error_bars else "scatter"
         residual_text = f"the best linear fit leaves a residual of {100.0 * modes.model_error:.2g} % of the peak height"
-        if modes.model_error > _NONLINEAR:
+        if modes.model_error > _MAX_LINEAR_RESIDUAL:
             yield (
                 f"The response is nonlinear: {residual_text}, more than the {expected}. "
                 "These modes are the linear equivalent at this force level."
@@ -60,10 +60,10 @@ def doubts(
     f, zeta, error = modes.frequency, modes.damping, modes.damping_error
     if count is not None and f.size < count:
         yield f"Identified only {f.size} of the {count} requested modes."
-    half, lines = zeta * f, curves[0].frequency
+    half_widths, lines = zeta * f, curves[0].frequency
     resolution = max(curve.resolution for curve in curves)
-    widened = resolution > _WIDENING_RATIO * half
-    narrow = (error > MAX_RELATIVE_UNCERTAINTY * zeta) & (resolution > 2.0 * half)
+    widened = resolution > _WIDENING_RATIO * half_widths
+    narrow = (error > MAX_RELATIVE_UNCERTAINTY * zeta) & (resolution > 2.0 * half_widths)
     if narrow.any():
         yield (
             f"{_listed(f[narrow])} Hz: the peak is narrower than the resolution of {resolution:.3g} Hz, so only an "
@@ -73,19 +73,19 @@ def doubts(
     if leakage.any():
         yield (
             f"{_listed(f[leakage])} Hz: the resolution of {resolution:.3g} Hz widens the peaks (half-power bandwidths "
-            f"{_listed(2.0 * half[leakage], 3)} Hz), which raises the damping ratios by more than {_REPORTED:.0%}. Use "
-            f"blocks of at least {1.5 / (_WIDENING_RATIO * half[leakage].min()):.3g} s, burst random, multisine or "
-            "stepped sine."
+            f"{_listed(2.0 * half_widths[leakage], 3)} Hz), which raises the damping ratios by more than "
+            f"{_MAX_DAMPING_UNCERTAINTY:.0%}. Use blocks of at least "
+            f"{1.5 / (_WIDENING_RATIO * half_widths[leakage].min()):.3g} s, burst random, multisine or stepped sine."
         )
-    inside = np.sum(abs(lines - f[:, None]) < 2.0 * half[:, None], axis=1)
-    few = (inside < 2) & ~widened
-    if few.any():
+    n_points = np.sum(abs(lines - f[:, None]) < 2.0 * half_widths[:, None], axis=1)
+    undersampled = (n_points < 2) & ~widened
+    if undersampled.any():
         yield (
-            f"{_listed(f[few])} Hz: fewer than two measured points lie within the half-power bandwidth of "
-            f"{_listed(2.0 * half[few], 3)} Hz, so the damping is extrapolated from the flanks. Measure every "
-            f"{half[few].min() / 2.0:.2g} Hz there."
+            f"{_listed(f[undersampled])} Hz: fewer than two measured points lie within the half-power bandwidth of "
+            f"{_listed(2.0 * half_widths[undersampled], 3)} Hz, so the damping is extrapolated from the flanks. "
+            f"Measure every {half_widths[undersampled].min() / 2.0:.2g} Hz there."
         )
-    uncertain = (error > _REPORTED * zeta) & (error <= MAX_RELATIVE_UNCERTAINTY * zeta)
+    uncertain = (error > _MAX_DAMPING_UNCERTAINTY * zeta) & (error <= MAX_RELATIVE_UNCERTAINTY * zeta)
     if uncertain.any():
         parts = ", ".join(
             f"{100 * ratio:.2g} % at {frequency:.4g} Hz"

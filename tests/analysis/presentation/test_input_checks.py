@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import daq
-from analysis.presentation.expectations import expect
+from analysis.presentation.inputs import check_recording
 from rig.errors import RecordingError
 from tests.analysis.responses import synthetic
 
@@ -31,4 +31,4 @@ def test_wrong_recording_names_right_command(tmp_path, test, marker_kind, comman
     marker_rows = [] if marker_kind is None else [(marker_kind, 0, 20, {})]
     synthetic.write(path, scene, synthetic.channels(), np.zeros((4, 64)), marker_rows)
     with daq.open(path) as rec, pytest.raises(RecordingError, match=f"{suggested} '.*my test.mcap'"):
-        expect(rec, path, command)
+        check_recording(rec, path, command)

@@ -36,7 +36,7 @@ class UncoveredMotionError(RunError):
     """A motion for which orbits are not computed; its only argument describes the reason."""
 
     def __str__(self) -> str:
-        return f"{self.args[0]}, for which orbits are not computed. Use a settled simulation (rig.frequency_response)."
+        return f"{self.args[0]}; orbits of such motions are not computed. Use rig.frequency_response."
 
 
 class SceneWarning(UserWarning):

@@ -109,7 +109,7 @@ def _frequencies_around(peaks: Sequence[float], band: tuple[float, float]) -> Ar
 def expected_results(scene: Scene, trial: Trial) -> tuple[Expected, ...]:
     """Describe what a check should measure at the largest peak of each level.
 
-    `scene`: as returned by `check`; `trial`: the dampers of the scene, and their peaks.
+    `scene`: as returned by `scene_with_check`; `trial`: the dampers of the scene, and their peaks.
     """
     assert isinstance(scene.test, SteppedSine)
     return tuple(_expected_result(scene, scene.test, peak) for peak in trial.peaks)

@@ -125,7 +125,7 @@ def derive_plan(
         if system.coupled and any(dampers[i] != damper for i in simultaneous):
             raise UncoveredMotionError(
                 f"an impact of damper {damper + 1} acts on damper {dampers[simultaneous[-1]] + 1} at the same "
-                "instant, through a common body or the mass matrix. Use rig.frequency_response."
+                "instant, through a common body or the mass matrix"
             )
         if system.finite_contact[damper]:
             events.append(_finite_contact_kind(trajectory, k, system))
@@ -138,8 +138,7 @@ def derive_plan(
             continue
         elif system.restitution[damper] > 0:
             raise UncoveredMotionError(
-                f"damper {damper + 1} rebounds infinitely often in every period until it rests on a wall. Use "
-                "rig.frequency_response."
+                f"damper {damper + 1} rebounds infinitely often in every period until it rests on a wall"
             )
         else:
             events.append(kinds.WITH_PREVIOUS if simultaneous else kinds.SEPARATION)

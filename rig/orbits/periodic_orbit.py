@@ -84,7 +84,7 @@ def search_orbit(
         if orbit.flaw:
             raise RunError(
                 f"the motion at {setting.frequency:.6g} Hz repeats after {steady.repetition} periods, but the orbit "
-                f"with its events [{orbit.plan.label}] is inadmissible: {orbit.flaw}"
+                f"with its events [{orbit.plan.label}] is inadmissible: {orbit.flaw}. Use rig.frequency_response."
             )
         return orbit
     if steady.residual < MAX_ALMOST_PERIODIC_CHANGE:
@@ -95,7 +95,7 @@ def search_orbit(
                 return orbit
     raise RunError(
         f"no periodic motion found at {setting.frequency:.6g} Hz: after {max_periods} periods the motion "
-        f"still changes by {steady.residual:.1e} (relative) from period to period"
+        f"still changes by {steady.residual:.1e} (relative) from period to period. Use rig.frequency_response."
     )
 
 

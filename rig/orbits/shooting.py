@@ -23,7 +23,7 @@ from rig.orbits.orbit_equations import Change, Equations, Sequence
 
 
 class ShootingResult(NamedTuple):
-    """Result of a shot: residual, Jacobian and states."""
+    """Result of an evaluation: residual, Jacobian and states."""
 
     residual: Array  # Periodicity, then the events' conditions; shape (unknowns,)
     jacobian: Array

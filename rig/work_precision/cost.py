@@ -250,14 +250,8 @@ def draw_points(axes: Axes, points: tuple[Point, ...], label: str) -> None:
         color, marker = STYLE_OF_METHOD[method]
         # A line connects settings of one kind; solvers with an error tolerance are a separate kind.
         series = [point for point in method_points if "blind" not in point.setting]
-        axes.plot(
-            [point.cpu for point in series],
-            [_drawn_error(point) for point in series],
-            "-",
-            color=color,
-            lw=1.0,
-            alpha=0.6,
-        )
+        errors = [_drawn_error(point) for point in series]
+        axes.plot([point.cpu for point in series], errors, "-", color=color, lw=1.0, alpha=0.6)
         for point in method_points:
             size = 12 if marker == "*" else 6
             face = color if point.right else "white"

@@ -137,8 +137,8 @@ def neighbours(at: Array, within: float) -> NDArray[np.int64]:
     pairs = np.empty((len(at) * 30, 2), np.int64)
     for i in range(len(at)):
         for j in range(i + 1, len(at)):
-            apart = at[i] - at[j]
-            if apart @ apart < within * within:
+            offset = at[i] - at[j]
+            if offset @ offset < within * within:
                 pairs[count, 0], pairs[count, 1] = i, j
                 count += 1
     return pairs[:count]

@@ -46,20 +46,20 @@ _FINALISTS = 8
 
 def draw(seed: int, number: int) -> tuple[rig.Scene, dict[str, Any]]:
     """Draw a structure and the requirements for its dampers; the same seed and number give the same draw."""
-    dice = Draw(seed, number + 80_000)
+    random = Draw(seed, number + 80_000)
     while True:
-        chain, _ = structure(dice)
+        chain, _ = structure(random)
         if 2 <= (bodies := len(chain["masses"])) <= 5:
             break
-    built_structure = _add_cross_spring(dice, chain) if dice.chance(0.5) else chain
-    driven = dice.whole(1, bodies)
+    built_structure = _add_cross_spring(random, chain) if random.chance(0.5) else chain
+    driven = random.integer(1, bodies)
     sensor = {"sensitivity": "100 mV/g", "noise": "20 ug/sqrt(Hz)"}
     channels: list[Settings] = [
         {"name": f"body{k}", "at": f"body {k}", "accelerometer": sensor} for k in range(1, bodies + 1)
     ]
     shaker: Settings = {"kind": "force", "body": driven}
-    if dice.chance(0.5):
-        shaker = {"kind": "table", "body": driven, "spring": round(chain["springs"][0] * dice.even(0.1, 0.5), 1)}
+    if random.chance(0.5):
+        shaker = {"kind": "table", "body": driven, "spring": round(chain["springs"][0] * random.uniform(0.1, 0.5), 1)}
         channels.append({"name": "table", "at": "table", "accelerometer": sensor})
     else:
         channels.append(
@@ -72,29 +72,31 @@ def draw(seed: int, number: int) -> tuple[rig.Scene, dict[str, Any]]:
     }  # fmt: skip
     scene = rig.loads(yaml.safe_dump(settings, sort_keys=False), where=str(settings["name"]))
     modes = natural_modes(*structure_matrices(scene.structure)[::2])[0] / (2 * np.pi)
-    first_mode = dice.whole(0, bodies - 1)
-    band = 0.85 * modes[first_mode], 1.15 * modes[dice.whole(first_mode, min(first_mode + 2, bodies - 1))]
+    first_mode = random.integer(0, bodies - 1)
+    band = 0.85 * modes[first_mode], 1.15 * modes[random.integer(first_mode, min(first_mode + 2, bodies - 1))]
     frequencies = np.unique(np.append(np.linspace(*band, 4001), modes[(modes > band[0]) & (modes < band[1])]))
     peak_acceleration = float((np.abs(receptance(scene, frequencies)) * (2 * np.pi * frequencies) ** 2).max())
-    force = float(f"{dice.log(3.0, 12.0) * 9.81 / peak_acceleration:.4g}")
+    force = float(f"{random.log_uniform(3.0, 12.0) * 9.81 / peak_acceleration:.4g}")
     requirements = {
-        "budget": f"{dice.even(2.0, 10.0)} %", "dampers": min(dice.whole(1, 3), bodies), "band": band,
+        "budget": f"{random.uniform(2.0, 10.0)} %", "dampers": min(random.integer(1, 3), bodies), "band": band,
         "levels": [factor * force for factor in (0.5, 1.0, 2.0)],
     }  # fmt: skip
     return scene.replace(test=scene.test.replace(force=force)), requirements
 
 
-def _add_cross_spring(dice: Draw, chain: Settings) -> Settings:
+def _add_cross_spring(random: Draw, chain: Settings) -> Settings:
     """Add a spring to the ground or to a body that is not adjacent, with a full damping matrix."""
     scene = rig.loads(yaml.safe_dump({"name": "chain", "structure": chain}))
     mass, damping, stiffness = structure_matrices(scene.structure)
     bodies = len(mass)
     direction = np.zeros(bodies)
-    direction[dice.whole(min(1, bodies - 1), bodies - 1)] = 1.0
-    if bodies > 2 and dice.chance(0.5):
+    direction[random.integer(min(1, bodies - 1), bodies - 1)] = 1.0
+    if bodies > 2 and random.chance(0.5):
         direction[:] = 0.0
-        direction[[0, dice.whole(2, bodies - 1)]] = 1.0, -1.0
-    stiffness = stiffness + dice.log(0.3, 1.5) * stiffness.diagonal().mean() / 2 * np.outer(direction, direction)
+        direction[[0, random.integer(2, bodies - 1)]] = 1.0, -1.0
+    stiffness = stiffness + random.log_uniform(0.3, 1.5) * stiffness.diagonal().mean() / 2 * np.outer(
+        direction, direction
+    )
     names = {"mass": mass, "damping": damping, "stiffness": stiffness}
     return {"matrices": {name: matrix.tolist() for name, matrix in names.items()}}
 

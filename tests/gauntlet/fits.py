@@ -66,39 +66,39 @@ class Trial:
 
 def draw(seed: int, number: int) -> rig.Scene:
     """Draw a bench; same seed and number give the same."""
-    dice = Draw(seed, number + 50_000)
+    random = Draw(seed, number + 50_000)
     while True:
-        chain, modes = structure(dice)
+        chain, modes = structure(random)
         bodies = len(chain["masses"])
         if 2 <= bodies <= 5 and modes[-1] < 120.0:
             break
     sensor: Settings = {
-        "sensitivity": "100 mV/g", "noise": f"{dice.log(5.0, 50.0):.3g} ug/sqrt(Hz)",
-        "sensitivity_tolerance": dice.one([0.01, 0.02, 0.05]),
+        "sensitivity": "100 mV/g", "noise": f"{random.log_uniform(5.0, 50.0):.3g} ug/sqrt(Hz)",
+        "sensitivity_tolerance": random.choice([0.01, 0.02, 0.05]),
     }  # fmt: skip
-    driven = dice.whole(1, bodies)
+    driven = random.integer(1, bodies)
     channels = [{"name": f"a{k}", "at": f"body {k}", "accelerometer": sensor} for k in range(1, bodies + 1)]
-    if dice.chance(0.5):
+    if random.chance(0.5):
         shaker: Settings = {"kind": "force", "body": driven}
         hammer = {"sensitivity": "11.2 mV/N", "noise": "1e-4 N/sqrt(Hz)", "sensitivity_tolerance": 0.02}
         channels.append({"name": "force", "at": "shaker", "hammer": hammer})
     else:
-        shaker = {"kind": "table", "body": driven, "spring": round(chain["springs"][0] * dice.even(0.1, 0.5), 1)}
+        shaker = {"kind": "table", "body": driven, "spring": round(chain["springs"][0] * random.uniform(0.1, 0.5), 1)}
         channels.append({"name": "table", "at": "table", "accelerometer": sensor})
-    damper_bodies = sorted({dice.whole(1, bodies) for _ in range(dice.whole(0, 3))})
+    damper_bodies = sorted({random.integer(1, bodies) for _ in range(random.integer(0, 3))})
     dampers = [
         {
-            "body": body, "mass_ratio": dice.even(0.03, 0.12),
-            "clearance": ".inf" if dice.chance(0.2) else f"{dice.log(0.3, 2.0):.3g} mm",
+            "body": body, "mass_ratio": random.uniform(0.03, 0.12),
+            "clearance": ".inf" if random.chance(0.2) else f"{random.log_uniform(0.3, 2.0):.3g} mm",
             **_contact(Draw(seed, number + 60_000 + 1000 * body)),
         }
         for body in damper_bodies
     ]  # fmt: skip
     settings: Settings = {
         "name": f"bench {seed}/{number}", "structure": chain, "dampers": dampers, "shaker": shaker,
-        "test": {"kind": "stepped_sine", "frequencies": _test_frequencies(dice, chain, modes), "force": 1.0},
+        "test": {"kind": "stepped_sine", "frequencies": _test_frequencies(random, chain, modes), "force": 1.0},
         "channels": channels, "converter": {"rate": round(max(2048.0, 20.0 * modes[-1]), 1), "bits": 24, "range": 20.0},
-        "recording": {"display": False}, "seed": dice.whole(1, 10**6),
+        "recording": {"display": False}, "seed": random.integer(1, 10**6),
     }  # fmt: skip
     scene = rig.loads(yaml.safe_dump(settings, sort_keys=False), where=str(settings["name"]))
     frequency = np.array(scene.test.frequencies)
@@ -106,18 +106,18 @@ def draw(seed: int, number: int) -> rig.Scene:
     monitored = [body - 1 for body in damper_bodies] or list(range(bodies))
     peak_acceleration = float(((2 * np.pi * frequency) ** 2 * abs(response[monitored]).max(axis=0)).max())
     # Without dampers, their bodies would reach some g at the highest resonance.
-    force = float(f"{dice.log(4.0, 12.0) * 9.81 / peak_acceleration:.4g}")
+    force = float(f"{random.log_uniform(4.0, 12.0) * 9.81 / peak_acceleration:.4g}")
     return scene.replace(test=scene.test.replace(force=force))
 
 
-def _contact(dice: Draw) -> Settings:
+def _contact(random: Draw) -> Settings:
     """Draw instant or finite-duration contact."""
-    if dice.chance(0.5):
+    if random.chance(0.5):
         return {}
-    return {"contact": {"duration": f"{dice.log(0.5, 8.0):.3g} ms"}, "restitution": dice.even(0.05, 0.6)}
+    return {"contact": {"duration": f"{random.log_uniform(0.5, 8.0):.3g} ms"}, "restitution": random.uniform(0.05, 0.6)}
 
 
-def _test_frequencies(dice: Draw, chain: Settings, modes: list[float]) -> list[float]:
+def _test_frequencies(random: Draw, chain: Settings, modes: list[float]) -> list[float]:
     """Return frequencies that are dense near resonances and sparse elsewhere."""
     low, high = 0.6 * modes[0], 1.15 * modes[-1]
     points = set(np.geomspace(low, high, 16).tolist())

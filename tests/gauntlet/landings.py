@@ -20,24 +20,26 @@ LANDINGS, STEPPED_LANDINGS = "tone_landings", "steps_landings"
 
 def draw_landings(seed: int, number: int, kind: str) -> rig.Scene:
     """Draw a tone, or steps, near a mode of the paper's rig with one to three dampers; the truth is recorded."""
-    dice = Draw(seed, number)
-    damper_bodies = sorted({dice.whole(1, 3) for _ in range(dice.whole(1, 3))})
-    mode_frequency = dice.one(_MODES)
-    first, last = (float(f"{mode_frequency * dice.even(*fractions):.4g}") for fractions in ((0.88, 1.0), (1.01, 1.1)))
+    random = Draw(seed, number)
+    damper_bodies = sorted({random.integer(1, 3) for _ in range(random.integer(1, 3))})
+    mode_frequency = random.choice(_MODES)
+    first, last = (
+        float(f"{mode_frequency * random.uniform(*fractions):.4g}") for fractions in ((0.88, 1.0), (1.01, 1.1))
+    )
     test: Settings = {"kind": "sine", "frequency": first, "duration": 1.5}
     if kind == STEPPED_LANDINGS:
         test = {"kind": "stepped_sine", "from": first, "to": last, "points": 6}
-    rate = dice.one([5120.0, 12800.0, 25600.0, 51200.0])
-    sensor, converter = _instruments(dice, rate)
+    rate = random.choice([5120.0, 12800.0, 25600.0, 51200.0])
+    sensor, converter = _instruments(random, rate)
     settings: Settings = {
         "name": f"gauntlet {seed}/{number} {kind}",
         "structure": {
-            "masses": [mass * dice.even(0.8, 1.25) for mass in _MASSES],
-            "springs": [spring * dice.even(0.8, 1.25) for spring in _SPRINGS],
-            "damping": {"modal": dice.log(0.003, 0.02)},
+            "masses": [mass * random.uniform(0.8, 1.25) for mass in _MASSES],
+            "springs": [spring * random.uniform(0.8, 1.25) for spring in _SPRINGS],
+            "damping": {"modal": random.log_uniform(0.003, 0.02)},
         },
-        "dampers": [_damper(dice, body) for body in damper_bodies],
-        "shaker": {"kind": "force", "body": dice.whole(1, 3)},
+        "dampers": [_damper(random, body) for body in damper_bodies],
+        "shaker": {"kind": "force", "body": random.integer(1, 3)},
         "test": {**test, "force": 1.0},
         "channels": [
             *({"name": f"a{body}", "at": f"body {body}", **sensor} for body in damper_bodies),
@@ -45,31 +47,31 @@ def draw_landings(seed: int, number: int, kind: str) -> rig.Scene:
         ],
         "converter": converter,
         "recording": {"display": False, "truth": True},
-        "seed": dice.whole(1, 10**6),
+        "seed": random.integer(1, 10**6),
     }
     scene = rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"])
-    scene = scene.replace(test=scene.test.replace(force=force_that_flies(dice, scene, damper_bodies[0])))
+    scene = scene.replace(test=scene.test.replace(force=force_that_flies(random, scene, damper_bodies[0])))
     return instrumented(Draw(seed, number + INSTRUMENTS), scene)
 
 
-def _damper(dice: Draw, body: int) -> Settings:
-    ratio, duration = dice.even(0.03, 0.15), dice.log(*_CONTACT_DURATIONS_S)
-    restitution = dice.one([0.0, dice.even(0.05, 0.6)])
+def _damper(random: Draw, body: int) -> Settings:
+    ratio, duration = random.uniform(0.03, 0.15), random.log_uniform(*_CONTACT_DURATIONS_S)
+    restitution = random.choice([0.0, random.uniform(0.05, 0.6)])
     damper: Settings = {
         "body": body,
         "mass_ratio": ratio,
-        "clearance": dice.one([".inf", f"{dice.log(0.3, 3.0):.3g} mm"]),
+        "clearance": random.choice([".inf", f"{random.log_uniform(0.3, 3.0):.3g} mm"]),
     }
-    if dice.chance(0.7):
+    if random.chance(0.7):
         return {**damper, "restitution": restitution, "contact": {"duration": duration}}
     reduced_mass = _MASSES[body - 1] * ratio / (1.0 + ratio)
     stiffness, damping = spring_damper(duration, restitution, reduced_mass)
     return {**damper, "contact": {"stiffness": float(stiffness), "damping": float(damping)}}
 
 
-def _instruments(dice: Draw, rate: float) -> tuple[Settings, Settings]:
+def _instruments(random: Draw, rate: float) -> tuple[Settings, Settings]:
     """Draw sensor and converter: ideal, of data sheets, or a sensor with an integrator."""
-    choice = dice.whole(0, 2)
+    choice = random.integer(0, 2)
     if choice == 0:
         return {}, {"rate": rate}
     if choice == 1:
@@ -78,13 +80,13 @@ def _instruments(dice: Draw, rate: float) -> tuple[Settings, Settings]:
     sensor = {
         "accelerometer": {
             "sensitivity": "100 mV/g",
-            "noise": f"{dice.log(1.0, 300.0):.4g} ug/sqrt(Hz)",
-            "resonance": dice.log(2e4, 5e4),
-            "low_cutoff": dice.log(0.05, 0.8),
+            "noise": f"{random.log_uniform(1.0, 300.0):.4g} ug/sqrt(Hz)",
+            "resonance": random.log_uniform(2e4, 5e4),
+            "low_cutoff": random.log_uniform(0.05, 0.8),
         }
     }
-    order = dice.whole(0, 2)
+    order = random.integer(0, 2)
     if order:
         gain = 50.0 if order == 1 else 2000.0
-        sensor["integrator"] = {"order": order, "corner": dice.log(0.2, 2.0), "gain": gain}
-    return sensor, {"rate": rate, **({"filter": "delta_sigma"} if dice.chance(0.7) else {})}
+        sensor["integrator"] = {"order": order, "corner": random.log_uniform(0.2, 2.0), "gain": gain}
+    return sensor, {"rate": rate, **({"filter": "delta_sigma"} if random.chance(0.7) else {})}

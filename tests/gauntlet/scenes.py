@@ -60,17 +60,17 @@ class Draw:
     def __init__(self, seed: int, number: int) -> None:
         self._random = np.random.default_rng([seed, number])
 
-    def even(self, low: float, high: float) -> float:
+    def uniform(self, low: float, high: float) -> float:
         return float(f"{self._random.uniform(low, high):.5g}")
 
-    def log(self, low: float, high: float) -> float:
+    def log_uniform(self, low: float, high: float) -> float:
         return float(f"{np.exp(self._random.uniform(np.log(low), np.log(high))):.5g}")
 
-    def whole(self, low: int, high: int) -> int:
+    def integer(self, low: int, high: int) -> int:
         return int(self._random.integers(low, high + 1))
 
-    def one(self, choices: Any) -> Any:
-        return choices[self.whole(0, len(choices) - 1)]
+    def choice(self, choices: Any) -> Any:
+        return choices[self.integer(0, len(choices) - 1)]
 
     def chance(self, probability: float) -> bool:
         return bool(self._random.random() < probability)
@@ -78,18 +78,18 @@ class Draw:
 
 def draw(seed: int, number: int, kind: str) -> rig.Scene:
     """Draw a scene for a kind of test; same seed, number and kind give the same scene."""
-    dice = Draw(seed, number)
-    chain, modes = structure(dice)
+    random = Draw(seed, number)
+    chain, modes = structure(random)
     settings: Settings = {"name": f"gauntlet {seed}/{number} {kind}", "structure": chain}
     bodies = len(chain["masses"])
     test = kind.removesuffix("_dampers").removeprefix("imported_")
     if kind.endswith("_dampers"):
-        settings["dampers"] = _dampers(dice, bodies)
+        settings["dampers"] = _dampers(random, bodies)
     if test != "impulse":
-        settings["shaker"] = _shaker(dice, chain, bodies, kind)
-    settings["test"] = _test(dice, test, modes, bodies, settings)
-    settings["channels"] = _channels(dice, settings, bodies)
-    settings["converter"] = _converter(dice, settings, modes)
+        settings["shaker"] = _shaker(random, chain, bodies, kind)
+    settings["test"] = _test(random, test, modes, bodies, settings)
+    settings["channels"] = _channels(random, settings, bodies)
+    settings["converter"] = _converter(random, settings, modes)
     if not any("preset" in channel.get("accelerometer", {}) for channel in settings["channels"]):
         # The module feeds the sensors of a data sheet, and couples them accordingly.
         module = "preset" in settings["converter"]
@@ -99,33 +99,33 @@ def draw(seed: int, number: int, kind: str) -> rig.Scene:
         settings["converter"] |= {"filter": "delta_sigma"}
         settings["converter"].pop("sampling", None)
     settings["recording"] = {"display": False}
-    settings["seed"] = dice.whole(1, 10**6)
-    scene = _draw_range(dice, rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"]))
+    settings["seed"] = random.integer(1, 10**6)
+    scene = _draw_range(random, rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"]))
     # A file of samples does not mark overloads of sensors, and after a filter no clipped peak is flat.
-    return scene if kind.startswith("imported_") else _draw_saturation(dice, scene)
+    return scene if kind.startswith("imported_") else _draw_saturation(random, scene)
 
 
-def structure(dice: Draw) -> tuple[Settings, list[float]]:
+def structure(random: Draw) -> tuple[Settings, list[float]]:
     """Draw a chain of 1 to 6 bodies; return it with its natural frequencies, Hz."""
-    bodies = dice.whole(1, 6)
-    masses = [dice.log(0.3, 3.0) for _ in range(bodies)]
-    springs = np.array([dice.log(0.4, 2.5) for _ in range(bodies)])
+    bodies = random.integer(1, 6)
+    masses = [random.log_uniform(0.3, 3.0) for _ in range(bodies)]
+    springs = np.array([random.log_uniform(0.4, 2.5) for _ in range(bodies)])
     stiffness = np.diag(springs + np.append(springs[1:], 0.0))
     stiffness -= np.diag(springs[1:], 1) + np.diag(springs[1:], -1)
     root = 1.0 / np.sqrt(masses)
     modes = np.sqrt(np.linalg.eigvalsh(root[:, None] * stiffness * root)) / (2 * np.pi)
-    factor = dice.log(8.0, 25.0) / modes[0]
+    factor = random.log_uniform(8.0, 25.0) / modes[0]
     modes = modes * factor
     min_damping_ratio = 1.0 / (2 * np.pi * modes[0] * _MAX_TIME_CONSTANT_S)
     damping: Settings
-    damping_model = dice.whole(0, 2)
+    damping_model = random.integer(0, 2)
     if damping_model == 0:
-        damping = {"modal": dice.log(max(0.003, min_damping_ratio), 0.04)}
+        damping = {"modal": random.log_uniform(max(0.003, min_damping_ratio), 0.04)}
     elif damping_model == 1:
-        damping = {"modal": [dice.log(max(0.003, min_damping_ratio), 0.04) for _ in range(bodies)]}
+        damping = {"modal": [random.log_uniform(max(0.003, min_damping_ratio), 0.04) for _ in range(bodies)]}
     else:
         # Mass- and stiffness-proportional: `ratio` at the first mode, of which `fraction` grows with frequency.
-        ratio, fraction = dice.log(max(0.005, 1.5 * min_damping_ratio), 0.03), dice.even(0.1, 0.5)
+        ratio, fraction = random.log_uniform(max(0.005, 1.5 * min_damping_ratio), 0.03), random.uniform(0.1, 0.5)
         angular = 2 * np.pi * modes[0]
         damping = {
             "rayleigh": {
@@ -137,37 +137,42 @@ def structure(dice: Draw) -> tuple[Settings, list[float]]:
     return chain, [float(mode) for mode in modes]
 
 
-def _dampers(dice: Draw, bodies: int) -> list[Settings]:
+def _dampers(random: Draw, bodies: int) -> list[Settings]:
     dampers = []
-    for body in sorted({dice.whole(1, bodies) for _ in range(dice.whole(1, 2))}):
-        clearance = dice.one([".inf", f"{dice.log(0.3, 3.0):.3g} mm"])
-        dampers.append({"body": body, "mass_ratio": dice.even(0.03, 0.12), "clearance": clearance})
+    for body in sorted({random.integer(1, bodies) for _ in range(random.integer(1, 2))}):
+        clearance = random.choice([".inf", f"{random.log_uniform(0.3, 3.0):.3g} mm"])
+        dampers.append({"body": body, "mass_ratio": random.uniform(0.03, 0.12), "clearance": clearance})
     return dampers
 
 
-def _shaker(dice: Draw, structure: Settings, bodies: int, kind: str) -> Settings:
-    body = dice.whole(1, bodies)
-    kind_of_shaker = dice.one(["force", "table", "electrodynamic"])
+def _shaker(random: Draw, structure: Settings, bodies: int, kind: str) -> Settings:
+    body = random.integer(1, bodies)
+    kind_of_shaker = random.choice(["force", "table", "electrodynamic"])
     if kind_of_shaker == "force" or kind == "swept_sine_dampers":
         return {"kind": "force", "body": body}
-    return {"kind": kind_of_shaker, "body": body, "spring": round(structure["springs"][0] * dice.even(0.1, 0.6), 1)}
+    return {
+        "kind": kind_of_shaker,
+        "body": body,
+        "spring": round(structure["springs"][0] * random.uniform(0.1, 0.6), 1),
+    }
 
 
-def _test(dice: Draw, test: str, modes: list[float], bodies: int, settings: Settings) -> Settings:
-    low = float(f"{modes[0] * dice.even(0.5, 0.8):.3g}")
-    top = modes[dice.whole(0, len(modes) - 1)]
-    high = float(f"{max(min(top * dice.even(1.1, 1.5), 8 * low), 1.6 * low):.3g}")
-    level = dice.log(0.2, 20.0)
+def _test(random: Draw, test: str, modes: list[float], bodies: int, settings: Settings) -> Settings:
+    low = float(f"{modes[0] * random.uniform(0.5, 0.8):.3g}")
+    top = modes[random.integer(0, len(modes) - 1)]
+    high = float(f"{max(min(top * random.uniform(1.1, 1.5), 8 * low), 1.6 * low):.3g}")
+    level = random.log_uniform(0.2, 20.0)
     if test == "impulse":
         test_settings: Settings = {
-            "kind": "impulse", "body": dice.whole(1, bodies), "peak": dice.log(5.0, 200.0),
-            "width": dice.log(2e-3, 8e-3), "repeats": dice.whole(1, 6), "interval": dice.even(2.0, 8.0),
+            "kind": "impulse", "body": random.integer(1, bodies), "peak": random.log_uniform(5.0, 200.0),
+            "width": random.log_uniform(2e-3, 8e-3), "repeats": random.integer(1, 6),
+            "interval": random.uniform(2.0, 8.0),
         }  # fmt: skip
-        if dice.chance(_DOUBLE_HIT_FRACTION):
+        if random.chance(_DOUBLE_HIT_FRACTION):
             test_settings["double_hit"] = {
-                "hits": sorted({dice.whole(1, test_settings["repeats"]) for _ in range(2)}),
-                "after": dice.even(12e-3, 60e-3),
-                "ratio": dice.even(0.15, 0.7),
+                "hits": sorted({random.integer(1, test_settings["repeats"]) for _ in range(2)}),
+                "after": random.uniform(12e-3, 60e-3),
+                "ratio": random.uniform(0.15, 0.7),
             }
         return test_settings
     band: Settings = {"from": low, "to": high}
@@ -175,30 +180,30 @@ def _test(dice: Draw, test: str, modes: list[float], bodies: int, settings: Sett
     # The force of a sweep is controlled period by period, which takes ten times as long as everything else.
     level_settings: Settings = {"force": level}
     if (has_spring and test == "swept_sine") or (
-        has_spring and test in ("random", "burst_random", "multisine") and dice.chance(0.3)
+        has_spring and test in ("random", "burst_random", "multisine") and random.chance(0.3)
     ):
         level_settings = {"drive": _open_drive(settings, level)}
     if test in ("random", "burst_random"):
-        test_settings = {"kind": "random", **band, "duration": dice.even(20.0, 60.0), **level_settings}
+        test_settings = {"kind": "random", **band, "duration": random.uniform(20.0, 60.0), **level_settings}
         if test == "burst_random":
-            test_settings["burst"] = dice.even(0.2, 0.7)
-            test_settings["duration"] = dice.even(32.0, 80.0)
+            test_settings["burst"] = random.uniform(0.2, 0.7)
+            test_settings["duration"] = random.uniform(32.0, 80.0)
         return test_settings
     if test == "multisine":
-        period = dice.even(1.0, 4.0)
+        period = random.uniform(1.0, 4.0)
         return {
-            "kind": "multisine", **band, "period": period, "periods": dice.whole(2, 6),
-            "realisations": dice.whole(1, 4), **level_settings,
+            "kind": "multisine", **band, "period": period, "periods": random.integer(2, 6),
+            "realisations": random.integer(1, 4), **level_settings,
         }  # fmt: skip
     if test == "stepped_sine":
-        test_settings = {"kind": "stepped_sine", **band, "points": dice.whole(6, 14), **level_settings}
+        test_settings = {"kind": "stepped_sine", **band, "points": random.integer(6, 14), **level_settings}
         if "dampers" in settings:
-            test_settings["direction"] = dice.one(["up", "down"])
+            test_settings["direction"] = random.choice(["up", "down"])
         return test_settings
-    ends = {"from": low, "to": high} if dice.chance(0.7) else {"from": high, "to": low}
+    ends = {"from": low, "to": high} if random.chance(0.7) else {"from": high, "to": low}
     return {
-        "kind": "swept_sine", **ends, "duration": dice.even(20.0, 60.0),
-        "spacing": dice.one(["log", "linear"]), **level_settings,
+        "kind": "swept_sine", **ends, "duration": random.uniform(20.0, 60.0),
+        "spacing": random.choice(["log", "linear"]), **level_settings,
     }  # fmt: skip
 
 
@@ -208,146 +213,156 @@ def _open_drive(settings: Settings, level: float) -> float:
     return float(f"{level / shaker['spring'] if shaker['kind'] == 'table' else 0.1 * level:.4g}")
 
 
-def _channels(dice: Draw, settings: Settings, bodies: int) -> list[Settings]:
+def _channels(random: Draw, settings: Settings, bodies: int) -> list[Settings]:
     shaker = settings.get("shaker")
     impulse = settings["test"]["kind"] == "impulse"
-    measured = {dice.whole(1, bodies) for _ in range(2)}
+    measured = {random.integer(1, bodies) for _ in range(2)}
     if shaker is not None and shaker["kind"] != "force":
         measured.add(shaker["body"])
-    sensors = dice.one(["ideal", "preset", "drawn", "integrated"])
+    sensors = random.choice(["ideal", "preset", "drawn", "integrated"])
     channels = [
-        {"name": f"a{body}", "at": f"body {body}", **_sensor(dice, sensors, impulse)} for body in sorted(measured)
+        {"name": f"a{body}", "at": f"body {body}", **_sensor(random, sensors, impulse)} for body in sorted(measured)
     ]
     if impulse:
-        channels.append({"name": "hammer", "at": "hammer", **_force_sensor(dice, sensors)})
+        channels.append({"name": "hammer", "at": "hammer", **_force_sensor(random, sensors)})
     elif shaker["kind"] == "force":
-        channels.append({"name": "force", "at": "shaker", **_force_sensor(dice, sensors)})
+        channels.append({"name": "force", "at": "shaker", **_force_sensor(random, sensors)})
     else:
-        channels.append({"name": "table", "at": "table", **_sensor(dice, sensors, impulse)})
+        channels.append({"name": "table", "at": "table", **_sensor(random, sensors, impulse)})
     return channels
 
 
-def _sensor(dice: Draw, sensors: str, impulse: bool) -> Settings:
+def _sensor(random: Draw, sensors: str, impulse: bool) -> Settings:
     if sensors == "ideal":
         return {}
     if sensors == "preset":
         return {"accelerometer": {"preset": "PCB 352C33"}}
-    sensor: Settings = {"sensitivity": dice.one(["100 mV/g", "10 mV/g", "500 mV/g"]), "low_cutoff": dice.log(0.05, 0.8)}
-    if dice.chance(0.7):
-        sensor["noise"] = f"{dice.log(1.0, 100.0):.4g} ug/sqrt(Hz)"
-    if dice.chance(0.4):
-        sensor["sensitivity_tolerance"] = dice.one([0.02, 0.05, 0.1])
-    if dice.chance(0.4):
-        sensor["resonance"] = dice.log(5e3, 50e3)
-    if dice.chance(0.2):
+    sensor: Settings = {
+        "sensitivity": random.choice(["100 mV/g", "10 mV/g", "500 mV/g"]),
+        "low_cutoff": random.log_uniform(0.05, 0.8),
+    }
+    if random.chance(0.7):
+        sensor["noise"] = f"{random.log_uniform(1.0, 100.0):.4g} ug/sqrt(Hz)"
+    if random.chance(0.4):
+        sensor["sensitivity_tolerance"] = random.choice([0.02, 0.05, 0.1])
+    if random.chance(0.4):
+        sensor["resonance"] = random.log_uniform(5e3, 50e3)
+    if random.chance(0.2):
         sensor["transverse"] = 0.05
-    if dice.chance(0.3):
-        sensor |= {"bias": f"{dice.log(1e-3, 1e-1):.4g} V", "bias_settling": dice.log(0.3, 3.0)}
+    if random.chance(0.3):
+        sensor |= {"bias": f"{random.log_uniform(1e-3, 1e-1):.4g} V", "bias_settling": random.log_uniform(0.3, 3.0)}
     if sensors == "integrated" and not impulse:
-        order = dice.whole(1, 2)
+        order = random.integer(1, 2)
         gain = 50.0 if order == 1 else 2000.0
         return {
             "accelerometer": sensor,
-            "integrator": {"order": order, "corner": dice.log(0.2, 2.0), "gain": gain, "low_cutoff": 0.2},
+            "integrator": {"order": order, "corner": random.log_uniform(0.2, 2.0), "gain": gain, "low_cutoff": 0.2},
         }
     return {"accelerometer": sensor}
 
 
-def _force_sensor(dice: Draw, sensors: str) -> Settings:
+def _force_sensor(random: Draw, sensors: str) -> Settings:
     if sensors == "ideal":
         return {}
     if sensors == "preset":
         return {"hammer": {"preset": "PCB 086C03"}}
-    sensor: Settings = {"sensitivity": dice.one(["2.25 mV/N", "11.2 mV/N", "100 mV/N"])}
-    if dice.chance(0.6):
-        sensor["low_cutoff"] = dice.log(1e-4, 0.05)
-    if dice.chance(0.6):
-        sensor["noise"] = f"{dice.log(1e-5, 1e-3):.3g} N/sqrt(Hz)"
-    if dice.chance(0.4):
-        sensor["sensitivity_tolerance"] = dice.one([0.02, 0.05, 0.15])
+    sensor: Settings = {"sensitivity": random.choice(["2.25 mV/N", "11.2 mV/N", "100 mV/N"])}
+    if random.chance(0.6):
+        sensor["low_cutoff"] = random.log_uniform(1e-4, 0.05)
+    if random.chance(0.6):
+        sensor["noise"] = f"{random.log_uniform(1e-5, 1e-3):.3g} N/sqrt(Hz)"
+    if random.chance(0.4):
+        sensor["sensitivity_tolerance"] = random.choice([0.02, 0.05, 0.15])
     return {"hammer": sensor}
 
 
-def _converter(dice: Draw, settings: Settings, modes: list[float]) -> Settings:
+def _converter(random: Draw, settings: Settings, modes: list[float]) -> Settings:
     min_rate = max(1024.0, 12.0 * modes[-1])
-    converter: Settings = {"rate": round(max(min_rate, dice.one([1024.0, 2048.0, 2560.0, 5120.0])), 1)}
+    converter: Settings = {"rate": round(max(min_rate, random.choice([1024.0, 2048.0, 2560.0, 5120.0])), 1)}
     if settings["test"]["kind"] == "impulse":
         converter["rate"] = round(max(converter["rate"], 6.0 / settings["test"]["width"], 2048.0), 1)
     has_preset = any("preset" in channel.get("accelerometer", {}) for channel in settings["channels"])
-    if has_preset or dice.chance(0.3):
+    if has_preset or random.chance(0.3):
         converter["preset"] = "NI 9234"
         converter["rate"] = max(converter["rate"], 1652.0)
-    elif dice.chance(0.5):
-        converter |= {"bits": dice.one([12, 16, 24]), "range": 10.0, "filter": dice.one(["delta_sigma", None])}
-        converter["noise"] = f"{dice.log(0.1, 10.0):.3g} uV/sqrt(Hz)"
-    if converter.get("filter") is None and "preset" not in converter and dice.chance(0.2):
+    elif random.chance(0.5):
+        converter |= {
+            "bits": random.choice([12, 16, 24]),
+            "range": 10.0,
+            "filter": random.choice(["delta_sigma", None]),
+        }
+        converter["noise"] = f"{random.log_uniform(0.1, 10.0):.3g} uV/sqrt(Hz)"
+    if converter.get("filter") is None and "preset" not in converter and random.chance(0.2):
         converter["sampling"] = "point"
-    if dice.chance(0.2):
+    if random.chance(0.2):
         # All channels are sampled within an interval.
-        converter["skew"] = min(dice.log(1e-6, 1e-4), 0.9 / converter["rate"] / len(settings["channels"]))
-    if dice.chance(0.15):
-        converter["clock_error"] = dice.even(-5e-5, 5e-5)
-    if dice.chance(_LOST_BLOCK_FRACTION):
+        converter["skew"] = min(random.log_uniform(1e-6, 1e-4), 0.9 / converter["rate"] / len(settings["channels"]))
+    if random.chance(0.15):
+        converter["clock_error"] = random.uniform(-5e-5, 5e-5)
+    if random.chance(_LOST_BLOCK_FRACTION):
         length = 30.0
         converter["dropped_blocks"] = [
-            {"at": dice.even(1.0, length), "samples": dice.whole(1, 3000)} for _ in range(dice.whole(1, 3))
+            {"at": random.uniform(1.0, length), "samples": random.integer(1, 3000)} for _ in range(random.integer(1, 3))
         ]
     return {key: value for key, value in converter.items() if value is not None}
 
 
-def coupling(dice: Draw, module: bool) -> Settings:
+def coupling(random: Draw, module: bool) -> Settings:
     """Draw the coupling of all inputs; a module has its own corner frequency."""
-    if not dice.chance(_AC_COUPLED_FRACTION):
+    if not random.chance(_AC_COUPLED_FRACTION):
         return {"coupling": "DC"}
-    return {"coupling": "AC"} | ({} if module else {"ac_corner": dice.log(*_AC_CORNERS_HZ)})
+    return {"coupling": "AC"} | ({} if module else {"ac_corner": random.log_uniform(*_AC_CORNERS_HZ)})
 
 
-def instrumented(dice: Draw, scene: rig.Scene, tolerances: bool = True) -> rig.Scene:
+def instrumented(random: Draw, scene: rig.Scene, tolerances: bool = True) -> rig.Scene:
     """Draw the settings that a scene leaves open: coupling, resolution, clock error, sensor tolerances."""
     converter = scene.converter
     if converter.preset is None:
-        converter = converter.replace(**coupling(dice, False))
+        converter = converter.replace(**coupling(random, False))
     # Quantization after an integrator hides every impact, so that nothing could be judged.
     integrated = any(channel.integrator is not None for channel in scene.channels)
-    if converter.preset is None and not integrated and dice.chance(0.5):
+    if converter.preset is None and not integrated and random.chance(0.5):
         # Readings of impacts are much larger than the linear response.
         largest = max(volts for volts, _ in _largest_signals(scene).values())
-        volts = float(f"{largest * dice.log(10.0, 50.0):.3g}")
-        converter = converter.replace(bits=dice.one([16, 24]), range=volts)
-    if dice.chance(0.3):
-        converter = converter.replace(clock_error=dice.even(-5e-5, 5e-5))
+        volts = float(f"{largest * random.log_uniform(10.0, 50.0):.3g}")
+        converter = converter.replace(bits=random.choice([16, 24]), range=volts)
+    if random.chance(0.3):
+        converter = converter.replace(clock_error=random.uniform(-5e-5, 5e-5))
     channels = []
     for channel in scene.channels:
         sensor = channel.accelerometer
-        if tolerances and sensor is not None and sensor.preset is None and dice.chance(0.4):
-            sensor = sensor.replace(sensitivity_tolerance=dice.one([0.02, 0.05, 0.1]))
+        if tolerances and sensor is not None and sensor.preset is None and random.chance(0.4):
+            sensor = sensor.replace(sensitivity_tolerance=random.choice([0.02, 0.05, 0.1]))
         channels.append(channel.replace(accelerometer=sensor))
     return scene.replace(converter=converter, channels=tuple(channels))
 
 
-def _draw_range(dice: Draw, scene: rig.Scene) -> rig.Scene:
+def _draw_range(random: Draw, scene: rig.Scene) -> rig.Scene:
     """Draw the range of the converter: mostly with margin, sometimes too small for the test."""
-    if "bits" not in scene.converter.model_fields_set and dice.chance(0.3):
+    if "bits" not in scene.converter.model_fields_set and random.chance(0.3):
         return scene
-    margin = dice.log(0.15, 0.8) if dice.chance(_TIGHT_RANGE_FRACTION) else dice.log(1.5, 50.0)
+    margin = random.log_uniform(0.15, 0.8) if random.chance(_TIGHT_RANGE_FRACTION) else random.log_uniform(1.5, 50.0)
     largest = max(volts for volts, _ in _largest_signals(scene).values())
     volts = float(f"{max(largest * margin, 1e-6):.3g}")
     return scene.replace(converter=scene.converter.replace(range=volts))
 
 
-def _draw_saturation(dice: Draw, scene: rig.Scene) -> rig.Scene:
+def _draw_saturation(random: Draw, scene: rig.Scene) -> rig.Scene:
     """Draw a saturation limit that the test may reach, sometimes with a slow recovery from overload."""
-    if not dice.chance(_SATURATED_FRACTION):
+    if not random.chance(_SATURATED_FRACTION):
         return scene
-    largest_signals, channel_name = (_largest_signals(scene), dice.one([channel.name for channel in scene.channels]))
-    limit = {"saturation": float(f"{largest_signals[channel_name][1] * dice.log(0.2, 2.0):.3g}")}
+    largest_signals, channel_name = (
+        _largest_signals(scene),
+        random.choice([channel.name for channel in scene.channels]),
+    )
+    limit = {"saturation": float(f"{largest_signals[channel_name][1] * random.log_uniform(0.2, 2.0):.3g}")}
     channels = []
     for channel in scene.channels:
         if channel.name == channel_name and channel.measures_force:
             channel = channel.replace(hammer=(channel.hammer or Hammer()).replace(**limit))
         elif channel.name == channel_name:
-            if dice.chance(0.3):
-                limit["overload_recovery"] = dice.log(2e-3, 0.2)
+            if random.chance(0.3):
+                limit["overload_recovery"] = random.log_uniform(2e-3, 0.2)
             channel = channel.replace(accelerometer=(channel.accelerometer or Accelerometer()).replace(**limit))
         channels.append(channel)
     return scene.replace(channels=tuple(channels))

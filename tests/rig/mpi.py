@@ -25,33 +25,33 @@ def on_two_ranks(program: str) -> subprocess.CompletedProcess[str]:
 
 
 class Part:
-    """A rank's part of something."""
+    """A value on each rank: the given value times the number of the rank, from 1."""
 
-    def __init__(self, own: float) -> None:
-        self.own = own * (1 + communicators().COMM_WORLD.rank)
+    def __init__(self, value: float) -> None:
+        self.value = value * (1 + communicators().COMM_WORLD.rank)
 
     @property
-    def whole(self) -> float:
-        """What all parts are together."""
-        return float(sum_over_ranks(np.array(self.own)))
+    def total(self) -> float:
+        """Sum of the values of all ranks."""
+        return float(sum_over_ranks(np.array(self.value)))
 
     def grow(self, by: float) -> float:
-        """Make every part larger; gives this rank's."""
-        self.own += by
-        return self.own
+        """Increase the value of every rank; return that of this rank."""
+        self.value += by
+        return self.value
 
     def fail(self) -> None:
-        """Fail on all ranks alike."""
+        """Fail on all ranks."""
         raise RunError("nothing can be done")
 
     def fail_on(self, rank: int) -> None:
-        """Fail on one rank, for which the other waits."""
+        """Fail on one rank, while the other waits for it."""
         if communicators().COMM_WORLD.rank == rank:
             raise OneRankError("memory has run out here")
         communicators().COMM_WORLD.Barrier()
 
     def interrupt_first(self) -> None:
-        """Let Ctrl-C come to the first rank while the other waits for it."""
+        """Interrupt the first rank as by Ctrl-C, while the other waits for it."""
         if communicators().COMM_WORLD.rank == 0:
             raise KeyboardInterrupt
         communicators().COMM_WORLD.Barrier()

@@ -222,8 +222,8 @@ def run_rig(code: str, **how: object) -> tuple[int, str]:
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
 def test_full_disk_while_printing_is_reported() -> None:
-    with Path("/dev/full").open("w") as full:
-        code, reported = run_rig("schema", stdout=full)
+    with Path("/dev/full").open("w") as full_device:
+        code, reported = run_rig("schema", stdout=full_device)
     assert code == 1 and "standard output cannot be written: No space left on device" in reported
 
 

@@ -37,8 +37,8 @@ class Seen(HTMLParser):
 
 @given(st.text())
 def test_escaped_text_is_shown_by_a_browser(text: str) -> None:
-    seen = Seen(f"<p>{escape_html(text)}</p>")
-    assert seen.tags == ["p"] and seen.text == escape_terminal(text)
+    parsed = Seen(f"<p>{escape_html(text)}</p>")
+    assert parsed.tags == ["p"] and parsed.text == escape_terminal(text)
 
 
 @given(st.text())

@@ -20,7 +20,7 @@ _JOINED = "from rig import ranks; ranks.join(); from tests.rig.mpi import Part; 
 def test_second_rank_executes_operations_of_the_first() -> None:
     program = (
         "other = ranks.Shared(Part, 30.0); del other;"
-        "print(ranks.size(), part.own, part.whole, part.grow(0.5), part.whole)"
+        "print(ranks.size(), part.value, part.total, part.grow(0.5), part.total)"
     )
 
     completed = on_two_ranks(_JOINED + program)
@@ -34,7 +34,7 @@ from rig.errors import RunError
 try:
     part.fail()
 except RunError as error:
-    print(error, part.whole)
+    print(error, part.total)
 """
 
     completed = on_two_ranks(_JOINED + program)
@@ -114,18 +114,18 @@ def test_missing_mpi4py_leaves_processes_separate(monkeypatch: pytest.MonkeyPatc
 
 def test_several_ranks_compute_pieces_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rig.workers.size", lambda: 2)
-    here: list[float] = []
+    computed_numbers: list[float] = []
     pieces = [1.0, 2.0]
 
-    def piece(number: float) -> float:
-        here.append(number)
+    def compute(number: float) -> float:
+        computed_numbers.append(number)
         return 2.0 * number
 
     computed = {}
     with Workers() as workers:
-        for number, result in workers.compute(piece, pieces):
+        for number, result in workers.compute(compute, pieces):
             computed[number] = result
             if number == 1:
                 pieces.append(5.0)
 
-    assert (computed, here) == ({0: 2.0, 1: 4.0, 2: 10.0}, pieces)
+    assert (computed, computed_numbers) == ({0: 2.0, 1: 4.0, 2: 10.0}, pieces)

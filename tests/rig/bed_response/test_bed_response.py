@@ -32,8 +32,8 @@ def test_bed_at_ceiling_takes_energy() -> None:
     scene = with_grains()
 
     for motion in (steady_grains(scene, 30.0, 5, 10), steady_mass(scene, 30.0)):
-        carried = motion.floor_impulse - motion.ceiling_impulse
-        assert carried == pytest.approx(scene.dampers[0].mass * scene.gravity / 30.0, rel=0.1)
+        net_impulse = motion.floor_impulse - motion.ceiling_impulse
+        assert net_impulse == pytest.approx(scene.dampers[0].mass * scene.gravity / 30.0, rel=0.1)
         assert motion.ceiling_impulse[0] > 0.0
         assert motion.energy[0] > 0.0
         assert 0.0 < motion.flight[0] < 1.0
@@ -47,13 +47,13 @@ def test_torn_table_continues_with_missing_frequencies(tmp_path: Path) -> None:
     lines = table.read_text(encoding="utf-8").splitlines(keepends=True)
     table.write_text("".join(lines[:-1]) + lines[-1][:-30])
 
-    again = bed_response(scene, [25.0, 30.0], periods=1, table=table, progress=lambda *at: steps.append(at))
+    second = bed_response(scene, [25.0, 30.0], periods=1, table=table, progress=lambda *at: steps.append(at))
 
     assert steps == [(1, 2), (2, 2)]
-    for one, other in zip(first.columns().values(), again.columns().values(), strict=True):
-        assert np.array_equal(one, other)
-    assert len(text(again).splitlines()) == 8
-    assert isinstance(again, BedResponse)
+    for first_column, second_column in zip(first.columns().values(), second.columns().values(), strict=True):
+        assert np.array_equal(first_column, second_column)
+    assert len(text(second).splitlines()) == 8
+    assert isinstance(second, BedResponse)
 
 
 def test_foreign_table_is_rejected(tmp_path: Path) -> None:

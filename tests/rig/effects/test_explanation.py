@@ -20,16 +20,16 @@ def test_motion_states_equal_those_of_the_system(name: str) -> None:
 
 
 def test_removed_effects_remove_their_states_and_inputs() -> None:
-    full = rig.load("fig9")
-    no_coil = full.replace(
-        shaker={"kind": "electrodynamic", "body": 1, "spring": full.shaker.spring, "amplifier": {"mode": "current"}}
+    fig9 = rig.load("fig9")
+    no_coil = fig9.replace(
+        shaker={"kind": "electrodynamic", "body": 1, "spring": fig9.shaker.spring, "amplifier": {"mode": "current"}}
     )
-    no_damper = full.replace(dampers=())
-    bare = rig.load("bare-structure").replace(shaker=None, test=None, channels=None)
-    sizes = [assemble(scene).states for scene in (full, no_coil, bare)]
+    no_damper = fig9.replace(dampers=())
+    force_driven_structure = rig.load("bare-structure").replace(shaker=None, test=None, channels=None)
+    sizes = [assemble(scene).states for scene in (fig9, no_coil, force_driven_structure)]
     assert sizes == [9, 8, 6]
     assert assemble(no_damper).dampers == 0
-    assert assemble(bare).inputs == ()
+    assert assemble(force_driven_structure).inputs == ()
     names = {effect.name for effect in rig.explain(no_damper).effects if effect.part == "motion"}
     assert names == {"structure", "coil spring and table", "coil current"}
     assert {"particle dampers", "ceilings", "restitution"} <= set(rig.explain(no_damper).absent)
@@ -82,6 +82,8 @@ def test_bare_scene_costs_structure_and_ideal_channels_only() -> None:
 
 
 def test_natural_frequencies_are_listed_first_and_last() -> None:
-    many = rig.load("bare-structure").replace(structure={"masses": [1.0] * 9, "springs": [4e3] * 9}, channels=None)
+    nine_bodies = rig.load("bare-structure").replace(
+        structure={"masses": [1.0] * 9, "springs": [4e3] * 9}, channels=None
+    )
     assert "13.04, 34.78, 49.66 Hz" in str(rig.explain("fig9"))
-    assert re.search(r"9 bodies on springs, ([\d.]+, ){6}\.\.\., 19\.\d+ Hz", str(rig.explain(many)))
+    assert re.search(r"9 bodies on springs, ([\d.]+, ){6}\.\.\., 19\.\d+ Hz", str(rig.explain(nine_bodies)))

@@ -39,18 +39,16 @@ def propagator(coupling: float, restitution: float = 0.0, finite_contacts: int =
     ]
     coupled = np.arange(3) < 3 - uncoupled
     mass = np.diag([1.0, 0.8, 0.6]) + coupling * (1 - np.eye(3)) * np.outer(coupled, coupled)
-    scene = rig.Scene.model_validate(
-        {
-            "structure": {
-                "matrices": {
-                    "mass": mass.tolist(),
-                    "stiffness": (4e3 * np.array([[2.0, -1, 0], [-1, 2, -1], [0, -1, 1]])).tolist(),
-                }
-            },
-            "dampers": dampers,
-            "shaker": {"kind": "force", "body": 1},
-            "test": {"kind": "sine", "frequency": 10.0, "force": 1.0},
-        }
+    scene = rig.Scene(
+        structure={
+            "matrices": {
+                "mass": mass.tolist(),
+                "stiffness": (4e3 * np.array([[2.0, -1, 0], [-1, 2, -1], [0, -1, 1]])).tolist(),
+            }
+        },
+        dampers=dampers,
+        shaker={"kind": "force", "body": 1},
+        test={"kind": "sine", "frequency": 10.0, "force": 1.0},
     )
     return Propagator(assemble(scene), pure_tone(np.ones(1), 60.0), 2e-3)
 
@@ -302,15 +300,11 @@ def test_flying_damper_touches_a_wall_when_closing(gap: float, closing: float, m
 def test_negligible_coupling_changes_no_event() -> None:
     events = []
     for coupling in (0.0, 4e-16):
-        scene = rig.Scene.model_validate(
-            {
-                "structure": {
-                    "matrices": {"mass": [[1.0, coupling], [coupling, 1.0]], "stiffness": [[4e3, 0.0], [0.0, 5e3]]}
-                },
-                "dampers": [{"body": body, "mass": 0.1, "clearance": CLEARANCE} for body in (1, 2)],
-                "shaker": {"kind": "force", "body": [1, 2]},
-                "test": {"kind": "sine", "frequency": 10.0, "force": 12.0},
-            }
+        scene = rig.Scene(
+            structure={"matrices": {"mass": [[1.0, coupling], [coupling, 1.0]], "stiffness": [[4e3, 0.0], [0.0, 5e3]]}},
+            dampers=[{"body": body, "mass": 0.1, "clearance": CLEARANCE} for body in (1, 2)],
+            shaker={"kind": "force", "body": [1, 2]},
+            test={"kind": "sine", "frequency": 10.0, "force": 12.0},
         )
         events.append(rig.simulate(scene, 1.0, rate=200.0).events)
     assert len(events[0]) > 30

@@ -12,14 +12,12 @@ BODIES = 205
 
 
 def displacement() -> np.ndarray:
-    scene = rig.Scene.model_validate(
-        {
-            "name": "chain",
-            "structure": {"masses": [1.0] * BODIES, "springs": [4e5] * BODIES, "damping": {"modal": 0.01}},
-            "dampers": [{"body": 1, "mass_ratio": 0.1, "clearance": "1 mm"}],
-            "shaker": {"kind": "force", "body": 1},
-            "test": {"kind": "sine", "frequency": 80.0, "force": 100.0},
-        }
+    scene = rig.Scene(
+        name="chain",
+        structure={"masses": [1.0] * BODIES, "springs": [4e5] * BODIES, "damping": {"modal": 0.01}},
+        dampers=[{"body": 1, "mass_ratio": 0.1, "clearance": "1 mm"}],
+        shaker={"kind": "force", "body": 1},
+        test={"kind": "sine", "frequency": 80.0, "force": 100.0},
     )
     return np.asarray(rig.simulate(scene, duration=0.03).displacement)
 

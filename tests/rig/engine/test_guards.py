@@ -29,13 +29,11 @@ CLEARANCE = 1e-3
 def propagator(contact: str = "", bodies: tuple[int, ...] = (1, 2, 3), clearance: float = CLEARANCE) -> Propagator:
     """Return three bodies with dampers in some; `contact` is the contact duration. Tests set the state."""
     contact_keys = {"contact": {"duration": contact}} if contact else {}
-    scene = rig.Scene.model_validate(
-        {
-            "structure": {"masses": [1.0, 0.8, 0.6], "springs": [4e3] * 3, "damping": {"modal": 0.01}},
-            "dampers": [{"body": body, "mass": 0.1, "clearance": clearance, **contact_keys} for body in bodies],
-            "shaker": {"kind": "force", "body": 1},
-            "test": {"kind": "sine", "frequency": 10.0, "force": 1.0},
-        }
+    scene = rig.Scene(
+        structure={"masses": [1.0, 0.8, 0.6], "springs": [4e3] * 3, "damping": {"modal": 0.01}},
+        dampers=[{"body": body, "mass": 0.1, "clearance": clearance, **contact_keys} for body in bodies],
+        shaker={"kind": "force", "body": 1},
+        test={"kind": "sine", "frequency": 10.0, "force": 1.0},
     )
     return sampled_propagator(assemble(scene), 4e-3)[0]
 

@@ -153,8 +153,8 @@ def test_impact_conserves_momentum(scene: rig.Scene, seed: int) -> None:
 
 #: Impacts within this time, s, are treated as simultaneous in these tests.
 SIMULTANEITY_S = 1e-9
-#: Wall velocities, m/s, below which the engine may hold a damper through an impact and let go right after: how far they
-#: would open the gap cannot be told from rounding.
+#: Wall velocities, m/s, below which the engine may keep a damper at rest through an impact and release it immediately
+#: after: the gap that they would open is within rounding.
 MIN_SEPARATION_SPEED = 1e-6
 
 
@@ -179,34 +179,34 @@ def modes_after_break(
     before, after = motion.break_velocity[:, :, k]
     impulse = system.mass @ (after - before)
     scale = np.abs(system.mass @ np.abs(before)).max() + np.abs(impulse).max()
-    mode, impacting, lifted = mode.copy(), {}, set()
+    mode, closing_speeds, lifted = mode.copy(), {}, set()
     for event in events:
         j = int(event["damper"]) - 1
         if event["kind"] == "separation":
             lifted.add(j)
         else:
-            impacting[j] = float(event["speed"]) * (1.0 if event["kind"] == "floor" else -1.0)
+            closing_speeds[j] = float(event["speed"]) * (1.0 if event["kind"] == "floor" else -1.0)
             mode[j] = 1 if event["kind"] == "floor" else 2
     balance = impulse.copy()
     undecided: list[tuple[int, float]] = []
     for j in range(system.dampers):
         body = system.damper_coordinate[j]
         change = after[body] - before[body]
-        if j in impacting:
+        if j in closing_speeds:
             # Before the impact the damper moved slower than the floor by the closing speed.
-            balance[body] += system.damper_mass[j] * (change + impacting[j])
+            balance[body] += system.damper_mass[j] * (change + closing_speeds[j])
         elif mode[j] and not (j in lifted and separates(mode[j], change)):
             balance[body] += system.damper_mass[j] * change
         elif mode[j] and abs(change) < MIN_SEPARATION_SPEED:
             undecided.append((body, system.damper_mass[j] * change))
     mode[list(lifted)] = 0
     for choice in product((0.0, 1.0), repeat=len(undecided)):
-        held_impulse = np.bincount(
+        undecided_impulse = np.bincount(
             [body for body, _ in undecided],
             [part * share for part, (_, share) in zip(choice, undecided, strict=True)],
             balance.size,
         )
-        if np.abs(balance + held_impulse).max() < 1e-12 * max(scale, 1e-12):
+        if np.abs(balance + undecided_impulse).max() < 1e-12 * max(scale, 1e-12):
             return mode
     return None
 

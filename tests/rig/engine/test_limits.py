@@ -15,41 +15,35 @@ OMEGA = 2 * np.pi * 10.0
 
 def single(damper: dict[str, object], damping: float = 0.01, **test: object) -> rig.Scene:
     """Return one body of 1 kg at 10 Hz with a damper, driven by a force."""
-    return rig.Scene.model_validate(
-        {
-            "structure": {"masses": [1.0], "springs": [OMEGA**2], "damping": {"modal": damping}},
-            "dampers": [{"body": 1, "mass": 0.05, "clearance": float("inf"), **damper}],
-            "shaker": {"kind": "force", "body": 1},
-            "test": {"kind": "sine", "frequency": 9.0, "force": 6.0, "duration": 1.0, **test},
-        }
+    return rig.Scene(
+        structure={"masses": [1.0], "springs": [OMEGA**2], "damping": {"modal": damping}},
+        dampers=[{"body": 1, "mass": 0.05, "clearance": float("inf"), **damper}],
+        shaker={"kind": "force", "body": 1},
+        test={"kind": "sine", "frequency": 9.0, "force": 6.0, "duration": 1.0, **test},
     )
 
 
 def free_chain(masses: list[float], springs: list[float], velocity: list[float], **changes: object) -> rig.Scene:
     """Return a chain that moves from x = 0 with initial velocities."""
-    return rig.Scene.model_validate(
-        {
-            "structure": {"masses": masses, "springs": springs},
-            "test": {"kind": "free", "start": "empty", "velocity": velocity, "duration": 1.0},
-            **changes,
-        }
+    return rig.Scene(
+        structure={"masses": masses, "springs": springs},
+        test={"kind": "free", "start": "empty", "velocity": velocity, "duration": 1.0},
+        **changes,
     )
 
 
 def test_identical_oscillators_hit_in_unison() -> None:
-    scene = rig.Scene.model_validate(
-        {
-            "structure": {
-                "matrices": {
-                    "mass": np.eye(3).tolist(),
-                    "stiffness": (OMEGA**2 * np.eye(3)).tolist(),
-                    "damping": (0.6 * np.eye(3)).tolist(),
-                }
-            },
-            "dampers": [{"body": body, "mass": 0.05, "clearance": 2e-3} for body in (1, 2, 3)],
-            "shaker": {"kind": "force", "body": [1, 2, 3]},
-            "test": {"kind": "sine", "frequency": 9.5, "force": 5.0},
-        }
+    scene = rig.Scene(
+        structure={
+            "matrices": {
+                "mass": np.eye(3).tolist(),
+                "stiffness": (OMEGA**2 * np.eye(3)).tolist(),
+                "damping": (0.6 * np.eye(3)).tolist(),
+            }
+        },
+        dampers=[{"body": body, "mass": 0.05, "clearance": 2e-3} for body in (1, 2, 3)],
+        shaker={"kind": "force", "body": [1, 2, 3]},
+        test={"kind": "sine", "frequency": 9.5, "force": 5.0},
     )
     run = rig.simulate(scene, 10.0, rate=500.0)
     count = len(run.events) // 3
@@ -158,12 +152,10 @@ def test_extremely_stiff_spring_is_exact() -> None:
 
 def test_restitution_bounces_end_in_finite_time() -> None:
     # A light ball over a body that damping stops at once: a geometric sequence of flights.
-    scene = rig.Scene.model_validate(
-        {
-            "structure": {"masses": [1.0], "springs": [OMEGA**2], "damping": {"modal": 0.9}},
-            "dampers": [{"body": 1, "mass": 1e-9, "clearance": float("inf"), "restitution": 0.95}],
-            "test": {"kind": "free", "displacement": [0.05], "duration": 1.0},
-        }
+    scene = rig.Scene(
+        structure={"masses": [1.0], "springs": [OMEGA**2], "damping": {"modal": 0.9}},
+        dampers=[{"body": 1, "mass": 1e-9, "clearance": float("inf"), "restitution": 0.95}],
+        test={"kind": "free", "displacement": [0.05], "duration": 1.0},
     )
     run = rig.simulate(scene, 12.0, rate=100.0)
     impacts = run.events[run.events["kind"] == "floor"]
@@ -179,20 +171,17 @@ def test_restitution_bounces_end_in_finite_time() -> None:
 @pytest.mark.thorough
 def test_hundred_bodies_balance_energy() -> None:
     bodies = 100
-    scene = rig.Scene.model_validate(
-        {
-            "structure": {
-                "masses": [0.7] * bodies,
-                "springs": [22e3] * bodies,
-                "damping": {"rayleigh": {"alpha": 0.5, "beta": 1e-5}},
-            },
-            "dampers": [
-                {"body": body, "mass_ratio": 0.1, "clearance": 1e-3 * (1 + 0.01 * body)}
-                for body in range(1, bodies + 1, 5)
-            ],
-            "shaker": {"kind": "force", "body": [1, 20, 40]},
-            "test": {"kind": "sine", "start": "settled", "frequency": 40.0, "force": 60.0},
-        }
+    scene = rig.Scene(
+        structure={
+            "masses": [0.7] * bodies,
+            "springs": [22e3] * bodies,
+            "damping": {"rayleigh": {"alpha": 0.5, "beta": 1e-5}},
+        },
+        dampers=[
+            {"body": body, "mass_ratio": 0.1, "clearance": 1e-3 * (1 + 0.01 * body)} for body in range(1, bodies + 1, 5)
+        ],
+        shaker={"kind": "force", "body": [1, 20, 40]},
+        test={"kind": "sine", "start": "settled", "frequency": 40.0, "force": 60.0},
     )
     run = rig.simulate(scene, 0.3, rate=1000.0)
     assert len(scene.dampers) == 20
@@ -203,22 +192,20 @@ def test_hundred_bodies_balance_energy() -> None:
 
 def test_weightless_motion_passes_its_first_instants() -> None:
     # Within a step the motion transmitted by the chain grows from 1e-44 m. Rounding at its end hides its start.
-    scene = rig.Scene.model_validate(
-        {
-            "structure": {
-                "masses": [0.11002458568653148, 1.1563741336422235, 0.8650154381354124, 0.5589685712008674],
-                "springs": [3699.72289403043, 5570.6876759970755, 99383.2562955681, 3125.705662195247],
-            },
-            "gravity": 0.0,
-            "dampers": [
-                {"body": 1, "mass": 0.147, "clearance": 3.5e-4, "contact": {"duration": 0.002}},
-                {"body": 2, "mass": 0.221, "clearance": 7.2e-4, "restitution": 0.5},
-                {"body": 4, "mass": 0.02498, "clearance": 1.88e-5},
-                {"body": 4, "mass": 0.02539, "clearance": 1.22e-4, "restitution": 0.999},
-            ],
-            "shaker": {"kind": "table", "body": 4, "spring": 2339.075802989847},
-            "test": {"kind": "sine", "frequency": 38.18785175, "force": 0.92, "start": "empty", "duration": 1.0},
-        }
+    scene = rig.Scene(
+        structure={
+            "masses": [0.11002458568653148, 1.1563741336422235, 0.8650154381354124, 0.5589685712008674],
+            "springs": [3699.72289403043, 5570.6876759970755, 99383.2562955681, 3125.705662195247],
+        },
+        gravity=0.0,
+        dampers=[
+            {"body": 1, "mass": 0.147, "clearance": 3.5e-4, "contact": {"duration": 0.002}},
+            {"body": 2, "mass": 0.221, "clearance": 7.2e-4, "restitution": 0.5},
+            {"body": 4, "mass": 0.02498, "clearance": 1.88e-5},
+            {"body": 4, "mass": 0.02539, "clearance": 1.22e-4, "restitution": 0.999},
+        ],
+        shaker={"kind": "table", "body": 4, "spring": 2339.075802989847},
+        test={"kind": "sine", "frequency": 38.18785175, "force": 0.92, "start": "empty", "duration": 1.0},
     )
     run = rig.simulate(scene, 0.5, rate=2000.0)
     assert set(run.events["damper"]) == {1, 2, 3, 4}

@@ -46,9 +46,9 @@ class InterruptAfter:
     def __init__(self, sections: int) -> None:
         self.sections_left = sections
 
-    def __call__(self, done: int, total: int) -> None:
+    def __call__(self, n_completed: int, total: int) -> None:
         self.sections_left -= 1
-        if not self.sections_left and done < total:
+        if not self.sections_left and n_completed < total:
             raise KeyboardInterrupt
 
 
@@ -112,7 +112,9 @@ def test_stopped_run_continues_and_keeps_its_output(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.glob("run*")] == ["run.npz.kept"]
     reported: list[int] = []
 
-    simulate_to_file(tmp_path / "run.npz", scene, DURATION, RATE, None, lambda done, total: reported.append(done))
+    simulate_to_file(
+        tmp_path / "run.npz", scene, DURATION, RATE, None, lambda n_completed, total: reported.append(n_completed)
+    )
 
     assert min(reported) > 30, "what was done was done again"
     assert [file.name for file in tmp_path.glob("run*")] == ["run.npz"]

@@ -113,7 +113,7 @@ def test_values_outside_a_range_are_quoted() -> None:
 
 
 def test_interrupted_map_stops_its_rows() -> None:
-    def interrupt(done: int, total: int) -> None:
+    def interrupt(n_completed: int, total: int) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -122,22 +122,22 @@ def test_interrupted_map_stops_its_rows() -> None:
 
 
 def test_interrupted_map_continues_from_stored_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = {"values": [0.5, 1.0, 3.3], "frequencies": [49.0, 50.0], "table_path": tmp_path / "map.kept"}
+    arguments = {"values": [0.5, 1.0, 3.3], "frequencies": [49.0, 50.0], "table_path": tmp_path / "map.kept"}
 
-    def interrupt(done: int, total: int) -> None:
+    def interrupt(n_completed: int, total: int) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        rig.map_motion("fig9", **asked, progress=interrupt)
+        rig.map_motion("fig9", **arguments, progress=interrupt)
     counts: list[int] = []
-    result = rig.map_motion("fig9", **asked, progress=lambda done, total: counts.append(done))
+    result = rig.map_motion("fig9", **arguments, progress=lambda n_completed, total: counts.append(n_completed))
     assert counts == [2, 4, 6]
-    again = rig.map_motion("fig9", **asked, progress=lambda done, total: counts.append(done))
+    second_result = rig.map_motion("fig9", **arguments, progress=lambda n_completed, total: counts.append(n_completed))
     assert counts[3:] == [6]
     for name in ("kind", "motion", "impacts", "repetition", "periods", "cpu"):
-        np.testing.assert_array_equal(getattr(result, name), getattr(again, name))
+        np.testing.assert_array_equal(getattr(result, name), getattr(second_result, name))
     monkeypatch.setattr("rig.study.code_digest", lambda *packages: "other code")
-    rig.map_motion("fig9", **asked, progress=lambda done, total: counts.append(done))
+    rig.map_motion("fig9", **arguments, progress=lambda n_completed, total: counts.append(n_completed))
     assert counts[4:] == [2, 4, 6], "rows of other code are not reused"
 
 
@@ -155,8 +155,10 @@ def test_file_has_a_row_for_every_point(fig9_map: rig.MotionMap, tmp_path: Path)
 @pytest.mark.thorough
 def test_times_do_not_change_the_files(fig9_map: rig.MotionMap, tmp_path: Path) -> None:
     slower = replace(fig9_map, cpu=3.0 * fig9_map.cpu)
-    for one, other in zip(write_map(fig9_map, tmp_path / "one"), write_map(slower, tmp_path / "other"), strict=True):
-        assert one.read_bytes() == other.read_bytes()
+    for first_file, second_file in zip(
+        write_map(fig9_map, tmp_path / "one"), write_map(slower, tmp_path / "other"), strict=True
+    ):
+        assert first_file.read_bytes() == second_file.read_bytes()
 
 
 @pytest.mark.thorough
@@ -167,7 +169,7 @@ def test_level_and_clearance_maps_coexist(fig9_map: rig.MotionMap, tmp_path: Pat
 
 
 def test_unusable_place_is_rejected_before_work(tmp_path: Path) -> None:
-    taken = tmp_path / "taken"
-    taken.write_text("", encoding="utf-8")
+    file_path = tmp_path / "taken"
+    file_path.write_text("", encoding="utf-8")
     with pytest.raises(SceneError, match="Choose another folder"):
-        create_folder(taken / "maps")
+        create_folder(file_path / "maps")

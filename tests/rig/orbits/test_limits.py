@@ -14,11 +14,11 @@ GRAVITY = 9.80665
 
 def at_body(scene: Scene, body: int, frequency: float, acceleration: float, **damper: float) -> Scene:
     """Give one body one damper, and the force that accelerates the bare body by so many times gravity."""
-    bare = with_ideal_force(scene).replace(dampers=[])
-    compliance = abs(receptance(bare, [frequency])[body - 1, 0])
+    undamped_scene = with_ideal_force(scene).replace(dampers=[])
+    compliance = abs(receptance(undamped_scene, [frequency])[body - 1, 0])
     force = acceleration * GRAVITY / ((2 * np.pi * frequency) ** 2 * compliance)
     test = {"kind": "stepped_sine", "frequencies": [frequency], "force": float(force)}
-    return bare.replace(dampers=[{"body": body, **damper}], test=test)
+    return undamped_scene.replace(dampers=[{"body": body, **damper}], test=test)
 
 
 @pytest.mark.parametrize(("body", "frequency"), [(2, 47.0), (3, 30.0), (1, 20.0)])
@@ -37,8 +37,8 @@ def test_sticking_massless_damper_flies_as_the_inelastic_ball(acceleration: floa
     assert phase % (2 * np.pi) == pytest.approx(start, abs=1e-6)
     length = (times[kinds == "floor"][0] - times[kinds == "separation"][0]) % (2 * np.pi)
     assert length == pytest.approx(flight.end - flight.start, abs=1e-6)
-    bare = receptance(scene.replace(dampers=[]), [frequency])[:, 0]
-    assert np.abs(orbit.compliance - bare).max() < 1e-6 * np.abs(bare).max()
+    linear_response = receptance(scene.replace(dampers=[]), [frequency])[:, 0]
+    assert np.abs(orbit.compliance - linear_response).max() < 1e-6 * np.abs(linear_response).max()
 
 
 def test_massless_damper_flying_a_period_bounces_without_stay() -> None:

@@ -56,8 +56,8 @@ def test_ratio_combines_the_uncertainties() -> None:
 
 def test_ratio_is_nan_outside_the_other_band() -> None:
     ratio = curve() / curve().band(12.2, 28.0)
-    known = np.isfinite(ratio.value)
-    assert LINES[known].min() == 12.5 and LINES[known].max() == 28.0
+    is_finite = np.isfinite(ratio.value)
+    assert LINES[is_finite].min() == 12.5 and LINES[is_finite].max() == 28.0
     with pytest.raises(SceneError, match="Select the same outputs and inputs"):
         matrix() / curve()
 

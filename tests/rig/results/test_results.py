@@ -78,8 +78,8 @@ def test_table_of_an_orbit_closes_and_moves(results) -> None:
 
 
 def test_empty_curve_has_an_empty_table() -> None:
-    empty = rig.approximate_response("fig9", 3, ("49.4 Hz", "49.8 Hz"), force="1 uN")
-    assert empty.branches == () and len(empty.to_dataframe()) == 0 and empty._repr_html_()
+    approximation = rig.approximate_response("fig9", 3, ("49.4 Hz", "49.8 Hz"), force="1 uN")
+    assert approximation.branches == () and len(approximation.to_dataframe()) == 0 and approximation._repr_html_()
 
 
 def test_missing_package_has_an_install_hint(results, monkeypatch) -> None:

@@ -19,11 +19,11 @@ anything = st.recursive(
 )
 
 
-def put(content: Any, place: tuple[Any, ...], thing: Any) -> None:
-    *way, last = place
-    for step in way:
+def set_value(content: Any, place: tuple[Any, ...], value: Any) -> None:
+    *parents, last = place
+    for step in parents:
         content = content[step]
-    content[last] = thing
+    content[last] = value
 
 
 @pytest.mark.filterwarnings("ignore::rig.errors.SceneWarning")
@@ -31,7 +31,7 @@ def put(content: Any, place: tuple[Any, ...], thing: Any) -> None:
 @given(data=st.data())
 def test_any_value_anywhere_loads_or_names_its_place(data: st.DataObject, tmp_path: Path) -> None:
     content = yaml.safe_load(yaml.safe_dump(data.draw(st.sampled_from(BASES))))
-    put(content, data.draw(st.sampled_from(list(_paths(content)))), data.draw(anything))
+    set_value(content, data.draw(st.sampled_from(list(_paths(content)))), data.draw(anything))
     path = tmp_path / "odd.yaml"
     path.write_text(yaml.safe_dump(content, allow_unicode=True), encoding="utf-8")
     try:

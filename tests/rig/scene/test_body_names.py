@@ -34,9 +34,9 @@ def test_names_go_with_matrices() -> None:
 
 
 def test_label_is_the_name_or_the_number() -> None:
-    named, plain = rig.load(NAMED).structure, Structure(masses=(1.0,), springs=(1.0,))
+    named, unnamed = rig.load(NAMED).structure, Structure(masses=(1.0,), springs=(1.0,))
     assert named.labels == ("base", "arm") and named.label("table") == "table" and named.label("body 2") == "arm"
-    assert plain.labels == ("body 1",) and plain.label("body 1") == "body 1"
+    assert unnamed.labels == ("body 1",) and unnamed.label("body 1") == "body 1"
 
 
 @pytest.mark.parametrize("key", ["structure.masses[2]", "structure.masses.arm"])
@@ -50,7 +50,7 @@ def test_unnamed_scene_text_has_no_names() -> None:
 
 
 @pytest.mark.parametrize(("given", "message"), [("amr", "Did you mean 'arm'"), (3, "3 of 2"), ("body 0", "0 of 2")])
-def test_unknown_body_is_refused(given: int | str, message: str) -> None:
+def test_unknown_body_is_rejected(given: int | str, message: str) -> None:
     with pytest.raises(SceneError, match=message):
         body_number(given, ("base", "arm"), 2)
 

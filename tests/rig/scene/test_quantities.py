@@ -151,7 +151,7 @@ def test_any_double_survives_writing_and_parsing(value: float, kind: Kind) -> No
 
 
 @given(st.decimals(allow_nan=False, allow_infinity=False, min_value=-(10**6), max_value=10**6, places=6))
-def test_given_millimetres_when_parsed_then_rounded_once_only(number: object) -> None:
+def test_millimetres_are_rounded_once(number: object) -> None:
     assert parse(f"{number} mm", LENGTH) == float(Fraction(str(number)) / 1000)
 
 

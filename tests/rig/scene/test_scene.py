@@ -194,10 +194,10 @@ def test_bundled_scene_is_described_and_writable(name: str) -> None:
 
 
 def test_bundled_scenes_cover_the_settings_of_the_paper() -> None:
-    wanted = {"bare-structure", "fig9", "fig10a", "reference-A", "reference-B", "reference-C"}
-    wanted |= {f"fig8-{word}" for word in ("no-damper", "one-damper", "two-dampers", "three-dampers")}
-    wanted |= {"fig5-single-damper", "fig5-three-dampers", "fig10b-no-damper", "fig10b-three-dampers"}
-    assert wanted <= set(bundled_scenes())
+    expected_names = {"bare-structure", "fig9", "fig10a", "reference-A", "reference-B", "reference-C"}
+    expected_names |= {f"fig8-{word}" for word in ("no-damper", "one-damper", "two-dampers", "three-dampers")}
+    expected_names |= {"fig5-single-damper", "fig5-three-dampers", "fig10b-no-damper", "fig10b-three-dampers"}
+    assert expected_names <= set(bundled_scenes())
 
 
 @pytest.mark.parametrize(

@@ -28,8 +28,8 @@ def single_damper() -> Approximation:
     return approximate_response(rig.load("fig5-single-damper"), 3, (45.0, 55.0), force=5.0)
 
 
-def branches(found: Approximation, kind: str) -> list[Branch]:
-    return [branch for branch in found.branches if branch.motion_type == kind]
+def branches(approximation: Approximation, kind: str) -> list[Branch]:
+    return [branch for branch in approximation.branches if branch.motion_type == kind]
 
 
 class OneMode:
@@ -41,58 +41,60 @@ class OneMode:
         self.phi = phi
 
     def rate(self, riding: bool, t: float, state: np.ndarray) -> np.ndarray:
-        m = self.mode
+        mode = self.mode
         q, u, _, v = state
-        ratio = m.mass_ratio * riding
-        push = m.participation * m.force * np.sin(self.omega * t - self.phi) / m.mass - ratio * m.gravity
-        acceleration = (push - 2 * m.damping_ratio * m.omega * u - m.omega**2 * q) / (1 + ratio)
-        return np.array([u, acceleration, v, acceleration if riding else -m.gravity])
+        ratio = mode.mass_ratio * riding
+        force_per_mass = (
+            mode.participation * mode.force * np.sin(self.omega * t - self.phi) / mode.mass - ratio * mode.gravity
+        )
+        acceleration = (force_per_mass - 2 * mode.damping_ratio * mode.omega * u - mode.omega**2 * q) / (1 + ratio)
+        return np.array([u, acceleration, v, acceleration if riding else -mode.gravity])
 
-    def move(self, riding: bool, begin: float, end: float, state: np.ndarray) -> np.ndarray:
+    def integrate(self, riding: bool, begin: float, end: float, state: np.ndarray) -> np.ndarray:
         return solve_ivp(
             lambda t, x: self.rate(riding, t, x), (begin, end), state, method="DOP853", rtol=3e-14, atol=1e-18
         ).y[:, -1]
 
-    def hit(self, state: np.ndarray) -> np.ndarray:
+    def after_plastic_impact(self, state: np.ndarray) -> np.ndarray:
         q, u, y, v = state
         common = (u + self.mode.mass_ratio * v) / (1 + self.mode.mass_ratio)
         return np.array([q, common, y, common])
 
 
-def pick(branch: Branch, how_many: int) -> list[int]:
-    possible = np.flatnonzero(branch.valid)
-    return [int(i) for i in possible[np.linspace(0, len(possible) - 1, how_many + 2).astype(int)[1:-1]]]
+def sample_points(branch: Branch, count: int) -> list[int]:
+    valid_points = np.flatnonzero(branch.valid)
+    return [int(i) for i in valid_points[np.linspace(0, len(valid_points) - 1, count + 2).astype(int)[1:-1]]]
 
 
 @pytest.mark.parametrize("kind", ["I", "II", "III"])
 def test_integrated_motion_meets_every_condition(kind: str) -> None:
     for branch in branches(single_damper(), kind):
-        for i in pick(branch, 3):
+        for i in sample_points(branch, 3):
             mode = single_damper().mode
             system = OneMode(mode, branch.frequency[i], branch.phi[i])
             length = mode.gravity / system.omega**2
             q0, u0 = branch.unknowns[:2, i] * length * np.array([1, system.omega])
-            size = abs(branch.peak[i]) * mode.force
-            leave = branch.tau_0[i] / system.omega
+            amplitude = abs(branch.peak[i]) * mode.force
+            take_off_time = branch.tau_0[i] / system.omega
             start = np.array([q0, u0, q0, u0])
 
-            state = system.move(True, 0, leave, start)
-            assert system.rate(True, leave, state)[1] == pytest.approx(-mode.gravity, rel=1e-10)
-            time = leave
+            state = system.integrate(True, 0, take_off_time, start)
+            assert system.rate(True, take_off_time, state)[1] == pytest.approx(-mode.gravity, rel=1e-10)
+            time = take_off_time
             if kind != "I":
                 time = branch.tau_1[i] / system.omega
-                state = system.move(False, leave, time, state)
-                assert abs(state[2] - state[0] - mode.clearance) < 1e-10 * size
-                state = system.hit(state)
+                state = system.integrate(False, take_off_time, time, state)
+                assert abs(state[2] - state[0] - mode.clearance) < 1e-10 * amplitude
+                state = system.after_plastic_impact(state)
             if kind == "III":
                 begin, time = time, branch.tau_2[i] / system.omega
-                state = system.move(True, begin, time, state)
+                state = system.integrate(True, begin, time, state)
                 assert system.rate(True, time, state)[1] == pytest.approx(-mode.gravity, rel=1e-10)
-            state = system.move(False, time, 2 * np.pi / system.omega, state)
-            assert abs(state[2] - state[0]) < 1e-10 * size
-            after = system.hit(state)
-            assert abs(after[0] - q0) < 1e-10 * size
-            assert abs(after[1] - u0) < 1e-10 * size * system.omega
+            state = system.integrate(False, time, 2 * np.pi / system.omega, state)
+            assert abs(state[2] - state[0]) < 1e-10 * amplitude
+            after = system.after_plastic_impact(state)
+            assert abs(after[0] - q0) < 1e-10 * amplitude
+            assert abs(after[1] - u0) < 1e-10 * amplitude * system.omega
 
 
 def test_fig_9_has_type_ii_at_resonance() -> None:
@@ -151,7 +153,7 @@ def test_condition_derivatives_equal_finite_differences(kind: MotionType) -> Non
 @pytest.mark.parametrize("kind", ["I", "II", "III"])
 def test_disturbed_motion_responds_by_floquet_multipliers(kind: str) -> None:
     branch = branches(single_damper(), kind)[-1]
-    (i,) = pick(branch, 1)
+    (i,) = sample_points(branch, 1)
     mode = single_damper().mode
     system = OneMode(mode, branch.frequency[i], branch.phi[i])
     length = mode.gravity / system.omega**2
@@ -179,28 +181,28 @@ def test_disturbed_motion_responds_by_floquet_multipliers(kind: str) -> None:
         state = np.array([begin[0], begin[1], begin[0], begin[1]])
         end = time + period
         while True:
-            piece = solve_ivp(
+            segment = solve_ivp(
                 lambda t, x, riding=riding: system.rate(riding, t, x), (time, end), state, method="DOP853",
                 rtol=1e-12, atol=1e-16, events=events(riding, ceiling), max_step=period / 100,
             )  # fmt: skip
-            time, state = piece.t[-1], piece.y[:, -1]
-            if piece.status == 0:
+            time, state = segment.t[-1], segment.y[:, -1]
+            if segment.status == 0:
                 assert riding
                 return state[:2]
             if riding:
                 riding = False
                 # A free flight of a few microseconds keeps the gap's triple zero from being found again.
-                state = system.move(False, time, time + 2e-5, state)
+                state = system.integrate(False, time, time + 2e-5, state)
                 time += 2e-5
             else:
-                ceiling = len(piece.t_events[1]) > 0
-                state = system.hit(state)
+                ceiling = len(segment.t_events[1]) > 0
+                state = system.after_plastic_impact(state)
                 riding = not ceiling or system.rate(True, time, state)[1] < -mode.gravity
                 if not riding:
-                    state = system.move(False, time, time + 2e-5, state)
+                    state = system.integrate(False, time, time + 2e-5, state)
                     time += 2e-5
 
-    start = system.move(True, 0, 0.1 / system.omega, np.tile(branch.unknowns[:2, i] * units, 2))[:2]
+    start = system.integrate(True, 0, 0.1 / system.omega, np.tile(branch.unknowns[:2, i] * units, 2))[:2]
     step = 1e-4
     columns = [
         (after_a_period(start + step * d * units) - after_a_period(start - step * d * units)) / (2 * step * units)
@@ -241,31 +243,31 @@ def test_zero_clearance_leaves_the_linear_response() -> None:
     assert result.branches == ()
     # One mode cannot show that riding changes the shape, nor what the other modes add.
     band = np.linspace(48.6, 49.2, 601)
-    ridden, exact = result.mode.receptance(band, riding=True), receptance(locked, band)[1]
-    assert band[np.abs(ridden).argmax()] == pytest.approx(band[np.abs(exact).argmax()], rel=1e-3)
-    assert np.abs(ridden).max() == pytest.approx(np.abs(exact).max(), rel=0.02)
+    riding_response, exact = result.mode.receptance(band, riding=True), receptance(locked, band)[1]
+    assert band[np.abs(riding_response).argmax()] == pytest.approx(band[np.abs(exact).argmax()], rel=1e-3)
+    assert np.abs(riding_response).max() == pytest.approx(np.abs(exact).max(), rel=0.02)
 
 
 def test_small_clearance_tends_to_the_riding_damper() -> None:
     scene = rig.load("fig9")
-    away = []
+    deviations = []
     for clearance in (2e-5, 1e-5, 5e-6):
         narrow = scene.replace(dampers=[scene.dampers[0].replace(clearance=clearance)])
         result = follow_mode(single_mode(narrow, 3), (48.9, 48.95), searches=1)
         (branch,) = [b for b in result.branches if (b.valid & b.stable).any()]
-        riding = result.mode.receptance(branch.frequency, riding=True)
-        away.append(np.abs(branch.compliance / riding - 1)[branch.valid].max())
+        riding_response = result.mode.receptance(branch.frequency, riding=True)
+        deviations.append(np.abs(branch.compliance / riding_response - 1)[branch.valid].max())
 
-    assert away[2] < 0.01
-    assert away[1] / away[0] == pytest.approx(0.5, abs=0.1)
-    assert away[2] / away[1] == pytest.approx(0.5, abs=0.1)
+    assert deviations[2] < 0.01
+    assert deviations[1] / deviations[0] == pytest.approx(0.5, abs=0.1)
+    assert deviations[2] / deviations[1] == pytest.approx(0.5, abs=0.1)
 
 
 @pytest.mark.parametrize("kind", ["I", "II", "III"])
 def test_input_energy_equals_damping_and_impact_losses(kind: str) -> None:
     mode = single_damper().mode
     branch = branches(single_damper(), kind)[0]
-    (i,) = pick(branch, 1)
+    (i,) = sample_points(branch, 1)
     setting = dimensionless(mode, branch.frequency[i] / mode.frequency)
     motion = PeriodicMotion(kind, branch.unknowns[:, i], setting)
     omega = 2 * np.pi * branch.frequency[i]

@@ -26,13 +26,15 @@ def response(system: HybridSystem, column: int = 0) -> dict[str, np.ndarray]:
     n, extra = system.coordinates, len(system.rate_state)
     result = []
     for s in S:
-        left = np.zeros((n + extra, n + extra), dtype=complex)
-        left[:n, :n] = system.mass * s**2 - system.force_state[:, :n] - s * system.force_state[:, n : 2 * n]
-        left[:n, n:] = -system.force_state[:, 2 * n :]
-        left[n:, :n] = -system.rate_state[:, :n] - s * system.rate_state[:, n : 2 * n]
-        left[n:, n:] = s * np.eye(extra) - system.rate_state[:, 2 * n :]
-        right = np.concatenate([system.force_drive[:, column], system.rate_drive[:, column]])
-        result.append(np.linalg.solve(left, right))
+        dynamic_stiffness = np.zeros((n + extra, n + extra), dtype=complex)
+        dynamic_stiffness[:n, :n] = (
+            system.mass * s**2 - system.force_state[:, :n] - s * system.force_state[:, n : 2 * n]
+        )
+        dynamic_stiffness[:n, n:] = -system.force_state[:, 2 * n :]
+        dynamic_stiffness[n:, :n] = -system.rate_state[:, :n] - s * system.rate_state[:, n : 2 * n]
+        dynamic_stiffness[n:, n:] = s * np.eye(extra) - system.rate_state[:, 2 * n :]
+        input_column = np.concatenate([system.force_drive[:, column], system.rate_drive[:, column]])
+        result.append(np.linalg.solve(dynamic_stiffness, input_column))
     return dict(zip(system.points, np.array(result).T, strict=False))
 
 
@@ -56,19 +58,28 @@ def test_table_follows_critically_damped() -> None:
 
 @pytest.mark.parametrize("mode", ["voltage", "current"])
 def test_electrodynamic_shaker_obeys_its_equations(mode: str) -> None:
-    resistance, inductance, factor, mass, held, damped, spring, gain = (2.5, 3e-4, 12.0, 0.3, 7e3, 9.0, 5e3, 1.7)
+    resistance, inductance, factor, mass, suspension_stiffness, suspension_damping, spring, gain = (
+        2.5,
+        3e-4,
+        12.0,
+        0.3,
+        7e3,
+        9.0,
+        5e3,
+        1.7,
+    )
     shaker = {
         "kind": "electrodynamic",
         "body": 2,
         "spring": spring,
         "coil": {"resistance": resistance, "inductance": inductance, "force_factor": factor},
-        "armature": {"mass": mass, "stiffness": held, "damping": damped},
+        "armature": {"mass": mass, "stiffness": suspension_stiffness, "damping": suspension_damping},
         "amplifier": {"mode": mode, "gain": gain},
     }
     system = assemble(scene_of(shaker=shaker))
     moves = response(system)
     body = stiffness_of_body_2()
-    load = mass * S**2 + damped * S + held + spring * body / (spring + body)
+    load = mass * S**2 + suspension_damping * S + suspension_stiffness + spring * body / (spring + body)
     if mode == "voltage":
         impedance = resistance + inductance * S
         expected = factor * gain / (impedance * load + factor**2 * S)
@@ -154,8 +165,8 @@ def test_initial_displacement_adds_to_static_equilibrium() -> None:
     assert shape == pytest.approx([3e-3 * (1.0 - M2 * squared / K2), 3e-3])
 
 
-@pytest.mark.parametrize(("contact", "most"), [({}, 62), ({"contact": {"duration": 1e-3}}, 31)])
-def test_too_many_moving_dampers_are_rejected(contact: dict[str, object], most: int) -> None:
+@pytest.mark.parametrize(("contact", "max_dampers"), [({}, 62), ({"contact": {"duration": 1e-3}}, 31)])
+def test_too_many_moving_dampers_are_rejected(contact: dict[str, object], max_dampers: int) -> None:
     def with_dampers(count: int) -> rig.Scene:
         structure = {"masses": [1.0] * (count + 1), "springs": [1e3] * (count + 1)}
         damper = {"mass": 1e-3, "clearance": 1e-3}
@@ -163,9 +174,9 @@ def test_too_many_moving_dampers_are_rejected(contact: dict[str, object], most: 
         dampers += [{"body": count, **damper, **contact}, {"body": count + 1, **damper, "locked": True}]
         return rig.Scene.model_validate({"structure": structure, "dampers": dampers})
 
-    assert assemble(with_dampers(most)).dampers == most
-    with pytest.raises(SceneError, match=f"expected at most {most}"):
-        assemble(with_dampers(most + 1))
+    assert assemble(with_dampers(max_dampers)).dampers == max_dampers
+    with pytest.raises(SceneError, match=f"expected at most {max_dampers}"):
+        assemble(with_dampers(max_dampers + 1))
 
 
 def test_structure_without_support_is_rejected() -> None:

@@ -28,8 +28,8 @@ def chain_response(
         link = k + 1j * omega * c
         stiffness_above.append(above)
         links.append(link)
-        seen = above - m * omega**2
-        above = link * seen / (link + seen)
+        stiffness_at_body = above - m * omega**2
+        above = link * stiffness_at_body / (link + stiffness_at_body)
     links, stiffness_above = links[::-1], stiffness_above[::-1]
     response = [1.0 / (links[0] + stiffness_above[0] - masses[0] * omega**2)]
     for m, link, hanging in zip(masses[1:], links[1:], stiffness_above[1:], strict=True):
@@ -86,18 +86,18 @@ def test_table_response_follows_from_force_response() -> None:
 
 def test_block_size_does_not_change_the_response(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = rig.load("bare-structure")
-    whole = receptance(scene, FREQUENCIES)
+    single_block = receptance(scene, FREQUENCIES)
     for elements in (1, 9, 70):
         monkeypatch.setattr(module, "_MAX_ELEMENTS", elements)
-        np.testing.assert_array_equal(receptance(scene, FREQUENCIES), whole)
+        np.testing.assert_array_equal(receptance(scene, FREQUENCIES), single_block)
 
 
 def test_two_beds_in_one_body_add_up() -> None:
     scene = rig.load("bare-structure")
     halves = scene.replace(dampers=[{"body": 3, "mass": "40 g", "clearance": "1 mm"}] * 2)
-    whole = scene.replace(dampers=[{"body": 3, "mass": "80 g", "clearance": "1 mm"}])
+    single_bed = scene.replace(dampers=[{"body": 3, "mass": "80 g", "clearance": "1 mm"}])
     np.testing.assert_allclose(
-        receptance(halves, FREQUENCIES, riding=[1, 2]), receptance(whole, FREQUENCIES, riding=[1]), rtol=1e-12
+        receptance(halves, FREQUENCIES, riding=[1, 2]), receptance(single_bed, FREQUENCIES, riding=[1]), rtol=1e-12
     )
 
 

@@ -27,19 +27,19 @@ def scene(*shakers: str, more: str = "") -> rig.Scene:
 @pytest.mark.parametrize("shaker", [FORCE, TABLE, COIL, CURRENT])
 def test_list_of_one_shaker_equals_the_shaker(shaker: str) -> None:
     alone, listed = scene(shaker), rig.loads(f"{STRUCTURE}shaker: [{shaker}]\n")
-    one, other = assemble(alone), assemble(listed)
-    for name, value in vars(one).items():
-        assert np.array_equal(value, getattr(other, name)), name
+    single_system, listed_system = assemble(alone), assemble(listed)
+    for name, value in vars(single_system).items():
+        assert np.array_equal(value, getattr(listed_system, name)), name
 
 
 def test_shakers_of_all_kinds_superpose() -> None:
-    together = scene(COIL, HEAVY, TABLE, FORCE, CURRENT)
+    combined = scene(COIL, HEAVY, TABLE, FORCE, CURRENT)
     random = np.random.default_rng(1)
     drive = random.standard_normal((5, 400)) * np.array([[1.0], [1.0], [1e-3], [2.0], [1.0]])
-    run = rig.simulate(together, duration=0.1, rate=4000.0, drive=drive)
+    run = rig.simulate(combined, duration=0.1, rate=4000.0, drive=drive)
     assert run.points == ("body 1", "body 2", "table 1", "table 2", "table 3", "table 5")
     parts = [
-        rig.simulate(together, duration=0.1, rate=4000.0, drive=drive * (np.arange(5) == k)[:, None]) for k in range(5)
+        rig.simulate(combined, duration=0.1, rate=4000.0, drive=drive * (np.arange(5) == k)[:, None]) for k in range(5)
     ]
     total = sum(part.displacement for part in parts)
     assert run.displacement == pytest.approx(total, abs=1e-12 * np.abs(total).max())
@@ -58,8 +58,8 @@ def test_force_is_that_of_the_named_shaker() -> None:
     named = scene(COIL, TABLE, more=test)
     assert named.driven == 2 and named.at_driven("table") == "table 2"
     run = rig.simulate(named, duration=6.0, rate=2000.0)
-    late = slice(8000, None)
-    force = 3000.0 * (run.displacement[3] - run.displacement[1])[late]
+    steady_samples = slice(8000, None)
+    force = 3000.0 * (run.displacement[3] - run.displacement[1])[steady_samples]
     assert np.abs(force).max() == pytest.approx(2.0, rel=1e-3)
     ideal = with_ideal_force(named)
     assert [shaker.kind for shaker in ideal.shakers] == ["electrodynamic", "force"]

@@ -72,8 +72,8 @@ def test_given_matrices_are_used() -> None:
     mass, stiffness = [[2.0, 0.5], [0.5, 1.0]], [[3.0, -1.0], [-1.0, 1.0]]
     damping = [[0.1, 0.05], [-0.05, 0.1]]
     structure = Structure(matrices={"mass": mass, "stiffness": stiffness, "damping": damping})
-    for given, assembled in zip((mass, damping, stiffness), structure_matrices(structure), strict=True):
-        np.testing.assert_array_equal(assembled, given)
+    for expected, assembled in zip((mass, damping, stiffness), structure_matrices(structure), strict=True):
+        np.testing.assert_array_equal(assembled, expected)
 
 
 def test_modal_damping_of_matrices_equals_the_chain() -> None:

@@ -176,9 +176,9 @@ def test_hardest_frequency_is_a_resonance() -> None:
 
 def test_cost_without_shaker_is_rejected() -> None:
     scene = rig.load("fig10b-three-dampers")
-    bare = scene.replace(shaker=None)
+    without_shaker = scene.replace(shaker=None)
     with pytest.raises(SceneError, match="no shaker"):
-        hardest_frequency(bare, assemble(bare))
+        hardest_frequency(without_shaker, assemble(without_shaker))
 
 
 def test_failing_peer_is_still_listed(

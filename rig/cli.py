@@ -115,7 +115,7 @@ def explain(
 ) -> None:
     """List expected maxima, effects and states of a scene."""
     import rig
-    from rig.effects.foresight import foresights
+    from rig.effects.extensions import foresights
 
     setting = load_scene(scene, changes)
     for prediction in foresights(setting):
@@ -399,7 +399,7 @@ def design(
     """
     from rig.damper_design.design import design as find_design
     from rig.damper_design.figure import describe_check, summary, write
-    from rig.effects.foresight import foresights
+    from rig.effects.extensions import foresights
     from rig.output_files import create_folder, file_stem
     from rig.provenance import allow_overwriting, output_source, reject_foreign_files
 

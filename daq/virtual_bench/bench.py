@@ -18,8 +18,8 @@ from daq.signal_chain.oversampling import DriveLine, oversampling
 from daq.virtual_bench.motion_rate import MotionAtRate
 from rig.arrays import Array
 from rig.errors import SceneError
-from rig.simulation.drive import validate_drive
 from rig.simulation.plant import Plant
+from rig.system.open_loop_drive import validate_drive
 
 if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo

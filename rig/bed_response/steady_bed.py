@@ -165,7 +165,7 @@ def _initial_state(scene: Scene, system: HybridSystem, frequency: float, state: 
 
 
 def _driving_force(scene: Scene, system: HybridSystem, harmonics: ComplexArray, amplitudes: ComplexArray) -> complex:
-    """First harmonic of the force on the driven body: of its coil spring, or the drive itself."""
+    """Return the first harmonic of the force on the driven body: of its coil spring, or the drive itself."""
     row = spring_force_row(scene, system)
     return complex(row @ harmonics) if row.any() else complex(amplitudes[np.argmax(np.abs(amplitudes))])
 

@@ -96,7 +96,7 @@ def missing_channels(scene: Scene, body: int) -> list[Channel]:
 
 
 def _frequencies_around(peaks: Sequence[float], band: tuple[float, float]) -> Array:
-    """Frequencies around each peak, rising; overlapping ranges are merged without a finer step."""
+    """Return frequencies around each peak, rising; overlapping ranges are merged without a finer step."""
     frequencies: list[float] = []
     for peak in sorted(peaks):
         low, high = max(peak * (1.0 - PEAK_HALF_WIDTH), band[0]), min(peak * (1.0 + PEAK_HALF_WIDTH), band[1])

@@ -241,7 +241,7 @@ class Question:
         return max(peaks)
 
     def _frequencies(self, scene: Scene) -> Array:
-        """Frequencies, closely spaced between the resonances without dampers and with all dampers riding."""
+        """Return frequencies, closely spaced between the resonances without dampers and with all dampers riding."""
         low, high = self.band
         natural = natural_frequencies(scene, low, high)
         if not len(natural):

@@ -142,7 +142,7 @@ class Design(Result):
         return pareto_front(self.trials)
 
     def reduction(self, peak: Peak) -> float:
-        """Reduction of a peak relative to the bare structure, dB."""
+        """Return the reduction of a peak relative to the bare structure, dB."""
         return peak.reduction_from(self.bare)
 
 

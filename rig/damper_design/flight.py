@@ -33,7 +33,7 @@ class Flight:
     height: float
 
     def acceleration_g(self, level: float) -> float:
-        """Largest acceleration of a damper's body at a level, all dampers at rest on their floors, g."""
+        """Return the largest acceleration of a damper's body at a level, all dampers at rest on their floors, g."""
         return level / self.take_off
 
 

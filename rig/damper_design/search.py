@@ -119,12 +119,12 @@ def _with_several_dampers(choices: Iterable[Choice]) -> list[Choice]:
 
 
 def _clearance_step(space: Space) -> float:
-    """Logarithmic spacing of the clearances of the grid."""
+    """Return the logarithmic spacing of the clearances of the grid."""
     return float(np.log(space.clearance[1] / space.clearance[0])) / (GRID_CLEARANCES - 1)
 
 
 def _grid_row(space: Space, location: tuple[int, ...], share: float) -> list[Choice]:
-    """Designs with all clearances of the grid, equal in each body, and the design without ceilings."""
+    """Return the designs with all clearances of the grid, equal in each body, and the design without ceilings."""
     count, (low, high) = len(location), space.clearance
     # Identical dampers in one body would move identically until rounding errors separate them.
     ratios = [CLEARANCE_RATIO ** location[:k].count(body) for k, body in enumerate(location)]

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from importlib.metadata import entry_points
-from typing import cast
 
 import numpy as np
 
 from rig.arrays import Array
 from rig.effects.explanation import motion_effects
+from rig.effects.extensions import registered_functions
 from rig.scene.excitation import Impulse, Test
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
@@ -21,8 +20,6 @@ from rig.system.assembly import assemble
 from rig.system.open_loop_drive import drive_per_level, level_of, sampled_drive
 from rig.system.structural_model import structural_model
 
-#: Group of entry points through which other packages add steps.
-GROUP = "shotrig.effect_costs"
 #: Simulated seconds measured separately after one second of warm-up; the shortest CPU time is used.
 SECONDS = 3
 #: Repetitions of every measurement, because other processes disturb some of them.
@@ -60,8 +57,7 @@ def effect_costs(scene: Scene, progress: Callable[[str], None] | None = None) ->
     The order is that of the signal: motion, measurement chain, recording.
     """
     steps: list[EffectStep] = list(motion_steps(scene))
-    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
-        steps_of = cast(Callable[[Scene], Iterable[EffectStep]], point.load())
+    for steps_of in registered_functions("shotrig.effect_costs"):
         steps += steps_of(scene)
     times = np.full(len(steps), np.inf)
     for repeat in range(REPEATS):

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
-from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.effects.extensions import registered_functions
 from rig.escaping import escape_html
 from rig.grain_beds.spheres import spheres_of
 from rig.results import Result
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 #: Largest number of natural frequencies that are listed.
 _MAX_LISTED = 7
-#: Group of entry points through which other packages add effects.
-GROUP = "shotrig.effects"
 
 
 @dataclass(frozen=True)
@@ -133,8 +131,7 @@ def explain(scene: SceneLike) -> Explanation:
         "coil spring and table",
         "coil current",
     )
-    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
-        effects_of = cast(Callable[[Scene], Iterable[Effect]], point.load())
+    for effects_of in registered_functions("shotrig.effects"):
         effects += effects_of(scene)
     return Explanation(scene.name, tuple(effects), tuple(name for name in possible if name not in names))
 

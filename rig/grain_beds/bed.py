@@ -102,7 +102,7 @@ class Bed:
         self._velocity[:, 2] += change
 
     def forces(self) -> Array:
-        """Upward force of floor, ceiling and side on the grains, N; shape (3,)."""
+        """Return the upward force of floor, ceiling and side on the grains, N; shape (3,)."""
         forces = [self._contacts[name][:, 3].sum() if name in self._contacts else 0.0 for name in WALLS]
         return self._total(np.array(forces))
 

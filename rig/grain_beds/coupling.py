@@ -183,7 +183,7 @@ class CoupledPropagator:
         )
 
     def motion_parts(self, samples: MotionSamples) -> tuple[Array, Array, Array, Array]:
-        """Displacements, velocities, accelerations (points, samples) and gaps (dampers, samples) of samples."""
+        """Return displacements, velocities, accelerations (points, samples) and gaps (dampers, samples)."""
         n, points, rows = self.system.coordinates, len(self.system.points), samples.rows
         displacement, velocity, acceleration = (rows[k * n : k * n + points] for k in range(3))
         return displacement, velocity, acceleration, rows[3 * n :]
@@ -229,7 +229,7 @@ class CoupledPropagator:
         )
 
     def accelerations(self, states: Array, slots: NDArray[np.int64]) -> Array:
-        """Acceleration of every coordinate for rows of a `Trajectory`, shape (coordinates, samples)."""
+        """Return the acceleration of every coordinate for rows of a `Trajectory`, shape (coordinates, samples)."""
         return self.structure.accelerations(states, slots)
 
     def _fill_samples(self, samples: MotionSamples, columns: slice, at: Trajectory, force: Array, lift: Array) -> None:

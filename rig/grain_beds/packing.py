@@ -90,7 +90,7 @@ def _packed(spheres: Spheres, positions: Array, ceiling: float) -> Bed:
 
 
 def _drop(spheres: Spheres) -> Array:
-    """Positions after the fall; the grains may still creep."""
+    """Return the positions after the fall; the grains may still creep."""
     bed = _packed(spheres, _initial_positions(spheres), np.inf)
     bed.add_drag(_DRAG_TIME)
     weight = spheres.mass * STANDARD_GRAVITY
@@ -104,7 +104,7 @@ def _drop(spheres: Spheres) -> Array:
 
 
 def _level(spheres: Spheres, fallen: Array) -> Array:
-    """Positions under a lid that was lowered until it bears the bed's weight."""
+    """Return the positions under a lid that was lowered until it bears the bed's weight."""
     bed = _packed(spheres, fallen, highest(spheres, fallen))
     bed.add_drag(_DRAG_TIME)
     depth, weight = 0.0, spheres.mass * STANDARD_GRAVITY
@@ -116,9 +116,9 @@ def _level(spheres: Spheres, fallen: Array) -> Array:
 
 
 def _settle(spheres: Spheres, levelled: Array) -> Array:
-    """Positions at rest, by kinetic damping: all grains are stopped at each peak of their kinetic energy.
+    """Bring the grains to rest by kinetic damping: all are stopped at each peak of their kinetic energy.
 
-    With drag a bed without friction would creep for long, as slow motions are overdamped.
+    Viscous drag would overdamp slow motions, so that a bed without friction would creep for a long time.
     """
     bed = _packed(spheres, levelled, np.inf)
     weight = spheres.mass * STANDARD_GRAVITY
@@ -145,7 +145,7 @@ def _not_at_rest(bed: Bed, steps: int) -> RunError:
 
 
 def _initial_positions(spheres: Spheres) -> Array:
-    """Positions on a slightly disordered grid above the floor, without contacts."""
+    """Return positions on a slightly disordered grid above the floor, without contacts."""
     max_diameter = float(spheres.diameters().max())
     pitch = 1.06 * max_diameter
     radius = 0.5 * (spheres.settings.cavity - max_diameter)
@@ -167,5 +167,5 @@ def _file(spheres: Spheres) -> Path:
 
 
 def folder() -> Path:
-    """Folder of stored beds, in the user's cache."""
+    """Return the folder of stored beds, in the user's cache."""
     return Path(AppDirs("shotrig", appauthor=False).user_cache_dir) / "beds"

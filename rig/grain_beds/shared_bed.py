@@ -40,7 +40,7 @@ class PartOfBed(Bed):
     """The grains of a bed on one rank; forces and motion are those of all grains."""
 
     def state_bytes(self) -> bytes:
-        """As `Bed.state_bytes`; also distributes the grains again, as `resume` does."""
+        """Return the state as `Bed.state_bytes`, and distribute the grains over the ranks again, as `resume` does."""
         stored = super().state_bytes()
         self.resume(stored)
         return stored

@@ -35,16 +35,16 @@ class Spheres:
     seed: int  # of the random diameters and positions
 
     def diameters(self) -> NDArray[np.float64]:
-        """Diameters, m; shape (count,)."""
+        """Draw the diameters, m; shape (count,)."""
         sizes = np.random.default_rng([self.seed, 0]).uniform(-1.0, 1.0, self.count)
         return np.asarray(self.settings.diameter * (1.0 + self.settings.spread * sizes))
 
     def density(self) -> float:
-        """Density of the grains for which their total mass is the mass of the bed, kg/m^3."""
+        """Return the density of the grains for which their total mass is the mass of the bed, kg/m^3."""
         return self.mass / (math.pi / 6.0 * float((self.diameters() ** 3).sum()))
 
     def longest_step(self) -> float:
-        """Longest time step, s."""
+        """Return the longest time step, s."""
         if self.settings.time_step is not None:
             return self.settings.time_step
         reduction = min(1.0, max(self.settings.restitution, _MIN_STEP_RESTITUTION) / _REDUCED_STEP_RESTITUTION)
@@ -52,7 +52,7 @@ class Spheres:
 
 
 def spheres_of(scene: Scene) -> dict[int, Spheres]:
-    """Grains of each bed of grains that can move, by the damper's position in the scene from 0.
+    """Return the grains of each bed that can move, by the damper's position in the scene from 0.
 
     Raises `SceneError` if a bed is lighter than half a grain, or the requested time step is too long for its grains.
     """
@@ -80,7 +80,7 @@ def spheres_of(scene: Scene) -> dict[int, Spheres]:
 
 
 def rayleigh_time(grains: Grains, density: float) -> float:
-    """Time in which a surface wave passes the smallest grain, s.
+    """Return the time in which a surface (Rayleigh) wave passes the smallest grain, s.
 
     >>> round(1e6 * rayleigh_time(Grains(diameter="2 mm", modulus="10 MPa"), 11340.0), 1)
     189.3
@@ -91,7 +91,7 @@ def rayleigh_time(grains: Grains, density: float) -> float:
 
 
 def contact_time(grains: Grains, speed: float = 1.0) -> float:
-    """Duration of a central collision of two grains without loss, s: Hertz's 2.87 (m^2 / (R E^2 v))^(1/5).
+    """Return the duration of a central collision of two grains without loss, s: Hertz's 2.87 (m^2 / (R E^2 v))^(1/5).
 
     >>> round(1e3 * contact_time(Grains(diameter="2 mm", modulus="10 MPa")), 3)
     0.356

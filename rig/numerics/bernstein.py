@@ -29,7 +29,7 @@ NO_CROSSING = 2.0
 
 
 def _bernstein_matrices() -> np.ndarray:
-    """Power to Bernstein basis on [0, 1] after division by tau^start, stored [start, power, coefficient]."""
+    """Return the matrices from power to Bernstein basis after division by tau^start: [start, power, coefficient]."""
     matrices = np.zeros((LENGTH, LENGTH, LENGTH))
     for start in range(LENGTH):
         degree = DEGREE - start

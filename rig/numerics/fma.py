@@ -25,7 +25,7 @@ SUM_BLOCK = SUMS_AT_ONCE * LANES
 
 @intrinsic
 def _fused(typing_context: Any, factor: Any, other_factor: Any, addend: Any) -> Any:
-    """Factor * other_factor + addend."""
+    """Return factor * other_factor + addend."""
     signature = types.float64(types.float64, types.float64, types.float64)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

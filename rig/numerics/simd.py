@@ -233,7 +233,7 @@ def negative_bits(vector: Any) -> int:
 
 @intrinsic
 def _copy_lanes(typing_context: Any, source: Any, target: Any, row: Any) -> Any:
-    """target[row + 0..7] = source[row + 0..7]."""
+    """Set target[row + 0..7] = source[row + 0..7]."""
     signature = types.void(source, target, types.intp)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -256,7 +256,7 @@ def copy(source: Any, target: Any) -> None:
 def _transpose_tile(
     typing_context: Any, source: Any, start: Any, width: Any, target: Any, place: Any, stride: Any
 ) -> Any:
-    """target[place + i stride + 0..7] = source[start + (0..7) width + i] for i = 0..7, flat indices."""
+    """Set target[place + i stride + 0..7] = source[start + (0..7) width + i] for i = 0..7; flat indices."""
     signature = types.void(source, types.intp, types.intp, target, types.intp, types.intp)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

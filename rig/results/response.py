@@ -260,19 +260,19 @@ class Response(Result, Sequence["Response"]):
         return np.broadcast_to(self.uncertainty.systematic_bound(), self.value.shape).copy()
 
     def magnitude_bound(self, confidence: float = 0.95) -> Array:
-        """Half-width of the confidence interval of ``abs(value)`` from the scatter, by Student's t."""
+        """Return the half-width of the confidence interval of ``abs(value)`` from the scatter, by Student's t."""
         return self.error * special.stdtrit(np.maximum(self.degrees, 1.0), 0.5 + confidence / 2.0)
 
     def parts(self) -> list[str]:
-        """Name of the largest contribution to the bound at each line of a curve."""
+        """Return the name of the largest contribution to the bound at each line of a curve."""
         return self.uncertainty.largest()
 
     def covariance(self) -> Covariance:
-        """Covariance of the random errors over outputs and inputs (in C order), and from line to line."""
+        """Return the covariance of the random errors over outputs and inputs (in C order), and from line to line."""
         return self.uncertainty.covariance(self.value.shape)
 
     def budget(self, output: str, frequency: float | str, force: str | None = None) -> BudgetTable:
-        """Uncertainty budget of one value, at the line nearest to a frequency.
+        """Return the uncertainty budget of one value, at the line nearest to a frequency.
 
         Parameters
         ----------

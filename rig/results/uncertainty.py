@@ -49,7 +49,7 @@ class Covariance(Protocol):
         """Select some elements."""
 
     def of_sums(self, weights: ComplexArray) -> Array:
-        """Covariance of ``Re(sum(conj(weights) e))``; weights (lines, elements, sums), result (sums, sums)."""
+        """Return the covariance of ``Re(sum(conj(weights) e))``, (sums, sums); weights (lines, elements, sums)."""
 
 
 class RandomErrors(Protocol):
@@ -65,10 +65,10 @@ class RandomErrors(Protocol):
         """Multiply by a factor at each line."""
 
     def joined(self, others: Sequence[RandomErrors]) -> RandomErrors | None:
-        """Errors of these and other elements; None if they depend on different readings."""
+        """Join with the errors of other elements; None if they depend on different readings."""
 
     def covariance(self, error: Array, shared: float) -> Covariance:
-        """Covariance over elements, given each element's standard uncertainty, shape (lines, elements)."""
+        """Return the covariance over elements, given each element's standard uncertainty, shape (lines, elements)."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class UncertaintyBudget:
         return next((part for part in self.contributions if part.evaluation == "A"), None)
 
     def random_bound(self, confidence: float = 0.95) -> Array | float:
-        """Radius of the circle that contains the mean of many such measurements with the given confidence.
+        """Return the radius of the circle that contains the mean of many such measurements with a confidence.
 
         A complex mean with equal, independent errors in its two components is F-distributed about the truth with 2 and
         the stated degrees of freedom.
@@ -145,7 +145,7 @@ class UncertaintyBudget:
         return np.asarray(np.linalg.norm(limits, axis=0)) if limits else 0.0
 
     def systematic_bound(self) -> Array | float:
-        """Root of the sum of squares of the limits, plus the tolerances of data sheets."""
+        """Return the root of the sum of squares of the limits, plus the tolerances of data sheets."""
         return self.limit(without=TOLERANCES) + self._tolerances()
 
     def bound(self, confidence: float = 0.95) -> Array | float:
@@ -166,7 +166,7 @@ class UncertaintyBudget:
         return [self.contributions[index].name for index in np.argmax(bounds, axis=0)]
 
     def covariance(self, shape: tuple[int, ...]) -> Covariance:
-        """Covariance of the random errors over the elements of a response of some shape."""
+        """Return the covariance of the random errors over the elements of a response of a given shape."""
         error = np.zeros(shape) if self.scatter is None else self.scatter.size
         error = np.reshape(error, (shape[0], -1))
         if self.errors is not None:
@@ -256,7 +256,7 @@ class LineCovariance:
         return replace(self, lines=self.lines[:, elements][:, :, elements])
 
     def of_sums(self, weights: ComplexArray) -> Array:
-        """Covariance of weighted sums over lines and elements."""
+        """Return the covariance of weighted sums over lines and elements."""
         complex_sum = np.einsum("kap,kac,kcq->pq", weights.conj(), self.lines, weights, optimize=True)
         return np.asarray(0.5 * self.shared * complex_sum.real)
 

@@ -14,10 +14,10 @@ from rig.engine.trajectory import Trajectory, event_table
 from rig.errors import SceneError
 from rig.scene.scene import Scene
 from rig.scene.shaker import at_shaker
-from rig.simulation.drive import validate_drive
 from rig.simulation.motion import Motion
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
+from rig.system.open_loop_drive import validate_drive
 
 if TYPE_CHECKING:
     from rig.grain_beds.coupling import CoupledPropagator

@@ -22,11 +22,10 @@ from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, TIME, number
 from rig.scene.scene import Scene
-from rig.simulation.drive import validate_drive
 from rig.simulation.energy import CompleteState, Energy, complete_state, energy_balance, total_energy
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
-from rig.system.open_loop_drive import ToneDrive, sampled_drive, tone_drive
+from rig.system.open_loop_drive import ToneDrive, sampled_drive, tone_drive, validate_drive
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -20,7 +20,7 @@ MAX_ROUNDING_ERROR = 1e-9
 class Batch:
     """Solutions of one motion type, evaluated as a batch."""
 
-    kind: MotionType  # Motion type; {'I', 'II', 'III'}
+    kind: MotionType  # Motion type: 'I', 'II' or 'III'
     unknowns: Array  # shape (4 + instants, solutions)
     setting: MotionParameters  # Fields of shape (solutions,)
 
@@ -50,7 +50,7 @@ def _coordinate(motion: PeriodicMotion, phase: MotionPhase, t: Array) -> tuple[A
 
 
 def _contact(motion: PeriodicMotion, phase: MotionPhase, t: Array) -> tuple[Array, Array]:
-    """Contact force over mu, q'' + 1 (positive on the floor, negative at the ceiling), and its time derivative."""
+    """Return the contact force over mu, q'' + 1 (positive on the floor, negative at the ceiling), and its rate."""
     state = motion.advance(phase, t)
     return motion.acceleration(phase, t, state) + 1, motion.jerk(phase, t, state)
 
@@ -171,7 +171,7 @@ def multipliers(batch: Batch) -> NDArray[np.complex128]:
 
 
 def _saltation(motion: PeriodicMotion, before: MotionPhase, end: ModeState, after: MotionPhase) -> Array:
-    """Saltation matrix of the impact between two phases, (solutions, 2 if riding follows, else 4, 4)."""
+    """Return the saltation matrix of the impact between two phases, (solutions, 2 if riding follows, else 4, 4)."""
     mu = motion.setting.mass_ratio
     mass_fraction, ones, zeros = mu / (1 + mu), np.ones_like(end.q), np.zeros_like(end.q)
     common_velocity = [zeros, ones - mass_fraction, zeros, mass_fraction]

@@ -263,7 +263,7 @@ def _short_stays(mode: SingleMode, curves: list[continuation.Curve]) -> list[Arr
 
 
 def _scale(mode: SingleMode, kind: MotionType) -> Array:
-    """Scale of the unknowns and of the frequency ratio, for the arclength."""
+    """Return the scale of the unknowns and of the frequency ratio, for the arclength."""
     setting = dimensionless(mode, 1.0)
     size = max(1.0, setting.force)
     width = max(mode.damping_ratio, 0.3 * mode.mass_ratio, 1e-3)
@@ -289,7 +289,7 @@ def _follow(mode: SingleMode, kind: MotionType, start: Array, bounds: tuple[floa
 
 
 def _passes_through(mode: SingleMode, kind: MotionType, curve: continuation.Curve, solution: Array) -> bool:
-    """Whether a curve already contains a solution."""
+    """Return whether a curve already contains a solution."""
     ratio = curve.points[:, -1] - solution[-1]
     for i in np.flatnonzero(ratio[:-1] * ratio[1:] <= 0):
         share = ratio[i] / (ratio[i] - ratio[i + 1]) if ratio[i] != ratio[i + 1] else 0.0

@@ -40,7 +40,7 @@ def ordering_margins(kind: MotionType, instants: Array) -> Array:
 def eliminate(kind: MotionType, instants: Array, setting: MotionParameters) -> tuple[Array, Array]:
     """Solve the linear conditions for given instants, and evaluate the remaining conditions.
 
-    `kind`: 'I', 'II' or 'III'. Motion type; `instants`, shape (instants, batch): given instants; complex values are
+    `kind`: motion type, 'I', 'II' or 'III'; `instants`, shape (instants, batch): given instants; complex values are
     allowed, for complex-step derivatives. Returns `unknowns`, shape (4 + instants, batch), unknowns whose (q_0,
     q'_0, a, b) satisfy the first four conditions; `residuals`, shape (instants, batch): ceiling contact force
     (Type III), gap at the ceiling impact (II and III), and half the logarithm of the squared ratio of required to
@@ -64,7 +64,7 @@ def eliminate(kind: MotionType, instants: Array, setting: MotionParameters) -> t
 def solutions(kind: MotionType, setting: MotionParameters) -> Array:
     """Compute all solutions of one type at one frequency, including inadmissible motions.
 
-    `kind`: 'I', 'II' or 'III'. Motion type. Returns shape (solutions, 4 + instants), unknowns as in
+    `kind`: motion type, 'I', 'II' or 'III'. Returns shape (solutions, 4 + instants), unknowns as in
     `rig.single_mode.periodic_motion`, to the accuracy of the elimination.
     """
     count, points = INSTANTS[kind], _GRID[kind]

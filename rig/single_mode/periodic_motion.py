@@ -77,7 +77,7 @@ class MotionPhase:
 class PeriodicMotion:
     """The motion defined by a set of unknowns, whether or not it satisfies the conditions.
 
-    `kind`: 'I', 'II' or 'III'. Motion type; `unknowns`, shape (4 + instants, ...): q_0, q'_0, a, b and the instants;
+    `kind`: motion type, 'I', 'II' or 'III'; `unknowns`, shape (4 + instants, ...): q_0, q'_0, a, b and the instants;
     they broadcast against each other; `setting`: parameters; broadcast against unknowns[0].
     """
 
@@ -117,12 +117,12 @@ class PeriodicMotion:
         return np.asarray(self.setting.height * self.setting.ratio**2)
 
     def common_velocity(self, state: ModeState) -> Array:
-        """Velocity after a plastic impact."""
+        """Return the velocity after a plastic impact."""
         mu = self.setting.mass_ratio
         return (state.u + mu * state.v) / (1 + mu)
 
     def _oscillator(self, phase: MotionPhase) -> tuple[Any, Any, Any]:
-        """Inertia, decay rate and stiffness over inertia in a phase."""
+        """Return inertia, decay rate and stiffness over inertia in a phase."""
         r, zeta, mu = self.setting.ratio, self.setting.damping, self.setting.mass_ratio
         inertia = 1 + mu if phase.riding else 1.0
         return inertia, zeta / (r * inertia), 1 / (r * r * inertia)
@@ -176,7 +176,7 @@ class PeriodicMotion:
         return force / (1 + mu) if phase.riding else force
 
     def _local_force(self, begin: Array) -> tuple[Array, Array]:
-        """Sine and cosine parts of the force for time counted from `begin`."""
+        """Return the sine and cosine parts of the force for time counted from `begin`."""
         c, s = np.cos(begin), np.sin(begin)
         return self.a * c - self.b * s, self.a * s + self.b * c
 
@@ -221,7 +221,7 @@ def jacobian(kind: MotionType, unknowns: Array, setting: MotionParameters, param
     The complex-step derivative Im f(x + i h)/h has no cancellation, so a very small h gives derivatives exact to
     rounding.
 
-    `kind`: 'I', 'II' or 'III'. Motion type; `unknowns`, shape (n,): q_0, q'_0, a, b and the instants; `parameter`:
+    `kind`: motion type, 'I', 'II' or 'III'; `unknowns`, shape (n,): q_0, q'_0, a, b and the instants; `parameter`:
     field of `setting` for the last derivative. Returns `conditions`, shape (n,); `derivatives`, shape (n, n + 1),
     columns: the unknowns, then the parameter.
     """

@@ -1,17 +1,19 @@
-"""The drive of a scene's test without a controller.
+"""The drive of a scene's test without a controller, and the validation of a sampled drive.
 
 A damper *rides* while its bed of particles is at rest on its floor.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rig.arrays import Array, ComplexArray
-from rig.errors import SceneError
+from rig.errors import RunError, SceneError
 from rig.scene.excitation import Impulse, Sine, SteppedSine, SweptSine
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker, TableShaker
@@ -217,3 +219,24 @@ def _sweep(scene: Scene, system: HybridSystem, test: SweptSine, time: Array) -> 
     angle = np.interp(frequency, grid, np.unwrap(np.angle(gains)))
     sweep = level_of(scene) * magnitude * np.sin(phase + angle)
     return np.where(time <= test.duration, sweep, 0.0)
+
+
+def validate_drive(drive: ArrayLike, inputs: Sequence[str], first: int = 0) -> Array:
+    """Return a drive as an array of shape (inputs, samples).
+
+    `inputs`: names of the drive inputs; `first`: number of the first sample, for error messages. Raises `RunError`
+    if the drive has another shape or is not finite.
+    """
+    block: Array = np.asarray(drive, dtype=np.float64)
+    if block.ndim != 2 or block.shape[0] != len(inputs):
+        raise RunError(
+            f"drive: the array has shape {block.shape}. Give one of shape ({len(inputs)}, samples) for the inputs "
+            f"{', '.join(inputs) or '(none)'}."
+        )
+    if not np.isfinite(block).all():
+        row, column = np.argwhere(~np.isfinite(block))[0]
+        raise RunError(
+            f"drive: {block[row, column]} at sample {first + column} of input {inputs[row]} is not a finite number. "
+            "Check the signal."
+        )
+    return block

@@ -46,17 +46,17 @@ def bed_models(scene: Scene, frequency: float, progress: Callable[[str], None] |
     acts on the body as a pure sinusoid; `frequency`: drive frequency, Hz. Raises `SceneError` if LAMMPS is not
     installed.
     """
-    say = progress if progress is not None else lambda name: None
-    say("packing")
+    report = progress if progress is not None else lambda name: None
+    report("packing")
     # Packings are stored in the cache, so they are not part of the cost of the motion.
     for packing in (scene, repacked(scene), softened(scene)):
         for spheres in spheres_of(packing).values():
             settled(spheres)
-    say("reference: grains")
+    report("reference: grains")
     cpu, reference = timed(partial(steady_grains, scene, frequency, PERIODS, MAX_BLOCKS))
     points = []
     for model, setting, compute in _models(scene, frequency):
-        say(f"{model}, {setting}")
+        report(f"{model}, {setting}")
         points.append(_point(model, setting, compute, reference.compliance))
     count = sum(spheres.count for spheres in spheres_of(scene).values())
     steady = "" if reference.steady else ", and not steady yet"

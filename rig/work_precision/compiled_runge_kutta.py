@@ -41,8 +41,8 @@ class Tables(NamedTuple):
     """Scene data of the compiled kernel: z' = M z for every set of dampers at rest on a wall.
 
     matrix (sets, size, size), where bit j of the set number represents damper j; row, inverse_mass, mass, clearance
-    and restitution (dampers,); first, the position of the first damper's height in z; one, the position of the
-    constant 1.
+    and restitution (dampers,); first, the position of the first damper's height in z; constant_index, the
+    position of the constant 1.
     """
 
     matrix: Array
@@ -54,7 +54,7 @@ class Tables(NamedTuple):
     gravity: float
     coordinates: int
     first: int
-    one: int
+    constant_index: int
 
 
 class Contacts(NamedTuple):
@@ -125,7 +125,7 @@ def _tables(problem: FirstOrderForm) -> Tables:
         gravity=system.gravity,
         coordinates=system.coordinates,
         first=problem.first,
-        one=problem.one,
+        constant_index=problem.constant_index,
     )
 
 

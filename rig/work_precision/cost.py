@@ -18,7 +18,7 @@ from rig.results import Result
 from rig.results.text import format_number, table_lines
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
-from rig.work_precision.motion_study import MotionStudy, Point, hardest_frequency, motion_study
+from rig.work_precision.motion_study import SHORT_STEP_SETTING, MotionStudy, Point, hardest_frequency, motion_study
 from rig.work_precision.steady_study import OTHER_PACKING, SteadyStudy, steady_study
 
 if TYPE_CHECKING:
@@ -249,15 +249,15 @@ def draw_points(axes: Axes, points: tuple[Point, ...], label: str) -> None:
             continue
         color, marker = STYLE_OF_METHOD[method]
         # A line connects settings of one kind; solvers with an error tolerance are a separate kind.
-        series = [point for point in method_points if "blind" not in point.setting]
+        series = [point for point in method_points if point.setting != SHORT_STEP_SETTING]
         errors = [_drawn_error(point) for point in series]
         axes.plot([point.cpu for point in series], errors, "-", color=color, lw=1.0, alpha=0.6)
         for point in method_points:
             size = 12 if marker == "*" else 6
             face = color if point.right else "white"
             axes.plot(point.cpu, _drawn_error(point), marker, color=color, ms=size, zorder=3, mfc=face, mew=1.3)
-            if "blind" in point.setting or point.setting in ("as called", "warm"):
-                text = "careful" if "blind" in point.setting else point.setting
+            if point.setting in (SHORT_STEP_SETTING, "as called", "warm"):
+                text = "guard pause" if point.setting == SHORT_STEP_SETTING else point.setting
                 axes.annotate(
                     text, (point.cpu, _drawn_error(point)), xytext=(0, -14), textcoords="offset points", fontsize=7,
                     color=color, ha="center",

@@ -40,11 +40,11 @@ class FirstOrderForm:
     """z' = M z with z = (states, damper heights, damper speeds, 1, cos w t, sin w t, integrals) under a tone.
 
     `periods`: length of the motion; `number`: converts a float to the number type of the computation, such as
-    `Decimal`; `pi`: value in that type; `integrals`: whether to append real and imaginary part of the integral of
-    each coordinate times exp(-i w t), which is exact after whole periods; `first`: position of the first damper's
-    height in z; `one`: position of the constant 1; cosine and sine follow; `size`: length of z; `inverse_mass`,
-    shape (dampers,): mobility of each damper's coordinate, 1/kg. Raises `SceneError` if an impact would accelerate
-    other coordinates as well.
+    `Decimal`; `pi`: value in that type; `integrals`: whether to append real and imaginary part of the integral of each
+    coordinate times exp(-i w t), which is exact after whole periods; `first`: position of the first damper's height in
+    z; `constant_index`: position of the constant 1; cosine and sine follow; `size`: length of z; `inverse_mass`, shape
+    (dampers,): mobility of each damper's coordinate, 1/kg. Raises `SceneError` if an impact would accelerate other
+    coordinates as well.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class FirstOrderForm:
             )
         self.system, self.tone, self.periods = system, tone, periods
         n, ns, nd = system.coordinates, system.states, system.dampers
-        self.first, self.one = ns, ns + 2 * nd
+        self.first, self.constant_index = ns, ns + 2 * nd
         self._integrals = n if integrals else 0
         self.size = ns + 2 * nd + 3 + 2 * self._integrals
         self.omega = 2 * pi * number(tone.frequency)
@@ -68,9 +68,9 @@ class FirstOrderForm:
         self.inverse_mass = 1.0 / np.diag(system.mass)[self.rows]
         self.gravity, self._zero, self._unit = number(system.gravity), number(0.0), number(1.0)
         self._walls = exact(system.wall_stiffness), exact(system.wall_damping)
-        waves = exact(np.column_stack([tone.amplitudes.real, -tone.amplitudes.imag]))
+        drive_columns = exact(np.column_stack([tone.amplitudes.real, -tone.amplitudes.imag]))
         self._force, self._rate = (
-            np.hstack([exact(state), exact(constant)[:, None], exact(drive) @ waves])
+            np.hstack([exact(state), exact(constant)[:, None], exact(drive) @ drive_columns])
             for state, constant, drive in (
                 (system.force_state, system.force_constant, system.force_drive),
                 (system.rate_state, np.zeros(ns - 2 * n), system.rate_drive),
@@ -94,7 +94,7 @@ class FirstOrderForm:
         n, ns, nd = self.system.coordinates, self.system.states, self.system.dampers
         mass, force = self.mass.copy(), self._force.copy()
         matrix = np.full((self.size, self.size), self._zero)
-        one = self.one
+        one = self.constant_index  # column of the constant 1
         for j, wall in enumerate(mode):
             row = self.rows[j]
             if self.system.finite_contact[j]:
@@ -134,7 +134,7 @@ class FirstOrderForm:
             row[self.first + j], row[self.rows[j]] = self._unit, -self._unit
         if wall == CEILING:
             row = -row
-            row[self.one] = self.clearance[j]
+            row[self.constant_index] = self.clearance[j]
         return row
 
     def pressing(self, j: int, wall: int, matrix: NDArray[Any]) -> NDArray[Any]:
@@ -147,7 +147,7 @@ class FirstOrderForm:
             row[n + gap] = damping if wall == FLOOR else -damping
             return -row
         row = matrix[n + self.rows[j]].copy()
-        row[self.one] += self.gravity
+        row[self.constant_index] += self.gravity
         return row if wall == FLOOR else -row
 
     def separate(self, z: MutableSequence[Any] | Array, j: int, wall: int, speed: Any) -> None:

@@ -154,22 +154,22 @@ class DecimalMotion:
 
         Raises `RunError` if an event is not an event of the motion.
         """
-        ahead, last = list(samples)[::-1], -1.0
+        later_samples, previous_time = list(samples)[::-1], -1.0
         with decimal.localcontext(self.context):
             rebounds = self._rebounds(events, resting)
             for (guess, j, kind), restitution in zip(events, rebounds, strict=True):
-                self._sample(ahead, guess)
+                self._sample(later_samples, guess)
                 if self.system.finite_contact[j]:
                     self._to_contact_change(Decimal(guess), j, kind)
                 else:
-                    self._to_event(guess, j, kind, restitution, last)
+                    self._to_event(guess, j, kind, restitution, previous_time)
                 self.times.append(self.now)
-                last = guess
-            self._sample(ahead, float("inf"))
+                previous_time = guess
+            self._sample(later_samples, float("inf"))
 
-    def _sample(self, ahead: list[Decimal], until: float) -> None:
-        while ahead and float(ahead[-1]) < until:
-            self.advance(ahead.pop())
+    def _sample(self, later_samples: list[Decimal], end_time: float) -> None:
+        while later_samples and float(later_samples[-1]) < end_time:
+            self.advance(later_samples.pop())
             self.samples.append(self.z)
 
     def _rebounds(self, events: Sequence[Event], resting: Sequence[bool]) -> Vector:
@@ -181,11 +181,11 @@ class DecimalMotion:
             after[j] = kind == "separation"
         return rebounds[::-1]
 
-    def _to_event(self, guess: float, j: int, kind: str, restitution: Decimal, last: float) -> None:
+    def _to_event(self, guess: float, j: int, kind: str, restitution: Decimal, previous_time: float) -> None:
         form, wall = self.form, WALLS.index(kind)
         if wall == FLIGHT:
             # Separations caused by an impact or by the initial state have no root of their own.
-            if guess not in (last, 0.0):
+            if guess not in (previous_time, 0.0):
                 matrix, _ = self._flow()
                 self._to_root(Decimal(guess), form.pressing(j, self.mode[j], matrix), j, kind)
             form.separate(self.z, j, self.mode[j], self.z[self.system.coordinates + form.rows[j]])
@@ -227,9 +227,9 @@ class DecimalMotion:
         if abs(self.now - guess) > MAX_EVENT_DIFFERENCE_S:
             raise RunError(f"event {kind} of damper {j + 1} at {guess:.9f} s is not reproduced. Report the scene.")
 
-    def advance(self, until: Decimal) -> None:
+    def advance(self, end_time: Decimal) -> None:
         """Advance to an earlier or later time without contact change."""
-        duration, z = until - self.now, self.z
+        duration, z = end_time - self.now, self.z
         _, flow = self._flow()
         steps = max(1, int(np.ceil(abs(float(duration)) * self._fastest / MAX_RATE_STEP)))
         for _ in range(steps):
@@ -237,9 +237,9 @@ class DecimalMotion:
             while order == 0 or max(map(abs, term)) >= self._smallest:
                 order += 1
                 factor = duration / (steps * order)
-                term = [factor * sum(map(mul, values, pick(term)), Decimal(0)) for values, pick in flow]
+                term = [factor * sum(map(mul, values, select(term)), Decimal(0)) for values, select in flow]
                 z = list(map(add, z, term))
-        self.z, self.now = list(z), until
+        self.z, self.now = list(z), end_time
 
     def _flow(self) -> tuple[NDArray[Any], list[tuple[Vector, Callable[[Vector], Vector]]]]:
         """Return the matrix of the current mode, and its sparse rows: values, and a function that selects states."""
@@ -327,7 +327,7 @@ class _ClosedOrbit:
         """Compute the compliance of the bodies from first harmonics, real and imaginary part."""
         with decimal.localcontext(self._motion.context):
             n, bodies = self._system.coordinates, self._scene.structure.bodies
-            end, first = self._follow(start), self._motion.form.one + 3
+            end, first = self._follow(start), self._motion.form.constant_index + 3
             real, imag = (2 * np.array(end[k : k + n]) / self._end for k in (first, first + n))
             if isinstance(self._scene.driven_shaker, ForceShaker):
                 c, d = Decimal(0), Decimal(-level_of(self._scene))

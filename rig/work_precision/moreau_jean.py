@@ -44,23 +44,23 @@ def moreau_jean(problem: FirstOrderForm, steps: int) -> Outcome:
 
     Raises `RunError` if the scheme is unstable.
     """
-    system, size, dampers = problem.system, problem.one + 1, len(problem.rows)
+    system, size, dampers = problem.system, problem.constant_index + 1, len(problem.rows)
     length = 1.0 / (problem.tone.frequency * steps)
     flight_matrix = problem.matrix([FLIGHT] * dampers)
-    matrix, waves = flight_matrix[:size, :size], flight_matrix[:size, size : size + 2]
+    matrix, drive_columns = flight_matrix[:size, :size], flight_matrix[:size, size : size + 2]
     inverse = np.linalg.inv(np.eye(size) - 0.5 * length * matrix)
-    gap, push = np.zeros((dampers, size)), np.zeros((size, dampers))
+    gap, unit_impulse = np.zeros((dampers, size)), np.zeros((size, dampers))
     for j, row in enumerate(problem.rows):
         gap[j] = problem.gap(j, FLOOR)[:size]
-        push[system.coordinates + row, j] = -problem.inverse_mass[j]
-        push[problem.first + dampers + j, j] = 1.0 / system.damper_mass[j]
-    cosine, sine = np.ascontiguousarray((inverse @ waves * 0.5 * length).T)
+        unit_impulse[system.coordinates + row, j] = -problem.inverse_mass[j]
+        unit_impulse[problem.first + dampers + j, j] = 1.0 / system.damper_mass[j]
+    cosine, sine = np.ascontiguousarray((inverse @ drive_columns * 0.5 * length).T)
     samples, walls = _follow(
         Step(
             inverse @ (np.eye(size) + 0.5 * length * matrix),
             cosine,
             sine,
-            inverse @ push,
+            inverse @ unit_impulse,
             gap,
             gap @ matrix,
             np.asarray(system.clearance, dtype=np.float64),
@@ -92,12 +92,8 @@ def _follow(parts: Step, start: Array, steps: int, steps_per_sample: int) -> tup
     samples = np.zeros((steps // steps_per_sample + 1, size))
     walls = np.zeros((steps + 1, dampers), dtype=np.int8)
     z, z_free = start.copy(), np.zeros(size)
-    wall_direction, velocity_before, free_velocity, impulse = (
-        np.zeros(dampers),
-        np.zeros(dampers),
-        np.zeros(dampers),
-        np.zeros(dampers),
-    )
+    wall_direction, impulse = np.zeros(dampers), np.zeros(dampers)
+    velocity_before, free_velocity = np.zeros(dampers), np.zeros(dampers)
     delassus = closing @ kick
     samples[0] = z
     walls[0] = 1

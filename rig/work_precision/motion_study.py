@@ -40,6 +40,8 @@ STEPS_PER_PERIOD = (320, 1600, 8000, 40_000)
 DRIVE_SAMPLES_PER_PERIOD = (64, 256, 1024, 4096)
 #: Longest step of a general solver, in periods, with settings chosen to avoid missed events.
 SHORT_STEP_RATIO = 1 / 40
+#: Label of these settings; guards are disabled for a time after a separation.
+SHORT_STEP_SETTING = "rtol 1e-12, step T/40, guard pause"
 #: Smallest ratio of the error of the best method to the error of the reference.
 MIN_REFERENCE_MARGIN = 1e3
 
@@ -183,11 +185,7 @@ def _compiled(problem: FirstOrderForm, period: float) -> Methods:
         solver.follow(1e-6, GUARD_PAUSE_S, period)
     for rtol in (1e-6, 1e-9, 1e-12):
         yield "compiled DP5", f"rtol {rtol:.0e}", partial(solver.follow, rtol, GUARD_PAUSE_S, np.inf)
-    yield (
-        "compiled DP5",
-        "rtol 1e-12, step T/40, blind",
-        partial(solver.follow, 1e-12, GUARD_PAUSE_S, SHORT_STEP_RATIO * period),
-    )
+    yield "compiled DP5", SHORT_STEP_SETTING, partial(solver.follow, 1e-12, GUARD_PAUSE_S, SHORT_STEP_RATIO * period)
 
 
 def _adaptive(problem: FirstOrderForm, period: float) -> Methods:
@@ -201,7 +199,7 @@ def _adaptive(problem: FirstOrderForm, period: float) -> Methods:
         leg = cvode_leg(rtol, 0.0)
         yield "CVODE", f"rtol {rtol:.0e}", partial(follow, problem, leg, 0.0, MAX_CPU_S)
     short_steps = cvode_leg(1e-12, SHORT_STEP_RATIO * period)
-    yield ("CVODE", "rtol 1e-12, step T/40, blind", partial(follow, problem, short_steps, GUARD_PAUSE_S, MAX_CPU_S))
+    yield "CVODE", SHORT_STEP_SETTING, partial(follow, problem, short_steps, GUARD_PAUSE_S, MAX_CPU_S)
 
 
 def _outcome(run: Run, system: HybridSystem, sample_stride: int = 1) -> Outcome:

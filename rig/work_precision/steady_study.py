@@ -45,17 +45,17 @@ def steady_study(scene: Scene, frequency: float, progress: Callable[[str], None]
     """Measure all methods for a scene's steady response at one frequency.
 
     `scene`: if its test controls the amplitude of the spring force, that force acts on the body as a pure sinusoid;
-    `frequency`: Hz. If the motion is irregular, the nearest of several frequencies with periodic motion. Raises
+    `frequency`: Hz; if the motion is irregular there, the nearest of several frequencies with periodic motion. Raises
     `RunError` if the reference is not a thousand times better than the best method.
     """
-    say = progress if progress is not None else lambda name: None
+    report = progress if progress is not None else lambda name: None
     scene = with_ideal_force(scene)
-    say("shooting")
+    report("shooting")
     try:
         orbit = _orbit_near(scene, frequency)
         # Repeated for the measurement, because the first call includes compilation.
         cpu, orbit = timed(partial(periodic_orbit, scene, orbit.frequency))
-        say("reference for the steady state")
+        report("reference for the steady state")
         reference = exact_orbit(scene, orbit)
     except ShotrigError as error:
         return SteadyStudy((), frequency, "", f"no steady state to compare with: {error}")
@@ -63,7 +63,7 @@ def steady_study(scene: Scene, frequency: float, progress: Callable[[str], None]
     newton_error = reference.error(orbit.compliance)
     points = [Point("shooting", f"Newton to {orbit.residual:.0e}", cpu, newton_error, np.nan, True, orbit.motion_type)]
     for tolerance in TOLERANCES:
-        say(f"waiting, {tolerance:.0e}")
+        report(f"waiting, {tolerance:.0e}")
         cpu, response = timed(partial(frequency_response, scene, [frequency], tolerance=tolerance))
         points.append(
             Point(
@@ -71,7 +71,7 @@ def steady_study(scene: Scene, frequency: float, progress: Callable[[str], None]
                 bool(response.converged[0]), str(response.motion_type[0]),
             )
         )  # fmt: skip
-    say("approximate method")
+    report("approximate method")
     points.append(_approximate(scene, frequency, reference))
     riding = tuple(range(1, len(scene.dampers) + 1))
     for name, dampers in (("dampers riding", riding), ("no dampers", ())):

@@ -54,7 +54,9 @@ class Results(Result, Sequence[R], Generic[R]):
     def columns(self) -> dict[str, NDArray[Any]]:
         """Join the columns that all results have; the column `label` names the recording and sweep."""
         all_columns = [dict(result.columns()) for result in self._results]
-        names = [name for name in (all_columns[0] if all_columns else {}) if all(name in each for each in all_columns)]
+        names = [
+            name for name in (all_columns[0] if all_columns else {}) if all(name in columns for columns in all_columns)
+        ]
         tables = []
         for result, columns in zip(self._results, all_columns, strict=True):
             count = len(next(iter(columns.values()), ()))
@@ -166,7 +168,7 @@ def modes(
     from analysis.modal.identification import identify
 
     responses = frf(recordings, None, reference, block=block, unit=unit, progress=progress)
-    return Results(_labelled(identify(each, modes), each.label) for each in responses)
+    return Results(_labelled(identify(response, modes), response.label) for response in responses)
 
 
 def dampers(recordings: Recordings, progress: CountProgress | None = None) -> Results[Dampers]:
@@ -306,7 +308,9 @@ def _listed(recordings: Recordings) -> list[OneRecording]:
 
 
 def _paths(recordings: Recordings) -> list[Path]:
-    return [Path(each) if isinstance(each, str | Path) else each.path for each in _listed(recordings)]
+    return [
+        Path(recording) if isinstance(recording, str | Path) else recording.path for recording in _listed(recordings)
+    ]
 
 
 def _sources(recordings: Recordings) -> Iterator[tuple[Any, str]]:

@@ -52,11 +52,11 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
 
     Around a resonance 1/H is nearly quadratic in frequency (k - m w^2 + i c w for one mode). Therefore 1/H is
     interpolated through the three points around the highest point, and through five points as a check. The bound
-    contains the bounds of these points, twice the difference of the two interpolations, and twice the error with
-    which neighbours predict the points, because peaks with dampers can be narrower than widely spaced points
-    suggest. (In a test with computed curves with dampers and one to nine points in the half-power bandwidth, the
-    bound contained the true peak in 98 % of cases.) The limits of the frequency enclose all frequencies at which
-    the curve is within the bound of its peak.
+    contains the bounds of these points and twice the difference of the two interpolations. It also contains twice the
+    error with which neighbours predict the points: widely spaced points may miss the top of a peak with dampers. (In
+    a test with computed curves with dampers and one to nine points in the half-power bandwidth, the bound contained
+    the true peak in 98 % of cases.) The limits of the frequency enclose all frequencies at which the curve is within
+    the bound of its peak.
 
     `frf`: FRF with respect to force; `low`, `high`: limits of the band, Hz. Returns None if there are fewer than
     three points in the band.

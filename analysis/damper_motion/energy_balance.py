@@ -136,12 +136,12 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
     """Compute the true energy lost in impacts per period of each tone, J, from the recorded truth.
 
     An instant impact dissipates (1 - e²) times half the reduced mass of damper and body times the closing speed
-    squared. For finite-duration contact the loss is the work of the walls in steady motion. For a bed of mass m in a
-    body with acceleration a, whose gap opens with velocity v, it is the integral of -m a v: the inertia and weight of
-    the bed do no net work over whole periods.
+    squared. For finite-duration contact the loss is the work of the walls in steady motion. Over whole periods the
+    inertia and weight of a bed do no net work. The work of the walls is therefore the integral of -m a v, with the
+    mass m of the bed, the acceleration a of its body, and the velocity v at which the gap opens.
 
-    The result is NaN for beds of grains, whose impacts are not recorded, and if an instant impact also acts on other
-    dampers, in the same body or through a full mass matrix.
+    The result is NaN for beds of grains, whose impacts are not recorded. It is also NaN if an instant impact acts on
+    other dampers, in the same body or through a full mass matrix.
     """
     from rig.system.assembly import assemble
     from rig.system.structural_model import structural_model

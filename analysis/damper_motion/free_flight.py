@@ -230,8 +230,8 @@ def _restitution_after_rebound(
 def may_reach_ceiling(motion: BodyMotion, damper: Damper) -> bool:
     """Return whether the only damper on a body may reach its ceiling between its floor impacts.
 
-    After an instant impact the damper is at rest on the floor while the body's acceleration exceeds -g, and then in
-    free fall, so that its height above the floor follows from the motion of the body alone. For finite-duration
+    After an instant impact the damper is at rest on the floor while the body's acceleration exceeds -g. It is then in
+    free fall, so that its height above the floor follows from the motion of the body. For finite-duration
     contact the release is unknown; the flight is then computed backward from the closing speed of the next impact.
     The height is the largest that the sensor tolerance allows. Its median over the segment is compared with the
     clearance of the scene.

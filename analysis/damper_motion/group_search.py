@@ -67,6 +67,6 @@ def cost(jumps: list[Jump], residual_square: float) -> float:
     return float(np.log(max(residual_square, 1e-300))) + len(jumps) * np.log(_MIN_REDUCTION)
 
 
-def _same_times(left: list[Jump], right: list[Jump]) -> bool:
-    times = [np.sort([jump.time for jump in jumps]) for jumps in (left, right)]
+def _same_times(first: list[Jump], second: list[Jump]) -> bool:
+    times = [np.sort([jump.time for jump in jumps]) for jumps in (first, second)]
     return bool(np.all(abs(times[0] - times[1]) < _TIME_STEP_SAMPLES))

@@ -123,16 +123,16 @@ def impacts(
     """Detect impacts in a segment of one channel.
 
     The reading of a velocity jump is computed from the channel's data sheet, including sensor resonance, integrator,
-    averaging and decimation. At every sample a least-squares fit is made of this reading, of a step and a kink of the
-    acceleration (both accompany an impact, on the body itself and on its neighbours), and of a smooth motion. An
-    impact is detected if the jump exceeds `DETECTION_SIGMAS` standard deviations. It is subtracted and the search
+    averaging and decimation. At every sample, four contributions are fitted by least squares: this reading, a step and
+    a kink of the acceleration, and a smooth motion. Step and kink accompany impacts on the body and on its neighbours.
+    An impact is detected if the jump exceeds `DETECTION_SIGMAS` standard deviations. It is subtracted and the search
     is repeated (orthogonal matching pursuit). Overlapping impacts are fitted jointly. For finite-duration contact,
     the pulse shape of the scene's spring-dashpot contact replaces the jump, and times are those of first contact.
 
     `channel`: acceleration, velocity or displacement channel on a body; `start`, `stop`: first and one-past-last
     sample; `samples`: samples of the segment, if already read. Raises `RecordingError` if the channel measures no
-    motion or does not respond to impacts; if the segment is too short, damaged or zero; or if the body contains
-    grains, or dampers with different contact durations.
+    motion or does not respond to impacts, or if the segment is too short, damaged or zero. It is also raised if the
+    body contains grains, or dampers with different contact durations.
     """
     info = find_channel(rec, channel)
     if info.quantity not in MOTIONS:

@@ -159,8 +159,8 @@ def modal_decay(
     """Estimate the envelope of one mode, and its damping ratio against amplitude.
 
     A Gaussian band-pass over positive frequencies yields the analytic signal directly. It changes an exponential
-    decay only by a constant factor, so that the slope of the envelope is unbiased once three standard deviations of
-    its impulse response have passed after the hit. The damping ratio at an amplitude is the slope of the logarithm
+    decay only by a constant factor. The slope of the envelope is therefore unbiased from three standard deviations of
+    the impulse response after the hit. The damping ratio at an amplitude is the slope of the logarithm
     of the envelope while it falls by 6 dB around that amplitude.
     """
     analytic, edge = _band_pass(acceleration, rate, frequency, width)

@@ -78,7 +78,7 @@ def cause(problem: Problem) -> tuple[bool, str]:
     limit = max(_MAX_NOISE_VARIANCE, _EXPLAINED_RATIO * uncorrected)
     explanations: list[tuple[float, str, bool]] = []
     for trials in (_try_reversed_signs, _try_swaps, _try_factors, _try_damping, _try_delays):
-        explanations += [each for each in trials(problem, linear_curves) if each[0] < limit]
+        explanations += [explanation for explanation in trials(problem, linear_curves) if explanation[0] < limit]
         if any(variance < _MAX_NOISE_VARIANCE and is_named for variance, _, is_named in explanations):
             break
     if explanations:
@@ -124,7 +124,7 @@ def _try_reversed_signs(problem: Problem, linear_curves: list[Curves]) -> _Expla
     for sensor in (*references, *_sensors(linear_curves)):
         reversed_sign = []
         for curves in linear_curves:
-            signs = np.array([-1.0 if each == sensor else 1.0 for each in curves.sensors])[:, None]
+            signs = np.array([-1.0 if channel_sensor == sensor else 1.0 for channel_sensor in curves.sensors])[:, None]
             reversed_sign.append(_multiply(curves, -signs if curves.reference_sensor == sensor else signs))
         yield _fit_structure(problem, reversed_sign).variance, f"The sign of {sensor.name} is reversed", True
 
@@ -152,7 +152,10 @@ def _try_factors(problem: Problem, linear_curves: list[Curves]) -> _Explanations
             [
                 replace(
                     curves,
-                    sensors=tuple(freed_sensor if each == sensor else each for each in curves.sensors),
+                    sensors=tuple(
+                        freed_sensor if channel_sensor == sensor else channel_sensor
+                        for channel_sensor in curves.sensors
+                    ),
                     reference_sensor=freed_sensor if curves.reference_sensor == sensor else curves.reference_sensor,
                 )
                 for curves in linear_curves
@@ -176,7 +179,7 @@ def _try_damping(problem: Problem, linear_curves: list[Curves]) -> _Explanations
         form = Dashpots(dashpots=tuple(per_stiffness * k for k in structure.springs))
         text = "dashpots fit: give structure.damping: {dashpots: [...]}"
     else:
-        form = ModalDamping(modal=tuple(float(max(each, 1e-4)) for each in modes.damping_ratio))
+        form = ModalDamping(modal=tuple(float(max(ratio, 1e-4)) for ratio in modes.damping_ratio))
         text = "a ratio for each mode fits: give structure.damping: {modal: [...]}"
     model = problem.model.replace(structure=structure.replace(damping=form))
     yield (
@@ -246,7 +249,7 @@ def _estimate_delay(linear_curves: list[Curves], sensor: Sensor) -> float:
 
 def _compensate_delay(curves: Curves, sensor: Sensor, delay: float) -> Curves:
     """Remove a delay from the readings of a sensor."""
-    delays = np.array([float(each == sensor) for each in curves.sensors])
+    delays = np.array([float(channel_sensor == sensor) for channel_sensor in curves.sensors])
     delays -= float(curves.reference_sensor == sensor)
     return _multiply(curves, np.exp(2j * np.pi * delay * np.outer(delays, curves.frequency)))
 
@@ -255,7 +258,7 @@ def _omit_sensor(linear_curves: list[Curves], sensor: Sensor) -> list[Curves]:
     """Leave out the responses of a sensor; empty if fewer than two responses would remain."""
     out = []
     for curves in linear_curves:
-        rows = [k for k, each in enumerate(curves.sensors) if each != sensor]
+        rows = [k for k, channel_sensor in enumerate(curves.sensors) if channel_sensor != sensor]
         if len(rows) < _MIN_RESPONSES:
             return []
         root = np.linalg.inv(curves.whiten)

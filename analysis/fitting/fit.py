@@ -158,7 +158,7 @@ class Fit(Result):
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return each value with its initial value and 95 % interval."""
         names = ("key", "unit", "start", "value", "low", "high", "status")
-        return {name: np.array([getattr(each, name) for each in self.parameters]) for name in names}
+        return {name: np.array([getattr(parameter, name) for parameter in self.parameters]) for name in names}
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the largest residual over frequency, in standard deviations."""
@@ -192,8 +192,8 @@ def fit(
     scene : Scene, str, Path or mapping
         The model: structure and dampers with guessed values. Shaker, test and channels come from the recordings.
     free : sequence of str, optional
-        Keys of the free values, such as ``structure.masses`` or ``dampers[1].clearance``; omitted, masses, springs,
-        damping, and all of the dampers.
+        Keys of the free values, such as ``structure.masses`` or ``dampers[1].clearance``; if omitted, masses,
+        springs, damping, and all values of the dampers.
     progress : callable, optional
         Called with the name of each stage.
 
@@ -229,10 +229,10 @@ def fit(
     for recording in sources:
         if not isinstance(recording, str | Path) and not hasattr(recording, "channels"):
             raise RecordingError(f"fit: {recording!r:.60} is not a recording. Give paths, or recordings from daq.open.")
-    paths = [Path(each) if isinstance(each, str | Path) else each.path for each in sources]
+    paths = [Path(source) if isinstance(source, str | Path) else source.path for source in sources]
     for first, again in duplicate_files(paths):
         raise SceneError(f"{again}: the same content as {first}, which would count twice. Give each recording once.")
-    curves = [each for recording in sources for each in _curves(recording)]
+    curves = [sweep_curves for recording in sources for sweep_curves in _curves(recording)]
     if not curves:
         raise RecordingError("fit: no recordings. Give at least one.")
     problem = Problem(model, parameters, curves)
@@ -256,7 +256,7 @@ def _result(problem: Problem, estimated: Estimate, report: Progress) -> Fit:
         x[k] = clearance.unknown(max(clearance.start, _UNREACHED_RATIO * limit))
     scene = problem.scene(x)
     compared = tuple(_compare(problem, x, scene, group) for group in problem.groups)
-    warnings = [f"{each.curves.label}: {note}" for each in compared for note in each.curves.warnings]
+    warnings = [f"{comparison.curves.label}: {note}" for comparison in compared for note in comparison.curves.warnings]
     misfit = _misfit(estimated, compared) or _implausible_sensors(problem, x)
     if misfit:
         report("searching the cause of the misfit")
@@ -265,21 +265,21 @@ def _result(problem: Problem, estimated: Estimate, report: Progress) -> Fit:
     else:
         misfit = mass_scale_error(problem, x)
     if not misfit and estimated.variance > _MAX_NOISE_VARIANCE:
-        worst = max(each.relative for each in compared)
+        worst = max(comparison.relative for comparison in compared)
         warnings.append(
             f"The residuals reach {worst:.2%} of the curves, more than their errors explain (variance "
             f"{estimated.variance:.3g}). "
             "The intervals are widened accordingly."
         )
-    for each, group in zip(compared, problem.groups, strict=True):
+    for comparison, group in zip(compared, problem.groups, strict=True):
         uncovered = {} if group.tones is None else group.tones.uncovered
-        warnings += list_omitted_points(each.curves, each.used, uncovered)
+        warnings += list_omitted_points(comparison.curves, comparison.used, uncovered)
     count, deviation = len(problem.parameters), estimated.deviation
     unexplained = bool(misfit) or estimated.variance > _MAX_NOISE_VARIANCE
     fitted = tuple(
         _fitted(parameter, x[k], deviation[k], unexplained) for k, parameter in enumerate(problem.parameters)
     )
-    if not misfit and all(each.status == "undetermined" for each in fitted):
+    if not misfit and all(value.status == "undetermined" for value in fitted):
         misfit = "The recordings determine none of the free values. `analysis frf` shows the uncertainty of the curves."
     clearances = [
         f"{problem.parameters[k].key} is at least {1e3 * limit:.3g} mm: no ceiling impact is in the motions that fit."
@@ -299,7 +299,7 @@ def _result(problem: Problem, estimated: Estimate, report: Progress) -> Fit:
         compared=compared,
         variance=estimated.variance,
         misfit=misfit,
-        together=(*clearances, *coupled_values(problem, estimated, [each.status for each in fitted])),
+        together=(*clearances, *coupled_values(problem, estimated, [value.status for value in fitted])),
         warnings=tuple(warnings),
     )
 
@@ -340,15 +340,15 @@ def _compare(problem: Problem, x: Array, scene: Scene, group: Group) -> Compared
 
 def _misfit(estimated: Estimate, compared: Sequence[Compared]) -> str:
     """Describe the recording that the scene does not fit, with the residual; "" if it fits all."""
-    for each in compared:
-        regular = np.isfinite(each.predicted).all(axis=0)
-        omitted = int((regular & ~each.used).sum())
+    for comparison in compared:
+        regular = np.isfinite(comparison.predicted).all(axis=0)
+        omitted = int((regular & ~comparison.used).sum())
         if omitted > _MAX_OMITTED_SHARE * regular.sum() or regular.mean() < 1.0 - _MAX_IRREGULAR_SHARE:
             return (
-                f"{each.curves.label}: the scene does not reproduce the measured motion at {int((~each.used).sum())} "
-                f"of {each.used.size} points."
+                f"{comparison.curves.label}: the scene does not reproduce the measured motion at "
+                f"{int((~comparison.used).sum())} of {comparison.used.size} points."
             )
-    worst = max(compared, key=lambda each: each.relative)
+    worst = max(compared, key=lambda comparison: comparison.relative)
     if estimated.variance > _MAX_NOISE_VARIANCE and worst.relative > _MAX_RESIDUAL_RATIO:
         return (
             f"{worst.curves.label}: the best fit leaves a residual of {worst.relative:.1%} of the curves (rms), "

@@ -94,4 +94,4 @@ def coupled_values(problem: Problem, estimated: Estimate, statuses: Sequence[str
         names = ", ".join(problem.parameters[determined[k]].key for k in members)
         line = f"{names} can change {direction} by up to {half_width:.1%} with no visible change of the curves{cause}."
         coupled.append((half_width, line))
-    return *undetermined, *(line for _, line in sorted(coupled, key=lambda each: -each[0]))
+    return *undetermined, *(line for _, line in sorted(coupled, key=lambda entry: -entry[0]))

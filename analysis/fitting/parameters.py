@@ -92,7 +92,7 @@ def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Par
     """List the free parameters.
 
     `scene`: from `with_ratio_per_mode`; `free`: keys, such as ``structure.masses`` for all masses or
-    ``dampers[1].clearance``; omitted, `FREE`. Raises `SceneError` if a key names nothing that can be fitted; the
+    ``dampers[1].clearance``; if omitted, `FREE`. Raises `SceneError` if a key names nothing that can be fitted; the
     message lists the keys that can.
 
     >>> import rig
@@ -111,17 +111,19 @@ def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Par
                 # The name of a body is replaced by its position.
                 place = ("structure", "masses", names.index(str(change.steps[2])))
                 chosen[k] = change = replace(change, steps=place)
-            if not any(change.covers(each.place) for each in candidates):
-                all_keys = (".".join(step for step in each.place if isinstance(step, str)) for each in candidates)
+            if not any(change.covers(candidate.place) for candidate in candidates):
+                all_keys = (
+                    ".".join(step for step in candidate.place if isinstance(step, str)) for candidate in candidates
+                )
                 offered = ", ".join(dict.fromkeys(all_keys))
                 raise SceneError(
                     f"free: {change.key}: nothing in scene {scene.name!r} can be fitted under this key. Use one of "
                     f"{offered} ([1] and so on selects an item of a list; values of 0 or infinity cannot be fitted)."
                 )
-    selected = [each for each in candidates if any(change.covers(each.place) for change in chosen)]
+    selected = [candidate for candidate in candidates if any(change.covers(candidate.place) for change in chosen)]
     if free is None:
         # The coil spring calibrates the force; it is free only on request.
-        selected = [each for each in selected if each.place[0] != "shaker"]
+        selected = [candidate for candidate in selected if candidate.place[0] != "shaker"]
     if not selected:
         raise SceneError(f"scene {scene.name!r}: nothing to fit. Give masses, damping or dampers with values above 0.")
     return selected

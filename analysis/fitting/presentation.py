@@ -82,7 +82,7 @@ def describe(result: Fit) -> list[str]:
         )
         levels.append((level.label, "in place" if level.damped else "none", f"{level.acceleration:.3g}", damping))
     residuals = [("recording", "residual / % of the curves, rms")] + [
-        (each.curves.label, f"{100 * each.relative:.2g}") for each in result.compared
+        (comparison.curves.label, f"{100 * comparison.relative:.2g}") for comparison in result.compared
     ]
     tables = ((values, "<><><"), (sensors, "<>"), (modes, "<>>"), (levels, "<<>>"), (residuals, "<>"))
     lines = [f"{result.summary()} (95 % intervals)"]

@@ -105,13 +105,16 @@ class Problem:
         self.model, self.parameters = model, list(parameters)
         self.groups = [
             Group(
-                each, SteadyTones(each) if each.moving else None, np.ones(each.frequency.size, bool), _local_peaks(each)
+                measured,
+                SteadyTones(measured) if measured.moving else None,
+                np.ones(measured.frequency.size, bool),
+                _local_peaks(measured),
             )
-            for each in curves
+            for measured in curves
         ]
-        sensors = [sensor for each in curves for sensor in (*each.sensors, each.reference_sensor)]
+        sensors = [sensor for measured in curves for sensor in (*measured.sensors, measured.reference_sensor)]
         self.sensors = [sensor for sensor in dict.fromkeys(sensors) if sensor.tolerance > 0.0]
-        self.clock = max(each.clock for each in curves)
+        self.clock = max(measured.clock for measured in curves)
         values = [parameter.unknown(parameter.start) for parameter in self.parameters]
         # A uniform distribution within the tolerance has a standard deviation of tolerance / sqrt(3).
         limits = [sensor.tolerance for sensor in self.sensors] + [self.clock] * (self.clock > 0.0)
@@ -126,7 +129,7 @@ class Problem:
     def values(self, x: Array) -> Array:
         """Return the values of the parameters, in SI units."""
         limited = np.clip(x - self.start, -_MAX_CHANGE, _MAX_CHANGE) + self.start
-        return np.array([each.value(value) for each, value in zip(self.parameters, limited, strict=False)])
+        return np.array([parameter.value(value) for parameter, value in zip(self.parameters, limited, strict=False)])
 
     def scene(self, x: Array) -> Scene:
         """Return the model with the values of the unknowns."""
@@ -265,7 +268,9 @@ class Problem:
                 slopes[column] = channel_gains[:, None] / gain * by_value[effective.index(k)][rows] * by_unknown
             elif count <= k < count + len(self.sensors):
                 sensor = self.sensors[k - count]
-                by_response_gain = np.array([float(each == sensor) for each in curves.sensors])[:, None]
+                by_response_gain = np.array([float(channel_sensor == sensor) for channel_sensor in curves.sensors])[
+                    :, None
+                ]
                 by_gain = float(curves.reference_sensor == sensor)
                 slopes[column] = (by_response_gain - by_gain * channel_gains[:, None] / gain) / gain * bodies[rows]
             elif k >= count:

@@ -51,10 +51,10 @@ def initial_unknowns(problem: Problem, groups: Sequence[Group]) -> Array:
     active = [k for k, parameter in enumerate(problem.parameters) if parameter.place[0] == "structure"]
     if not modal_groups or not active:
         return x
-    ranked = [_ranked_assignments(problem.scene(x), *each) for each in modal_groups]
+    ranked = [_ranked_assignments(problem.scene(x), *pair) for pair in modal_groups]
     best, smallest = x, np.inf
     for rank in range(min(_MAX_FITTED, max(map(len, ranked)))):
-        assignments = [each[min(rank, len(each) - 1)] for each in ranked]
+        assignments = [candidates[min(rank, len(candidates) - 1)] for candidates in ranked]
         fitted = _fit_modes(problem, x, active, modal_groups, assignments)
         residuals = abs(problem.residual(fitted, groups, _MODEL_ERROR))
         cost = float(np.sum(np.minimum(residuals, _MAX_RESIDUAL) ** 2))

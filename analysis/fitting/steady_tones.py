@@ -66,7 +66,7 @@ class SteadyTones:
     Attributes
     ----------
     orbits : list of StoredOrbit or None
-        Orbit at each point; None if all dampers ride there, or the motion is irregular.
+        Orbit at each point; None if all dampers are at rest on their floors, or if the motion is irregular.
     previous : list of StoredOrbit or None
         Last orbit at each point, from which a later trial may start again.
     failed : set of int

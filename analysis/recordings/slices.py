@@ -94,7 +94,9 @@ def read_slices(rec: Recording, channels: Sequence[str], bounds: Iterable[tuple[
     stored: dict[int, Array] = {}
     for start, stop in bounds:
         numbers = range(start // PIECE, -(-min(stop, rec.samples) // PIECE))
-        stored = {number: stored[number] if number in stored else _piece(rec, channels, number) for number in numbers}
+        stored = {
+            number: stored[number] if number in stored else _read_piece(rec, channels, number) for number in numbers
+        }
         out = np.full((len(channels), stop - start), np.nan)
         for number, part in stored.items():
             first = number * PIECE
@@ -104,7 +106,7 @@ def read_slices(rec: Recording, channels: Sequence[str], bounds: Iterable[tuple[
         yield out
 
 
-def _piece(rec: Recording, channels: Sequence[str], number: int) -> Array:
+def _read_piece(rec: Recording, channels: Sequence[str], number: int) -> Array:
     first, stop = number * PIECE, min((number + 1) * PIECE, rec.samples)
     return np.stack([rec.read(name, first, stop) for name in channels])
 

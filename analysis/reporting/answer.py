@@ -62,16 +62,16 @@ def _comparisons(changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> li
 
 def _resonances(measured: Measured) -> list[str]:
     sentences = []
-    for each in measured.passes:
-        modes = each.modes
+    for sweep in measured.passes:
+        modes = sweep.modes
         if modes is None or not modes.frequency.size:
             continue
         pairs = sorted(zip(modes.frequency, modes.damping, strict=True))
         listed = ", ".join(f"{frequency:.4g} Hz ({100 * damping:.2g} % damping)" for frequency, damping in pairs)
         plural = "s" * (modes.frequency.size != 1)
         text = f"“{measured.label}”: {modes.frequency.size} resonance{plural} at {listed}"
-        if each.highest is not None:
-            curve, highest = each.highest
+        if sweep.highest is not None:
+            curve, highest = sweep.highest
             where = f"{curve.ratio}, {highest.frequency:.4g} Hz"
             text += f"; the highest compliance is {peak_height(highest)} µm/N ({where})"
         sentences.append(f"{text}.")

@@ -142,7 +142,9 @@ def _column(values: ArrayLike, positive: bool = False, exact: bool = False) -> A
         binary = np.where(is_drawn, column, np.nan).astype("<f4")
         return {"float32": base64.b64encode(binary.tobytes()).decode()}
     digits = 8 if exact else _DIGITS
-    return [float(f"{value:.{digits}g}") if known else None for value, known in zip(column, is_drawn, strict=True)]
+    return [
+        float(f"{value:.{digits}g}") if is_finite else None for value, is_finite in zip(column, is_drawn, strict=True)
+    ]
 
 
 def level_image(levels: Array, x: tuple[float, float], y: tuple[float, float]) -> dict[str, Any]:

@@ -179,12 +179,12 @@ def _listed(content: Mapping[str, object]) -> str:
 def settings(measured: Measured) -> str:
     """Write the tables of the test settings and of the channels."""
     rec, scene = measured.rec, measured.rec.scene
-    dampers = "; ".join(_damper(each, scene.structure.label(each.body)) for each in scene.dampers)
+    dampers = "; ".join(_damper(damper, scene.structure.label(damper.body)) for damper in scene.dampers)
     facts = [
         ("recording", str(measured.path)),
         ("scene", scene.name),
         ("test", test_text(scene)),
-        ("shaker", ", ".join(each.kind for each in scene.shakers) or "none"),
+        ("shaker", ", ".join(shaker.kind for shaker in scene.shakers) or "none"),
         ("dampers", dampers or "none"),
         ("duration", f"{rec.duration:.2f} s, {rec.samples} samples at {rec.rate:g} Hz"),
         ("overloads", _places(rec, [(m.first_sample, m.fields.get("channel", "?")) for m in rec.overloads])),

@@ -33,7 +33,7 @@ def assemble_budget(
     shared: float = 1.0,
     scale: float = 0.0,
 ) -> UncertaintyBudget:
-    """Assemble the uncertainty budget of a response; the same for every estimator.
+    """Assemble the uncertainty budget of a response.
 
     `error`: type A standard uncertainty of either quadrature component, shape (lines,). `estimator_limits`: limits of
     error by name, which the estimator adds to those of the instrument. `reference_limits`: largest relative deviations

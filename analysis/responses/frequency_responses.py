@@ -172,7 +172,7 @@ def frequency_responses(
     rec : daq.Recording, str or Path
         The recording, or its path, of a sine, stepped sine, swept sine, random, multisine or impulse test.
     channels : sequence of str, optional
-        Responses; omitted, every channel on a body.
+        Responses; if omitted, every channel on a body.
     reference : {'force', 'table'}
         Divide by the force on the structure, or by the displacement of the table.
     motion : {'displacement', 'velocity', 'acceleration'}
@@ -184,7 +184,7 @@ def frequency_responses(
         Length of the blocks in s, for random tests and hits; each hit begins a block. This selects block averaging,
         with H1 by default.
     progress : callable, optional
-        Called with (done, total).
+        Called with (completed, total).
     overlap : float, optional
         Overlap of successive blocks as a fraction of the block length, for random tests; 0.5 if omitted.
     window : str, optional
@@ -248,8 +248,9 @@ def frfs(
 ) -> Response:
     """Estimate the frequency responses of one sweep of a test, with all outputs.
 
-    Every channel is corrected for its sensor, amplifier and converter. The force is that in the coil spring,
-    F1 = k0 (x0 - x1), from the channels on the table and on the driven body, or a force channel where there is one.
+    Every channel is corrected for its sensor, amplifier and converter. The force is measured by a force channel if
+    there is one. Otherwise it is the force in the coil spring, F1 = k0 (x0 - x1), from the channels on the table and on
+    the driven body.
 
     Parameters
     ----------

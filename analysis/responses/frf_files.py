@@ -84,7 +84,7 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
     """
     file = as_path(path)
     if not file.is_file():
-        raise RecordingError(f"{file}: no such file")
+        raise RecordingError(f"{file}: no such file. Check the path.")
     if file.suffix.lower() in (".uff", ".unv"):
         return stack(_from_uff(file, reference, unit))
     if file.suffix.lower() in ENDINGS:
@@ -108,8 +108,8 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
     frf_sets = [data_set for data_set in sets if int(data_set["func_type"]) == FRF]
     if not frf_sets:
         has_time = any(uff.is_time(data_set) for data_set in sets)
-        remedy = " It contains time responses: convert them with `daq import`." if has_time else ""
-        raise RecordingError(f"{path}: no frequency response (data set 58, function type 4).{remedy}")
+        remedy = "It contains time responses: convert them with `daq import`." if has_time else "Export one to it."
+        raise RecordingError(f"{path}: no frequency response (data set 58, function type 4). {remedy}")
     references = list(dict.fromkeys(uff.point(data_set, "ref") for data_set in frf_sets))
     if reference is None and len(references) > 1:
         raise SceneError(f"{path}: {len(references)} references. Choose one of {', '.join(references)[:300]}.")

@@ -40,8 +40,8 @@ _REBOUND_SIGMAS = 8.0
 # The usable force spectrum ends where the power is below this ratio to its maximum (-20 dB).
 _MIN_POWER_RATIO = 1e-2
 
-# Step sizes of coarser converters, in counts, and the ratio of the mean square of the changes that they cause to the
-# mean square of the original rounding (1/12).
+# Coarser converters: step size in counts, and mean square of the changes that they cause, relative to that of the
+# original rounding (1/12).
 _COARSER = ((2.0, 6.0), (3.0, 8.0))
 # A coarser converter does not resolve a signal of fewer counts, unless it is dithered by noise.
 _MIN_COUNTS = 6.0
@@ -122,8 +122,8 @@ class Hits:
     def at_rest(self, motion: float, start: int, stop: int, samples: int) -> bool:
         """Return whether a segment, zero-padded to `samples`, is treated as the response to its hits alone.
 
-        This is the case if there was hardly any motion before the hits, or if a hit is so close to the beginning that
-        the spectra of the earlier motion and of the response change equally from line to line.
+        This is the case if there was hardly any motion before the hits. It is also the case for a hit close to the
+        beginning: the spectra of the earlier motion and of the response then change equally from line to line.
         """
         if motion < _MAX_REST_RATIO:
             return True

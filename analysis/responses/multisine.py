@@ -66,7 +66,9 @@ def best_linear_approximation(
     notes = [note for spectra in all_spectra for note in spectra.notes]
     complete = [spectra for spectra in all_spectra if len(spectra.spectra)]
     if not complete:
-        raise RecordingError(f"{rec.path}: no realisation of the multisine has two whole periods. {' '.join(notes)}")
+        raise RecordingError(
+            f"{rec.path}: no realisation of the multisine has two whole periods. {' '.join(notes)} Record again."
+        )
     count, frequency = len(complete), complete[0].frequency
     row = reference_of(rec, reference).row(rec, names, frequency)
     means, noises = [], []
@@ -171,8 +173,8 @@ def period_spectra(rec: Recording, names: Sequence[str], marker: Marker) -> Peri
         notes.append(f"{periods - len(clean)} of {periods} periods of realisation {number} left out: {reasons}.")
     if len(clean) < 2:
         notes.append(f"Realisation {number} left out: fewer than two whole periods.")
-        empty = np.zeros((0, len(names), 0))
-        return PeriodSpectra(frequency, empty.astype(complex), empty, tuple(notes))
+        no_samples = np.zeros((0, len(names), 0))
+        return PeriodSpectra(frequency, no_samples.astype(complex), no_samples, tuple(notes))
     samples = np.stack(list(read_slices(rec, names, clean)))
     steady = _without_drift(samples, np.array([(first - marker.first_sample) // size for first, _ in clean]))
     spectra = fft.rfft(steady, axis=2)[:, :, lines] * (2.0 / size)

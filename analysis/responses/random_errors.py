@@ -230,8 +230,8 @@ class LocalCovariance:
             total += np.einsum("pbi,bij,qbj->pq", by_bin, self.noise, by_bin.conj(), optimize=True).real
         common = np.einsum("kap,ka->p", weights.conj(), errors.common)
         total *= 0.5 * errors.shared / errors.used
-        own = np.einsum("kaa->ka", self.lines).real * (0.5 * self.shared * _UNCORRELATED / (1.0 + _UNCORRELATED))
-        total += np.einsum("kap,ka,kaq->pq", weights.conj(), own, weights, optimize=True).real
+        variances = np.einsum("kaa->ka", self.lines).real * (0.5 * self.shared * _UNCORRELATED / (1.0 + _UNCORRELATED))
+        total += np.einsum("kap,ka,kaq->pq", weights.conj(), variances, weights, optimize=True).real
         return np.asarray(total + np.outer(common.real, common.real) + np.outer(common.imag, common.imag))
 
 
@@ -264,27 +264,27 @@ def _separate_noise(
     step = float(np.median(np.diff(centre))) if lines > 1 else 1.0
     n_lines = min(1 + 2 * int(np.ceil(_CONSTANT_NOISE_WIDTHS * width / step / 2.0)), max(lines, 1))
     curve_power = curve @ curve.conj().swapaxes(1, 2) / width
-    own = np.einsum("kaa->ka", power).real
-    own_curve = np.einsum("kaa->ka", curve_power).real
+    variances = np.einsum("kaa->ka", power).real
+    curve_variances = np.einsum("kaa->ka", curve_power).real
 
     def local_mean(values: Array) -> Array:
         return np.asarray(scipy.ndimage.uniform_filter1d(values, n_lines, axis=0, mode="nearest"))
 
-    size = np.maximum(scipy.ndimage.uniform_filter1d(own, 3, axis=0, mode="nearest"), _ZERO_POWER)
+    size = np.maximum(scipy.ndimage.uniform_filter1d(variances, 3, axis=0, mode="nearest"), _ZERO_POWER)
     for _ in range(_ITERATIONS):
         pairs = size[:, :, None] * size[:, None]
         # Normal equations of the noise of the reference and of each response; the latter are eliminated.
         a_reference = local_mean(np.sum(abs(curve_power) ** 2 / pairs, axis=(1, 2)))
-        a_mixed, a_own = local_mean(own_curve / size**2), local_mean(1.0 / size**2)
+        a_mixed, a_response = local_mean(curve_variances / size**2), local_mean(1.0 / size**2)
         b_reference = local_mean(np.sum((power * curve_power.conj()).real / pairs, axis=(1, 2)))
-        b_own = local_mean(own / size**2)
-        reduced = a_reference - np.sum(a_mixed**2 / a_own, axis=1)
+        b_response = local_mean(variances / size**2)
+        reduced = a_reference - np.sum(a_mixed**2 / a_response, axis=1)
         regular = reduced > 1e-6 * a_reference
-        reference = np.where(regular, b_reference - np.sum(a_mixed * b_own / a_own, axis=1), 0.0)
+        reference = np.where(regular, b_reference - np.sum(a_mixed * b_response / a_response, axis=1), 0.0)
         reference = np.maximum(reference / np.where(regular, reduced, 1.0), 0.0)
-        min_noise = _MIN_NOISE_RATIO * local_mean(own)
-        own_noise = np.maximum((b_own - a_mixed * reference[:, None]) / a_own, min_noise)
-        size = np.maximum(reference[:, None] * own_curve + own_noise, _ZERO_POWER)
+        min_noise = _MIN_NOISE_RATIO * local_mean(variances)
+        response_noise = np.maximum((b_response - a_mixed * reference[:, None]) / a_response, min_noise)
+        size = np.maximum(reference[:, None] * curve_variances + response_noise, _ZERO_POWER)
     drive_power = local_mean(drive)
     ratio = np.divide(reference, drive_power, out=np.zeros_like(drive), where=drive_power > 0.0)
-    return np.asarray(reference), np.asarray(own_noise), ratio
+    return np.asarray(reference), np.asarray(response_noise), ratio

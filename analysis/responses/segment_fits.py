@@ -1,8 +1,8 @@
 """Frequency responses of tests without tones: local fits to the spectra of complete clean segments.
 
-The local rational method treats random excitation, bursts and hits in the same manner, because the force was measured
-and the transients at the beginning and end of a segment are part of the fit. The response need not decay, no window
-adds damping, and double hits are acceptable. Samples with overloads or losses are excluded.
+The local rational method treats random excitation, bursts and hits in the same manner. It uses the measured force, and
+the transients at the beginning and end of a segment are part of the fit. The response need not decay, no window adds
+damping, and double hits are acceptable. Samples with overloads or losses are excluded.
 """
 
 from __future__ import annotations

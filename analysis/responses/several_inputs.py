@@ -381,7 +381,9 @@ def _from_experiments(
         unsettled.append(transient)
         coherences.append(output_power / np.maximum(output_power + residual_power, 1e-300))
     if not values:
-        raise RecordingError(f"{rec.path}: no realisation of the multisine is complete. {' '.join(notes)}")
+        raise RecordingError(
+            f"{rec.path}: no realisation of the multisine is complete. {' '.join(notes)} Record again."
+        )
     count = len(values)
     value = np.mean(values, axis=0)
     covariance = np.sum(noises, axis=0) / count**2

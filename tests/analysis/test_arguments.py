@@ -63,7 +63,7 @@ def test_recorded_scene_has_the_names(hit: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("call", "said"),
+    ("call", "message"),
     [
         (lambda: analysis.frfs(7), "frfs: got 7; expected a recording: its path"),
         (lambda: analysis.decay(None), "decay: got None; expected a recording"),
@@ -97,10 +97,10 @@ def test_recorded_scene_has_the_names(hit: Path) -> None:
         (lambda: rig.loads(7), "got 7; expected the text of a scene file"),
     ],
 )
-def test_wrong_argument_is_explained(call: Any, said: str) -> None:
+def test_wrong_argument_is_explained(call: Any, message: str) -> None:
     with pytest.raises(ShotrigError) as raised:
         call()
-    assert said in str(raised.value)
+    assert message in str(raised.value)
 
 
 @pytest.mark.thorough
@@ -120,9 +120,9 @@ def test_sensors_of_body_form_one_point(hit: Path) -> None:
 
 
 def test_better_sensor_weighs_more_in_a_shape() -> None:
-    none = np.zeros(2)
+    zeros = np.zeros(2)
     modes = Modes(
-        frequency=np.array([10.0]), frequency_error=none[:1], damping=none[:1], damping_error=none[:1],
+        frequency=np.array([10.0]), frequency_error=zeros[:1], damping=zeros[:1], damping_error=zeros[:1],
         shape_error=np.array([[0.0], [0.01], [0.1]]), residue=np.array([[1.0 + 0j], [0.5], [0.61]]),
         responses=("a", "b", "c"), chart=(), lower=np.zeros(3), upper=np.zeros((3, 3)), model_error=0.0,
         label="", warnings=(), places=("body 1", "body 2", "body 2"),

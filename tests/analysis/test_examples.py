@@ -15,16 +15,16 @@ EXAMPLES = Path(analysis.examples.__file__).parent
 NAMES = sorted(path.stem for path in EXAMPLES.glob("[a-z]*.py"))
 # Required output of each example.
 RESULTS = {
-    "accuracy_against_time": lambda found: found["errors"][-1] < found["errors"][0],
-    "approximate_theory": lambda found: {each.motion_type for each in found["theory"].branches} == {"I", "II", "III"},
-    "choosing_a_damper": lambda found: found["peaks"].min() < 0.9 * found["peaks"].max(),
-    "damping_against_amplitude": lambda found: found["decays"][1].quiet_from < found["decays"][0].quiet_from,
-    "hammer_faults": lambda found: found["overloads"]["clipped"] and "clipped" not in found["peaks"],
-    "import_and_fit": lambda found: abs(found["fit"]["structure.masses[1]"].value - 0.74) < 0.02,
-    "low_frequencies": lambda found: all(each[-1] < 0.05 for each in found["errors"].values()),
-    "nidaqmx_and_pyfrf": lambda found: abs(found["peak"] - 62.0) < 0.3 and found["error"] < 0.05,
-    "rehearse_a_sweep": lambda found: (
-        found["durations"]["0.001 %"] > found["durations"]["10 %"] and abs(found["modes"].frequency[0] - 34.777) < 0.01
+    "accuracy_against_time": lambda names: names["errors"][-1] < names["errors"][0],
+    "approximate_theory": lambda names: {each.motion_type for each in names["theory"].branches} == {"I", "II", "III"},
+    "choosing_a_damper": lambda names: names["peaks"].min() < 0.9 * names["peaks"].max(),
+    "damping_against_amplitude": lambda names: names["decays"][1].quiet_from < names["decays"][0].quiet_from,
+    "hammer_faults": lambda names: names["overloads"]["clipped"] and "clipped" not in names["peaks"],
+    "import_and_fit": lambda names: abs(names["fit"]["structure.masses[1]"].value - 0.74) < 0.02,
+    "low_frequencies": lambda names: all(each[-1] < 0.05 for each in names["errors"].values()),
+    "nidaqmx_and_pyfrf": lambda names: abs(names["peak"] - 62.0) < 0.3 and names["error"] < 0.05,
+    "rehearse_a_sweep": lambda names: (
+        names["durations"]["0.001 %"] > names["durations"]["10 %"] and abs(names["modes"].frequency[0] - 34.777) < 0.01
     ),
 }
 

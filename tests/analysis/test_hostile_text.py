@@ -42,16 +42,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording with hostile text in every field: name, channels, data sheets, markers, end state."""
     folder = tmp_path_factory.mktemp("hostile")
     synthetic.impulses(folder / "plain.mcap", interval=1.0, name="plain")
-    with daq.open(folder / "plain.mcap") as plain:
+    with daq.open(folder / "plain.mcap") as source:
         infos = [
             type(info)(**{**vars(info), "sensor": {"model": CONTROL_CODES + MARKUP}})
-            for info in plain.channels.values()
+            for info in source.channels.values()
         ]
-        scene = plain.scene.replace(name=MARKUP)
-        samples = np.array([plain.read(name) * info.sensitivity for name, info in plain.channels.items()])
-        with Recorder(folder / "r.mcap", scene, infos, plain.rate) as recorder:
+        scene = source.scene.replace(name=MARKUP)
+        samples = np.array([source.read(name) * info.sensitivity for name, info in source.channels.items()])
+        with Recorder(folder / "r.mcap", scene, infos, source.rate) as recorder:
             recorder.write(samples)
-            for mark in plain.markers:
+            for mark in source.markers:
                 recorder.mark(mark.kind, mark.first_sample, mark.last_sample, **mark.fields)
             recorder.mark("abort", 10, reason=CONTROL_CODES + MARKUP)
             recorder.mark(CONTROL_CODES + MARKUP, 20)

@@ -173,16 +173,16 @@ def test_pieces_give_same_file(recording, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("wanted", "message"),
+    ("selection", "message"),
     [
         ({"channels": ["body9"]}, "no channel 'body9'. Choose one of body1, body2"),
         ({"from_s": 5.0}, "times from 0 s to 1.95312 s"),
         ({"from_s": 1.0, "to_s": 0.5}, "--from 1 s is after --to 0.5 s"),
     ],
 )
-def test_missing_segment_names_available_range(recording, wanted, message):
+def test_missing_segment_names_available_range(recording, selection, message):
     with pytest.raises(SceneError, match=message):
-        Slice.of(recording, **wanted)
+        Slice.of(recording, **selection)
 
 
 @pytest.mark.parametrize(

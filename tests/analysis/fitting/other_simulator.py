@@ -57,8 +57,10 @@ def random_chain(seed: int) -> Chain:
 def accelerations(chain: Chain, driven: int, frequency: Array) -> NDArray[np.complex128]:
     """Accelerances of all bodies for a force at one, shape (bodies, frequencies)."""
     natural, shapes = chain.modes
-    omega, own = 2.0 * np.pi * frequency, 2.0 * np.pi * natural
-    modal = -(omega**2) / (own[:, None] ** 2 - omega**2 + 2j * (chain.damping * own)[:, None] * omega)
+    omega, natural_omega = 2.0 * np.pi * frequency, 2.0 * np.pi * natural
+    modal = -(omega**2) / (
+        natural_omega[:, None] ** 2 - omega**2 + 2j * (chain.damping * natural_omega)[:, None] * omega
+    )
     return np.asarray((shapes * shapes[driven]) @ modal)
 
 

@@ -51,8 +51,8 @@ converter: {{rate: 2048 Hz}}
 
 def test_narrower_axis_of_fewer_values_is_reported():
     # The largest singular value belongs to nine values, each of which changes by less than 2 %.
-    many, pair = np.full(9, 1.0 / 3.0), np.append([0.5**0.5, -(0.5**0.5)], np.zeros(7))
-    estimate = Estimate(np.zeros(9), np.stack([0.03 * many, 0.029 * pair], axis=1), 1.0)
+    common_axis, opposite_axis = np.full(9, 1.0 / 3.0), np.append([0.5**0.5, -(0.5**0.5)], np.zeros(7))
+    estimate = Estimate(np.zeros(9), np.stack([0.03 * common_axis, 0.029 * opposite_axis], axis=1), 1.0)
     parameters = [SimpleNamespace(key=f"mass {k}", damper=None) for k in range(9)]
     problem = SimpleNamespace(parameters=parameters, groups=[], sensors=[])
     [text] = coupled_values(problem, estimate, ["determined"] * 9)  # type: ignore[arg-type]

@@ -161,15 +161,15 @@ def test_leakage_warns_of_increased_damping(ratio, warned):
     natural, zeta = 30.0, 0.01
     resolution = ratio * zeta * natural
     bins = resolution / 1.5
-    away = np.linspace(-30.0, 30.0, 6001)
-    window = (np.sinc(away) + 0.5 * np.sinc(away - 1.0) + 0.5 * np.sinc(away + 1.0)) ** 2
+    offset_bins = np.linspace(-30.0, 30.0, 6001)
+    window = (np.sinc(offset_bins) + 0.5 * np.sinc(offset_bins - 1.0) + 0.5 * np.sinc(offset_bins + 1.0)) ** 2
     frequency = np.arange(24.0, 36.0, bins)
-    s = 2j * np.pi * (frequency[:, None] - bins * away)
+    s = 2j * np.pi * (frequency[:, None] - bins * offset_bins)
     pole = 2 * np.pi * natural * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
     value = (1.0 / ((s - pole) * (s - pole.conjugate()))) @ (window / window.sum())
-    nothing = np.zeros(frequency.size)
+    zeros = np.zeros(frequency.size)
     frf = Response.curve(
-        frequency, value, "body1", error=nothing + 1e-3 * abs(value).max(), degrees=nothing + 38.0,
+        frequency, value, "body1", error=zeros + 1e-3 * abs(value).max(), degrees=zeros + 38.0,
         resolution=resolution,
     )  # fmt: skip
     modes = analysis.identify([frf], count=1)
@@ -182,12 +182,12 @@ def test_leakage_warns_of_increased_damping(ratio, warned):
 def test_narrow_peaks_in_files_have_large_uncertainty(windowed, tmp_path):
     # One hit whose response is truncated before it has decayed, or a random test with Hann windows.
     random, spacing = np.random.default_rng(5), 0.25
-    natural, half = np.array([31.4, 71.23]), np.array([0.04, 0.2]) * spacing
+    natural, half_widths = np.array([31.4, 71.23]), np.array([0.04, 0.2]) * spacing
     frequency = spacing * np.arange(60, 400)
-    away = np.linspace(-20.0, 20.0, 401) if windowed else np.zeros(1)
-    window = (np.sinc(away) + 0.5 * np.sinc(away - 1.0) + 0.5 * np.sinc(away + 1.0)) ** 2
-    s = 2j * np.pi * (frequency[:, None] - spacing * away)
-    pole = 2 * np.pi * (-half + 1j * natural)
+    offset_bins = np.linspace(-20.0, 20.0, 401) if windowed else np.zeros(1)
+    window = (np.sinc(offset_bins) + 0.5 * np.sinc(offset_bins - 1.0) + 0.5 * np.sinc(offset_bins + 1.0)) ** 2
+    s = 2j * np.pi * (frequency[:, None] - spacing * offset_bins)
+    pole = 2 * np.pi * (-half_widths + 1j * natural)
     value = sum(1.0 / ((s - p) * (s - p.conjugate())) for p in pole) @ (window / window.sum())
     value += 1e-2 * np.median(abs(value)) * (random.standard_normal((2, 340)).T @ [1.0, 1j])
     table = np.column_stack([frequency, value.real, value.imag])
@@ -196,7 +196,7 @@ def test_narrow_peaks_in_files_have_large_uncertainty(windowed, tmp_path):
     assert modes.frequency.size == 2
     assert np.all(abs(modes.frequency - natural) < 2.0 * modes.frequency_error)
     assert np.all(modes.frequency_error < spacing)
-    assert np.all(abs(modes.damping - half / natural) < 2.0 * modes.damping_error)
+    assert np.all(abs(modes.damping - half_widths / natural) < 2.0 * modes.damping_error)
     assert np.all(modes.damping + 2.0 * modes.damping_error < 2.0 * spacing / natural)
     assert modes.damping_text(0).startswith("below")
     assert sum("narrower than the resolution" in warning for warning in modes.warnings) == 1
@@ -231,8 +231,8 @@ def test_unbounded_lines_do_not_hide_nonlinearity():
         frfs = analysis.frfs(recording)
     open_lines = np.where(abs(frfs[0].frequency - 24.0) < 4.0, np.inf, 0.0)
     silent = replace(frfs[1], value=np.where(open_lines > 0.0, 0.0, frfs[1].value))
-    some = [frf.with_limits({UNSETTLED: open_lines}) for frf in (frfs[0], silent)]
-    modes = analysis.identify([*some, frfs[2]])
+    limited = [frf.with_limits({UNSETTLED: open_lines}) for frf in (frfs[0], silent)]
+    modes = analysis.identify([*limited, frfs[2]])
     assert len(modes.frequency) == 3
     assert modes.model_error > 0.01
     assert np.isfinite(modes.frequency_error).all() and np.isfinite(modes.damping_error).all()
@@ -289,18 +289,18 @@ def test_sensor_tolerance_is_in_shape_uncertainty(tmp_path):
     for mode in range(3):
         for response in range(3):
             # If the inaccurate sensor has the largest element, all other elements are scaled by it.
-            wide = response != top[mode] and 1 in (response, top[mode])
-            assert (0.09 < relative[response, mode] < 0.15) if wide else relative[response, mode] < 0.01
+            is_uncertain = response != top[mode] and 1 in (response, top[mode])
+            assert (0.09 < relative[response, mode] < 0.15) if is_uncertain else relative[response, mode] < 0.01
 
 
 def test_force_tolerance_does_not_affect_shapes(tmp_path) -> None:
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
         [curves] = analysis.frequency_responses(rec)
-    wide = [
+    is_uncertain = [
         replace(tolerant, uncertainty=replace(tolerant.uncertainty, scale=0.15))
         for tolerant in (curve.with_limits({SENSITIVITY: 0.15 * abs(curve.value)}) for curve in curves)
     ]
-    exact, modes = analysis.identify(curves), analysis.identify(wide)
+    exact, modes = analysis.identify(curves), analysis.identify(is_uncertain)
     assert modes.shape_error.max() < 0.01
     np.testing.assert_allclose(modes.shape_error, exact.shape_error, atol=1e-3)
 

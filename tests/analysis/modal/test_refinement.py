@@ -48,8 +48,8 @@ def test_normal_equations_equal_dense_ones(curves: Curves, monkeypatch: pytest.M
     dense = np.einsum("kap,kaq->pq", weighted.conj(), slopes).real
     scale = np.sqrt(np.outer(np.diag(dense), np.diag(dense)))
     np.testing.assert_allclose(normal / scale, dense / scale, atol=1e-6)
-    pull = np.einsum("kap,ka->p", weighted.conj(), problem.residual(model)).real
-    np.testing.assert_allclose(right * step, pull * step, atol=1e-6 * abs(right * step).max())
+    expected_right = np.einsum("kap,ka->p", weighted.conj(), problem.residual(model)).real
+    np.testing.assert_allclose(right * step, expected_right * step, atol=1e-6 * abs(right * step).max())
     rows = random.standard_normal((len(right), 2))
     np.testing.assert_allclose(problem.weights(model, rows / scale[0, 0]), weighted @ rows / scale[0, 0], rtol=1e-4)
 

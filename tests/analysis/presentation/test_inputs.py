@@ -8,16 +8,19 @@ import shutil
 import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import analysis
 import daq
 import rig
 from analysis.exporting.results import export_results
-from analysis.presentation.comparison import present_compare
+from analysis.presentation.comparison import MeasurementPoints, present_compare
 from analysis.presentation.frf_findings import present_frf
+from analysis.presentation.inputs import check_recording
 from analysis.presentation.mode_findings import present_modes
-from rig.errors import SceneError
+from rig.errors import RecordingError, SceneError
+from tests.analysis.responses import synthetic
 
 BRACKET = """\
 name: bracket
@@ -103,3 +106,52 @@ def test_reversed_force_is_reported(bracket: dict[str, Path], tmp_path: Path) ->
         for present in (present_frf, present_modes):
             reported = [warning for warning in present([path], tmp_path).warnings if "reversed" in warning]
             assert len(reported) == count
+
+
+@pytest.mark.parametrize(
+    ("test", "marker_kind", "command", "suggested"),
+    [
+        ("{kind: random, from: 5 Hz, to: 60 Hz, duration: 10 s, force: 1 N}", "measure", "decay", "analysis frf"),
+        ("{kind: random, from: 5 Hz, to: 60 Hz, duration: 10 s, force: 1 N}", "measure", "dampers", "analysis frf"),
+        ("{kind: free, mode: 1, amplitude: 5 mm, duration: 10 s}", None, "frf", "analysis decay"),
+        ("{kind: free, mode: 1, amplitude: 5 mm, duration: 10 s}", None, "modes", "analysis decay"),
+        ("{kind: impulse, body: 1, peak: 50 N, width: 4 ms}", "hit", "dampers", "analysis decay"),
+    ],
+)
+def test_wrong_recording_names_right_command(tmp_path, test, marker_kind, command, suggested):
+    undriven = test.startswith("{kind: free") or test.startswith("{kind: impulse")
+    scene = synthetic.scene(test)
+    scene = scene.replace(dampers=[{"body": 1, "mass_ratio": 0.1, "clearance": 1e-3}])
+    if undriven:
+        scene = scene.replace(shaker=None)
+    path = tmp_path / "my test.mcap"
+    marker_rows = [] if marker_kind is None else [(marker_kind, 0, 20, {})]
+    synthetic.write(path, scene, synthetic.channels(), np.zeros((4, 64)), marker_rows)
+    with daq.open(path) as rec, pytest.raises(RecordingError, match=f"{suggested} '.*my test.mcap'"):
+        check_recording(rec, path, command)
+
+
+FIRST = MeasurementPoints(Path("a.mcap"), (1,), {"base": "body 1", "tip": "body 3"})
+
+
+def test_same_places_are_comparable() -> None:
+    MeasurementPoints(Path("b.mcap"), (1,), {"tip": "body 3", "other": "body 2"}).comparable_with(FIRST)
+
+
+@pytest.mark.parametrize(
+    ("force_on", "channels", "message"),
+    [
+        ((3,), {"tip": "body 3"}, r"b\.mcap: driven at body 3, a\.mcap at body 1, .* on the same body"),
+        ((1,), {"tip": "body 2"}, r"b\.mcap: tip is at body 2, but at body 3 in a\.mcap"),
+        ((1,), {"top": "body 3"}, r"b\.mcap: has .*top \(at body 3\), but none .* base \(at body 1\), tip"),
+    ],
+)
+def test_other_places_are_explained(force_on: tuple[int, ...], channels: dict[str, str], message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        MeasurementPoints(Path("b.mcap"), force_on, channels).comparable_with(FIRST)
+
+
+def test_shared_sensors_are_named() -> None:
+    first = MeasurementPoints(Path("a.mcap"), (1,), {}, {"base": "one", "tip": "two"})
+    second = MeasurementPoints(Path("b.mcap"), (1,), {}, {"base": "one", "tip": "another", "mid": "three"})
+    assert second.same_sensors(first) == ["base"]

@@ -1,13 +1,18 @@
 from __future__ import annotations
 
+import csv
 import os
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from analysis.presentation.outputs import of_part, output_stem, with_ending
 from analysis.presentation.tables import write_table
 from rig.errors import RunError, SceneError
+from rig.escaping import escape_terminal
 
 
 def written(paths, output, kind):
@@ -75,3 +80,12 @@ def test_impossible_channel_name_stays_in_folder(name: str, tmp_path: Path) -> N
 
     assert part.parent == tmp_path and list(tmp_path.iterdir()) == [part]
     assert part != of_part(tmp_path / "run-frf", f"{name} ")
+
+
+@settings(max_examples=25)
+@given(st.text(st.characters(codec=None), max_size=20))
+def test_any_text_survives_table(text: str) -> None:
+    with TemporaryDirectory() as folder:
+        path = write_table(Path(folder) / "a.csv", ["label", "x"], [(text, 1.0)])
+        with path.open(newline="", encoding="utf-8") as file:
+            assert list(csv.reader(file)) == [["label", "x"], [escape_terminal(text), "1"]]

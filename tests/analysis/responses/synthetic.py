@@ -50,30 +50,32 @@ def write(path, scene, infos, samples, marks, rate=RATE):
 def stepped_sine(path, frequencies, periods=20, level=2.6, noise=0.0, infos=None, seed=0, name="linear"):
     """Steady motion at each frequency in turn, as channel readings."""
     infos = channels() if infos is None else infos
-    where = scene(name=name)
+    structure_scene = scene(name=name)
     random = np.random.default_rng(seed)
     blocks, marks, first = [], [], 0
     for frequency in frequencies:
         count = round(periods * RATE / frequency)
-        motion = receptance(where, [frequency])[:, 0] * level
+        motion = receptance(structure_scene, [frequency])[:, 0] * level
         motion = np.append(motion, level / SPRING + motion[0])
         orders = [{"displacement": 0, "velocity": 1, "acceleration": 2}[info.quantity] for info in infos]
-        read = [
+        readings = [
             x * (2j * np.pi * frequency) ** order * info.response(frequency)
             for x, order, info in zip(motion, orders, infos, strict=True)
         ]
-        turn = np.exp(2j * np.pi * frequency / RATE * np.arange(count))
-        blocks.append((np.array(read)[:, None] * turn).real + noise * random.standard_normal((len(infos), count)))
+        phase_factor = np.exp(2j * np.pi * frequency / RATE * np.arange(count))
+        blocks.append(
+            (np.array(readings)[:, None] * phase_factor).real + noise * random.standard_normal((len(infos), count))
+        )
         fields = {"frequency": float(frequency), "level": level, "direction": "up", "settled": True}
         marks.append(("measure", first, first + count - 1, fields))
         first += count
-    return write(path, where, infos, np.concatenate(blocks, axis=1), marks)
+    return write(path, structure_scene, infos, np.concatenate(blocks, axis=1), marks)
 
 
-def simulate(force, rate=RATE, where=None, quantity="acceleration"):
+def simulate(force, rate=RATE, structure_scene=None, quantity="acceleration"):
     """Motion of the three bodies under a sampled force on body 1, exact between samples; (3, samples)."""
-    where = scene() if where is None else where
-    mass, damping, stiffness = structure_matrices(where.structure)
+    structure_scene = scene() if structure_scene is None else structure_scene
+    mass, damping, stiffness = structure_matrices(structure_scene.structure)
     _, shapes = natural_modes(mass, stiffness)
     out = np.zeros((len(mass), force.size))
     for shape in shapes.T:
@@ -88,11 +90,11 @@ def simulate(force, rate=RATE, where=None, quantity="acceleration"):
 
 def impulses(path, hits=1, interval=6.0, noise=0.0, name="linear", hammer=True, rebound=(), seed=0):
     """Half-sine hits on body 1 and the free decays after them."""
-    count, width, quiet = round(interval * RATE), 16, 640
-    force = np.zeros(quiet + hits * count)
+    count, width, samples_before = round(interval * RATE), 16, 640
+    force = np.zeros(samples_before + hits * count)
     marks = []
     for hit in range(hits):
-        first = quiet + hit * count
+        first = samples_before + hit * count
         force[first : first + width] = 50.0 * np.sin(np.pi * np.arange(width) / width)
         if hit + 1 in rebound:
             force[first + 60 : first + 60 + width] += 20.0 * np.sin(np.pi * np.arange(width) / width)
@@ -103,8 +105,8 @@ def impulses(path, hits=1, interval=6.0, noise=0.0, name="linear", hammer=True, 
         infos.append(ChannelInfo("hammer", "hammer", "force", sensitivity=1.0, rate=RATE))
         rows = np.vstack([rows, force])
     rows = rows + noise * np.random.default_rng(seed).standard_normal(rows.shape)
-    where = scene("{kind: impulse, body: 1, peak: 50 N, width: 6.25 ms}", name=name)
-    return write(path, where, infos, rows, marks)
+    structure_scene = scene("{kind: impulse, body: 1, peak: 50 N, width: 6.25 ms}", name=name)
+    return write(path, structure_scene, infos, rows, marks)
 
 
 OVERSAMPLED = 4

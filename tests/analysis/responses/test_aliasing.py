@@ -32,11 +32,11 @@ def image_ratio(info, cycles):
     return folded[1:].sum() / folded[0]
 
 
-def aliasing_limits(info, value, motion="acceleration", scene=SCENE, lower=0.0):
+def aliasing_limits(info, value, motion="acceleration", scene=SCENE, reference_share=0.0):
     """Return the aliasing of a channel in the response or in the reference; the other channel has no images."""
     other = ChannelInfo("b", "body 1", "acceleration", 1.0, RATE, filter=FILTER)
     rec = SimpleNamespace(source="", channels={info.name: info, "b": other}, scene=rig.loads(scene, where="a test"))
-    share = np.array([[1.0 - lower], [lower]]) * np.ones(value.size)
+    share = np.array([[1.0 - reference_share], [reference_share]]) * np.ones(value.size)
     shares = ReadingShares([info.name, "b"], FREQUENCY, motion, value, value * share, share[::-1])
     return aliasing_part(rec, shares)
 
@@ -102,17 +102,17 @@ def test_modes_above_band_increase_driven_acceleration():
         assert (bound * conversion <= 1.25 * expected).all()
 
 
-@pytest.mark.parametrize("lower", [0.0, 1.0])
-def test_table_drive_images_are_bounded(lower):
+@pytest.mark.parametrize("reference_share", [0.0, 1.0])
+def test_table_drive_images_are_bounded(reference_share):
     scene = SCENE.replace("kind: force, body: 1", "kind: table, body: 1, spring: 6 kN/m, bandwidth: 700 Hz")
     value = np.full(4, 0.5 + 0.2j)
-    [bound] = aliasing_limits(channel("table"), value, scene=scene, lower=lower).values()
+    [bound] = aliasing_limits(channel("table"), value, scene=scene, reference_share=reference_share).values()
     for column, (frequency, cycles) in enumerate(zip(FREQUENCY, CYCLES, strict=True)):
         # After two differentiations an image is as large as the tone; only the second-order servo attenuates it.
         servo = SimpleNamespace(response=lambda f: -((2 * np.pi * f) ** 2) / (1.0 + 1j * f / 700.0) ** 2)
         share = image_ratio(servo, cycles)
         # The relative deficit of a response exceeds its excess; the reference is in the denominator.
-        expected = (share if lower else relative_to_reading(share)) * abs(value[column])
+        expected = (share if reference_share else relative_to_reading(share)) * abs(value[column])
         assert expected <= bound[column] <= 1.25 * expected, frequency
 
 
@@ -136,7 +136,7 @@ def test_coil_drive_images_are_bounded(mode, spring):
     parts = f"armature: {{{armature}}}, coil: {{{coil}}}, amplifier: {{mode: {mode}}}"
     scene = SCENE.replace("kind: force", f"kind: electrodynamic, spring: {spring} N/m, {parts}")
     value = np.full(4, 0.5 + 0.2j)
-    [bound] = aliasing_limits(channel("table"), value, scene=scene, lower=1.0).values()
+    [bound] = aliasing_limits(channel("table"), value, scene=scene, reference_share=1.0).values()
 
     def acceleration_per_drive(frequency):
         """Return the acceleration for a drive with the structure fixed; zero for a shaker at rest."""

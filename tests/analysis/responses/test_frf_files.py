@@ -170,8 +170,8 @@ def test_block_average_agrees_with_scipy(tmp_path):
             for curve, row in zip(curves, rows, strict=False):
                 cross = signal.csd(force, row, **block)[1]
                 expected = cross / power if estimator == "H1" else signal.welch(row, **block)[1] / cross.conj()
-                at = np.searchsorted(frequency, curve.frequency - 1e-6)
-                np.testing.assert_allclose(curve.value, expected[at], rtol=1e-9)
+                indices = np.searchsorted(frequency, curve.frequency - 1e-6)
+                np.testing.assert_allclose(curve.value, expected[indices], rtol=1e-9)
 
 
 # In pure noise, the driving-point response may appear reversed.
@@ -179,8 +179,8 @@ def test_block_average_agrees_with_scipy(tmp_path):
 def test_averaged_hits_are_quotient_of_spectra(tmp_path):
     pulse = np.sin(np.pi * np.arange(1, 9) / 9)
     force = np.zeros(24000)
-    for at, size in ((900, 70.0), (9000, 50.0), (17000, 60.0)):
-        force[at : at + 8] = size * pulse
+    for begin, size in ((900, 70.0), (9000, 50.0), (17000, 60.0)):
+        force[begin : begin + 8] = size * pulse
     response = signal.lfilter([1.0], [1.0, -1.96, 0.985], force)
     rows = np.vstack([response / 9.80665, 0.5 * response, force]) + 1e-3 * np.random.default_rng(6).standard_normal(
         (3, force.size)
@@ -193,11 +193,13 @@ def test_averaged_hits_are_quotient_of_spectra(tmp_path):
         begins = [marker.first_sample for marker in recording.markers]
         (curves,) = analysis.frequency_responses(recording, motion="acceleration", estimator="H1", block=3.0)
         size, lead = 6144, 6144 // 50
-        blocks = np.stack([[recording.read(name, at - lead, at - lead + size) for name in NAMES] for at in begins])
+        blocks = np.stack(
+            [[recording.read(name, begin - lead, begin - lead + size) for name in NAMES] for begin in begins]
+        )
     spectra = np.fft.rfft(blocks - blocks.mean(axis=2, keepdims=True), axis=2)
     expected = (spectra[:, 0] * spectra[:, 2].conj()).sum(axis=0) / (abs(spectra[:, 2]) ** 2).sum(axis=0)
-    at = np.searchsorted(np.fft.rfftfreq(size, 1 / RATE), curves[0].frequency - 1e-6)
-    np.testing.assert_allclose(curves[0].value, expected[at], rtol=1e-9)
+    indices = np.searchsorted(np.fft.rfftfreq(size, 1 / RATE), curves[0].frequency - 1e-6)
+    np.testing.assert_allclose(curves[0].value, expected[indices], rtol=1e-9)
     assert not any("leak" in note for note in curves[0].warnings)
 
 
@@ -214,11 +216,9 @@ def test_own_file_keeps_errors_and_modes(ending, tmp_path):
     error = 1e-4 * abs(value).max() * (1.0 + 1e3 * np.exp(-FREQUENCY[1:] / 1.5))
     error = np.where(FREQUENCY[1:] < 15.0, error, 1e-9 * abs(value).max())
     drift = value + error * np.exp(0.3j * FREQUENCY[1:])
-    nothing = np.ones(error.size)
+    ones = np.ones(error.size)
     curves = [
-        Response.curve(
-            FREQUENCY[1:], row, f"body{k}", error=error, coherence=nothing, degrees=30.0 * nothing, label="own"
-        )
+        Response.curve(FREQUENCY[1:], row, f"body{k}", error=error, coherence=ones, degrees=30.0 * ones, label="own")
         for k, row in enumerate(drift, 1)
     ]
     path = tmp_path / f"own.{ending}"

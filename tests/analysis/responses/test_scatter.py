@@ -8,8 +8,8 @@ from scipy import stats
 
 from analysis.responses.estimators import Averages, square_root
 from analysis.responses.local_models.jitter import jitter_part
-from analysis.responses.lock_in import LockIn, parts_of_whole_periods
 from analysis.responses.scatter import Scatter, moderate
+from analysis.responses.stepped_sine import LockIn, parts_of_whole_periods
 from daq.recording.recording import Recording
 from tests.analysis.responses.synthetic import stepped_sine
 

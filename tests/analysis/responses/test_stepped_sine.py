@@ -232,3 +232,29 @@ def test_slow_transients_with_dampers_are_bounded(tmp_path):
         frf = analysis.compliance(rec, response="a2")
     exact = rig.orbit_response(scene, frf.frequency).compliance[1]
     assert np.all(abs(frf.value - exact) < 1.5 * frf.bound(0.95))
+
+
+PARTS, LINES = 4, 120
+
+
+def noise(seed, shape):
+    random = np.random.default_rng(seed)
+    return random.standard_normal(shape) + 1j * random.standard_normal(shape)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_alone_has_no_transient(seed):
+    deviation = np.sqrt(2.0 / PARTS)
+    assert np.median(remainder(noise(seed, (PARTS, 1, LINES)))) < 0.15 * deviation
+
+
+@pytest.mark.parametrize("decay_per_period", [0.3, 2.0, 8.0])
+def test_transient_remainder_bounds_the_mean(decay_per_period):
+    # A mode between two lines, with this decay in a period. Its transient covers few or many lines.
+    pole = (-decay_per_period + 2j * np.pi * 60.3) / (2j * np.pi)
+    first = 40.0 / (np.arange(LINES) - pole)
+    transient = first * np.exp(2j * np.pi * pole * np.arange(PARTS))[:, None, None]
+    reported = remainder(transient + 0.05 * noise(1, (PARTS, 1, LINES)))[0]
+    error = abs(transient.mean(axis=0)[0])
+    significant = error > 0.2
+    assert np.mean(reported[significant] > 0.8 * error[significant]) > 0.9

@@ -79,17 +79,19 @@ def quotient_shares(frequency, value, motion="acceleration", names="ab"):
 def test_sensor_tolerances_bound_quotient(shares):
     random = np.random.default_rng(3)
     readings = random.standard_normal((3, 40)) + 1j * random.standard_normal((3, 40))
-    upper_weights, lower_weights = np.array([1.0, 0.5, 0.0]), np.array([0.0, 0.3, 1.5])
-    reference = lower_weights @ readings
-    value = (upper_weights @ readings) / reference
-    upper, lower = (weights[:, None] * readings / reference for weights in (upper_weights, lower_weights))
+    response_weights, reference_weights = np.array([1.0, 0.5, 0.0]), np.array([0.0, 0.3, 1.5])
+    reference = reference_weights @ readings
+    value = (response_weights @ readings) / reference
+    response_share, reference_share = (
+        weights[:, None] * readings / reference for weights in (response_weights, reference_weights)
+    )
     rec = recording(*channels_with_tolerance(*shares))
-    bound = single_value(sensitivity_part(rec, reading_shares(value, upper, lower, names="abc")))
+    bound = single_value(sensitivity_part(rec, reading_shares(value, response_share, reference_share, names="abc")))
     max_error = np.zeros(40)
     for corner in product(*((-share, share) for share in shares)):
         true_readings = readings / (1.0 + np.array(corner))[:, None]
         max_error = np.maximum(
-            max_error, abs((upper_weights @ true_readings) / (lower_weights @ true_readings) - value)
+            max_error, abs((response_weights @ true_readings) / (reference_weights @ true_readings) - value)
         )
     assert (max_error <= bound * (1 + 1e-12)).all()
 
@@ -99,8 +101,8 @@ def test_single_sensor_tolerance_is_exact():
     first_share, second_share = np.array([[1.0], [0.0]]), np.array([[0.0], [1.0]])
     rec = recording(*channels_with_tolerance(0.2, 0.0))
 
-    def bound(upper, lower):
-        return single_value(sensitivity_part(rec, reading_shares(value, value * upper, lower)))
+    def bound(response_share, reference_share):
+        return single_value(sensitivity_part(rec, reading_shares(value, value * response_share, reference_share)))
 
     assert bound(first_share, second_share) == pytest.approx(abs(value / 0.8 - value))
     # If the reference may read 20 % too much, the quotient may be 20 % larger; at 100 % it is unbounded.
@@ -119,10 +121,10 @@ def test_h1_bias_reaches_its_bound():
 
 
 def test_smaller_reference_increases_the_error():
-    doubt = np.array([0.0, 0.1, 0.5, 0.99, 1.0, 1.5])
+    deviation = np.array([0.0, 0.1, 0.5, 0.99, 1.0, 1.5])
     first_error = np.full(6, 0.3)
-    total = np.hypot(first_error, single_value(uncertain_reference_part(first_error, doubt)))
-    assert total[:4] == pytest.approx(first_error[:4] / (1.0 - doubt[:4]))
+    total = np.hypot(first_error, single_value(uncertain_reference_part(first_error, deviation)))
+    assert total[:4] == pytest.approx(first_error[:4] / (1.0 - deviation[:4]))
     assert (total[4:] == np.inf).all()
     # If the response is unbounded, an exact reference adds no error.
     assert single_value(uncertain_reference_part(np.array([np.inf]), np.array([0.0]))) == 0.0
@@ -156,13 +158,18 @@ def test_rounding_of_all_channels_is_summed():
     assert counts_of(rec, "ab").tolist() == [2e-3, 0.0]
     assert in_counts(rec, "ab", np.array([[4e-6, 16e-6], [1.0, 1.0]])).tolist() == [[1.0, 4.0], [np.inf] * 2]
     value = np.array([2.0 + 0j])
-    upper, lower = np.array([[2.0], [0.0]]), np.array([[0.0], [1.0]])
-    part = single_value(rounding_part(np.array([[0.1], [0.02]]), reading_shares(value, upper, lower)))
+    response_share, reference_share = np.array([[2.0], [0.0]]), np.array([[0.0], [1.0]])
+    part = single_value(
+        rounding_part(np.array([[0.1], [0.02]]), reading_shares(value, response_share, reference_share))
+    )
     assert part == pytest.approx([2.0 * (0.1 + 0.02)])
-    assert rounding_part(np.zeros((2, 1)), reading_shares(value, upper, lower)) == {}
+    assert rounding_part(np.zeros((2, 1)), reading_shares(value, response_share, reference_share)) == {}
     # A zero reading has an unbounded error, even if its contribution is zero.
     assert (
-        single_value(rounding_part(np.array([[np.inf], [0.0]]), reading_shares(value, 0 * upper, 0 * lower))) == np.inf
+        single_value(
+            rounding_part(np.array([[np.inf], [0.0]]), reading_shares(value, 0 * response_share, 0 * reference_share))
+        )
+        == np.inf
     )
 
 
@@ -226,15 +233,19 @@ def test_shared_noise_biases_h1_as_stated():
     random = np.random.default_rng(4)
     truth = random.standard_normal(30) + 1j * random.standard_normal(30)
     noise = np.abs(random.standard_normal((1, 30)))
-    upper_gain, lower_gain, power = 1.0 + 0j, -0.4 + 0.1j, 2.0
+    response_gain, reference_gain, power = 1.0 + 0j, -0.4 + 0.1j, 2.0
     cross, total = (
-        truth * power + upper_gain * np.conj(lower_gain) * noise[0],
-        power + abs(lower_gain) ** 2 * noise[0],
+        truth * power + response_gain * np.conj(reference_gain) * noise[0],
+        power + abs(reference_gain) ** 2 * noise[0],
     )
     h1 = cross / total
-    lower = np.full((1, 30), lower_gain)
-    assert shared_noise_part(noise, upper_gain - h1[None] * lower_gain, lower, total) == pytest.approx(abs(h1 - truth))
-    assert (shared_noise_part(noise, upper_gain - h1[None] * lower_gain, lower, 0.1 * noise[0]) == np.inf).all()
+    reference_share = np.full((1, 30), reference_gain)
+    assert shared_noise_part(noise, response_gain - h1[None] * reference_gain, reference_share, total) == pytest.approx(
+        abs(h1 - truth)
+    )
+    assert (
+        shared_noise_part(noise, response_gain - h1[None] * reference_gain, reference_share, 0.1 * noise[0]) == np.inf
+    ).all()
 
 
 def test_noise_reduces_reproducible_rounding():

@@ -216,7 +216,7 @@ def response(
             report_written(output)
 
 
-@app.command(example="rig grains fig9-grains --points 5 -o grains.csv")
+@app.command(example="rig grains fig9 --set 'dampers[1].grains={diameter: 2 mm}' --points 5 -o grains.csv")
 def grains(
     scene: SceneName,
     changes: Changes = None,

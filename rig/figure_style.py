@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 # Colors that are distinguishable with any color blindness (Okabe and Ito), darker colors first.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#555555", "#000000")
+# Default width of a figure, and resolution of PNG files in dots per inch.
 WIDTH_INCH = 7.2
 _DPI = 150
 # Number of title characters that fit into the default width.

@@ -21,6 +21,7 @@ from pathlib import Path
 
 from rig.errors import SceneError
 
+# Number of hexadecimal digits of a digest.
 _DIGITS = 16
 _MARK = re.compile(rb"shotrig ([0-9a-f]{16}) ([0-9a-f]{16})")
 _MARK_BYTES = len("shotrig ") + _DIGITS + 1 + _DIGITS

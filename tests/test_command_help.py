@@ -8,6 +8,8 @@ from importlib import import_module
 import pytest
 import typer
 
+from rig.scene.loading import load_with_options
+
 COMMANDS = [
     (program, name)
     for program in ("rig", "daq", "analysis")
@@ -24,8 +26,12 @@ def test_each_command_has_a_valid_example(program, name):
     tested = command(program, name)
     words = shlex.split(tested.epilog)
     assert words[:2] == [program, name]
-    tested.make_context(name, words[2:])
-    assert tested.epilog in tested.get_help(tested.make_context(name, words[2:]))
+    context = tested.make_context(name, words[2:])
+    assert tested.epilog in tested.get_help(context)
+    scenes, changes = context.params.get("scene"), context.params.get("changes")
+    for scene in [scenes] if isinstance(scenes, str) else scenes or ():
+        if not scene.endswith((".yaml", ".mcap")):
+            load_with_options(scene, changes or ())
 
 
 @pytest.mark.parametrize(("program", "name"), COMMANDS)

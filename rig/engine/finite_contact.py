@@ -33,7 +33,7 @@ from rig.engine.state import (
     toggle_contact,
 )
 from rig.engine.workspace import Workspace
-from rig.numerics.bernstein import LENGTH, first_crossing
+from rig.numerics.bernstein import N_COEFFICIENTS, first_crossing
 from rig.numerics.complementarity import ROUNDING
 from rig.numerics.jit import inlined_kernel, kernel
 
@@ -126,7 +126,7 @@ def _guard_series(
     bed = model.bed[j]
     magnitude = abs(gap_factor) * offset
     power = 1.0
-    for k in range(LENGTH):
+    for k in range(N_COEFFICIENTS):
         gap_term = gap_factor * workspace.tableau[k, bed] * power
         speed_term = speed_factor * workspace.tableau[k, model.first_velocity + bed] * power
         series[k] = gap_term + speed_term

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.engine.flow import TERMS, Flow, Model
-from rig.numerics.bernstein import LENGTH
+from rig.numerics.bernstein import N_COEFFICIENTS
 from rig.numerics.complementarity import ROUNDING
 from rig.numerics.simd import SUMS, aligned_zeros, padded_length
 from rig.system.hybrid_system import Drive, HybridSystem
@@ -35,7 +35,7 @@ MAX_RATE_TIMES_STEP = 0.7
 MAX_TABULATED_STATES = 16
 #: The same for systems with at most `FEW_DAMPERS`, which have at most eight configurations.
 MAX_TABULATED_STATES_FEW_DAMPERS = 40
-FEW_DAMPERS = 3
+FEW_DAMPERS = 3  # with 2^3 configurations
 #: Largest number of states for which the matrix of a full step is always tabulated.
 MAX_STEP_MATRIX_STATES = 400
 #: Largest number of dampers for which the matrix of a full step is tabulated.
@@ -191,7 +191,7 @@ class FlowTables:
         widths = {
             "propagate": padded_length(self.size + self.system.coordinates),
             "margin": padded_length(self.system.dampers),
-            "series": (LENGTH + 1) * rows,
+            "series": (N_COEFFICIENTS + 1) * rows,
             "bound": padded_length(2 * self.system.dampers),
             "derivative": padded_length(2 * self.system.coordinates),
         }
@@ -254,9 +254,9 @@ class FlowTables:
         flow.propagate[slot][:size, rows] = step_matrix.T
         flow.propagate_constant[slot][rows] = step_constant
         if self.tabulated:
-            series = flow.series[slot].reshape(size, LENGTH + 1, -1)
-            series[:, :, rows] = terms[: LENGTH + 1].transpose(2, 0, 1)
-            flow.series_constant[slot].reshape(LENGTH + 1, -1)[:, rows] = constants[: LENGTH + 1]
+            series = flow.series[slot].reshape(size, N_COEFFICIENTS + 1, -1)
+            series[:, :, rows] = terms[: N_COEFFICIENTS + 1].transpose(2, 0, 1)
+            flow.series_constant[slot].reshape(N_COEFFICIENTS + 1, -1)[:, rows] = constants[: N_COEFFICIENTS + 1]
         second = matrix[nq : 2 * nq]
         derivative = np.concatenate([second, second @ scaled])
         constant = np.concatenate([offset[nq : 2 * nq], second @ offset * h])

@@ -14,7 +14,7 @@ from rig.engine.flow import Flow, Model
 from rig.engine.screening import CEILING_GAP, CONTACT_FORCE, FLOOR_GAP
 from rig.engine.state import AMBIGUOUS, FLIGHT, FLOOR, State
 from rig.engine.workspace import Workspace
-from rig.numerics.bernstein import LENGTH, NO_CROSSING
+from rig.numerics.bernstein import N_COEFFICIENTS, NO_CROSSING
 from rig.numerics.jit import inlined_kernel, kernel
 from rig.numerics.simd import combine
 
@@ -53,7 +53,7 @@ def bound_by_series(
         end_slope = 0.0
         fourth_derivative = 0.0
         magnitude = 0.0
-        for k in range(LENGTH - 1 - shift, -1, -1):
+        for k in range(N_COEFFICIENTS - 1 - shift, -1, -1):
             # The acceleration's series is (k + 1) tableau[k + 1] / h.
             term = tableau[k + 1, row] * (k + 1) / model.step if at_rest else tableau[k, row]
             end_slope = end_slope * length + end_value
@@ -78,7 +78,7 @@ def _gap_series(
     row = model.position[j]
     duration = model.step * length
     power = 1.0
-    for k in range(LENGTH):
+    for k in range(N_COEFFICIENTS):
         series[k] = -workspace.tableau[k, row] * power
         power *= length
     series[0] += state.height[j]
@@ -88,7 +88,7 @@ def _gap_series(
     magnitude += workspace.bound[model.mass.shape[0] + j]
     if not ceiling:
         return state.multiplicity[j], magnitude
-    for k in range(LENGTH):
+    for k in range(N_COEFFICIENTS):
         series[k] = -series[k]
     series[0] += model.clearance[j]
     return -state.multiplicity[j], magnitude + model.clearance[j]
@@ -101,7 +101,7 @@ def _force_series(model: Model, state: State, workspace: Workspace, j: int, leng
     row = model.velocity[j]
     sign = 1.0 if state.mode[j] == FLOOR else -1.0
     power = sign / model.step
-    for k in range(LENGTH):
+    for k in range(N_COEFFICIENTS):
         series[k] = (k + 1) * workspace.tableau[k + 1, row] * power
         power *= length
     series[0] += sign * model.gravity

@@ -8,7 +8,7 @@ from __future__ import annotations
 from rig.arrays import Array
 from rig.engine.flow import Flow, Model
 from rig.engine.workspace import Workspace
-from rig.numerics.bernstein import LENGTH
+from rig.numerics.bernstein import N_COEFFICIENTS
 from rig.numerics.jit import inlined_kernel
 from rig.numerics.simd import combine, combine_many
 
@@ -26,7 +26,7 @@ def expand(flow: Flow, model: Model, slot: int, z: Array, tableau: Array) -> Non
         return
     for i in range(size):
         tableau[0, i] = z[i]
-    for k in range(LENGTH):
+    for k in range(N_COEFFICIENTS):
         factor = model.step / (k + 1)
         for i in range(size):
             rate = flow.rates_constant[slot, i] if k == 0 else 0.0
@@ -42,11 +42,11 @@ def sum_series(workspace: Workspace, tau: float, out: Array) -> None:
     square = tau * tau
     powers[0] = 1.0
     powers[1] = tau
-    for k in range(2, LENGTH + 1, 2):
+    for k in range(2, N_COEFFICIENTS + 1, 2):
         powers[k] = powers[k - 2] * square
-    for k in range(3, LENGTH + 1, 2):
+    for k in range(3, N_COEFFICIENTS + 1, 2):
         powers[k] = powers[k - 2] * square
-    combine(workspace.series_rows, workspace.zero_constant, 0, powers, LENGTH + 1, out)
+    combine(workspace.series_rows, workspace.zero_constant, 0, powers, N_COEFFICIENTS + 1, out)
 
 
 @inlined_kernel

@@ -22,7 +22,7 @@ from rig.engine.state import CONFIGURATION, SLOT, empty_log, state_at_rest
 from rig.engine.trajectory import Trajectory
 from rig.engine.workspace import Workspace, workspace_for
 from rig.errors import RunError, SceneError
-from rig.numerics.bernstein import LENGTH as TERMS
+from rig.numerics.bernstein import N_COEFFICIENTS
 from rig.numerics.jit import kernel
 from rig.numerics.simd import LANES, aligned_zeros, padded_length
 from rig.scene.quantities import LENGTH
@@ -142,7 +142,7 @@ class Propagator:
     def work(self) -> int:
         """Approximate number of multiplications of a step."""
         flow = self.tables.flow
-        return self.tables.size**2 if flow.stepping else flow.column.size * TERMS
+        return self.tables.size**2 if flow.stepping else flow.column.size * N_COEFFICIENTS
 
     def set_state(self, state: Array, drive: Array) -> NDArray[np.int64]:
         """Set the state, with every damper on its floor; dampers whose contact force would be tensile separate.

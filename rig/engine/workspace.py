@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.engine.flow import Flow
-from rig.numerics.bernstein import BERNSTEIN, LENGTH, MAX_HALVINGS
+from rig.numerics.bernstein import BERNSTEIN, MAX_HALVINGS, N_COEFFICIENTS
 from rig.numerics.complementarity import ContactWork, allocate_contact_work
 from rig.numerics.simd import aligned_zeros, padded_length
 
@@ -35,7 +35,7 @@ class Workspace(NamedTuple):
 def workspace_for(flow: Flow, size: int) -> Workspace:
     """Allocate the work space for a flow and states of a padded size."""
     columns = flow.rates_constant.shape[1]
-    tableau = aligned_zeros(LENGTH + 1, padded_length(columns))
+    tableau = aligned_zeros(N_COEFFICIENTS + 1, padded_length(columns))
     envelope = aligned_zeros(padded_length(columns))
     envelope[columns:] = np.inf
     return Workspace(
@@ -45,13 +45,13 @@ def workspace_for(flow: Flow, size: int) -> Workspace:
         margin=aligned_zeros(flow.margin_constant.shape[1]),
         tableau=tableau,
         series_rows=tableau[None],
-        powers=np.zeros(LENGTH + 1),
+        powers=np.zeros(N_COEFFICIENTS + 1),
         zero_constant=aligned_zeros(1, padded_length(columns)),
         bound=aligned_zeros(flow.bound_constant.shape[1]),
         derivative=aligned_zeros(flow.derivative_constant.shape[1]),
         contact=allocate_contact_work(flow.neighbour.shape[1], flow.derivative_constant.shape[1]),
-        series=aligned_zeros(LENGTH),
-        work=aligned_zeros(MAX_HALVINGS + 3, LENGTH),
+        series=aligned_zeros(N_COEFFICIENTS),
+        work=aligned_zeros(MAX_HALVINGS + 3, N_COEFFICIENTS),
         spans=np.zeros((MAX_HALVINGS + 3, 2)),
         bernstein=BERNSTEIN,
     )

@@ -42,9 +42,11 @@ _REST_ENERGY_RATIO = 1e-6
 _LID_SPEED = 5e-3
 #: Steps between checks of a falling bed.
 _FALL_STEPS = 500
+#: Largest number of these checks.
 _MAX_FALL_CHECKS = 400
 #: Steps between checks of a bed that comes to rest: much shorter than the time between peaks of its kinetic energy.
 _REST_STEPS = 20
+#: Largest number of these checks.
 _MAX_REST_CHECKS = 40_000
 #: Name of the packing method in the digest of stored beds; change it with the method.
 _METHOD = "rain, lid and peaks 3"

@@ -20,8 +20,10 @@ from rig.arrays import Array
 from rig.numerics.jit import inlined_kernel, kernel
 from rig.numerics.simd import combine, minimum, negative_bits
 
+#: Degree at which the power series of a guard over one step has converged to rounding.
 DEGREE = 15
-LENGTH = DEGREE + 1
+#: Number of coefficients of such a series.
+N_COEFFICIENTS = DEGREE + 1
 #: Largest number of halvings of an interval; after these it is shorter than the rounding of tau.
 MAX_HALVINGS = 56
 #: Result without a crossing: a tau outside the step.
@@ -30,8 +32,8 @@ NO_CROSSING = 2.0
 
 def _bernstein_matrices() -> np.ndarray:
     """Return the matrices from power to Bernstein basis after division by tau^start: [start, power, coefficient]."""
-    matrices = np.zeros((LENGTH, LENGTH, LENGTH))
-    for start in range(LENGTH):
+    matrices = np.zeros((N_COEFFICIENTS, N_COEFFICIENTS, N_COEFFICIENTS))
+    for start in range(N_COEFFICIENTS):
         degree = DEGREE - start
         for i in range(degree + 1):
             for k in range(i + 1):
@@ -41,7 +43,7 @@ def _bernstein_matrices() -> np.ndarray:
 
 BERNSTEIN = _bernstein_matrices()
 #: Infinity in the places after the coefficients of a deflated series, 0 elsewhere.
-PADDING = np.where(np.add.outer(np.arange(LENGTH), np.arange(LENGTH)) > DEGREE, np.inf, 0.0)
+PADDING = np.where(np.add.outer(np.arange(N_COEFFICIENTS), np.arange(N_COEFFICIENTS)) > DEGREE, np.inf, 0.0)
 
 
 @inlined_kernel
@@ -123,7 +125,7 @@ def _split(work: Array, level: int, degree: int) -> None:
         for k in range(degree - i + 1):
             right[k] = 0.5 * (right[k] + right[k + 1])
         left[i] = right[0]
-    for i in range(degree + 1, LENGTH):
+    for i in range(degree + 1, N_COEFFICIENTS):
         left[i] = np.inf
     # Now right[k] = b_k^(degree - k), which is the k-th coefficient of the right half.
 
@@ -140,14 +142,14 @@ def first_crossing(
     `BERNSTEIN`. Returns `tau`, the crossing; 0 if the guard is at zero within rounding and falling; `NO_CROSSING` if
     there is none; `ambiguous`, number of dips whose depth is within rounding; they are not crossings.
     """
-    while start < LENGTH and abs(series[start]) <= rounding:
+    while start < N_COEFFICIENTS and abs(series[start]) <= rounding:
         start += 1
-    if start == LENGTH:
+    if start == N_COEFFICIENTS:
         return NO_CROSSING, 0
     if series[start] < 0.0:
         return 0.0, 0
     degree = DEGREE - start
-    combine(bernstein, PADDING, start, series, LENGTH, work[0])
+    combine(bernstein, PADDING, start, series, N_COEFFICIENTS, work[0])
     if minimum(work[0]) > rounding:
         return NO_CROSSING, 0
     ambiguous = 0

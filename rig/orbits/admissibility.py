@@ -23,7 +23,7 @@ MIN_FLIGHT_RAD = 0.02
 # Kinds of borders: the first three belong to an event, the others to a damper.
 ORDER, NOT_RELEASED, MISSES_WALL = 0, 1, 2
 FLIGHT_ENDS, HITS_FLOOR, HITS_CEILING, LEAVES_WALL, STAYS_AT_WALL, THROWN_OFF = 3, 4, 5, 6, 7, 8
-N_BORDER_KINDS = 9
+N_BORDER_KINDS = 9  # number of these kinds
 
 
 @cached_njit

@@ -14,6 +14,7 @@ from typing import Any
 from rig.errors import SceneError, suggestion
 
 _SCHEMA = Path(__file__).parent / "data" / "scene.schema.json"
+# Largest number of characters in a line of help.
 _WIDTH = 100
 # Default of a key whose value consists of keys.
 _DEFAULT_OF_KEYS = "the defaults of its keys"

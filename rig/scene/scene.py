@@ -18,7 +18,7 @@ from rig.scene.settings import Mistake, Place, Settings, at
 from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, Shakers, TableShaker, at_shaker
 from rig.scene.structure import Structure
 
-STANDARD_GRAVITY = 9.80665
+STANDARD_GRAVITY = 9.80665  # m/s^2
 # A recording has at most 65 535 topics, and a channel uses four.
 MAX_CHANNELS = 16_000
 

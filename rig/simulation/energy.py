@@ -19,7 +19,7 @@ from rig.engine.flow_tables import FlowTables
 from rig.engine.propagator import Propagator
 from rig.engine.state import CEILING, FLIGHT, FLOOR
 from rig.engine.trajectory import Trajectory
-from rig.numerics.bernstein import LENGTH
+from rig.numerics.bernstein import N_COEFFICIENTS
 from rig.scene.scene import Scene
 from rig.scene.shaker import ElectrodynamicShaker, TableShaker, at_shaker
 from rig.system.hybrid_system import FORCE_OF_BED, HybridSystem
@@ -179,14 +179,16 @@ def fourier_integral(
     states, slots, lengths, starts = _intervals(tables, trajectory, segment_states, durations)
     total = np.zeros(tables.size, dtype=np.complex128)
     nodes, node_weights = _GAUSS_NODES
-    powers = np.vander(nodes, LENGTH + 1, increasing=True).T * node_weights
-    ratio, max_rows = lengths / tables.step, max(1, _MAX_VALUES // (tables.size * (LENGTH + 1)))
+    powers = np.vander(nodes, N_COEFFICIENTS + 1, increasing=True).T * node_weights
+    ratio, max_rows = lengths / tables.step, max(1, _MAX_VALUES // (tables.size * (N_COEFFICIENTS + 1)))
     for slot in np.unique(slots):
         indices = np.flatnonzero(slots == slot)
         for rows in np.split(indices, range(max_rows, indices.size, max_rows)):
             # Sum over the nodes first, because the series has many terms but few weights.
             phase_factors = np.exp(-1j * omega * (starts[rows] + nodes[:, None] * lengths[rows]))
-            weights = (powers @ phase_factors) * (np.vander(ratio[rows], LENGTH + 1, increasing=True).T * lengths[rows])
+            weights = (powers @ phase_factors) * (
+                np.vander(ratio[rows], N_COEFFICIENTS + 1, increasing=True).T * lengths[rows]
+            )
             integrals = np.stack([weights.real, weights.imag], axis=1) @ _series(tables, int(slot), states[rows])
             total += [1.0, 1.0j] @ integrals.sum(axis=0)
     return total
@@ -282,15 +284,15 @@ def _series(tables: FlowTables, slot: int, states: Array) -> Array:
     """Return the power series of states over a step, shape (terms, states, size)."""
     flow, size = tables.flow, tables.size
     if tables.tabulated:
-        matrix = flow.series[slot].reshape(size, LENGTH + 1, -1)[:, :, :size]
-        constant = flow.series_constant[slot].reshape(LENGTH + 1, -1)[:, :size]
+        matrix = flow.series[slot].reshape(size, N_COEFFICIENTS + 1, -1)[:, :, :size]
+        constant = flow.series_constant[slot].reshape(N_COEFFICIENTS + 1, -1)[:, :size]
         return np.tensordot(states, matrix, 1).transpose(1, 0, 2) + constant[:, None]
     from scipy.sparse import csr_array
 
     rates = csr_array((flow.rates[slot], flow.column, flow.pointer), shape=(size, size))
-    terms = np.empty((LENGTH + 1, len(states), size))
+    terms = np.empty((N_COEFFICIENTS + 1, len(states), size))
     terms[0] = states
-    for k in range(LENGTH):
+    for k in range(N_COEFFICIENTS):
         terms[k + 1] = (rates @ terms[k].T).T * (tables.step / (k + 1))
         if k == 0:
             terms[1] += flow.rates_constant[slot] * tables.step

@@ -17,7 +17,7 @@ from rig.engine.power_series import expand
 from rig.engine.propagator import Propagator, sampled_propagator
 from rig.engine.screening import _margin, above_margins, reset_envelope, screen, widen_envelope
 from rig.engine.state import CEILING, FLIGHT, FLOOR
-from rig.numerics.bernstein import LENGTH, NO_CROSSING
+from rig.numerics.bernstein import N_COEFFICIENTS, NO_CROSSING
 from rig.system.assembly import assemble
 
 TAU = np.linspace(0.0, 1.0, 201)[1:]
@@ -77,7 +77,7 @@ def test_series_bounds_contain_the_guard(length: float) -> None:
     new, first_acceleration = run.workspace.new, run.tables.size
     bound_by_series(model, state.mode, tableau, length, state.z, new, first_acceleration, bound)
     for j in range(3):
-        series = np.polynomial.Polynomial(tableau[:LENGTH, rows[j]])
+        series = np.polynomial.Polynomial(tableau[:N_COEFFICIENTS, rows[j]])
         if state.mode[j] != FLIGHT:
             series = series.deriv() / model.step
             index = first_acceleration + model.position[j]

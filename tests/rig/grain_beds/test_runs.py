@@ -86,7 +86,7 @@ def test_many_sections_keep_momentum_and_energy() -> None:
     assert abs(energy.residual) < 1e-10 * energy.work
 
 
-def test_read_bed_remembers_contact_stretch() -> None:
+def test_restored_bed_has_its_tangential_displacements() -> None:
     scene = with_grains(mass="2 g", grains={"friction": 0.5})
     coupled = CoupledPropagator(scene, 1.0 / RATE)
     (bed,) = coupled.beds
@@ -116,12 +116,12 @@ def test_stopped_run_continues_and_keeps_its_output(tmp_path: Path) -> None:
         tmp_path / "run.npz", scene, DURATION, RATE, None, lambda n_completed, total: reported.append(n_completed)
     )
 
-    assert min(reported) > 30, "what was done was done again"
+    assert min(reported) > 30, "completed steps were repeated"
     assert [file.name for file in tmp_path.glob("run*")] == ["run.npz"]
     assert (tmp_path / "run.npz").read_bytes() == (tmp_path / "whole.npz").read_bytes()
 
 
-def test_foreign_beginning_names_the_difference(tmp_path: Path) -> None:
+def test_checkpoint_of_other_run_names_the_difference(tmp_path: Path) -> None:
     stored = tmp_path / "kept"
     rig.simulate(with_grains(), 0.01, RATE, keep=stored)
 
@@ -135,8 +135,8 @@ def test_foreign_beginning_names_the_difference(tmp_path: Path) -> None:
             rig.simulate(scene, duration, RATE, frequency=frequency, keep=stored)
 
 
-@pytest.mark.parametrize("damage", [lambda whole: whole[:-200], lambda whole: b"", lambda whole: b"x" * 300])
-def test_damaged_beginning_is_reported_and_kept(tmp_path: Path, damage: object) -> None:
+@pytest.mark.parametrize("damage", [lambda content: content[:-200], lambda _: b"", lambda _: b"x" * 300])
+def test_damaged_checkpoint_is_reported_and_kept(tmp_path: Path, damage: object) -> None:
     stored = tmp_path / "kept"
     rig.simulate(with_grains(), 0.005, RATE, keep=stored)
     stored.write_bytes(damage(stored.read_bytes()))  # type: ignore[operator]

@@ -8,18 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.numerics.bernstein import BERNSTEIN, LENGTH, MAX_HALVINGS, NO_CROSSING, first_crossing
+from rig.numerics.bernstein import BERNSTEIN, MAX_HALVINGS, N_COEFFICIENTS, NO_CROSSING, first_crossing
 
 ALLOWANCE = 1e-15
 
 
 def crossing(series: np.ndarray, start: int = 0, allowance: float = ALLOWANCE) -> tuple[float, int]:
-    work, spans = np.zeros((MAX_HALVINGS + 3, LENGTH)), np.zeros((MAX_HALVINGS + 3, 2))
+    work, spans = np.zeros((MAX_HALVINGS + 3, N_COEFFICIENTS)), np.zeros((MAX_HALVINGS + 3, 2))
     return first_crossing(np.asarray(series, dtype=float), start, allowance, work, spans, BERNSTEIN)
 
 
 def padded(*coefficients: float) -> np.ndarray:
-    series = np.zeros(LENGTH)
+    series = np.zeros(N_COEFFICIENTS)
     series[: len(coefficients)] = coefficients
     return series
 

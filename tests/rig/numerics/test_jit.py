@@ -60,13 +60,13 @@ if {plain}:
     sys.modules["rig.numerics.callees"] = None
 import numpy as np
 from rig.numerics import jit
-from rig.numerics.bernstein import BERNSTEIN, MAX_HALVINGS, LENGTH, first_crossing
+from rig.numerics.bernstein import BERNSTEIN, MAX_HALVINGS, N_COEFFICIENTS, first_crossing
 from rig.numerics.simd import aligned_zeros, multiply
 
 assert (jit.callees is None) == {plain}
-series, out, matrix = aligned_zeros(LENGTH), aligned_zeros(8), aligned_zeros(1, 5, 8)
+series, out, matrix = aligned_zeros(N_COEFFICIENTS), aligned_zeros(8), aligned_zeros(1, 5, 8)
 series[:4], matrix[0] = (1.0, -0.7, -0.9, 0.2), np.linspace(-1.0, 3.0, 40).reshape(5, 8) ** 3
-work, spans = aligned_zeros(MAX_HALVINGS + 3, LENGTH), np.zeros((MAX_HALVINGS + 3, 2))
+work, spans = aligned_zeros(MAX_HALVINGS + 3, N_COEFFICIENTS), np.zeros((MAX_HALVINGS + 3, 2))
 tau, _ = first_crossing(series, 0, 1e-16, work, spans, BERNSTEIN)
 multiply(matrix, 0, np.sqrt(np.arange(5.0)), np.ones(8), out)
 print(float(tau).hex(), *(float(x).hex() for x in out))

@@ -29,7 +29,7 @@ from rig.scene.quantities import (
 from rig.scene.scene import Scene
 from rig.scene.scene_files import SCENES, bundled_scenes
 
-# What every kind of quantity carries; and the sample rate is three times a frequency.
+# Magnitudes that every kind of quantity supports; the sample rate is three times a frequency.
 positive = st.floats(min_value=1e-6, max_value=1e6)
 frequency = st.floats(min_value=1e-6, max_value=3e7)
 share = st.just(0.0) | st.floats(min_value=1e-12, max_value=1.0, exclude_max=True)
@@ -107,13 +107,13 @@ def scenes(draw: st.DrawFn) -> Scene:
     )
 
 
-# A ratio is written without a unit, which is asked about where a person might have forgotten it.
+# A ratio is written without a unit, which causes a warning where the unit may have been forgotten.
 @pytest.mark.filterwarnings("ignore::rig.errors.SceneWarning")
 @given(scenes())
 def test_any_scene_survives_writing_to_the_last_bit(scene: Scene) -> None:
-    again = rig.loads(scene.to_yaml())
-    assert again == scene
-    assert again.to_yaml() == scene.to_yaml()
+    loaded = rig.loads(scene.to_yaml())
+    assert loaded == scene
+    assert loaded.to_yaml() == scene.to_yaml()
 
 
 @given(st.integers(1, 4), st.integers(0, 2**32))
@@ -121,7 +121,7 @@ def test_any_matrices_survive_writing_to_the_last_bit(n: int, seed: int) -> None
     random = np.random.default_rng(seed)
     root = random.standard_normal((n, n))
     mass = root @ root.T + np.eye(n)
-    # Dissipative, with a gyroscopic part beside it.
+    # A dissipative part and a gyroscopic part.
     part = random.standard_normal((n, n))
     damping = (mass + part - part.T) * 10.0 ** random.integers(-200, 200)
     scene = Scene(structure={"matrices": {"mass": mass, "stiffness": mass / 3.0, "damping": damping}})

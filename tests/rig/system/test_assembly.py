@@ -58,28 +58,16 @@ def test_table_follows_critically_damped() -> None:
 
 @pytest.mark.parametrize("mode", ["voltage", "current"])
 def test_electrodynamic_shaker_obeys_its_equations(mode: str) -> None:
-    resistance, inductance, factor, mass, suspension_stiffness, suspension_damping, spring, gain = (
-        2.5,
-        3e-4,
-        12.0,
-        0.3,
-        7e3,
-        9.0,
-        5e3,
-        1.7,
-    )
-    shaker = {
-        "kind": "electrodynamic",
-        "body": 2,
-        "spring": spring,
-        "coil": {"resistance": resistance, "inductance": inductance, "force_factor": factor},
-        "armature": {"mass": mass, "stiffness": suspension_stiffness, "damping": suspension_damping},
-        "amplifier": {"mode": mode, "gain": gain},
-    }
+    resistance, inductance, factor, spring, gain = 2.5, 3e-4, 12.0, 5e3, 1.7
+    armature = {"mass": 0.3, "stiffness": 7e3, "damping": 9.0}
+    coil = {"resistance": resistance, "inductance": inductance, "force_factor": factor}
+    amplifier = {"mode": mode, "gain": gain}
+    shaker = {"body": 2, "spring": spring, "coil": coil, "armature": armature, "amplifier": amplifier}
+    shaker["kind"] = "electrodynamic"
     system = assemble(scene_of(shaker=shaker))
     moves = response(system)
     body = stiffness_of_body_2()
-    load = mass * S**2 + suspension_damping * S + suspension_stiffness + spring * body / (spring + body)
+    load = 0.3 * S**2 + 9.0 * S + 7e3 + spring * body / (spring + body)
     if mode == "voltage":
         impedance = resistance + inductance * S
         expected = factor * gain / (impedance * load + factor**2 * S)

@@ -13,7 +13,7 @@ from rig.arrays import Array
 
 LENGTH, WIDTH, THICKNESS = 0.4, 0.04, 0.005  # m
 YOUNG, DENSITY = 210e9, 7850.0  # steel: Pa, kg/m^3
-ELEMENTS = 20
+ELEMENTS = 20  # number of finite elements
 POINTS = 5  # number of points to which the structure is condensed
 
 

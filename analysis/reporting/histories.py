@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import fft
 
 from analysis.reporting.charts import IMAGE_SPAN_DB, Chart, Curve, EvenlySpaced, Panel, level_image
 from rig.arrays import Array
@@ -80,6 +81,8 @@ def spectrograms(rec: Recording) -> list[Chart]:
     block = int(min(rec.samples, rec.rate * _LINES / highest))
     if block < _MIN_BLOCK:
         return []
+    # A length with small prime factors, which the FFT transforms fast.
+    block = fft.prev_fast_len(block, real=True)
     starts = np.linspace(0, rec.samples - block, min(_SPECTRA, max(rec.samples // (block // 4), 1))).astype(int)
     window = np.hanning(block)
     lines = int(block * highest / rec.rate)
@@ -88,7 +91,7 @@ def spectrograms(rec: Recording) -> list[Chart]:
         levels = np.empty((lines, starts.size))
         for k, start in enumerate(starts):
             samples = np.nan_to_num(rec.read(name, int(start), int(start) + block))
-            power = np.abs(np.fft.rfft((samples - samples.mean()) * window)[:lines]) ** 2
+            power = np.abs(fft.rfft((samples - samples.mean()) * window)[:lines]) ** 2
             levels[:, k] = 10.0 * np.log10(np.maximum(power, np.finfo(float).tiny))
         band = (0.0, lines * rec.rate / block)
         image = level_image(levels[::-1], (0.0, rec.duration), band)

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,8 +76,8 @@ class _Part:
 class LockIn:
     """Lock-in detection of a tone and its harmonics, with samples added part by part.
 
-    All parts have a common fit; the deviation of each part from it determines the scatter. Only the normal equations
-    are stored, so the memory does not depend on the length of the window.
+    All parts have a common fit; the deviation of each part from it determines the scatter. The normal
+    equations of each part are stored, not its samples.
 
     >>> t = np.arange(4000) / 5120.0
     >>> lockin = LockIn(10.0, 5120.0, harmonics=3)
@@ -100,6 +101,7 @@ class LockIn:
         self.harmonics = harmonics
         self._basis: dict[int, Array] = {}
         self._grams: dict[int, tuple[Array, Array]] = {}
+        self._rotations: dict[int, Array] = {}
         self._parts: list[_Part] = []
         self._samples = 0
 
@@ -107,11 +109,11 @@ class LockIn:
         """Add the next part of the window, shape (channels, samples); parts are contiguous."""
         length = samples.shape[1]
         projection = np.zeros((2 * self.harmonics + 2, len(samples)))
-        for start, rotation, basis in self._sub_windows(length):
+        for start, rotation, basis in self._pieces(length):
             projection += rotation @ (basis @ samples[:, start : start + basis.shape[1]].T)
         coefficients: Array = np.asarray(np.linalg.solve(self._gram(length)[0], projection), dtype=float)
         squares = np.zeros(len(samples))
-        for start, rotation, basis in self._sub_windows(length):
+        for start, rotation, basis in self._pieces(length):
             residual = samples[:, start : start + basis.shape[1]] - (coefficients.T @ rotation) @ basis
             squares += np.einsum("ij,ij->i", residual, residual)
         self._parts.append(_Part(self._samples, length, projection, coefficients, squares, samples[:, [0, -1]].T))
@@ -120,77 +122,79 @@ class LockIn:
     def tone(self) -> ToneFit:
         """Solve for the amplitudes over all parts added so far."""
         size = 2 * self.harmonics + 2
-        channels = self._parts[0].projection.shape[1]
-        normal, right = np.zeros((size, size)), np.zeros((size, channels))
-        to_local = [self._to_local(part.first, part.length) for part in self._parts]
-        for matrix, part in zip(to_local, self._parts, strict=True):
-            normal += matrix.T @ self._gram(part.length)[0] @ matrix
-            right += matrix.T @ part.projection
-        solution = linalg.solve(normal, right, assume_a="pos")
+        firsts, lengths = (np.array([getattr(part, name) for part in self._parts]) for name in ("first", "length"))
+        projections = np.stack([part.projection for part in self._parts])
+        to_local = self._to_local(firsts, lengths)
+        grams, factors = (np.stack([self._gram(part.length)[which] for part in self._parts]) for which in range(2))
+        normal = (to_local.mT @ grams @ to_local).sum(axis=0)
+        solution = linalg.solve(normal, (to_local.mT @ projections).sum(axis=0), assume_a="pos")
         amplitude = (solution[2::2] + 1j * solution[3::2]).T
-        parts = np.empty((len(self._parts), channels), dtype=complex)
-        squares = np.zeros(channels)
-        fits = [matrix @ solution for matrix in to_local]
-        edges = [self._edge(fits, number) for number in range(len(fits) + 1)]
-        for row, (common, part) in enumerate(zip(fits, self._parts, strict=True)):
-            gram, factor = self._gram(part.length)
-            # Offset and slope of a single part are nearly collinear with its tone, which would increase the scatter.
-            # Only the residual of the common fit is therefore fitted, by the tones of the part alone.
-            common_residual = (part.projection - gram @ common)[2:]
-            for sign, (sample, share) in zip((-1.0, 1.0), edges[row : row + 2], strict=True):
-                common_residual += sign * np.outer(self._tones(sample - part.first), share)
-            local = np.linalg.solve(gram[2:, 2:], common_residual)
-            rotation = np.exp(-2j * np.pi * np.fmod(self.frequency * part.first / self.rate, 1.0))
-            parts[row] = amplitude[:, 0] + (local[0] + 1j * local[1]) * rotation
-            # Residual of the common fit: residual of the part's own fit, and the difference of the two fits.
-            squares += part.residual + np.sum(np.square(factor.T @ (part.coefficients - common)), axis=0)
+        common = to_local @ solution
+        # Offset and slope of a single part are nearly collinear with its tone, which would increase the scatter.
+        # Only the residual of the common fit is therefore fitted, by the tones of the part alone.
+        residual = (projections - grams @ common)[:, 2:]
+        samples, shares = self._edges(firsts, lengths, common)
+        residual -= self._tones(samples[:-1] - firsts)[:, :, None] * shares[:-1, None]
+        residual += self._tones(samples[1:] - firsts)[:, :, None] * shares[1:, None]
+        local = np.linalg.solve(grams[:, 2:, 2:], residual)
+        rotation = np.exp(-2j * np.pi * np.fmod(self.frequency * firsts / self.rate, 1.0))
+        parts = amplitude[:, 0] + (local[:, 0] + 1j * local[:, 1]) * rotation[:, None]
+        # Residual of the common fit: residual of the part's own fit, and the difference of the two fits.
+        deviation = factors.mT @ (np.stack([part.coefficients for part in self._parts]) - common)
+        squares = np.sum([part.residual for part in self._parts], axis=0) + np.sum(np.square(deviation), axis=(0, 1))
         return ToneFit(self.frequency, amplitude, parts, np.sqrt(squares / max(self._samples - size, 1)))
 
-    def _edge(self, fits: list[Array], number: int) -> tuple[int, Array]:
-        """Return the sample at the edge before a part, and the share (channels,) of its residual that the part lacks.
+    def _edges(self, firsts: NDArray[np.int64], lengths: NDArray[np.int64], fits: Array) -> tuple[Array, Array]:
+        """Return the sample at each edge of the parts, and the share of its residual that the part lacks.
 
-        The edges of parts are rounded to samples, but the edges of whole periods lie between two samples. Without this
-        share, each part would contain another fraction of the harmonics that are not fitted.
+        Shapes (parts + 1,) and (parts + 1, channels); `fits`: the common fit of each part. The edges of parts are
+        rounded to samples, those of whole periods lie between two. Without this share, each part would contain another
+        fraction of the harmonics that are not fitted.
         """
-        last = len(self._parts) - 1
-        edge = self._parts[number].first if number <= last else self._samples
+        edges = np.append(firsts, self._samples)
         period = self.rate / self.frequency
-        missing = round(edge / period) * period - edge
-        if not 0.0 < abs(missing) <= 0.5:
-            return edge, np.zeros(self._parts[0].ends.shape[1])
-        after = missing > 0.0 and number <= last
-        row = number if after else number - 1
-        part = self._parts[row]
-        sample = 0 if after else part.length - 1
-        fit = np.array([1.0, -1.0 if after else 1.0, *self._tones(sample)]) @ fits[row]
-        return part.first + sample, missing * (part.ends[0 if after else 1] - fit)
+        missing = np.round(edges / period) * period - edges
+        # The sample after the edge, in the next part, or the one before it.
+        after = (missing > 0.0) & (np.arange(edges.size) < firsts.size)
+        rows = np.arange(edges.size) - ~after
+        samples = np.where(after, 0, lengths[rows] - 1)
+        ends = np.stack([part.ends for part in self._parts])[rows, np.where(after, 0, 1)]
+        terms = np.column_stack([np.ones(edges.size), np.where(after, -1.0, 1.0), self._tones(samples)])
+        residual = ends - (terms[:, None] @ fits[rows])[:, 0]
+        rounded = (np.abs(missing) > 0.0) & (np.abs(missing) <= 0.5)
+        return firsts[rows] + samples, np.where(rounded[:, None], missing[:, None] * residual, 0.0)
 
-    def _tones(self, sample: int) -> Array:
-        """Return the rows cos k, -sin k of the tones at a sample, shape (2 harmonics,)."""
-        angle = 2 * np.pi * np.fmod(np.arange(1, self.harmonics + 1) * self.frequency * sample / self.rate, 1.0)
-        return np.column_stack([np.cos(angle), -np.sin(angle)]).ravel()
+    def _tones(self, samples: NDArray[np.int64]) -> Array:
+        """Return the rows cos k, -sin k of the tones at samples, shape (samples, 2 harmonics)."""
+        cycles = np.arange(1, self.harmonics + 1) * self.frequency * samples[:, None] / self.rate
+        angle = 2 * np.pi * np.fmod(cycles, 1.0)
+        return np.stack([np.cos(angle), -np.sin(angle)], axis=2).reshape(samples.size, -1)
 
     def _gram(self, length: int) -> tuple[Array, Array]:
-        """Return the Gram matrix of a part's rows 1, slope, cos k, -sin k, and its Cholesky factor; both are stored."""
+        """Gram matrix of a part's rows 1, slope, cos k, -sin k, and its Cholesky factor; stored by length."""
         if length not in self._grams:
-            pieces = (rotation @ basis @ basis.T @ rotation.T for _, rotation, basis in self._sub_windows(length))
-            gram = np.asarray(sum(pieces))
+            gram = np.asarray(
+                sum(rotation @ basis @ basis.T @ rotation.T for _, rotation, basis in self._pieces(length))
+            )
             self._grams[length] = gram, np.linalg.cholesky(gram)
         return self._grams[length]
 
-    def _sub_windows(self, length: int) -> Iterator[tuple[int, Array, Array]]:
+    def _pieces(self, length: int) -> Iterator[tuple[int, Array, Array]]:
         """Yield the beginning of each piece of a part, its rows, and the matrix from these to the rows of the part.
 
         The rows of all pieces are equal except for the slope and a rotation of each tone. The rows of a single piece
         are therefore sufficient for a part of any length.
         """
-        for start in range(0, length, _SAMPLES_PER_PRODUCT):
-            size = min(_SAMPLES_PER_PRODUCT, length - start)
-            rotation = np.eye(2 * self.harmonics + 2)
+        starts = np.arange(0, length, _SAMPLES_PER_PRODUCT)
+        if length not in self._rotations:
+            rotations = np.zeros((starts.size, 2 * self.harmonics + 2, 2 * self.harmonics + 2))
             # The slope of a part ranges from -1 to 1; that of a piece increases by 1 per sample.
             step = 2.0 / max(length - 1, 1)
-            rotation[1, :2] = start * step - 1.0, step
-            self._rotate(rotation, start)
+            rotations[:, 0, 0], rotations[:, 1, 0], rotations[:, 1, 1] = 1.0, starts * step - 1.0, step
+            self._rotate(rotations, starts)
+            self._rotations[length] = rotations
+        for start, rotation in zip(starts.tolist(), self._rotations[length], strict=True):
+            size = min(_SAMPLES_PER_PRODUCT, length - start)
             if size not in self._basis:
                 sample_numbers, order = np.arange(size), np.arange(1, self.harmonics + 1)
                 cycles = np.outer(order, self.frequency / self.rate * sample_numbers)
@@ -200,24 +204,24 @@ class LockIn:
                 self._basis[size] = basis
             yield start, rotation, self._basis[size]
 
-    def _rotate(self, matrix: Array, first: int) -> None:
-        """Set the rotation blocks of the tones, from their rows at the first sample to those at another sample."""
-        tones, row = self._tones(first), 2 * np.arange(1, self.harmonics + 1)
-        cos, minus_sin = tones[::2], tones[1::2]
-        matrix[row, row], matrix[row, row + 1] = cos, -minus_sin
-        matrix[row + 1, row], matrix[row + 1, row + 1] = minus_sin, cos
+    def _rotate(self, matrices: Array, firsts: NDArray[np.int64]) -> None:
+        """Set the rotation blocks of the tones, from their rows at the first sample to those at other samples."""
+        tones, row = self._tones(firsts), 2 * np.arange(1, self.harmonics + 1)
+        cos, minus_sin = tones[:, ::2], tones[:, 1::2]
+        matrices[:, row, row], matrices[:, row, row + 1] = cos, -minus_sin
+        matrices[:, row + 1, row], matrices[:, row + 1, row + 1] = minus_sin, cos
 
-    def _to_local(self, first: int, length: int) -> Array:
-        """Return the matrix from the coefficients of the whole window to those of a part from sample `first` on."""
-        matrix = np.zeros((2 * self.harmonics + 2,) * 2)
+    def _to_local(self, firsts: NDArray[np.int64], lengths: NDArray[np.int64]) -> Array:
+        """Matrices from the coefficients of the whole window to those of parts from the samples `firsts` on."""
+        matrices = np.zeros((firsts.size, 2 * self.harmonics + 2, 2 * self.harmonics + 2))
         # The slope of the window begins at 0 and increases by 1 per sample; that of a part ranges from -1 to 1.
-        matrix[0, 0] = 1.0
-        matrix[0, 1] = (first + (length - 1) / 2) / self._samples
-        matrix[1, 1] = (length - 1) / 2 / self._samples
-        self._rotate(matrix, first)
+        matrices[:, 0, 0] = 1.0
+        matrices[:, 0, 1] = (firsts + (lengths - 1) / 2) / self._samples
+        matrices[:, 1, 1] = (lengths - 1) / 2 / self._samples
+        self._rotate(matrices, firsts)
         # Coefficients rotate in the opposite direction to their rows.
-        matrix[2:, 2:] = matrix[2:, 2:].T.copy()
-        return matrix
+        matrices[:, 2:, 2:] = matrices[:, 2:, 2:].mT.copy()
+        return matrices
 
 
 def parts_of_whole_periods(
@@ -272,12 +276,24 @@ class Sweep:
     windows: NDArray[np.int64]  # first and one-past-last sample of each window; int, shape (n, 2)
 
 
+# Sweeps of the open recordings by their channels: responses and damper motion are computed from the same sweeps.
+_sweeps_of: WeakKeyDictionary[Recording, dict[tuple[str, ...], list[Sweep]]] = WeakKeyDictionary()
+
+
 def sweeps(rec: Recording, channels: Sequence[str] | None = None, progress: CountProgress | None = None) -> list[Sweep]:
-    """Apply lock-in detection to every window marked ``measure``; group the results by level and direction."""
+    """Return the sweeps of a recording, grouped by level and direction; computed once while it is open."""
+    names = tuple(rec.channels if channels is None else channels)
+    computed = _sweeps_of.setdefault(rec, {})
+    if names not in computed:
+        computed[names] = _measured_sweeps(rec, names, progress)
+    return list(computed[names])
+
+
+def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProgress | None) -> list[Sweep]:
+    """Apply lock-in detection to every window marked ``measure``."""
     markers = sorted(
         (m for m in rec.markers if m.kind == "measure" and "frequency" in m.fields), key=lambda m: m.first_sample
     )
-    names = list(rec.channels if channels is None else channels)
     points: dict[_Setting, list[_Point]] = {}
     omissions: dict[_Setting, list[_Omission]] = {}
     windows = []

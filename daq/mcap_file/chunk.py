@@ -142,11 +142,9 @@ def records_in(records: memoryview, stored: int) -> Iterator[tuple[int, memoryvi
         yield opcode, records[begin:place]
 
 
-def messages_in(records: memoryview, stored: int) -> Iterator[Stored]:
-    """Yield the messages among the records of a chunk, as `records_in`."""
-    for opcode, content in records_in(records, stored):
-        if opcode == Opcode.MESSAGE:
-            yield parse_message(content)
+def messages_in(records: memoryview, stored: int) -> list[Stored]:
+    """Return the messages among the records of a chunk; raises `Damage` as `records_in`."""
+    return [parse_message(content) for opcode, content in records_in(records, stored) if opcode == Opcode.MESSAGE]
 
 
 def parse_message(content: memoryview) -> Stored:

@@ -9,7 +9,6 @@ import os
 import struct
 import weakref
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Self
 
@@ -110,12 +109,12 @@ class Container:
             raise Damage(f"the record at byte {offset} is not that of the summary")
         return data[RECORD_HEAD.size :]
 
-    def messages(self, number: int) -> Iterator[Stored]:
-        """Yield the messages of a chunk of the summary; raise `RecordingError` where it is damaged."""
+    def messages(self, number: int) -> list[Stored]:
+        """Return the messages of a chunk of the summary; raise `RecordingError` where it is damaged."""
         offset, length = int(self.summary.offsets[number]), int(self.summary.lengths[number])
         try:
             record = self._record(Opcode.CHUNK, offset, length, LARGEST_CHUNK + (1 << 16))
-            yield from messages_in(unpack_chunk(record, self.checksums_needed), length)
+            return messages_in(unpack_chunk(record, self.checksums_needed), length)
         except Damage as damage:
             raise self.error(f"is damaged: the chunk at byte {offset} cannot be used: {damage}") from damage
 

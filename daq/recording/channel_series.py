@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Iterator
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -66,7 +67,7 @@ class Series:
                     f"invalid sample clock ({error!s:.200}). Correct rate and start_ns of the metadata."
                 ) from None
         for chunk in self._chunks:
-            for block in self._decoded(int(chunk), None):
+            for block, _ in self._stored(int(chunk)):
                 return block.clock
         raise self._error(
             "no samples and no sample rate. Remove the topic, or add its rate and start_ns to the metadata."
@@ -89,28 +90,30 @@ class Series:
             return np.empty(0, np.int64)
         return self.clock.samples_at(self._container.summary.ends[self._chunks])
 
-    def _decoded(self, chunk: int, clock: Timebase | None) -> list[SampleBlock]:
-        """Decode this topic's blocks of a chunk; recent chunks stay in memory for repeated reading."""
-        if clock is not None and chunk in self._recent:
+    def _decoded(self, chunk: int, clock: Timebase) -> list[SampleBlock]:
+        """Decode and check this topic's blocks of a chunk; recent chunks stay in memory for repeated reading."""
+        if chunk in self._recent:
             return self._recent[chunk]
         blocks = []
-        for message in self._container.messages(chunk):
-            if message.channel != self._channel:
-                continue
-            try:
-                block = decode(message.data, self._schema)
-            except RecordingError as error:
-                raise self._error(str(error)) from error
+        for block, log_time in self._stored(chunk):
+            self._check(block, log_time, clock)
             blocks.append(block)
-            if clock is not None:
-                self._check(block, message.log_time, clock)
-        if clock is not None:
-            self._recent[chunk] = blocks
-            self._recent_samples += sum(block.samples.size for block in blocks)
-            while len(self._recent) > 1 and self._recent_samples > RECENT_SAMPLES:
-                _, dropped = self._recent.popitem(last=False)
-                self._recent_samples -= sum(block.samples.size for block in dropped)
+        blocks = _joined(blocks)
+        self._recent[chunk] = blocks
+        self._recent_samples += sum(block.samples.size for block in blocks)
+        while len(self._recent) > 1 and self._recent_samples > RECENT_SAMPLES:
+            _, dropped = self._recent.popitem(last=False)
+            self._recent_samples -= sum(block.samples.size for block in dropped)
         return blocks
+
+    def _stored(self, chunk: int) -> Iterator[tuple[SampleBlock, int]]:
+        """Yield this topic's blocks of a chunk as stored, with their log times in ns."""
+        for message in self._container.messages(chunk):
+            if message.channel == self._channel:
+                try:
+                    yield decode(message.data, self._schema), message.log_time
+                except RecordingError as error:
+                    raise self._error(str(error)) from error
 
     def _check(self, block: SampleBlock, log_time: int, clock: Timebase) -> None:
         """Compare a block with the layout, on which the search for samples relies."""
@@ -126,7 +129,7 @@ class Series:
             )
 
     def blocks(self, start: int, stop: int) -> Iterator[SampleBlock]:
-        """Yield the blocks that hold any sample of [start, stop), in order."""
+        """Yield the blocks that hold any sample of [start, stop), in order; contiguous blocks of a chunk are joined."""
         reached = 0
         for chunk in self._chunks[int(np.searchsorted(self._ends, start, side="right")) :]:
             blocks = self._decoded(int(chunk), self.clock)
@@ -178,3 +181,10 @@ class Series:
             if block.first_sample > reached:
                 yield reached, block.first_sample
             reached = block.stop
+
+
+def _joined(blocks: list[SampleBlock]) -> list[SampleBlock]:
+    """Join the blocks of a chunk if they are contiguous."""
+    if len(blocks) < 2 or any(block.stop != later.first_sample for block, later in pairwise(blocks)):
+        return blocks
+    return [blocks[0]._replace(samples=np.concatenate([block.samples for block in blocks]))]

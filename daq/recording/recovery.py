@@ -201,7 +201,7 @@ class _Salvage:
     def _chunk(self, records: memoryview, stored: int) -> None:
         """Copy the messages of a chunk into a new chunk."""
         try:
-            messages = list(messages_in(records, stored))
+            messages = messages_in(records, stored)
         except Damage as damage:
             self._notes.append(f"a chunk with the right checksum is malformed: {damage}")
             return

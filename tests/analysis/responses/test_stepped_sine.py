@@ -9,6 +9,7 @@ import analysis
 import daq
 import rig
 from analysis.responses.spectral_lines import remainder
+from analysis.responses.stepped_sine import sweeps
 from daq.measurement.run_report import summary
 from rig.errors import RecordingError, SceneError
 from rig.system.structural_model import receptance
@@ -43,6 +44,15 @@ def test_table_reference_includes_spring(tmp_path):
         exact = receptance(rec.scene, frequencies, attached=True)[1]
     np.testing.assert_allclose(frf.value, exact, rtol=1e-9)
     assert frf.name == "transmissibility"
+
+
+def test_sweeps_are_computed_once_per_recording(tmp_path):
+    path = synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 3))
+    with daq.open(path) as rec, daq.open(path) as other:
+        (sweep,) = sweeps(rec)
+        assert sweeps(rec, list(rec.channels))[0] is sweep
+        assert sweeps(other)[0] is not sweep
+        assert sweeps(rec, ["body1"])[0].lines.channels == ("body1",)
 
 
 def test_bounds_hold_for_95_percent(tmp_path):

@@ -144,9 +144,9 @@ def test_chunk_that_packs_too_well_is_rejected() -> None:
 
     many = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0) * 2000
     with pytest.raises(Damage, match="more than"):
-        list(messages_in(memoryview(many), stored=100))
+        messages_in(memoryview(many), stored=100)
     with pytest.raises(Damage, match="does not belong in a chunk"):
-        list(messages_in(memoryview(struct.pack("<BQ", 0xEE, 0)), stored=100))
+        messages_in(memoryview(struct.pack("<BQ", 0xEE, 0)), stored=100)
     huge = struct.pack("<QQQII", 0, 0, 1 << 25, 0, 4) + b"zstd" + struct.pack("<Q", 8) + bytes(8)
     with pytest.raises(Damage, match="claims to unpack"):
         unpack_chunk(memoryview(huge))

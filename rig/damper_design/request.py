@@ -10,7 +10,7 @@ from rig.damper_design.choice import Question, Space, landings_from, variants
 from rig.errors import SceneError
 from rig.motion_map.grid import columns
 from rig.scene.body_names import body_number
-from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, MASS, RATIO, Kind, number, parse, positive_values
+from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, MASS, RATIO, ascending_pair, number, parse, positive_values
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.system.open_loop_drive import level_of, with_ideal_force
@@ -56,13 +56,6 @@ def _bodies(requested: Sequence[int | str] | None, scene: Scene, name: str) -> t
         return tuple(sorted(body_number(body, scene.structure.names, len(all_bodies)) for body in names or all_bodies))
     except SceneError as error:
         raise SceneError(f"{name}: {error}") from None
-
-
-def _range(values: Sequence[float | str], kind: Kind, name: str) -> tuple[float, float]:
-    ends = positive_values(values, kind, name).tolist()
-    if len(ends) != 2 or not ends[0] < ends[1]:
-        raise SceneError(f"{name}: got {', '.join(map(str, values))}; expected two, the smaller one first")
-    return ends[0], ends[1]
 
 
 def _under_force(scene: Scene, levels: Sequence[float | str] | None) -> Scene:
@@ -120,11 +113,13 @@ def parse_request(
     undamped = with_ideal_force(_under_force(scene.replace(dampers=[], channels=None), levels))
     default_levels = [level_of(undamped) * factor for factor in DEFAULT_LEVEL_RATIOS]
     forces = tuple(sorted(positive_values(levels or default_levels, FORCE, "levels").tolist()))
-    band_ends = _range(band or tuple(columns(undamped, points=2).tolist()), FREQUENCY, "band")
+    band_ends = ascending_pair(band or columns(undamped, points=2), FREQUENCY, "band")
     locations = Space.locations_of(carriers, dampers)
     question = Question(variants(undamped, *uncertainties), forces, band_ends, evaluated, landings)
     if clearance is not None:
-        return question, Space(locations, max_mass, _range(clearance, LENGTH, "clearance"), without_ceiling=False)
+        return question, Space(
+            locations, max_mass, ascending_pair(clearance, LENGTH, "clearance"), without_ceiling=False
+        )
     displacement = question.bare.size
     return question, Space(
         locations,

@@ -14,7 +14,7 @@ from rig.orbits.event_sequence import Plan, configuration_of, derive_plan, make_
 from rig.orbits.orbit import Orbit, solve
 from rig.orbits.problem import OperatingPoint, OrbitProblem
 from rig.scene.loading import SceneLike, scene_of
-from rig.scene.quantities import FREQUENCY, positive_values
+from rig.scene.quantities import FREQUENCY, positive_value
 from rig.steady_response.steady_state import MAX_REPETITION, settle
 
 # Number of simulated periods after which a search classifies the motion as irregular.
@@ -61,7 +61,7 @@ def periodic_orbit(scene: SceneLike, frequency: float | str, start: Orbit | None
     ('II', True, 4)
     """
     problem = OrbitProblem(scene_of(scene))
-    setting = problem.setting(float(positive_values(frequency, FREQUENCY, "frequency")[0]))
+    setting = problem.setting(positive_value(frequency, FREQUENCY, "frequency"))
     if start is not None:
         return solve(problem, start.plan, setting, start.unknowns)
     return search_orbit(problem, setting)

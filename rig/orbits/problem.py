@@ -14,7 +14,7 @@ from rig.arrays import Array
 from rig.errors import SceneError
 from rig.orbits.event_sequence import Plan
 from rig.orbits.orbit_equations import Change, Equations
-from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, RATIO, Kind, positive_values
+from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, RATIO, Kind, positive_value, positive_values
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.system.assembly import assemble
@@ -68,7 +68,7 @@ def base_frequency(parameter: Parameter, frequency: float | str | None, first: f
     Raises `SceneError` if the frequency is missing or invalid.
     """
     if frequency is not None:
-        return float(positive_values(frequency, FREQUENCY, "frequency")[0])
+        return positive_value(frequency, FREQUENCY, "frequency")
     if parameter != "frequency":
         raise SceneError(f"frequency: missing. Give the frequency at which the {parameter} is varied.")
     return first

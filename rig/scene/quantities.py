@@ -239,6 +239,14 @@ def positive_values(values: ArrayLike, kind: Kind, name: str) -> NDArray[np.floa
     return numbers
 
 
+def positive_value(value: ArrayLike, kind: Kind, name: str) -> float:
+    """Convert an argument of one positive and finite quantity, like `positive_values`."""
+    numbers = positive_values(value, kind, name)
+    if numbers.size != 1:
+        raise SceneError(f"{name}: got {numbers.size} values; expected one, such as {kind.example}")
+    return float(numbers[0])
+
+
 def text(value: float, kind: Kind) -> str:
     """Write a quantity so that `parse` returns the identical double.
 

@@ -227,7 +227,10 @@ def validate_drive(drive: ArrayLike, inputs: Sequence[str], first: int = 0) -> A
     `inputs`: names of the drive inputs; `first`: number of the first sample, for error messages. Raises `RunError`
     if the drive has another shape or is not finite.
     """
-    block: Array = np.asarray(drive, dtype=np.float64)
+    try:
+        block: Array = np.asarray(drive, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise RunError("drive: the values are not real numbers, or the rows differ in length. Give an array.") from None
     if block.ndim != 2 or block.shape[0] != len(inputs):
         raise RunError(
             f"drive: the array has shape {block.shape}. Give one of shape ({len(inputs)}, samples) for the inputs "

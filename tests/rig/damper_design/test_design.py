@@ -174,6 +174,7 @@ def test_two_dampers_give_their_settled_peak() -> None:
         ({"band": (2.0, 3.0)}, "without a natural frequency"),
         ({"levels": [-1.0]}, r"levels: got -1\.0; expected a list of positive"),
         ({"clearance": (2e-3, 1e-3)}, "the smaller one first"),
+        ({"band": 49.0}, "band: got 49 Hz; expected two values"),
         ({"uncertain": (2.0, 0.0)}, "two shares"),
         ({"cluster": "nonsense://"}, "no Dask scheduler answers"),
     ],

@@ -257,9 +257,11 @@ def test_bad_arguments_are_named(change: dict[str, object], message: str) -> Non
     [
         (np.full((1, 100), np.nan), "drive: nan at sample 0 of input shaker"),
         (np.zeros((2, 100)), "drive: the array has shape (2, 100). Give one of shape (1, samples)"),
+        ([[1.0, 2.0], [3.0]], "drive: the values are not real numbers, or the rows differ in length"),
+        ([[1j] * 101], "drive: the values are not real numbers"),
     ],
 )
-def test_bad_drive_is_named(drive: np.ndarray, message: str) -> None:
+def test_bad_drive_is_named(drive: object, message: str) -> None:
     with pytest.raises(RunError) as error:
         rig.simulate("reference-A", 0.1, 1000.0, drive=drive)
     assert message in str(error.value)

@@ -295,6 +295,8 @@ def test_approximate_motion_repeats_in_a_one_mode_engine(
 def test_invalid_frequency_of_an_orbit_is_named() -> None:
     with pytest.raises(SceneError, match=r"frequency: got -1\.0; expected a list of positive"):
         periodic_orbit(rig.load("fig9"), -1.0)
+    with pytest.raises(SceneError, match="frequency: got 2 values; expected one"):
+        periodic_orbit(rig.load("fig9"), [49.0, 50.0])
     with pytest.raises(SceneError, match="two rising values"):
         follow_orbits(rig.load("fig9"), "frequency", (50.0, 40.0))
     with pytest.raises(SceneError, match="Give the frequency at which the force is varied"):

@@ -167,6 +167,12 @@ def test_too_many_moving_dampers_are_rejected(contact: dict[str, object], max_da
         assemble(with_dampers(max_dampers + 1))
 
 
+def test_stiff_contact_does_not_hide_the_support() -> None:
+    damper = {"body": 1, "mass": 0.1, "clearance": 1e-3, "contact": {"duration": 1e-15}, "restitution": 0.5}
+    sag = 0.1 * 9.80665 / K1
+    assert assemble(scene_of(dampers=[damper])).initial[:2] == pytest.approx([-sag, -sag])
+
+
 def test_structure_without_support_is_rejected() -> None:
     floating = {"structure": {"masses": [1.0, 2.0], "springs": [0.0, 1e3]}}
     damper = {"body": 1, "mass": 0.1, "clearance": 1e-3}

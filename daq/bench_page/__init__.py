@@ -1,4 +1,4 @@
-"""The bench as a page in the browser: channels live, tests on request, recordings; the work of `daq bench`.
+"""The page of `daq bench`: live channels, tests on request and recordings.
 
-Start with `bench`. `monitor` and `operator` know no page, `page` no threads.
+Start with `bench`. `monitor` and `operator` do not depend on the page, `page` does not depend on threads.
 """

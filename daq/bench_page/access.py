@@ -1,4 +1,4 @@
-"""Access to a page by a token: in the address of the first request, in a cookie from then on."""
+"""Access to a page by a token: in the address of the first request, in a cookie of later requests."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ REFUSAL = "Forbidden: open the address that `daq bench` printed, with its token.
 
 
 class TokenGate:
-    """An ASGI application in front of another, which refuses requests and web sockets without the token.
+    """An ASGI application that passes requests with the token on to another application, and refuses all others.
 
-    The token also protects a page on the loopback address, which any page in the same browser could address.
-    Pages of several benches on one host need different cookies.
+    The token also protects a page on the loopback address, which any page in the same browser can address. `cookie`:
+    name of the cookie; it differs between the benches of one host.
     """
 
     def __init__(self, inner: ASGIApp, cookie: str) -> None:

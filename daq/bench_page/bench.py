@@ -20,9 +20,9 @@ from rig.errors import RunError, SceneError
 if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
-# The web server has this time to start, s.
+# Maximum time for the start of the web server, s.
 START_S = 30.0
-# A browser that loses the connection may return within this time, s.
+# Time within which a browser may reconnect, s.
 RECONNECT_S = 60.0
 
 
@@ -40,15 +40,15 @@ def bench(
     Parameters
     ----------
     scene : Scene, str or None
-        As `daq.connect` takes it.
+        See `daq.connect`.
     host, port : str and int
-        Where the page is; 0 chooses a free port.
+        Address of the page; port 0 chooses a free port.
     device_port : int
-        Where NI clients of this machine find the device; 0 chooses a free port.
+        Port of the device for NI clients of this machine; 0 chooses a free port.
     recording : str or Path
         First recording of the record switch; the next are numbered.
     overwrite : bool
-        Whether the first may replace a file.
+        Whether the first recording may replace a file.
     browser : bool
         Whether to open the page in the browser.
 
@@ -57,7 +57,7 @@ def bench(
     RunError
         If NiceGUI is missing.
     SceneError
-        If the scene cannot be used or an address cannot be listened at.
+        If the scene cannot be used or an address is not available.
     """
     try:
         import nicegui  # noqa: F401
@@ -85,14 +85,17 @@ def bench(
             webbrowser.open(address)
         wait_for_signal()
         monitor = live_bench.monitor
-        print(f"closing; samples lost: {monitor.lost}, blocks not shown: {monitor.left_out}", file=sys.stderr)
+        print(
+            f"closing; samples lost: {monitor.lost_samples}, blocks not shown: {monitor.skipped_blocks}",
+            file=sys.stderr,
+        )
     for path in live_bench.recordings.paths:
         print(path)
 
 
 @contextlib.contextmanager
 def _served(live_bench: LiveBench, host: str, port: int) -> Any:
-    """Serve the page from a thread; give its address, with the token."""
+    """Serve the page from a thread, and yield its address with the token."""
     import uvicorn
     from fastapi import FastAPI
     from nicegui import ui

@@ -42,14 +42,14 @@ class Hit:
         return self.readings.shape[1]
 
 
-class HitJudge:
+class HitDetector:
     """Detects hits in the hammer's channel, one row of the readings, and judges each at the end of its window (s).
 
-    `weakest` is the smallest accepted peak, N.
+    `min_peak` is the smallest accepted peak, N.
     """
 
-    def __init__(self, row: int, rate: float, weakest: float, window: float) -> None:
-        self._row, self._rate, self.weakest = row, rate, weakest
+    def __init__(self, row: int, rate: float, min_peak: float, window: float) -> None:
+        self._row, self._rate, self.min_peak = row, rate, min_peak
         self._before, self._size = round(_PRETRIGGER_S * rate), round(window * rate)
         self._readings: Array | None = None
         self._overload: NDArray[np.bool_] = np.zeros((0, 0), bool)
@@ -71,7 +71,7 @@ class HitJudge:
     def _next(self) -> Hit | None:
         assert self._readings is not None
         force = self._readings[self._row]
-        above = force > _TRIGGER_RATIO * self.weakest
+        above = force > _TRIGGER_RATIO * self.min_peak
         start = int(np.argmax(above)) - self._before if above.any() else force.size - self._before
         start = max(0, start)
         self._drop(start)
@@ -83,10 +83,10 @@ class HitJudge:
         faults = []
         if overload.any():
             faults.append("clipped")
-        if pulses(force, max(_REBOUND_RATIO * peak, 0.1 * self.weakest), _PULSE_GAP_S * self._rate) > 1:
+        if pulses(force, max(_REBOUND_RATIO * peak, 0.1 * self.min_peak), _PULSE_GAP_S * self._rate) > 1:
             faults.append("double hit")
         # The true peak of a clipped hit is higher.
-        if peak < self.weakest and "clipped" not in faults:
+        if peak < self.min_peak and "clipped" not in faults:
             faults.append("too weak")
         displayed = force[: round(_SHOWN_S * self._rate)]
         hit = Hit(len(self.hits) + 1, self._first, peak, faults, displayed, window)

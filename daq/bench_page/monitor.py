@@ -1,7 +1,7 @@
 """Data of the channels for the page: time histories, spectra, overloads, outputs and motion.
 
-A separate thread collects the data. The listener only queues blocks, so that acquisition never waits for the page. If
-the thread is late, blocks are missing in the view; recordings have their own queue.
+A separate thread collects the data. The listener only queues blocks, so that acquisition never waits for the page. A
+late thread skips blocks of the view; recordings have their own queue.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from daq.drawing.rig_view import RigPose
 from rig.arrays import Array
 
 if TYPE_CHECKING:
-    from daq.bench_page.hits import HitJudge
+    from daq.bench_page.hits import HitDetector
     from daq.bench_page.live_frf import LiveFrf
     from daq.instrument.chassis import Chassis
 
@@ -38,7 +38,7 @@ _OUTPUT_S = 0.5
 
 
 class History:
-    """The last samples of some rows, whose numbers count from power-on."""
+    """The last samples of several signals; sample numbers count from power-on."""
 
     def __init__(self, rows: int, size: int) -> None:
         self._values = np.zeros((rows, size))
@@ -61,9 +61,10 @@ class History:
 
 
 class Monitor:
-    """Follows the blocks of a bench; `frf` and `judge` are those of the test that runs or ran last.
+    """Follows the blocks of a bench; `frf` and `detector` are those of the test that runs or ran last.
 
-    `lost` counts the samples missing between the bench's blocks, `left_out` the blocks missing in the view.
+    `lost_samples` counts the samples missing between the bench's blocks; `skipped_blocks`, the blocks missing in the
+    view.
     """
 
     def __init__(self, chassis: Chassis) -> None:
@@ -74,9 +75,9 @@ class Monitor:
         self.history = History(len(self.channels), round(_HISTORY_S * self.rate))
         self.outputs = History(len(bench.drive), round(_OUTPUT_S * self.rate))
         self.frf: LiveFrf | None = None
-        self.judge: HitJudge | None = None
+        self.detector: HitDetector | None = None
         self.continuous = False
-        self.left_out = self.lost = 0
+        self.skipped_blocks = self.lost_samples = 0
         self._next: int | None = None
         self._overloaded = np.full(len(self.channels), -1)
         self._poses: deque[tuple[Array, Array | None]] = deque(maxlen=round(POSES_S * _POSES_PER_S))
@@ -86,13 +87,13 @@ class Monitor:
         self._thread = threading.Thread(target=self._follow, name="bench page", daemon=True)
         self._thread.start()
 
-    def hear(self, bench: Any, block: Any) -> None:
+    def on_block(self, bench: Any, block: Any) -> None:
         """Queue a block of the bench; a listener of the chassis."""
         if self._next is not None:
-            self.lost += max(0, block.first - self._next)
+            self.lost_samples += max(0, block.first - self._next)
         self._next = block.first + block.samples.shape[1]
         if self._blocks.full():
-            self.left_out += 1
+            self.skipped_blocks += 1
         else:
             self._blocks.put_nowait((block, bench.drive.copy(), bench.physical))
 
@@ -105,10 +106,10 @@ class Monitor:
         self._blocks.put(None)
         self._thread.join()
 
-    def watch(self, frf: LiveFrf | None, judge: HitJudge | None) -> None:
-        """Start an estimate; `judge` detects hits."""
+    def watch(self, frf: LiveFrf | None, detector: HitDetector | None) -> None:
+        """Start an estimate; `detector` detects hits."""
         with self._lock:
-            self.frf, self.judge, self.continuous = frf, judge, judge is None
+            self.frf, self.detector, self.continuous = frf, detector, detector is None
 
     def stop_watching(self) -> None:
         """End the estimate of a continuous test."""
@@ -117,8 +118,8 @@ class Monitor:
 
     def overloads(self) -> list[bool]:
         """Return which channels were overloaded in the last seconds."""
-        since = self.history.stop - _LAMP_S * self.rate
-        return [bool(last >= 0 and last > since) for last in self._overloaded]
+        first = self.history.stop - _LAMP_S * self.rate
+        return [bool(last >= 0 and last > first) for last in self._overloaded]
 
     def spectra(self) -> tuple[NDArray[Any], Array]:
         """Return frequencies and amplitude spectra of all channels, Hann window, shape (channels, lines)."""
@@ -129,7 +130,7 @@ class Monitor:
         return np.asarray(np.fft.rfftfreq(samples.shape[1], 1.0 / self.rate)), spectra
 
     def output(self) -> list[tuple[float, float]]:
-        """Return peak and frequency of the drive at each input; the frequency of its mean crossings, Hz."""
+        """Return peak and frequency (Hz) of the drive at each input; the frequency is that of upward zero crossings."""
         tones = []
         for wave in self.outputs.last(round(_OUTPUT_S * self.rate)):
             peak = float(np.abs(wave).max(initial=0.0))
@@ -165,14 +166,14 @@ class Monitor:
             flagged = block.overload.any(axis=1)
             self._overloaded[flagged] = block.first + block.samples.shape[1]
             motion = block.motion
-            picked = range(-motion.first % self._step, motion.displacement.shape[1], self._step)
+            indices = range(-motion.first % self._step, motion.displacement.shape[1], self._step)
             with self._lock:
-                for at in picked:
-                    gap = motion.gap[:, at] if self._scene.dampers else None
-                    self._poses.append((motion.displacement[:, at], gap))
+                for index in indices:
+                    gap = motion.gap[:, index] if self._scene.dampers else None
+                    self._poses.append((motion.displacement[:, index], gap))
                 if self.frf is not None and self.continuous:
                     self.frf.add(readings)
-                if self.judge is not None:
-                    for hit in self.judge.add(block.first, readings, block.overload):
+                if self.detector is not None:
+                    for hit in self.detector.add(block.first, readings, block.overload):
                         if self.frf is not None:
                             self.frf.add_hit(hit)

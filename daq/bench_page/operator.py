@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
-from daq.bench_page.hits import HitJudge
+from daq.bench_page.hits import HitDetector
 from daq.bench_page.live_frf import LiveFrf
 from daq.bench_page.monitor import Monitor
 from daq.bench_page.recordings import BenchRecordings
@@ -29,7 +29,7 @@ _MIN_BLOCK_S = 1.0
 _MAX_BLOCK_S = 4.0
 # Maximum window of a hit, s, and the minimum time between a window and the next hit, s.
 _MAX_HIT_S = 4.0
-_REST_S = 0.1
+_MIN_PAUSE_S = 0.1
 # Hits below this ratio to the requested peak are too weak.
 _MIN_PEAK_RATIO = 0.5
 
@@ -48,7 +48,7 @@ class Settings:
 
 
 class Operator:
-    """Starts and stops tests on the bench of a chassis, with `settings` that begin with those of the scene's test.
+    """Starts and stops tests on the bench of a chassis; the initial `settings` are those of the scene's test.
 
     `kinds` are the tests for which the scene has an input. `message` is the state of the test, or the reason why it did
     not start; `no_response` is the reason why there is no live frequency response.
@@ -63,7 +63,7 @@ class Operator:
         self._terminals: Any = chassis.terminals
         self._scene: Scene = chassis.bench.scene
         test = self._scene.test
-        # A scene has its hammer's channel for a test with the hammer, and for no other.
+        # Only a scene with a hammer test has a channel for the hammer.
         self.kinds: list[Kind] = ["sine", "sweep", "random"] if self._scene.shakers else []
         if test is not None and test.kind == "impulse":
             self.kinds = ["hammer"]
@@ -98,7 +98,7 @@ class Operator:
             self._chassis.wake(cast(Any, self))
 
     def switch_off(self) -> None:
-        """Mark the hits, and stop bench time unless a client needs it."""
+        """Mark the hits, and stop bench time unless a client runs a task."""
         with self._chassis.changed:
             self._mark_hits()
         self._chassis.unregister(cast(Any, self))
@@ -111,7 +111,7 @@ class Operator:
         try:
             scene, excite, self._knobs = self._test()
             kind = TestKind.TONES if self._knobs is not None else kind_of_settings(scene.test)
-            frf, judge = self._estimate(scene, kind)
+            frf, detector = self._estimate(scene, kind)
             with chassis.changed:
                 chassis.return_outputs()
                 self._hits = []
@@ -121,7 +121,7 @@ class Operator:
                     scene, chassis.position, self._mark, self._report, self._ended, excite
                 )
                 if self.running:
-                    self._monitor.watch(frf, judge)
+                    self._monitor.watch(frf, detector)
         except (ShotrigError, ValueError) as error:
             self.message = str(error)
 
@@ -142,36 +142,36 @@ class Operator:
     def _test(self) -> tuple[Scene, Any, Knobs | None]:
         """Build the scene of the test, its excitation, and the knobs of a sine."""
         settings = self.settings
-        hammer = self._scene.test
-        if settings.kind == "hammer" and hammer is not None and hammer.kind == "impulse":
-            double = hammer.double_hit
+        test = self._scene.test
+        if settings.kind == "hammer" and test is not None and test.kind == "impulse":
+            double = test.double_hit
             if double is not None and double.hits is not None:
                 numbers = tuple(number for number in double.hits if number <= settings.hits)
                 double = double.replace(hits=numbers) if numbers else None
-            hit = hammer.replace(
+            test = test.replace(
                 peak=settings.level, repeats=int(settings.hits), interval=settings.duration, double_hit=double
             )
-            return self._scene.replace(test=hit), excitation, None
+            return self._scene.replace(test=test), excitation, None
         if settings.kind == "sine":
-            test = {"kind": "sine", "frequency": settings.frequency, "force": settings.level}
+            sine = {"kind": "sine", "frequency": settings.frequency, "force": settings.level}
             knobs = Knobs(settings.frequency, settings.level, self._monitor.rate / _MIN_SAMPLES_PER_PERIOD)
-            return self._scene.replace(test=test), HandTone(knobs, _ignore).excite, knobs
+            return self._scene.replace(test=sine), HandTone(knobs, _ignore).excite, knobs
         kind = "swept_sine" if settings.kind == "sweep" else "random"
         band = {"from": settings.low, "to": settings.high}
-        test = {"kind": kind, **band, "duration": settings.duration, "force": settings.level}
-        return self._scene.replace(test=test), excitation, None
+        noise_or_sweep = {"kind": kind, **band, "duration": settings.duration, "force": settings.level}
+        return self._scene.replace(test=noise_or_sweep), excitation, None
 
-    def _estimate(self, scene: Scene, kind: TestKind) -> tuple[LiveFrf | None, HitJudge | None]:
+    def _estimate(self, scene: Scene, kind: TestKind) -> tuple[LiveFrf | None, HitDetector | None]:
         """Create the live estimate and the detection of hits; without a channel of force, set `no_response`."""
-        settings, monitor, judge = self.settings, self._monitor, None
+        settings, monitor, detector = self.settings, self._monitor, None
         band = sorted((settings.low, settings.high))
         block = min(max(settings.duration / 10, _MIN_BLOCK_S), _MAX_BLOCK_S)
         if kind is TestKind.HITS:
-            block = min(settings.duration - _REST_S, _MAX_HIT_S)
+            block = min(settings.duration - _MIN_PAUSE_S, _MAX_HIT_S)
             band = [0.0, 0.5 * monitor.rate]
             row = next((k for k, info in enumerate(monitor.channels) if info.at == "hammer"), None)
             if row is not None:
-                judge = HitJudge(row, monitor.rate, _MIN_PEAK_RATIO * settings.level, block)
+                detector = HitDetector(row, monitor.rate, _MIN_PEAK_RATIO * settings.level, block)
         elif kind is TestKind.TONES:
             band = [0.0, monitor.rate / _MIN_SAMPLES_PER_PERIOD]
         try:
@@ -179,7 +179,7 @@ class Operator:
             self.no_response = ""
         except SceneError as error:
             frf, self.no_response = None, str(error)
-        return frf, judge
+        return frf, detector
 
     def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
         if kind == "hit":
@@ -189,9 +189,9 @@ class Operator:
             self._recordings.mark(kind, first, stop, **fields)
 
     def _mark_hits(self) -> None:
-        judged = () if self._monitor.judge is None else self._monitor.judge.hits
+        detected = () if self._monitor.detector is None else self._monitor.detector.hits
         for first, stop, fields in self._hits:
-            hit = next((each for each in judged if each.first <= stop and first <= each.first + each.size), None)
+            hit = next((each for each in detected if each.first <= stop and first <= each.first + each.size), None)
             rejected = hit is not None and not hit.accepted
             reason = {"reason": ", ".join(hit.faults) or "operator"} if hit is not None and rejected else {}
             self._recordings.mark("rejected" if rejected else "hit", first, stop, **fields, **reason)
@@ -212,7 +212,7 @@ def _silence(station: Station) -> Excitation:
     yield station.quiet(1)
 
 
-def _ignore(*given: Any, **fields: Any) -> None:
+def _ignore(*arguments: Any, **fields: Any) -> None:
     """Accept any callback."""
 
 
@@ -225,7 +225,7 @@ class LiveBench:
         self.recordings = BenchRecordings(chassis, recording, overwrite)
         self.operator = Operator(chassis, self.monitor, self.recordings)
         # The recorder comes first, because it ends a test after the block that it receives.
-        chassis.listeners += [self.recordings.hear, self.monitor.hear]
+        chassis.listeners += [self.recordings.on_block, self.monitor.on_block]
         self.operator.switch_on()
 
     def outputs(self) -> list[str]:
@@ -251,8 +251,8 @@ class LiveBench:
     def close(self) -> None:
         """Complete the recording and stop."""
         with self.chassis.changed:
-            self.chassis.listeners.remove(self.recordings.hear)
-            self.chassis.listeners.remove(self.monitor.hear)
+            self.chassis.listeners.remove(self.recordings.on_block)
+            self.chassis.listeners.remove(self.monitor.on_block)
         self.operator.switch_off()
         self.recordings.close()
         self.monitor.close()

@@ -70,10 +70,12 @@ def envelope(time: Array, values: Array, columns: int) -> tuple[Array, Array]:
     width = max(1, values.size // columns)
     # Whole columns end at the newest sample.
     first = values.size % width
-    parts = values[first:].reshape(-1, width)
-    start = first + width * np.arange(len(parts))
-    at = np.sort(np.column_stack([parts.argmin(axis=1) + start, parts.argmax(axis=1) + start]), axis=1).ravel()
-    return time[at], values[at]
+    columns_of_samples = values[first:].reshape(-1, width)
+    start = first + width * np.arange(len(columns_of_samples))
+    rows = np.sort(
+        np.column_stack([columns_of_samples.argmin(axis=1) + start, columns_of_samples.argmax(axis=1) + start]), axis=1
+    ).ravel()
+    return time[rows], values[rows]
 
 
 def points(x: Array, y: Array) -> list[list[float]]:
@@ -91,9 +93,9 @@ def peaks(frequency: Array, values: Array) -> tuple[Array, Array]:
     edges = np.geomspace(frequency[0], frequency[-1], _BANDS)
     starts = np.unique(np.searchsorted(frequency, edges[:-1]))
     stops = [*starts[1:].tolist(), frequency.size]
-    at = [a + int(np.argmax(values[a:b])) for a, b in zip(starts.tolist(), stops, strict=True)]
-    at += [] if at[-1] == frequency.size - 1 else [frequency.size - 1]
-    return frequency[at], values[at]
+    rows = [a + int(np.argmax(values[a:b])) for a, b in zip(starts.tolist(), stops, strict=True)]
+    rows += [] if rows[-1] == frequency.size - 1 else [frequency.size - 1]
+    return frequency[rows], values[rows]
 
 
 class Chart:
@@ -187,7 +189,7 @@ class Page:
             ui.button("Start", on_click=operator.start).props("data-testid=start")
             ui.button("Stop", on_click=operator.stop, color="grey").props("data-testid=stop")
         recordings = self._bench.recordings
-        ui.switch("Record").bind_value(recordings, "wanted").props("data-testid=record")
+        ui.switch("Record").bind_value(recordings, "enabled").props("data-testid=record")
         self._state = ui.label().classes("text-sm").props("data-testid=state")
         self._output = ui.label().classes("text-sm").props("data-testid=output")
         self._file = ui.label().classes("text-sm break-all").props("data-testid=file")
@@ -255,9 +257,9 @@ class Page:
         self._coherence.show([points(curves.frequency, row) for row in curves.coherence])
 
     def _show_hits(self) -> None:
-        judge = self._monitor.judge
-        hits = [] if judge is None else judge.hits[-_SHOWN_HITS:]
-        state = (len(judge.hits) if judge else 0, sum(hit.accepted for hit in hits))
+        detector = self._monitor.detector
+        hits = [] if detector is None else detector.hits[-_SHOWN_HITS:]
+        state = (len(detector.hits) if detector else 0, sum(hit.accepted for hit in hits))
         if state == self._hits_shown:
             return
         self._hits_shown = state
@@ -285,6 +287,6 @@ class Page:
 def _file_line(recordings: Any) -> str:
     if recordings.running:
         return f"recording to {recordings.paths[-1]}"
-    if recordings.wanted:
+    if recordings.enabled:
         return "records as soon as a test or a client's task runs"
     return f"recorded: {recordings.paths[-1]}" if recordings.paths else "not recording"

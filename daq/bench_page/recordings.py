@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class BenchRecordings:
-    """Records all channels while it is `wanted` and a test of the page or a client's task runs.
+    """Records all channels while it is `enabled` and a test of the page or a client's task runs.
 
     The first recording is at `path`, which may replace a file if `overwrite` is set; the next are numbered.
     `problem` is the reason why recording has stopped.
@@ -26,7 +26,7 @@ class BenchRecordings:
 
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool) -> None:
         self._chassis, self._path, self._overwrite = chassis, path, overwrite
-        self.wanted = False
+        self.enabled = False
         self.paths: list[Path] = []
         self.problem = ""
         self._test: tuple[Scene, TestKind] | None = None
@@ -56,10 +56,10 @@ class BenchRecordings:
         """Mark the samples from `first` to before `stop`, counted from power-on."""
         self._jobs.put(lambda: self._mark(kind, first, stop, **fields))
 
-    def hear(self, bench: Any, block: Any) -> None:
+    def on_block(self, bench: Any, block: Any) -> None:
         """Queue a block of the bench; a listener of the chassis."""
         busy = self._test is not None or self._chassis.inputs or self._chassis.outputs
-        if self.wanted and busy:
+        if self.enabled and busy:
             test, channels = self._test, bench.channels
             time_ns = self._chassis.time_ns(round(block.first * bench.tick_rate / bench.rate))
             self._jobs.put(lambda: self._write(bench, channels, block, test, time_ns))
@@ -80,7 +80,7 @@ class BenchRecordings:
             try:
                 job()
             except ShotrigError as error:
-                self.problem, self.wanted = str(error), False
+                self.problem, self.enabled = str(error), False
                 self._recording = None
 
     def _write(self, bench: Any, channels: Any, block: Any, test: tuple[Scene, TestKind] | None, time_ns: int) -> None:

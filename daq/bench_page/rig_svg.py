@@ -59,9 +59,9 @@ class RigDrawing:
             if view.sprung[body - 1]:
                 springs = "".join(_coil(x, view.stack.lengths[body - 1], STEEL) for x in (-0.3 * WIDTH, 0.3 * WIDTH))
                 parts.append(_group(f"rig/spring_{body}", springs))
-            inside = view.stack.cavities[body - 1]
-            frame = _box(0.0, height / 2, WIDTH, height, colour, filled=not inside)
-            for cavity in inside:
+            cavities = view.stack.cavities[body - 1]
+            frame = _box(0.0, height / 2, WIDTH, height, colour, filled=not cavities)
+            for cavity in cavities:
                 frame += _box(cavity.x, WALL / 2, cavity.width + WALL, WALL, colour)
                 if cavity.ceiling is not None:
                     frame += _box(cavity.x, cavity.ceiling + WALL / 2, cavity.width + WALL, WALL, colour)

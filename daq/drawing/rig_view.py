@@ -158,10 +158,10 @@ class RigView:
         masses = self.scene.structure.masses
         text = self.scene.structure.label(body) + (f"  {masses[body - 1]:g} kg" if masses is not None else "")
         text += self._note(f"body {body}")
-        inside = self.stack.cavities[body - 1]
-        if inside:
-            yield f"{name}/frame", boxes(walls(inside), colour)
-            for number in range(len(inside)):
+        cavities = self.stack.cavities[body - 1]
+        if cavities:
+            yield f"{name}/frame", boxes(walls(cavities), colour)
+            for number in range(len(cavities)):
                 yield from self._damper(body, number)
         else:
             yield f"{name}/frame", boxes([((0, 0, height / 2), (WIDTH, DEPTH, height))], colour)
@@ -184,8 +184,8 @@ class RigView:
     def damper_entity(self, place: int) -> str:
         """Return the path of a damper, with a number if its body has several."""
         body = self.scene.dampers[place].body
-        inside = [cavity.place for cavity in self.stack.cavities[body - 1]]
-        return f"rig/body_{body}/damper" + (f"_{inside.index(place) + 1}" if len(inside) > 1 else "")
+        places = [cavity.place for cavity in self.stack.cavities[body - 1]]
+        return f"rig/body_{body}/damper" + (f"_{places.index(place) + 1}" if len(places) > 1 else "")
 
     def _damper(self, body: int, number: int) -> Iterator[tuple[str, rr.AsComponents]]:
         cavity: Cavity = self.stack.cavities[body - 1][number]

@@ -55,17 +55,17 @@ class Cavity:
 
 def cavities(dampers: Sequence[Damper], body: int, magnification: float) -> list[Cavity]:
     """Return the cavities of a body (from 1), from left to right in the scene's order."""
-    inside = [place for place, damper in enumerate(dampers) if damper.body == body]
-    pitch = (WIDTH - WALL) / max(len(inside), 1)
-    positions = []
-    for k, place in enumerate(inside):
+    dampers_of_body = [place for place, damper in enumerate(dampers) if damper.body == body]
+    pitch = (WIDTH - WALL) / max(len(dampers_of_body), 1)
+    result = []
+    for k, place in enumerate(dampers_of_body):
         clearance = dampers[place].clearance * magnification
         ceiling = None if clearance > HEADROOM else WALL + DAMPER_HEIGHT + clearance
-        positions.append(Cavity(place, (k + 0.5) * pitch - (WIDTH - WALL) / 2, pitch - WALL, ceiling))
-    return positions
+        result.append(Cavity(place, (k + 0.5) * pitch - (WIDTH - WALL) / 2, pitch - WALL, ceiling))
+    return result
 
 
-def walls(inside: Sequence[Cavity]) -> list[Box]:
+def walls(cavities: Sequence[Cavity]) -> list[Box]:
     """Return the boxes (centre, size) of a body with cavities, open to the front, with the visible ceilings."""
     height = HOLLOW_HEIGHT
     parts: list[Box] = [
@@ -73,7 +73,7 @@ def walls(inside: Sequence[Cavity]) -> list[Box]:
         ((0, (DEPTH - WALL) / 2, height / 2), (WIDTH - 2 * WALL, WALL, height)),
         (((WIDTH - WALL) / 2, 0, height / 2), (WALL, DEPTH, height)),
     ]
-    for cavity in inside:
+    for cavity in cavities:
         left_wall_x = cavity.x - (cavity.width + WALL) / 2
         parts.append(((left_wall_x, 0, height / 2), (WALL, DEPTH, height)))
         if cavity.ceiling is not None:
@@ -116,8 +116,8 @@ class Stack:
         right_places = iter(range(len(shaker_bodies)))
         self.tables: list[Table] = []
         for (point, shaker), body in zip(scene.tables, shaker_bodies, strict=True):
-            under = body == 1 and shaker_bodies.index(1) == len(self.tables)
-            x = 0.0 if under else WIDTH / 2 + LUG / 2 + SHAKER_PITCH * next(right_places)
+            is_under_body = body == 1 and shaker_bodies.index(1) == len(self.tables)
+            x = 0.0 if is_under_body else WIDTH / 2 + LUG / 2 + SHAKER_PITCH * next(right_places)
             self.tables.append(Table(point, shaker.kind, body, x, self.bottoms[body - 1] - COIL_LENGTH))
 
 

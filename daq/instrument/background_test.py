@@ -41,7 +41,7 @@ class BackgroundTest:
         self._line = DriveLine(len(station.inputs), ticks)
         self._stopping = False
         self._at = 0
-        self._heard: list[Array] = []
+        self._readings: list[Array] = []
         self._drive = np.zeros((len(station.inputs), 0))
         self.quiet = station.scene.test is None
         if not self.quiet:
@@ -51,15 +51,15 @@ class BackgroundTest:
     def _begin(self, failure: str) -> None:
         try:
             self._test = self._excite(self._station)
-            self._play(next(self._test))
+            self._start_window(next(self._test))
         except ShotrigError as error:
-            self._over(failure, str(error))
+            self._finish(failure, str(error))
 
-    def _play(self, window: Array) -> None:
+    def _start_window(self, window: Array) -> None:
         """Start the drive of the next samples; the test receives their readings after the last sample."""
         self._window, self._drive, self._at = window, self._line.through(window), 0
 
-    def _over(self, failure: str, reason: str) -> None:
+    def _finish(self, failure: str, reason: str) -> None:
         self.quiet = True
         if self._ended is not None:
             self._ended(reason)
@@ -75,7 +75,7 @@ class BackgroundTest:
         """End the test at the end of the current window, with a ramp of its drive to zero."""
         self._stopping = True
 
-    def leave_shaker(self) -> None:
+    def release_outputs(self) -> None:
         """Release the outputs to a client. A hammer test continues."""
         test = self._station.scene.test
         if not self.quiet and test is not None and test.kind != "impulse":
@@ -83,7 +83,7 @@ class BackgroundTest:
                 self.quiet = True
             else:
                 self._test.close()
-                self._over("", "a client has taken the output")
+                self._finish("", "a client has taken the output")
 
     def horizon(self, ticks: int) -> int:
         """Limit a number of ticks to the current window: the next window depends on its readings."""
@@ -95,37 +95,37 @@ class BackgroundTest:
             return np.zeros((len(self._station.inputs), ticks))
         return self._drive[:, self._at : self._at + ticks]
 
-    def hear(self, samples: NDArray[np.float64] | NDArray[np.int32], ticks: int) -> None:
+    def add_readings(self, samples: NDArray[np.float64] | NDArray[np.int32], ticks: int) -> None:
         """Add the readings of `ticks` ticks, shape (channels, samples)."""
         if self.quiet:
             return
-        self._heard.append(self._physical(samples))
+        self._readings.append(self._physical(samples))
         self._at += ticks
         if self._at < self._drive.shape[1]:
             return
         size = self._window.shape[1]
-        heard = np.concatenate(self._heard, axis=1)[:, -size:]
+        latest = np.concatenate(self._readings, axis=1)[:, -size:]
         # A filter whose delay is removed from the sample numbers returns no samples at first.
-        readings = np.zeros((heard.shape[0], size))
-        readings[:, size - heard.shape[1] :] = heard
+        readings = np.zeros((latest.shape[0], size))
+        readings[:, size - latest.shape[1] :] = latest
         self._station.now += size
-        self._heard = []
+        self._readings = []
         try:
             if self._stopping:
                 self._stopping = False
                 self._test.close()
                 self._test = _ramp(self._window[:, -2:], self._station.samples(RAMP_S))
-                self._play(next(self._test))
+                self._start_window(next(self._test))
             else:
-                self._play(self._test.send(readings))
+                self._start_window(self._test.send(readings))
         except StopIteration:
             if self._ended is not None:
-                self._over("", "")
+                self._finish("", "")
             else:
                 self._station = replace(self._station, now=0)
                 self._begin("cannot be played again")
         except ShotrigError as error:
-            self._over("has ended", str(error))
+            self._finish("has ended", str(error))
 
 
 def _ramp(last: Array, samples: int) -> Excitation:

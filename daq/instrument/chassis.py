@@ -34,11 +34,14 @@ if TYPE_CHECKING:
     from daq.instrument.terminals import Terminals
     from daq.virtual_bench.bench import Bench, Block
 
+# Longest step of the bench, ticks.
 _MAX_BLOCK_TICKS = 4096
+# A number of ticks that no run reaches.
+UNLIMITED_TICKS = 1 << 62
 # Delay of the bench relative to the wall clock from which its input buffers overflow, s.
 _MAX_DELAY_S = 5.0
 # Maximum pause of the fast clock for the callback of an event, s of the wall clock.
-_ANSWER_S = 0.25
+_CALLBACK_WAIT_S = 0.25
 # Number of consecutive unanswered events after which the clock no longer waits for a listener.
 _MAX_UNANSWERED = 8
 
@@ -57,13 +60,13 @@ class Runner(Protocol):
         """Sampling rate of its inputs, S/s; None on demand, or without inputs."""
 
     def horizon(self) -> int:
-        """Return the number of ticks that may pass before `passed` must be called."""
+        """Return the number of ticks that may pass before `notify_samples` must be called."""
 
-    def passed(self) -> bool:
+    def notify_samples(self) -> bool:
         """Report new samples; return whether a callback must finish before the next samples."""
 
     @property
-    def answered(self) -> bool:
+    def callback_finished(self) -> bool:
         """Whether that callback has finished."""
 
 
@@ -102,8 +105,8 @@ class Chassis:
     def anchor(self) -> None:
         """Store the time of the next tick; see `Timeline.anchor`."""
         # The fast and the manual clock have no date; times are then counted from power-on of the bench.
-        now = time.time_ns() if self.clock.runs_free else round(self.position * 1e9 / self.rate)
-        self._anchors.append((self.position, now))
+        now_ns = time.time_ns() if self.clock.runs_free else round(self.position * 1e9 / self.rate)
+        self._anchors.append((self.position, now_ns))
 
     @property
     def rate(self) -> float:
@@ -124,19 +127,19 @@ class Chassis:
         with self.changed:
             end = self.position + round(seconds * self.rate)
 
-            def over() -> bool:
+            def has_passed() -> bool:
                 return not self.live or self.position >= end
 
             if self.live:
-                self.clock.wait(self, over, lambda: end - self.position, -1.0)
+                self.clock.wait(self, has_passed, lambda: end - self.position, -1.0)
                 return
         if self.clock.runs_free:
             threading.Event().wait(seconds)
 
     def time_ns(self, tick: int) -> int:
         """Time of a tick, ns: since 1970 on the real clock, since power-on on the others."""
-        anchor, when = self._anchors[max(0, bisect_right(self._anchors, (tick, 1 << 63)) - 1)]
-        return when + round((tick - anchor) * 1e9 / self.rate)
+        anchor, anchor_ns = self._anchors[max(0, bisect_right(self._anchors, (tick, 1 << 63)) - 1)]
+        return anchor_ns + round((tick - anchor) * 1e9 / self.rate)
 
     # Tasks
 
@@ -170,8 +173,8 @@ class Chassis:
         `DaqError` with -50103, if another task has reserved a resource.
         """
         with self.changed:
-            for other, theirs in self._reserved.items():
-                shared = [name for each, name in resources.items() if each in theirs]
+            for other, reserved in self._reserved.items():
+                shared = [name for each, name in resources.items() if each in reserved]
                 if other is not task and shared:
                     raise DaqError(
                         f"{', '.join(sorted(shared))} is in use by task {other.name!r}. Stop or close that task, or "
@@ -180,7 +183,7 @@ class Chassis:
                     )
             if any(isinstance(each, int) for each in resources) and not self._output_taken:
                 self._output_taken = True
-                self.terminals.leave_outputs()
+                self.terminals.release_outputs()
             self._reserved[task] = resources
 
     def release(self, task: Runner) -> None:
@@ -266,7 +269,7 @@ class Chassis:
             volts = np.repeat(self.last_volts[:, None], ticks, axis=1)
             for generation in self.outputs.values():
                 rows = list(generation.plan.rows)
-                volts[rows] = generation.produce(tick, ticks, self.moment)
+                volts[rows] = generation.produce(tick, ticks, self.event_tick)
                 self.last_volts[rows] = generation.last_volts
         # Include the rates of tasks that are only configured: their filters continue while the tasks do not run.
         rates = {rate for task in self.tasks.values() if (rate := task.sample_rate) is not None}
@@ -282,7 +285,7 @@ class Chassis:
             listener(self.bench, full_rate)
         self.changed.notify_all()
         self.sleepers.wake(self.position)
-        notified = [task for task in (*self.inputs, *self.outputs) if task.passed()]
+        notified = [task for task in (*self.inputs, *self.outputs) if task.notify_samples()]
         if notified and not self.clock.runs_free:
             self._await_callbacks(notified)
         for alarm in [each for each in self._alarms if each[0] <= self.elapsed]:
@@ -292,9 +295,9 @@ class Chassis:
     def _await_callbacks(self, notified: Sequence[Runner]) -> None:
         """Wait for callbacks of events, except those that did not answer several events in a row."""
         awaited = [task for task in notified if self._unanswered.get(task, 0) < _MAX_UNANSWERED]
-        self.changed.wait_for(lambda: all(task.answered for task in awaited), _ANSWER_S)
+        self.changed.wait_for(lambda: all(task.callback_finished for task in awaited), _CALLBACK_WAIT_S)
         for task in notified:
-            self._unanswered[task] = 0 if task.answered else self._unanswered.get(task, 0) + 1
+            self._unanswered[task] = 0 if task.callback_finished else self._unanswered.get(task, 0) + 1
 
     def _pass_block(self, acquisition: Acquisition, block: Block) -> None:
         """Pass samples to an acquisition, up to the first sample lost in a buffer overflow."""
@@ -306,7 +309,7 @@ class Chassis:
         valid = slice(0, max(0, min(lost) - block.first)) if lost else slice(None)
         samples, overload = block.samples[:, valid], block.overload[:, valid]
         if samples.shape[1]:
-            acquisition.take(block.first, samples, overload, self.moment)
+            acquisition.add_block(block.first, samples, overload, self.event_tick)
         if lost and not acquisition.done:
             acquisition.stop(
                 DaqError(
@@ -316,12 +319,12 @@ class Chassis:
                 )
             )
 
-    def moment(self, source: OtherTask) -> int | None:
+    def event_tick(self, source: OtherTask) -> int | None:
         """Return the tick at which another task started or was triggered; None before that."""
         runs: dict[Any, Any] = self.inputs if source.kind == "ai" else self.outputs
         device = source.device.lower()
-        named = [run for task, run in runs.items() if device and task.device.lower().startswith(device)]
-        for run in named or runs.values():
+        on_device = [run for task, run in runs.items() if device and task.device.lower().startswith(device)]
+        for run in on_device or runs.values():
             tick = run.start_tick(source.reference, self.position)
             if tick is not None:
                 return tick
@@ -340,7 +343,7 @@ class Chassis:
                 for source in waiting
                 for run in self.inputs.values()
                 if (source.reference or (run.first_tick is None and isinstance(run.plan.start, AnalogSource)))
-                and self.moment(source) is None
+                and self.event_tick(source) is None
             ),
             default=_MAX_BLOCK_TICKS,
         )
@@ -358,7 +361,7 @@ class Chassis:
                 generation.stop(error)
             self._wake_all()
             for task in (*self.inputs, *self.outputs):
-                task.passed()
+                task.notify_samples()
 
     def _wake_all(self) -> None:
         """Wake all waiting threads: they may wait for more than time."""

@@ -48,8 +48,8 @@ def raise_priority() -> None:
 class Sleepers:
     """Threads that wait for positions of a bench.
 
-    A bench that advances every 4 ms would wake ten readers that each wait for 100 ms unnecessarily 25 times. This
-    would delay the reader whose samples are available.
+    A thread is woken when its position is reached. If the bench woke every thread at each step of 4 ms, a reader that
+    waits for 100 ms would wake 25 times, and delay the reader whose samples are available.
 
     `lock`: lock of the bench; the calling thread holds it, and releases it while it sleeps.
     """
@@ -60,12 +60,12 @@ class Sleepers:
 
     def sleep(self, until: int) -> None:
         """Sleep until the bench has reached a position, or until all threads are woken."""
-        mine = threading.Condition(self._lock)
-        self._waiting[mine] = until
+        condition = threading.Condition(self._lock)
+        self._waiting[condition] = until
         try:
-            mine.wait(_MAX_SLEEP_S)
+            condition.wait(_MAX_SLEEP_S)
         finally:
-            del self._waiting[mine]
+            del self._waiting[condition]
 
     def wake(self, position: int | None = None) -> None:
         """Wake the threads whose position has been reached; without a position, wake all."""
@@ -133,13 +133,15 @@ class Clock:
     def pass_query(self, bench: Timeline) -> None:
         """Let a short time pass for a query, on a clock that advances only while a call waits."""
 
-    def wait(self, bench: Timeline, ready: Callable[[], bool], wanted: Callable[[], int], timeout: float) -> bool:
+    def wait(
+        self, bench: Timeline, ready: Callable[[], bool], samples_needed: Callable[[], int], timeout: float
+    ) -> bool:
         """Wait until a condition is met.
 
-        `bench`: the bench; the caller holds its lock; `ready`: returns whether the condition is met; `wanted`: lower
-        bound of the samples until the condition can be met; the bench advances by at most this number at once;
-        `timeout`: bench time, s; 0 checks once, a negative timeout is infinite. Returns whether the condition was
-        met before the timeout.
+        `bench`: the bench; the caller holds its lock; `ready`: returns whether the condition is met; `samples_needed`:
+        returns a lower bound of the samples until then; the bench advances by at most this number at once; `timeout`:
+        bench time, s; 0 checks once, a negative timeout is infinite. Returns whether the condition was met before the
+        timeout.
         """
         return ready()
 
@@ -148,7 +150,7 @@ class FastClock(Clock):
     """Time passes during waiting calls, as fast as the computer simulates."""
 
     # Interval of the pauses in which a long wait lets other threads take the lock, s of the wall clock.
-    TURN_S = 0.05
+    PAUSE_INTERVAL_S = 0.05
     # Duration of these pauses, s.
     PAUSE_S = 0.002
 
@@ -156,19 +158,21 @@ class FastClock(Clock):
         """Let 10 ms pass, so that a loop which only queries the progress terminates."""
         bench.advance(max(1, int(bench.rate / 100)))
 
-    def wait(self, bench: Timeline, ready: Callable[[], bool], wanted: Callable[[], int], timeout: float) -> bool:
+    def wait(
+        self, bench: Timeline, ready: Callable[[], bool], samples_needed: Callable[[], int], timeout: float
+    ) -> bool:
         """See `Clock.wait`."""
         end = math.inf if timeout < 0 else bench.position + math.ceil(timeout * bench.rate - 1e-6)
-        turn = time.monotonic() + self.TURN_S
+        next_pause = time.monotonic() + self.PAUSE_INTERVAL_S
         while not ready():
-            samples = min(max(1, wanted()), end - bench.position, math.ceil(bench.rate))
+            samples = min(max(1, samples_needed()), end - bench.position, math.ceil(bench.rate))
             if samples <= 0:
                 return False
             bench.advance(int(samples))
-            if time.monotonic() > turn:
+            if time.monotonic() > next_pause:
                 # The condition may depend on another client, or may never be met.
                 bench.changed.wait(self.PAUSE_S)
-                turn = time.monotonic() + self.TURN_S
+                next_pause = time.monotonic() + self.PAUSE_INTERVAL_S
         return True
 
 
@@ -207,28 +211,30 @@ class RealClock(Clock):
     # A delayed bench catches up at this multiple of real time: at a higher speed, client buffers would overflow.
     CATCH_UP = 2.0
     # Interval at which a waiting call checks its condition, s.
-    NAP_S = 0.02
+    CHECK_INTERVAL_S = 0.02
 
     def __init__(self) -> None:
-        self._moving: weakref.WeakSet[Timeline] = weakref.WeakSet()
+        self._running: weakref.WeakSet[Timeline] = weakref.WeakSet()
 
     def start(self, bench: Timeline) -> None:
         """Start to advance a bench unless it is running."""
         with bench.changed:
-            if bench in self._moving:
+            if bench in self._running:
                 return
-            self._moving.add(bench)
-        threading.Thread(target=_follow, args=(weakref.ref(bench), self._moving), name="bench", daemon=True).start()
+            self._running.add(bench)
+        threading.Thread(target=_keep_time, args=(weakref.ref(bench), self._running), name="bench", daemon=True).start()
 
-    def wait(self, bench: Timeline, ready: Callable[[], bool], wanted: Callable[[], int], timeout: float) -> bool:
+    def wait(
+        self, bench: Timeline, ready: Callable[[], bool], samples_needed: Callable[[], int], timeout: float
+    ) -> bool:
         """See `Clock.wait`."""
         self.start(bench)
         end = math.inf if timeout < 0 else bench.position + timeout * bench.rate
         # Timeouts are in bench time, which is behind the wall clock during compilation.
-        while not ready() and bench.position < end and bench in self._moving:
+        while not ready() and bench.position < end and bench in self._running:
             # The run may also end early.
-            nap = min(max(1, wanted()), math.ceil(self.NAP_S * bench.rate), end - bench.position)
-            bench.sleepers.sleep(bench.position + math.ceil(nap))
+            samples = min(max(1, samples_needed()), math.ceil(self.CHECK_INTERVAL_S * bench.rate), end - bench.position)
+            bench.sleepers.sleep(bench.position + math.ceil(samples))
         return ready()
 
 
@@ -272,7 +278,7 @@ def longest_step(elapsed: float) -> float:
     return min(RealClock.MAX_STEP_S, RealClock.CATCH_UP * max(elapsed, RealClock.TICK_S / 4))
 
 
-def _follow(reference: weakref.ref[Timeline], moving: weakref.WeakSet[Timeline]) -> None:
+def _keep_time(reference: weakref.ref[Timeline], running: weakref.WeakSet[Timeline]) -> None:
     """Keep a bench at wall-clock time while it is live."""
     raise_priority()
     pause, delays = threading.Event(), _Delays()
@@ -284,7 +290,7 @@ def _follow(reference: weakref.ref[Timeline], moving: weakref.WeakSet[Timeline])
             return
         with bench.changed:
             if not bench.live:
-                moving.discard(bench)
+                running.discard(bench)
                 bench.sleepers.wake()
                 return
             now = time.monotonic_ns()
@@ -297,7 +303,7 @@ def _follow(reference: weakref.ref[Timeline], moving: weakref.WeakSet[Timeline])
                 try:
                     bench.advance(int(min(due, math.ceil(longest_step(elapsed) * bench.rate))))
                 except BaseException as error:
-                    moving.discard(bench)
+                    running.discard(bench)
                     bench.fail(error)
                     return
                 # Kernels used for the first time may be compiled; the scene does not cause this delay.
@@ -318,7 +324,7 @@ CLOCKS: dict[str, Callable[[], Clock]] = {"real": RealClock, "fast": FastClock, 
 def clock(kind: str | Clock) -> Clock:
     """Create a clock by name, or return the given clock.
 
-    `kind`: 'real', 'fast' or 'manual'. Name of the clock, or a clock. Raises `SceneError` if there is no clock of
+    `kind`: 'real', 'fast', 'manual', or a clock. Raises `SceneError` if there is no clock of
     that name.
 
     >>> type(clock("fast")).__name__

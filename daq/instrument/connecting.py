@@ -57,7 +57,7 @@ def _modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
     modules = [replace(each, name=f"Dev{number}") for number, each in enumerate(usb, 1)]
     slots = [replace(each, name=f"cDAQ1Mod{slot}", chassis="cDAQ1", slot=slot) for slot, each in enumerate(compact, 1)]
     chassis = [Module("cDAQ1", "cDAQ-9178", category=CHASSIS_CATEGORY, bus=USB_BUS)] if slots else []
-    everything = replace(
+    all_channels = replace(
         (modules or slots)[0],
         name="",
         inputs=tuple(range(len(terminals.bench.channels))),
@@ -67,11 +67,10 @@ def _modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
         chassis="",
         slot=0,
     )
-    return [*chassis, *slots, *modules, everything]
+    return [*chassis, *slots, *modules, all_channels]
 
 
 _IDEAL_OUTPUTS = Module("", "shotrig outputs")
-_WIRINGS = {"pseudo_differential": Wiring.PSEUDO_DIFFERENTIAL, "differential": Wiring.DIFFERENTIAL, "rse": Wiring.RSE}
 
 
 def _inputs(scene: rig.Scene, terminals: Terminals) -> list[Module]:
@@ -99,7 +98,7 @@ def _inputs(scene: rig.Scene, terminals: Terminals) -> list[Module]:
         ranges=inputs.ranges,
         rates=inputs.rates,
         couplings=tuple(each for each in order if each.name in inputs.couplings),
-        wirings=tuple(_WIRINGS[each] for each in inputs.terminals),
+        wirings=tuple(Wiring[each.upper()] for each in inputs.terminals),
         currents=inputs.supply,
         supply_coupling=inputs.supply_coupling,
         on_demand=inputs.on_demand,
@@ -109,38 +108,38 @@ def _inputs(scene: rig.Scene, terminals: Terminals) -> list[Module]:
     return [replace(kind, inputs=rows[first : first + inputs.channels]) for first in starts]
 
 
-def _device(sheet: Sheet, like: Module) -> Module:
+def _device(sheet: Sheet, template: Module) -> Module:
     """Set the product type of a module; modules other than the C Series are separate USB devices."""
     if sheet.family == "c_series":
-        return replace(like, product_type=sheet.product_type)
-    return replace(like, product_type=sheet.product_type, category=SOUND_AND_VIBRATION, bus=USB_BUS)
+        return replace(template, product_type=sheet.product_type)
+    return replace(template, product_type=sheet.product_type, category=SOUND_AND_VIBRATION, bus=USB_BUS)
 
 
 def _add_output(modules: list[Module], output: Output, row: int) -> None:
     """Assign an output to the first module of its type with a free output, or to a new module."""
     sheet = None if output.preset is None else module(output.preset)
     outputs = None if sheet is None else sheet.outputs
-    like = _IDEAL_OUTPUTS
+    template = _IDEAL_OUTPUTS
     if sheet is not None and outputs is not None:
-        like = replace(
-            _device(sheet, like),
+        template = replace(
+            _device(sheet, template),
             output_range=output.range or outputs.ranges[-1],
             output_bits=output.bits,
             output_rates=outputs.rates,
             output_on_demand=outputs.on_demand,
         )
     elif output.range is not None:
-        like = replace(like, output_range=output.range, output_bits=output.bits)
+        template = replace(template, output_range=output.range, output_bits=output.bits)
     max_outputs = 1 << 30 if outputs is None else outputs.channels
     settings = ("output_range", "output_bits", "output_rates", "output_on_demand")
     for number, each in enumerate(modules):
-        fits = each.product_type == like.product_type and len(each.outputs) < max_outputs
-        if fits and (not each.outputs or all(getattr(each, key) == getattr(like, key) for key in settings)):
+        fits = each.product_type == template.product_type and len(each.outputs) < max_outputs
+        if fits and (not each.outputs or all(getattr(each, key) == getattr(template, key) for key in settings)):
             modules[number] = replace(
-                each, outputs=(*each.outputs, row), **{key: getattr(like, key) for key in settings}
+                each, outputs=(*each.outputs, row), **{key: getattr(template, key) for key in settings}
             )
             return
-    modules.append(replace(like, outputs=(row,)))
+    modules.append(replace(template, outputs=(row,)))
 
 
 def default_scene() -> rig.Scene:

@@ -83,18 +83,18 @@ def meaning(code: int) -> str:
 class DaqError(ShotrigError):
     """An error in a call of the instrument.
 
-    `message`: cause and remedy; `code`: the driver's code of the error; `done`: samples per channel that were read
-    or written before the error.
+    `message`: cause and remedy; `code`: the driver's code of the error; `samples_done`: samples per channel that were
+    read or written before the error.
 
     >>> error = DaqError("no such device", Code.INVALID_DEVICE_ID)
     >>> int(error.code), str(error)
     (-200220, 'no such device')
     """
 
-    def __init__(self, message: str, code: int, done: int | None = None) -> None:
+    def __init__(self, message: str, code: int, samples_done: int | None = None) -> None:
         super().__init__(message)
         self.code = int(code)
-        self.done = done
+        self.samples_done = samples_done
 
 
 def invalid_value(message: str) -> DaqError:

@@ -108,14 +108,14 @@ class Events:
         self._sent, self._signalled, self._done_sent = 0, 0, False
         self._triggered: set[Signal] = set()
 
-    def due(self, passed: int) -> int | None:
+    def due(self, n_samples: int) -> int | None:
         """Return the total number of samples at which the next event is due; None without a listener."""
-        return None if self._every is None else (passed // self._every[1] + 1) * self._every[1]
+        return None if self._every is None else (n_samples // self._every[1] + 1) * self._every[1]
 
     def notify(self, passed: int, run: Any) -> bool:
         """Send all events that are due; return whether a callback may respond with a read or a write.
 
-        `passed`: samples per channel acquired or generated; `run`: their run.
+        `notify_samples`: samples per channel acquired or generated; `run`: their run.
         """
         sent = False
         if self._every is not None:

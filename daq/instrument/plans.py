@@ -39,13 +39,17 @@ def check_timing(task: TaskSettings) -> None:
     -200077 for invalid rates and numbers, -89121 for a signal exported to an invalid terminal.
     """
     timing = task.groups["timing"]
-    for side, has, lacks in (
+    for side, attribute, problem in (
         ("ai", "on_demand", "cannot be read on demand"),
         ("ao", "output_on_demand", "has no on-demand output"),
     ):
-        if task.kind == side and not task.clocked and not all(getattr(each.module, has) for each in task.channels):
+        if (
+            task.kind == side
+            and not task.clocked
+            and not all(getattr(each.module, attribute) for each in task.channels)
+        ):
             raise DaqError(
-                f"{task.channels[0].module.product_type} {lacks}: call timing.cfg_samp_clk_timing first",
+                f"{task.channels[0].module.product_type} {problem}: call timing.cfg_samp_clk_timing first",
                 Code.SAMP_CLK_RATE_MUST_BE_SPECD,
             )
     if task.kind == "ai":

@@ -41,7 +41,7 @@ class Task:
         self.running = self.closed = False
         # Flags: started by a read or a write; modules stay reserved after a stop; failure already raised.
         self._automatic = self._committed = self._reported = False
-        self._looked: dict[str, int] = {}
+        self._query_positions: dict[str, int] = {}
         self.name = ""
         self.name = chassis.register(self, name)
 
@@ -207,10 +207,10 @@ class Task:
         short time pass.
         """
         chassis = self.chassis
-        is_repeated = self._looked.get(question) == chassis.position
+        is_repeated = self._query_positions.get(question) == chassis.position
         if is_repeated and self.running and not self.finished:
             chassis.clock.pass_query(chassis)
-        self._looked[question] = chassis.position
+        self._query_positions[question] = chassis.position
 
     def is_done(self) -> bool:
         """Return whether the task is done or not running; a task without a sample clock is always done."""
@@ -223,13 +223,13 @@ class Task:
         """Wait until a finite task is done; with -200560, if it is not done in time."""
         timeout = seconds(timeout)
         with self.chassis.changed:
-            done = (
+            is_done = (
                 not self.running
                 or not self.settings.clocked
                 or self.chassis.wait(lambda: self.finished or not self.running, self._part.missing, timeout)
             )
             self.raise_failure()
-        if not done:
+        if not is_done:
             hint = "Wait longer, or check that it is triggered."
             if not self.settings.finite:
                 hint = "Stop it: a continuous task does not end."
@@ -250,15 +250,15 @@ class Task:
         due = None if self.chassis.clock.runs_free else self.events.due(part.samples_passed)
         return part.horizon() if due is None else min(part.horizon(), part.ticks_to(due))
 
-    def passed(self) -> bool:
+    def notify_samples(self) -> bool:
         """See `daq.instrument.chassis.Runner`."""
         self._part.follow()
         return self.running and self.events.notify(self._part.samples_passed, self.run)
 
     @property
-    def answered(self) -> bool:
+    def callback_finished(self) -> bool:
         """See `daq.instrument.chassis.Runner`."""
-        return not self.running or self._part.answered
+        return not self.running or self._part.all_read
 
     # Samples
 
@@ -295,7 +295,7 @@ class Task:
                 return reading
             finally:
                 # A read that started a finite task and read all its samples also stops it.
-                if self._automatic and self.running and self.finished and self.input.answered:
+                if self._automatic and self.running and self.finished and self.input.all_read:
                     self.end()
 
     def write(self, volts: Array, auto_start: bool, timeout: float) -> int:

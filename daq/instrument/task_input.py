@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.instrument.chassis import Chassis, Runner
+from daq.instrument.chassis import UNLIMITED_TICKS, Chassis, Runner
 from daq.instrument.engines.acquisition import Acquisition
 from daq.instrument.engines.log import TaskLog, open_log
 from daq.instrument.errors import Code, DaqError, unsupported
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from daq.instrument.engines.triggers import Source
     from daq.instrument.settings.channels import Channel
     from daq.instrument.settings.task_settings import TaskSettings
-
-_FOR_EVER = 1 << 62
 
 
 @dataclass
@@ -93,7 +91,7 @@ class TaskInput:
         return 0 if self.run is None else self.run.ring.written
 
     @property
-    def answered(self) -> bool:
+    def all_read(self) -> bool:
         """Whether all samples have been read."""
         return self.run is None or self.run.position >= self.run.readable
 
@@ -107,12 +105,12 @@ class TaskInput:
     def ticks_to(self, samples: int) -> int:
         """Count the ticks until that many samples have been acquired."""
         run = self.run
-        return _FOR_EVER if run is None else run.ticks(samples - self.samples_passed, self._chassis.position)
+        return UNLIMITED_TICKS if run is None else run.ticks(samples - self.samples_passed, self._chassis.position)
 
     def horizon(self) -> int:
         """Return the number of ticks that may pass before the log must be written."""
         if self.run is None or self.log is None or not self.log.logs_only or self.run.done:
-            return _FOR_EVER
+            return UNLIMITED_TICKS
         return self.run.ticks(self.run.plan.buffer, self._chassis.position)
 
     def follow(self) -> None:
@@ -206,25 +204,25 @@ class TaskInput:
                 f"the read would begin {-position} samples before the first one: in_stream.relative_to is "
                 f"{relative.name} and in_stream.offset {offset}",
                 Code.NEGATIVE_READ_SAMPLE_NUMBER,
-                done=0,
+                samples_done=0,
             )
         run.position = position
 
     def _collect(self, run: Acquisition, rows: Sequence[int], out: NDArray[Any], timeout: float, raw: bool) -> Reading:
         """Read from the present position into `out`, shape (len(rows), n); the caller holds the chassis's lock."""
         chassis, channels = self._chassis, self._settings.channels
-        requested, began, got, first = out.shape[1], chassis.clock.now(chassis), 0, run.position
+        n_requested, start_s, n_read, first = out.shape[1], chassis.clock.now(chassis), 0, run.position
 
-        def piece() -> int:
-            # A read may be longer than the buffer: it takes pieces of half the buffer.
-            return min(requested - got, max(1, run.plan.buffer // 2))
+        def chunk_size() -> int:
+            # A read may be longer than the buffer: it waits for half the buffer at a time.
+            return min(n_requested - n_read, max(1, run.plan.buffer // 2))
 
-        def ended(error: DaqError | None) -> Reading:
-            return Reading(out[:, :got], first, error)
+        def reading(error: DaqError | None) -> Reading:
+            return Reading(out[:, :n_read], first, error)
 
         while True:
             if lost := run.skip_lost():
-                return ended(
+                return reading(
                     DaqError(
                         f"{lost} samples per channel were overwritten before they were read; the next read begins "
                         "with the oldest stored sample. Read more often or more at a time, or enlarge "
@@ -232,18 +230,18 @@ class TaskInput:
                         Code.SAMPLES_NO_LONGER_AVAILABLE,
                     )
                 )
-            take = min(run.readable - run.position, requested - got)
-            if take > 0:
-                first = first if got else run.position
-                samples = run.take_out(take)
+            n_available = min(run.readable - run.position, n_requested - n_read)
+            if n_available > 0:
+                first = first if n_read else run.position
+                samples = run.read_next(n_available)
                 for index, row in enumerate(rows):
-                    read = _counts(channels[row], samples[row]) if raw else run.plan.reading(row, samples[row])
-                    out[index, got : got + take] = read
-                got += take
+                    values = _counts(channels[row], samples[row]) if raw else run.plan.reading(row, samples[row])
+                    out[index, n_read : n_read + n_available] = values
+                n_read += n_available
                 if self.log is not None:
                     self.log.follow(run)
-            if got == requested:
-                return ended(None)
+            if n_read == n_requested:
+                return reading(None)
             if run.done and run.readable <= run.position:
                 # A finite task acquires no more; only a read without any sample reports that as an error.
                 exhausted = DaqError(
@@ -251,18 +249,19 @@ class TaskInput:
                     "(samps_per_chan), or stop and start the task to acquire again.",
                     Code.SAMPLES_WILL_NEVER_BE_AVAILABLE,
                 )
-                return ended(None if got and run.error is None else run.error or exhausted)
-            time_left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - began))
+                return reading(None if n_read and run.error is None else run.error or exhausted)
+            time_left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - start_s))
             ready = chassis.wait(
-                lambda: run.done or run.readable - run.position >= piece(),
-                lambda: run.ticks(run.missing(piece()), chassis.position),
+                lambda: run.done or run.readable - run.position >= chunk_size(),
+                lambda: run.ticks(run.missing(chunk_size()), chassis.position),
                 time_left,
             )
             if not ready and run.readable <= run.position:
-                return ended(
+                return reading(
                     DaqError(
-                        f"{got} of {requested} samples per channel were acquired within {timeout:g} s{_reason(run)}. "
-                        "Wait longer (timeout), read fewer samples, or check that the task is triggered.",
+                        f"{n_read} of {n_requested} samples per channel were acquired within {timeout:g} s"
+                        f"{_missing_trigger(run)}. Wait longer (timeout), read fewer samples, or check that the task "
+                        "is triggered.",
                         Code.SAMPLES_NOT_YET_AVAILABLE,
                     )
                 )
@@ -280,7 +279,7 @@ def _counts(channel: Channel, samples: NDArray[Any]) -> NDArray[Any]:
     return np.clip(np.rint(samples / channel.range * full_scale), -full_scale, full_scale - 1)
 
 
-def _reason(run: Acquisition) -> str:
+def _missing_trigger(run: Acquisition) -> str:
     if run.first_tick is None:
         return " (the start trigger has not occurred)"
     if run.plan.reference is not None and run.trigger is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from daq.instrument.chassis import Chassis, Runner
+from daq.instrument.chassis import UNLIMITED_TICKS, Chassis, Runner
 from daq.instrument.engines.generation import Generation, OutputBuffer, OutputPlan
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.plans import output_plan
@@ -18,17 +18,14 @@ if TYPE_CHECKING:
     from daq.instrument.settings.task_settings import TaskSettings
 
 
-_FOR_EVER = 1 << 62
-
-
 class TaskOutput:
     """The output of a task.
 
     `run`: the present generation, or the last generation; `buffer`: written samples.
     """
 
-    # An output has no log, and no event waits for its response.
-    retriggers, answered = False, True
+    # An output has no retriggerable start, and no event waits for its response.
+    retriggers, all_read = False, True
 
     def __init__(self, chassis: Chassis, settings: TaskSettings, task: Runner) -> None:
         self._chassis, self._settings, self._task = chassis, settings, task
@@ -48,7 +45,7 @@ class TaskOutput:
         self.run = self._chassis.run_output(self._task, plan, self.buffer)
         self._running = self._has_played = True
         if joins is not None:
-            self.run.join(self._chassis.moment(joins))
+            self.run.join(self._chassis.event_tick(joins))
 
     def stop(self) -> None:
         """End the generation."""
@@ -78,11 +75,11 @@ class TaskOutput:
 
     def ticks_to(self, samples: int) -> int:
         """Count the ticks until that many samples have been generated."""
-        return _FOR_EVER if self.run is None or self.run.first_tick is None else self.run.ticks_until(samples)
+        return UNLIMITED_TICKS if self.run is None or self.run.first_tick is None else self.run.ticks_until(samples)
 
     def horizon(self) -> int:
         """Count the ticks that may pass before `follow`."""
-        return _FOR_EVER
+        return UNLIMITED_TICKS
 
     def follow(self) -> None:
         """Do nothing: an output has no log."""
@@ -135,8 +132,8 @@ class TaskOutput:
         return int(buffer.free(generated, self._running, self._settings.regenerates))
 
     def _fill(self, buffer: OutputBuffer, volts: Array, timeout: float) -> int:
-        chassis, requested, done = self._chassis, volts.shape[1], 0
-        began = chassis.clock.now(chassis)
+        chassis, n_requested, n_written = self._chassis, volts.shape[1], 0
+        start_s = chassis.clock.now(chassis)
 
         def running() -> Generation | None:
             return self.run if self._running else None
@@ -145,33 +142,35 @@ class TaskOutput:
             run = running()
             return self._free(buffer, 0 if run is None else run.generated)
 
-        def piece() -> int:
-            return min(requested - done, max(1, buffer.size // 2))
+        def chunk_size() -> int:
+            return min(n_requested - n_written, max(1, buffer.size // 2))
 
         while True:
             run = running()
             if run is not None and run.error is not None:
-                raise DaqError(str(run.error), run.error.code, done)
+                raise DaqError(str(run.error), run.error.code, n_written)
             if run is not None and run.done:
-                raise DaqError("the output has ended. Start the task again.", Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN, done)
-            take = min(free(), requested - done)
-            if take > 0:
-                buffer.write(volts[:, done : done + take], run is not None)
-                done += take
-            if done == requested:
-                return done
-            time_left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - began))
+                raise DaqError(
+                    "the output has ended. Start the task again.", Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN, n_written
+                )
+            n_accepted = min(free(), n_requested - n_written)
+            if n_accepted > 0:
+                buffer.write(volts[:, n_written : n_written + n_accepted], run is not None)
+                n_written += n_accepted
+            if n_written == n_requested:
+                return n_written
+            time_left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - start_s))
 
             def ready() -> bool:
-                now = running()
-                return now is None or now.done or free() >= piece()
+                present = running()
+                return present is None or present.done or free() >= chunk_size()
 
-            if run is None or not chassis.wait(ready, lambda: piece() - free(), time_left):
+            if run is None or not chassis.wait(ready, lambda: chunk_size() - free(), time_left):
                 raise DaqError(
-                    f"{done} of {requested} samples per channel were written within {timeout:g} s: the buffer is full. "
-                    "Start the task, write fewer samples at a time, or enlarge out_stream.output_buf_size.",
+                    f"{n_written} of {n_requested} samples per channel were written within {timeout:g} s: the buffer "
+                    "is full. Start the task, write fewer samples at a time, or enlarge out_stream.output_buf_size.",
                     Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN,
-                    done,
+                    n_written,
                 )
 
 
@@ -190,5 +189,5 @@ def check_volts(channels: Sequence[Channel], volts: Array) -> None:
             raise DaqError(
                 f"{channel.name}: {row[wrong][0]:g} V is outside its limits, {low:g} to {high:g} V. Stay within them.",
                 Code.INVALID_AO_DATA_WRITE,
-                done=0,
+                samples_done=0,
             )

@@ -119,8 +119,8 @@ def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
         return None if task.output.run is None else task.output.run.first_tick
 
     with task.chassis.changed:
-        guess = max(1, int(task.chassis.rate / 100))
-        if not task.chassis.wait(lambda: tick() is not None, lambda: guess, seconds(timeout)):
+        polling_ticks = max(1, int(task.chassis.rate / 100))
+        if not task.chassis.wait(lambda: tick() is not None, lambda: polling_ticks, seconds(timeout)):
             raise DaqError(
                 f"the task has not been started or triggered within {timeout:g} s", Code.SAMPLES_NOT_YET_AVAILABLE
             )

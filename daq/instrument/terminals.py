@@ -79,7 +79,7 @@ class Terminals:
         if volts is not None and self._outputs:
             drive[self._outputs] = volts * self.drive_per_volt[:, None]
         blocks = self.bench.advance(drive, rates)
-        self._test.hear(blocks[self.bench.rate].samples, ticks)
+        self._test.add_readings(blocks[self.bench.rate].samples, ticks)
         return blocks
 
     # The test
@@ -101,9 +101,9 @@ class Terminals:
         self._test = BackgroundTest(station, bench.ticks, bench.physical, lead, excite, ended)
         return self._test
 
-    def leave_outputs(self) -> None:
+    def release_outputs(self) -> None:
         """End the drive of the test because a task has taken an output."""
-        self._test.leave_shaker()
+        self._test.release_outputs()
 
     @property
     def quiet(self) -> bool:

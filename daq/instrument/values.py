@@ -10,14 +10,14 @@ from daq.instrument.errors import invalid_value
 Member = TypeVar("Member", bound=IntEnum)
 
 
-def enum_member(kind: type[Member], value: int, what: str) -> Member:
+def enum_member(kind: type[Member], value: int, setting: str) -> Member:
     """Return the named value of a number.
 
     Raises `DaqError` with -200077, if there is no value of that number.
     """
     if value not in list(kind):
         names = ", ".join(f"{each.name} ({int(each)})" for each in kind)
-        raise invalid_value(f"{what} is {value}: expected {names}")
+        raise invalid_value(f"{setting} is {value}: expected {names}")
     return kind(value)
 
 

@@ -151,10 +151,10 @@ def scope(
     RunError
         If there is no display, a channel exceeds its abort limit, or the recording cannot be written.
     """
-    what, target = load(scene), as_path(path)
-    knobs = knobs_for(what, frequency, force)
+    loaded_scene, recording_path = load(scene), as_path(path)
+    knobs = knobs_for(loaded_scene, frequency, force)
 
-    def obey() -> None:
+    def read_commands() -> None:
         for line in sys.stdin:
             try:
                 knobs.turn(line)
@@ -165,30 +165,30 @@ def scope(
         knobs.quit = True
 
     viewing = server(say) if web else window("use --web to look with a browser")
-    bench = Bench(what)
+    bench = Bench(loaded_scene)
     # The kernels are compiled before real time starts; the run uses a new bench.
     bench.acquire(np.zeros((len(bench.inputs), 64)))
-    with viewing as running, recording_stream() as stream:
-        stream.connect_grpc(running.url)
-        pace = Pace(float(what.converter.sample_rate), say)
+    with viewing as viewer, recording_stream() as stream:
+        stream.connect_grpc(viewer.url)
+        pace = Pace(float(loaded_scene.converter.sample_rate), say)
 
         def keep(position: int) -> None:
             pace.keep(position)
-            if running.process.poll() is not None:
+            if viewer.process.poll() is not None:
                 knobs.quit = True
 
-        say(f"{Knobs.HELP}; recording to {target}")
+        say(f"{Knobs.HELP}; recording to {recording_path}")
         # A daemon thread: it may wait for input when the program ends.
-        threading.Thread(target=obey, name="operator", daemon=True).start()
+        threading.Thread(target=read_commands, name="operator", daemon=True).start()
         try:
-            record_live(what, target, stream, knobs, say, keep, overwrite)
+            record_live(loaded_scene, recording_path, stream, knobs, say, keep, overwrite)
         except KeyboardInterrupt as interrupt:
             # Ctrl-C is a regular end, because the recording has been closed.
             if not interrupt.args:
                 raise
         if pace.skipped_s:
             say(f"the bench fell behind the wall clock by {pace.skipped_s:.1f} s; no sample is missing")
-    return target
+    return recording_path
 
 
 def say(text: str) -> None:

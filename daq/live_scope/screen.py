@@ -59,21 +59,21 @@ class Screen:
         for name, samples in zip(self._names, readings, strict=True):
             if samples.size:
                 self._traces.channel(name, block.first, samples)
-        true = block.motion
+        motion = block.motion
         if self._scene.dampers:
-            self._traces.dampers(true.first, true.gap, true.contact)
-        size = true.displacement.shape[1]
-        indices = np.arange((-true.first) % self._step, size, self._step)
+            self._traces.dampers(motion.first, motion.gap, motion.contact)
+        size = motion.displacement.shape[1]
+        indices = np.arange((-motion.first) % self._step, size, self._step)
         bodies = self._scene.structure.bodies
-        motion = RigPose(
-            true.displacement[:bodies, indices],
-            true.displacement[bodies : bodies + len(self._scene.tables), indices],
-            true.gap[:, indices] if self._scene.dampers else None,
+        pose = RigPose(
+            motion.displacement[:bodies, indices],
+            motion.displacement[bodies : bodies + len(self._scene.tables), indices],
+            motion.gap[:, indices] if self._scene.dampers else None,
         )
-        self._position = true.first + size
+        self._position = motion.first + size
         if indices.size:
-            self._fit(motion)
-            self._traces.motion(self._view, true.first + indices, motion)
+            self._fit(pose)
+            self._traces.motion(self._view, motion.first + indices, pose)
 
     def read(self, reading: ToneReading) -> None:
         """Show the readings of the tone, a few times per second."""
@@ -90,16 +90,16 @@ class Screen:
         for path, part in self._view.still_parts():
             self._stream.log(path, part, static=True)
 
-    def _fit(self, motion: RigPose) -> None:
+    def _fit(self, pose: RigPose) -> None:
         """Redraw the rig if its exaggeration has become too large or much too small."""
-        present = Extremes().widened(motion, [shaker.body for _, shaker in self._scene.tables])
-        since = self._position - round(_MEMORY_S * self._rate)
-        self._recent = [(at, extremes) for at, extremes in self._recent if at >= since]
+        present = Extremes().widened(pose, [shaker.body for _, shaker in self._scene.tables])
+        first_position = self._position - round(_MEMORY_S * self._rate)
+        self._recent = [(position, extremes) for position, extremes in self._recent if position >= first_position]
         self._recent.append((self._position, present))
         largest = Extremes(*(max(values) for values in zip(*(vars(e).values() for _, e in self._recent), strict=True)))
-        fit = exaggeration(largest)
-        settled = self._position - self._recent[0][0] >= 0.9 * _MEMORY_S * self._rate
-        if fit < self._view.magnification or (settled and fit > _QUIETER_RATIO * self._view.magnification):
+        factor = exaggeration(largest)
+        is_steady = self._position - self._recent[0][0] >= 0.9 * _MEMORY_S * self._rate
+        if factor < self._view.magnification or (is_steady and factor > _QUIETER_RATIO * self._view.magnification):
             self._draw(largest)
 
 

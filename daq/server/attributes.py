@@ -33,23 +33,23 @@ DRIVER_VERSION = (26, 0, 0)
 
 
 def attribute_call(name: str) -> Callable[[Call], dict[str, Any] | None] | None:
-    """Return the handler of a call that reads, is_set or resets an attribute; None for other calls."""
+    """Return the handler of a call that reads, sets or resets an attribute; None for other calls."""
     match = _CALL.fullmatch(name)
     if not match:
         return None
     action, owner, per_device, kind = match[1], match[2], bool(match[3]), match[4]
 
     def answer(call: Call) -> dict[str, Any] | None:
-        named = attribute_name(call.message)
-        if named is None:
+        attribute = attribute_name(call.message)
+        if attribute is None:
             raise unsupported(f"attribute {decode(call.message).get('attribute', 0)}")
         if per_device:
             raise DaqError(
-                f"{named} applies to the whole task. Omit the device name.",
+                f"{attribute} applies to the whole task. Omit the device name.",
                 Code.M_STUDIO_OPERATION_DOES_NOT_SUPPORT_DEVICE_CONTEXT,
             )
         if action == "Get":
-            return {"value": _to_call_type(_get(call, owner, named), kind)}
+            return {"value": _to_call_type(_get(call, owner, attribute), kind)}
         is_set = action == "Set"
         if owner in _GROUPS:
             change: Callable[..., None] = set_value if is_set else reset_value
@@ -58,11 +58,11 @@ def attribute_call(name: str) -> Callable[[Call], dict[str, Any] | None] | None:
             change, target = (set_channel if is_set else reset_channel), call.fields["channel"]
         elif owner == "Scale" and is_set:
             storage, scale = call.instrument.storage, call.fields["scale_name"]
-            storage.scales[scale] = storage.scale(scale).changed(named, call.fields["value"])
+            storage.scales[scale] = storage.scale(scale).changed(attribute, call.fields["value"])
             return None
         else:
-            raise unsupported(f"{'setting' if is_set else 'resetting'} {named}")
-        change(call.task, target, named, *([call.fields["value"]] if is_set else []))
+            raise unsupported(f"{'setting' if is_set else 'resetting'} {attribute}")
+        change(call.task, target, attribute, *([call.fields["value"]] if is_set else []))
         return None
 
     return answer

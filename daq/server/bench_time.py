@@ -12,7 +12,7 @@ import grpc
 
 from daq.instrument.chassis import Chassis
 
-# Bench time for which a script waits for Enter without another limit.
+# Bench time for which a prompt waits if the run of the script has no time limit.
 PROMPT_TIMEOUT_S = 10.0
 # Longest step in which time passes. After each step the wait ends if the client has disconnected.
 _MAX_STEP_S = 100.0

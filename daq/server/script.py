@@ -13,8 +13,8 @@ from pathlib import Path
 from daq.instrument.connecting import connect_scene
 from daq.server.bench_time import BenchTime, TimeLimit
 from daq.server.client_defaults import FAST, LIMITED, SERVER
-from daq.server.passed_signals import signals_passed_on
 from daq.server.service import Server
+from daq.server.signal_forwarding import forward_signals
 from daq.server.starter_script import report_missing_excitation
 from rig.errors import SceneError
 from rig.scene.scene import Scene
@@ -92,7 +92,7 @@ def _run(command: list[str], port: int, real: bool, limit: TimeLimit) -> int:
     environment |= ({} if real else {FAST: "1"}) | ({} if limit.endless else {LIMITED: "1"})
     process = subprocess.Popen([sys.executable, *command], env=environment)
     limit.process = process.pid
-    with signals_passed_on(process):
+    with forward_signals(process):
         code = process.wait()
     if code in (-signal.SIGINT, CTRL_C_EXIT):
         return 0 if limit.reached else 130

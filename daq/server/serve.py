@@ -45,14 +45,14 @@ class Certificates:
 
     def credentials(self) -> grpc.ServerCredentials:
         """Read the files; raises `SceneError` if a file cannot be read."""
-        texts = []
+        contents = []
         for path in (self.key, self.certificate, *([] if self.clients is None else [self.clients])):
             try:
-                texts.append(read_file(path))
+                contents.append(read_file(path))
             except OSError as error:
                 raise SceneError(f"cannot read {path}: {error.strerror}. Give a PEM file.") from None
-        root = None if self.clients is None else texts[2]
-        return grpc.ssl_server_credentials([(texts[0], texts[1])], root, require_client_auth=root is not None)
+        root = None if self.clients is None else contents[2]
+        return grpc.ssl_server_credentials([(contents[0], contents[1])], root, require_client_auth=root is not None)
 
 
 def serve(
@@ -101,8 +101,8 @@ def serve(
         )
     credentials = None if certificates is None else certificates.credentials()
     if protocol is not None:
-        written = write_proto_files(protocol)
-        print(f"{protocol}: {len(written)} files of the protocol", flush=True)
+        proto_paths = write_proto_files(protocol)
+        print(f"{protocol}: {len(proto_paths)} files of the protocol", flush=True)
     chassis = connect_scene(scene, clock)
     report_missing_excitation(chassis)
     with contextlib.ExitStack() as stack:
@@ -118,9 +118,9 @@ def serve(
         if viewer:
             from daq.viewing import outputs
 
-            running = stack.enter_context(outputs.window("leave --viewer out to serve without it"))
+            viewer_window = stack.enter_context(outputs.window("leave --viewer out to serve without it"))
             stream = stack.enter_context(outputs.recording_stream())
-            stream.connect_grpc(running.url)
+            stream.connect_grpc(viewer_window.url)
             stack.callback(LiveView(chassis, stream).close)
         # Otherwise Python's garbage collector would repeatedly scan all present objects while the clients wait.
         gc.collect()
@@ -143,15 +143,15 @@ def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str
         lines.append(", ".join([f"{module.name}: {module.product_type}", *spans]))
         for terminal, row in zip(module.channel_names("ai"), module.inputs, strict=True):
             info = chassis.bench.channels[row]
-            fed = "" if chassis.terminals.supply(row) is None else ", IEPE"
+            supply_note = "" if chassis.terminals.supply(row) is None else ", IEPE"
             lines.append(
-                f"  {terminal}: {info.name} at {info.at}, {1e3 * info.sensitivity:.4g} mV per {info.unit}{fed}"
+                f"  {terminal}: {info.name} at {info.at}, {1e3 * info.sensitivity:.4g} mV per {info.unit}{supply_note}"
             )
         for terminal, row in zip(module.channel_names("ao"), module.outputs, strict=True):
             lines.append(f"  {terminal}: {volt_effect(chassis.bench.scene, row + 1)}")
-    opened = "grpc.insecure_channel" if not encrypted else "grpc.secure_channel"
-    extra = "" if not encrypted else ', grpc.ssl_channel_credentials(open("ca.pem", "rb").read())'
-    return "\n".join([*lines, *starter_script(chassis, f'{opened}("{address}"{extra})')])
+    channel_function = "grpc.insecure_channel" if not encrypted else "grpc.secure_channel"
+    credentials_argument = "" if not encrypted else ', grpc.ssl_channel_credentials(open("ca.pem", "rb").read())'
+    return "\n".join([*lines, *starter_script(chassis, f'{channel_function}("{address}"{credentials_argument})')])
 
 
 def parse_address(address: str, port: int) -> tuple[str, int]:
@@ -190,13 +190,13 @@ def wait_for_signal() -> None:
     """Wait for Ctrl-C, SIGTERM or the end of the terminal."""
     ended = threading.Event()
     # Under nohup the server must continue.
-    heard = [
+    signals = [
         each for each in TERMINATION_SIGNALS if each == signal.SIGINT or signal.getsignal(each) is not signal.SIG_IGN
     ]
-    before = {each: signal.signal(each, lambda *_: ended.set()) for each in heard}
+    previous_handlers = {each: signal.signal(each, lambda *_: ended.set()) for each in signals}
     try:
         while not ended.wait(0.5):
             pass
     finally:
-        for number, handler in before.items():
+        for number, handler in previous_handlers.items():
             signal.signal(number, handler)

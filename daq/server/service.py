@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
 # Default port of the protocol.
 PORT = 31763
+# Interval at which Python switches threads, s. Responses wait for the simulation to release the interpreter lock,
+# several times per call: Python's default of 5 ms is too long.
+_SWITCH_INTERVAL_S = 0.0005
 
 
 class Server:
@@ -77,17 +80,15 @@ class Server:
         else:
             self.port = self._server.add_secure_port(address, credentials)
         self._server.start()
-        # Responses wait for the simulation to release the interpreter lock: Python's default of 5 ms, several times
-        # per call, is too long.
-        self._switching = sys.getswitchinterval()
-        sys.setswitchinterval(0.0005)
+        self._previous_switch_interval = sys.getswitchinterval()
+        sys.setswitchinterval(_SWITCH_INTERVAL_S)
         threading.Thread(target=self._watch, name="sessions", daemon=True).start()
 
     def close(self, grace: float | None = 0.5) -> None:
         """End all sessions and close the server; running calls have `grace` seconds to finish, for None no time."""
         self._closing.set()
         self._discovery.end()
-        sys.setswitchinterval(self._switching)
+        sys.setswitchinterval(self._previous_switch_interval)
         self.sessions.close_all()
         self._server.stop(grace).wait()
 
@@ -117,7 +118,7 @@ class Server:
         key = dict(context.invocation_metadata()).get("ni-api-key", "")
         call = Call(self.instrument, peer, strict=key == STRICT, is_active=context.is_active)
         try:
-            self._answer_one_more(peer, context)
+            self._count_call(peer, context)
             call.message = method.request.FromString(request)
             call.fields = decode(call.message)
             yield call
@@ -128,8 +129,8 @@ class Server:
             message = error_text(error, task)
             direction = "written" if "Write" in name else "read"
             metadata = [("ni-error", str(error.code))]
-            if error.done is not None or name.startswith(("Read", "Write")):
-                metadata.append((f"ni-samps-per-chan-{direction}", str(error.done or 0)))
+            if error.samples_done is not None or name.startswith(("Read", "Write")):
+                metadata.append((f"ni-samps-per-chan-{direction}", str(error.samples_done or 0)))
             context.set_trailing_metadata(tuple(metadata))
             context.abort(grpc.StatusCode.UNKNOWN, message)
         except SessionExists as error:
@@ -143,10 +144,10 @@ class Server:
             context.set_trailing_metadata((("ni-error", str(int(Code.INVALID_ATTRIBUTE_VALUE))),))
             context.abort(grpc.StatusCode.INVALID_ARGUMENT, cut(f"{name}: {self._faults[kind]}"))
 
-    def _answer_one_more(self, peer: str, context: grpc.ServicerContext) -> None:
+    def _count_call(self, peer: str, context: grpc.ServicerContext) -> None:
         """Count a running call of a client; with -50103, if the client has reached its maximum."""
 
-        def answered() -> None:
+        def uncount() -> None:
             with self._counting:
                 self._answering -= Counter({peer: 1})
 
@@ -157,28 +158,28 @@ class Server:
                     Code.PAL_RESOURCE_RESERVED,
                 )
             self._answering[peer] += 1
-        if not context.add_callback(answered):
-            answered()
+        if not context.add_callback(uncount):
+            uncount()
 
     def _stream(self, method: Method) -> Callable[[Any, grpc.ServicerContext], Iterator[Any]]:
-        register, fields = _EVENTS[method.name]
+        register, response_fields = _EVENTS[method.name]
 
         def events(request: bytes, context: grpc.ServicerContext) -> Iterator[Any]:
             values: queue.SimpleQueue[int | None] = queue.SimpleQueue()
             with self._reporting(method, request, context) as call:
-                task, given = call.task, call.fields
+                task, fields = call.task, call.fields
                 with task.chassis.changed:
                     task.check_idle(
                         "registering an event", Code.CANNOT_REGISTER_DA_QMX_SOFTWARE_EVENT_WHILE_TASK_IS_RUNNING
                     )
-                    register(task, given, values.put)
+                    register(task, fields, values.put)
             task.events.at_end(values.put)
             context.add_callback(lambda: values.put(None))
             # The client continues only after this header: the listener is then registered.
             context.send_initial_metadata(())
             try:
                 while (value := values.get()) is not None and context.is_active():
-                    yield encode(method.response(), fields(given, value))
+                    yield encode(method.response(), response_fields(fields, value))
             finally:
                 with contextlib.suppress(DaqError), task.chassis.changed:
                     task.events.remove_listener(values.put)
@@ -192,23 +193,23 @@ class Server:
             if connected is None:
                 continue
             for name in self.sessions.end_abandoned(connected, self.limits.patience):
-                print(f"task {name} was closed: its client has gone", file=sys.stderr, flush=True)
+                print(f"task {name} was closed: its client has disconnected", file=sys.stderr, flush=True)
 
 
 _EVENTS: dict[str, tuple[Callable[[Task, dict[str, Any], Any], None], Callable[..., dict[str, Any]]]] = {
     "RegisterEveryNSamplesEvent": (
-        lambda task, given, queue_event: task.events.listen_every(
-            given["every_n_samples_event_type"], given["n_samples"], queue_event, outputs=task.settings.kind == "ao"
+        lambda task, fields, queue_event: task.events.listen_every(
+            fields["every_n_samples_event_type"], fields["n_samples"], queue_event, outputs=task.settings.kind == "ao"
         ),
-        lambda given, value: {"n_samples": value, "every_n_samples_event_type": given["every_n_samples_event_type"]},
+        lambda fields, value: {"n_samples": value, "every_n_samples_event_type": fields["every_n_samples_event_type"]},
     ),
     "RegisterDoneEvent": (
-        lambda task, given, queue_event: task.events.listen_done(queue_event),
-        lambda given, value: {"status": value},
+        lambda task, fields, queue_event: task.events.listen_done(queue_event),
+        lambda fields, value: {"status": value},
     ),
     "RegisterSignalEvent": (
-        lambda task, given, queue_event: task.events.listen_signal(given["signal_id"], queue_event),
-        lambda given, value: {"signal_id": value},
+        lambda task, fields, queue_event: task.events.listen_signal(fields["signal_id"], queue_event),
+        lambda fields, value: {"signal_id": value},
     ),
 }
 

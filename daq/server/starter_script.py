@@ -64,11 +64,11 @@ def _create_channel(chassis: Chassis, module: Module, row: int) -> str:
     info = chassis.bench.channels[row]
     needs_supply, current = chassis.terminals.supply(row) is not None, module.currents[0]
     if info.quantity in _SENSORS:
-        maker, unit, size = _SENSORS[info.quantity]
+        function, unit, factor = _SENSORS[info.quantity]
         supply = f"INTERNAL, current_excit_val={current!r}" if needs_supply else "NONE"
         return (
-            f'task.ai_channels.{maker}(\n    "{_TERMINAL}"{_limits(info, info.sensitivity)}, units={unit},\n'
-            f"    sensitivity={info.sensitivity * size:.9g}, current_excit_source=ExcitationSource.{supply})"
+            f'task.ai_channels.{function}(\n    "{_TERMINAL}"{_limits(info, info.sensitivity)}, units={unit},\n'
+            f"    sensitivity={info.sensitivity * factor:.9g}, current_excit_source=ExcitationSource.{supply})"
         )
     call = f'task.ai_channels.add_ai_voltage_chan("{_TERMINAL}"{_limits(info, 1.0)})'
     if not needs_supply:

@@ -114,8 +114,8 @@ class SimulatedSignals:
         values = (self._high + self._low) / 2 + (self._high - self._low) / 2 * sine
         return _Block(first, values, np.zeros(values.shape, bool))
 
-    def leave_outputs(self) -> None:
-        """See `Terminals.leave_outputs`."""
+    def release_outputs(self) -> None:
+        """See `Terminals.release_outputs`."""
 
     @property
     def quiet(self) -> bool:

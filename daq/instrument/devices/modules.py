@@ -119,17 +119,17 @@ class Module:
         """
         rows = {"ai": self.inputs, "ao": self.outputs}.get(kind, ())
         if not 0 <= number < len(rows):
-            raise self.no_channel(kind, number)
+            raise self.channel_error(kind, number)
         return rows[number]
 
-    def no_measurement(self, where: str) -> DaqError:
+    def measurement_error(self, where: str) -> DaqError:
         """Return the error for a measurement that it does not support (-200431)."""
         return DaqError(
             f"{where}: {self.product_type} does not support this measurement; it measures {', '.join(MEASUREMENTS)}",
             Code.PHYS_CHAN_MEAS_TYPE,
         )
 
-    def no_channel(self, kind: str, number: int) -> DaqError:
+    def channel_error(self, kind: str, number: int) -> DaqError:
         """Return the error for a terminal that does not exist, or is of the other kind (-200170)."""
         names = self.channel_names("ai") + self.channel_names("ao")
         return DaqError(
@@ -210,13 +210,13 @@ class DeviceList:
 
         Raises `DaqError` with -200220, if there is no device of that name.
         """
-        bare = name.strip().lstrip("/").partition("/")[0]
-        module = self._modules.get(bare.lower())
+        device_name = name.strip().lstrip("/").partition("/")[0]
+        module = self._modules.get(device_name.lower())
         if module is not None:
             return module
         unnamed = self._modules.get("")
-        if unnamed is not None and GIVEN_BY_DRIVER.fullmatch(bare):
-            return replace(unnamed, name=bare)
+        if unnamed is not None and GIVEN_BY_DRIVER.fullmatch(device_name):
+            return replace(unnamed, name=device_name)
         raise DaqError(
             f"there is no device {name!r}: the bench has {', '.join(self.names)}"
             + (", which also go by names like Dev1, cDAQ1Mod1, PXI1Slot2" if unnamed else ""),

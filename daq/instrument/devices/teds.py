@@ -19,13 +19,14 @@ _BASIC = (
     ("teds_version_num", 6),
     ("teds_serial_num", 24),
 )
-_LEAST_BYTES = 8
-# Position of the 16-bit sensitivity in a template, and its logarithmic coding: smallest sensitivity (V per unit) and
-# step ratio. 25: accelerometer (m/s^2) or force transducer (N), 27: microphone (Pa).
+_MIN_BYTES = 8
+# First bit of a template's data: after the 64 bits of the basic TEDS, 2 bits of selector and 8 bits of template number.
+_TEMPLATE_DATA_BIT = 74
+# By template: position of the 16-bit sensitivity in its data, and the logarithmic coding, smallest sensitivity (V per
+# unit) and ratio of a step. 25: accelerometer (m/s^2) or force transducer (N), 27: microphone (Pa).
 _SENSITIVITY = {25: (2, 5e-7, 1.0003), 27: (1, 1e-5, 1.0002)}
-_HEAD = 74
-# Header of a virtual data sheet file, bits.
-_FILE_HEADER = 40
+# Header of a virtual data sheet file; one byte per bit.
+_FILE_HEADER_BYTES = 40
 
 
 def basic_teds(data: bytes) -> dict[str, Any]:
@@ -38,9 +39,9 @@ def basic_teds(data: bytes) -> dict[str, Any]:
     >>> values["teds_mfg_id"], values["teds_version_letter"], values["teds_serial_num"], values["teds_template_i_ds"]
     (17, 'A', 12345, [30])
     """
-    if len(data) < _LEAST_BYTES:
+    if len(data) < _MIN_BYTES:
         raise DaqError(
-            f"{len(data)} bytes are not an electronic data sheet: its basic part has {_LEAST_BYTES} bytes",
+            f"{len(data)} bytes are not an electronic data sheet: its basic part has {_MIN_BYTES} bytes",
             Code.TEDS_SENSOR_DATA_ERROR,
         )
     bits = int.from_bytes(data, "little")
@@ -49,8 +50,8 @@ def basic_teds(data: bytes) -> dict[str, Any]:
         values[name], bits = bits & ((1 << width) - 1), bits >> width
     values["teds_version_letter"] = chr(ord("A") + values["teds_version_letter"] - 1)
     # Two bits select what follows (0: a template of IEEE 1451.4), eight bits are the number of the template.
-    selector, template = bits & 3, (bits >> 2) & 0xFF
-    values["teds_template_i_ds"] = [template] if selector == 0 and template else []
+    selector_code, template = bits & 3, (bits >> 2) & 0xFF
+    values["teds_template_i_ds"] = [template] if selector_code == 0 and template else []
     return values
 
 
@@ -65,7 +66,7 @@ def sensitivity(data: bytes) -> float | None:
     if (bits >> 64) & 3 or (bits >> 66) & 0xFF not in _SENSITIVITY:
         return None
     offset, smallest, ratio = _SENSITIVITY[(bits >> 66) & 0xFF]
-    return smallest * ratio ** float((bits >> (_HEAD + offset)) & 0xFFFF)
+    return smallest * ratio ** float((bits >> (_TEMPLATE_DATA_BIT + offset)) & 0xFFFF)
 
 
 def with_sensitivity(basic: bytes, template: int, volts: float) -> bytes:
@@ -73,7 +74,7 @@ def with_sensitivity(basic: bytes, template: int, volts: float) -> bytes:
     bits = int.from_bytes(basic, "little") | template << 66
     if template in _SENSITIVITY:
         offset, smallest, ratio = _SENSITIVITY[template]
-        bits |= round(math.log(volts / smallest, ratio)) << (_HEAD + offset)
+        bits |= round(math.log(volts / smallest, ratio)) << (_TEMPLATE_DATA_BIT + offset)
     return bits.to_bytes(12, "little")
 
 
@@ -99,7 +100,7 @@ class TedsMemory:
             raise DaqError(f"{path}: {error.strerror}", Code.VIRTUAL_TEDS_FILE_NOT_FOUND) from None
         if not set(data) - {0, 1}:
             # A virtual data sheet: a header and one byte per bit.
-            bits = data[_FILE_HEADER:]
+            bits = data[_FILE_HEADER_BYTES:]
             value = sum(bit << place for place, bit in enumerate(bits))
             data = value.to_bytes(-(-len(bits) // 8), "little")
         basic_teds(data)

@@ -17,7 +17,7 @@ from daq.instrument.settings.scales import Scale
 from daq.virtual_bench.bench import first_sample, first_tick, samples_per_tick
 
 # A function that returns the tick at which another task started or was triggered; None before that.
-Moment = Callable[[OtherTask], int | None]
+EventTick = Callable[[OtherTask], int | None]
 
 
 @dataclass(frozen=True)
@@ -111,11 +111,11 @@ class Acquisition:
         """Move the read position past samples that have been lost, and return how many there are."""
         if not self.readable or self.position >= self.oldest:
             return 0
-        at, self.position = self.position, max(0, self.ring.written - self.plan.buffer)
+        previous, self.position = self.position, max(0, self.ring.written - self.plan.buffer)
         self._has_overflowed, self._first_unreported = True, self.position
-        return self.position - at
+        return self.position - previous
 
-    def take_out(self, count: int) -> NDArray[Any]:
+    def read_next(self, count: int) -> NDArray[Any]:
         """Read available samples, shape (channels, count)."""
         samples = self.ring.read(self.position, count)
         self.position += count
@@ -148,11 +148,11 @@ class Acquisition:
 
         Before a trigger the number is unknown; 10 ms is assumed.
         """
-        guess = max(1, int(self.plan.rate / 100))
+        polling_samples = max(1, int(self.plan.rate / 100))
         if self.first_tick is None:
-            return guess
+            return polling_samples
         if self.plan.reference is not None:
-            return self._end - self.ring.written if self._end is not None else guess
+            return self._end - self.ring.written if self._end is not None else polling_samples
         return self.position + samples - self.ring.written
 
     def start_tick(self, reference: bool, position: int) -> int | None:
@@ -165,49 +165,48 @@ class Acquisition:
             instant = self.plan.start.next_tick(earliest, self.plan.rate)
         return None if instant is None else self.tick_at(instant)
 
-    def take(self, tick: int, samples: NDArray[Any], overload: NDArray[np.bool_], moment: Moment) -> None:
+    def add_block(self, tick: int, samples: NDArray[Any], overload: NDArray[np.bool_], event_tick: EventTick) -> None:
         """Process a block of the bench.
 
         `tick`: instant of the block's first sample; blocks are contiguous; `samples`, shape (bench channels, n):
-        converter samples; `overload`, shape (bench channels, n): overload flags; `moment`: returns the tick at which
-        another task started or was triggered; None before that.
+        converter samples; `overload`, shape (bench channels, n): overload flags; `event_tick`: see `EventTick`.
         """
         rows = list(self.plan.rows)
-        x, over = samples[rows], overload[rows]
+        selected, flags = samples[rows], overload[rows]
         # Samples that were still delayed in a filter when the task started precede the start.
-        at, count = max(0, self.armed_at - tick), x.shape[1]
-        while at < count and not self.done:
+        offset, count = max(0, self.armed_at - tick), selected.shape[1]
+        while offset < count and not self.done:
             if self.first_tick is None:
-                begin = self._find_start(tick, x, at, moment)
-                if begin is None:
+                start_offset = self._find_start(tick, selected, offset, event_tick)
+                if start_offset is None:
                     return
-                at = begin
-                self._begin(tick + at)
-            at += self._store(tick + at, x[:, at:], over[:, at:], moment)
+                offset = start_offset
+                self._begin(tick + offset)
+            offset += self._store(tick + offset, selected[:, offset:], flags[:, offset:], event_tick)
 
-    def _find_start(self, tick: int, x: NDArray[Any], at: int, moment: Moment) -> int | None:
+    def _find_start(self, tick: int, samples: NDArray[Any], offset: int, event_tick: EventTick) -> int | None:
         source = self.plan.start
         if isinstance(source, AnalogSource):
-            crossing = self._crossing(self._start_finders, x[:, at:])
-            return None if crossing is None else at + crossing
+            crossing = self._crossing(self._start_finders, samples[:, offset:])
+            return None if crossing is None else offset + crossing
         if isinstance(source, SyncPulse | AtTime):
-            when: int | None = source.next_tick(max(self.armed_at, tick + at), self.plan.rate)
+            instant: int | None = source.next_tick(max(self.armed_at, tick + offset), self.plan.rate)
         else:
             assert source is not None
-            when = self._instant_after(moment(source))
-        if when is None or when < self.armed_at or when - tick >= x.shape[1]:
+            instant = self._instant_after(event_tick(source))
+        if instant is None or instant < self.armed_at or instant - tick >= samples.shape[1]:
             return None
-        return max(when - tick, at)
+        return max(instant - tick, offset)
 
-    def _crossing(self, finders: list[tuple[int, CrossingFinder]], x: NDArray[Any], skip: int = 0) -> int | None:
+    def _crossing(self, finders: list[tuple[int, CrossingFinder]], samples: NDArray[Any], skip: int = 0) -> int | None:
         """Return the first crossing of several channels; all finders process all samples."""
-        crossings = [finder.find(self.plan.reading(row, x[row]), skip) for row, finder in finders]
+        crossings = [finder.find(self.plan.reading(row, samples[row]), skip) for row, finder in finders]
         return min((each for each in crossings if each is not None), default=None)
 
-    def _store(self, tick: int, x: NDArray[Any], over: NDArray[np.bool_], moment: Moment) -> int:
+    def _store(self, tick: int, samples: NDArray[Any], overload: NDArray[np.bool_], event_tick: EventTick) -> int:
         if self.plan.reference is not None and self.trigger is None:
-            self._look_for_reference(tick, x, moment)
-        count = x.shape[1] if self._end is None else min(x.shape[1], self._end - self.ring.written)
+            self._find_reference_trigger(tick, samples, event_tick)
+        count = samples.shape[1] if self._end is None else min(samples.shape[1], self._end - self.ring.written)
         room = self.plan.buffer - (self.ring.written - self.position)
         if self.plan.stops_when_full and count > room:
             count = room
@@ -218,28 +217,28 @@ class Acquisition:
                     Code.ACQ_STOPPED_TO_PREVENT_INPUT_BUFFER_OVERWRITE,
                 )
             )
-        self.ring.write(x[:, :count])
-        self.overloads.write(over[:, :count])
-        self.overloaded |= over[:, :count].any(axis=1)
+        self.ring.write(samples[:, :count])
+        self.overloads.write(overload[:, :count])
+        self.overloaded |= overload[:, :count].any(axis=1)
         if self.ring.written == self._end:
             self._complete(tick + count)
         return max(count, 1)
 
-    def _look_for_reference(self, tick: int, x: NDArray[Any], moment: Moment) -> None:
+    def _find_reference_trigger(self, tick: int, samples: NDArray[Any], event_tick: EventTick) -> None:
         assert self.first_tick is not None and self.plan.samples is not None
-        count, source = x.shape[1], self.plan.reference
+        count, source = samples.shape[1], self.plan.reference
         earliest = self.first_tick + self.plan.pretrigger
         skip = min(max(0, earliest - tick), count)
         if isinstance(source, AnalogSource):
-            crossing = self._crossing(self._reference_finders, x, skip)
+            crossing = self._crossing(self._reference_finders, samples, skip)
         else:
             assert source is not None
-            when = (
+            instant = (
                 source.next_tick(max(earliest, tick), self.plan.rate)
                 if isinstance(source, SyncPulse | AtTime)
-                else self._instant_after(moment(source))
+                else self._instant_after(event_tick(source))
             )
-            crossing = None if when is None or not max(earliest, tick) <= when < tick + count else when - tick
+            crossing = None if instant is None or not max(earliest, tick) <= instant < tick + count else instant - tick
         if crossing is not None:
             self.trigger = self.ring.written + crossing
             self._end = self.trigger + self.plan.samples - self.plan.pretrigger

@@ -8,7 +8,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from daq.instrument.engines.acquisition import Moment
+from daq.instrument.engines.acquisition import EventTick
 from daq.instrument.engines.ring_buffer import memory
 from daq.instrument.engines.triggers import AtTime, OtherTask, SyncPulse
 from daq.instrument.errors import Code, DaqError
@@ -104,34 +104,36 @@ class Generation:
         assert self.first_tick is not None
         return math.ceil(samples / self.plan.per_tick) - self._ticks
 
-    def produce(self, tick: int, count: int, moment: Moment) -> Array:
+    def produce(self, tick: int, count: int, event_tick: EventTick) -> Array:
         """Return the output voltages of the next ticks, V, shape (channels, count)."""
         out = np.repeat(self.last_volts[:, None], count, axis=1)
         if self.done:
             return out
         if self.first_tick is None:
-            self.first_tick = self._find_start(tick, count, moment)
+            self.first_tick = self._find_start(tick, count, event_tick)
             if self.first_tick is None:
                 return out
-        at = max(0, self.first_tick - tick)
-        began, self._ticks = self._ticks, self._ticks + count - at
+        offset = max(0, self.first_tick - tick)
+        first_index_tick, self._ticks = self._ticks, self._ticks + count - offset
         ratio = self.plan.per_tick
         # Ticks of the bench between two samples are interpolated linearly.
-        index, remainder = np.divmod((began + np.arange(count - at)) * ratio.numerator, ratio.denominator)
+        index, remainder = np.divmod(
+            (first_index_tick + np.arange(count - offset)) * ratio.numerator, ratio.denominator
+        )
         last = self._ticks * ratio.numerator // ratio.denominator
         ends = [] if self.plan.samples is None else [self.plan.samples]
         if not self.plan.regenerate:
             ends.append(self.buffer.written)
         n_played = int(np.searchsorted(index, min(ends))) if ends else index.size
         played = self.buffer.data[:, index[:n_played] % self.buffer.size]
-        out[:, at : at + n_played] = played
+        out[:, offset : offset + n_played] = played
         if n_played and remainder.any():
             next_index = np.minimum(index[:n_played] + 1, min(ends) - 1) if ends else index[:n_played] + 1
             next_volts = self.buffer.data[:, next_index % self.buffer.size]
-            out[:, at : at + n_played] += (remainder[:n_played] / ratio.denominator) * (next_volts - played)
+            out[:, offset : offset + n_played] += (remainder[:n_played] / ratio.denominator) * (next_volts - played)
         if n_played:
             self.last_volts = played[:, -1].copy()
-        out[:, at + n_played :] = self.last_volts[:, None]
+        out[:, offset + n_played :] = self.last_volts[:, None]
         self.generated = min([int(index[-1]) + 1, *ends]) if index.size else self.generated
         if n_played < index.size and self.generated != self.plan.samples:
             self.stop(
@@ -145,19 +147,19 @@ class Generation:
             self.done = True
         return out
 
-    def _find_start(self, tick: int, count: int, moment: Moment) -> int | None:
+    def _find_start(self, tick: int, count: int, event_tick: EventTick) -> int | None:
         source = self.plan.start
         if isinstance(source, SyncPulse | AtTime):
-            when: int | None = source.next_tick(max(self.armed_at, tick), self.plan.rate)
+            start_tick: int | None = source.next_tick(max(self.armed_at, tick), self.plan.rate)
         else:
             assert source is not None
-            when = moment(source)
-            if when is not None and when >= self.armed_at:
+            start_tick = event_tick(source)
+            if start_tick is not None and start_tick >= self.armed_at:
                 # The trigger is in samples of the block before: the output follows at the next tick.
-                when = max(when, tick)
-        if when is None or when < self.armed_at or when >= tick + count:
+                start_tick = max(start_tick, tick)
+        if start_tick is None or start_tick < self.armed_at or start_tick >= tick + count:
             return None
-        return when
+        return start_tick
 
     def stop(self, error: DaqError | None = None) -> None:
         """Stop the generation; the output keeps its last value."""

@@ -69,21 +69,21 @@ class CrossingFinder:
         `samples` has the shape (n,); `skip`: number of first samples in which crossings are ignored; they still arm
         the trigger. Returns index of the first sample after the crossing; None without a crossing.
         """
-        beyond, before = self._condition(samples)
+        fires, arms = self._condition(samples)
         if skip:
-            self._observe(beyond[:skip], before[:skip])
+            self._observe(fires[:skip], arms[:skip])
         start = skip
         if not self._armed:
-            arming = np.flatnonzero(before[start:])
+            arming = np.flatnonzero(arms[start:])
             if arming.size == 0:
                 return None
             start += int(arming[0])
-        hits = np.flatnonzero(beyond[start:])
-        self._observe(beyond[skip:], before[skip:])
+        hits = np.flatnonzero(fires[start:])
+        self._observe(fires[skip:], arms[skip:])
         return start + int(hits[0]) if hits.size else None
 
-    def _observe(self, beyond: NDArray[np.bool_], before: NDArray[np.bool_]) -> None:
-        last_beyond, last_before = (int(np.flatnonzero(each)[-1]) if each.any() else -1 for each in (beyond, before))
+    def _observe(self, fires: NDArray[np.bool_], arms: NDArray[np.bool_]) -> None:
+        last_beyond, last_before = (int(np.flatnonzero(each)[-1]) if each.any() else -1 for each in (fires, arms))
         if last_beyond != last_before:
             self._armed = last_before > last_beyond
 
@@ -134,7 +134,6 @@ class OtherTask:
     reference: bool
 
 
-Scheduled = SyncPulse | AtTime
 Source = AnalogSource | SyncPulse | AtTime | OtherTask
 
 

@@ -96,11 +96,11 @@ def _trigger_defaults(name: str) -> dict[str, Any]:
     }
     edge = {"src": "", "slope": Slope.RISING, "lvl": 0.0, "hyst": 0.0, "coupling": Coupling.DC}
     window = {"src": "", "when": WindowCondition.ENTERING, "top": 0.0, "btm": 0.0, "coupling": Coupling.DC}
-    several: dict[str, Any] = {"srcs": "", "slopes": [], "lvls": [], "hysts": [], "couplings": []}
+    multi_edge: dict[str, Any] = {"srcs": "", "slopes": [], "lvls": [], "hysts": [], "couplings": []}
     kinds = {
         "anlg_edge": edge | _FILTER,
         "anlg_win": window | _FILTER,
-        "anlg_multi_edge": several,
+        "anlg_multi_edge": multi_edge,
         "dig_edge": {"src": "", "edge": Slope.RISING} | _FILTER,
         "dig_pattern": {"src": "", "pattern": "", "when": 10254},
     }
@@ -169,12 +169,12 @@ class Properties:
     """
 
     def __init__(self, owner: str, defaults: Mapping[str, Any]) -> None:
-        self._what, self._defaults = owner, defaults
+        self._owner, self._defaults = owner, defaults
         self._set: dict[str, Any] = {}
 
     def __getitem__(self, name: str) -> Any:
         if name not in self._defaults:
-            raise unsupported(f"{self._what} property {name}")
+            raise unsupported(f"{self._owner} property {name}")
         return self._set.get(name, self._defaults[name])
 
     def __setitem__(self, name: str, value: Any) -> None:

@@ -120,7 +120,7 @@ class TaskSettings:
         for port, virtual in zip(ports, names, strict=True):
             module = self._module(port.device)
             if port.kind != side:
-                raise module.no_channel(port.kind, port.number)
+                raise module.channel_error(port.kind, port.number)
             used_names = [each.name.lower() for each in (*self.channels, *added)]
             if virtual.lower() in used_names and not name:
                 # A terminal may be used twice, under different names.

@@ -65,7 +65,7 @@ def refusal(method: str) -> Callable[[Call], NoReturn]:
             port = parse_port(terminal)
             module = modules.module(port.device)
             module.row(port.kind, port.number)
-            raise module.no_measurement(f"{port.name}: {function}")
+            raise module.measurement_error(f"{port.name}: {function}")
         raise unsupported(function)
 
     return refuse

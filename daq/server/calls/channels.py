@@ -50,15 +50,15 @@ def _settings_of_sensor(call: Call, physical: str, kind: Measurement) -> dict[st
 
 
 def _create_output(call: Call) -> None:
-    given = call.fields
+    fields = call.fields
     call.task.check_idle("adding channels")
     settings = {
-        "ao_min": given["min_val"],
-        "ao_max": given["max_val"],
-        "ao_voltage_units": given["units"],
-        "ao_custom_scale_name": given["custom_scale_name"],
+        "ao_min": fields["min_val"],
+        "ao_max": fields["max_val"],
+        "ao_voltage_units": fields["units"],
+        "ao_custom_scale_name": fields["custom_scale_name"],
     }
-    call.task.settings.add(given["physical_channel"], given["name_to_assign_to_channel"], None, settings)
+    call.task.settings.add(fields["physical_channel"], fields["name_to_assign_to_channel"], None, settings)
 
 
 def _add_saved_channels(call: Call) -> None:

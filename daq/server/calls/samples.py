@@ -25,7 +25,9 @@ def _check_width(counts: _Counts, width: int, code: Code) -> None:
     bits = np.iinfo(counts).bits
     if width > bits:
         raise DaqError(
-            f"the converter's counts have {width} bits: use numbers of {width} bits in place of {bits}", code, done=0
+            f"the converter's counts have {width} bits: use numbers of {width} bits in place of {bits}",
+            code,
+            samples_done=0,
         )
 
 
@@ -35,7 +37,7 @@ def _check_room(room: int, needed: int, unit: str) -> None:
         raise DaqError(
             f"the array has room for {room} {unit}, {needed} are to be read: make it larger",
             Code.READ_BUFFER_TOO_SMALL,
-            done=0,
+            samples_done=0,
         )
 
 
@@ -72,7 +74,7 @@ def _with_status(call: Call, reading: Reading, answer: Answer) -> Answer:
         return answer
     samples_read = reading.samples.shape[1]
     if not samples_read:
-        raise DaqError(str(error), error.code, done=0)
+        raise DaqError(str(error), error.code, samples_done=0)
     call.instrument.store_error(call.peer, error, call.task.name)
     return answer | {"status": error.code}
 
@@ -136,7 +138,7 @@ def _table(task: Task, data: NDArray[np.float64], samples: int, by_channel: bool
         raise DaqError(
             f"the data have {data.size} samples, {samples} for each of the task's {channels} channels were announced",
             Code.WRITE_NUM_CHANS_MISMATCH,
-            done=0,
+            samples_done=0,
         )
     return data.reshape(channels, samples) if by_channel else data.reshape(samples, channels).T
 
@@ -154,7 +156,7 @@ def _write(counts: _Counts | None = None) -> Handler:
                 raise DaqError(
                     f"{numbers[wrong][0]} is not a number of {limits.bits} bits: write {limits.min} to {limits.max}",
                     Code.INVALID_AO_DATA_WRITE,
-                    done=0,
+                    samples_done=0,
                 )
             data = numbers.astype(f"i{limits.bits // 8}").astype(np.float64)
         table = _table(task, data, fields["num_samps_per_chan"], fields["data_layout"] == _BY_CHANNEL)

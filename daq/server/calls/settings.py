@@ -17,33 +17,33 @@ _TRIGGERS = {
 }
 
 
-def _trigger(which: str, prefix: str, **names: str) -> Handler:
+def _trigger(role: str, prefix: str, **names: str) -> Handler:
     """Return the handler that configures a trigger; `names` maps fields to settings."""
 
     def configure(call: Call) -> None:
         settings = {
-            f"{prefix}_{which}_trig_{key}": plain_value(call.fields[field_name]) for field_name, key in names.items()
+            f"{prefix}_{role}_trig_{key}": plain_value(call.fields[field_name]) for field_name, key in names.items()
         }
         if "pretrigger_samples" in call.fields:
             settings["ref_trig_pretrig_samples"] = call.fields["pretrigger_samples"]
-        set_values(call.task, "trig", **settings, **{f"{which}_trig_type": _TRIGGERS[prefix]})
+        set_values(call.task, "trig", **settings, **{f"{role}_trig_type": _TRIGGERS[prefix]})
 
     return configure
 
 
-def _triggers(which: str) -> dict[str, Handler]:
-    name = which.capitalize()
+def _triggers(role: str) -> dict[str, Handler]:
+    name = role.capitalize()
     source, when = {"trigger_source": "src"}, {"trigger_when": "when"}
     slope = {"trigger_slope": "slope", "trigger_level": "lvl"}
     window = {"window_top": "top", "window_bottom": "btm"}
-    several = {"trigger_sources": "srcs", "trigger_slope_array": "slopes", "trigger_level_array": "lvls"}
+    multi_edge = {"trigger_sources": "srcs", "trigger_slope_array": "slopes", "trigger_level_array": "lvls"}
     return {
-        f"CfgAnlgEdge{name}Trig": _trigger(which, "anlg_edge", **source, **slope),
-        f"CfgAnlgWindow{name}Trig": _trigger(which, "anlg_win", **source, **when, **window),
-        f"CfgAnlgMultiEdge{name}Trig": _trigger(which, "anlg_multi_edge", **several),
-        f"CfgDigEdge{name}Trig": _trigger(which, "dig_edge", **source, trigger_edge="edge"),
+        f"CfgAnlgEdge{name}Trig": _trigger(role, "anlg_edge", **source, **slope),
+        f"CfgAnlgWindow{name}Trig": _trigger(role, "anlg_win", **source, **when, **window),
+        f"CfgAnlgMultiEdge{name}Trig": _trigger(role, "anlg_multi_edge", **multi_edge),
+        f"CfgDigEdge{name}Trig": _trigger(role, "dig_edge", **source, trigger_edge="edge"),
         f"Disable{name}Trig": task_action(
-            lambda task, fields: set_value(task, "trig", f"{which}_trig_type", TriggerType.NONE)
+            lambda task, fields: set_value(task, "trig", f"{role}_trig_type", TriggerType.NONE)
         ),
     }
 
@@ -60,14 +60,14 @@ def _export_signal(call: Call) -> None:
 
 
 def _timestamp(event: TimestampEvent | None) -> Handler:
-    def ask(call: Call) -> Answer:
-        chosen = event
-        if chosen is None:
-            chosen = enum_member(TimestampEvent, call.fields["timestamp_event"], "timestamp_event")
-        seconds = time_of(call.task, chosen, call.fields.get("timeout", 0.0)) * 1e-9
+    def get_time(call: Call) -> Answer:
+        requested_event = event
+        if requested_event is None:
+            requested_event = enum_member(TimestampEvent, call.fields["timestamp_event"], "timestamp_event")
+        seconds = time_of(call.task, requested_event, call.fields.get("timeout", 0.0)) * 1e-9
         return {"data" if event is not None else "timestamp": seconds}
 
-    return ask
+    return get_time
 
 
 def _create_scale(kind: int, *names: tuple[str, str]) -> Handler:
@@ -108,11 +108,11 @@ def _save_scale(call: Call) -> None:
 
 
 def _forget(group: str, field_name: str) -> Handler:
-    def forget(call: Call) -> None:
+    def delete(call: Call) -> None:
         for each in (getattr(call.instrument.storage, group), call.instrument.storage.authors):
             each.pop(call.fields[field_name], None)
 
-    return forget
+    return delete
 
 
 CALLS: dict[str, Handler] = {

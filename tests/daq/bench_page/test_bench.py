@@ -60,7 +60,7 @@ def ask(bench, **settings):
 @pytest.mark.parametrize("bench", ["sweep"], indirect=True)
 def test_recorded_sweep_has_the_resonance(bench):
     ask(bench, level=5.0, low=50.0, high=75.0, duration=20.0)
-    bench.recordings.wanted = True
+    bench.recordings.enabled = True
     bench.operator.start()
     assert bench.operator.running
     pass_time(bench, 25.0)
@@ -82,7 +82,7 @@ def test_recorded_sweep_has_the_resonance(bench):
 @pytest.mark.parametrize("bench", ["random"], indirect=True)
 def test_stopped_random_test_leaves_a_readable_recording(bench):
     ask(bench, level=5.0, low=20.0, high=200.0, duration=60.0)
-    bench.recordings.wanted = True
+    bench.recordings.enabled = True
     bench.operator.start()
     pass_time(bench, 6.0)
     averages = bench.monitor.frf.curves().averages
@@ -115,10 +115,10 @@ def test_sine_follows_frequency_and_level(bench):
 @pytest.mark.parametrize("bench", ["hammer"], indirect=True)
 def test_only_accepted_hits_are_marked_and_averaged(bench):
     ask(bench, level=100.0, hits=4, duration=2.0)
-    bench.recordings.wanted = True
+    bench.recordings.enabled = True
     bench.operator.start()
     pass_time(bench, 7.5)
-    hits = bench.monitor.judge.hits
+    hits = bench.monitor.detector.hits
     assert [hit.faults for hit in hits] == [[], ["double hit"], []]
     assert bench.monitor.frf.curves().averages == 2
     hits[2].accepted = False
@@ -141,13 +141,13 @@ def test_overloaded_channel_lights_its_lamp(bench):
     assert bench.monitor.overloads() == [False, False, True]
     pass_time(bench, 3.0)
     assert bench.monitor.overloads() == [False, False, False]
-    assert bench.monitor.judge.hits[0].faults == ["clipped"]
+    assert bench.monitor.detector.hits[0].faults == ["clipped"]
 
 
 @pytest.mark.parametrize("bench", ["sweep"], indirect=True)
 def test_each_test_has_its_own_recording(bench):
     ask(bench, level=5.0, low=50.0, high=75.0, duration=2.0)
-    bench.recordings.wanted = True
+    bench.recordings.enabled = True
     for _ in range(2):
         bench.operator.start()
         pass_time(bench, 5.0)
@@ -171,7 +171,7 @@ def test_client_and_page_share_the_output(tmp_path):
         shown = LiveBench(client.chassis, "", tmp_path / "client.mcap", False)
         with nidaqmx.Task("mine", grpc_options=client) as task:
             task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
-            shown.recordings.wanted = True
+            shown.recordings.enabled = True
             task.control(TaskMode.TASK_RESERVE)
             assert "mine" in shown.clients()
             shown.operator.start()

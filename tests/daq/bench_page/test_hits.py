@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.bench_page.hits import HitJudge
+from daq.bench_page.hits import HitDetector
 
 RATE = 1000.0
 
@@ -20,12 +20,12 @@ def force(*pulses: tuple[float, float], seconds: float = 1.0) -> np.ndarray:
     return wave[None]
 
 
-def judged(readings, overload=None, block=100):
-    judge = HitJudge(0, RATE, weakest=20.0, window=0.4)
+def detected(readings, overload=None, block=100):
+    detector = HitDetector(0, RATE, min_peak=20.0, window=0.4)
     overload = np.zeros(readings.shape, bool) if overload is None else overload
     for at in range(0, readings.shape[1], block):
-        judge.add(at, readings[:, at : at + block], overload[:, at : at + block])
-    return judge.hits
+        detector.add(at, readings[:, at : at + block], overload[:, at : at + block])
+    return detector.hits
 
 
 @pytest.mark.parametrize(
@@ -38,7 +38,7 @@ def judged(readings, overload=None, block=100):
     ],
 )
 def test_verdict_names_each_fault(pulses, faults):
-    (hit,) = judged(force(*pulses))
+    (hit,) = detected(force(*pulses))
     assert hit.faults == faults
     assert hit.accepted == (not faults)
     assert hit.peak == pytest.approx(pulses[0][1], rel=0.05)
@@ -47,20 +47,20 @@ def test_verdict_names_each_fault(pulses, faults):
 def test_overload_in_the_window_is_clipping():
     overload = np.zeros((1, 1000), bool)
     overload[0, 205] = True
-    assert judged(force((0.2, 50.0)), overload)[0].faults == ["clipped"]
+    assert detected(force((0.2, 50.0)), overload)[0].faults == ["clipped"]
 
 
 @pytest.mark.parametrize("block", [7, 100, 1000])
 def test_hits_do_not_depend_on_blocks(block):
-    hits = judged(force((0.1, 50.0), (0.6, 40.0), seconds=1.2), block=block)
+    hits = detected(force((0.1, 50.0), (0.6, 40.0), seconds=1.2), block=block)
     assert [hit.number for hit in hits] == [1, 2]
     assert [hit.first + int(np.argmax(hit.force > 30.0)) for hit in hits] == [102, 602]
     assert all(hit.readings.shape == (1, 400) for hit in hits)
 
 
 def test_gap_in_the_samples_begins_again():
-    judge, readings = HitJudge(0, RATE, weakest=20.0, window=0.4), force((0.2, 50.0))
+    detector, readings = HitDetector(0, RATE, min_peak=20.0, window=0.4), force((0.2, 50.0))
     flags = np.zeros((1, 300), bool)
-    judge.add(0, readings[:, :300], flags)
-    judge.add(500, readings[:, 500:800], flags)
-    assert judge.hits == []
+    detector.add(0, readings[:, :300], flags)
+    detector.add(500, readings[:, 500:800], flags)
+    assert detector.hits == []

@@ -38,7 +38,7 @@ def drive(source, tick, ticks):
 
 def samples(source, blocks, rate):
     """Samples at a rate while blocks of so many ticks pass, each with the other rates sampled meanwhile."""
-    source.leave_outputs()
+    source.release_outputs()
     tick, result = 0, []
     for ticks, others in blocks:
         result.append(source.advance(drive(source, tick, ticks), ticks, {rate, *others})[rate].samples)
@@ -80,7 +80,7 @@ def test_rate_is_as_if_alone(converter, rate):
 def test_late_rate_has_settled_filters():
     source = bench("{rate: 5120 Hz}")
     ticks = round(2.5 * source.bench.tick_rate)
-    source.leave_outputs()
+    source.release_outputs()
     late = None
     for first in range(0, ticks + 8192, 8192):
         rates = {51200.0} if first >= ticks - 8192 else set()

@@ -15,33 +15,33 @@ from typing import Any
 from rig.ending_signals import handle_interrupts
 
 # Time between the request to end and the kill of a script, s.
-PATIENCE = 1.0
+PATIENCE_S = 1.0
 # Time after which a signal to a process group has reached all its processes, s.
 _DELIVERY_S = 1.0
 
 
-class _Witness:
-    """A process of the same group that Ctrl-C ends: it shows whether the whole group received Ctrl-C."""
+class _GroupProbe:
+    """A process that ends at Ctrl-C: its end shows that the whole process group, and thus the script, received it."""
 
     _COMMAND = (sys.executable, "-I", "-S", "-c", "import sys; sys.stdin.read()")
 
     def __init__(self) -> None:
-        self._begin()
+        self._start()
 
-    def _begin(self) -> None:
+    def _start(self) -> None:
         # It ends when its input closes, even if this process crashes.
         self._process = subprocess.Popen(
             self._COMMAND, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
 
     def received(self) -> bool:
-        """Return whether it received the latest Ctrl-C; it is then restarted for the next signal."""
+        """Return whether the group received the latest Ctrl-C; the process then restarts for the next signal."""
         try:
             self._process.wait(_DELIVERY_S)
         except subprocess.TimeoutExpired:
             return False
         self.close()
-        self._begin()
+        self._start()
         return True
 
     def close(self) -> None:
@@ -51,29 +51,29 @@ class _Witness:
 
 
 @contextmanager
-def signals_passed_on(process: subprocess.Popen[Any]) -> Iterator[None]:
+def forward_signals(process: subprocess.Popen[Any]) -> Iterator[None]:
     """Forward signals to a process while the body runs, and end the process afterwards.
 
-    The script handles Ctrl-C. Other signals request its end; after `PATIENCE` it is killed.
+    The script handles Ctrl-C. Other signals request its end; after `PATIENCE_S` it is killed.
 
     `process`: process in the group of this process; Ctrl-C in a terminal reaches the whole group.
     """
-    end = threading.Timer(PATIENCE, process.kill)
-    end.daemon = True
+    kill_timer = threading.Timer(PATIENCE_S, process.kill)
+    kill_timer.daemon = True
     try:
-        with closing(_Witness()) as witness:
+        with closing(_GroupProbe()) as probe:
 
-            def pass_on(number: int, frame: FrameType | None) -> None:
+            def forward(number: int, frame: FrameType | None) -> None:
                 if number != signal.SIGINT:
                     process.send_signal(number)
-                    if end.ident is None:
-                        end.start()
-                elif os.name == "posix" and not witness.received():
+                    if kill_timer.ident is None:
+                        kill_timer.start()
+                elif os.name == "posix" and not probe.received():
                     process.send_signal(number)
 
-            with handle_interrupts(pass_on):
+            with handle_interrupts(forward):
                 yield
     finally:
-        end.cancel()
+        kill_timer.cancel()
         process.kill()
         process.wait()

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 import daq
-from daq.server import passed_signals
+from daq.server import signal_forwarding
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="elsewhere a signal cannot be sent to one process")
 
@@ -84,11 +84,11 @@ def test_ended_command_ends_logging_script(running, before, how, send, code):
         assert recording.samples >= 5120
 
 
-def test_witness_detects_group_ctrl_c(monkeypatch):
-    monkeypatch.setattr(passed_signals, "_DELIVERY_S", 0.0)
-    with contextlib.closing(passed_signals._Witness()) as witness:
-        assert not witness.received()
-        monkeypatch.setattr(passed_signals, "_DELIVERY_S", 60.0)
+def test_probe_detects_group_ctrl_c(monkeypatch):
+    monkeypatch.setattr(signal_forwarding, "_DELIVERY_S", 0.0)
+    with contextlib.closing(signal_forwarding._GroupProbe()) as probe:
+        assert not probe.received()
+        monkeypatch.setattr(signal_forwarding, "_DELIVERY_S", 60.0)
         for _ in range(2):
-            os.kill(witness._process.pid, signal.SIGINT)
-            assert witness.received()
+            os.kill(probe._process.pid, signal.SIGINT)
+            assert probe.received()

@@ -25,21 +25,43 @@ if TYPE_CHECKING:
 LARGE_RANGE = 1 << 22
 # Such a range is rejected if it holds less than this part of its samples, 1 / LEAST_SHARE.
 LEAST_SHARE = 16
-# Decoded samples of a channel that stay in memory (1 MB): a measured window is read several times.
-RECENT_SAMPLES = 1 << 17
+# Decoded samples of a recording that stay in memory, bytes: an analysis reads a measured window several times.
+RECENT_BYTES = 1 << 27
+
+
+class RecentBlocks:
+    """Decoded blocks of the chunks of a recording that were read last, of at most `RECENT_BYTES`."""
+
+    def __init__(self) -> None:
+        self._blocks: OrderedDict[tuple[int, int], list[SampleBlock]] = OrderedDict()
+        self._bytes = 0
+
+    def of(self, channel: int, chunk: int) -> list[SampleBlock] | None:
+        """Return the blocks of a channel in a chunk; None if they are not stored."""
+        return self._blocks.get((channel, chunk))
+
+    def store(self, channel: int, chunk: int, blocks: list[SampleBlock]) -> None:
+        """Store the blocks of a channel in a chunk; remove those that were stored first."""
+        self._blocks[channel, chunk] = blocks
+        self._bytes += _bytes_of(blocks)
+        while len(self._blocks) > 1 and self._bytes > RECENT_BYTES:
+            self._bytes -= _bytes_of(self._blocks.popitem(last=False)[1])
+
+
+def _bytes_of(blocks: list[SampleBlock]) -> int:
+    return sum(block.samples.nbytes for block in blocks)
 
 
 class Series:
     """Blocks of samples on one topic."""
 
-    def __init__(self, container: Container, channel: Channel) -> None:
+    def __init__(self, container: Container, channel: Channel, recent: RecentBlocks) -> None:
         summary = container.summary
         self.topic, self.metadata = channel.topic, channel.metadata
         self._container, self._channel = container, channel.id
         self._schema = summary.schemas[channel.schema_id].name
         self._chunks = summary.holders.get(channel.id, np.empty(0, np.int64))
-        self._recent: OrderedDict[int, list[SampleBlock]] = OrderedDict()
-        self._recent_samples = 0
+        self._recent = recent
         try:
             self.scale = float(self.metadata.get("scale", 1.0))
             check({"scale": self.scale}, {"scale": NOT_ZERO})
@@ -92,18 +114,14 @@ class Series:
 
     def _decoded(self, chunk: int, clock: Timebase) -> list[SampleBlock]:
         """Decode and check this topic's blocks of a chunk; recent chunks stay in memory for repeated reading."""
-        if chunk in self._recent:
-            return self._recent[chunk]
-        blocks = []
-        for block, log_time in self._stored(chunk):
-            self._check(block, log_time, clock)
-            blocks.append(block)
-        blocks = _joined(blocks)
-        self._recent[chunk] = blocks
-        self._recent_samples += sum(block.samples.size for block in blocks)
-        while len(self._recent) > 1 and self._recent_samples > RECENT_SAMPLES:
-            _, dropped = self._recent.popitem(last=False)
-            self._recent_samples -= sum(block.samples.size for block in dropped)
+        blocks = self._recent.of(self._channel, chunk)
+        if blocks is None:
+            blocks = []
+            for block, log_time in self._stored(chunk):
+                self._check(block, log_time, clock)
+                blocks.append(block)
+            blocks = _joined(blocks)
+            self._recent.store(self._channel, chunk, blocks)
         return blocks
 
     def _stored(self, chunk: int) -> Iterator[tuple[SampleBlock, int]]:
@@ -184,7 +202,7 @@ class Series:
 
 
 def _joined(blocks: list[SampleBlock]) -> list[SampleBlock]:
-    """Join the blocks of a chunk if they are contiguous."""
-    if len(blocks) < 2 or any(block.stop != later.first_sample for block, later in pairwise(blocks)):
-        return blocks
-    return [blocks[0]._replace(samples=np.concatenate([block.samples for block in blocks]))]
+    """Join contiguous blocks of a chunk; copies, so that the unpacked chunk does not stay in memory."""
+    if any(block.stop != later.first_sample for block, later in pairwise(blocks)):
+        return [block._replace(samples=block.samples.copy()) for block in blocks]
+    return [blocks[0]._replace(samples=np.concatenate([block.samples for block in blocks]))] if blocks else []

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from daq.mcap_file.reader import Container
 from daq.recording import layout
-from daq.recording.channel_series import Series
+from daq.recording.channel_series import RecentBlocks, Series
 from daq.recording.markers import EVENT_TYPE, Gap, Marker, event_from_json, gaps_of, unmarked
 from daq.recording.recorded_test import RecordedTest, SceneOutline, TestKind, kind_by_markers
 from daq.recording.sample_block import SAMPLE_TYPE
@@ -98,6 +98,7 @@ class Recording(Result):
         self._series: dict[str, Series] = {}
         self._truth: dict[str, dict[str, Series]] = {}
         self._topics: dict[str, Channel] = {}
+        recent = RecentBlocks()
         for channel in sorted(summary.channels.values(), key=lambda channel: channel.id):
             schema = summary.schemas.get(channel.schema_id)
             if channel.topic in self._topics:
@@ -105,7 +106,7 @@ class Recording(Result):
             self._topics[channel.topic] = channel
             if schema is None or schema.name not in SAMPLE_TYPE or schema.encoding != "protobuf":
                 continue
-            series = Series(self._container, channel)
+            series = Series(self._container, channel, recent)
             if channel.topic.startswith(layout.RAW):
                 self._series[channel.topic.removeprefix(layout.RAW)] = series
             elif channel.topic.startswith(layout.TRUTH) and {"point", "quantity"} <= channel.metadata.keys():

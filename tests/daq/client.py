@@ -1,10 +1,14 @@
 """NI's client connected to a rig in this process."""
 
+import contextlib
+
 import nidaqmx
 import pytest
+from nidaqmx.errors import DaqError
 
 import daq
 
+RATE = 5120.0
 _connected = []
 
 reads_waveforms = pytest.mark.skipif(
@@ -32,6 +36,34 @@ class Task(nidaqmx.Task):
         super().__init__(name, grpc_options=options())
 
 
-def pass_samples(chassis, samples, rate=5120.0):
+def inputs(task, channels="Dev1/ai0", **timing):
+    """Add voltage inputs to a task, with a sample clock if `timing` is given."""
+    task.ai_channels.add_ai_voltage_chan(channels, min_val=-500.0, max_val=500.0)
+    if timing:
+        task.timing.cfg_samp_clk_timing(RATE, **timing)
+    return task
+
+
+def output(task, wave, **timing):
+    """Add an output to a task, and write its samples."""
+    task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+    task.timing.cfg_samp_clk_timing(RATE, **timing)
+    task.write(wave)
+    return task
+
+
+@contextlib.contextmanager
+def raises_code(code, hint="", kind=DaqError, samples=None):
+    """Expect the driver's error of that code, with a hint in its text, after a number of samples per channel."""
+    with pytest.raises(kind) as caught:
+        yield
+    assert caught.value.error_code == code
+    assert hint in str(caught.value)
+    if samples is not None:
+        done = "written" if kind is nidaqmx.errors.DaqWriteError else "read"
+        assert getattr(caught.value, f"samps_per_chan_{done}") == samples
+
+
+def pass_samples(chassis, samples, rate=RATE):
     """Advance the bench by a number of samples at a rate."""
     chassis.advance(round(samples * chassis.rate / rate))

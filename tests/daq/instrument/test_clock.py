@@ -7,7 +7,7 @@ from nidaqmx.errors import DaqError, DaqReadError
 
 from daq.instrument.clock import FastClock, ManualClock, RealClock, Sleepers, _Delays, clock, longest_step
 from rig.errors import SceneError
-from tests.daq.client import Task, connect
+from tests.daq.client import Task, connect, inputs, raises_code
 
 
 class Counter:
@@ -99,8 +99,7 @@ def test_every_waiter_wakes_at_its_position():
 def test_bench_failure_reaches_waiters(monkeypatch, capsys):
     chassis = connect("bare-structure", "real")
     with Task() as task:
-        task.ai_channels.add_ai_voltage_chan("Dev1/ai0")
-        task.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.CONTINUOUS)
+        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
         task.read(10)
         monkeypatch.setattr(chassis, "_step", lambda limit: 1 / 0)
@@ -119,13 +118,11 @@ def test_early_reader_gets_partial_count():
     manual = ManualClock()
     connect("bare-structure", manual)
     with Task() as task:
-        task.ai_channels.add_ai_voltage_chan("Dev1/ai0")
-        task.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.CONTINUOUS)
+        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
         manual.advance(0.1)
-        with pytest.raises(DaqReadError) as caught:
+        with raises_code(-200284, kind=DaqReadError, samples=512):
             task.read(600)
-        assert (caught.value.error_code, caught.value.samps_per_chan_read) == (-200284, 512)
         manual.advance(0.2)
         assert task.in_stream.avail_samp_per_chan == 1024
         assert len(task.read(1024)) == 1024
@@ -136,8 +133,7 @@ def test_real_and_fast_clock_give_same_samples():
     for kind in ("fast", "real"):
         connect("bare-structure", kind)
         with Task() as task:
-            task.ai_channels.add_ai_voltage_chan("Dev1/ai0:3", min_val=-500.0, max_val=500.0)
-            task.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.CONTINUOUS)
+            inputs(task, "Dev1/ai0:3", sample_mode=AcquisitionType.CONTINUOUS)
             task.start()
             read.append(np.concatenate([np.array(task.read(100, timeout=60.0)) for _ in range(5)], axis=1))
     assert np.array_equal(*read)

@@ -5,9 +5,7 @@ from nidaqmx.constants import AcquisitionType, OverwriteMode
 from nidaqmx.errors import DaqReadError
 
 from daq.instrument.clock import ManualClock
-from tests.daq.client import Task, connect, pass_samples
-
-RATE = 5120.0
+from tests.daq.client import Task, connect, inputs, pass_samples, raises_code
 
 
 @pytest.fixture
@@ -17,8 +15,7 @@ def chassis():
 
 def acquiring(task):
     """Let a task acquire continuously into a buffer of 1000 samples."""
-    task.ai_channels.add_ai_voltage_chan("Dev1/ai0", min_val=-500.0, max_val=500.0)
-    task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
+    inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
     task.in_stream.input_buf_size = 1000
     task.start()
 
@@ -27,10 +24,8 @@ def test_overrun_is_counted_and_reading_continues(chassis):
     with Task() as task:
         acquiring(task)
         pass_samples(chassis, 1300)
-        with pytest.raises(DaqReadError) as caught:
+        with raises_code(-200279, "300 samples", kind=DaqReadError):
             task.read(100)
-        assert caught.value.error_code == -200279
-        assert "300 samples" in str(caught.value)
         assert task.in_stream.curr_read_pos == 300
         assert len(task.read(1000)) == 1000
         pass_samples(chassis, 10)
@@ -43,25 +38,12 @@ def test_single_delay_is_reported_once(chassis, pause):
     with Task() as task:
         acquiring(task)
         pass_samples(chassis, 2600)
-        with pytest.raises(DaqReadError) as caught:
+        with raises_code(-200279, "1600 samples", kind=DaqReadError):
             task.read(pause)
-        assert caught.value.error_code == -200279
-        assert "1600 samples" in str(caught.value)
         for number in range(20):
             assert task.in_stream.curr_read_pos == 1600 + number * pause
             pass_samples(chassis, pause)
             assert len(task.read(pause)) == pause
-
-
-def test_later_delay_is_reported_too(chassis):
-    with Task() as task:
-        acquiring(task)
-        for lost in (300, 200):
-            pass_samples(chassis, 1000 + lost)
-            with pytest.raises(DaqReadError) as caught:
-                task.read(10)
-            assert f"{lost} samples" in str(caught.value)
-            assert len(task.read(1000)) == 1000
 
 
 def test_every_loss_is_counted_once(chassis):
@@ -84,6 +66,5 @@ def test_full_buffer_of_kept_samples_stops(chassis):
         acquiring(task)
         pass_samples(chassis, 1400)
         assert len(task.read(1000)) == 1000
-        with pytest.raises(DaqReadError) as caught:
+        with raises_code(-200222, kind=DaqReadError):
             task.read(1)
-        assert caught.value.error_code == -200222

@@ -6,9 +6,7 @@ from nidaqmx.errors import DaqError, DaqReadError
 import daq
 import rig
 from daq.instrument.clock import ManualClock
-from tests.daq.client import Task, connect, pass_samples
-
-RATE = 5120.0
+from tests.daq.client import RATE, Task, connect, pass_samples, raises_code
 
 
 @pytest.fixture
@@ -48,9 +46,8 @@ def test_log_marks_overrun_as_gap(chassis, tmp_path):
         pass_samples(chassis, 200)
         task.read(200)
         pass_samples(chassis, 800)
-        with pytest.raises(DaqReadError) as caught:
+        with raises_code(-200279, kind=DaqReadError):
             task.read(100)
-        assert caught.value.error_code == -200279
         later = np.array(task.read(500))
         task.stop()
     with daq.open(path) as recording:
@@ -109,9 +106,8 @@ def test_pure_log_rejects_reading(chassis, tmp_path):
         task.start()
         for _ in range(20):
             pass_samples(chassis, 100)
-        with pytest.raises(DaqError, match="LOG_AND_READ") as caught:
+        with raises_code(-201301, "LOG_AND_READ"):
             task.read(1)
-        assert caught.value.error_code == -201301
         task.stop()
     with daq.open(path) as recording:
         assert recording.samples == 2000

@@ -3,15 +3,13 @@
 import numpy as np
 import pytest
 from nidaqmx.constants import AcquisitionType, Coupling, ExcitationSource
-from nidaqmx.errors import DaqError
 from nidaqmx.system import System
 
 import daq
 import rig
 from daq.server.live import LiveRecording
-from tests.daq.client import Task, connect, options
+from tests.daq.client import RATE, Task, connect, options, raises_code
 
-RATE = 5120.0
 SCENE = """
 structure: {masses: [1 kg, 1 kg], springs: [40 kN/m, 40 kN/m], damping: {modal: 1 %}}
 shaker: {kind: electrodynamic, body: 1, spring: 6.6 kN/m}
@@ -81,9 +79,8 @@ def test_ac_only_module_rejects_dc():
         channel = task.ai_channels.add_ai_accel_chan("cDAQ1Mod1/ai0", current_excit_val=0.002)
         channel.ai_coupling = Coupling.DC
         task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=10)
-        with pytest.raises(DaqError, match="AC coupling only") as caught:
+        with raises_code(-200077, "AC coupling only"):
             task.start()
-    assert caught.value.error_code == -200077
 
 
 def test_used_input_names_its_task():
@@ -94,9 +91,8 @@ def test_used_input_names_its_task():
         for task in (first, second):
             task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
         first.start()
-        with pytest.raises(DaqError, match="another coupling or sensor supply") as caught:
+        with raises_code(-50103, "another coupling or sensor supply"):
             second.start()
-    assert caught.value.error_code == -50103
 
 
 def test_data_sheet_sets_sensitivity():
@@ -109,9 +105,8 @@ def test_data_sheet_sets_sensitivity():
         channels = task.ai_channels.add_teds_ai_accel_chan("cDAQ1Mod1/ai0:1", "acc", min_val=-40, max_val=40)
         assert task.channel_names == ["acc0", "acc1"]
         assert channels.ai_accel_sensitivity == pytest.approx(0.1, rel=2e-4)
-        with pytest.raises(DaqError) as caught:
+        with raises_code(-200709):
             task.ai_channels.add_teds_ai_accel_chan("cDAQ1Mod1/ai2")
-    assert caught.value.error_code == -200709
 
 
 def test_named_device_is_outside_chassis():
@@ -123,9 +118,8 @@ def test_named_device_is_outside_chassis():
     assert device.ao_voltage_rngs == [-3.5, 3.5]
     with Task() as task:
         task.ao_channels.add_ao_voltage_chan("Dev1/ao0", min_val=-3.5, max_val=3.5)
-        with pytest.raises(DaqError) as caught:
+        with raises_code(-201087):
             task.write(1.0)
-        assert caught.value.error_code == -201087
         task.timing.cfg_samp_clk_timing(96e3)
         assert task.timing.samp_clk_rate == 96e3
 

@@ -17,9 +17,7 @@ from nidaqmx.system.storage import PersistedTask
 
 import daq
 from daq.instrument.clock import ManualClock
-from tests.daq.client import Task, connect, options, pass_samples, reads_waveforms
-
-RATE = 5120.0
+from tests.daq.client import RATE, Task, connect, options, pass_samples, raises_code, reads_waveforms
 
 
 class WallClock(ManualClock):
@@ -81,9 +79,8 @@ def test_trigger_source_names_its_device(chassis):
 def test_invalid_sample_events_are_rejected(chassis):
     with Task() as task:
         inputs(task)
-        with pytest.raises(DaqError) as caught:
+        with raises_code(-200980):
             task.register_every_n_samples_transferred_from_buffer_event(10, print)
-    assert caught.value.error_code == -200980
 
 
 def test_custom_scale_scales_readings(chassis):

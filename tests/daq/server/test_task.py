@@ -17,28 +17,12 @@ from nidaqmx.constants import (
 from nidaqmx.errors import DaqError
 
 import rig
-from tests.daq.client import Task, connect, pass_samples, reads_waveforms
-
-RATE = 5120.0
+from tests.daq.client import RATE, Task, connect, inputs, output, pass_samples, raises_code, reads_waveforms
 
 
 @pytest.fixture
 def chassis():
     return connect("bare-structure", "fast")
-
-
-def inputs(task, channels="Dev1/ai0:3", **timing):
-    task.ai_channels.add_ai_voltage_chan(channels, min_val=-500.0, max_val=500.0)
-    if timing:
-        task.timing.cfg_samp_clk_timing(RATE, **timing)
-    return task
-
-
-def output(task, wave, **timing):
-    task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
-    task.timing.cfg_samp_clk_timing(RATE, **timing)
-    task.write(wave)
-    return task
 
 
 def tone(samples, frequency=20.0, amplitude=0.1):
@@ -49,7 +33,7 @@ def read_in_pieces(size, total=512):
     """Drive and read on one clock, `size` samples at a time."""
     connect("bare-structure", "fast")
     with Task() as reading, Task() as driving:
-        inputs(reading, sample_mode=AcquisitionType.CONTINUOUS)
+        inputs(reading, "Dev1/ai0:3", sample_mode=AcquisitionType.CONTINUOUS)
         output(driving, tone(512), sample_mode=AcquisitionType.CONTINUOUS)
         driving.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger")
         driving.start()
@@ -76,7 +60,7 @@ def test_inputs_show_response_to_drive():
 
 def test_requested_rate_is_coerced(chassis):
     with Task() as task:
-        inputs(task)
+        inputs(task, "Dev1/ai0:3")
         coerced = []
         for rate in (1000.0, 5000.0, 8000.0, 51200.0):
             task.timing.cfg_samp_clk_timing(rate)
@@ -99,14 +83,14 @@ def test_low_rate_still_plays_test():
     )
     connect(scene, "fast")
     with Task() as task:
-        inputs(task)
+        inputs(task, "Dev1/ai0:3")
         task.timing.cfg_samp_clk_timing(2048.0, samps_per_chan=50)
         assert np.any(task.read(50))
 
 
 def test_unstarted_finite_task_reads_all(chassis):
     with Task() as task:
-        inputs(task, samps_per_chan=64)
+        inputs(task, "Dev1/ai0:3", samps_per_chan=64)
         assert np.shape(task.read(READ_ALL_AVAILABLE)) == (4, 64)
         assert task.is_task_done()
         assert np.shape(task.read(READ_ALL_AVAILABLE)) == (4, 64)
@@ -171,7 +155,7 @@ def test_relative_positions_read_again(chassis):
 
 def test_channel_subset_is_read(chassis):
     with Task() as task:
-        inputs(task, samps_per_chan=20)
+        inputs(task, "Dev1/ai0:3", samps_per_chan=20)
         task.start()
         all_channels = np.array(task.read(10))
         task.in_stream.channels_to_read = task.ai_channels["Dev1/ai1,Dev1/ai3"]
@@ -292,13 +276,12 @@ def test_real_clock_calls_on_other_thread(monkeypatch):
 
 def test_committed_task_keeps_modules(chassis):
     with Task() as first, Task() as second:
-        inputs(first, samps_per_chan=10)
-        inputs(second, samps_per_chan=10)
+        inputs(first, "Dev1/ai0:3", samps_per_chan=10)
+        inputs(second, "Dev1/ai0:3", samps_per_chan=10)
         first.control(TaskMode.TASK_COMMIT)
         first.read(READ_ALL_AVAILABLE)
-        with pytest.raises(DaqError) as caught:
+        with raises_code(-50103):
             second.start()
-        assert caught.value.error_code == -50103
         first.control(TaskMode.TASK_UNRESERVE)
         assert np.shape(second.read(READ_ALL_AVAILABLE)) == (4, 10)
 
@@ -348,7 +331,7 @@ def count_queries(condition, task):
     ],
 )
 def test_polling_passes_fast_time(chassis, condition):
-    with inputs(Task(), sample_mode=AcquisitionType.FINITE, samps_per_chan=1000) as task:
+    with inputs(Task(), "Dev1/ai0:3", sample_mode=AcquisitionType.FINITE, samps_per_chan=1000) as task:
         task.start()
         assert count_queries(condition, task) > 1
         assert np.array(task.read(READ_ALL_AVAILABLE)).shape == (4, 1000)
@@ -361,7 +344,7 @@ def test_polling_output_passes_fast_time(chassis):
 
 
 def test_repeated_reads_without_timeout_succeed(chassis):
-    with inputs(Task(), sample_mode=AcquisitionType.CONTINUOUS) as task:
+    with inputs(Task(), "Dev1/ai0:3", sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.start()
 
         def condition(task):
@@ -375,7 +358,7 @@ def test_repeated_reads_without_timeout_succeed(chassis):
 
 
 def test_single_queries_pass_no_time(chassis):
-    with inputs(Task(), sample_mode=AcquisitionType.CONTINUOUS) as task:
+    with inputs(Task(), "Dev1/ai0:3", sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.start()
         task.read(100)
         stream = task.in_stream

@@ -27,6 +27,7 @@ from rig.numerics.runs import runs_of
 from rig.results.response import MOTIONS
 
 if TYPE_CHECKING:
+    from analysis.damper_motion.landing_pulse import Pulse
     from daq.recording.recording import Recording
     from daq.signal_chain.channel import ChannelInfo
 
@@ -134,22 +135,8 @@ def impacts(
     motion or does not respond to impacts, or if the segment is too short, damaged or zero. It is also raised if the
     body contains grains, or dampers with different contact durations.
     """
-    info = find_channel(rec, channel)
-    if info.quantity not in MOTIONS:
-        raise RecordingError(
-            f"{info.name}: measures {info.quantity}, but impacts show in motion channels only. Choose a channel of "
-            "acceleration, velocity or displacement."
-        )
+    info, pulse, decimation = _impact_channel(rec, channel)
     stop = rec.samples if stop is None else min(stop, rec.samples)
-    pulse = landing_pulse(rec.scene, info.at, info.rate)
-    decimation = 1 if pulse is None else max(1, int(pulse.time_to_90_percent * info.rate / _PULSE_READINGS))
-    between_samples = info.average or info.filter or len(info.poles) > len(info.zeros)
-    if decimation == 1 and info.quantity == "acceleration" and not between_samples:
-        raise RecordingError(
-            f"{info.name}: acceleration sampled at instants (sampling: point), so that impacts between two samples "
-            "leave no trace. Record with sampling: average, a filter, an integrator, a sensor resonance, or a higher "
-            "rate."
-        )
     models = impact_models(info, pulse, decimation)
     min_samples = 4 * models[0].separation * decimation
     if stop - start < min_samples:
@@ -182,14 +169,14 @@ def impacts(
             "or record at a lower level or with a larger converter range."
         )
     jumps = search.run()
-    noise = search.jump_noise
     largest = max((abs(jump.sizes[0]) for jump in jumps), default=0.0 if pulse else np.inf)
-    if largest < _UNCERTAIN_SIGMAS * noise:
+    if largest < _UNCERTAIN_SIGMAS * search.jump_noise:
         # Frequent impacts raise the noise estimate of most windows, and so mask each other.
         second_search = MatchingPursuit(models, readings, valid, noise_floor, rate, _LOW_NOISE_QUANTILE)
         second_jumps = second_search.run()
-        if second_search.jump_noise < NOISE_REDUCTION * noise:
-            search, jumps, noise = second_search, second_jumps, second_search.jump_noise
+        if second_search.jump_noise < NOISE_REDUCTION * search.jump_noise:
+            search, jumps = second_search, second_jumps
+    noise = search.jump_noise
     fitted = [(values.time, values.time_error, values.sizes[0], values.error) for values in jumps]
     position, position_error, jump, error = np.array(fitted).reshape(-1, 4).T
     largest = float(abs(jump).max(initial=0.0))
@@ -229,6 +216,26 @@ def impacts(
         searched=float(search.searchable.sum()) / rate - excluded,
         left_out=np.concatenate([lost, (start + unresolved) / rec.rate - info.delay]),
     )
+
+
+def _impact_channel(rec: Recording, channel: str) -> tuple[ChannelInfo, Pulse | None, int]:
+    """Return a channel that responds to impacts, the force pulse of a finite-duration contact, and the decimation."""
+    info = find_channel(rec, channel)
+    if info.quantity not in MOTIONS:
+        raise RecordingError(
+            f"{info.name}: measures {info.quantity}, but impacts show in motion channels only. Choose a channel of "
+            "acceleration, velocity or displacement."
+        )
+    pulse = landing_pulse(rec.scene, info.at, info.rate)
+    decimation = 1 if pulse is None else max(1, int(pulse.time_to_90_percent * info.rate / _PULSE_READINGS))
+    between_samples = info.average or info.filter or len(info.poles) > len(info.zeros)
+    if decimation == 1 and info.quantity == "acceleration" and not between_samples:
+        raise RecordingError(
+            f"{info.name}: acceleration sampled at instants (sampling: point), so that impacts between two samples "
+            "leave no trace. Record with sampling: average, a filter, an integrator, a sensor resonance, or a higher "
+            "rate."
+        )
+    return info, pulse, decimation
 
 
 def _is_secondary(time: Array, jump: Array, release_time: float, ringing: float) -> NDArray[np.bool_]:

@@ -189,9 +189,9 @@ class SegmentFits:
                 self.hits.at_rest(motion, *bounds, size) for bounds, motion in zip(segments, prior_motion, strict=True)
             ]
             blocks = []
-            for (start, stop), rest in zip(segments, at_rest, strict=True):
+            for (start, stop), is_at_rest in zip(segments, at_rest, strict=True):
                 block = np.stack([rec.read(name, start, stop) for name in names])
-                blocks.append(self.hits.isolate(rec, names, block, start, rest))
+                blocks.append(self.hits.isolate(rec, names, block, start, is_at_rest))
             lengths = [block.shape[1] for block in blocks]
             padded = [np.pad(block, ((0, 0), (size - block.shape[1], 0))) for block in blocks]
             samples = [fft.rfft(block, axis=1) for block in padded]

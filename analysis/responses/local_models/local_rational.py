@@ -149,37 +149,39 @@ def _fit(
     first = np.clip(lines - side, 0, reference.shape[1] - width)
     bins = first[:, None] + np.arange(width)
     offset = ((bins - lines[:, None]) / side)[:, None, :]
-    x, f, e = (np.moveaxis(spectra[:, bins], 1, 0) for spectra in (reading.spectra, reference, ends))
+    output, reference_input, phase = (
+        np.moveaxis(spectra[:, bins], 1, 0) for spectra in (reading.spectra, reference, ends)
+    )
     channel = reading.response[bins][:, None, :]
-    f = f * channel
-    size, drive = (np.maximum(_rms(spectra), _ZERO_POWER) for spectra in (x, f))
-    x, f = x / size, f / drive
+    reference_input = reference_input * channel
+    size, drive = (np.maximum(_rms(spectra), _ZERO_POWER) for spectra in (output, reference_input))
+    output, reference_input = output / size, reference_input / drive
     powers = np.stack([offset**k for k in range(order + 1)], axis=-1)
     transients = [powers]
     transients += [((decay := slow[bins][:, None, :]) / _rms(decay))[..., None] for slow in reading.slow]
     transient = np.concatenate(transients, axis=-1)
     if begins:
         # The columns are zero if a segment has no separate transient at its beginning; the regularization omits them.
-        at_start = np.where(np.isin(np.arange(segments), begins)[:, None], e, 0.0)[..., None]
+        at_start = np.where(np.isin(np.arange(segments), begins)[:, None], phase, 0.0)[..., None]
         transient = np.concatenate(
-            [np.broadcast_to(transient, (*x.shape, transient.shape[-1])), at_start * transient], axis=-1
+            [np.broadcast_to(transient, (*output.shape, transient.shape[-1])), at_start * transient], axis=-1
         )
-    shared = [f[..., None] * powers]
+    shared = [reference_input[..., None] * powers]
     for other in () if others is None else others:
         local_input = np.moveaxis(other[:, bins], 1, 0) * channel
         shared.append((local_input / np.maximum(_rms(local_input), _ZERO_POWER))[..., None] * powers)
     terms = _Terms(np.concatenate(shared, axis=-1), transient, offset[..., None] ** np.arange(1, poles + 1))
     # Multiplication by the denominator makes the problem linear, but it also weights the noise and fits poles to it.
     # A Gauss-Newton step corrects both.
-    unknown, influence = _solve(terms, x, x)
+    unknown, influence = _solve(terms, output, output)
     model, denominator = terms.quotient(unknown)
-    residual = x - model
+    residual = output - model
     if poles:
         divisor = denominator[..., None]
         slope = terms._replace(shared=terms.shared / divisor, transient=terms.transient / divisor)
         change, influence = _solve(slope, model / denominator, residual)
         stepped = _Unknown(*(np.add(*pair) for pair in zip(unknown, change, strict=True)))
-        new_residual = x - terms.quotient(stepped)[0]
+        new_residual = output - terms.quotient(stepped)[0]
         better = _power(new_residual) < _power(residual)
         unknown = _select(better, stepped, unknown)
         residual = np.where(better[:, None, None], new_residual, residual)

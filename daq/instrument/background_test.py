@@ -65,8 +65,8 @@ class BackgroundTest:
             self._ended(reason)
         else:
             warnings.warn(
-                f"the test of scene {self._station.scene.name!r} {failure}, the bench stays quiet until a script "
-                f"drives it: {reason}",
+                f"the test of scene {self._station.scene.name!r} {failure}: {reason.rstrip('.')}. Until a script "
+                "writes to an output, nothing drives the bench.",
                 RuntimeWarning,
                 stacklevel=2,
             )

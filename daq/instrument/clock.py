@@ -260,8 +260,8 @@ class _Delays:
         caught_up = delay < RealClock.MAX_STEP_S
         if self._largest >= _REPORTED_DELAY_S and caught_up and now - self._reported >= _REPORT_INTERVAL_S:
             _LOG.warning(
-                "the machine was up to %.2f s behind real time, so samples came late. Run fewer programs, or enlarge "
-                "the buffers of tasks",
+                "the bench was up to %.2f s behind real time: samples were delayed. Run fewer programs on this "
+                "machine, or enlarge the buffers of tasks.",
                 self._largest,
             )
             self._largest, self._reported = 0.0, now

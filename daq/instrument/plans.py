@@ -75,7 +75,7 @@ def check_timing(task: TaskSettings) -> None:
         terminal = task.groups["exported_signal"][name]
         if terminal and not re.fullmatch(r"(/?[^/]+/)?PFI\d+", terminal, re.IGNORECASE):
             raise DaqError(
-                f"{name} {terminal!r}: there is no such terminal; expected for instance /cDAQ1/PFI0",
+                f"{name} {terminal!r} is not a terminal for signals. Give a name such as /cDAQ1/PFI0.",
                 Code.INVALID_ROUTING_DESTINATION_TERMINAL_NAME_ROUTING,
             )
 
@@ -101,13 +101,13 @@ def sources(task: TaskSettings, chassis: Chassis) -> tuple[Source | None, Source
     before, samples = settings["ref_trig_pretrig_samples"], task.samples
     if not task.finite or task.kind == "ao":
         raise DaqError(
-            "a reference trigger needs a finite acquisition: use AcquisitionType.FINITE, with samps_per_chan "
-            "the samples before and after the trigger together",
+            "a reference trigger needs a finite acquisition. Use AcquisitionType.FINITE; samps_per_chan is the total "
+            "number of samples before and after the trigger.",
             Code.REF_TRIG_WHEN_CONTINUOUS,
         )
     if not 0 <= before < samples:
         raise DaqError(
-            f"{before} pretrigger samples: expected from 0 to {samples - 1}, as {samples} samples are acquired in all",
+            f"{before} pretrigger samples: expected 0 to {samples - 1} of the {samples} samples of the record",
             Code.TOO_MANY_PRETRIG_PLUS_MIN_POST_TRIG_SAMPS,
         )
     return start, reference

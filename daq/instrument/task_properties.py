@@ -32,7 +32,7 @@ def get_channel(task: Task, names: str, name: str) -> Any:
     values = [each.get(name) for each in channels]
     if any(value != values[0] for value in values):
         raise invalid_value(
-            f"{name} differs among {', '.join(each.name for each in channels)}: ask one channel at a time"
+            f"{name} differs among {', '.join(each.name for each in channels)}. Read one channel at a time."
         )
     return values[0]
 
@@ -105,7 +105,7 @@ def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
     settings, key = task.settings.groups["trig"], f"{name}_trig_timestamp_enable"
     if name is not None and settings.was_set(key) and not settings[key]:
         raise DaqError(
-            "the time of that trigger is not stored: set timestamp_enable before starting the task",
+            "the time of that trigger is not stored. Set timestamp_enable before starting the task.",
             Code.TIMESTAMP_NOT_ENABLED,
         )
     if name is None:
@@ -122,7 +122,8 @@ def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
         polling_ticks = max(1, int(task.chassis.rate / 100))
         if not task.chassis.wait(lambda: tick() is not None, lambda: polling_ticks, seconds(timeout)):
             raise DaqError(
-                f"the task has not been started or triggered within {timeout:g} s", Code.SAMPLES_NOT_YET_AVAILABLE
+                f"the task was not started or triggered within {timeout:g} s. Start it, or check its trigger.",
+                Code.SAMPLES_NOT_YET_AVAILABLE,
             )
         event_tick = tick()
         assert event_tick is not None
@@ -141,7 +142,7 @@ def full_terminal(task: Task, name: str) -> str:
         return f"/{name}"
     if not _TERMINAL.fullmatch(name):
         raise DaqError(
-            f"{name!r} is no terminal: expected for instance PFI0 or /cDAQ1/ai/SampleClock",
+            f"{name!r} is not a terminal. Give a name such as PFI0 or /cDAQ1/ai/SampleClock.",
             Code.INVALID_ROUTING_SOURCE_TERMINAL_NAME_ROUTING,
         )
     return f"/{task.settings.device}/{name}"

@@ -134,7 +134,7 @@ class Terminals:
             if each.row in used:
                 raise DaqError(
                     f"the resource is reserved: {each.port.name} is in use with another coupling or sensor supply. "
-                    "Stop that task, or give both the same.",
+                    "Stop that task, or use the same settings.",
                     Code.PAL_RESOURCE_RESERVED,
                 )
             wiring[each.row] = requested

@@ -164,7 +164,7 @@ def scope(
                 return
         knobs.quit = True
 
-    viewing = server(say) if web else window("use --web to look with a browser")
+    viewing = server(say) if web else window("use --web for a browser")
     bench = Bench(loaded_scene)
     # The kernels are compiled before real time starts; the run uses a new bench.
     bench.acquire(np.zeros((len(bench.inputs), 64)))
@@ -187,7 +187,7 @@ def scope(
             if not interrupt.args:
                 raise
         if pace.skipped_s:
-            say(f"the bench fell behind the wall clock by {pace.skipped_s:.1f} s; no sample is missing")
+            say(f"the bench ran {pace.skipped_s:.1f} s behind the wall clock; the recording is complete")
     return recording_path
 
 

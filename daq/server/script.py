@@ -60,9 +60,9 @@ def run_script(
     """
     path = Path(path)
     if seconds is not None and not 0 < seconds < math.inf:
-        raise SceneError(f"seconds {seconds:g}: expected a time above 0; leave it out for no limit")
+        raise SceneError(f"seconds {seconds:g}: expected a time above 0 s. Omit it for no limit.")
     if not path.is_file():
-        raise SceneError(f"there is no script {path}: give the path of a Python file")
+        raise SceneError(f"there is no script {path}. Give the path of a Python file.")
     chassis = connect_scene(scene, clock)
     report_missing_excitation(chassis)
     limit = TimeLimit(chassis, seconds)
@@ -73,8 +73,8 @@ def run_script(
         server.close()
     if chassis.read_at_rest:
         print(
-            "note: nothing drove the bench while the script read its inputs: it wrote to no output, and the scene "
-            "plays no test; write to an output (daq/examples/live_control.py), or give it a test (rig help test)",
+            "note: nothing drove the bench while the script read its inputs. Write to an output "
+            "(daq/examples/live_control.py), or add a test to the scene (rig help test).",
             file=sys.stderr,
         )
     return code

@@ -96,8 +96,8 @@ def serve(
     host, port = parse_address(host, port)
     if certificates is None and not _is_loopback(host):
         raise SceneError(
-            f"{host} can be reached by other machines, which needs certificates: give --certificate and --key "
-            "(and --client-ca to let in only clients that have one too), or leave the address out"
+            f"{host}: this address requires certificates, because other machines can reach it. Give --certificate and "
+            "--key (--client-ca admits only clients with a certificate), or omit the address."
         )
     credentials = None if certificates is None else certificates.credentials()
     if protocol is not None:
@@ -110,7 +110,7 @@ def serve(
             server = Server(chassis, _endpoint(host, port), credentials, limits, (BenchTime(chassis),))
         except RuntimeError:
             raise SceneError(
-                f"cannot listen at {_endpoint(host, port)}: choose another port with --port, or another --address"
+                f"cannot listen at {_endpoint(host, port)}. Choose another port with --port, or another --address."
             ) from None
         stack.callback(server.close)
         if record is not None:
@@ -118,7 +118,7 @@ def serve(
         if viewer:
             from daq.viewing import outputs
 
-            viewer_window = stack.enter_context(outputs.window("leave --viewer out to serve without it"))
+            viewer_window = stack.enter_context(outputs.window("omit --viewer to serve without it"))
             stream = stack.enter_context(outputs.recording_stream())
             stream.connect_grpc(viewer_window.url)
             stack.callback(LiveView(chassis, stream).close)

@@ -74,9 +74,13 @@ def _create_channel(chassis: Chassis, module: Module, row: int) -> str:
     if not needs_supply:
         return call
     # With an integrating amplifier the channel is a voltage, whose call has no argument for the excitation.
-    lines = [f"made = {call}", "made.ai_excit_src = ExcitationSource.INTERNAL", f"made.ai_excit_val = {current!r}"]
+    lines = [
+        f"voltage_channel = {call}",
+        "voltage_channel.ai_excit_src = ExcitationSource.INTERNAL",
+        f"voltage_channel.ai_excit_val = {current!r}",
+    ]
     if module.supply_coupling == "AC":
-        lines.append("made.ai_coupling = Coupling.AC")
+        lines.append("voltage_channel.ai_coupling = Coupling.AC")
     return "\n".join(lines)
 
 
@@ -104,10 +108,10 @@ def report_missing_excitation(chassis: Chassis) -> None:
         # A closed terminal must not cause an error in the client.
         with suppress(OSError):
             print(
-                f"note: no excitation for {inputs}: an IEPE sensor without it gives no more than noise; make the "
-                "channel with add_ai_accel_chan or add_ai_force_iepe_chan, or set its ai_excit_src to "
+                f"note: no excitation for {inputs}: without it, an IEPE sensor returns only noise. Create the channel "
+                "with add_ai_accel_chan or add_ai_force_iepe_chan, or set its ai_excit_src to "
                 f"ExcitationSource.INTERNAL and its ai_excit_val to {current!r} "
-                "(`daq serve SCENE` prints a script that does)",
+                "(see the script that `daq serve SCENE` prints).",
                 file=sys.stderr,
                 flush=True,
             )

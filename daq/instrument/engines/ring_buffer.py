@@ -26,8 +26,8 @@ def memory(channels: int, samples: int, dtype: DTypeLike = np.float64) -> NDArra
         except MemoryError:
             pass
     raise invalid_value(
-        f"{samples} samples of {channels} channels do not fit into the memory of this instrument: take fewer "
-        "at a time, and use AcquisitionType.CONTINUOUS for an acquisition that goes on for long"
+        f"{samples} samples of {channels} channels exceed the memory of this instrument. Read fewer samples at a time, "
+        "with AcquisitionType.CONTINUOUS for a long acquisition."
     )
 
 

@@ -100,12 +100,12 @@ class TaskSettings:
         ports = [parse_port(each) for each in unflatten(physical)]
         if not ports:
             raise DaqError(
-                "no physical channel was given: expected for instance cDAQ1Mod1/ai0:3",
+                "no physical channel was given. Give a name such as cDAQ1Mod1/ai0:3.",
                 Code.PHYSICAL_CHAN_DOES_NOT_EXIST,
             )
         if self.kind not in ("", side):
             raise DaqError(
-                "a task has either inputs or outputs: make another task and start one by the other's start trigger",
+                "a task has either inputs or outputs. Create another task, and start one by the other's start trigger.",
                 Code.TASK_NOT_IN_DATA_NEIGHBORHOOD,
             )
         names = [each.name for each in ports]
@@ -175,7 +175,7 @@ class TaskSettings:
 
     @property
     def samples(self) -> int:
-        """Samples per channel of a finite task; a hint for the buffer size of a continuous task.
+        """Samples per channel of a finite task; minimum size of the buffer of a continuous task.
 
         Raises `DaqError` with -200077, if there are too few.
         """

@@ -25,7 +25,7 @@ def _check_width(counts: _Counts, width: int, code: Code) -> None:
     bits = np.iinfo(counts).bits
     if width > bits:
         raise DaqError(
-            f"the converter's counts have {width} bits: use numbers of {width} bits in place of {bits}",
+            f"the converter's counts have {width} bits. Use numbers of {width} bits instead of {bits}.",
             code,
             samples_done=0,
         )
@@ -35,7 +35,7 @@ def _check_room(room: int, needed: int, unit: str) -> None:
     """Check that the array of the client is large enough for the samples."""
     if needed > room:
         raise DaqError(
-            f"the array has room for {room} {unit}, {needed} are to be read: make it larger",
+            f"the array has room for {room} {unit}, but the read returns {needed}. Use a larger array.",
             Code.READ_BUFFER_TOO_SMALL,
             samples_done=0,
         )
@@ -136,7 +136,7 @@ def _table(task: Task, data: NDArray[np.float64], samples: int, by_channel: bool
     channels = len(task.settings.channels) or 1
     if data.size != channels * samples:
         raise DaqError(
-            f"the data have {data.size} samples, {samples} for each of the task's {channels} channels were announced",
+            f"the data have {data.size} samples: expected {samples} for each of the task's {channels} channels",
             Code.WRITE_NUM_CHANS_MISMATCH,
             samples_done=0,
         )

@@ -38,11 +38,11 @@ def scene(kind):
 @pytest.fixture
 def bench(request, tmp_path):
     chassis = connect_scene(scene(request.param), "manual")
-    shown = LiveBench(chassis, "", tmp_path / "test.mcap", False)
-    shown.operator.settings.kind = request.param
-    yield shown
+    live_bench = LiveBench(chassis, "", tmp_path / "test.mcap", False)
+    live_bench.operator.settings.kind = request.param
+    yield live_bench
     with contextlib.suppress(ValueError):
-        shown.close()
+        live_bench.close()
 
 
 def pass_time(bench, seconds):
@@ -129,8 +129,8 @@ def test_only_accepted_hits_are_marked_and_averaged(bench):
         kinds = [(each.kind, each.fields.get("reason")) for each in recording.markers]
         assert kinds == [("hit", None), ("rejected", "double hit"), ("rejected", "operator"), ("hit", None)]
         frf = analysis.frfs(recording)["arm"]
-        near = (frf.frequency > 50) & (frf.frequency < 75)
-        assert frf.frequency[near][np.argmax(abs(frf.value[near]))] == pytest.approx(62.0, abs=0.5)
+        band = (frf.frequency > 50) & (frf.frequency < 75)
+        assert frf.frequency[band][np.argmax(abs(frf.value[band]))] == pytest.approx(62.0, abs=0.5)
 
 
 @pytest.mark.parametrize("bench", ["hammer"], indirect=True)
@@ -168,15 +168,15 @@ def test_wrong_settings_are_reported(bench):
 
 def test_client_and_page_share_the_output(tmp_path):
     with connect(scene("sine"), clock="real") as client:
-        shown = LiveBench(client.chassis, "", tmp_path / "client.mcap", False)
+        live_bench = LiveBench(client.chassis, "", tmp_path / "client.mcap", False)
         with nidaqmx.Task("mine", grpc_options=client) as task:
             task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
-            shown.recordings.enabled = True
+            live_bench.recordings.enabled = True
             task.control(TaskMode.TASK_RESERVE)
-            assert "mine" in shown.clients()
-            shown.operator.start()
-            assert "mine" in shown.operator.message and not shown.operator.running
-        shown.operator.start()
-        assert shown.operator.running
-        assert shown.clients() == "no NI client"
-        shown.close()
+            assert "mine" in live_bench.clients()
+            live_bench.operator.start()
+            assert "mine" in live_bench.operator.message and not live_bench.operator.running
+        live_bench.operator.start()
+        assert live_bench.operator.running
+        assert live_bench.clients() == "no NI client"
+        live_bench.close()

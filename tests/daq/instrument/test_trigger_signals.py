@@ -125,8 +125,8 @@ def test_output_follows_analog_start(chassis):
         driving.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger")
         driving.start()
         reading.read(READ_ALL_AVAILABLE)
-        made, taken = (chassis.tasks[each.name].run.first_tick for each in (driving, reading))
-        assert made == chassis.rate / RATE * taken + 1
+        output_tick, input_sample = (chassis.tasks[each.name].run.first_tick for each in (driving, reading))
+        assert output_tick == chassis.rate / RATE * input_sample + 1
         assert driving.is_task_done()
 
 

@@ -76,10 +76,10 @@ def test_uncounted_crossing_disarms(cuts):
 @given(
     rate=st.sampled_from([Fraction(2), Fraction(5120), Fraction(10_000, 3), Fraction(51_200), Fraction(7, 2)]),
     second=st.integers(0, 3000),
-    beside=st.integers(-2, 2),
+    offset=st.integers(-2, 2),
 )
-def test_next_pulse_is_first_from_sample(rate, second, beside):
-    tick = max(0, ceil(second * rate / 2) + beside)
+def test_next_pulse_is_first_from_sample(rate, second, offset):
+    tick = max(0, ceil(second * rate / 2) + offset)
     for slope, first in ((Slope.RISING, Fraction(1)), (Slope.FALLING, Fraction(3, 2))):
         edges = (first + k for k in range(second + 3))
         expected = next(ceil(time * rate) for time in edges if time * rate >= tick)

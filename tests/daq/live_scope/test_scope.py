@@ -21,7 +21,7 @@ from daq.cli import main
 from daq.excitation.manual_tone import Knobs
 from daq.live_scope.scope import knobs_for, record_live
 from daq.viewing.outputs import recording_stream
-from rig.errors import RunError, SceneError
+from rig.errors import SceneError
 from rig.system.structural_model import receptance
 
 # Well damped, so that it settles within seconds.
@@ -61,17 +61,17 @@ def test_turned_knobs_are_reached_held_and_marked(turned):
     _, path, reported = turned
     k0 = SCENE.shaker.spring
     with daq.open(path) as recording:
-        held = [mark for mark in recording.markers if mark.kind == "measure" and mark.fields["settled"]]
-        settings = [(mark.fields["frequency"], mark.fields["level"]) for mark in held]
+        steady_marks = [mark for mark in recording.markers if mark.kind == "measure" and mark.fields["settled"]]
+        settings = [(mark.fields["frequency"], mark.fields["level"]) for mark in steady_marks]
         assert settings == [(12.0, 1.5), (12.0, 3.0), (20.5, 3.0)]
-        for mark, (frequency, level) in zip(held, settings, strict=True):
+        for mark, (frequency, level) in zip(steady_marks, settings, strict=True):
             samples = slice(mark.first_sample, mark.last_sample + 1)
             volts = [recording.read(name, samples.start, samples.stop) for name in ("table", "body1")]
             time = np.arange(samples.start, samples.stop) / recording.rate
             tone = np.exp(-2j * np.pi * frequency * time)
-            whole = int(len(time) * frequency / recording.rate) * recording.rate / frequency
-            kept = slice(0, round(whole))
-            table, body = (2 * np.mean(v[kept] * tone[kept]) for v in volts)
+            n_samples = int(len(time) * frequency / recording.rate) * recording.rate / frequency
+            whole_periods = slice(0, round(n_samples))
+            table, body = (2 * np.mean(v[whole_periods] * tone[whole_periods]) for v in volts)
             force = k0 * (table - body) / (2j * np.pi * frequency) ** 2
             assert abs(force) == pytest.approx(level, rel=0.03)
     assert [line.split(" held")[0].split(" Hz")[0] for line in reported] == ["12", "12", "20.5"]
@@ -90,9 +90,9 @@ def test_shown_curves_and_rig_match_the_recording(turned):
             pages += [text for (text,) in batch.column("TextDocument:text").to_pylist()]
     with daq.open(path) as recording:
         read = recording.read("body2")
-        shown = np.concatenate(values)
-        assert shown.size == read.size == recording.samples
-        np.testing.assert_allclose(np.sort(shown), np.sort(read), rtol=0, atol=1e-12)
+        displayed = np.concatenate(values)
+        assert displayed.size == read.size == recording.samples
+        np.testing.assert_allclose(np.sort(displayed), np.sort(read), rtol=0, atol=1e-12)
         assert frames == pytest.approx(recording.samples / recording.rate * 200, rel=0.05)
     assert any("20.50 Hz, 3 N: held" in page for page in pages)
     assert any("silent" in page for page in pages)
@@ -103,21 +103,21 @@ def interrupt(*ignored):
 
 
 def test_interrupted_tone_is_marked_up_to_the_ramp(tmp_path, monkeypatch):
-    unheard = []
-    monkeypatch.setattr(sys, "unraisablehook", unheard.append)
+    unraisable = []
+    monkeypatch.setattr(sys, "unraisablehook", unraisable.append)
     scene = SCENE.replace(test={"kind": "sine", "frequency": 12.0, "force": 1.5})
     knobs = knobs_for(scene, None, 1.5)
     with recording_stream() as stream, pytest.raises(KeyboardInterrupt, match="contains the"):
         stream.save(tmp_path / "scope.rrd")
         record_live(scene, tmp_path / "scope.mcap", stream, knobs, interrupt, lambda position: None)
     gc.collect()
-    assert unheard == []
+    assert unraisable == []
     with daq.open(tmp_path / "scope.mcap") as recording:
         assert recording.status == "interrupted"
-        *_, held, abort = recording.markers
-        assert (held.kind, held.fields["level"], held.fields["settled"]) == ("measure", 1.5, True)
+        *_, steady_mark, abort = recording.markers
+        assert (steady_mark.kind, steady_mark.fields["level"], steady_mark.fields["settled"]) == ("measure", 1.5, True)
         assert abort.kind == "abort"
-        volts = recording.read("table", held.first_sample, held.last_sample + 1)
+        volts = recording.read("table", steady_mark.first_sample, steady_mark.last_sample + 1)
         half = len(volts) // 2
         # A ramp in the marked samples would be visible at the end.
         assert np.std(volts[half:]) == pytest.approx(np.std(volts[:half]), rel=0.05)
@@ -126,35 +126,29 @@ def test_interrupted_tone_is_marked_up_to_the_ramp(tmp_path, monkeypatch):
 
 
 def test_scope_rejects_existing_file_before_the_force(tmp_path, monkeypatch):
-    unheard = []
-    monkeypatch.setattr(sys, "unraisablehook", unheard.append)
+    unraisable = []
+    monkeypatch.setattr(sys, "unraisablehook", unraisable.append)
     (tmp_path / "scope.mcap").write_bytes(b"precious")
     with recording_stream() as stream, pytest.raises(rig.errors.RecordingError, match="exists"):
         knobs = knobs_for(SCENE, None, 2.0)
         record_live(SCENE, tmp_path / "scope.mcap", stream, knobs, str, lambda position: None)
     gc.collect()
-    assert unheard == []
+    assert unraisable == []
+    assert (tmp_path / "scope.mcap").read_bytes() == b"precious"
 
 
 def test_force_shaker_sets_the_force_itself(tmp_path):
     scene = SCENE.replace(shaker={"kind": "force", "body": 1})
     path, _ = run_scope(scene, tmp_path, {0.1: "F 2", 4.0: "q"})
     with daq.open(path) as recording:
-        (held,) = (mark for mark in recording.markers if mark.kind == "measure")
-        assert held.fields["level"] == held.fields["drive"] == 2.0
+        (steady_mark,) = (mark for mark in recording.markers if mark.kind == "measure")
+        assert steady_mark.fields["level"] == steady_mark.fields["drive"] == 2.0
 
 
 def test_scope_without_shaker_leaves_nothing_behind(tmp_path):
     with pytest.raises(SceneError, match="no drive input"):
         run_scope(SCENE.replace(shaker=None), tmp_path, {0.1: "q"})
     assert not (tmp_path / "scope.mcap").exists()
-
-
-def test_existing_recording_is_not_overwritten_by_scope(tmp_path):
-    (tmp_path / "scope.mcap").write_bytes(b"precious")
-    with pytest.raises((RunError, rig.errors.RecordingError), match="exists"):
-        run_scope(SCENE, tmp_path, {0.1: "q"})
-    assert (tmp_path / "scope.mcap").read_bytes() == b"precious"
 
 
 def test_scope_command_names_overwrite_before_the_viewer(tmp_path, monkeypatch, capsys):
@@ -201,9 +195,9 @@ def test_end_of_input_closes_the_scope_recording(tmp_path):
     (tmp_path / "mine.yaml").write_text(SCENE.to_yaml())
     code = "from daq.cli import main; main()"
     command = [sys.executable, "-c", code, "scope", "mine.yaml", "--web", "-o", "live.mcap"]
-    kept = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    environment = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
     ended = subprocess.run(
-        command, input="F 1\nwhat\n", capture_output=True, text=True, timeout=120, cwd=tmp_path, env=kept
+        command, input="F 1\nwhat\n", capture_output=True, text=True, timeout=120, cwd=tmp_path, env=environment
     )
     assert ended.returncode == 0, ended.stderr
     assert "http://127.0.0.1:" in ended.stderr
@@ -219,5 +213,5 @@ def test_force_behind_a_filter_has_receptance_phases(tmp_path, remove_delay):
     scene = SCENE.replace(shaker={"kind": "force", "body": 1}, dampers=[], converter=converter)
     _, reported = run_scope(scene, tmp_path, {0.3: "f 20", 0.5: "F 1.5", 12.0: "q"})
     exact = np.degrees(np.angle(receptance(scene, [20.0])[:, 0]))
-    shown = [float(part) for part in re.findall(r"\((-?\d+)°\)", reported[-1])]
-    np.testing.assert_allclose(shown, exact, atol=1.0)
+    phases = [float(part) for part in re.findall(r"\((-?\d+)°\)", reported[-1])]
+    np.testing.assert_allclose(phases, exact, atol=1.0)

@@ -118,9 +118,9 @@ def test_reservation_excludes_other_clients(client):
 
 
 def test_reset_of_server_ends_tasks():
-    with daq.connect("bare-structure", clock="fast") as own:
-        task = nidaqmx.Task("left", grpc_options=own)
-        client = ReflectedClient(own.address)
+    with daq.connect("bare-structure", clock="fast") as connection:
+        task = nidaqmx.Task("left", grpc_options=connection)
+        client = ReflectedClient(connection.address)
         assert client.call("nidevice_grpc.SessionUtilities", "ResetServer").is_server_reset
         with pytest.raises(nidaqmx.errors.DaqError) as caught:
             task.start()

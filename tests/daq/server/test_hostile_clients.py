@@ -67,24 +67,24 @@ def fill(message, chance, sessions, depth=0):
     for field in message.DESCRIPTOR.fields:
         if chance.random() < (0.1 if field.containing_oneof is None else 0.5):
             continue
-        listed, own = _is_list(field), getattr(message, field.name)
+        listed, value_or_list = _is_list(field), getattr(message, field.name)
         for _ in range(chance.choice((0, 1, 3)) if listed else 1):
             if field.message_type is not None:
-                made = message_factory.GetMessageClass(field.message_type)()
+                submessage = message_factory.GetMessageClass(field.message_type)()
                 if field.message_type.full_name == "nidevice_grpc.Session":
-                    made.name = chance.choice((*sessions, *sessions, "nobody", *TEXTS[-3:]))
+                    submessage.name = chance.choice((*sessions, *sessions, "nobody", *TEXTS[-3:]))
                 elif depth < 3 and not field.message_type.GetOptions().map_entry:
-                    fill(made, chance, sessions, depth + 1)
+                    fill(submessage, chance, sessions, depth + 1)
                 else:
                     continue
-                own.add().CopyFrom(made) if listed else own.CopyFrom(made)
+                value_or_list.add().CopyFrom(submessage) if listed else value_or_list.CopyFrom(submessage)
                 continue
             kind = next((name for name in FIELDS if field.type == getattr(field, f"TYPE_{name.upper()}")), "")
             value = FIELDS[kind](chance) if kind else chance.choice(WHOLE)
             if field.name in ("timeout", "time_to_wait"):
                 value = chance.choice((0.0, 0.01, float("nan")))
             if listed and kind != "string":
-                own.append(value)
+                value_or_list.append(value)
             elif not listed:
                 setattr(message, field.name, value)
 
@@ -126,9 +126,9 @@ def ask(channel, method, chance, sessions):
 
 def declare(channel, sessions):
     """Make a task that can run."""
-    made = {each.name: each for each in methods()}
-    sessions.append(made["CreateTask"].response.FromString(send(channel, "CreateTask", b"")).task.name)
-    request = made["CreateAIVoltageChan"].request(
+    methods_by_name = {each.name: each for each in methods()}
+    sessions.append(methods_by_name["CreateTask"].response.FromString(send(channel, "CreateTask", b"")).task.name)
+    request = methods_by_name["CreateAIVoltageChan"].request(
         physical_channel="cDAQ1Mod2/ai0", terminal_config_raw=-1, min_val=-5.0, max_val=5.0, units_raw=10_348
     )
     request.task.name = sessions[-1]
@@ -148,9 +148,9 @@ def read_beside(actions):
 
 def test_random_calls_harm_only_their_client(capfd):
     chance, sessions, answers = random.Random(20), ["nobody"], []
-    known = [each for each in methods() if not each.streams and answer_to(each.name)]
+    supported = [each for each in methods() if not each.streams and answer_to(each.name)]
     # The drive of the shaker is visible to all clients by design.
-    quiet = [each for each in known if "AO" not in each.name and "Write" not in each.name]
+    quiet = [each for each in supported if "AO" not in each.name and "Write" not in each.name]
 
     def calls(channel):
         for number in range(CALLS):
@@ -158,10 +158,10 @@ def test_random_calls_harm_only_their_client(capfd):
                 declare(channel, sessions)
             yield lambda: answers.append(ask(channel, chance.choice(quiet), chance, sessions[-4:]))
 
-    beside = read_beside(calls)
+    disturbed = read_beside(calls)
     assert not [text for text in answers if "fault" in text or "Exception" in text or "Stream removed" in text]
     assert "Traceback" not in capfd.readouterr().err
-    np.testing.assert_array_equal(beside, read_beside(lambda channel: [lambda: None] * CALLS))
+    np.testing.assert_array_equal(disturbed, read_beside(lambda channel: [lambda: None] * CALLS))
 
 
 @pytest.mark.parametrize(

@@ -97,19 +97,19 @@ def test_waiting_for_enter_passes_bench_time(script, capfd):
 @pytest.mark.parametrize("end, code", [("raise SystemExit(3)", 3), ("raise SystemExit('why')", 1), ("1 / 0", 1)])
 def test_exit_code_of_script_is_kept(script, capfd, end, code):
     assert run_script(script(end), scene="bare-structure", clock="fast") == code
-    shown = capfd.readouterr().err
-    assert "script.py" in shown or code == 3 or "why" in shown
-    assert "daq/server" not in shown
+    stderr = capfd.readouterr().err
+    assert "script.py" in stderr or code == 3 or "why" in stderr
+    assert "daq/server" not in stderr
 
 
 @pytest.mark.parametrize("source", ["x = (", "x = 1\0", "if True:\npass"])
 def test_broken_script_shows_only_itself(script, capfd, source):
     path = script(source)
     assert run_script(path, scene="bare-structure", clock="fast") == 1
-    shown = capfd.readouterr().err
-    assert str(path) in shown
-    assert "Error: " in shown
-    assert "daq/server" not in shown
+    stderr = capfd.readouterr().err
+    assert str(path) in stderr
+    assert "Error: " in stderr
+    assert "daq/server" not in stderr
 
 
 @pytest.mark.parametrize("seconds", [-1.0, 0.0, float("nan"), float("inf")])
@@ -154,7 +154,7 @@ def test_example_shows_its_result(name, capfd, monkeypatch):
     # The doctests may have imported it already.
     monkeypatch.delitem(sys.modules, f"daq.examples.{name}", raising=False)
     runpy.run_module(f"daq.examples.{name}", run_name="__main__")
-    shown = capfd.readouterr().out
+    stdout = capfd.readouterr().out
     promised = {
         "finite_read": "5120 samples per channel at 5120 S/s",
         "continuous_read": "5120 samples per channel",
@@ -162,8 +162,8 @@ def test_example_shows_its_result(name, capfd, monkeypatch):
         "log_to_recording": "table: 2560 samples in m, as read",
         "live_control": "5.0 s: 0.4942 m/s^2",
     }
-    assert promised[name] in shown
-    assert "NOT" not in shown
+    assert promised[name] in stdout
+    assert "NOT" not in stdout
 
 
 def test_source_recipe_gives_all_samples():
@@ -172,11 +172,11 @@ def test_source_recipe_gives_all_samples():
     source = VirtualRig("bare-structure", clock="fast")
     source.set_data_source()
     blocks = [source.read_data() for _ in range(10)]
-    passed = math.ceil(source.rig.chassis.elapsed * source.sample_rate)
+    n_samples = math.ceil(source.rig.chassis.elapsed * source.sample_rate)
     source.terminate_data_source()
     assert source.channel_names == ["body1", "body2", "body3", "table"]
     assert all(block.shape[1] == 4 for block in blocks)
-    assert sum(len(block) for block in blocks) == passed
+    assert sum(len(block) for block in blocks) == n_samples
 
 
 CHILDREN = """

@@ -36,16 +36,16 @@ def test_viewer_shows_channels(tmp_path):
         stream.flush()
         infos, rate = rig.sensors, rig.chassis.bench.rate
     assert rate == 5120.0
-    shown = {info.name: [] for info in infos}
+    values_by_channel = {info.name: [] for info in infos}
     moving = 0
     for chunk in RrdReader(tmp_path / "live.rrd").stream():
         place, name = chunk.entity_path.rpartition("/")[::2]
         if place.startswith("/channels/") and not chunk.is_static:
-            shown[name].append(chunk.to_record_batch().column("Scalars:scalars").flatten().to_numpy())
+            values_by_channel[name].append(chunk.to_record_batch().column("Scalars:scalars").flatten().to_numpy())
         moving += chunk.entity_path == "/rig/body_2" and not chunk.is_static
     assert moving
     for info, volts in zip(infos, read, strict=True):
-        displayed = np.concatenate(shown[info.name])
+        displayed = np.concatenate(values_by_channel[info.name])
         assert displayed.size == 1000
         # The viewer's unit is another one, by a power of ten.
         scale = np.ptp(displayed) / np.ptp(np.array(volts) / info.sensitivity)
@@ -77,8 +77,8 @@ def test_certificates_admit_only_their_clients(certificate):
 
     def devices(*pair, root=server[0]):
         with contextlib.ExitStack() as stack:
-            given = [each.read_bytes() for each in reversed(pair)] or [None, None]
-            secure = grpc.ssl_channel_credentials(root.read_bytes(), *given)
+            pem_contents = [each.read_bytes() for each in reversed(pair)] or [None, None]
+            secure = grpc.ssl_channel_credentials(root.read_bytes(), *pem_contents)
             channel = stack.enter_context(grpc.secure_channel(f"localhost:{running.port}", secure))
             return System.remote(nidaqmx.GrpcSessionOptions(channel, "")).devices.device_names
 

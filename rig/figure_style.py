@@ -143,7 +143,7 @@ def _decade_label(value: float, position: float) -> str:
     ('0.01', '10⁻⁶')
     """
     exponent = round(np.log10(value))
-    return f"{value:g}" if -3 <= exponent <= 3 else f"10{str(exponent).translate(_SUPERSCRIPTS)}"
+    return f"{value:g}" if -4 <= exponent <= 4 else f"10{str(exponent).translate(_SUPERSCRIPTS)}"
 
 
 def round_ticks(low: float, high: float, max_ticks: int = 8) -> list[float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -75,7 +76,7 @@ class Plan:
         events = zip(self.sequence.damper, self.sequence.kind, strict=True)
         return " ".join(f"{damper + 1}{signs[int(kind)]}" for damper, kind in events)
 
-    @property
+    @cached_property
     def borders(self) -> tuple[str, ...]:
         """Names of the borders in the order of the flattened `rig.orbits.admissibility.margins`."""
         events, dampers = self.label.split(), self.sequence.damper + 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -57,24 +58,21 @@ class Orbit(Result):
         Frequency [Hz], level of the drive, and clearance and mass ratio if they were varied.
     repetition : int
         Length in periods of the drive.
-    events : structured ndarray
-        `time` [s] from the start of a period of the drive, `damper` (from 1), `kind` (separation, floor, ceiling;
-        touch, release with finite-duration contact) and closing `speed` [m/s], as in `rig.simulate`.
-    motion_type : str
-        Types of the dampers, as in `rig.frequency_response`.
     compliance : ndarray of complex, shape (bodies,)
         First harmonic of each displacement over that of the force [m/N].
     peak : ndarray, shape (bodies,)
         Half the range of each displacement [m].
-    multipliers : ndarray of complex
-        Floquet multipliers: one for each state and two for each damper in flight at the start.
     margin : float
         Distance to the nearest border, beyond which the sequence of events is impossible: gaps in g/w^2,
         accelerations in g, times in 1/w. At most 1, negative beyond the border.
-    border : str
-        Name of that border.
     residual : float
         Relative difference between the states at start and end of the orbit.
+    closing : ndarray, shape (events,)
+        Closing speed of each event of the plan [m/s].
+    period_map : ndarray
+        Scaled monodromy matrix, whose eigenvalues are the multipliers.
+    border_index : int
+        Index of the nearest border among those of the plan.
     unknowns : ndarray
         State at the start, heights and velocities of dampers in flight, and instants of events; see
         `rig.orbits.shooting`.
@@ -86,15 +84,13 @@ class Orbit(Result):
 
     setting: OperatingPoint
     repetition: int
-    events: NDArray[np.void]
-    motion_type: str
-    damper_motion: tuple[str, ...]
     compliance: NDArray[np.complex128]
     peak: Array
-    multipliers: NDArray[np.complex128]
     margin: float
-    border: str
+    border_index: int
     residual: float
+    closing: Array = field(repr=False)
+    period_map: Array = field(repr=False)
     unknowns: Array = field(repr=False)
     plan: Plan = field(repr=False)
     problem: OrbitProblem = field(repr=False, compare=False)
@@ -140,6 +136,46 @@ class Orbit(Result):
     def frequency(self) -> float:
         """Frequency of the drive [Hz]."""
         return self.setting.frequency
+
+    # Most orbits of a search are rejected by their margin alone, so the following quantities are computed when needed.
+    @cached_property
+    def multipliers(self) -> NDArray[np.complex128]:
+        """Floquet multipliers: one for each state and two for each damper in flight at the start."""
+        return _eigenvalues(self.period_map)
+
+    @cached_property
+    def border(self) -> str:
+        """Name of the border at the distance `margin`."""
+        return self.plan.borders[self.border_index] if self.margin < 1 else ""
+
+    @cached_property
+    def _event_columns(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]:
+        return _events(self.problem, self.plan, self.plan.instants(self.unknowns), self.closing)
+
+    @cached_property
+    def events(self) -> NDArray[np.void]:
+        """Events of one cycle, as in `rig.simulate`.
+
+        `time` [s] from the start of a period of the drive, `damper` (from 1), `kind` (separation, floor, ceiling;
+        touch, release with finite-duration contact) and closing `speed` [m/s].
+        """
+        dampers, engine_kinds, times, speeds = self._event_columns
+        return event_table(times, dampers, engine_kinds, speeds, self.problem.varied_system(self.setting))
+
+    @cached_property
+    def damper_motion(self) -> tuple[str, ...]:
+        """Type of motion of each damper."""
+        dampers, engine_kinds, times, _ = self._event_columns
+        system, cycle = self.problem.varied_system(self.setting), self.plan.repetition / self.setting.frequency
+        return tuple(
+            type_of(engine_kinds[is_own], times[is_own], system, j, self.plan.repetition, cycle)
+            for j, is_own in enumerate(dampers == np.arange(system.dampers)[:, None])
+        )
+
+    @cached_property
+    def motion_type(self) -> str:
+        """Types of the dampers, as in `rig.frequency_response`."""
+        return combined_type(list(self.damper_motion))
 
     @property
     def stable(self) -> bool:
@@ -198,7 +234,6 @@ class OrbitFamily:
         guard_scales = {kinds.WITH_PREVIOUS: 1 / omega, kinds.SEPARATION: system.gravity or omega**2 * length}
         event_scales = [guard_scales.get(int(kind), length) for kind in plan.sequence.kind]
         self.residual_scale = np.concatenate([start, event_scales])
-        self.borders = plan.borders
         self.bodies = problem.scene.structure.bodies
 
     def equations(self, value: float) -> tuple[Equations, Change]:
@@ -229,31 +264,22 @@ class OrbitFamily:
         equations, change = self.equations(float(x[-1]))
         shooting = shoot(equations, change, self.plan.sequence, x[:-1])
         distances = evaluate_motion(equations, self.plan.sequence, shooting, self.plan.instants(x[:-1]))[2]
-        return distances + MARGIN_ROUNDING, self.borders
+        return distances + MARGIN_ROUNDING, self.plan.borders
 
     def multipliers(self, x: Array) -> NDArray[np.complex128]:
         """Compute the Floquet multipliers at a solution."""
-        return self._multipliers(shoot(*self.equations(float(x[-1])), self.plan.sequence, x[:-1]))
+        return _eigenvalues(self._period_map(shoot(*self.equations(float(x[-1])), self.plan.sequence, x[:-1])))
 
-    def _multipliers(self, shooting: ShootingResult) -> NDArray[np.complex128]:
-        period_map = monodromy(shooting, len(self.plan.sequence.kind), self.scale[:-1], self.residual_scale)
-        real, imaginary, *_ = dgeev(period_map, compute_vl=0, compute_vr=0)
-        return np.asarray(real + 1j * imaginary, dtype=np.complex128)
+    def _period_map(self, shooting: ShootingResult) -> Array:
+        return monodromy(shooting, len(self.plan.sequence.kind), self.scale[:-1], self.residual_scale)
 
     def make_orbit(
         self, setting: OperatingPoint, unknowns: Array, equations: Equations, shooting: ShootingResult
     ) -> Orbit:
         """Return the orbit of a converged shooting result."""
         problem, plan = self.problem, self.plan
-        instants = self.plan.instants(unknowns)
-        extremes, integral, distances = evaluate_motion(equations, plan.sequence, shooting, instants)
+        extremes, integral, distances = evaluate_motion(equations, plan.sequence, shooting, plan.instants(unknowns))
         nearest_border = int(distances.argmin())
-        system = problem.varied_system(setting)
-        dampers, engine_kinds, times, speeds = _events(problem, plan, instants, shooting.closing)
-        types = tuple(
-            type_of(engine_kinds[is_own], times[is_own], system, j, plan.repetition, equations.period)
-            for j, is_own in enumerate(dampers == np.arange(problem.system.dampers)[:, None])
-        )
         bodies = self.bodies
         harmonic = 2 / equations.period * integral
         if isinstance(problem.scene.driven_shaker, ForceShaker):
@@ -263,19 +289,22 @@ class OrbitFamily:
         return Orbit(
             setting=setting,
             repetition=plan.repetition,
-            events=event_table(times, dampers, engine_kinds, speeds, problem.system),
-            motion_type=combined_type(list(types)),
-            damper_motion=types,
             compliance=harmonic[:bodies] / force,
             peak=0.5 * (extremes[:bodies, 1] - extremes[:bodies, 0]),
-            multipliers=self._multipliers(shooting),
             margin=float(distances[nearest_border]),
-            border=self.borders[nearest_border] if distances[nearest_border] < 1 else "",
+            border_index=nearest_border,
             residual=float(np.abs(shooting.residual / self.residual_scale).max()),
+            closing=shooting.closing,
+            period_map=self._period_map(shooting),
             unknowns=unknowns.copy(),
             plan=plan,
             problem=problem,
         )
+
+
+def _eigenvalues(matrix: Array) -> NDArray[np.complex128]:
+    real, imaginary, *_ = dgeev(matrix, compute_vl=0, compute_vr=0)
+    return np.asarray(real + 1j * imaginary, dtype=np.complex128)
 
 
 def _events(

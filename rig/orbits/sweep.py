@@ -8,6 +8,7 @@ settles to another orbit or, if it is irregular, until it can be averaged.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,8 +37,8 @@ from rig.results import Result
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.shaker import ForceShaker
 from rig.steady_response.frequency_response import compliance_response, draw_compliance
-from rig.steady_response.motion_type import combined_type, motion_types
-from rig.steady_response.steady_state import INSTANTS_PER_PERIOD, one_cycle
+from rig.steady_response.motion_type import combined_type
+from rig.steady_response.steady_state import INSTANTS_PER_PERIOD, sample_periods
 from rig.system.assembly import spring_force_row
 
 if TYPE_CHECKING:
@@ -75,33 +76,47 @@ class OrbitResponse(Result):
         First harmonic of each displacement over that of the force [m/N].
     peak : ndarray, shape (bodies, values)
         Half the range of each displacement [m].
-    motion_type : ndarray of str, shape (values,)
-        As in `rig.frequency_response`.
-    damper_motion : ndarray of str, shape (dampers, values)
-        Type of motion of each damper that moves.
-    repetition : ndarray of int, shape (values,)
-        Periods of the drive after which the motion repeats; 0 for irregular motion.
-    multiplier : ndarray, shape (values,)
-        Modulus of the largest Floquet multiplier; NaN for irregular motion.
     orbits : tuple of Orbit or None, length values
         None for irregular motion, which is simulated and averaged.
     reasons : tuple of str, length values
         Reason for a missing orbit; "" if the orbit exists.
     labels : tuple of str, length bodies
         Display names of the bodies: their names, or body 1, body 2, ...
+    dampers : int
+        Number of dampers that move.
     """
 
     parameter: Parameter
     value: Array
     compliance: NDArray[np.complex128]
     peak: Array
-    motion_type: NDArray[np.str_]
-    damper_motion: NDArray[np.str_]
-    repetition: NDArray[np.int64]
-    multiplier: Array
     orbits: tuple[Orbit | None, ...]
     reasons: tuple[str, ...]
     labels: tuple[str, ...]
+    dampers: int
+
+    # A search for peaks requires only the compliance, so the following quantities are computed when needed.
+    @cached_property
+    def damper_motion(self) -> NDArray[np.str_]:
+        """Type of motion of each damper that moves, shape (dampers, values)."""
+        irregular = ("irregular",) * self.dampers
+        types = [irregular if orbit is None else orbit.damper_motion for orbit in self.orbits]
+        return np.array(types, dtype=np.str_).reshape(len(types), -1).T
+
+    @cached_property
+    def motion_type(self) -> NDArray[np.str_]:
+        """Type of motion at each value as in `rig.frequency_response`, shape (values,)."""
+        return np.array([combined_type(types) for types in self.damper_motion.T.tolist()])
+
+    @cached_property
+    def repetition(self) -> NDArray[np.int64]:
+        """Periods of the drive after which the motion repeats, shape (values,); 0 for irregular motion."""
+        return np.array([0 if orbit is None else orbit.repetition for orbit in self.orbits])
+
+    @cached_property
+    def multiplier(self) -> Array:
+        """Modulus of the largest Floquet multiplier, shape (values,); NaN for irregular motion."""
+        return np.array([np.nan if orbit is None else np.abs(orbit.multipliers).max() for orbit in self.orbits])
 
     @property
     def simulated(self) -> NDArray[np.bool_]:
@@ -215,13 +230,10 @@ def sweep(
         value=values,
         compliance=np.array([p.compliance for p in points]).T,
         peak=np.array([p.peak for p in points]).T,
-        motion_type=np.array([combined_type(list(p.damper_motion)) for p in points]),
-        damper_motion=np.array([p.damper_motion for p in points], dtype=np.str_).reshape(len(points), -1).T,
-        repetition=np.array([p.orbit.repetition if p.orbit else 0 for p in points]),
-        multiplier=np.array([np.abs(p.orbit.multipliers).max() if p.orbit else np.nan for p in points]),
         orbits=tuple(p.orbit for p in points),
         reasons=tuple(p.reason for p in points),
         labels=problem.scene.structure.labels,
+        dampers=problem.system.dampers,
     )
 
 
@@ -229,7 +241,6 @@ def sweep(
 class _Point:
     compliance: NDArray[np.complex128]
     peak: Array
-    damper_motion: tuple[str, ...]
     orbit: Orbit | None
     reason: str
 
@@ -342,16 +353,38 @@ class _Continuation:
 
 
 def _orbit_point(orbit: Orbit) -> _Point:
-    return _Point(orbit.compliance, orbit.peak, orbit.damper_motion, orbit, "")
+    return _Point(orbit.compliance, orbit.peak, orbit, "")
+
+
+@cached_njit
+def _mean_period(initial: Array, states: Array, bodies: int) -> tuple[Array, Array]:
+    """Return the mean of the states at each instant of a period, and half the range of each body's displacement.
+
+    `states`: at the ends of the intervals between the instants, shape (periods * instants, states); the first instant
+    is that of the state `initial`.
+    """
+    periods, size = states.shape[0] // INSTANTS_PER_PERIOD, states.shape[1]
+    mean, lowest, highest = np.zeros((INSTANTS_PER_PERIOD, size)), states[0, :bodies].copy(), states[0, :bodies].copy()
+    mean[0] = initial
+    for row in range(states.shape[0]):
+        for body in range(bodies):
+            lowest[body] = min(lowest[body], states[row, body])
+            highest[body] = max(highest[body], states[row, body])
+        if row + 1 < states.shape[0]:
+            instant = (row + 1) % INSTANTS_PER_PERIOD
+            for column in range(size):
+                mean[instant, column] += states[row, column]
+    return mean / periods, 0.5 * (highest - lowest)
 
 
 def _average(problem: OrbitProblem, setting: OperatingPoint, propagator: Propagator, reason: str) -> _Point:
     """Compute the mean response of an irregular motion."""
     bodies = problem.scene.structure.bodies
     steps = period_steps(propagator, setting)
-    trajectory, begins = one_cycle(propagator, steps, 1.0, AVERAGED_PERIODS)
+    initial = propagator.state.z.copy()
+    trajectory = sample_periods(propagator, steps, 1.0, AVERAGED_PERIODS)
     # Mean over evenly spaced instants: kinks of the velocity cause a relative error of about 1e-5.
-    mean_period = begins.reshape(AVERAGED_PERIODS, INSTANTS_PER_PERIOD, -1).mean(axis=0)
+    mean_period, half_ranges = _mean_period(initial, trajectory.state, bodies)
     phase = 2 * np.pi * np.arange(INSTANTS_PER_PERIOD) / INSTANTS_PER_PERIOD
     phase_factors: NDArray[np.complex128] = np.exp(-1j * phase)
     harmonic = 2 / INSTANTS_PER_PERIOD * (phase_factors @ mean_period)
@@ -362,8 +395,7 @@ def _average(problem: OrbitProblem, setting: OperatingPoint, propagator: Propaga
         force = complex(row @ harmonic[: problem.system.states])
     return _Point(
         compliance=harmonic[:bodies] / force,
-        peak=0.5 * np.ptp(trajectory.state[:, :bodies], axis=0),
-        damper_motion=tuple(motion_types(trajectory, problem.system, 0, 0.0)),
+        peak=half_ranges,
         orbit=None,
         reason=reason,
     )

@@ -161,10 +161,13 @@ def one_cycle(propagator: Propagator, steps: float, level: float, repetition: in
 
     Returns `begins`, initial states of the segments.
     """
-    count = INSTANTS_PER_PERIOD * repetition
-    starts_period = np.arange(count) % INSTANTS_PER_PERIOD == 0
     initial = propagator.state.z.copy()
-    trajectory = propagator.through_marks(
-        np.full(count, steps / INSTANTS_PER_PERIOD), np.arange(count), starts_period, level
-    )
+    trajectory = sample_periods(propagator, steps, level, repetition)
     return trajectory, np.concatenate([initial[None], trajectory.state[:-1]])
+
+
+def sample_periods(propagator: Propagator, steps: float, level: float, periods: int) -> Trajectory:
+    """Integrate whole periods, with the state stored at the end of each of `INSTANTS_PER_PERIOD` intervals."""
+    count = INSTANTS_PER_PERIOD * periods
+    starts_period = np.arange(count) % INSTANTS_PER_PERIOD == 0
+    return propagator.through_marks(np.full(count, steps / INSTANTS_PER_PERIOD), np.arange(count), starts_period, level)

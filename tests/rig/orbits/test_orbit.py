@@ -1,5 +1,6 @@
 """Exact periodic orbits of the full structure: against the engine, finite differences and known limits."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -99,7 +100,7 @@ def test_disturbed_orbit_responds_by_its_multipliers(scene: Scene, frequency: fl
     def after_a_period(change: np.ndarray) -> np.ndarray:
         unknowns = orbit.unknowns.copy()
         unknowns[: len(change)] += change
-        propagator, steps = propagator_on_orbit(scene, Orbit(**{**vars(orbit), "unknowns": unknowns}))
+        propagator, steps = propagator_on_orbit(scene, replace(orbit, unknowns=unknowns))
         propagator.through_marks(
             np.full(orbit.repetition, steps), np.full(orbit.repetition, -1), np.ones(orbit.repetition, dtype=bool)
         )

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import subprocess
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from rig.grain_beds import packing
@@ -45,7 +47,7 @@ def problems(stderr: str) -> list[str]:
     return [line for line in stderr.splitlines() if not line.startswith(("running", "compiling"))]
 
 
-def test_two_ranks_move_a_bed_equally(tmp_path: Path) -> None:
+def test_two_ranks_move_and_restore_a_bed_equally(tmp_path: Path) -> None:
     file = tmp_path / "motion.npz"
     one_rank, _ = flying_grains()
 
@@ -54,41 +56,27 @@ def test_two_ranks_move_a_bed_equally(tmp_path: Path) -> None:
             "from rig import ranks",
             "ranks.join()",
             "import numpy as np",
-            "from tests.rig.grain_beds.test_shared_bed import flying_grains",
-            "(motion, coupled), (repeated, _) = flying_grains(), flying_grains()",
+            "from tests.rig.grain_beds.test_shared_bed import coupled_bed, flying_grains",
+            "(motion, coupled), (repeated, other) = flying_grains(), flying_grains()",
             "assert all(np.array_equal(motion[name], repeated[name]) for name in motion)",
             f"np.savez({str(file)!r}, **motion, local=coupled.beds[0]._sizes()[0])",
+            "push = -0.5 * np.ones((1, 60))",
+            "state = other.state()",
+            "_, expected = other.march(push)",
+            "restored = coupled_bed()",
+            "restored.resume(state)",
+            "_, resumed = restored.march(push)",
+            "print(np.array_equal(expected.force, resumed.force), np.ptp(expected.force) > 0.0)",
         )
     )
 
-    assert (result.returncode, result.stdout, problems(result.stderr)) == (0, "", [])
+    assert (result.returncode, result.stdout, problems(result.stderr)) == (0, "True True\n", [])
     two_ranks = np.load(file)
     assert 0.3 < two_ranks["local"] / len(two_ranks["positions"]) < 0.7
     assert one_rank["force"][0, 0, -1] == 0.0 and one_rank["lift"].max() > 1e-5, "the bed does not fly"
     for name in ("lift", "force", "displacement", "positions"):
         assert np.abs(two_ranks[name] - one_rank[name]).max() < 1e-9 * np.abs(one_rank[name]).max(), name
     assert np.abs(two_ranks["momentum_errors"]).max() < 1e-12
-
-
-def test_read_bed_of_two_ranks_has_same_bits() -> None:
-    result = on_two_ranks(
-        program(
-            "from rig import ranks",
-            "ranks.join()",
-            "import numpy as np",
-            "from tests.rig.grain_beds.test_shared_bed import coupled_bed, flying_grains",
-            "push = -0.5 * np.ones((1, 60))",
-            "_, coupled = flying_grains()",
-            "state = coupled.state()",
-            "_, expected = coupled.march(push)",
-            "second = coupled_bed()",
-            "second.resume(state)",
-            "_, resumed = second.march(push)",
-            "print(np.array_equal(expected.force, resumed.force), np.ptp(expected.force) > 0.0)",
-        )
-    )
-
-    assert (result.returncode, result.stdout, problems(result.stderr)) == (0, "True True\n", [])
 
 
 def test_two_ranks_run_a_command_once(tmp_path: Path) -> None:
@@ -115,34 +103,33 @@ def test_two_ranks_run_a_command_once(tmp_path: Path) -> None:
     assert file.is_file()
 
 
-def test_processes_that_have_not_joined_are_reported() -> None:
-    result = on_two_ranks(
+@pytest.fixture(scope="module")
+def two_late_ranks() -> subprocess.CompletedProcess[str]:
+    """Run two ranks that simulate a bed before they join, and then as on a machine with one core."""
+    return on_two_ranks(
         program(
             "import rig",
-            "from tests.rig.grain_beds.scenes import with_grains",
+            "import rig.grain_beds.shared_bed as shared_bed",
+            "from rig import ranks",
             "from rig.errors import RunError",
+            "from tests.rig.grain_beds.scenes import with_grains",
+            "from tests.rig.grain_beds.test_shared_bed import coupled_bed",
             "try:",
             "    rig.simulate(with_grains(), duration=0.001)",
             "except RunError as error:",
             "    print(error)",
-        )
-    )
-
-    assert result.returncode == 0
-    assert result.stdout.count("rig.ranks.join()") == 2
-
-
-def test_more_ranks_than_cores_are_warned_of() -> None:
-    result = on_two_ranks(
-        program(
-            "import rig.grain_beds.shared_bed as shared_bed",
-            "from rig import ranks",
             "ranks.join()",
             "shared_bed.cores = lambda: 1",
-            "from tests.rig.grain_beds.test_shared_bed import coupled_bed",
             "coupled_bed()",
         )
     )
 
-    assert result.returncode == 0
-    assert "2 ranks on 1 cores" in result.stderr
+
+def test_processes_that_have_not_joined_are_reported(two_late_ranks: subprocess.CompletedProcess[str]) -> None:
+    assert two_late_ranks.returncode == 0
+    assert two_late_ranks.stdout.count("rig.ranks.join()") == 2
+
+
+def test_more_ranks_than_cores_are_warned_of(two_late_ranks: subprocess.CompletedProcess[str]) -> None:
+    assert two_late_ranks.returncode == 0
+    assert "2 ranks on 1 cores" in two_late_ranks.stderr

@@ -1,4 +1,4 @@
-"""Detection of hammer hits during a test: the page shows each with its faults before the frequency response uses it."""
+"""Detection of hammer hits in the force, and of their faults: clipping, a double hit, a peak that is too low."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ class Hit:
 
 
 class HitDetector:
-    """Detects hits in the hammer's channel, one row of the readings, and judges each at the end of its window (s).
+    """Detects hits in the hammer's channel, and assesses each at the end of its window.
 
-    `min_peak` is the smallest accepted peak, N.
+    `row`: the hammer's channel; `min_peak`: smallest accepted peak, N; `window`: duration of a window, s.
     """
 
     def __init__(self, row: int, rate: float, min_peak: float, window: float) -> None:
         self._row, self._rate, self.min_peak = row, rate, min_peak
-        self._before, self._size = round(_PRETRIGGER_S * rate), round(window * rate)
+        self._pretrigger, self._size = round(_PRETRIGGER_S * rate), round(window * rate)
         self._readings: Array | None = None
         self._overload: NDArray[np.bool_] = np.zeros((0, 0), bool)
         self._first = 0
@@ -72,9 +72,8 @@ class HitDetector:
         assert self._readings is not None
         force = self._readings[self._row]
         above = force > _TRIGGER_RATIO * self.min_peak
-        start = int(np.argmax(above)) - self._before if above.any() else force.size - self._before
-        start = max(0, start)
-        self._drop(start)
+        trigger = int(np.argmax(above)) if above.any() else force.size
+        self._drop(max(0, trigger - self._pretrigger))
         if not above.any() or self._readings.shape[1] < self._size:
             return None
         window, overload = self._readings[:, : self._size], self._overload[:, : self._size]

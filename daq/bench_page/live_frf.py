@@ -1,4 +1,4 @@
-"""Frequency responses that grow while a test runs: H1 and coherence over Hann blocks, or over hits.
+"""Frequency responses during a test: H1 and coherence, averaged over Hann blocks with half overlap, or over hits.
 
 A quick view for the operator. `analysis frf` estimates the response from the recording, with its uncertainty.
 """

@@ -112,23 +112,23 @@ class Events:
         """Return the total number of samples at which the next event is due; None without a listener."""
         return None if self._every is None else (n_samples // self._every[1] + 1) * self._every[1]
 
-    def notify(self, passed: int, run: Any) -> bool:
+    def notify(self, n_samples: int, run: Any) -> bool:
         """Send all events that are due; return whether a callback may respond with a read or a write.
 
-        `notify_samples`: samples per channel acquired or generated; `run`: their run.
+        `n_samples`: samples per channel acquired or generated; `run`: their run.
         """
         sent = False
         if self._every is not None:
-            _, samples, listener = self._every
-            while self._sent < passed // samples:
+            _, interval, listener = self._every
+            while self._sent < n_samples // interval:
                 self._sent += 1
-                listener(samples)
+                listener(interval)
                 sent = True
         for signal in _EACH_SAMPLE:
             if signal in self._signals:
-                for _ in range(passed - self._signalled):
+                for _ in range(n_samples - self._signalled):
                     self._signals[signal](int(signal))
-        self._signalled = passed
+        self._signalled = n_samples
         if run is None:
             return sent
         started, triggered = run.first_tick is not None, getattr(run, "trigger", None) is not None

@@ -55,8 +55,8 @@ class Server:
         self.limits = limits or Limits()
         self.instrument = ServedInstrument(chassis, self.limits)
         self.sessions = self.instrument.sessions
-        self._faults: dict[tuple[str, type[Exception]], str] = {}
-        self._answering, self._counting = Counter[str](), threading.Lock()
+        self._unexpected: dict[tuple[str, type[Exception]], str] = {}
+        self._running_calls, self._count_lock = Counter[str](), threading.Lock()
         self._closing = threading.Event()
         self._server = grpc.server(
             ThreadPoolExecutor(self.limits.all_calls, thread_name_prefix="client", initializer=raise_priority),
@@ -100,11 +100,11 @@ class Server:
         # Requests are decoded here: for an invalid request, gRPC would print a traceback on the terminal.
         if method.streams:
             return grpc.unary_stream_rpc_method_handler(self._stream(method))
-        act = answer_to(method.name) or refusal(method.name)
+        handler = answer_to(method.name) or refusal(method.name)
 
         def respond(request: bytes, context: grpc.ServicerContext) -> Any:
             with self._reporting(method, request, context) as call:
-                answer = act(call)
+                answer = handler(call)
                 if method.name.startswith(("Read", "Write", "Start")):
                     self.sessions.check_memory(call.fields["task"], self.limits.memory)
                 return encode(method.response(), answer or {})
@@ -115,8 +115,8 @@ class Server:
     def _reporting(self, method: Method, request: bytes, context: grpc.ServicerContext) -> Iterator[Call]:
         """Read a request and report errors as the protocol does."""
         peer, name = context.peer(), method.name
-        key = dict(context.invocation_metadata()).get("ni-api-key", "")
-        call = Call(self.instrument, peer, strict=key == STRICT, is_active=context.is_active)
+        api_key = dict(context.invocation_metadata()).get("ni-api-key", "")
+        call = Call(self.instrument, peer, strict=api_key == STRICT, is_active=context.is_active)
         try:
             self._count_call(peer, context)
             call.message = method.request.FromString(request)
@@ -138,26 +138,26 @@ class Server:
         except Exception as error:
             # Details of equal errors are printed only once.
             kind = name, type(error)
-            if kind not in self._faults:
-                self._faults[kind] = describe_unexpected(error)
-                print(self._faults[kind], file=sys.stderr, flush=True)
+            if kind not in self._unexpected:
+                self._unexpected[kind] = describe_unexpected(error)
+                print(self._unexpected[kind], file=sys.stderr, flush=True)
             context.set_trailing_metadata((("ni-error", str(int(Code.INVALID_ATTRIBUTE_VALUE))),))
-            context.abort(grpc.StatusCode.INVALID_ARGUMENT, cut(f"{name}: {self._faults[kind]}"))
+            context.abort(grpc.StatusCode.INVALID_ARGUMENT, cut(f"{name}: {self._unexpected[kind]}"))
 
     def _count_call(self, peer: str, context: grpc.ServicerContext) -> None:
         """Count a running call of a client; with -50103, if the client has reached its maximum."""
 
         def uncount() -> None:
-            with self._counting:
-                self._answering -= Counter({peer: 1})
+            with self._count_lock:
+                self._running_calls -= Counter({peer: 1})
 
-        with self._counting:
-            if self._answering[peer] >= self.limits.calls:
+        with self._count_lock:
+            if self._running_calls[peer] >= self.limits.calls:
                 raise DaqError(
                     f"this client has {self.limits.calls} unfinished calls, the maximum. Wait until some have ended.",
                     Code.PAL_RESOURCE_RESERVED,
                 )
-            self._answering[peer] += 1
+            self._running_calls[peer] += 1
         if not context.add_callback(uncount):
             uncount()
 

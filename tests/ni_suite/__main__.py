@@ -67,23 +67,23 @@ def _port(server: subprocess.Popen[str]) -> int:
 
 
 def _run(path: Path, given: list[str], port: int, folder: Path) -> int:
-    tells, report = folder / "server", folder / "report.xml"
-    # NI's fixture starts a server and reads its port: this one only tells the port of the one that runs.
-    tells.write_text(f"#!/bin/sh\necho Server listening on port {port}\nexec sleep 86400\n")
-    tells.chmod(0o755)
+    starter, report = folder / "server", folder / "report.xml"
+    # NI's fixture starts a server and reads its port: this script only prints the port of the running server.
+    starter.write_text(f"#!/bin/sh\necho Server listening on port {port}\nexec sleep 86400\n")
+    starter.chmod(0o755)
     environment = os.environ | {
-        "NI_SUITE_SERVER": str(tells),
-        # What asks for the system while tests are collected, as the tests' own data do, finds the rig.
+        "NI_SUITE_SERVER": str(starter),
+        # Also for the data of NI's tests, which query the system during collection.
         SERVER: f"127.0.0.1:{port}",
         "PYTHONPATH": os.pathsep.join([str(STARTUP), str(HERE)]),
     }
     command = [sys.executable, "-m", "pytest", "-p", "plugin", "-p", "no:cacheprovider", "-q", "-rN"]
     command += ["-k", "grpc_init_kwargs", "--tb=line", f"--junitxml={report}", *given]
     subprocess.run(command, cwd=path, env=environment, check=False)
-    return _tell(report)
+    return _print_report(report)
 
 
-def _tell(report: Path) -> int:
+def _print_report(report: Path) -> int:
     groups: dict[str, Counter[str]] = {}
     failed = []
     for case in ET.parse(report).getroot().iter("testcase"):
@@ -93,8 +93,8 @@ def _tell(report: Path) -> int:
         group = f"left out: {reason}" if reason else ".".join(name.split(".")[1:3])
         groups.setdefault(group, Counter())[outcome] += 1
         if not reason and outcome in ("failure", "error"):
-            told = next((each.get("message", "") for each in case if each.tag == outcome), "")
-            failed.append(f"{name}: {' '.join(told.split())[:120]}")
+            message = next((each.get("message", "") for each in case if each.tag == outcome), "")
+            failed.append(f"{name}: {' '.join(message.split())[:120]}")
     total: Counter[str] = Counter()
     for group, counts in sorted(groups.items()):
         print(f"{group}: {', '.join(f'{count} {outcome}' for outcome, count in sorted(counts.items()))}")

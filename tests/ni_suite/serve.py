@@ -1,4 +1,4 @@
-"""A server of the devices that NI's tests expect; tells its port as NI's own server does."""
+"""A server of the devices that NI's tests expect; it prints its port as NI's own server does."""
 
 from __future__ import annotations
 

@@ -26,13 +26,13 @@ def connected(module="NI 9234", text=SCENE):
     return connect(scene, "fast")
 
 
-def spread(task, samples=4000):
+def standard_deviations(task, samples=4000):
     """Standard deviation of the settled input readings, V."""
     return np.std(np.atleast_2d(task.read(samples))[:, samples // 2 :], axis=1)
 
 
 def driven(source, **timing):
-    """Read all inputs while the shaker is driven; the supply of the first one is as told, that of the second on."""
+    """Read all inputs while the shaker is driven; `source` supplies the first sensor, the module the second."""
     with Task() as driving, Task() as task:
         driving.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
         driving.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
@@ -48,7 +48,7 @@ def driven(source, **timing):
             )
         task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=4000)
         driving.start()
-        return spread(task)
+        return standard_deviations(task)
 
 
 def test_sensor_without_supply_has_no_signal():

@@ -76,8 +76,8 @@ class _Part:
 class LockIn:
     """Lock-in detection of a tone and its harmonics, with samples added part by part.
 
-    All parts have a common fit; the deviation of each part from it determines the scatter. The normal
-    equations of each part are stored, not its samples.
+    All parts have a common fit; the deviation of each part from it determines the scatter. The normal equations of
+    each part are stored, but not its samples.
 
     >>> t = np.arange(4000) / 5120.0
     >>> lockin = LockIn(10.0, 5120.0, harmonics=3)
@@ -109,11 +109,11 @@ class LockIn:
         """Add the next part of the window, shape (channels, samples); parts are contiguous."""
         length = samples.shape[1]
         projection = np.zeros((2 * self.harmonics + 2, len(samples)))
-        for start, rotation, basis in self._pieces(length):
+        for start, rotation, basis in self._sub_windows(length):
             projection += rotation @ (basis @ samples[:, start : start + basis.shape[1]].T)
         coefficients: Array = np.asarray(np.linalg.solve(self._gram(length)[0], projection), dtype=float)
         squares = np.zeros(len(samples))
-        for start, rotation, basis in self._pieces(length):
+        for start, rotation, basis in self._sub_windows(length):
             residual = samples[:, start : start + basis.shape[1]] - (coefficients.T @ rotation) @ basis
             squares += np.einsum("ij,ij->i", residual, residual)
         self._parts.append(_Part(self._samples, length, projection, coefficients, squares, samples[:, [0, -1]].T))
@@ -125,7 +125,7 @@ class LockIn:
         firsts, lengths = (np.array([getattr(part, name) for part in self._parts]) for name in ("first", "length"))
         projections = np.stack([part.projection for part in self._parts])
         to_local = self._to_local(firsts, lengths)
-        grams, factors = (np.stack([self._gram(part.length)[which] for part in self._parts]) for which in range(2))
+        grams, factors = (np.stack([self._gram(part.length)[index] for part in self._parts]) for index in range(2))
         normal = (to_local.mT @ grams @ to_local).sum(axis=0)
         solution = linalg.solve(normal, (to_local.mT @ projections).sum(axis=0), assume_a="pos")
         amplitude = (solution[2::2] + 1j * solution[3::2]).T
@@ -171,15 +171,15 @@ class LockIn:
         return np.stack([np.cos(angle), -np.sin(angle)], axis=2).reshape(samples.size, -1)
 
     def _gram(self, length: int) -> tuple[Array, Array]:
-        """Gram matrix of a part's rows 1, slope, cos k, -sin k, and its Cholesky factor; stored by length."""
+        """Return the Gram matrix of a part's rows 1, slope, cos k, -sin k, and its Cholesky factor; both are stored."""
         if length not in self._grams:
             gram = np.asarray(
-                sum(rotation @ basis @ basis.T @ rotation.T for _, rotation, basis in self._pieces(length))
+                sum(rotation @ basis @ basis.T @ rotation.T for _, rotation, basis in self._sub_windows(length))
             )
             self._grams[length] = gram, np.linalg.cholesky(gram)
         return self._grams[length]
 
-    def _pieces(self, length: int) -> Iterator[tuple[int, Array, Array]]:
+    def _sub_windows(self, length: int) -> Iterator[tuple[int, Array, Array]]:
         """Yield the beginning of each piece of a part, its rows, and the matrix from these to the rows of the part.
 
         The rows of all pieces are equal except for the slope and a rotation of each tone. The rows of a single piece
@@ -212,7 +212,7 @@ class LockIn:
         matrices[:, row + 1, row], matrices[:, row + 1, row + 1] = minus_sin, cos
 
     def _to_local(self, firsts: NDArray[np.int64], lengths: NDArray[np.int64]) -> Array:
-        """Matrices from the coefficients of the whole window to those of parts from the samples `firsts` on."""
+        """Return matrices from the coefficients of the whole window to those of parts from the samples `firsts` on."""
         matrices = np.zeros((firsts.size, 2 * self.harmonics + 2, 2 * self.harmonics + 2))
         # The slope of the window begins at 0 and increases by 1 per sample; that of a part ranges from -1 to 1.
         matrices[:, 0, 0] = 1.0

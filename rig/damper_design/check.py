@@ -16,6 +16,7 @@ from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.steady_response.frequency_response import frequency_response
+from rig.workers import Workers
 
 #: Number of test frequencies through which the motion is continued up to a peak.
 APPROACH_FREQUENCIES = 3
@@ -106,16 +107,19 @@ def _frequencies_around(peaks: Sequence[float], band: tuple[float, float]) -> Ar
     return np.unique([*frequencies, *peaks])
 
 
-def expected_results(scene: Scene, trial: Trial) -> tuple[Expected, ...]:
+def expected_results(scene: Scene, trial: Trial, workers: Workers) -> tuple[Expected, ...]:
     """Describe what a check should measure at the largest peak of each level.
 
     `scene`: as returned by `scene_with_check`; `trial`: the dampers of the scene, and their peaks.
     """
-    assert isinstance(scene.test, SteppedSine)
-    return tuple(_expected_result(scene, scene.test, peak) for peak in trial.peaks)
+    results = dict(workers.compute(_expected_result, [(scene, peak) for peak in trial.peaks]))
+    return tuple(results[number] for number in range(len(trial.peaks)))
 
 
-def _expected_result(scene: Scene, test: SteppedSine, peak: Peak) -> Expected:
+def _expected_result(piece: tuple[Scene, Peak]) -> Expected:
+    scene, peak = piece
+    test = scene.test
+    assert isinstance(test, SteppedSine)
     frequencies = [frequency for frequency in test.order if frequency <= peak.frequency][-APPROACH_FREQUENCIES:]
     sizes, closing_speed, steady = [], np.zeros(len(scene.dampers)), True
     for force_ratio in (1.0, 1.0 - FORCE_TOLERANCE, 1.0 + FORCE_TOLERANCE):

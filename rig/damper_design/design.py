@@ -238,16 +238,17 @@ def design(
         )
         nominal = replace(question, scenes=question.scenes[:1], density=FINE_DENSITY)
         (nominal_trial,) = answers.compute(nominal, [best.choice])
-    answers.sort()
-    if say is not None:
-        say("preparing the test that checks the best design")
-    check_scene = scene_with_check(scene, nominal_trial, nominal)
+        answers.sort()
+        if say is not None:
+            say("preparing the test that checks the best design")
+        check_scene = scene_with_check(scene, nominal_trial, nominal)
+        expected = expected_results(check_scene, nominal_trial, workers)
     present = {channel.name for channel in scene.channels or ()}
     added = tuple(channel.name for channel in check_scene.channels or () if channel.name not in present)
     return Design(
         scene=check_scene,
         added_channels=added,
-        expected=expected_results(check_scene, nominal_trial),
+        expected=expected,
         best=best,
         bare=question.bare,
         tolerance=interval,

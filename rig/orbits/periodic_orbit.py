@@ -11,7 +11,7 @@ from rig.engine.trajectory import CONTACT_EVENTS, Trajectory
 from rig.errors import RunError
 from rig.orbits import event_kinds as kinds
 from rig.orbits.event_sequence import Plan, configuration_of, derive_plan, make_plan, modes_from_walls, walls_from_modes
-from rig.orbits.orbit import Orbit, solve
+from rig.orbits.orbit import MAX_CORRECTIONS, Orbit, solve
 from rig.orbits.problem import OperatingPoint, OrbitProblem
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positive_value
@@ -21,6 +21,9 @@ from rig.steady_response.steady_state import MAX_REPETITION, settle
 MAX_PERIODS = 4000
 # Numbers of periods after which a search tries Newton's iteration for a nearby orbit.
 EARLY_PERIODS = (16, 64, 256)
+# Largest number of Newton corrections of such a try. From a motion that settles to an orbit, at most 5 were needed in
+# the designs of the bundled scenes; iterations that do not converge wander, at a high cost.
+MAX_EARLY_CORRECTIONS = 8
 # Largest relative change from period to period of a motion that counts as almost periodic.
 MAX_ALMOST_PERIODIC_CHANGE = 1e-6
 # Largest relative distance of a motion from the orbit to which it settles.
@@ -104,7 +107,7 @@ def _nearby_orbit(
 ) -> Orbit | None:
     """Return the stable orbit to which a motion settles, if Newton's iteration converges to a nearby orbit."""
     try:
-        orbit = refine_orbit(problem, setting, propagator, steps, repetition)
+        orbit = refine_orbit(problem, setting, propagator, steps, repetition, MAX_EARLY_CORRECTIONS)
     except RunError:
         return None
     if orbit.flaw or not orbit.stable:
@@ -162,11 +165,16 @@ def period_steps(propagator: Propagator, setting: OperatingPoint) -> float:
 
 
 def refine_orbit(
-    problem: OrbitProblem, setting: OperatingPoint, propagator: Propagator, steps: float, repetition: int
+    problem: OrbitProblem,
+    setting: OperatingPoint,
+    propagator: Propagator,
+    steps: float,
+    repetition: int,
+    max_corrections: int = MAX_CORRECTIONS,
 ) -> Orbit:
     """Refine the motion of a propagator at the start of a period to an exact orbit."""
     plan, unknowns = simulate_cycle(propagator, steps, repetition)
-    orbit = solve(problem, plan, setting, unknowns)
+    orbit = solve(problem, plan, setting, unknowns, max_corrections)
     cycle = shortest_cycle(orbit)
     return orbit if cycle is None else solve(problem, *cycle)
 

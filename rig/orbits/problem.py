@@ -105,6 +105,7 @@ class OrbitProblem:
         self.level = level_of(self.scene)
         self._body_coordinate = self.system.damper_coordinate.astype(np.int64)
         self._bed = self.system.bed.astype(np.int64)
+        self._finite_contact = self.system.finite_contact
         self._matrices: dict[tuple[tuple[int, ...], float], _ConfigurationMatrices] = {}
         self._systems: dict[float, HybridSystem] = {}
 
@@ -158,9 +159,10 @@ class OrbitProblem:
         generator, change = np.zeros((2, len(plan.configurations), n + 3, n + 3))
         generator[:, :n, :n] = matrices.state_matrix
         generator[:, :n, n : n + 2] = matrices.input_matrix[:, :, :-1] @ drive
-        pressable = system.finite_contact & np.isfinite(system.clearance)
+        pressable = self._finite_contact & np.isfinite(system.clearance)
         generator[:, :n, n + 2] = matrices.input_matrix[:, :, -1]
-        generator[:, nq : 2 * nq, n + 2] += matrices.clearance_input[:, :, pressable] @ system.clearance[pressable]
+        if pressable.any():
+            generator[:, nq : 2 * nq, n + 2] += matrices.clearance_input[:, :, pressable] @ system.clearance[pressable]
         generator[:, n, n + 1], generator[:, n + 1, n] = -omega, omega
         inverse_mass_change = np.zeros_like(matrices.inverse_mass)
         if parameter == "frequency":

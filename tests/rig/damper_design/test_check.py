@@ -11,6 +11,7 @@ from rig.damper_design.choice import INSTANTANEOUS, Choice, Trial
 from rig.damper_design.request import parse_request
 from rig.damper_design.worst_peak import Peak
 from rig.scene.excitation import SteppedSine
+from rig.workers import Workers
 
 
 def test_check_covers_all_levels_and_peaks() -> None:
@@ -32,7 +33,9 @@ def test_expectation_includes_force_harmonics() -> None:
     question, _ = parse_request(scene, bodies=[2], levels=[1.5])
     choice = Choice((2,), (0.1,), (0.969e-3,))
     peak = question.worst(choice)
-    (expectation,) = expected_results(scene_with_check(scene, Trial(choice, (peak,)), question), Trial(choice, (peak,)))
+    trial = Trial(choice, (peak,))
+    with Workers() as workers:
+        (expectation,) = expected_results(scene_with_check(scene, trial, question), trial, workers)
     assert expectation.sizes is not None
     low, size, high = expectation.sizes
     assert low < size < high < 1.01 * low

@@ -134,8 +134,8 @@ class Operator:
         """Apply a changed frequency and level to a running sine."""
         if self._knobs is not None and self.running:
             try:
-                self._knobs.turn(f"f {self.settings.frequency!r}")
-                self._knobs.turn(f"F {self.settings.level!r}")
+                self._knobs.execute(f"f {self.settings.frequency!r}")
+                self._knobs.execute(f"F {self.settings.level!r}")
             except SceneError as error:
                 self.message = str(error)
 

@@ -9,14 +9,15 @@ from daq.excitation.station import Excitation, Station
 if TYPE_CHECKING:
     from rig.scene.excitation import Free
 
-_WINDOW = 0.1
+# Length of the windows of the drive.
+_WINDOW_S = 0.1
 
 
 def excite(station: Station, test: Free) -> Excitation:
     """Record a free decay."""
     first, total = station.now, station.samples(test.duration)
     while (elapsed := station.now - first) < total:
-        yield station.quiet(min(station.samples(_WINDOW), total - elapsed))
+        yield station.quiet(min(station.samples(_WINDOW_S), total - elapsed))
         elapsed = station.now - first
         station.report(elapsed / total, f"{elapsed / station.rate:.1f} s of {test.duration:g} s")
     station.mark("free", first, first + total)

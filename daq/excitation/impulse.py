@@ -96,10 +96,10 @@ def settling_time(info: ChannelInfo) -> float:
 def _is_drifting(readings: Array) -> bool:
     """Return whether any reading changes between the two halves of a window by more than its noise."""
     middle = readings.shape[1] // 2
-    before, after = readings[:, :middle], readings[:, middle:]
+    first_half, second_half = readings[:, :middle], readings[:, middle:]
     if not middle:
         return False
-    change = abs(after.mean(axis=1) - before.mean(axis=1))
+    change = abs(second_half.mean(axis=1) - first_half.mean(axis=1))
     # Differences between successive samples are nearly independent of a drift.
     noise = np.sqrt(np.mean(np.diff(readings, axis=1) ** 2, axis=1) / 2.0)
     return bool(np.any(change > _DRIFT_SIGMAS * noise * np.sqrt(2.0 / middle)))

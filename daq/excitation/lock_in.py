@@ -15,12 +15,18 @@ _MIN_PERIODS = 2
 _MIN_SAMPLES = 8
 # Near half the sampling rate a sampled tone beats; this fraction of a beat separates its amplitude from its phase.
 _MIN_BEATS = 0.5
+# Order of the highest harmonic that is fitted with the tone.
+_MAX_HARMONIC = 6
+# Harmonics are fitted up to this ratio to the sampling rate.
+_MAX_HARMONIC_RATIO = 0.4
+# Number of samples whose model is in memory at a time.
+_PIECE_SAMPLES = 1 << 16
 
 
-def fewest_samples(frequency: float, rate: float) -> int:
+def min_samples(frequency: float, rate: float) -> int:
     """Return the minimum number of samples for an amplitude estimate without much noise amplification; both in Hz.
 
-    >>> [fewest_samples(frequency, 100.0) for frequency in (1.0, 20.0, 40.0, 49.0)]
+    >>> [min_samples(frequency, 100.0) for frequency in (1.0, 20.0, 40.0, 49.0)]
     [200, 10, 8, 25]
     """
     beat = _MIN_BEATS / (1.0 - 2.0 * frequency / rate)
@@ -39,22 +45,12 @@ def whole_periods(frequency: float, rate: float, shortest_s: float) -> int:
     >>> whole_periods(10.0, 25.0, 0.15)
     10
     """
-    min_periods = int(np.ceil(fewest_samples(frequency, rate) * frequency / rate - 1e-9))
+    min_periods = int(np.ceil(min_samples(frequency, rate) * frequency / rate - 1e-9))
     min_count = max(min_periods, int(np.ceil(shortest_s * frequency - 1e-9)))
     counts = np.arange(min_count, min_count + max(1, min_count // 3) + 1)
     samples = counts * rate / frequency
     deviation = abs(samples - np.round(samples)) / samples
     return round(float(samples[np.argmin(np.round(deviation, 9))]))
-
-
-# Order of the highest harmonic that is fitted with the tone.
-_MAX_HARMONIC = 6
-# Harmonics are fitted up to this ratio to the sampling rate.
-_MAX_HARMONIC_RATIO = 0.4
-
-
-# Number of samples whose model is in memory at a time.
-_PIECE_SAMPLES = 1 << 16
 
 
 # A test uses only a few window lengths per frequency.
@@ -94,7 +90,7 @@ def _amplitude_parts(samples: Array, frequency: float, rate: float) -> Array:
 def lock_in(samples: Array, frequency: float, rate: float, phase: float = 0.0) -> ComplexArray:
     """Estimate complex amplitudes X (channels,) of a steady tone: x(t) = Re(X e^{i(phase + 2 pi f t)}) + slow drift.
 
-    `samples` has shape (channels, at least `fewest_samples`); t is 0 at its first sample.
+    `samples` has shape (channels, at least `min_samples`); t is 0 at its first sample.
 
     >>> t = np.arange(512) / 5120.0
     >>> amplitude = lock_in(3.0 * np.cos(2 * np.pi * 20 * t + 0.5)[None] + 7.0 + t, 20.0, 5120.0, phase=0.5)

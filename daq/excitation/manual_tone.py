@@ -10,25 +10,27 @@ import numpy as np
 
 from daq.excitation.lock_in import whole_periods
 from daq.excitation.station import Excitation, Station
-from daq.excitation.steady_tone import GLIDE, WINDOW_S, SteadyTone
+from daq.excitation.steady_tone import GLIDE_S, WINDOW_S, SteadyTone
 from rig.arrays import Array
 from rig.errors import SceneError
 
 # Relative transient at which a level counts as reached; an operator changes the setting before the last percent.
-TOLERANCE = 0.01
-LONGEST = 60.0
-# A force is readjusted if it deviates by more than this fraction in several successive observations.
-_TOLERATED = 0.05
-PATIENCE = 5
+_TOLERANCE = 0.01
+# Longest wait for the level.
+_MAX_WAIT_S = 60.0
+# Largest relative deviation of the force from its level before it is readjusted.
+_MAX_DEVIATION = 0.05
+# Number of successive observations with a larger deviation that cause a readjustment: a single impact must not.
+_N_DEVIATIONS = 5
 
 
 class Knobs:
     """Settings of the operator, Hz and N; they take effect with the next window of the drive.
 
     >>> knobs = Knobs(13.0, 0.0, highest=1000.0)
-    >>> knobs.turn("f 34.8"), knobs.turn("F 2.6"), knobs.asked
+    >>> knobs.execute("f 34.8"), knobs.execute("F 2.6"), knobs.settings
     (True, True, (34.8, 2.6))
-    >>> knobs.turn("q"), knobs.quit
+    >>> knobs.execute("q"), knobs.quit
     (True, True)
     """
 
@@ -39,10 +41,10 @@ class Knobs:
         self.quit = False
         self._set(frequency, force)
 
-    def turn(self, line: str) -> bool:
-        """Execute a command line; an empty line changes nothing."""
+    def execute(self, line: str) -> bool:
+        """Execute a command line; return whether it is not empty."""
         key, _, text = line.strip().partition(" ")
-        frequency, force = self.asked
+        frequency, force = self.settings
         if key in ("q", "quit", "exit") and not text:
             self.quit = True
         elif key in ("f", "F"):
@@ -60,7 +62,7 @@ class Knobs:
             raise SceneError(f"f {frequency:g}: out of range. Give a frequency above 0 and up to {self.highest:g} Hz.")
         if not 0.0 <= force < np.inf:
             raise SceneError(f"F {force:g}: out of range. Give a force amplitude of 0 N or more.")
-        self.asked = frequency, force
+        self.settings = frequency, force
 
 
 @dataclass(frozen=True)
@@ -89,44 +91,44 @@ class HandTone:
     _level: float = field(default=0.0, init=False)
 
     def excite(self, station: Station) -> Excitation:
-        """Play until the knobs are turned off; steady points are marked as in a stepped sine."""
+        """Play until the operator quits; steady points are marked as in a stepped sine."""
         # Raises without a shaker, before the channels of the spring force are checked.
         station.drive(np.zeros(1))
         if not station.force_is_drive:
             # Raises where the channels of the spring force are missing.
             station.force_weights(1.0)
-        tone = SteadyTone(station, self.knobs.asked[0], controlled=not station.force_is_drive)
+        tone = SteadyTone(station, self.knobs.settings[0], controlled=not station.force_is_drive)
         while not self.knobs.quit:
-            requested = self.knobs.asked
+            requested = self.knobs.settings
             # The held interval is marked at once, whether the knobs or the run ends it.
-            with closing(self._at(tone, *requested)) as work:
-                phase, window = tone.phase, next(work)
+            with closing(self._play(tone, *requested)) as steady_tone:
+                phase, window = tone.phase, next(steady_tone)
                 while True:
                     readings = yield window
                     self.report(self._reading(tone, readings, phase, requested))
-                    if self.knobs.quit or self.knobs.asked != requested:
+                    if self.knobs.quit or self.knobs.settings != requested:
                         break
-                    phase, window = tone.phase, work.send(readings)
+                    phase, window = tone.phase, steady_tone.send(readings)
         yield tone.end()
 
-    def _at(self, tone: SteadyTone, frequency: float, level: float) -> Excitation:
+    def _play(self, tone: SteadyTone, frequency: float, level: float) -> Excitation:
         """Go to a setting and hold it until the generator is closed."""
         self._is_steady, station = False, tone.station
         window = whole_periods(frequency, station.rate, WINDOW_S)
         if level == 0.0:
-            yield station.drive(tone.glide(max(station.samples(GLIDE), window), frequency, 0.0))
+            yield station.drive(tone.glide(max(station.samples(GLIDE_S), window), frequency, 0.0))
             while True:
                 yield station.quiet(window)
-        before, drive = tone.amplitude, tone.start(level)
+        previous_drive, drive = tone.amplitude, tone.start(level)
         if tone.control is not None:
             # The drive of the last level is scaled in proportion to the level.
-            drive = min(before * level / (self._level or level) or drive, station.drive_limit)
+            drive = min(previous_drive * level / (self._level or level) or drive, station.drive_limit)
         self._level = level
         facts = {"frequency": frequency, "level": level}
         while True:
             first, settled = station.now, False
             try:
-                settled = yield from tone.settle(frequency, drive, TOLERANCE, LONGEST)
+                settled = yield from tone.settle(frequency, drive, _TOLERANCE, _MAX_WAIT_S)
             finally:
                 if station.now > first:
                     station.mark("settle", first, station.now, drive=tone.amplitude, settled=settled, **facts)
@@ -138,12 +140,12 @@ class HandTone:
         self._is_steady, deviations, force, station = settled, 0, facts["level"], tone.station
         first = station.now
         try:
-            while deviations < PATIENCE:
+            while deviations < _N_DEVIATIONS:
                 phase = tone.phase
                 readings = yield station.drive(tone.hold(window))
                 if tone.control is not None:
                     force = float(abs(tone.amplitudes(readings, phase)[0]))
-                deviations = deviations + 1 if abs(force / facts["level"] - 1.0) > _TOLERATED else 0
+                deviations = deviations + 1 if abs(force / facts["level"] - 1.0) > _MAX_DEVIATION else 0
         finally:
             self._is_steady = False
             if station.now > first:

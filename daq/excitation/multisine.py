@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.excitation.spectrum_shaping import crossfade, equalise, flat, lines_between, wave_of, within_limit
+from daq.excitation.spectrum_shaping import crossfade, equalise, flat, limit_factor, lines_between, wave_of
 from daq.excitation.station import Excitation, Station
 from rig.arrays import Array
 
@@ -45,7 +45,7 @@ def excite(station: Station, test: Multisine) -> Excitation:
             waves = np.stack(
                 [wave_of(lines, amplitudes, each + phase_shift * k, period) for k, each in enumerate(phases)]
             )
-            factor = min(within_limit(station, wave) for wave in waves)
+            factor = min(limit_factor(station, wave) for wave in waves)
             experiment_fields: dict[str, object] = {}
             message = f"realisation {realisation}"
             if len(shakers) > 1:
@@ -79,19 +79,19 @@ def excite(station: Station, test: Multisine) -> Excitation:
 def _settle(station: Station, waves: Array) -> Generator[Array, Array, bool]:
     """Play periods until successive periods agree, or until their difference is noise."""
     last_sample = station.now + _max_wait(station, waves.shape[1])
-    before = yield station.drives(waves)
+    previous = yield station.drives(waves)
     min_change, noise_count = np.inf, 0
     while station.now < last_sample:
-        now = yield station.drives(waves)
-        rms = np.sqrt(np.mean((now - now.mean(axis=1, keepdims=True)) ** 2, axis=1))
-        change = float(np.max(np.sqrt(np.mean((now - before) ** 2, axis=1)) / np.maximum(rms, 1e-300)))
+        readings = yield station.drives(waves)
+        rms = np.sqrt(np.mean((readings - readings.mean(axis=1, keepdims=True)) ** 2, axis=1))
+        change = float(np.max(np.sqrt(np.mean((readings - previous) ** 2, axis=1)) / np.maximum(rms, 1e-300)))
         ratio = change / min_change if min_change > 0.0 else 0.0
         # A transient decreases by this ratio from period to period; noise does not decrease.
         noise_count += ratio > _NOISE_RATIO
         is_decaying = np.isfinite(min_change) and ratio < _NOISE_RATIO
         if noise_count >= 2 or (is_decaying and change * ratio / (1.0 - ratio) < _TOLERANCE):
             return True
-        before, min_change = now, min(min_change, change)
+        previous, min_change = readings, min(min_change, change)
     return False
 
 

@@ -121,10 +121,11 @@ def _fit_poles(
     decayed = np.exp(decay)
     is_small = abs(decay) < _MIN_EXPONENT
     mean = np.where(is_small, 1 + decay / 2, (decayed - 1) / np.where(is_small, 1, decay))
-    force, motion, earlier = (force[1:] * weight, motion[1:] * weight, (force[:-1] * weight, motion[:-1] * weight))
-    gain_column = mean * (step / 2 * (force + earlier[0]))
-    residual_column = force - decayed * earlier[0]
-    response = motion - decayed * earlier[1]
+    previous_force, previous_motion = force[:-1] * weight, motion[:-1] * weight
+    force, motion = force[1:] * weight, motion[1:] * weight
+    gain_column = mean * (step / 2 * (force + previous_force))
+    residual_column = force - decayed * previous_force
+    response = motion - decayed * previous_motion
 
     dot = np.vecdot
     gain_gain, residual_residual = ((1 + _RIDGE) * dot(term, term).real for term in (gain_column, residual_column))

@@ -59,8 +59,8 @@ class ShakerLaw:
     def slope(self, s: complex) -> tuple[complex, complex]:
         """Return the derivatives of both with respect to s, for the additional drive of a changing amplitude."""
         step = 1e-3 * abs(s)
-        after, before = self.at(s + step), self.at(s - step)
-        return (after[0] - before[0]) / (2 * step), (after[1] - before[1]) / (2 * step)
+        upper, lower = self.at(s + step), self.at(s - step)
+        return (upper[0] - lower[0]) / (2 * step), (upper[1] - lower[1]) / (2 * step)
 
 
 def pretest(station: Station, lowest: float, highest: float, level: float) -> Generator[Array, Array, ShakerLaw]:

@@ -29,10 +29,10 @@ def excite(station: Station, test: Random) -> Excitation:
     period = station.samples(_FILTER_S)
     lines = lines_between(test.from_, test.to, period, station.rate)
     level = station.level
-    random = station.generator("random")
+    generator = station.generator("random")
     amplitudes, gains = flat(level, lines), np.ones(lines.size)
     if station.controlled:
-        phases = random.uniform(0.0, 2 * np.pi, lines.size)
+        phases = generator.uniform(0.0, 2 * np.pi, lines.size)
         amplitudes, gains, wave = yield from equalise(station, lines, period, phases)
         yield station.drive(wave * (1 + np.cos(np.pi * np.arange(period) / period)) / 2)
     total = station.samples(test.duration)
@@ -45,7 +45,7 @@ def excite(station: Station, test: Random) -> Excitation:
     length = rate_divisor * next_fast_len(-(-(2 * period - 1) // rate_divisor), real=True)
     impulse_response = shaping_filter(lines, amplitudes, gains, level, period)
     spectrum = rfft(impulse_response, length)[: length // rate_divisor // 2 + 1] * np.sqrt(rate_divisor)
-    sources = [random, *(station.generator(f"random {number}") for number in station.shakers[1:])]
+    sources = [generator, *(station.generator(f"random {number}") for number in station.shakers[1:])]
 
     def shaped_noise() -> Array:
         white = [rfft(source.standard_normal(period // rate_divisor), length // rate_divisor) for source in sources]

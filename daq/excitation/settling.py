@@ -10,9 +10,15 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array, ComplexArray
 
-# Number of differences for the estimate of the transient's decay; at least two pairs are necessary.
+# Number of differences for the estimate of the transient's decay.
 _N_DIFFERENCES = 6
-FEWEST_OBSERVATIONS = 4
+# Smallest number of observations for this estimate: they have two pairs of successive differences.
+MIN_OBSERVATIONS = 4
+# Smallest deviation of the decay factor from 1. A smaller deviation is not measurable: the transient is longer than the
+# observed time.
+_MIN_FACTOR_DEVIATION = 1e-3
+# Largest magnitude of a decay factor that predicts the final amplitude.
+_MAX_PREDICTING_FACTOR = 0.995
 # Below this coherence, the change is classified as noise instead of a decaying transient.
 _MIN_COHERENCE = 0.8
 # Noise is distinguished from decaying beats by the scatter in the two halves of this number of observations.
@@ -39,21 +45,21 @@ class Law:
     def of(cls, observations: ComplexArray) -> Law:
         """Estimate the law from observations, shape (observations, quantities)."""
         changes = observations[1:] - observations[:-1]
-        before, after = changes[:-1], changes[1:]
-        cross = _SUM(before.conj() * after, axis=0)
-        power, other = (np.maximum(_SUM(abs(part) ** 2, axis=0), 1e-280) for part in (before, after))
-        return cls(changes, cross / power, abs(cross) ** 2 / power / other > _MIN_COHERENCE)
+        earlier, later = changes[:-1], changes[1:]
+        cross = _SUM(earlier.conj() * later, axis=0)
+        power, later_power = (np.maximum(_SUM(abs(part) ** 2, axis=0), 1e-280) for part in (earlier, later))
+        return cls(changes, cross / power, abs(cross) ** 2 / power / later_power > _MIN_COHERENCE)
 
     def remaining_change(self) -> ComplexArray:
         """Return the predicted remaining change."""
-        # A factor close to 1 cannot be distinguished from 1; the transient is then longer than the observed time.
         deviation = 1.0 - self.factor
-        return self.changes[-1] * self.factor / np.where(abs(deviation) < 1e-3, 1e-3, deviation)
+        limited = np.where(abs(deviation) < _MIN_FACTOR_DEVIATION, _MIN_FACTOR_DEVIATION, deviation)
+        return self.changes[-1] * self.factor / limited
 
     def remaining_magnitude(self) -> Array:
         """Return the magnitude of the remaining change, from the larger of the last two changes."""
         change = abs(self.changes[-2:]).max(axis=0)
-        return change * abs(self.factor) / np.maximum(abs(1.0 - self.factor), 1e-3)
+        return change * abs(self.factor) / np.maximum(abs(1.0 - self.factor), _MIN_FACTOR_DEVIATION)
 
 
 class Settling:
@@ -84,7 +90,7 @@ class Settling:
         self.count = 0
         self._forecasts: list[ComplexArray] = []
         self._law: Law | None = None
-        self._steady_before = False
+        self._was_steady = False
         self.settled = False
 
     def restart(self) -> None:
@@ -92,7 +98,7 @@ class Settling:
         self.count = 0
         self._forecasts.clear()
         self._law = None
-        self._steady_before = self.settled = False
+        self._was_steady = self.settled = False
 
     @property
     def latest(self) -> ComplexArray:
@@ -100,20 +106,20 @@ class Settling:
         return self._observations[-1]
 
     @property
-    def rising(self) -> bool:
+    def is_rising(self) -> bool:
         """Whether the first quantity increased in the latest observation."""
         return self.count > 1 and bool(abs(self._observations[-1, 0]) > abs(self._observations[-2, 0]))
 
     def add(self, amplitudes: ComplexArray) -> None:
         """Add the next observation: complex amplitudes, shape (quantities,)."""
-        before = self._observations[len(self._observations) - min(self.count, _NOISE_OBSERVATIONS) :]
-        self._observations = np.concatenate([before, amplitudes[None]]) if self.count else amplitudes[None]
+        stored = self._observations[len(self._observations) - min(self.count, _NOISE_OBSERVATIONS) :]
+        self._observations = np.concatenate([stored, amplitudes[None]]) if self.count else amplitudes[None]
         self.count += 1
-        if self.count < FEWEST_OBSERVATIONS:
+        if self.count < MIN_OBSERVATIONS:
             self._forecasts.append(amplitudes)
             return
         law = self._law = Law.of(self._observations[-_N_DIFFERENCES - 1 :])
-        predicted = law.coherent & (abs(law.factor) < 0.995)
+        predicted = law.coherent & (abs(law.factor) < _MAX_PREDICTING_FACTOR)
         mean = _mean(self._observations[-_NOISE_OBSERVATIONS // 2 :])
         self._forecasts.append(np.where(predicted, self._observations[-1] + law.remaining_change(), mean))
         steady = law.coherent & (law.remaining_magnitude() < self.tolerance * self._magnitude())
@@ -127,14 +133,14 @@ class Settling:
                 noise | self._is_noise(_NOISE_OBSERVATIONS // 2, _MAX_SMALL_SCATTER * self.tolerance)
             )
         # A single observation may pass by chance, at the turning point of a beat.
-        self.settled = bool(steady.all()) and self._steady_before
-        self._steady_before = bool(steady.all())
+        self.settled = bool(steady.all()) and self._was_steady
+        self._was_steady = bool(steady.all())
 
     def expected(self) -> ComplexArray:
         """Estimated final amplitudes of the quantities; shape (quantities,)."""
         return self._forecasts[-1]
 
-    def wavering(self) -> Array:
+    def forecast_change(self) -> Array:
         """Relative change of `expected` over the last observations; shape (quantities,)."""
         latest = np.array(self._forecasts[-3:])
         return np.ptp(abs(latest), axis=0) / np.maximum(abs(latest[-1]), sys.float_info.min)

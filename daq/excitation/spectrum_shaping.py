@@ -43,13 +43,13 @@ def wave_of(lines: Lines, amplitudes: Array, phases: Array, period: int) -> Arra
     return np.fft.irfft(spectrum, period)
 
 
-def crossfade(before: Array, after: Array) -> Array:
+def crossfade(old: Array, new: Array) -> Array:
     """Return one period with a crossfade between two periodic waves; shape (period,)."""
-    rise = (1 - np.cos(np.pi * np.arange(before.size) / before.size)) / 2
-    return before * (1 - rise) + after * rise
+    rise = (1 - np.cos(np.pi * np.arange(old.size) / old.size)) / 2
+    return old * (1 - rise) + new * rise
 
 
-def within_limit(station: Station, wave: Array) -> float:
+def limit_factor(station: Station, wave: Array) -> float:
     """Return the factor, at most 1, that scales a wave to the range of the amplifier."""
     return min(1.0, station.drive_limit / float(abs(wave).max()))
 
@@ -75,7 +75,7 @@ def equalise(
     for iteration in range(_MAX_ITERATIONS):
         station.report(0.0, f"shaping the drive, round {iteration + 1}")
         wave = wave_of(lines, amplitudes, phases, period)
-        factor = within_limit(station, wave)
+        factor = limit_factor(station, wave)
         played, wave = amplitudes * factor, wave * factor
         yield station.drive(crossfade(playing, wave))
         samples = yield station.drive(wave)

@@ -26,7 +26,7 @@ Excitation = Generator[Array, Array, None]
 
 @dataclass
 class Station:
-    """The place of the operator: all information and actions that are available to a test."""
+    """Access of a test to the bench: the scene, the channels, the drive inputs and the log."""
 
     scene: Scene
     channels: Sequence[ChannelInfo]  # in the order of the rows of the readings
@@ -96,10 +96,10 @@ class Station:
         for row, info in enumerate(self.channels):
             if info.at == place and info.derivative is not None:
                 return row
-        have = ", ".join(f"{info.name} ({info.quantity} at {info.at})" for info in self.channels) or "none"
+        listed = ", ".join(f"{info.name} ({info.quantity} at {info.at})" for info in self.channels) or "none"
         raise SceneError(
             f"channels: holding the spring force k0 (x0 - x1) needs a channel at the {place} (the channels are "
-            f"{have}). Add {{name: {place.replace(' ', '')}, at: {place}}}, or give the level as drive: (open loop)."
+            f"{listed}). Add {{name: {place.replace(' ', '')}, at: {place}}}, or give the level as drive: (open loop)."
         )
 
     @property
@@ -119,8 +119,8 @@ class Station:
         """Return the factor from a channel's complex amplitude to its displacement, per frequency in Hz."""
         info = self.channels[row]
         frequency = np.asarray(frequency, dtype=float)
-        read = info.response(frequency) * (2j * np.pi * frequency) ** (info.derivative or 0)
-        return np.asarray(1.0 / read, dtype=complex)
+        response = info.response(frequency) * (2j * np.pi * frequency) ** (info.derivative or 0)
+        return np.asarray(1.0 / response, dtype=complex)
 
     def force_weights(self, frequency: Array | float) -> ComplexArray:
         """Return the weights of the channels' amplitudes in the spring force F1 = k0 (x0 - x1), N per unit."""

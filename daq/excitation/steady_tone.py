@@ -8,23 +8,27 @@ from typing import Any
 
 import numpy as np
 
-from daq.excitation.lock_in import fewest_samples, lock_in, whole_periods
-from daq.excitation.settling import FEWEST_OBSERVATIONS, Settling
+from daq.excitation.lock_in import lock_in, min_samples, whole_periods
+from daq.excitation.settling import MIN_OBSERVATIONS, Settling
 from daq.excitation.station import Station
 from rig.arrays import Array, ComplexArray
 from rig.scene.excitation import FORCE_TOLERANCE
 
-# A glide of this length does not excite modes more than a few hertz away: only the nearest modes must decay, s.
-GLIDE = 0.4
-# Shortest window of an amplitude, s.
+# Length of a glide to a new frequency. It does not excite modes more than a few hertz away.
+GLIDE_S = 0.4
+# Longest glide to a new amplitude.
+_MAX_GLIDE_S = 3.0
+# Shortest window of an amplitude.
 WINDOW_S = 0.1
-_LONGEST_GLIDE = 3.0
-# A transient force above the level by this factor is reduced immediately, before the steady state.
-_EXCESSIVE = 3.0
-# A drive change, as log ratio, with a negligible transient.
-_SMALL = 0.03
+# Ratio of the force to the level above which the drive is reduced before the steady state, to protect the rig.
+_MAX_FORCE_RATIO = 3.0
+# Largest change of the drive, as log ratio, that needs no slow glide because its transient is negligible.
+_MAX_SUDDEN_CHANGE = 0.03
+# Largest change of the expected force over the last observations, relative to its deviation from the level, at which
+# the drive is changed.
+_MAX_FORECAST_CHANGE = 0.3
 # A longer window is driven and measured in pieces of at least this number of samples.
-_PIECE = 1 << 16
+_PIECE_SAMPLES = 1 << 16
 
 
 class Tone:
@@ -49,11 +53,11 @@ class Tone:
 
     def glide(self, samples: int, frequency: float, amplitude: float) -> Array:
         """Glide to a frequency and an amplitude along half a cosine; shape (samples,)."""
-        part = np.arange(samples + 1) / samples
+        u = np.arange(samples + 1) / samples
         # Phase in periods: the integral of f0 + (f1 - f0) (1 - cos(pi u)) / 2 over u.
-        bend = samples * (part / 2 - np.sin(np.pi * part) / (2 * np.pi))
-        turns = (self.frequency * samples * part + (frequency - self.frequency) * bend) / self.rate
-        rise = (1 - np.cos(np.pi * part[:-1])) / 2
+        integrated_rise = samples * (u / 2 - np.sin(np.pi * u) / (2 * np.pi))
+        turns = (self.frequency * samples * u + (frequency - self.frequency) * integrated_rise) / self.rate
+        rise = (1 - np.cos(np.pi * u[:-1])) / 2
         envelope = self.amplitude + (amplitude - self.amplitude) * rise
         wave = envelope * np.sin(self._advance(turns))
         self.frequency, self.amplitude = frequency, amplitude
@@ -67,7 +71,7 @@ class Tone:
 
 
 class SteadyTone(Tone):
-    """A tone of the driven shaker; amplitudes are those of a controlled spring force, then displacements."""
+    """A tone of the driven shaker; its quantities are the spring force, if controlled, and the displacements."""
 
     def __init__(self, station: Station, frequency: float, controlled: bool) -> None:
         super().__init__(station.rate, frequency)
@@ -85,7 +89,7 @@ class SteadyTone(Tone):
 
     def end(self) -> Array:
         """Return the drive of a glide to zero amplitude."""
-        return self.station.drive(self.glide(self.station.samples(GLIDE), self.frequency, 0.0))
+        return self.station.drive(self.glide(self.station.samples(GLIDE_S), self.frequency, 0.0))
 
     def amplitudes(self, readings: Array, phase: float) -> ComplexArray:
         """Return the amplitudes (quantities,) in a window of the tone, from its phase at the start."""
@@ -105,38 +109,40 @@ class SteadyTone(Tone):
         return self.amplitudes((yield self.station.drive(self.hold(samples))), phase)
 
     def mean(self, samples: int) -> Generator[Array, Array, ComplexArray]:
-        """Hold the tone and return its mean amplitudes; only a piece of the readings is in memory."""
-        piece_samples = whole_periods(self.frequency, self.rate, _PIECE / self.rate)
+        """Hold the tone and return its mean amplitudes, in pieces that limit the memory."""
+        piece_samples = whole_periods(self.frequency, self.rate, _PIECE_SAMPLES / self.rate)
         total: ComplexArray = np.zeros(0, dtype=complex)
         remaining = samples
         while remaining:
             size = piece_samples if remaining >= 2 * piece_samples else remaining
-            read = size / samples * (yield from self.observe(size))
-            total, remaining = (total + read if total.size else read), remaining - size
+            share = size / samples * (yield from self.observe(size))
+            total, remaining = (total + share if total.size else share), remaining - size
         return total
 
-    def settle(self, frequency: float, drive: float, tolerance: float, longest: float) -> Generator[Array, Array, bool]:
+    def settle(
+        self, frequency: float, drive: float, tolerance: float, max_wait_s: float
+    ) -> Generator[Array, Array, bool]:
         """Glide to a frequency in Hz and wait for the steady state; return whether it was reached at the level.
 
-        `tolerance` is the permitted relative change of any amplitude, `longest` the longest wait in s.
+        `tolerance` is the permitted relative change of any amplitude.
         """
         station, control, detector = self.station, self.control, Settling(tolerance)
-        end = station.now + station.samples(longest)
+        end = station.now + station.samples(max_wait_s)
         window = whole_periods(frequency, self.rate, WINDOW_S)
         if control is not None:
             control.restart()
-        yield station.drive(self.glide(max(station.samples(GLIDE), window), frequency, drive))
+        yield station.drive(self.glide(max(station.samples(GLIDE_S), window), frequency, drive))
         while station.now + window <= end:
             detector.add((yield from self.observe(window)))
-            change = None if control is None else _change(control, detector, self.amplitude)
-            if change is not None:
-                glide = window
-                if abs(np.log(change / self.amplitude)) >= _SMALL:
+            new_drive = None if control is None else _new_drive(control, detector, self.amplitude)
+            if new_drive is not None:
+                glide_samples = window
+                if abs(np.log(new_drive / self.amplitude)) >= _MAX_SUDDEN_CHANGE:
                     # A glide of two beats hardly excites the mode whose transient beats with the drive.
-                    beats = round(window * 4 * np.pi / float(detector.beat()[0]))
-                    glide = max(window, min(station.samples(_LONGEST_GLIDE), beats))
+                    two_beats = round(window * 4 * np.pi / float(detector.beat()[0]))
+                    glide_samples = max(window, min(station.samples(_MAX_GLIDE_S), two_beats))
                 detector.restart()
-                yield station.drive(self.glide(glide, frequency, change))
+                yield station.drive(self.glide(glide_samples, frequency, new_drive))
             elif detector.settled:
                 return control is None or control.is_at_level(
                     float(abs(detector.expected()[0])), float(detector.standard_error()[0])
@@ -144,54 +150,68 @@ class SteadyTone(Tone):
         return False
 
     def settle_and_mark(
-        self, frequency: float, drive: float, tolerance: float, longest: float, facts: dict[str, Any]
+        self, frequency: float, drive: float, tolerance: float, max_wait_s: float, facts: dict[str, Any]
     ) -> Generator[Array, Array, bool]:
         """Settle and mark the interval."""
         first = self.station.now
-        settled = yield from self.settle(frequency, drive, tolerance, longest)
+        settled = yield from self.settle(frequency, drive, tolerance, max_wait_s)
         self.station.mark("settle", first, self.station.now, drive=self.amplitude, settled=settled, **facts)
         return settled
 
     def measure(self, samples: int, settled: bool, facts: dict[str, Any]) -> Generator[Array, Array, None]:
         """Hold the tone for at least a number of samples, and mark the interval with its force."""
         first = self.station.now
-        read = yield from self.mean(max(samples, fewest_samples(self.frequency, self.rate)))
+        amplitudes = yield from self.mean(max(samples, min_samples(self.frequency, self.rate)))
         force = facts["level"] if self.station.force_is_drive else None
         if self.control is not None:
-            force = float(abs(read[0]))
+            force = float(abs(amplitudes[0]))
         self.station.mark(
             "measure", first, self.station.now, drive=self.amplitude, force=force, settled=settled, **facts
         )
 
 
-def _change(control: AmplitudeControl, detector: Settling, drive: float) -> float | None:
-    """Return a new drive amplitude; None if the present drive suffices, or the force is not yet known."""
+def _new_drive(control: AmplitudeControl, detector: Settling, drive: float) -> float | None:
+    """Return a new drive amplitude; None if the present drive suffices, or the force is not yet predictable."""
     force, standard_error = float(abs(detector.expected()[0])), float(detector.standard_error()[0])
-    if detector.count < FEWEST_OBSERVATIONS + 1:
-        excessive = detector.rising and abs(detector.latest[0]) > _EXCESSIVE * control.level
-        return control.cut(drive, float(abs(detector.latest[0]))) if excessive else None
+    if detector.count < MIN_OBSERVATIONS + 1:
+        is_excessive = detector.is_rising and abs(detector.latest[0]) > _MAX_FORCE_RATIO * control.level
+        return control.cut(drive, float(abs(detector.latest[0]))) if is_excessive else None
     # The predicted force is usable long before the transient has decayed, as soon as the prediction is constant.
-    is_predictable = detector.settled or float(detector.wavering()[0]) < 0.3 * abs(force / control.level - 1.0)
+    max_change = _MAX_FORECAST_CHANGE * abs(force / control.level - 1.0)
+    is_predictable = detector.settled or float(detector.forecast_change()[0]) < max_change
     if not is_predictable or control.is_at_level(force, standard_error):
         return None
-    change = control.next(drive, force)
+    new_drive = control.next(drive, force)
     # At the limit of the amplifier, the point is measured as not settled.
-    return None if change == drive else change
+    return None if new_drive == drive else new_drive
 
 
-# If the force scatters, the tolerance of the level is twice the standard error, up to this fraction of the level.
-WORST_TOLERANCE = 0.02
-# Accepted slopes d log(force) / d log(drive). Dampers whose impacts begin can make the force rise slowly, rise
-# steeply or even fall with the drive; a slope below this range is not used.
-_FLATTEST, _STEEPEST = 0.3, 3.0
-# If drives that bracket the level are closer than this log ratio without reaching it, the force jumps or has changed.
-_CLOSEST = 2e-3
+# If the force scatters, its tolerance is twice the standard error, up to this fraction of the level.
+_MAX_TOLERANCE = 0.02
+# Smallest slope d log(force) / d log(drive) that is used. Dampers whose impacts begin can make the force rise slowly or
+# even fall with the drive.
+_MIN_SLOPE = 0.3
+# Largest slope that is used. Such dampers can also make the force rise steeply.
+_MAX_SLOPE = 3.0
+# Smallest difference of log(drive) that determines a slope.
+_MIN_LOG_DIFFERENCE = 1e-3
+# Smallest width of the bracket in log(drive). If it is narrower without reaching the level, the force jumps or has
+# changed.
+_MIN_BRACKET = 2e-3
+# Distance of the next drive from both ends of the bracket, relative to its width.
+_BRACKET_MARGIN = 0.1
+# Factor on the longest step where the slope is below its range.
+_FLAT_STEP_FACTOR = 0.5
 # If the force is still too large after a drive reduction to this fraction, the drive is not the cause.
-_IN_VAIN = 1e-4
+_MIN_CUT_RATIO = 1e-4
+# Forces are not smaller than this fraction of the level, so that their logarithms are finite.
+_MIN_FORCE_RATIO = 1e-9
 
 
 class AmplitudeControl:
     """Secant method in log(drive) and log(force) for a force amplitude in N, with steps limited by a bracket.
+
+    `longest_step` is the largest ratio of successive drives.
 
     >>> control, drive = AmplitudeControl(2.6), 0.1
     >>> for step in range(12):
@@ -206,44 +226,45 @@ class AmplitudeControl:
     def __init__(self, level: float, limit: float = math.inf, longest_step: float = 3.0) -> None:
         self.level = level
         self.limit = limit
-        self._longest = math.log(longest_step)
+        self._max_step = math.log(longest_step)
         self.restart()
 
     def restart(self) -> None:
         """Discard all observations: the frequency has changed."""
-        self._before: tuple[float, float] | None = None
+        self._previous: tuple[float, float] | None = None  # log(drive), log(level / force)
         self._low, self._high = -math.inf, math.inf
         self._first_cut = 0.0
 
     def is_at_level(self, force: float, standard_error: float = 0.0) -> bool:
         """Return whether a force amplitude with a relative standard error `standard_error` is at the level."""
-        return abs(force / self.level - 1.0) <= min(max(FORCE_TOLERANCE, 2.0 * standard_error), WORST_TOLERANCE)
+        return abs(force / self.level - 1.0) <= min(max(FORCE_TOLERANCE, 2.0 * standard_error), _MAX_TOLERANCE)
 
     def cut(self, drive: float, force: float) -> float | None:
         """Return an immediately reduced drive; None if a much smaller drive did not reduce the force."""
         self._first_cut = max(self._first_cut, drive)
-        if drive < _IN_VAIN * self._first_cut:
+        if drive < _MIN_CUT_RATIO * self._first_cut:
             return None
-        return drive * max(math.exp(-self._longest), min(1.0, self.level / force))
+        return drive * max(math.exp(-self._max_step), min(1.0, self.level / force))
 
     def next(self, drive: float, force: float) -> float:
         """Compute the next drive amplitude, at most `limit`, from the present drive and its steady force in N."""
-        log_drive, error = math.log(drive), math.log(self.level / max(force, 1e-9 * self.level))
+        log_drive, error = math.log(drive), math.log(self.level / max(force, _MIN_FORCE_RATIO * self.level))
         slope = 1.0
-        if self._before is not None and abs(log_drive - self._before[0]) > 1e-3:
-            slope = (self._before[1] - error) / (log_drive - self._before[0])
-        self._before = log_drive, error
+        if self._previous is not None and abs(log_drive - self._previous[0]) > _MIN_LOG_DIFFERENCE:
+            slope = (self._previous[1] - error) / (log_drive - self._previous[0])
+        self._previous = log_drive, error
         # The drives nearest to the level, below and above it.
         if error > 0.0:
             self._low, self._high = log_drive, self._high if self._high > log_drive else math.inf
         else:
             self._low, self._high = self._low if self._low < log_drive else -math.inf, log_drive
-        if self._high - self._low < _CLOSEST:
+        if self._high - self._low < _MIN_BRACKET:
             self._low, self._high = -math.inf, math.inf
-        longest = self._longest if slope >= _FLATTEST else 0.5 * self._longest
-        step = error / (min(slope, _STEEPEST) if slope >= _FLATTEST else 1.0)
-        next_log_drive = log_drive + max(-longest, min(longest, step))
+        max_step, step = _FLAT_STEP_FACTOR * self._max_step, error
+        if slope >= _MIN_SLOPE:
+            max_step, step = self._max_step, error / min(slope, _MAX_SLOPE)
+        next_log_drive = log_drive + max(-max_step, min(max_step, step))
         if math.isfinite(self._high - self._low):
-            margin = 0.1 * (self._high - self._low)
+            margin = _BRACKET_MARGIN * (self._high - self._low)
             next_log_drive = max(self._low + margin, min(self._high - margin, next_log_drive))
         return min(math.exp(next_log_drive), self.limit)

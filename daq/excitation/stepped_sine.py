@@ -22,7 +22,7 @@ _MAX_LISTED = 8
 def excite(station: Station, test: SteppedSine) -> Excitation:
     """Run a stepped sine."""
     tone, steps = SteadyTone(station, test.order[0], station.controlled), list(test.order)
-    turn = len(steps) // 2 if test.direction == "both" else len(steps)
+    n_up = len(steps) // 2 if test.direction == "both" else len(steps)
     total, n_completed = len(test.levels) * len(steps), 0
     unsettled: list[str] = []
     for level in test.levels:
@@ -32,7 +32,7 @@ def excite(station: Station, test: SteppedSine) -> Excitation:
         # The unit of the drive depends on the shaker.
         at_level = f"{level:g} N" if station.controlled else f"level {level:g}"
         for index, frequency in enumerate(steps):
-            direction = "down" if test.direction == "down" or index >= turn else "up"
+            direction = "down" if test.direction == "down" or index >= n_up else "up"
             station.report(n_completed / total, f"{frequency:.2f} Hz {direction}, {at_level}")
             if station.controlled and reached:
                 drive = min(extrapolated(reached, frequency), station.drive_limit)

@@ -27,7 +27,7 @@ _MIN_MEMORY_PERIODS = 6.0
 # Longest memory, periods: more do not improve a slow sweep, and the motion with dampers may change.
 _MAX_MEMORY_PERIODS = 20.0
 # Number of steps in which the delay of an observation, half its length, is compensated.
-_STEPS = 6
+_N_STEPS = 6
 # Largest change of the drive between windows, relative to the largest of the last drives.
 _MAX_CHANGE_RATIO = 0.5
 # Number of the last drives that are stored.
@@ -35,8 +35,8 @@ _N_DRIVES = 12
 # Ratio of the force to the level above which the drive is not increased.
 _MAX_FORCE_RATIO = 1.5
 # Hann window over an observation, at instants from -1/2 to 1/2 of its length.
-_ABOUT = (np.arange(64) + 0.5) / 64 - 0.5
-_HANN = (1 + np.cos(2 * pi * _ABOUT)) / 64
+_INSTANTS = (np.arange(64) + 0.5) / 64 - 0.5
+_HANN = (1 + np.cos(2 * pi * _INSTANTS)) / 64
 
 
 @dataclass(frozen=True)
@@ -88,8 +88,8 @@ class SweepControl:
         if self._goal is None:
             # The phase of the force is arbitrary; the present phase requires the smallest change.
             self._goal = self._level * observation.force / abs(observation.force)
-        passing = _MEMORY_FACTOR * observation.frequency / max(abs(observation.rate), 1e-9) ** 0.5
-        memory = min(max(passing, _MIN_MEMORY_PERIODS), _MAX_MEMORY_PERIODS) / observation.frequency
+        memory_periods = _MEMORY_FACTOR * observation.frequency / max(abs(observation.rate), 1e-9) ** 0.5
+        memory = min(max(memory_periods, _MIN_MEMORY_PERIODS), _MAX_MEMORY_PERIODS) / observation.frequency
         self._mode.add(
             observation.middle,
             observation.angular_frequency(observation.middle),
@@ -107,13 +107,13 @@ class SweepControl:
         (per_force, per_motion), (force_slope, motion_slope) = law.at(centre), law.slope(centre)
         # The envelope in the middle of the observation, from its windowed mean.
         decay = mode.pole - centre
-        spread = complex(_HANN @ np.exp(decay * observation.length * _ABOUT))
+        spread = complex(_HANN @ np.exp(decay * observation.length * _INSTANTS))
         envelope = (observation.motion - mode.residual_term * force) / spread + mode.gain * force * (
             1 / spread - 1
         ) / decay
         times, drives = (np.array(row) for row in zip(*self._played, strict=True))
-        step = observation.length / 2 / _STEPS
-        for time in observation.middle + step * np.arange(1, _STEPS + 1):
+        step = observation.length / 2 / _N_STEPS
+        for time in observation.middle + step * np.arange(1, _N_STEPS + 1):
             drive = complex(np.interp(time, times, drives))
             frequency_offset = 1j * observation.angular_frequency(time - step / 2) - centre
             decay = mode.pole - centre - frequency_offset
@@ -123,9 +123,9 @@ class SweepControl:
             motion = per_motion + frequency_offset * motion_slope
             stiff = per_force + frequency_offset * force_slope + motion * mode.residual_term + motion_slope * mode.gain
             inert = (force_slope + motion_slope * mode.residual_term) / step
-            after = (drive - (motion + motion_slope * decay) * free + inert * force) / (stiff + inert)
-            envelope = decayed * envelope + fed * (force + after) / 2
-            force = after
+            next_force = (drive - (motion + motion_slope * decay) * free + inert * force) / (stiff + inert)
+            envelope = decayed * envelope + fed * (force + next_force) / 2
+            force = next_force
         return envelope, force
 
     def _target_drive(self, observation: Observation, window: float, envelope: complex, force: complex) -> complex:

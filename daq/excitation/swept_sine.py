@@ -111,8 +111,8 @@ def _sweep_controlled(
         table, body = _displacements(station, rows, middle, *estimate_amplitudes(recent, phases, rate))
         force = station.spring * (table - body)
         watch.add(station.now - length, station.now, middle, abs(force))
-        pace = (sweep_frequency(test, played / total) - middle) / (length / 2 / rate)
-        goal = control.next(Observation(played / rate, middle, pace, length / rate, body, force), size / rate)
+        sweep_rate = (sweep_frequency(test, played / total) - middle) / (length / 2 / rate)
+        goal = control.next(Observation(played / rate, middle, sweep_rate, length / rate, body, force), size / rate)
         station.report(played / total, f"{middle:.2f} Hz")
     return amplitude
 
@@ -184,16 +184,16 @@ def _phase(test: SweptSine, start: float, played: int, size: int, total: int) ->
     return start + 2 * np.pi * sweep_turns(test, np.arange(played, played + size) / total)
 
 
-def sweep_frequency(test: SweptSine, part: float) -> float:
+def sweep_frequency(test: SweptSine, fraction: float) -> float:
     """Return the frequency in Hz at a fraction, 0 to 1, of the sweep."""
     if test.spacing == "linear":
-        return test.from_ + (test.to - test.from_) * part
-    return float(test.from_ * (test.to / test.from_) ** part)
+        return test.from_ + (test.to - test.from_) * fraction
+    return float(test.from_ * (test.to / test.from_) ** fraction)
 
 
-def sweep_turns(test: SweptSine, part: Array) -> Array:
+def sweep_turns(test: SweptSine, fractions: Array) -> Array:
     """Return the periods of the tone since the start, at fractions, 0 to 1, of the sweep."""
     if test.spacing == "linear":
-        return test.duration * (test.from_ * part + (test.to - test.from_) * part**2 / 2)
-    stretch = np.log(test.to / test.from_)
-    return test.duration * test.from_ * np.expm1(stretch * part) / stretch
+        return test.duration * (test.from_ * fractions + (test.to - test.from_) * fractions**2 / 2)
+    log_ratio = np.log(test.to / test.from_)
+    return test.duration * test.from_ * np.expm1(log_ratio * fractions) / log_ratio

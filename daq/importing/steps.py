@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.excitation.lock_in import fewest_samples, lock_in, whole_periods
+from daq.excitation.lock_in import lock_in, min_samples, whole_periods
 from daq.importing.assignment import Assigned
 from daq.importing.held_tones import HeldTone, held_tones
 from daq.importing.tone_track import ToneTracker
@@ -90,8 +90,8 @@ class StepFinder:
             gain = abs(self._info.response(frequency)) * self._info.sensitivity
             force = float(np.median([tone.amplitude for tone in tones] / gain))
             return min(test.levels, key=lambda level: abs(np.log(level / force)))
-        each = 2 if test.direction == "both" else 1
-        return test.levels[min(number // each, len(test.levels) - 1)]
+        passes_per_level = 2 if test.direction == "both" else 1
+        return test.levels[min(number // passes_per_level, len(test.levels) - 1)]
 
 
 def _passes(frequencies: Sequence[float]) -> list[tuple[str, list[int]]]:
@@ -102,13 +102,13 @@ def _passes(frequencies: Sequence[float]) -> list[tuple[str, list[int]]]:
     >>> _passes([5.0])
     [('up', [0])]
     """
-    same = _SAME_FREQUENCY * np.asarray(frequencies[1:])
+    tolerance = _SAME_FREQUENCY * np.asarray(frequencies[1:])
     change = np.diff(frequencies)
-    signs = np.where(abs(change) <= same, 0, np.sign(change)).astype(int).tolist()
+    signs = np.where(abs(change) <= tolerance, 0, np.sign(change)).astype(int).tolist()
     passes: list[tuple[int, list[int]]] = []
-    for index, (before, after) in enumerate(zip([0, *signs], [*signs, 0], strict=True)):
-        if not passes or before != passes[-1][0]:
-            passes.append((after or before or 1, []))
+    for index, (sign_before, sign_after) in enumerate(zip([0, *signs], [*signs, 0], strict=True)):
+        if not passes or sign_before != passes[-1][0]:
+            passes.append((sign_after or sign_before or 1, []))
         passes[-1][1].append(index)
     return [("up" if sign > 0 else "down", members) for sign, members in passes]
 
@@ -119,7 +119,7 @@ def _refined(tones: Sequence[HeldTone], read: Callable[[int, int], Array], rate:
     for tone in tones:
         frequency, length = tone.frequency * rate, tone.stop - tone.first
         size = whole_periods(frequency, rate, min(length // _MIN_WINDOWS, _MAX_WINDOW) / rate)
-        if size < fewest_samples(frequency, rate) or 2 * size > length:
+        if size < min_samples(frequency, rate) or 2 * size > length:
             size = length // 2
         plans.append((tone, size))
     bounds = [(start, start + size) for tone, size in plans for start in range(tone.first, tone.stop - size + 1, size)]
@@ -141,11 +141,11 @@ def _frequency(tone: HeldTone, size: int, samples: Iterator[Array], rate: float)
 
 def _read_segments(read: Callable[[int, int], Array], bounds: Sequence[tuple[int, int]]) -> Iterator[Array]:
     """Yield the samples of ordered segments without overlap; the samples between them are read as well, in pieces."""
-    at = 0
+    position = 0
     for first, stop in bounds:
-        while at < first:
-            end = min(first, at + _MAX_WINDOW)
-            read(at, end)
-            at = end
+        while position < first:
+            end = min(first, position + _MAX_WINDOW)
+            read(position, end)
+            position = end
         yield read(first, stop)
-        at = stop
+        position = stop

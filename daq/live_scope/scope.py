@@ -157,7 +157,7 @@ def scope(
     def read_commands() -> None:
         for line in sys.stdin:
             try:
-                knobs.turn(line)
+                knobs.execute(line)
             except SceneError as error:
                 say(str(error))
             if knobs.quit:

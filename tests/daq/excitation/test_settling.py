@@ -74,7 +74,7 @@ def test_end_of_long_transient_is_predicted() -> None:
         detector.add(np.array([2.0 - 1.9 * 0.96**look + 0j]))
     assert not detector.settled
     assert detector.expected()[0] == pytest.approx(2.0, rel=1e-9)
-    assert detector.wavering()[0] < 1e-9
+    assert detector.forecast_change()[0] < 1e-9
 
 
 def test_restart_forgets_earlier_observations() -> None:

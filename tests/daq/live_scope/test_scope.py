@@ -40,7 +40,7 @@ def run_scope(scene, folder, plan, **options):
 
     def keep(position):
         while due and position >= due[0][0] * rate:
-            knobs.turn(due.pop(0)[1])
+            knobs.execute(due.pop(0)[1])
 
     with recording_stream() as stream:
         stream.save(folder / "scope.rrd")
@@ -179,15 +179,15 @@ def test_scope_command_names_overwrite_before_the_viewer(tmp_path, monkeypatch, 
 def test_nonsense_line_keeps_the_setting(line, said):
     knobs = Knobs(10.0, 1.0, highest=100.0)
     with pytest.raises(SceneError, match=said):
-        knobs.turn(line)
-    assert knobs.asked == (10.0, 1.0)
+        knobs.execute(line)
+    assert knobs.settings == (10.0, 1.0)
     assert not knobs.quit
 
 
 def test_knobs_start_at_the_frequency_of_the_test():
-    assert knobs_for(rig.load("fig8-three-dampers"), None, 0.0).asked == (8.0, 0.0)
-    assert knobs_for(SCENE, None, 0.0).asked[0] == pytest.approx(13.9, abs=0.1)
-    assert knobs_for(SCENE, 33.0, 1.0).asked == (33.0, 1.0)
+    assert knobs_for(rig.load("fig8-three-dampers"), None, 0.0).settings == (8.0, 0.0)
+    assert knobs_for(SCENE, None, 0.0).settings[0] == pytest.approx(13.9, abs=0.1)
+    assert knobs_for(SCENE, 33.0, 1.0).settings == (33.0, 1.0)
 
 
 @pytest.mark.thorough

@@ -8,15 +8,15 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO
 
 from rig.errors import RecordingError, RunError
 from rig.output_files import rename_complete, resolve_output
 
-# Pieces that are joined for one write: all pieces of thousands of channels would be in memory twice.
-_AT_ONCE = 256
+# Number of pieces that are joined for one write: all pieces of thousands of channels would be in memory twice.
+_PIECES_PER_WRITE = 256
 # Reserve on the disk for the end of the file, and for the display, bytes.
 RESERVE = 1 << 20
 
@@ -34,21 +34,25 @@ class Disk:
 
     def __init__(self, path: Path, overwrite: bool) -> None:
         self.path = path
-        self.failed = self._whole = False
+        self.failed = self._is_complete = False
         self._waiting: list[bytes] = []
         self._committed = self._end = 0
         self._final = self.at = resolve_output(path, overwrite, RecordingError)
-        try:
-            self._old = self._final.open("rb") if self._final.exists() else None
-            if self._old is not None:
-                _lock(self._old, path)
-                self.at = _unused(self._final)
-            self._file = self.at.open("xb", buffering=0)
-        except FileExistsError:
-            raise RecordingError(f"{path}: another process created it in the meantime. Choose another name.") from None
-        except OSError as error:
-            raise RecordingError(f"{path}: cannot create ({_reason(error, path.parent)}") from error
-        _lock(self._file, path)
+        with ExitStack() as opened:
+            try:
+                self._old = opened.enter_context(self._final.open("rb")) if self._final.exists() else None
+                if self._old is not None:
+                    _lock(self._old, path)
+                    self.at = _unused(self._final)
+                self._file = opened.enter_context(self.at.open("xb", buffering=0))
+            except FileExistsError:
+                raise RecordingError(
+                    f"{path}: another process created it in the meantime. Choose another name."
+                ) from None
+            except OSError as error:
+                raise RecordingError(f"{path}: cannot create ({_reason(error, path.parent)}") from error
+            _lock(self._file, path)
+            opened.pop_all()
 
     def write(self, data: bytes) -> None:
         """Take bytes for the next commit."""
@@ -60,17 +64,14 @@ class Disk:
         """Return the length of the file after the next commit."""
         return self._end
 
-    def flush(self) -> None:
-        """Do nothing: the MCAP writer flushes every chunk, but chunks are committed in groups."""
-
     def commit(self) -> None:
         """Write the waiting bytes; on `DiskError` the file is truncated to the previous commit."""
         waiting, self._waiting = self._waiting, []
         try:
-            for first in range(0, len(waiting), _AT_ONCE):
-                rest = memoryview(b"".join(waiting[first : first + _AT_ONCE]))
-                while rest:
-                    rest = rest[self._file.write(rest) :]
+            for first in range(0, len(waiting), _PIECES_PER_WRITE):
+                unwritten = memoryview(b"".join(waiting[first : first + _PIECES_PER_WRITE]))
+                while unwritten:
+                    unwritten = unwritten[self._file.write(unwritten) :]
         except OSError as error:
             self.failed = True
             os.ftruncate(self._file.fileno(), self._committed)
@@ -87,7 +88,7 @@ class Disk:
         Raises `DiskError` if the disk is full or fails, `RunError` if the file cannot get its name.
         """
         self.commit()
-        self._whole = True
+        self._is_complete = True
         if self.at == self._final:
             return
         # Windows cannot replace an open file: another process that locks the old file now will replace the new one.
@@ -119,13 +120,13 @@ class Disk:
             yield
         except BaseException:
             self.close()
-            if not self._whole:
+            if not self._is_complete:
                 self.at.unlink(missing_ok=True)
             raise
 
 
 def _unused(path: Path) -> Path:
-    """Return an unused name next to a file; the rest of an earlier recording that was killed stays.
+    """Return an unused name next to a file; the partial file of a killed process is not replaced.
 
     >>> _unused(Path("there-is-no-such-folder/run.mcap")).name
     'run.mcap.part'
@@ -144,7 +145,6 @@ def _lock(file: IO[bytes], path: Path) -> None:
 
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        file.close()
         raise RecordingError(f"{path}: another process is recording to it. Choose another name.") from None
     except (ImportError, OSError):
         # Not every system and disk supports locks.

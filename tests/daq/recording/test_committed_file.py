@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import daq
+from daq.recording import committed_file
 from daq.recording.recorder import Recorder
 from daq.recording.recovery import recover
 from rig.errors import RecordingError, RunError
@@ -55,6 +56,16 @@ def test_failed_replacement_keeps_the_old_recording(path: Path) -> None:
     with pytest.raises(ZeroDivisionError), recorder(path):
         raise ZeroDivisionError
     assert np.allclose(volts(path), OLD, rtol=1e-15) and names(path) == ["run.mcap"]
+
+
+def test_failed_creation_releases_the_old_recording(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patched, pytest.raises(RecordingError, match="accepts no new files") as failure:
+        patched.setattr(committed_file, "_unused", lambda final: final.parent / "missing" / "run.mcap.part")
+        recorder(path)
+    # The traceback of the error refers to the failed recorder, whose open file would keep the lock.
+    with recorder(path) as another:
+        another.write(NEW)
+    assert failure.tb and np.allclose(volts(path), NEW, rtol=1e-15)
 
 
 @pytest.mark.parametrize("overwrite", [True, False])

@@ -23,10 +23,23 @@ from rig.errors import RecordingError
 if TYPE_CHECKING:
     from mcap.records import Attachment, Metadata
 
-_WINDOW = 1 << 20
+# The next record is searched in pieces of this size, bytes.
+_PIECE_BYTES = 1 << 20
 # A record begins with its opcode and a length of eight bytes, the last four of which are zero.
 _BEGIN = re.compile(rb"(?=[\x06\x07\x09\x0c\x0f].{4}\0{4})", re.DOTALL)
 _COMPRESSIONS = (b"", b"zstd", b"lz4")
+_MAX_NAME_BYTES = max(map(len, _COMPRESSIONS))
+# Size of the records of a chunk in the file, behind the name of the compression.
+_PACKED_SIZE = struct.Struct("<Q")
+# Channel, and size of the entries, of a message index; size of an entry: log time and place, bytes.
+_INDEX_HEAD = struct.Struct("<HI")
+_ENTRY_BYTES = 16
+# Size of a text or a map, in front of its content.
+_TEXT_SIZE = struct.Struct("<I")
+# Length of the record at the end of the data section: a checksum, bytes.
+_DATA_END_BYTES = 4
+# Bytes that are read to check the beginning of a record.
+_CHECKED_BYTES = 64
 
 
 @dataclass(frozen=True)
@@ -79,7 +92,7 @@ class DamagedFile:
             place = self._next_record(0)
             yield Unreadable(0, place, "it does not begin with the MCAP signature")
         while place < self.size:
-            if self._read(place, RECORD_HEAD.size) == RECORD_HEAD.pack(Opcode.DATA_END, 4):
+            if self._read(place, RECORD_HEAD.size) == RECORD_HEAD.pack(Opcode.DATA_END, _DATA_END_BYTES):
                 return
             part, end = self._part(place)
             if end is None:
@@ -119,21 +132,21 @@ class DamagedFile:
     def _chunk(self, place: int, length: int) -> tuple[Intact | Unreadable, int] | None:
         """Try to read a chunk at a place; its length is stated twice, and either may be damaged."""
         begin = place + RECORD_HEAD.size
-        head = self._read(begin, CHUNK_HEAD.size + 12)
-        if len(head) < CHUNK_HEAD.size + 8:
+        head = self._read(begin, CHUNK_HEAD.size + _MAX_NAME_BYTES + _PACKED_SIZE.size)
+        if len(head) < CHUNK_HEAD.size + _PACKED_SIZE.size:
             return None
         name_length = CHUNK_HEAD.unpack_from(head)[4]
-        fixed = CHUNK_HEAD.size + name_length + 8
+        fixed = CHUNK_HEAD.size + name_length + _PACKED_SIZE.size
         if len(head) < fixed:
             return None
-        (packed,) = struct.unpack_from("<Q", head, fixed - 8)
+        (packed,) = _PACKED_SIZE.unpack_from(head, fixed - _PACKED_SIZE.size)
         reason = ""
         for content_length in sorted({length, fixed + packed}, key=lambda candidate: candidate != length):
             if not fixed <= content_length <= LARGEST_CHUNK + fixed or begin + content_length > self.size:
                 continue
             content = bytearray(self._read(begin, content_length))
             if len(content) == content_length:
-                struct.pack_into("<Q", content, fixed - 8, content_length - fixed)
+                _PACKED_SIZE.pack_into(content, fixed - _PACKED_SIZE.size, content_length - fixed)
             try:
                 records = unpack_chunk(memoryview(content), checksum_needed=True)
                 return Intact(records, content_length), begin + content_length
@@ -147,7 +160,7 @@ class DamagedFile:
         """Whether a consistent record begins at a place, or the file ends there."""
         if place == self.size:
             return True
-        head = self._read(place, 64)
+        head = self._read(place, _CHECKED_BYTES)
         if len(head) < RECORD_HEAD.size:
             return False
         opcode, length = RECORD_HEAD.unpack_from(head)
@@ -156,17 +169,20 @@ class DamagedFile:
             if opcode == Opcode.CHUNK:
                 name_length = CHUNK_HEAD.unpack_from(content)[4]
                 name = bytes(content[CHUNK_HEAD.size :][:name_length])
-                (packed,) = struct.unpack_from("<Q", content, CHUNK_HEAD.size + name_length)
-                return name in _COMPRESSIONS and bool(length == CHUNK_HEAD.size + name_length + 8 + packed)
+                name_end = CHUNK_HEAD.size + name_length
+                (packed,) = _PACKED_SIZE.unpack_from(content, name_end)
+                return name in _COMPRESSIONS and bool(length == name_end + _PACKED_SIZE.size + packed)
             if opcode == Opcode.MESSAGE_INDEX:
-                entries = struct.unpack_from("<HI", content)[1]
-                return bool(length == 6 + entries and entries % 16 == 0)
+                _, entries_size = _INDEX_HEAD.unpack_from(content)
+                return bool(length == _INDEX_HEAD.size + entries_size and entries_size % _ENTRY_BYTES == 0)
             if opcode == Opcode.DATA_END:
-                return bool(length == 4)
+                return bool(length == _DATA_END_BYTES)
             if opcode in (Opcode.METADATA, Opcode.HEADER):
-                first = struct.unpack_from("<I", content)[0]
-                second = struct.unpack("<I", self._read(place + RECORD_HEAD.size + 4 + first, 4))[0]
-                return bool(length == 8 + first + second)
+                # Two texts, or a text and a map.
+                (first,) = _TEXT_SIZE.unpack_from(content)
+                second_place = place + RECORD_HEAD.size + _TEXT_SIZE.size + first
+                (second,) = _TEXT_SIZE.unpack(self._read(second_place, _TEXT_SIZE.size))
+                return bool(length == 2 * _TEXT_SIZE.size + first + second)
             if opcode == Opcode.ATTACHMENT and length <= LARGEST_RECORD:
                 parse(opcode, self._read(place + RECORD_HEAD.size, length), True)
                 return True
@@ -177,9 +193,9 @@ class DamagedFile:
     def _next_record(self, place: int) -> int:
         """Return the place of the next consistent record; the end of the file if there is none."""
         while place < self.size:
-            window = self._read(place, _WINDOW)
-            for match in _BEGIN.finditer(window):
+            piece = self._read(place, _PIECE_BYTES)
+            for match in _BEGIN.finditer(piece):
                 if self._is_consistent(place + match.start()):
                     return place + match.start()
-            place += _WINDOW - RECORD_HEAD.size
+            place += _PIECE_BYTES - RECORD_HEAD.size
         return self.size

@@ -38,7 +38,8 @@ from daq.mcap_file.summary import parse
 # Opcodes from here on belong to applications; readers pass over them.
 _PRIVATE = 0x80
 _ENTRY = np.dtype([("log_time", "<u8"), ("place", "<u8")])
-_AT_ONCE = 1 << 20
+# The checksum of the data section is computed in pieces of this size, bytes.
+_PIECE_BYTES = 1 << 20
 
 
 def check_file(container: Container) -> None:
@@ -62,8 +63,9 @@ class _Check:
     def __init__(self, container: Container) -> None:
         self.place = 0
         self._file = container
-        self._ours = container.checksums_needed
-        self._described: dict[int, dict[int, Any]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
+        # Our files have a checksum for every record and a complete summary; those of other programs may lack them.
+        self._is_ours = container.checksums_needed
+        self._descriptions: dict[int, dict[int, Any]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
         # Places of the records that the summary should list, by the kind of their index, with a hash of their fields,
         # which takes less memory: of a million empty chunks the fields would take a gigabyte.
         self._unlisted: dict[int, dict[int, int]] = {
@@ -92,8 +94,8 @@ class _Check:
             self.place = begin + RECORD_HEAD.size + len(content)
         expected = parse(Opcode.DATA_END, content).data_section_crc
         crc = 0
-        for start in range(0, begin if expected else 0, _AT_ONCE):
-            crc = zlib.crc32(self._file.read(start, min(_AT_ONCE, begin - start)), crc)
+        for start in range(0, begin if expected else 0, _PIECE_BYTES):
+            crc = zlib.crc32(self._file.read(start, min(_PIECE_BYTES, begin - start)), crc)
         if crc != expected:
             raise Damage("the checksum of the data section is wrong")
         self._summary()
@@ -114,7 +116,7 @@ class _Check:
         elif opcode == Opcode.MESSAGE_INDEX:
             self._message_index(content)
         elif opcode == Opcode.ATTACHMENT:
-            record = parse(opcode, content, self._ours)
+            record = parse(opcode, content, self._is_ours)
             index = records.AttachmentIndex(
                 self.place,
                 length,
@@ -126,35 +128,35 @@ class _Check:
             )
             self._unlisted[Opcode.ATTACHMENT_INDEX][self.place] = _fingerprint(index)
         elif opcode == Opcode.METADATA:
-            record = parse(opcode, content, self._ours)
+            record = parse(opcode, content, self._is_ours)
             self._check_record(record, content)
             self._unlisted[Opcode.METADATA_INDEX][self.place] = _fingerprint(
                 records.MetadataIndex(self.place, length, record.name)
             )
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and not self._ours:
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and not self._is_ours:
             self._announce(opcode, content)
-        elif opcode == Opcode.MESSAGE and not self._ours:
+        elif opcode == Opcode.MESSAGE and not self._is_ours:
             message = parse_message(content)
             self._counts[message.channel] += 1
-            self._span(message.log_time, message.log_time)
-        elif opcode != Opcode.DATA_END and (opcode < _PRIVATE or self._ours):
+            self._extend_times(message.log_time, message.log_time)
+        elif opcode != Opcode.DATA_END and (opcode < _PRIVATE or self._is_ours):
             raise Damage(f"a record of kind {opcode}, which does not belong there")
 
     def _check_record(self, record: Any, content: memoryview) -> None:
         """Reject a record that is not encoded as our writer does: its lengths have no checksum."""
         builder = RecordBuilder()
         record.write(builder)
-        if self._ours and builder.end()[RECORD_HEAD.size :] != content:
+        if self._is_ours and builder.end()[RECORD_HEAD.size :] != content:
             raise Damage(f"a {type(record).__name__} record is malformed")
 
     def _announce(self, opcode: int, content: memoryview) -> None:
         """Store a schema or channel; all records of a number must be equal."""
         record = parse(opcode, content)
-        if self._described[opcode].setdefault(record.id, record) != record:
+        if self._descriptions[opcode].setdefault(record.id, record) != record:
             raise Damage(f"two different schemas or channels have the number {record.id}")
 
     def _begin_chunk(self, content: memoryview) -> None:
-        unpacked = unpack_chunk(content, self._ours)
+        unpacked = unpack_chunk(content, self._is_ours)
         start, end, size, _, name_length = CHUNK_HEAD.unpack_from(content)
         name = bytes(content[CHUNK_HEAD.size : CHUNK_HEAD.size + name_length]).decode()
         entries: dict[int, array[int]] = {}
@@ -173,7 +175,7 @@ class _Check:
         if (start, end) != ((min(stamps), max(stamps)) if stamps else (0, 0)):
             raise Damage("the times of a chunk are not those of its messages")
         if stamps:
-            self._span(start, end)
+            self._extend_times(start, end)
         packed = len(content) - CHUNK_HEAD.size - name_length - 8
         self._chunk = records.ChunkIndex(
             chunk_length=RECORD_HEAD.size + len(content),
@@ -187,9 +189,9 @@ class _Check:
             uncompressed_size=size,
         )
 
-    def _span(self, start: int, end: int) -> None:
-        before = self._times or (start, end)
-        self._times = min(before[0], start), max(before[1], end)
+    def _extend_times(self, start: int, end: int) -> None:
+        first, last = self._times or (start, end)
+        self._times = min(first, start), max(last, end)
 
     def _message_index(self, content: memoryview) -> None:
         """Compare a message index with the messages of the chunk before it."""
@@ -213,7 +215,7 @@ class _Check:
             return
         indexed = chunk.message_index_offsets
         missing = self._messages.keys() - indexed.keys()
-        if missing and (self._ours or indexed):
+        if missing and (self._is_ours or indexed):
             raise Damage(f"the chunk before has no message index of channel {min(missing)}")
         self._unlisted[Opcode.CHUNK_INDEX][chunk.chunk_start_offset] = _fingerprint(chunk)
 
@@ -221,7 +223,7 @@ class _Check:
 
     def _summary(self) -> None:
         """Compare the summary, whose checksum was verified when the file was opened, with the data section."""
-        written = {kind: len(there) for kind, there in self._unlisted.items()}
+        written = {kind: len(places) for kind, places in self._unlisted.items()}
         groups: dict[int, tuple[int, int]] = {}
         begin, offsets = self.place, 0
         while True:
@@ -247,7 +249,7 @@ class _Check:
             raise Damage("the footer states another place of the summary offsets")
         for kind, unlisted in self._unlisted.items():
             # Another program may leave out a kind of index.
-            if unlisted and (self._ours or self._listed[kind]):
+            if unlisted and (self._is_ours or self._listed[kind]):
                 raise Damage(f"the summary does not list the record at byte {min(unlisted)}")
 
     def _summary_record(self, opcode: int, record: Any, written: dict[int, int]) -> None:
@@ -258,7 +260,7 @@ class _Check:
             if self._unlisted[opcode].pop(place, None) != _fingerprint(record):
                 raise Damage(f"an index of the summary does not agree with the record at byte {place}")
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            if self._described[opcode].get(record.id, record) != record:
+            if self._descriptions[opcode].get(record.id, record) != record:
                 raise Damage(f"the summary describes the schema or channel {record.id} differently")
         elif opcode == Opcode.STATISTICS:
             self._statistics(record, written)

@@ -25,8 +25,8 @@ from daq.mcap_file.chunk import MAGIC, RECORD_HEAD
 # Opcodes as plain numbers: those of the package are enumerations, slow to convert.
 _MESSAGE_CODE, _CHUNK_CODE = int(Opcode.MESSAGE), int(Opcode.CHUNK)
 _INDEX_CODE, _CHUNK_INDEX_CODE = int(Opcode.MESSAGE_INDEX), int(Opcode.CHUNK_INDEX)
-# Samples with noise pack as well as at zstd's default level 3, in 70 % of the time.
-PACKING_LEVEL = 1
+# Level of zstd. Samples with noise shrink as much as at the default level 3, in 70 % of the time.
+ZSTD_LEVEL = 1
 
 # Opcode, length, channel, sequence, log time, publish time.
 _MESSAGE = struct.Struct("<BQHIQQ")
@@ -54,7 +54,7 @@ class Stream(Protocol):
 
 
 class ChunkedFile:
-    """An MCAP file in the making with chunks (zstd or lz4), checksums, indexes and a summary at its end."""
+    """Writes an MCAP file with chunks (zstd or lz4), checksums, indexes and a summary at its end."""
 
     def __init__(self, stream: Stream, library: str, compression: str) -> None:
         self._stream, self._compression = stream, compression.encode()
@@ -64,11 +64,11 @@ class ChunkedFile:
         if compression == "lz4":
             import lz4.frame  # type: ignore[import-untyped]
 
-            self._packed: Callable[[bytes], bytes] = lz4.frame.compress
+            self._compress: Callable[[bytes], bytes] = lz4.frame.compress
         else:
             from zstandard import ZstdCompressor
 
-            self._packed = ZstdCompressor(level=PACKING_LEVEL).compress
+            self._compress = ZstdCompressor(level=ZSTD_LEVEL).compress
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
         # Schemas and channels that the next chunk announces.
@@ -82,7 +82,7 @@ class ChunkedFile:
         self._write_records(records.Header("", library))
 
     def _write_records(self, *content: records.McapRecord) -> int:
-        """Write records; give their size in bytes."""
+        """Write records; return their size in bytes."""
         builder = RecordBuilder()
         for record in content:
             record.write(builder)
@@ -91,14 +91,14 @@ class ChunkedFile:
         return len(data)
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Announce a schema in the next chunk; give its number."""
+        """Announce a schema in the next chunk; return its number."""
         schema = records.Schema(id=len(self._schemas) + 1, data=data, encoding=encoding, name=name)
         self._schemas.append(schema)
         schema.write(self._announced)
         return schema.id
 
     def add_channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
-        """Announce a channel in the next chunk; give its number."""
+        """Announce a channel in the next chunk; return its number."""
         channel = records.Channel(
             id=len(self._channels) + 1,
             topic=topic,
@@ -143,7 +143,7 @@ class ChunkedFile:
             return False
         earliest, latest = min(times), max(times)
         content = b"".join(parts)
-        packed = self._packed(content)
+        packed = self._compress(content)
         begin = self._stream.tell()
         name, size = self._compression, len(content)
         length = self._chunk.size + len(packed)
@@ -161,14 +161,14 @@ class ChunkedFile:
             end += _INDEX.size + listed
             self._counts[channel] = self._counts.get(channel, 0) + listed // _ENTRY.size
         self._stream.write(b"".join(indexes))
-        before = self._times or (earliest, latest)
-        self._times = min(before[0], earliest), max(before[1], latest)
+        first_time, last_time = self._times or (earliest, latest)
+        self._times = min(first_time, earliest), max(last_time, latest)
         fixed_size = _CHUNK_INDEX.size - RECORD_HEAD.size + _PLACE.size * len(places) + self._chunk_sizes.size
-        front = _CHUNK_INDEX.pack(
+        head = _CHUNK_INDEX.pack(
             _CHUNK_INDEX_CODE, fixed_size, earliest, latest, begin, length, _PLACE.size * len(places)
         )
         sizes = self._chunk_sizes.pack(end - begin - length, len(name), name, len(packed), size)
-        self._chunks.append(b"".join((front, *places, sizes)))
+        self._chunks.append(b"".join((head, *places, sizes)))
         return True
 
     def add_attachment(self, create_time: int, log_time: int, name: str, media_type: str, data: bytes) -> None:
@@ -228,7 +228,7 @@ class ChunkedFile:
 
 @cache
 def _record_of(size: int) -> np.dtype[Any]:
-    """Describe the record of a message of so many bytes, as `_MESSAGE` and the content."""
+    """Describe the record of a message with `size` bytes of content, as `_MESSAGE` and the content."""
     fields = {"opcode": "u1", "length": "<u8", "channel": "<u2", "sequence": "<u4"}
     times = {"log_time": "<u8", "publish_time": "<u8"}
     return np.dtype([*(fields | times).items(), ("data", "u1", (size,))])

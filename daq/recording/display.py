@@ -24,15 +24,17 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
     from rig.scene.scene import Scene
 
-FASTEST_HZ = 250.0
+# Highest rate of the displayed waveforms.
+MAX_RATE_HZ = 250.0
+# Number of displayed samples from one transform to the next.
 TRANSFORM_STEP = 2
 # Half the length of the anti-aliasing filter in display samples. With its Kaiser window it is flat to 0.27 of
 # the display rate; aliasing begins at half of it, where it is 44 dB down, and is 70 dB down from 0.52 on.
 HALF_LENGTH = 8
 KAISER_BETA = 6.8
 CUTOFF = 0.385
-# Signals that are filtered together: products of thousands would take several times their memory.
-_ROWS = 64
+# Number of signals that are filtered together: products of thousands would take several times their memory.
+_MAX_ROWS = 64
 
 _RULE = "=" * 80
 FLOAT_SCHEMA = Schema(
@@ -80,7 +82,7 @@ def display_step(rate: float) -> int:
     >>> 5120.0 / display_step(5120.0)
     243.8095238095238
     """
-    return max(1, math.ceil(rate / FASTEST_HZ))
+    return max(1, math.ceil(rate / MAX_RATE_HZ))
 
 
 class DisplayDecimator:
@@ -133,20 +135,20 @@ class DisplayDecimator:
         begin, end = int(places[0]) - self._half - self._first, int(places[-1]) + self._half + 1 - self._first
         values = self._samples[:, begin:end]
         if self.step > 1:
-            parts = (values[row : row + _ROWS] for row in range(0, len(values), _ROWS))
+            parts = (values[row : row + _MAX_ROWS] for row in range(0, len(values), _MAX_ROWS))
             values = np.concatenate([_filtered(part, self._taps, self.step) for part in parts])
         self._next = last + 1
-        forget = max(0, self._next * self.step - self._half - self._first)
-        # A copy: a view would keep all of it in memory.
-        self._samples, self._first = self._samples[:, forget:].copy(), self._first + forget
+        n_used = max(0, self._next * self.step - self._half - self._first)
+        # A copy: a view would keep the used samples in memory.
+        self._samples, self._first = self._samples[:, n_used:].copy(), self._first + n_used
         return places, np.asarray(values)
 
 
 def _filtered(samples: Array, taps: Array, step: int) -> Array:
-    """Filter at every `step`-th sample, (signals, kept).
+    """Filter at every `step`-th sample; shape (signals, outputs).
 
-    The filter has a whole number of steps and one sample: a product of matrices weights every step of the signals with
-    every step of the filter, and the sums along its diagonals are the result.
+    The length of the filter is a multiple of `step`, plus one sample. A matrix product weights every step of the
+    signals with every step of the filter; sums along its diagonals are the result.
     """
     steps = taps.size // step
     n_outputs = samples.shape[1] // step - steps + 1
@@ -191,12 +193,12 @@ class Display:
             if source.channel is not None
         }
         # Number of messages on each topic of a kind.
-        self._sent = {"waveform": 0, "level": 0, "transform": 0}
+        self._n_messages = {"waveform": 0, "level": 0, "transform": 0}
 
     def _sequence(self, kind: str, count: int) -> NDArray[np.int64]:
         """Return the numbers of the next messages on each topic of a kind."""
-        self._sent[kind] += count
-        return np.arange(self._sent[kind] - count, self._sent[kind])
+        self._n_messages[kind] += count
+        return np.arange(self._n_messages[kind] - count, self._n_messages[kind])
 
     def introduction(self) -> Message:
         """Return the message that describes the rig."""

@@ -27,13 +27,16 @@ ROBOT = "/robot_description"
 TRANSFORMS = "/tf"
 SCENE_FILE = "scene.yaml"
 
-
+# Approximate length of a block.
 BLOCK_S = 0.1
-SHORTEST_BLOCK = 256
+# Shortest block, samples.
+MIN_BLOCK_SAMPLES = 256
+# Approximate interval of the commits to the disk: a killed process loses less.
 FLUSH_S = 0.5
-# Most groups that are displayed together: with few channels, the cost of a batch hardly depends on its size; with many,
-# samples that wait take memory.
+# Largest number of groups that are displayed together. With few channels, the cost of a batch hardly depends on its
+# size.
 SHOWN_GROUPS = 4
+# Largest number of channels times groups that are displayed together: waiting samples take memory.
 SHOWN_CHANNELS = 64
 
 
@@ -43,7 +46,7 @@ def block_length(rate: float) -> int:
     >>> block_length(5120.0), block_length(51200.0), block_length(100.0)
     (512, 4096, 256)
     """
-    return max(SHORTEST_BLOCK, 2 ** round(math.log2(max(1.0, rate * BLOCK_S))))
+    return max(MIN_BLOCK_SAMPLES, 2 ** round(math.log2(max(1.0, rate * BLOCK_S))))
 
 
 def flush_length(rate: float) -> int:

@@ -210,10 +210,10 @@ def event_from_json(data: memoryview) -> tuple[float, int, str, float]:
 
 def _json(content: Mapping[str, Any]) -> bytes:
     """Encode compactly and reproducibly, numpy included; NaN and infinity, which JSON lacks, are rejected."""
-    return json.dumps(content, separators=(",", ":"), allow_nan=False, default=_plain, ensure_ascii=False).encode()
+    return json.dumps(content, separators=(",", ":"), allow_nan=False, default=_to_python, ensure_ascii=False).encode()
 
 
-def _plain(value: Any) -> Any:
+def _to_python(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     raise TypeError(f"a marker has a field {value!r}; expected numbers, texts, lists or objects.")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.mcap_file.summary import checked
-from daq.mcap_file.writer import Message, Messages
+from daq.mcap_file.writer import ChunkedFile, Message, Messages
 from daq.recording import layout
 from daq.recording.committed_file import RESERVE, Disk, DiskError
 from daq.recording.layout import Timebase
@@ -103,8 +103,8 @@ class Recorder:
         kind = SCHEMAS[self._stored][2]
         self._raw = Grouping(len(self.channels), self._group, kind)
         # The same samples, in longer groups, for the display.
-        few = layout.SHOWN_CHANNELS // len(self.channels)
-        self._groups_shown = min(layout.SHOWN_GROUPS, max(1, few))
+        max_groups = layout.SHOWN_CHANNELS // len(self.channels)
+        self._groups_shown = min(layout.SHOWN_GROUPS, max(1, max_groups))
         self._shown = Grouping(len(self.channels), self._groups_shown * self._group, kind)
         self._marks = [Marker("start", 0)]
         self._marked = self._chunks = self._written = 0
@@ -253,8 +253,6 @@ class Recorder:
 
     def _begin(self) -> None:
         """Write all descriptions before any sample, so that later damage cannot separate samples from them."""
-        from daq.mcap_file.writer import ChunkedFile
-
         self._file = ChunkedFile(self._disk, f"shotrig {_version('shotrig')}", COMPRESSION[self._stored])
         self._markers = self._register(layout.MARKERS, MARKER_SCHEMA, {})
         common = {"stored": self._stored, "start_ns": str(self.clock.start_ns), "layout": layout.VERSION}
@@ -300,7 +298,7 @@ class Recorder:
         self._file.add_attachment(int(start), int(start), layout.SCENE_FILE, "application/yaml", text)
 
     def _register(self, topic: str, schema: Schema, metadata: Mapping[str, str]) -> int:
-        """Announce a topic and give the number of its channel in the file."""
+        """Announce a topic; return the number of its channel in the file."""
         number = self._schemas.get(schema.name)
         if number is None:
             number = self._file.add_schema(schema.name, schema.encoding, schema.data)
@@ -334,7 +332,7 @@ class Recorder:
             self._commit()
             self._disk.discard()
         else:
-            with self._torn_on_failure():
+            with self._explained_disk_errors():
                 self._disk.finish()
         if disk_error is not None:
             raise disk_error
@@ -382,11 +380,11 @@ class Recorder:
         return f"the first {self._written / self.clock.rate:.2f} s"
 
     def _commit(self) -> None:
-        with self._torn_on_failure():
+        with self._explained_disk_errors():
             self._disk.commit()
 
     @contextmanager
-    def _torn_on_failure(self) -> Iterator[None]:
+    def _explained_disk_errors(self) -> Iterator[None]:
         """Add the content of the file and the remedy to an error of the disk."""
         try:
             yield
@@ -413,12 +411,12 @@ class Recorder:
         assert self._display is not None
         for number in sorted(number for number in self._shown.complete if number < stop):
             group = self._shown.complete.pop(number)
-            read = [
+            in_units = [
                 Group(first, samples * self._scale, [(first, first + samples.shape[1])])
                 for first, samples in group.acquired()
             ]
-            waveforms = (each for part in read for each in self._display.waveforms(part.first, part.samples))
-            levels = self._display.levels(block for part in read for block in part.blocks(self._block))
+            waveforms = (each for part in in_units for each in self._display.waveforms(part.first, part.samples))
+            levels = self._display.levels(block for part in in_units for block in part.blocks(self._block))
             self._send(chain(waveforms, [levels]))
 
     def _write_markers(self, stop: float) -> None:
@@ -438,5 +436,5 @@ class Recorder:
 
 
 def of_row(blocks: Iterable[Messages], row: int, topic: int) -> Iterator[Messages]:
-    """Return the messages of one row of a group its topic."""
+    """Return the messages of one row of a group, with its topic."""
     return (each._replace(channel=topic, data=each.data[row]) for each in blocks)

@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcap.opcode import Opcode
+from mcap.records import Attachment
 
 from daq.mcap_file.chunk import Damage, Stored, messages_in, records_in
 from daq.mcap_file.damaged_file import DamagedFile, Intact, Unreadable
 from daq.mcap_file.reader import Container
 from daq.mcap_file.summary import checked, parse
-from daq.mcap_file.writer import Message
+from daq.mcap_file.writer import ChunkedFile, Message
 from daq.recording import layout
 from daq.recording.committed_file import Disk, DiskError
 from daq.recording.layout import Timebase
@@ -28,11 +29,11 @@ from rig.escaping import escape_terminal
 from rig.input_files import as_path
 
 if TYPE_CHECKING:
-    from mcap.records import Attachment, Channel, Metadata, Schema
+    from mcap.records import Channel, Metadata, Schema
 
 Span = tuple[int, int]
 
-_ANOTHER_DISK = "Free disk space, or choose a place on another disk with -o."
+_DISK_REMEDY = "Free disk space, or choose a place on another disk with -o."
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class Salvage:
 
     @property
     def whole(self) -> bool:
-        """Whether nothing is known to be lost."""
+        """Whether no loss is known."""
         return not (self.lost or self.missing or self.notes)
 
     def report(self) -> Iterator[str]:
@@ -58,10 +59,10 @@ class Salvage:
         yield f"{self.fixed}: {len(self.kept)} topics with samples, {seconds:.3f} s"
         if self.whole:
             yield "nothing was lost"
-        same: dict[tuple[Span, ...], list[str]] = defaultdict(list)
+        topics_by_ranges: dict[tuple[Span, ...], list[str]] = defaultdict(list)
         for topic, spans in self.lost.items():
-            same[tuple(spans)].append(topic)
-        for ranges, topics in same.items():
+            topics_by_ranges[tuple(spans)].append(topic)
+        for ranges, topics in topics_by_ranges.items():
             for first, stop in ranges:
                 range_s = f"{first / self.rate:.6g} s to {stop / self.rate:.6g} s"
                 yield f"lost: {range_s} (samples {first} to {stop - 1}) of {', '.join(topics)}"
@@ -73,13 +74,15 @@ class Salvage:
 def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Salvage:
     """Make a complete recording of a torn or damaged one.
 
-    Everything in the new file passed a checksum in the old one. Samples keep their numbers; lost samples
+    Everything in the new file passed a checksum in the damaged file. Samples keep their numbers; lost samples
     read as NaN and are listed in `Recording.gaps`.
 
     Parameters
     ----------
     path : str or Path
         The damaged file; it is not changed.
+    fixed : str or Path
+        The file to make, not the damaged one.
     overwrite : bool
         Whether an existing file may be replaced.
 
@@ -106,12 +109,12 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
             if disk.free() < damaged.size:
                 raise DiskError(
                     f"{target}: the recovered recording may take {damaged.size / 1e6:.1f} MB, and its disk has "
-                    f"{disk.free() / 1e6:.1f} MB left. {_ANOTHER_DISK}"
+                    f"{disk.free() / 1e6:.1f} MB left. {_DISK_REMEDY}"
                 )
             try:
                 salvage = _Salvage(source, target, disk, *descriptions).run(damaged)
             except DiskError as error:
-                raise DiskError(f"{error}; {source} is not changed. {_ANOTHER_DISK}") from error
+                raise DiskError(f"{error}; {source} is not changed. {_DISK_REMEDY}") from error
         disk.close()
     return salvage
 
@@ -151,18 +154,16 @@ class _Salvage:
         channels: dict[int, Channel],
         counts: dict[int, int] | None,
     ) -> None:
-        from daq.mcap_file.writer import ChunkedFile
-
         self._source, self._target, self._disk = source, target, disk
         self._schemas, self._channels, self._counts = schemas, channels, counts
         self._file = ChunkedFile(disk, f"shotrig {version('shotrig')}", "zstd")
         self._numbers: dict[int, int] = {}
         self._spans: dict[int, list[Span]] = {}
-        self._seen: dict[int, int] = defaultdict(int)
-        self._expected: dict[int, int] = defaultdict(int)
+        self._n_messages: dict[int, int] = defaultdict(int)
+        self._n_expected: dict[int, int] = defaultdict(int)
         self._gaps: list[Span] = []
         self._notes: list[str] = []
-        self._orphans = 0
+        self._n_orphans = 0
         self._metadata: dict[str, dict[str, str]] = {}
         self._has_scene = False
         self._clock: Timebase | None = None
@@ -190,9 +191,9 @@ class _Salvage:
                 self._record(part.content)
             self._disk.commit()
         if not any(self._spans.values()) or self._clock is None:
-            why = f" ({self._notes[0]})" if self._notes else ""
+            reason = f" ({self._notes[0]})" if self._notes else ""
             raise RecordingError(
-                f"{self._source}: nothing can be recovered, no block of samples is intact{why}. Record it again."
+                f"{self._source}: nothing can be recovered, no block of samples is intact{reason}. Record it again."
             )
         salvage = self._losses(self._clock)
         self._end(salvage)
@@ -205,18 +206,18 @@ class _Salvage:
         except Damage as damage:
             self._notes.append(f"a chunk with the right checksum is malformed: {damage}")
             return
-        sound = []
+        readable = []
         for message in messages:
             if message.channel not in self._numbers:
-                self._orphans += 1
-            elif self._is_sound(message):
+                self._n_orphans += 1
+            elif self._is_readable(message):
                 number, times = self._numbers[message.channel], (message.log_time, message.publish_time)
-                sound.append(Message(number, *times, bytes(message.data), message.sequence))
-                self._seen[message.channel] += 1
-                self._expected[message.channel] = max(self._expected[message.channel], message.sequence + 1)
-        self._file.add_chunk(sound)
+                readable.append(Message(number, *times, bytes(message.data), message.sequence))
+                self._n_messages[message.channel] += 1
+                self._n_expected[message.channel] = max(self._n_expected[message.channel], message.sequence + 1)
+        self._file.add_chunk(readable)
 
-    def _is_sound(self, message: Stored) -> bool:
+    def _is_readable(self, message: Stored) -> bool:
         """Register the samples of a message; return False if it cannot be read."""
         channel = self._channels[message.channel]
         try:
@@ -237,9 +238,7 @@ class _Salvage:
         return True
 
     def _record(self, record: Metadata | Attachment) -> None:
-        """Copy a metadata record or an attachment, but for the outcome, which may change."""
-        from mcap.records import Attachment
-
+        """Copy a metadata record or an attachment; `_end` writes the outcome, which may change."""
         if isinstance(record, Attachment):
             self._has_scene |= record.name == layout.SCENE_FILE
             times = record.create_time, record.log_time
@@ -266,7 +265,7 @@ class _Salvage:
             topic = channels[number].topic
             recovered[topic] = sum(stop - first for first, stop in spans)
             gaps = self._gaps if topic.startswith(layout.RAW) else []
-            missing = list(_without(_without([(0, end)], spans), gaps))
+            missing = list(_subtract(_subtract([(0, end)], spans), gaps))
             if missing:
                 lost[topic] = missing
         messages = {}
@@ -274,13 +273,13 @@ class _Salvage:
             if number in self._spans:
                 continue
             # The messages of a topic are numbered, and counted in the summary and the outcome.
-            expected = max(self._expected[number], (self._counts or {}).get(number, 0))
+            expected = max(self._n_expected[number], (self._counts or {}).get(number, 0))
             if channels[number].topic == layout.MARKERS and _is_count(outcome.get("markers", "")):
                 expected = max(expected, int(outcome["markers"]))
-            if expected > self._seen[number]:
-                messages[channels[number].topic] = expected - self._seen[number]
-        if self._orphans:
-            self._notes.append(f"{self._orphans} messages belong to topics whose description is lost")
+            if expected > self._n_messages[number]:
+                messages[channels[number].topic] = expected - self._n_messages[number]
+        if self._n_orphans:
+            self._notes.append(f"{self._n_orphans} messages belong to topics whose description is lost")
         if not self._has_scene:
             self._notes.append(f"the scene ({layout.SCENE_FILE}) is lost")
         return Salvage(self._source, self._target, clock.rate, recovered, lost, messages, self._notes)
@@ -288,13 +287,13 @@ class _Salvage:
     def _end(self, salvage: Salvage) -> None:
         """Mark the losses in the file, and end it."""
         markers = [self._numbers[n] for n in self._numbers if self._channels[n].topic == layout.MARKERS]
-        at: dict[Span, list[str]] = defaultdict(list)
+        channels_by_range: dict[Span, list[str]] = defaultdict(list)
         for topic, spans in salvage.lost.items():
             for span in spans:
-                at[span].append(topic.removeprefix(layout.RAW))
+                channels_by_range[span].append(topic.removeprefix(layout.RAW))
         assert self._clock is not None
         lost = []
-        for (first, stop), names in sorted(at.items()):
+        for (first, stop), names in sorted(channels_by_range.items()):
             fields = {"channels": names, "reason": "lost with the damaged file"}
             content = Marker("lost", first, stop - 1, fields).to_json()
             times = self._clock.time_ns(stop - 1), self._clock.time_ns(first)
@@ -319,10 +318,10 @@ def _is_count(text: str) -> bool:
     return text.isascii() and text.isdecimal() and len(text) < 17
 
 
-def _without(spans: Iterable[Span], holes: Iterable[Span]) -> Iterator[Span]:
+def _subtract(spans: Iterable[Span], holes: Iterable[Span]) -> Iterator[Span]:
     """Subtract ranges from other ranges.
 
-    >>> list(_without([(0, 100)], [(90, 100), (10, 20)]))
+    >>> list(_subtract([(0, 100)], [(90, 100), (10, 20)]))
     [(0, 10), (20, 90)]
     """
     ordered = sorted(holes)

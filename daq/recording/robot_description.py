@@ -54,14 +54,16 @@ TRANSFORMS_SCHEMA = Schema(
     ),
     "protobuf",
 )
-# Bytes of a height.
-_HEIGHT = 8
-# Bytes of seconds and of nanoseconds in a google.protobuf.Timestamp: fixed, so that all messages have one size.
-_WIDE = 5
-_STAMP = bytes([0x0A, 2 + 2 * _WIDE, 0x08, *bytes(_WIDE), 0x10, *bytes(_WIDE)])
-# Translation: x and y, and the tag of z.
-_ABOVE = b"\x22\x1b" + struct.pack("<BdBdB", 0x09, 0.0, 0x11, 0.0, 0x19)
-_UPRIGHT = b"\x2a\x09\x21" + struct.pack("<d", 1.0)
+# Size of a height, a double, bytes.
+_HEIGHT_BYTES = 8
+# Size of the seconds, and of the nanoseconds, in a google.protobuf.Timestamp, bytes: fixed, so that all messages have
+# one size.
+_TIME_BYTES = 5
+_STAMP = bytes([0x0A, 2 + 2 * _TIME_BYTES, 0x08, *bytes(_TIME_BYTES), 0x10, *bytes(_TIME_BYTES)])
+# Translation: x = y = 0, and the tag of z, the height.
+_TRANSLATION = b"\x22\x1b" + struct.pack("<BdBdB", 0x09, 0.0, 0x11, 0.0, 0x19)
+# Rotation: the quaternion w = 1.
+_NO_ROTATION = b"\x2a\x09\x21" + struct.pack("<d", 1.0)
 
 
 def exaggeration(scene: Scene) -> float:
@@ -80,7 +82,7 @@ class RobotDescription:
         self.exaggeration = exaggeration(scene)
         self._links: list[str] = []
         self._joints: list[str] = []
-        self._rest: list[float] = []
+        self._rest_heights: list[float] = []
         # A message, and the places of the stamp and the height of each part in it.
         self._message, self._places = b"", list[tuple[int, int]]()
         stack, points = Stack(scene, self.exaggeration), list[str]()
@@ -113,17 +115,17 @@ class RobotDescription:
         )
         self._links.append(f'<link name="{name}">{visuals}</link>')
 
-    def _joint(self, parent: str, child: str, rest: float) -> None:
+    def _joint(self, parent: str, child: str, rest_height: float) -> None:
         self._joints.append(
             f'<joint name="{child}_moves" type="prismatic"><parent link="{parent}"/><child link="{child}"/>'
-            f'<origin xyz="0 0 {rest:g}"/><axis xyz="0 0 1"/>'
+            f'<origin xyz="0 0 {rest_height:g}"/><axis xyz="0 0 1"/>'
             '<limit lower="-1" upper="1" effort="0" velocity="0"/></joint>'
         )
-        self._rest.append(rest)
-        before = _STAMP + _string(2, parent) + _string(3, child) + _ABOVE
-        self._message += b"\x0a" + varint(len(before) + _HEIGHT + len(_UPRIGHT))
-        self._places.append((len(self._message), len(self._message) + len(before)))
-        self._message += before + bytes(_HEIGHT) + _UPRIGHT
+        self._rest_heights.append(rest_height)
+        head = _STAMP + _string(2, parent) + _string(3, child) + _TRANSLATION
+        self._message += b"\x0a" + varint(len(head) + _HEIGHT_BYTES + len(_NO_ROTATION))
+        self._places.append((len(self._message), len(self._message) + len(head)))
+        self._message += head + bytes(_HEIGHT_BYTES) + _NO_ROTATION
 
     def urdf(self) -> str:
         """Return the description as URDF; the robot's name states the exaggeration."""
@@ -132,15 +134,15 @@ class RobotDescription:
 
     def transforms(self, times_ns: NDArray[np.uint64], displacements: Array) -> NDArray[np.uint8]:
         """Encode displacements, (points, messages) in m (of a damper: its gap), as foxglove.FrameTransforms."""
-        heights = np.array(self._rest)[:, None] + self.exaggeration * displacements
-        seconds, rest_ns = np.divmod(times_ns, np.uint64(10**9))
+        heights = np.array(self._rest_heights)[:, None] + self.exaggeration * displacements
+        seconds, nanoseconds = np.divmod(times_ns, np.uint64(10**9))
         messages = np.empty((times_ns.size, len(self._message)), np.uint8)
         messages[:] = np.frombuffer(self._message, np.uint8)
-        encoded_seconds, rest = varints(seconds, _WIDE), varints(rest_ns, _WIDE)
+        seconds_bytes, nanoseconds_bytes = varints(seconds, _TIME_BYTES), varints(nanoseconds, _TIME_BYTES)
         for (stamp, height), row in zip(self._places, np.ascontiguousarray(heights, "<f8"), strict=True):
-            messages[:, stamp + 3 : stamp + 3 + _WIDE] = encoded_seconds
-            messages[:, stamp + 4 + _WIDE : stamp + len(_STAMP)] = rest
-            messages[:, height : height + _HEIGHT] = row.view(np.uint8).reshape(-1, _HEIGHT)
+            messages[:, stamp + 3 : stamp + 3 + _TIME_BYTES] = seconds_bytes
+            messages[:, stamp + 4 + _TIME_BYTES : stamp + len(_STAMP)] = nanoseconds_bytes
+            messages[:, height : height + _HEIGHT_BYTES] = row.view(np.uint8).reshape(-1, _HEIGHT_BYTES)
         return messages
 
 

@@ -98,9 +98,9 @@ def decode(data: memoryview, schema: str) -> SampleBlock:
 @lru_cache(maxsize=64)
 def _size_prefix(message: int) -> bytes:
     """Encode the size of the samples in a message of `message` bytes, more than its head."""
-    rest = message - _HEAD.size
-    longest = len(varint(rest))
-    return next((size for n in (longest, longest - 1) if len(size := varint(rest - n)) == n), b"")
+    body = message - _HEAD.size
+    longest = len(varint(body))
+    return next((size for n in (longest, longest - 1) if len(size := varint(body - n)) == n), b"")
 
 
 def _decode_any(data: memoryview, schema: str) -> SampleBlock:

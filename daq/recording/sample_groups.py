@@ -22,23 +22,23 @@ class Group:
     spans: list[tuple[int, int]]  # ranges of sample numbers [start, stop) that were acquired, in order
 
     def acquired(self) -> Iterator[tuple[int, NDArray[Any]]]:
-        """Yield each stretch of acquired samples with the number of its first one."""
+        """Yield each range of acquired samples: number of its first sample, and its samples."""
         for start, stop in self.spans:
             yield start, self.samples[:, start - self.first : stop - self.first]
 
     def blocks(self, length: int) -> Iterator[tuple[int, NDArray[Any]]]:
         """Yield the acquired samples in blocks that end on multiples of `length`, or where samples end.
 
-        Successive blocks of one size are given together, (rows, blocks, samples), with the number of the first sample.
+        Successive blocks of one size come together, (rows, blocks, samples), with the number of their first sample.
         """
         for start, samples in self.acquired():
             stop = start + samples.shape[1]
             block_end = min(start + -start % length, stop)
-            rest = max(block_end, stop - stop % length)
+            last_end = max(block_end, stop - stop % length)
             for begin, end, size in (
                 (start, block_end, block_end - start),
-                (block_end, rest, length),
-                (rest, stop, stop - rest),
+                (block_end, last_end, length),
+                (last_end, stop, stop - last_end),
             ):
                 if begin < end:
                     part = samples[:, begin - start : end - start]

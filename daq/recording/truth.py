@@ -56,7 +56,7 @@ class Truth:
             Grouping(dampers, group, np.dtype("<i4")),
         )
         self._events: deque[tuple[float, int, str, float]] = deque()
-        self._sent = 0
+        self._n_sent = 0
         self._recent: dict[int, Group] = {}
         self._rows = np.r_[:points, len(MOTION) * points : len(MOTION) * points + dampers]
         self._last = np.zeros(len(self.drawn))
@@ -91,7 +91,7 @@ class Truth:
         self._events += motion.events[["time", "damper", "kind", "speed"]].tolist()
 
     def take(self, number: int) -> tuple[Group | None, Group | None]:
-        """Remove and give the groups of a cell of the grid; `positions` still uses them."""
+        """Remove and return the groups of a cell of the grid; `positions` still uses them."""
         real, positions = (stream.complete.pop(number, None) for stream in self.streams)
         if real is not None:
             self._recent = {n: each for n, each in self._recent.items() if n >= number - SHOWN_GROUPS}
@@ -99,9 +99,9 @@ class Truth:
         return real, positions
 
     def events_before(self, stop: float) -> list[Message]:
-        """Remove and give the events before a sample.
+        """Remove and return the events before a sample.
 
-        They end one sample before it, so that rounded times of events do not change the order of writing.
+        The last of them is at least one sample earlier, so that rounded times do not change the order of writing.
         """
         due = []
         while self._events:
@@ -110,23 +110,23 @@ class Truth:
                 break
             self._events.popleft()
             at = self._clock.start_ns + round(time * 1e9)
-            due.append(Message(self._topic, at, at, event_to_json(time, damper, kind, speed), self._sent))
-            self._sent += 1
+            due.append(Message(self._topic, at, at, event_to_json(time, damper, kind, speed), self._n_sent))
+            self._n_sent += 1
         return due
 
     def positions(self, samples: NDArray[np.int64]) -> Array:
-        """Return the positions of all that is `drawn`, (drawn, samples), metres, at further samples.
+        """Return the positions of the parts in `drawn`, (parts, samples), metres, at the next samples.
 
-        Known are those in the last groups taken; elsewhere the position before remains.
+        At samples outside the last groups, the previous position is repeated.
         """
         positions = np.empty((len(self.drawn), 1 + samples.size))
         positions[:, 0] = self._last
-        known = np.zeros(1 + samples.size, dtype=np.int64)
+        latest_known = np.zeros(1 + samples.size, dtype=np.int64)
         for group in self._recent.values():
             for start, stop in group.spans:
                 (inside,) = np.nonzero((start <= samples) & (samples < stop))
-                known[1 + inside] = 1 + inside
+                latest_known[1 + inside] = 1 + inside
                 positions[:, 1 + inside] = group.samples[self._rows[:, None], samples[inside] - group.first]
-        positions = positions[:, np.maximum.accumulate(known)]
+        positions = positions[:, np.maximum.accumulate(latest_known)]
         self._last = positions[:, -1]
         return positions[:, 1:]

@@ -8,7 +8,7 @@ import zstandard
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from daq.mcap_file.writer import PACKING_LEVEL, ChunkedFile, Message, Messages
+from daq.mcap_file.writer import ZSTD_LEVEL, ChunkedFile, Message, Messages
 
 CHUNKS = [
     [Message(1, 5, 3, b"first", 0), Message(2, 4, 4, b"", 7), Message(1, 9, 9, b"x" * 300, 1)],
@@ -55,7 +55,7 @@ def theirs(compression):
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
 def test_writer_equals_the_package_writer(compression, monkeypatch):
-    compressor = zstandard.ZstdCompressor(level=PACKING_LEVEL)
+    compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
     monkeypatch.setattr("zstandard.compress", compressor.compress)
     assert ours(compression) == theirs(compression)
 

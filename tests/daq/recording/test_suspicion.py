@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import daq
 from daq.mcap_file.chunk import Damage, messages_in, unpack_chunk
 from daq.mcap_file.reader import Container
-from daq.mcap_file.writer import ChunkedFile
+from daq.mcap_file.writer import ChunkedFile, Message
 from daq.recording.layout import Timebase
 from daq.recording.markers import Marker, event_from_json
 from daq.recording.sample_block import decode, encode
@@ -68,7 +68,7 @@ def test_odd_change_of_contact_is_sound_or_rejected(key: str, odd: Any) -> None:
 
 
 def rewritten(path: Path, checksums: bool = True, shift: int = 0) -> Path:
-    """Copy a recording; without checksums of its chunks, or with its last half moved by so many samples."""
+    """Copy a recording; without checksums of its chunks, or with its last half moved by `shift` samples."""
     target = path.with_name("rewritten.mcap")
     with Container(path) as container, target.open("wb") as file:
         copy, summary = ChunkedFile(file, "test", "zstd"), container.summary
@@ -88,8 +88,8 @@ def rewritten(path: Path, checksums: bool = True, shift: int = 0) -> Path:
                     clock, first = Timebase(block.rate), block.first_sample + shift
                     data = encode(clock, first, block.samples[None, None]).tobytes()
                     times = clock.time_ns(first + block.samples.size), clock.time_ns(first)
-                moved.append(type(message)(message.channel, message.sequence, *times, memoryview(data)))
-            copy.add_chunk(_as_written(message) for message in moved)
+                moved.append(Message(message.channel, *times, data, message.sequence))
+            copy.add_chunk(moved)
         copy.finish()
     if not checksums:
         content = bytearray(target.read_bytes())
@@ -99,12 +99,6 @@ def rewritten(path: Path, checksums: bool = True, shift: int = 0) -> Path:
                 content[int(offset) + 33 : int(offset) + 37] = bytes(4)
         target.write_bytes(content)
     return target
-
-
-def _as_written(message: Any) -> Any:
-    from daq.mcap_file.writer import Message
-
-    return Message(message.channel, message.log_time, message.publish_time, bytes(message.data), message.sequence)
 
 
 @pytest.fixture(scope="module")

@@ -137,16 +137,16 @@ def _clock(path: Path, name: str, scalars: Mapping[str, float], clocks: Mapping[
     of_array = f"{name.partition('(')[0]}(1)"
     if of_array in clocks:
         return clocks[of_array]
-    own = name.split(".", 1)[0] if "." in name else ""
+    structure = name.split(".", 1)[0] if "." in name else ""
 
     def nearest(pattern: re.Pattern[str], among: Mapping[str, Any]) -> list[str]:
         fitting = [key for key in among if pattern.fullmatch(key)]
-        own_keys = [key for key in fitting if own and key.startswith(f"{own}.")]
-        return own_keys or [key for key in fitting if "." not in key]
+        in_structure = [key for key in fitting if structure and key.startswith(f"{structure}.")]
+        return in_structure or [key for key in fitting if "." not in key]
 
     if times := nearest(_TIMES, clocks):
         return clocks[times[0]]
-    start = next((scalars[key] for key in ("start_s", f"{own}.x_values.start_value") if key in scalars), 0.0)
+    start = next((scalars[key] for key in ("start_s", f"{structure}.x_values.start_value") if key in scalars), 0.0)
     for key in nearest(_RATES, scalars):
         if not 0 < scalars[key] < 1e12:
             raise RecordingError(f"{path}: {key} = {scalars[key]!r}; expected a sample rate in Hz")

@@ -161,8 +161,8 @@ def _assigned(scene: Scene, chosen: Choice, rate: float, skew: float) -> Assigne
             f"or the meaning of 1 in the file{more}, such as unit: 5 V."
         )
     measured, size = meaning(unit)
-    bare = channel.accelerometer is None and channel.integrator is None and not channel.measures_force
-    if bare and not channel.measures_voltage and measured in _INTEGRATION_ORDERS:
+    is_ideal = channel.accelerometer is None and channel.integrator is None and not channel.measures_force
+    if is_ideal and not channel.measures_voltage and measured in _INTEGRATION_ORDERS:
         channel = channel.replace(integrator=Integrator(order=_INTEGRATION_ORDERS[measured]))
     info = describe_channel(scene, channel, rate, skew if column.delay is None else column.delay)
     if measured == info.quantity:

@@ -61,13 +61,13 @@ def read_table(path: Path) -> dict[str, Column]:
     return table
 
 
-def column(given: Mapping[str, Any]) -> Column:
+def column(settings: Mapping[str, Any]) -> Column:
     """Check the keys of one channel; raise `ValueError` in words.
 
     >>> column({"column": "ai0", "unit": "g", "sign": "-1", "delay": "2 us"})
     Column(column='ai0', file=None, unit='g', sensitivity=None, sign=-1, offset=0.0, delay=2e-06, rate=None)
     """
-    texts = {key: text for key, value in given.items() if value is not None and (text := str(value).strip())}
+    texts = {key: text for key, value in settings.items() if value is not None and (text := str(value).strip())}
     for key in texts:
         if key not in _KEYS:
             hint = suggestion(key, _KEYS)

@@ -125,10 +125,10 @@ def missing_rows(times: Iterable[Array], resolution: float) -> list[Missing]:
     [(3, 2)]
     """
     step, rows, even_time, even_steps = 0.0, 0, 0.0, 0
-    before = np.empty(0)
+    previous_time = np.empty(0)
     jumps: list[tuple[int, float]] = []
     for times_block in times:
-        steps = np.diff(np.concatenate([before, times_block]))
+        steps = np.diff(np.concatenate([previous_time, times_block]))
         if not rows:
             step = float(np.median(steps)) if steps.size else 0.0
             if not (step > 0.0 and resolution <= _STEP_TOLERANCE * step):
@@ -138,12 +138,12 @@ def missing_rows(times: Iterable[Array], resolution: float) -> list[Missing]:
         if not (abs(regular - step) <= _STEP_TOLERANCE * step + 2.0 * resolution).all():
             return []
         # The step to the first row of a further piece begins in the piece before.
-        first = rows if before.size else 1
+        first = rows if previous_time.size else 1
         jumps += [(first + int(at), float(steps[at])) for at in np.flatnonzero(is_gap)]
         if len(jumps) > _MAX_GAPS:
             return []
         even_time, even_steps = even_time + float(regular.sum()), even_steps + regular.size
-        rows, before = rows + times_block.size, times_block[-1:]
+        rows, previous_time = rows + times_block.size, times_block[-1:]
     if not jumps or not even_steps:
         return []
     try:
@@ -163,9 +163,9 @@ def sample_numbers(rows: NDArray[np.int64], missing: Sequence[Missing]) -> NDArr
     >>> sample_numbers(np.arange(5), [(3, 2)])
     array([0, 1, 2, 5, 6])
     """
-    before = np.array([row for row, _ in missing], np.int64)
+    gap_rows = np.array([row for row, _ in missing], np.int64)
     lost = np.cumsum([0, *(count for _, count in missing)])
-    return rows + lost[np.searchsorted(before, rows, side="right")]
+    return rows + lost[np.searchsorted(gap_rows, rows, side="right")]
 
 
 def rate_with_gaps(

@@ -235,17 +235,17 @@ def _settled(interval: _ToneInterval, tolerance: float) -> HeldTone:
     )
 
 
-def _steady_from(channels: ComplexArray, late: int, tolerance: float) -> tuple[bool, int]:
-    """Return whether amplitudes, shape (channels, blocks), are steady from the block `late` on, and since which block.
+def _steady_from(channels: ComplexArray, late_block: int, tolerance: float) -> tuple[bool, int]:
+    """Return whether amplitudes, shape (channels, blocks), are steady from a late block on, and since which block.
 
     They are steady unless the means of both halves differ by more than the tolerance and by more than chance. The
     earlier blocks that agree with the mean of the late blocks belong to the steady state.
     """
-    latest = channels[:, late:]
+    latest = channels[:, late_block:]
     mean = latest.mean(axis=1, keepdims=True)
     allowed, scatter = tolerance * abs(mean[:, 0]), np.sqrt(np.mean(abs(latest - mean) ** 2, axis=1))
     within = abs(channels - mean) <= np.maximum(_WELL_SETTLED * allowed, _STEADY_SIGMAS * scatter)[:, None]
-    begin = int(np.max(np.flatnonzero(~within[:, :late].all(axis=0)), initial=-1)) + 1
+    begin = int(np.max(np.flatnonzero(~within[:, :late_block].all(axis=0)), initial=-1)) + 1
     half = latest.shape[1] // 2
     drift = abs(latest[:, :half].mean(axis=1) - latest[:, half:].mean(axis=1))
     by_chance = _STEADY_SIGMAS * scatter * np.sqrt(2.0 * _INDEPENDENT / max(half, 1))

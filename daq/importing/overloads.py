@@ -48,11 +48,11 @@ class Rail:
                 self._end(first + end, float(values[end]))
         self._last = float(values[-1])
 
-    def _end(self, stop: int, after: float) -> None:
+    def _end(self, stop: int, next_value: float) -> None:
         assert self._open is not None
-        start, before = self._open
+        start, previous_value = self._open
         if len(self._runs) < _MAX_STORED:
-            self._runs.append((start, stop, self.top - float(np.fmin(before, after))))
+            self._runs.append((start, stop, self.top - float(np.fmin(previous_value, next_value))))
         self._open = None
 
     @property
@@ -69,7 +69,7 @@ class Rail:
         """
         if self._open is not None:
             self._end(stop, np.nan)
-        return [(a, b) for a, b, fell in self._runs if b - a >= min_length and fell > drop]
+        return [(a, b) for a, b, run_drop in self._runs if b - a >= min_length and run_drop > drop]
 
 
 class Overloads:

@@ -52,15 +52,15 @@ class Signal:
         missing = [(row, count) for row, count in clock.missing if row < self.samples]
         if not missing:
             return self
-        before = np.array([row for row, _ in missing])
+        gap_rows = np.array([row for row, _ in missing])
         lost = np.cumsum([0, *(count for _, count in missing)])
-        resumes = before + lost[1:]
+        resumes = gap_rows + lost[1:]
 
         def row_at(number: int) -> int:
             """Return the first row whose sample number is at least `number`."""
             gaps_before = int(np.searchsorted(resumes, number, side="right"))
             row = number - int(lost[gaps_before])
-            return min(row, int(before[gaps_before])) if gaps_before < before.size else row
+            return min(row, int(gap_rows[gaps_before])) if gaps_before < gap_rows.size else row
 
         def read(start: int, stop: int) -> Array:
             first, last = row_at(start), row_at(stop)

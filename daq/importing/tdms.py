@@ -108,7 +108,7 @@ def _signal(path: Path, number: int, channel: Any, several: bool, clock: Clock |
     where = f"{path}: {name!r}"
     interval, offset = properties.get("wf_increment"), properties.get("wf_start_offset", 0.0)
     try:
-        own = Clock(rate_of_interval(float(interval)) if interval else None, float(offset))
+        channel_clock = Clock(rate_of_interval(float(interval)) if interval else None, float(offset))
     except (TypeError, ValueError):
         raise RecordingError(
             f"{where}: wf_increment {interval!r} and wf_start_offset {offset!r} are not times in s. Correct them."
@@ -117,7 +117,7 @@ def _signal(path: Path, number: int, channel: Any, several: bool, clock: Clock |
         raise RecordingError(f"{where}: {error}") from None
     if interval is not None and channel.dtype is not None and channel.dtype.kind not in "fiu":
         raise RecordingError(f"{where} holds {channel.dtype}; expected real numbers")
-    clock = clock or own
+    clock = clock or channel_clock
 
     def read(first: int, stop: int) -> Array:
         try:

@@ -132,17 +132,17 @@ class _Table:
         self._grid: tuple[Clock, float, float] | None = None  # Clock, resolution and unit of the times, s
         self._samples: list[str] = []  # first lines, and the last line
         self.rows = 0
-        before, last = "", (0, "")
-        for each in self._lines():
+        previous_line, last = "", (0, "")
+        for numbered_line in self._lines():
             if self.rows < _MAX_SAMPLED_LINES:
-                self._samples.append(each[1])
-            before, last = last[1], each
+                self._samples.append(numbered_line[1])
+            previous_line, last = last[1], numbered_line
             self.rows += 1
         if self.rows > 1 and (reason := self._truncation(*last)):
             warn(f"{path}: its last line is cut off and is omitted ({reason})")
             self.rows -= 1
             self._samples = self._samples[: self.rows]
-            last = (0, before)
+            last = (0, previous_line)
         if self.rows:
             self._samples.append(last[1])
             piece_bytes = min(1.0, PIECE / self.rows) * path.stat().st_size

@@ -73,22 +73,26 @@ class _Blocks:
         turn = np.exp(-2j * np.pi * bins[:, None] * np.arange(self._size) / self._size)
         # Relative to the middle of the block, so that the phase is the same at each line around the tone.
         self._first_bin, self._kernels = int(bins[0]), window * turn * (-1.0) ** bins[:, None]
-        self._rest: Array | None = None
+        self._unaveraged: Array | None = None
         self._averages: Array | None = None
-        self._done = 0
+        self._n_blocks = 0
         self._levels: list[NDArray[np.float32]] = []
         self._tones: list[tuple[NDArray[np.int64], Array, Array, Array, ComplexArray]] = []
 
     def add(self, samples: Array) -> None:
-        rest = samples if self._rest is None else np.concatenate([self._rest, samples], axis=1)
-        n_averages = rest.shape[1] // self._averaged
-        self._rest = rest[:, n_averages * self._averaged :].copy()
-        averages = rest[:, : n_averages * self._averaged].reshape(len(rest), n_averages, self._averaged).mean(axis=2)
+        unaveraged = samples if self._unaveraged is None else np.concatenate([self._unaveraged, samples], axis=1)
+        n_averages = unaveraged.shape[1] // self._averaged
+        self._unaveraged = unaveraged[:, n_averages * self._averaged :].copy()
+        averages = (
+            unaveraged[:, : n_averages * self._averaged]
+            .reshape(len(unaveraged), n_averages, self._averaged)
+            .mean(axis=2)
+        )
         pending = averages if self._averages is None else np.concatenate([self._averages, averages], axis=1)
         blocks = (pending.shape[1] - self._size) // self._hop + 1
         if blocks > 0:
             self._analyse(pending, blocks)
-            self._done += blocks
+            self._n_blocks += blocks
             pending = pending[:, blocks * self._hop :].copy()
         self._averages = pending
 
@@ -111,22 +115,28 @@ class _Blocks:
             return
         bins = np.clip(peak[resolved] - self._first_bin, 0, len(self._kernels) - 1)
         spectra = np.empty((len(pending), resolved.size), dtype=complex)
-        for each in np.unique(bins):
-            selected = bins == each
-            spectra[:, selected] = view[:, resolved[selected]] @ self._kernels[each]
+        for line_number in np.unique(bins):
+            selected = bins == line_number
+            spectra[:, selected] = view[:, resolved[selected]] @ self._kernels[line_number]
         reference_spectrum = spectra[self._reference]
         line_offset = offset[resolved]
         gain = 0.25 * self._size * np.sinc(line_offset) / (1.0 - line_offset**2)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = spectra / reference_spectrum
         self._tones.append(
-            (self._done + resolved, line[resolved] / HOPS, np.angle(reference_spectrum), at[resolved] / gain, ratio)
+            (
+                self._n_blocks + resolved,
+                line[resolved] / HOPS,
+                np.angle(reference_spectrum),
+                at[resolved] / gain,
+                ratio,
+            )
         )
 
     def track(self) -> Track:
         channels = 1 if self._averages is None else len(self._averages)
-        empty = (np.empty(0, np.int64), *(np.empty(0),) * 3, np.empty((channels, 0), complex))
-        columns = zip(empty, *self._tones, strict=True)
+        no_tone = (np.empty(0, np.int64), *(np.empty(0),) * 3, np.empty((channels, 0), complex))
+        columns = zip(no_tone, *self._tones, strict=True)
         number, frequency, phase, amplitude, ratio = (np.concatenate(each, axis=-1) for each in columns)
         levels = np.concatenate([np.empty(0, np.float32), *self._levels])
         return Track(self._hop * self._averaged, number, frequency, phase, amplitude, ratio, levels)

@@ -12,14 +12,14 @@ from rig.numerics.simd import LANES, aligned_zeros
 
 
 class Decimator:
-    """Applies the filter with the given `Decimation.taps` to one channel, delayed by `late` intervals."""
+    """Applies the filter with the given `Decimation.taps` to one channel, delayed by `delay` intervals."""
 
-    def __init__(self, taps: Array, late: int, buffers: BlockBuffers) -> None:
+    def __init__(self, taps: Array, delay: int, buffers: BlockBuffers) -> None:
         self._oversampling, moments, length = taps.shape
-        self._weights = _lane_weights(taps, late)
+        self._weights = _lane_weights(taps, delay)
         self._buffers = buffers
         # The last moments of the previous block; in a block, they come first.
-        self._last = aligned_zeros(length * self._oversampling + late - 1, moments)
+        self._last = aligned_zeros(length * self._oversampling + delay - 1, moments)
         self._moments = self._last
         self._interval = 0
         self._samples = aligned_zeros(0)
@@ -30,7 +30,7 @@ class Decimator:
         end = past + count + SUM_BLOCK * self._oversampling
         self._moments = self._buffers.rows(end)
         self._moments[:past] = self._last
-        # These have no weight, but must be numbers.
+        # The intervals behind have no weight, but must be finite.
         self._moments[past + count : end] = 0.0
         return self._moments[past:]
 
@@ -47,14 +47,14 @@ class Decimator:
         return self._samples[:due]
 
 
-def _lane_weights(taps: Array, late: int) -> Array:
+def _lane_weights(taps: Array, delay: int) -> Array:
     """Arrange the taps as weights (intervals x MOMENTS, LANES) for as many samples at a time as a register holds."""
     oversampling, moments, _ = taps.shape
     # Row (p, j) of the taps weighs the interval j samples and p intervals before the sample.
-    before = np.concatenate([np.zeros((late, moments)), taps.transpose(2, 0, 1).reshape(-1, moments)])
-    weights = aligned_zeros(len(before) + (LANES - 1) * oversampling, moments, LANES)
+    history = np.concatenate([np.zeros((delay, moments)), taps.transpose(2, 0, 1).reshape(-1, moments)])
+    weights = aligned_zeros(len(history) + (LANES - 1) * oversampling, moments, LANES)
     for lane in range(LANES):
-        weights[lane * oversampling :, :, lane][: len(before)] = before[::-1]
+        weights[lane * oversampling :, :, lane][: len(history)] = history[::-1]
     return weights.reshape(-1, LANES)
 
 

@@ -22,6 +22,7 @@ from rig.arrays import Array
 from rig.errors import SceneError
 from rig.numerics.simd import LANES, aligned_zeros, padded_length
 
+# A sample interval has this number of coarse parts, and a coarse part the same number of fine parts.
 PARTS = 64
 # Size of the generator over the smallest part of a sample interval up to which its series is summed.
 MOST_NORM = 50.0

@@ -116,10 +116,10 @@ class ForceInterpolator:
 
 
 @unfused_kernel
-def put(values: Array, place: Array) -> None:
-    """Copy values, as many as a place takes; assigning to a slice would need memory."""
-    for i in range(place.size):
-        place[i] = values[i]
+def copy_into(values: Array, target: Array) -> None:
+    """Copy the first values into an array; assigning to a slice would need memory."""
+    for i in range(target.size):
+        target[i] = values[i]
 
 
 @unfused_kernel
@@ -127,7 +127,7 @@ def _smooth(acceleration: Array, velocity: Array, displacement: Array, last: Arr
     """Describe every interval as one piece; `last` holds the last sample, and is updated."""
     end = acceleration.size
     start, mean, moment = smooth[0], smooth[2], smooth[3]
-    put(acceleration, smooth[1])
+    copy_into(acceleration, smooth[1])
     start[0] = last[0]
     mean[0] = (velocity[0] - last[1]) * rate
     moment[0] = ((displacement[0] - last[2]) * rate - last[1]) * rate
@@ -167,7 +167,7 @@ def _cut(
         k = interval[b]
         if b == 0 or interval[b - 1] != k:
             if k == 0:
-                put(last, begin_state)
+                copy_into(last, begin_state)
             else:
                 _pick(rows, k - 1, begin_state)
             elapsed = 0.0

@@ -18,21 +18,27 @@ from scipy.linalg import expm
 from daq.dsp.broken_intervals import PartWorkspace, advance, begin_part, form_moments
 from daq.dsp.circuit import RECOVERY, Circuit, Section
 from daq.dsp.discretisation import Entry, Tables, input_first, laid_out, rate_of_change, with_disturbances
-from daq.dsp.interpolation import JUMP, LENGTH, CubicInput, put
+from daq.dsp.interpolation import JUMP, LENGTH, CubicInput, copy_into
 from rig.arrays import Array
 from rig.numerics.fma import weighted_sums
 from rig.numerics.jit import unfused_kernel
 from rig.numerics.simd import aligned_zeros, copy, multiply, padded_length
 
-# Checks per period of the circuit's fastest part, and at least per interval: between two, a sine's peak is 2 % higher.
-CHECKS, FEWEST_CHECKS = 16, 8
-# Steps per period and interval where a limit is near: of an integrator, and of the sensor.
-STEPS, FEWEST_STEPS = (32, 128), (8, 32)
-COARSE, FINE = 0, 1
+# Checks per period of the circuit's fastest part: between two checks, a sine's peak is 2 % higher.
+CHECKS_PER_PERIOD = 16
+# Smallest number of checks in an interval.
+MIN_CHECKS = 8
+# Steps where a limit is near: coarse for an integrator, fine for the sensor. Index of each in the following pairs.
+COARSE = 0
+FINE = 1
+# Number of steps per period of the circuit's fastest part.
+STEPS_PER_PERIOD = (32, 128)
+# Smallest number of steps in an interval.
+MIN_STEPS = (8, 32)
 # Below this share of the limit at every check or coarse step, the limit is not reached in between.
-NEAR_LIMIT = float(np.cos(np.pi / CHECKS))
-# An impulse that would reach the limit for less than this time, s, is rounding.
-SHORTEST = 1e-9
+NEAR_LIMIT = float(np.cos(np.pi / CHECKS_PER_PERIOD))
+# Shortest time for which an impulse reaches the limit. A shorter time is a rounding error.
+MIN_IMPULSE_S = 1e-9
 
 
 class Limits(NamedTuple):
@@ -84,9 +90,9 @@ def limits_of(
     output = aligned_zeros(padded_length(size))
     output[: leading.c.size], output[width] = leading.c, leading.d[0] * gain
     fastest = float(np.abs(np.linalg.eigvals(circuit.a)).max(initial=0.0)) / (2 * np.pi * rate)
-    count = max(FEWEST_CHECKS, int(np.ceil(CHECKS * fastest)))
+    count = max(MIN_CHECKS, int(np.ceil(CHECKS_PER_PERIOD * fastest)))
     steps = np.array(
-        [max(fewest, int(np.ceil(each * fastest))) for each, fewest in zip(STEPS, FEWEST_STEPS, strict=True)]
+        [max(fewest, int(np.ceil(each * fastest))) for each, fewest in zip(STEPS_PER_PERIOD, MIN_STEPS, strict=True)]
     )
 
     # The excess over the limit is missing behind the sensor, and shifts its zero.
@@ -125,7 +131,7 @@ def limits_of(
         excess_ramps=excess_ramps,
         relief=1.0 / (1.0 - excess_ramps[:, 1] @ output[:width]),
         impulse=generator[:width, width] + through * excess_input,
-        min_impulse=float(reach * SHORTEST * rate / abs(through)) if through else np.inf,
+        min_impulse=float(reach * MIN_IMPULSE_S * rate / abs(through)) if through else np.inf,
         shift=shift,
         rails=rails,
         holding=np.array([_holding_inputs(generator, states, count) for count in steps]),
@@ -311,7 +317,7 @@ def _begin(limits: Limits, size: int, state: Array, steady_response: Array, vect
 def _next_part(cubics: CubicInput, part: int, interval: int, out: Array) -> bool:
     """Take the next part of an interval, all of it if nothing breaks it; say whether more parts follow."""
     if part < cubics.broken.size and cubics.broken[part] == interval:
-        put(cubics.parts[part], out)
+        copy_into(cubics.parts[part], out)
         return bool(part + 1 < cubics.broken.size and cubics.broken[part + 1] == interval)
     for k in range(4):
         out[k] = cubics.smooth[k, interval]

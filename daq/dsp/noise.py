@@ -16,9 +16,10 @@ from rig.numerics.simd import aligned_zeros, padded_length
 # Variance of the uniform numbers that represent noise faster than the average; a filter sums up so many of them that
 # the sum is normal.
 _EVEN = 1.0 / 12.0
-# Down to here, Hz, noise with a corner rises as 1/f; below, which is to say over hours, it is white again.
+# Lowest frequency of 1/f noise, Hz. Below, for periods of hours, the noise is white.
 LOWEST = 1e-4
-_RATIO = 4.0
+# Largest ratio of successive corner frequencies of the first-order sections whose sum approximates 1/f noise.
+_MAX_CORNER_RATIO = 4.0
 
 
 def generator(seed: int, channel: str, stage: str) -> np.random.Generator:
@@ -98,7 +99,7 @@ def flicker_filter(corner: float, rate: float) -> tuple[Array, Array, float]:
 
     highest = 0.25 * rate
     lowest = min(LOWEST, 0.1 * corner, 0.01 * rate)
-    corners = np.geomspace(lowest, highest, 2 + int(np.log(highest / lowest) / np.log(_RATIO)))
+    corners = np.geomspace(lowest, highest, 2 + int(np.log(highest / lowest) / np.log(_MAX_CORNER_RATIO)))
     poles = 4 * np.sin(np.pi * corners / rate) ** 2
     # Closely up to half the rate, where the spectra are flat and 1/f is not.
     grid = np.concatenate([np.geomspace(10 * lowest, 0.5 * rate, 400), np.linspace(0.3, 0.5, 400) * rate])

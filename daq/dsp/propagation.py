@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from daq.dsp.broken_intervals import PartWorkspace, part_workspace, through_parts
 from daq.dsp.discretisation import Tables
-from daq.dsp.interpolation import CubicInput, put
+from daq.dsp.interpolation import CubicInput, copy_into
 from daq.dsp.limiting import Limits, follow_closely, within
 from rig.arrays import Array
 from rig.numerics.fma import factored_sums, fused, weighted_sums
@@ -112,9 +112,9 @@ def propagate(
 def _lay_out(cubics: CubicInput, disturbances: Array, first: int, stop: int, course: Array) -> None:
     """Copy input and disturbances of a stretch to the rows above the states."""
     for k in range(4):
-        put(cubics.smooth[k, first:stop], course[k, : stop - first])
+        copy_into(cubics.smooth[k, first:stop], course[k, : stop - first])
     for e in range(disturbances.shape[0]):
-        put(disturbances[e, first:stop], course[4 + e, : stop - first])
+        copy_into(disturbances[e, first:stop], course[4 + e, : stop - first])
 
 
 @unfused_kernel

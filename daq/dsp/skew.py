@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.dsp.interpolation import JUMP, LENGTH, CubicInput, empty_parts, put
+from daq.dsp.interpolation import JUMP, LENGTH, CubicInput, copy_into, empty_parts
 from rig.arrays import Array
 from rig.errors import SceneError
 from rig.numerics.fma import fused
@@ -22,16 +22,16 @@ def delays(skew: float | tuple[float, ...] | None, channels: int, rate: float) -
     """
     if skew is None:
         return (0.0,) * channels
-    late = skew if isinstance(skew, tuple) else tuple(k * skew for k in range(channels))
-    if len(late) != channels:
-        raise SceneError(f"converter.skew: got {len(late)} values; expected {channels}, one for each channel.")
-    latest = max(late)
-    if latest - min(late) >= 1.0 / rate:
+    lateness = skew if isinstance(skew, tuple) else tuple(k * skew for k in range(channels))
+    if len(lateness) != channels:
+        raise SceneError(f"converter.skew: got {len(lateness)} values; expected {channels}, one for each channel.")
+    latest = max(lateness)
+    if latest - min(lateness) >= 1.0 / rate:
         raise SceneError(
-            f"converter.skew: the channels are sampled over {latest - min(late):g} s, a sample interval "
+            f"converter.skew: the channels are sampled over {latest - min(lateness):g} s, a sample interval "
             f"({1.0 / rate:g} s) or more. Give a smaller skew."
         )
-    return tuple(latest - each for each in late)
+    return tuple(latest - each for each in lateness)
 
 
 class Delay:
@@ -109,7 +109,7 @@ def _shift(
             broken_next = cubics.broken[at] if at < cubics.broken.size else intervals
             if broken_next > i:
                 i = broken_next
-                put(cubics.smooth[:, i - 1], last)
+                copy_into(cubics.smooth[:, i - 1], last)
                 continue
         whole_now = at == cubics.broken.size or cubics.broken[at] != i
         # The end of the interval before.
@@ -119,11 +119,11 @@ def _shift(
             count += 1
         for k in range(tail):
             broken[count] = i
-            put(ends[k], parts[count])
+            copy_into(ends[k], parts[count])
             count += 1
         tail = 0
         # The beginning of this one; if it is broken, its end in parts for the next.
-        put(cubics.smooth[:, i], last)
+        copy_into(cubics.smooth[:, i], last)
         if whole_now:
             broken[count] = i
             _between(last, 0.0, head, head, 0.0, parts[count])
@@ -136,10 +136,10 @@ def _shift(
             size = part[LENGTH]
             if elapsed + size <= head and size > 0.0:
                 broken[count] = i
-                put(part, parts[count])
+                copy_into(part, parts[count])
                 count += 1
             else:
-                put(part, full_cubic)
+                copy_into(part, full_cubic)
                 before = max(head - elapsed, 0.0) if size > 0.0 else 0.0
                 if before > 0.0:
                     broken[count] = i
@@ -148,7 +148,7 @@ def _shift(
                 if size > 0.0:
                     _between(full_cubic, before / size, 1.0, size - before, part[JUMP], ends[tail])
                 else:
-                    put(part, ends[tail])
+                    copy_into(part, ends[tail])
                 tail += 1
             elapsed += size
             at += 1

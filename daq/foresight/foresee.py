@@ -133,8 +133,8 @@ def rehearse_test(scene: Scene, bench: Bench) -> RehearsedTest:
     if not plan.is_complete and isinstance(test, Random):
         # Expected extremes of a Gaussian process in the whole test and in a part, by its zero crossings.
         crossings = test.from_ + test.to
-        is_complete, part = (np.log(max(crossings * time, 3.0)) for time in (test.duration, parts[0].seconds))
-        extension = float(max(np.sqrt(is_complete / part), 1.0))
+        log_whole, log_part = (np.log(max(crossings * time, 3.0)) for time in (test.duration, parts[0].seconds))
+        extension = float(max(np.sqrt(log_whole / log_part), 1.0))
     return RehearsedTest(parts, False, f"{sum(part.seconds for part in parts):.3g} s of it", extension)
 
 
@@ -335,14 +335,14 @@ class _Assessment:
         steps = len(test.levels) * len(test.order)
         typical_time = float(np.percentile(settling_times, 25))
         excess = sum(wait - typical_time for wait in settling_times)
-        is_complete = estimate(self.scene).seconds + steps * typical_time + max(excess, 0.0)
+        complete_s = estimate(self.scene).seconds + steps * typical_time + max(excess, 0.0)
         if played.aborted is None:
-            return is_complete
+            return complete_s
         # The test ends near the tone that was played last.
         last_tone = played.parts[-1].frequency_at(round(played.parts[-1].seconds * played.parts[-1].rate))
         order = np.array(test.order)
         index = int(np.argmin(abs(order - last_tone))) if last_tone is not None else 0
-        return max(rehearsed_seconds, is_complete * (index + 1) / steps) if index > 1 else rehearsed_seconds
+        return max(rehearsed_seconds, complete_s * (index + 1) / steps) if index > 1 else rehearsed_seconds
 
     def _settling_times(self, part: Rehearsal, test: SteppedSine) -> Iterable[float]:
         """Return the times until the tones of a part are steady, s.

@@ -27,8 +27,8 @@ from rig.scene.shaker import ElectrodynamicShaker
 from rig.system.assembly import assemble
 from rig.system.structural_model import structural_model
 
-#: CPU time of a rehearsal, approximately, s.
-BUDGET_S = 0.7
+# CPU time of a rehearsal, approximately.
+_BUDGET_S = 0.7
 # A random test or multisine is rehearsed completely up to this multiple of the budget, because extremes
 # of a part scatter by 10 %.
 _RANDOM_BUDGET_RATIO = 4.0
@@ -76,7 +76,7 @@ def affordable_seconds(scene: Scene) -> float:
     states = system.states + system.dampers
     channel = _CHANNEL_S * (1.0 if complete_from_preset(scene.converter).filter is None else _FILTER_TIME_RATIO)
     sample = _SAMPLE_S + _STATE_S * states + _ELEMENT_S * states**2 + channel * channels
-    return BUDGET_S / (scene.converter.true_rate * oversampling(scene) * sample)
+    return _BUDGET_S / (scene.converter.true_rate * oversampling(scene) * sample)
 
 
 def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...]) -> RehearsalPlan:
@@ -88,7 +88,7 @@ def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...]) -> Rehearsal
     control_cpu_s = 0.0
     if isinstance(test, SweptSine) and controlled_places(scene):
         control_cpu_s = _CONTROLLED_PERIOD_S * (test.from_ + test.to) / 2 * test.duration
-    if expected_seconds(scene) / seconds + control_cpu_s / BUDGET_S <= 1.0:
+    if expected_seconds(scene) / seconds + control_cpu_s / _BUDGET_S <= 1.0:
         return RehearsalPlan(((scene, 0),), is_complete=True)
     if isinstance(test, SteppedSine | SweptSine):
         return plan_about_peaks(scene, test, channels, seconds)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from daq.drawing.rig_view import RigView
     from daq.viewing.recorded_motion import RecordedMotion
 
+# Largest number of listed gaps.
 _MAX_GAPS = 10
 _SAMPLING = {
     "point": "samples at instants",

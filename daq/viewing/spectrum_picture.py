@@ -14,7 +14,9 @@ from rig.escaping import escape_figure
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
+# Length of a segment: the resolution is 0.25 Hz.
 _SEGMENT_S = 4.0
+# Largest number of segments, for a bounded time.
 _MAX_SEGMENTS = 200
 _BACKGROUND = "#16181d"
 _FOREGROUND = "#c8ccd4"

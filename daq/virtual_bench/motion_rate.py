@@ -63,13 +63,13 @@ class MotionAtRate:
         share = rest / ratio.numerator
         # Instants before the first tick of the block lie between ticks and are replaced below.
         at, tick = np.maximum(ticks - motion.first, 0), ticks - motion.first
-        resampled = [each[:, at] for each in (*_moved(motion), forces, motion.gap, motion.contact)]
+        resampled = [each[:, at] for each in (*_motion_rows(motion), forces, motion.gap, motion.contact)]
         if rest.any():
             between = rest > 0
             new = _between_ticks(motion, forces, self._last, self._tick, tick[between] + share[between])
             for values, now in zip(resampled, new, strict=False):
                 values[:, between] = now
-        self._last = [each[:, -1:] for each in (*_moved(motion), forces)]
+        self._last = [each[:, -1:] for each in (*_motion_rows(motion), forces)]
         return resampled
 
     def _breaks_due(self, motion: Motion, earliest: int) -> list[NDArray[Any]]:
@@ -89,22 +89,22 @@ class MotionAtRate:
         return [each[..., due] for each in new]
 
 
-def _moved(motion: Motion) -> tuple[Array, Array, Array]:
+def _motion_rows(motion: Motion) -> tuple[Array, Array, Array]:
     return motion.displacement, motion.velocity, motion.acceleration
 
 
 def _between_ticks(
     motion: Motion, forces: Array, last: list[Array], tick: float, when: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Find displacement, velocity, acceleration and forces at instants in ticks after the first one of a block."""
+    """Interpolate displacement, velocity, acceleration and forces at instants, in ticks after a block's first tick."""
     lead = 1 if last else 0
     at_ticks = np.arange(-lead, forces.shape[1])
     breaks = (motion.break_sample - 1 - motion.first) + motion.break_offset / tick
     order = np.argsort(np.concatenate([at_ticks, breaks]), kind="stable")
     times = np.concatenate([at_ticks, breaks])[order]
-    x, v, a = ([*last[k : k + 1], each] for k, each in enumerate(_moved(motion)))
+    x, v, a = ([*last[k : k + 1], each] for k, each in enumerate(_motion_rows(motion)))
     displacement = np.concatenate([*x, motion.break_displacement], axis=1)[:, order]
-    # What holds just before and just after each node.
+    # One-sided limits at each node.
     (v_before, v_after), (a_before, a_after) = (
         [np.concatenate([*rows, side], axis=1)[:, order] for side in sides]
         for rows, sides in ((v, motion.break_velocity), (a, motion.break_acceleration))
@@ -124,6 +124,6 @@ def _between_ticks(
     velocity = speed + length * u * (start + u * (c1 / 2 + u * (c2 / 3 + u * c3 / 4)))
     increment = length * u * (speed + length * u * (start / 2 + u * (c1 / 6 + u * (c2 / 12 + u * c3 / 20))))
     lines = np.concatenate([*last[3:], forces], axis=1)
-    before = np.floor(when).astype(np.int64) + lead
-    force = lines[:, before] + (when - np.floor(when)) * (lines[:, before + 1] - lines[:, before])
+    tick_index = np.floor(when).astype(np.int64) + lead
+    force = lines[:, tick_index] + (when - np.floor(when)) * (lines[:, tick_index + 1] - lines[:, tick_index])
     return displacement[:, left] + increment, velocity, acceleration, force

@@ -11,14 +11,14 @@ from daq.dsp.decimator import Decimator
 from daq.signal_chain.decimation_filter import DELAY, MOMENTS, PASS, STOP, Decimation, taps_of
 
 
-@pytest.mark.parametrize(("oversampling", "late"), [(1, 0), (1, 3), (3, 0), (4, 5)])
-def test_filtered_sample_is_the_weighted_sum(oversampling, late):
+@pytest.mark.parametrize(("oversampling", "delay"), [(1, 0), (1, 3), (3, 0), (4, 5)])
+def test_filtered_sample_is_the_weighted_sum(oversampling, delay):
     random = np.random.default_rng(oversampling)
     length, intervals = 7, 211
     taps = random.standard_normal((oversampling, MOMENTS, length))
     moments = random.standard_normal((intervals, MOMENTS))
     buffers = BlockBuffers()
-    decimator, parts = Decimator(taps, late, buffers), []
+    decimator, parts = Decimator(taps, delay, buffers), []
     for begin, end in ((0, 1), (1, 1), (1, 3), (3, 100), (100, 105), (105, intervals)):
         decimator.place(end - begin)[: end - begin] = moments[begin:end]
         parts.append(decimator.filter(end - begin).copy())
@@ -30,7 +30,7 @@ def test_filtered_sample_is_the_weighted_sum(oversampling, late):
         expected = 0.0
         for p in range(oversampling):
             for j in range(length):
-                interval = n * oversampling - p - j * oversampling - late
+                interval = n * oversampling - p - j * oversampling - delay
                 if interval >= 0:
                     expected += taps[p, :, j] @ moments[interval]
         assert sample == pytest.approx(expected, rel=1e-9, abs=1e-12)

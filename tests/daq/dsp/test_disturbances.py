@@ -25,22 +25,24 @@ class Given:
 @pytest.mark.parametrize("cuts", [[], [1], [1, 2, 3, 9], [0, 7, 7, 20]])
 def test_cut_polynomials_are_the_same_curves(each, cuts):
     samples = np.random.default_rng(each).standard_normal((4, 30))
-    of = Disturbances([Given(row) for row in samples], np.zeros(4), (0, 1, 2, 0), each)
-    held = np.concatenate([of.draw(int(n)) for n in np.diff([0, *cuts, 29 * each + 1])], axis=1)
+    disturbances = Disturbances([Given(row) for row in samples], np.zeros(4), (0, 1, 2, 0), each)
+    curves = np.concatenate([disturbances.draw(int(n)) for n in np.diff([0, *cuts, 29 * each + 1])], axis=1)
     inside = np.linspace(-1.0, 1.0, 5)
     # Interval 0 ends at sample 0; a sample's polynomials reach over the time since the sample before.
     for interval in range(29 * each + 1):
         sample = -(-interval // each)
         place = (interval - 1) % each
         over = (2 * place + 1 + inside) / each - 1.0
-        np.testing.assert_allclose(legval(inside, held[:3, interval]), legval(over, samples[:3, sample]), atol=1e-12)
-        assert held[3, interval] == samples[3, sample]
+        np.testing.assert_allclose(legval(inside, curves[:3, interval]), legval(over, samples[:3, sample]), atol=1e-12)
+        assert curves[3, interval] == samples[3, sample]
 
 
 def test_direct_disturbances_are_added():
-    of = Disturbances([Offset(level, None, 1.0) for level in (1.0, 2.0, 5.0)], np.array([0.5, 0.0, -1.0]), (0, 0, 0), 1)
+    disturbances = Disturbances(
+        [Offset(level, None, 1.0) for level in (1.0, 2.0, 5.0)], np.array([0.5, 0.0, -1.0]), (0, 0, 0), 1
+    )
     volts = np.array([10.0, 20.0])
-    of.add_direct(of.draw(2), volts)
+    disturbances.add_direct(disturbances.draw(2), volts)
     assert volts.tolist() == [5.5, 15.5]
     none = Disturbances([], np.zeros(0), (), 4)
     assert none.draw(3).shape == (0, 3)
@@ -55,7 +57,7 @@ def test_settling_offset_is_exponential():
 
 
 @pytest.mark.parametrize(
-    ("corner", "rate", "near", "at_the_end"),
+    ("corner", "rate", "tolerance", "at_the_end"),
     [
         (0.5, 5120.0, 3e-3, 3e-3),
         (50.0, 5120.0, 3e-3, 3e-3),
@@ -64,13 +66,13 @@ def test_settling_offset_is_exponential():
         (2e-3, 1e-3, 0.03, 0.06),
     ],
 )
-def test_shaped_noise_density_follows_the_corner(corner, rate, near, at_the_end):
+def test_shaped_noise_density_follows_the_corner(corner, rate, tolerance, at_the_end):
     loss, weight, gain = flicker_filter(corner, rate)
     frequency = np.geomspace(10 * min(LOWEST, 0.1 * corner, 0.01 * rate), 0.5 * rate, 200)
     delay = np.exp(-2j * np.pi * frequency / rate)[:, None]
     density = gain * abs(1.0 + np.sum(weight * delay / (1.0 - (1.0 - loss) * delay), axis=1))
-    off = abs(density / np.sqrt(1.0 + corner / frequency) - 1.0)
-    assert off[frequency < 0.45 * rate].max() < near and off.max() < at_the_end
+    error = abs(density / np.sqrt(1.0 + corner / frequency) - 1.0)
+    assert error[frequency < 0.45 * rate].max() < tolerance and error.max() < at_the_end
     # Far above its corner noise is white, and states are stable.
     assert ((loss > 0.0) & (loss <= 1.0)).all()
     # One state for every factor of four in frequency is enough.

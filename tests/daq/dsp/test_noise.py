@@ -12,7 +12,7 @@ def density(samples, rate, segment):
     return frequency, np.sqrt(power)
 
 
-def drawn(source, count):
+def draw_samples(source, count):
     samples = np.empty(count)
     source.fill(samples)
     return samples
@@ -24,7 +24,7 @@ def band(frequency, value, low, high):
 
 
 def test_white_density_is_that_of_the_data_sheet():
-    samples = drawn(Noise(3e-6, None, 5120.0, generator(1, "c", "noise")), 400_000)
+    samples = draw_samples(Noise(3e-6, None, 5120.0, generator(1, "c", "noise")), 400_000)
     frequency, value = density(samples, 5120.0, 512)
     for low, high in ((20.0, 300.0), (300.0, 1500.0), (1500.0, 2540.0)):
         assert band(frequency, value, low, high) == pytest.approx(3e-6, rel=0.02)
@@ -32,7 +32,7 @@ def test_white_density_is_that_of_the_data_sheet():
 
 @pytest.mark.parametrize(("corner", "rate"), [(10.0, 5120.0), (100.0, 5120.0), (300.0, 51200.0)])
 def test_density_rises_below_the_corner(corner, rate):
-    samples = drawn(Noise(1.0, corner, rate, generator(2, "c", "noise")), 3_000_000)
+    samples = draw_samples(Noise(1.0, corner, rate, generator(2, "c", "noise")), 3_000_000)
     frequency, value = density(samples, rate, int(rate / corner * 100))
     for low, high in ((0.08, 0.12), (0.3, 0.5), (0.9, 1.1), (3.0, 5.0), (10.0, 15.0)):
         inside = (frequency >= low * corner) & (frequency <= high * corner)
@@ -41,10 +41,10 @@ def test_density_rises_below_the_corner(corner, rate):
 
 
 def test_noise_in_blocks_is_the_same():
-    whole = drawn(Noise(1.0, 10.0, 5120.0, generator(5, "c", "noise")), 1000)
+    unsplit = draw_samples(Noise(1.0, 10.0, 5120.0, generator(5, "c", "noise")), 1000)
     source = Noise(1.0, 10.0, 5120.0, generator(5, "c", "noise"))
-    parts = [drawn(source, count) for count in (1, 0, 7, 128, 864)]
-    assert np.array_equal(np.concatenate(parts), whole)
+    parts = [draw_samples(source, count) for count in (1, 0, 7, 128, 864)]
+    assert np.array_equal(np.concatenate(parts), unsplit)
 
 
 def test_noise_differs_by_seed_channel_and_stage():

@@ -15,11 +15,11 @@ from tests.daq.measurement.bench_run import BenchRun, run, scene_with
 FORCE = {"kind": "force", "body": 1}
 
 
-def force_in_time(done: BenchRun, first: int, stop: int) -> np.ndarray:
+def force_in_time(bench_run: BenchRun, first: int, stop: int) -> np.ndarray:
     """Spring force over a window that is taken as periodic, from the spectra of the channels."""
-    frequencies = np.fft.rfftfreq(stop - first, 1.0 / done.bench.rate)[1:]
-    spectrum = np.fft.rfft(done.readings[:, first:stop], axis=1)[:, 1:]
-    weights = np.array([done.weights(frequency) for frequency in frequencies]).T
+    frequencies = np.fft.rfftfreq(stop - first, 1.0 / bench_run.bench.rate)[1:]
+    spectrum = np.fft.rfft(bench_run.readings[:, first:stop], axis=1)[:, 1:]
+    weights = np.array([bench_run.weights(frequency) for frequency in frequencies]).T
     # Below the band there is only leakage, amplified by the double integration.
     total = np.where(frequencies > 5.0, np.sum(weights * spectrum, axis=0), 0.0)
     return np.fft.irfft(np.concatenate([[0.0], total]), stop - first)
@@ -58,10 +58,10 @@ def test_bursts_end_in_silence() -> None:
     completed = run(scene_with(test, shaker=FORCE))
     _, _, fields = completed.marked("measure")[0]
     blocks = completed.drive[0].reshape(-1, fields["block"])
-    on = round(0.4 * fields["block"])
+    burst_samples = round(0.4 * fields["block"])
     assert len(blocks) == 2
-    assert np.all(blocks[:, on:] == 0.0)
-    assert np.all(blocks[:, :on].std(axis=1) > 2.0)
+    assert np.all(blocks[:, burst_samples:] == 0.0)
+    assert np.all(blocks[:, :burst_samples].std(axis=1) > 2.0)
 
 
 @pytest.mark.parametrize("kind", ["random", "multisine"])
@@ -185,6 +185,6 @@ def test_released_mode_decays_freely() -> None:
 )
 def test_split_does_not_change_readings(test: dict[str, Any]) -> None:
     scene = rig.load("fig8-three-dampers").replace(test=test)
-    whole, split = run(scene), run(scene, split=511)
-    np.testing.assert_array_equal(whole.readings, split.readings)
-    assert whole.marks == split.marks
+    unsplit, split = run(scene), run(scene, split=511)
+    np.testing.assert_array_equal(unsplit.readings, split.readings)
+    assert unsplit.marks == split.marks

@@ -13,13 +13,13 @@ TOLERANCE = 1e-3
 LOOK = 0.1
 
 
-def judged(amplitude: Callable[[int], complex | np.ndarray], most: int = 2000) -> tuple[int, Settling]:
+def judged(amplitude: Callable[[int], complex | np.ndarray], max_looks: int = 2000) -> tuple[int, Settling]:
     detector = Settling(TOLERANCE)
-    for look in range(most):
+    for look in range(max_looks):
         detector.add(np.atleast_1d(np.asarray(amplitude(look), dtype=complex)))
         if detector.settled:
             return look, detector
-    return most, detector
+    return max_looks, detector
 
 
 @pytest.mark.parametrize("constant", [0.05, 0.5, 2.44, 12.0])
@@ -28,11 +28,11 @@ def judged(amplitude: Callable[[int], complex | np.ndarray], most: int = 2000) -
 def test_settled_transient_is_below_tolerance(constant: float, beat: float, share: float) -> None:
     pole = -1.0 / constant + 2j * np.pi * beat
 
-    def left(look: int) -> complex:
+    def transient(look: int) -> complex:
         return complex(share * np.exp(pole * LOOK * look))
 
-    look, _ = judged(lambda look: 1.0 + left(look))
-    assert abs(left(look)) < 1.2 * TOLERANCE
+    look, _ = judged(lambda look: 1.0 + transient(look))
+    assert abs(transient(look)) < 1.2 * TOLERANCE
     # The wait is not much longer than necessary.
     needed = constant * np.log(max(share / TOLERANCE, 1.0)) / LOOK
     assert look <= needed + 0.3 * constant / LOOK + 12
@@ -41,11 +41,11 @@ def test_settled_transient_is_below_tolerance(constant: float, beat: float, shar
 def test_settled_beat_is_below_tolerance() -> None:
     poles = np.array([-1 / 2.44 + 2j * np.pi * 1.3, -1 / 0.9 - 2j * np.pi * 3.1])
 
-    def left(look: int) -> complex:
+    def transient(look: int) -> complex:
         return complex(np.sum(0.3 * np.exp(poles * LOOK * look)))
 
-    look, _ = judged(lambda look: 1.0 + left(look))
-    assert abs(left(look)) < 1.2 * TOLERANCE
+    look, _ = judged(lambda look: 1.0 + transient(look))
+    assert abs(transient(look)) < 1.2 * TOLERANCE
     assert look < 2.44 * np.log(300) / LOOK + 15
 
 

@@ -18,16 +18,16 @@ from tests.daq.measurement.bench_run import BenchRun, run, scene_with
 FREQUENCIES = [10.0, 13.037, 13.811, 25.0, 28.6, 34.777, 43.6, 49.663, 57.9]
 
 
-def compliance(done: BenchRun) -> tuple[np.ndarray, np.ndarray]:
+def compliance(bench_run: BenchRun) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies, measured compliance and exact compliance of all bodies."""
     columns = []
-    frequencies = np.array([fields["frequency"] for _, _, fields in done.marked("measure")])
-    for first, stop, fields in done.marked("measure"):
+    frequencies = np.array([fields["frequency"] for _, _, fields in bench_run.marked("measure")])
+    for first, stop, fields in bench_run.marked("measure"):
         frequency = fields["frequency"]
-        amplitudes = done.amplitudes(first, stop, frequency)
-        force = amplitudes @ done.weights(frequency)
-        columns.append([amplitudes[row] * done.to_displacement(row, frequency) / force for row in range(3)])
-    return np.array(columns).T, receptance(done.bench.scene, frequencies)
+        amplitudes = bench_run.amplitudes(first, stop, frequency)
+        force = amplitudes @ bench_run.weights(frequency)
+        columns.append([amplitudes[row] * bench_run.to_displacement(row, frequency) / force for row in range(3)])
+    return np.array(columns).T, receptance(bench_run.bench.scene, frequencies)
 
 
 def test_stepped_compliance_is_exact() -> None:
@@ -81,8 +81,8 @@ def test_levels_and_directions_run_in_order() -> None:
     }  # fmt: skip
     completed = run(scene_with(test))
     reported = [(f["level"], f["direction"], f["frequency"]) for _, _, f in completed.marked("measure")]
-    one = [("up", 25.0), ("up", 26.0), ("down", 26.0), ("down", 25.0)]
-    assert reported == [(1.0, *step) for step in one] + [(2.0, *step) for step in one]
+    steps_of_a_level = [("up", 25.0), ("up", 26.0), ("down", 26.0), ("down", 25.0)]
+    assert reported == [(1.0, *step) for step in steps_of_a_level] + [(2.0, *step) for step in steps_of_a_level]
     assert [fraction for fraction, _ in completed.reports] == [k / 8 for k in range(9)]
 
 
@@ -137,10 +137,10 @@ def test_missing_table_channel_is_reported() -> None:
 def test_split_does_not_change_stepped_sine() -> None:
     test = {"kind": "stepped_sine", "frequencies": [49.6], "force": "2.6 N", "measure": {"periods": 5}}
     scene = rig.load("fig8-three-dampers").replace(test=test)
-    whole, split = run(scene), run(scene, split=101)
-    np.testing.assert_array_equal(whole.drive, split.drive)
-    np.testing.assert_array_equal(whole.readings, split.readings)
-    assert whole.marks == split.marks
+    unsplit, split = run(scene), run(scene, split=101)
+    np.testing.assert_array_equal(unsplit.drive, split.drive)
+    np.testing.assert_array_equal(unsplit.readings, split.readings)
+    assert unsplit.marks == split.marks
 
 
 def test_open_loop_tone_starts_with_sine() -> None:

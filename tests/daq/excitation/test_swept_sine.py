@@ -30,10 +30,10 @@ channels:
 """
 
 
-def held(done: BenchRun) -> Array:
+def force_over_level(bench_run: BenchRun) -> Array:
     """Force over level all along a logarithmic sweep, in windows of four periods under Hann's."""
-    first, stop, fields = done.marked("measure")[0]
-    rate, stretch = done.bench.rate, np.log(fields["to"] / fields["from"])
+    first, stop, fields = bench_run.marked("measure")[0]
+    rate, stretch = bench_run.bench.rate, np.log(fields["to"] / fields["from"])
     part = np.arange(stop - first) / (stop - first)
     frequency = fields["from"] * np.exp(stretch * part)
     turns = fields["duration"] * fields["from"] * np.expm1(stretch * part) / stretch
@@ -41,10 +41,10 @@ def held(done: BenchRun) -> Array:
     while (size := round(4 * rate / frequency[start])) < part.size - start:
         window = slice(start, start + size)
         taper = np.hanning(size) * np.exp(-2j * np.pi * turns[window])
-        samples = done.readings[:, first + start : first + start + size]
+        samples = bench_run.readings[:, first + start : first + start + size]
         samples = samples - samples.mean(axis=1, keepdims=True)
         amplitudes = 2 * (samples @ taper) / np.hanning(size).sum()
-        ratios.append(abs(amplitudes @ done.weights(frequency[start + size // 2])) / fields["level"])
+        ratios.append(abs(amplitudes @ bench_run.weights(frequency[start + size // 2])) / fields["level"])
         start += size // 2
     return np.array(ratios)
 
@@ -58,14 +58,14 @@ def sweep(first: float, last: float, duration: float, force: float) -> dict[str,
 @pytest.mark.parametrize("band", [(11.0, 17.0), (17.0, 11.0)])
 def test_force_is_controlled_at_sharp_resonance(scene: str, band: tuple[float, float]) -> None:
     completed = run(rig.load(scene).replace(test=sweep(*band, duration=30.0, force=2.6)))
-    ratios = held(completed)
+    ratios = force_over_level(completed)
     assert ratios.size > 100
     assert np.abs(ratios - 1.0).max() < 0.12
     assert np.mean(np.abs(ratios - 1.0) > 0.05) < 0.1
 
 
 def test_falling_sweep_holds_force() -> None:
-    assert np.abs(held(run(rig.loads(ONE_BODY))) - 1.0).max() < 0.1
+    assert np.abs(force_over_level(run(rig.loads(ONE_BODY))) - 1.0).max() < 0.1
 
 
 @pytest.mark.thorough
@@ -73,7 +73,7 @@ def test_current_mode_holds_force_at_own_resonance() -> None:
     scene = rig.load("fig8-no-damper")
     shaker = scene.shaker.model_dump() | {"amplifier": {"mode": "current", "gain": "1 A/V"}}
     completed = run(scene.replace(shaker=shaker, test=sweep(38.0, 50.0, duration=15.0, force=2.6)))
-    assert np.abs(held(completed) - 1.0).max() < 0.1
+    assert np.abs(force_over_level(completed) - 1.0).max() < 0.1
 
 
 def test_weak_amplifier_marks_the_stretch() -> None:

@@ -305,12 +305,12 @@ def test_packing_ratio_is_limited(compression, monkeypatch):
 
 
 def test_stated_sizes_are_limited():
-    small, large = (len(chunk(b"zstd", each)) for each in (b"", bytes(range(256)) * 9))
+    empty_size, content_size = (len(chunk(b"zstd", each)) for each in (b"", bytes(range(256)) * 9))
     for inside, size, why in (
-        (b"", 2**21 + 1000 * small, "instead of"),
-        (b"", 2**21 + 1000 * small + 1, "claims to unpack from"),
-        (bytes(range(256)) * 9, 2**21 + 1000 * large, "instead of"),
-        (bytes(range(256)) * 9, 2**21 + 1000 * large + 1, "claims to unpack from"),
+        (b"", 2**21 + 1000 * empty_size, "instead of"),
+        (b"", 2**21 + 1000 * empty_size + 1, "claims to unpack from"),
+        (bytes(range(256)) * 9, 2**21 + 1000 * content_size, "instead of"),
+        (bytes(range(256)) * 9, 2**21 + 1000 * content_size + 1, "claims to unpack from"),
         (b"", 2**26, "claims to unpack from"),
         (b"", 2**26 + 1, "at most 67108864"),
     ):

@@ -17,9 +17,9 @@ from tests.daq.recording.recordings import DAMPERS, scene, signal, write
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    of = scene(recording={"truth": True, "samples": "float32"}, **DAMPERS)
-    return write(tmp_path_factory.mktemp("whole") / "a.mcap", signal(300), of)
+def intact_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    bench_scene = scene(recording={"truth": True, "samples": "float32"}, **DAMPERS)
+    return write(tmp_path_factory.mktemp("whole") / "a.mcap", signal(300), bench_scene)
 
 
 def spans(data: bytes) -> list[tuple[int, int, int]]:
@@ -41,41 +41,41 @@ def content(path: Path) -> list[object]:
         return [samples, truth, *rest, recording.channels, recording.samples]
 
 
-def undetected(path: Path, whole: Path, places: list[int]) -> list[int]:
+def undetected(path: Path, intact_file: Path, places: list[int]) -> list[int]:
     """Flip a bit of each byte in turn; return the bytes whose damage is not reported."""
-    data, passed = bytearray(whole.read_bytes()), []
+    data, undetected_places = bytearray(intact_file.read_bytes()), []
     for place in places:
         data[place] ^= 1 << place % 8
         path.write_bytes(data)
         try:
             with daq.open(path) as recording:
                 recording.check()
-            assert content(path) == content(whole)
-            passed.append(place)
+            assert content(path) == content(intact_file)
+            undetected_places.append(place)
         except RecordingError:
             pass
         data[place] ^= 1 << place % 8
-    return passed
+    return undetected_places
 
 
-def test_flipped_bits_in_message_indexes_are_reported(whole: Path, tmp_path: Path) -> None:
-    indexes = [span for span in spans(whole.read_bytes()) if span[0] == Opcode.MESSAGE_INDEX]
+def test_flipped_bits_in_message_indexes_are_reported(intact_file: Path, tmp_path: Path) -> None:
+    indexes = [span for span in spans(intact_file.read_bytes()) if span[0] == Opcode.MESSAGE_INDEX]
     places = [place for _, begin, end in indexes for place in range(begin, end)]
     assert len(places) > 300
-    assert undetected(tmp_path / "a.mcap", whole, places[::2]) == []
+    assert undetected(tmp_path / "a.mcap", intact_file, places[::2]) == []
 
 
 @pytest.mark.parametrize("step", [151, pytest.param(19, marks=pytest.mark.thorough)])
-def test_undetected_bits_have_no_effect(whole: Path, tmp_path: Path, step: int) -> None:
-    data = whole.read_bytes()
-    passed = undetected(tmp_path / "a.mcap", whole, list(range(0, len(data), step)))
+def test_undetected_bits_have_no_effect(intact_file: Path, tmp_path: Path, step: int) -> None:
+    data = intact_file.read_bytes()
+    undetected_places = undetected(tmp_path / "a.mcap", intact_file, list(range(0, len(data), step)))
     # Only the name of the writing program, and packed bytes that unpack to the same records.
     name = range(data.index(b"shotrig"), next(end for opcode, _, end in spans(data) if opcode == Opcode.HEADER))
-    assert len([place for place in passed if place not in name]) < 0.001 * len(data) + 1
+    assert len([place for place in undetected_places if place not in name]) < 0.001 * len(data) + 1
 
 
-def test_checksum_of_the_data_section_is_verified(whole: Path, tmp_path: Path) -> None:
-    data = bytearray(whole.read_bytes())
+def test_checksum_of_the_data_section_is_verified(intact_file: Path, tmp_path: Path) -> None:
+    data = bytearray(intact_file.read_bytes())
     begin = next(begin for opcode, begin, _ in spans(bytes(data)) if opcode == Opcode.DATA_END)
     struct.pack_into("<I", data, begin + 9, 1)
     (tmp_path / "a.mcap").write_bytes(data)

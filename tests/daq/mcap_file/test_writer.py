@@ -23,12 +23,12 @@ def ours(compression):
     schema = file.add_schema("pkg.Thing", "protobuf", b"\x01\x02")
     for topic in ("/a", "/b"):
         file.add_channel(topic, "protobuf", schema, {"unit": "m", "name": topic})
-    held = [file.add_chunk(chunk) for chunk in CHUNKS[:2]]
+    wrote = [file.add_chunk(chunk) for chunk in CHUNKS[:2]]
     file.add_metadata("run", {"seed": "1"})
     file.add_attachment(1, 2, "scene.yaml", "application/yaml", b"name: x")
-    held.append(file.add_chunk(CHUNKS[2]))
+    wrote.append(file.add_chunk(CHUNKS[2]))
     file.finish()
-    assert held == [True, False, True]
+    assert wrote == [True, False, True]
     return stream.getvalue()
 
 
@@ -65,10 +65,10 @@ def test_batched_messages_equal_single_ones(channels_first):
     times, sequence, channels = np.array([7, 9, 2**63], np.uint64), np.arange(3), np.array([2, 1])
     data = np.random.default_rng(0).integers(0, 256, (2, 3, 28)).astype(np.uint8)
     if channels_first:
-        together = Messages(channels[:, None], times, times, data, sequence)
+        batch = Messages(channels[:, None], times, times, data, sequence)
         order = [(row, column) for row in range(2) for column in range(3)]
     else:
-        together = Messages(channels, times[:, None], times[:, None], data.transpose(1, 0, 2), sequence[:, None])
+        batch = Messages(channels, times[:, None], times[:, None], data.transpose(1, 0, 2), sequence[:, None])
         order = [(row, column) for column in range(3) for row in range(2)]
     alone = [
         Message(int(channels[row]), int(times[column]), int(times[column]), data[row, column].tobytes(), column)
@@ -76,7 +76,7 @@ def test_batched_messages_equal_single_ones(channels_first):
     ]
     before, after = Message(1, 2**63 + 5, 1, b"before", 0), Messages(3, 5, 5, data[0, :1], 4)
     written = []
-    for chunk in ([before, together, after], [before, *alone, Message(3, 5, 5, data[0, 0].tobytes(), 4)]):
+    for chunk in ([before, batch, after], [before, *alone, Message(3, 5, 5, data[0, 0].tobytes(), 4)]):
         stream = BytesIO()
         file = ChunkedFile(stream, "test 1", "zstd")
         assert file.add_chunk(chunk)

@@ -58,11 +58,11 @@ def test_waveform_restarts_after_a_gap(tmp_path):
 
 def transforms(path):
     """(times, {child: (parent, heights)}) of the transforms, decoded by protobuf itself."""
-    made = message_class(TRANSFORMS_SCHEMA.data, TRANSFORMS_SCHEMA.name)
+    message_type = message_class(TRANSFORMS_SCHEMA.data, TRANSFORMS_SCHEMA.name)
     result = messages(path, "/tf")
     links: dict[str, tuple[str, list[float]]] = {}
     for message in result:
-        for transform in made.FromString(message.data).transforms:
+        for transform in message_type.FromString(message.data).transforms:
             assert transform.timestamp.seconds * 10**9 + transform.timestamp.nanos == message.log_time
             assert transform.rotation.w == 1.0
             links.setdefault(transform.child_frame_id, (transform.parent_frame_id, []))[1].append(
@@ -78,14 +78,14 @@ def test_displacement_channel_moves_its_body(tmp_path):
     times, links = transforms(path)
     parent, heights = links["body_1"]
     inside = (times > 0.1) & (times < 2.2)
-    moved = 20.0 * 1e-3 * np.sin(2 * np.pi * 10.0 * times[inside])
+    expected_shift = 20.0 * 1e-3 * np.sin(2 * np.pi * 10.0 * times[inside])
     assert parent == "world"
     robot = ElementTree.fromstring(messages(path, "/robot_description")[0].data[8:-1])
     assert robot.attrib["name"] == "rig, motion drawn x 20"
     assert {link.attrib["name"] for link in robot.iter("link")} == {*links, "world"}
     joints = {joint.find("child").attrib["link"]: joint for joint in robot.iter("joint")}
     rest = float(joints["body_1"].find("origin").attrib["xyz"].split()[2])
-    assert np.array(heights)[inside] - rest == pytest.approx(moved, abs=2e-5)
+    assert np.array(heights)[inside] - rest == pytest.approx(expected_shift, abs=2e-5)
 
 
 def test_acceleration_alone_moves_its_body(tmp_path):
@@ -94,8 +94,8 @@ def test_acceleration_alone_moves_its_body(tmp_path):
     volts = -0.01 * w**2 * 1e-3 * np.sin(w * t)
     path = write(tmp_path / "a.mcap", np.array([0 * volts, volts]), scene(recording={"display": True}))
     times, links = transforms(path)
-    late = (times > 4.0) & (times < 6.0)
-    heights = np.array(links["body_2"][1])[late]
+    is_settled = (times > 4.0) & (times < 6.0)
+    heights = np.array(links["body_2"][1])[is_settled]
     assert np.ptp(heights) == pytest.approx(2 * 20.0 * 1e-3, rel=0.05)
     assert links["body_3"][1] == pytest.approx([links["body_3"][1][0]] * times.size)
 
@@ -112,8 +112,8 @@ def test_dampers_rest_on_their_bodies(tmp_path):
 
 
 def test_parts_without_truth_keep_their_place(tmp_path):
-    path, of = tmp_path / "a.mcap", scene(recording=ALL, **DAMPERS)
-    with Recorder(path, of, channels(), RATE) as recorder:
+    path, bench_scene = tmp_path / "a.mcap", scene(recording=ALL, **DAMPERS)
+    with Recorder(path, bench_scene, channels(), RATE) as recorder:
         recorder.write_truth(motion(0, 9000, dampers=1))
         for part in (noise(2000), noise(2000)):
             if recorder.position:
@@ -123,15 +123,15 @@ def test_parts_without_truth_keep_their_place(tmp_path):
     samples = np.rint(times * RATE)
     gap = np.array(links["damper_1"][1]) - links["damper_1"][1][0]
     # Samples delayed by the anti-aliasing filter arrive when acquisition resumes, long after their truth.
-    held = (samples > 2000 - 8 * 11) & (samples < 2000)
-    assert np.count_nonzero(held) > 2
-    assert gap[held] == pytest.approx(gap[np.flatnonzero(held)[0] - 1], abs=1e-12)
-    assert gap[~held] == pytest.approx(20.0 * 1e-9 * samples[~held], abs=1e-12)
+    is_missing = (samples > 2000 - 8 * 11) & (samples < 2000)
+    assert np.count_nonzero(is_missing) > 2
+    assert gap[is_missing] == pytest.approx(gap[np.flatnonzero(is_missing)[0] - 1], abs=1e-12)
+    assert gap[~is_missing] == pytest.approx(20.0 * 1e-9 * samples[~is_missing], abs=1e-12)
 
 
 def test_wide_cavity_has_smaller_exaggeration(tmp_path):
-    wide = {"dampers": [{"body": 1, "mass_ratio": 0.1, "clearance": 0.02}]}
-    path = write(tmp_path / "a.mcap", noise(1500), scene(recording=ALL, **wide))
+    wide_cavity = {"dampers": [{"body": 1, "mass_ratio": 0.1, "clearance": 0.02}]}
+    path = write(tmp_path / "a.mcap", noise(1500), scene(recording=ALL, **wide_cavity))
     with daq.open(path) as recording:
         assert recording.metadata["display"]["exaggeration"] == "5"
 
@@ -140,14 +140,14 @@ def test_rerun_alone_loads_plots_and_moving_rig(tmp_path):
     from rerun.chunk import McapReader
 
     path = write(tmp_path / "a.mcap", noise(1500), scene(recording=ALL, **DAMPERS))
-    drawn = {}
+    series_by_entity = {}
     for chunk in McapReader(str(path)).stream():
-        names = drawn.setdefault(str(chunk.entity_path), set())
+        names = series_by_entity.setdefault(str(chunk.entity_path), set())
         names.update(str(name) for name in chunk.to_record_batch().schema.names)
     for name in ("/display/body1", "/display/body1/rms", "/display/body2/peak"):
-        assert "Scalars:scalars" in drawn[name]
-    assert any(name.startswith("Transform3D") for name in drawn["/tf"])
-    shapes = {entity.split("/")[-2] for entity, names in drawn.items() if "Boxes3D:half_sizes" in names}
+        assert "Scalars:scalars" in series_by_entity[name]
+    assert any(name.startswith("Transform3D") for name in series_by_entity["/tf"])
+    shapes = {entity.split("/")[-2] for entity, names in series_by_entity.items() if "Boxes3D:half_sizes" in names}
     assert shapes == {"world", "body_1", "body_2", "body_3", "table", "damper_1"}
 
 

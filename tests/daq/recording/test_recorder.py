@@ -40,17 +40,17 @@ def summary_of(path):
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
+def unsplit_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("whole") / "whole.mcap"
     return write(path, noise(4000), scene(recording=ALL, **DAMPERS)).read_bytes()
 
 
 @settings(max_examples=12)
 @given(pieces=st.lists(st.integers(1, 3000), min_size=1, max_size=5))
-def test_bytes_do_not_depend_on_the_split(whole, tmp_path_factory, pieces):
+def test_bytes_do_not_depend_on_the_split(unsplit_file, tmp_path_factory, pieces):
     path = tmp_path_factory.mktemp("split") / "split.mcap"
     write(path, noise(4000), scene(recording=ALL, **DAMPERS), pieces=pieces)
-    assert path.read_bytes() == whole
+    assert path.read_bytes() == unsplit_file
 
 
 def test_marks_and_gaps_do_not_depend_on_split(tmp_path):
@@ -84,8 +84,8 @@ def test_no_chunk_holds_two_raw_topics(tmp_path):
     summary = summary_of(path)
     raw = {number for number, channel in summary.channels.items() if channel.topic.startswith("/raw/")}
     for chunk in summary.chunk_indexes:
-        held = set(chunk.message_index_offsets)
-        assert len(held) == 1 or not held & raw
+        channel_ids = set(chunk.message_index_offsets)
+        assert len(channel_ids) == 1 or not channel_ids & raw
 
 
 def test_recording_without_display_has_no_display_topics(tmp_path):
@@ -124,14 +124,14 @@ def test_file_as_folder_is_rejected(tmp_path):
 
 def test_write_protected_folder_is_rejected(tmp_path):
     # Made before, as nobody may read a checkout that lies in a private folder.
-    given = scene(), channels()
+    bench = scene(), channels()
     tmp_path.chmod(0o500)
     mighty = os.geteuid() == 0
     if mighty:
         os.seteuid(65534)
     try:
         with pytest.raises(RecordingError, match=r"cannot create .*ermission denied"):
-            Recorder(tmp_path / "a.mcap", *given, RATE)
+            Recorder(tmp_path / "a.mcap", *bench, RATE)
     finally:
         if mighty:
             os.seteuid(0)
@@ -173,13 +173,13 @@ def test_full_disk_ends_the_recording_in_time(tmp_path, monkeypatch):
 def test_full_disk_is_reported_once(tmp_path, monkeypatch):
     path, usage = tmp_path / "a.mcap", shutil.disk_usage(tmp_path)
     message = pytest.raises(RunError, match=r"first 0\.50 s, without an end.*daq recover")
-    with ExitStack() as limited, message as full, Recorder(path, scene(), channels(), RATE) as recorder:
+    with ExitStack() as limited, message as failure, Recorder(path, scene(), channels(), RATE) as recorder:
         recorder.write(noise(GROUP))
         monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1 << 20))
         # Not even the end of the file fits.
         limited.enter_context(file_size_limit(path.stat().st_size))
         recorder.write(noise(GROUP))
-    assert not hasattr(full.value, "__notes__")
+    assert not hasattr(failure.value, "__notes__")
 
 
 @pytest.mark.parametrize(
@@ -231,17 +231,17 @@ def test_wrong_recorder_calls_are_rejected(tmp_path):
 
 
 def test_samples_without_their_truth_are_refused(tmp_path):
-    of = scene(recording={"truth": True})
+    truth_scene = scene(recording={"truth": True})
     with (
         pytest.raises(RunError, match="truth: the true motion of these samples is missing"),
-        Recorder(tmp_path / "a.mcap", of, channels(), RATE) as recorder,
+        Recorder(tmp_path / "a.mcap", truth_scene, channels(), RATE) as recorder,
     ):
         recorder.write(noise(10))
 
 
 @pytest.mark.parametrize("truth", [False, True])
 def test_each_group_is_on_disk_once_complete(tmp_path, truth, monkeypatch):
-    path, of, flushed = tmp_path / "a.mcap", scene(recording={"truth": truth}), []
+    path, truth_scene, flushed = tmp_path / "a.mcap", scene(recording={"truth": truth}), []
 
     class WatchedDisk(Disk):
         def commit(self):
@@ -251,7 +251,7 @@ def test_each_group_is_on_disk_once_complete(tmp_path, truth, monkeypatch):
 
     monkeypatch.setattr("daq.recording.recorder.Disk", WatchedDisk)
     recorders = []
-    recorders.append(Recorder(path, of, channels(), RATE))
+    recorders.append(Recorder(path, truth_scene, channels(), RATE))
     samples, first = noise(6 * GROUP), 0
     for size in (1000, 3 * GROUP, 100):
         part = samples[:, first : first + size]
@@ -261,8 +261,8 @@ def test_each_group_is_on_disk_once_complete(tmp_path, truth, monkeypatch):
         first += size
     assert flushed == [GROUP, 2 * GROUP, 3 * GROUP]
     # A killed process closes nothing: recover what is on the disk now.
-    kept = recover(path, tmp_path / "fixed.mcap").kept
-    assert set(kept.values()) == {3 * GROUP}
+    recovered = recover(path, tmp_path / "fixed.mcap").kept
+    assert set(recovered.values()) == {3 * GROUP}
     recorders[0].close()
 
 

@@ -30,7 +30,7 @@ def recorded(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def small(tmp_path_factory):
+def small_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("small") / "a.mcap"
     return write(path, signal(2 * GROUP), scene())
 
@@ -63,8 +63,8 @@ def test_opened_recording_has_all_descriptions(recorded):
 def test_each_sample_type_keeps_its_precision(tmp_path, stored):
     volts = signal(700)
     counts = np.rint(volts * 2**23 / 5.0).astype(np.int32)
-    of = scene(recording={"samples": stored}, **BITS)
-    with daq.open(write(tmp_path / "a.mcap", counts, of)) as recording:
+    stored_scene = scene(recording={"samples": stored}, **BITS)
+    with daq.open(write(tmp_path / "a.mcap", counts, stored_scene)) as recording:
         got = recording.read("body1")
         assert recording.stored == stored
     exact = counts[0] * (10.0 / 2**24) / 500.0
@@ -88,9 +88,9 @@ def test_pieces_of_any_size_make_the_whole(recorded):
         for size in (100, 1000, 10**6):
             pieces = list(recording.blocks(["body2", "body1"], size))
             assert [first for first, _ in pieces] == list(range(0, SAMPLES, size))
-            whole = np.concatenate([samples for _, samples in pieces], axis=1)
-            assert np.array_equal(whole[1], recording.read("body1"))
-            assert np.array_equal(whole[0], recording.read("body2"))
+            joined = np.concatenate([samples for _, samples in pieces], axis=1)
+            assert np.array_equal(joined[1], recording.read("body1"))
+            assert np.array_equal(joined[0], recording.read("body2"))
 
 
 def test_unacquired_samples_read_as_nan(tmp_path):
@@ -104,9 +104,9 @@ def test_unacquired_samples_read_as_nan(tmp_path):
         assert recording.gaps == [Gap(1234, 3233, ("body1", "body2"), "never acquired")]
         assert np.isnan(recording.read("body2", 2000, 2100)).all()
     assert np.isnan(got[1234:3234]).all()
-    kept = ~np.isnan(got)
-    assert kept.sum() == 3000
-    assert np.array_equal(got[kept], samples[0, kept] * (1 / 500.0))
+    is_present = ~np.isnan(got)
+    assert is_present.sum() == 3000
+    assert np.array_equal(got[is_present], samples[0, is_present] * (1 / 500.0))
 
 
 @pytest.mark.parametrize(("start", "stop"), [(-1, 5), (0, SAMPLES + 1), (10, 9)])
@@ -154,7 +154,7 @@ def test_channel_reads_only_its_chunks(recorded, monkeypatch):
 def foreign(path, topics=("/raw/a", "/raw/b"), metadata=None, compression=CompressionType.LZ4, **options):
     """Written with the reference library and protobuf alone: blocks of 100, several channels in a chunk."""
     described = block_schema("shotrig.BlockFloat32")
-    made = message_class(described.data, described.name)
+    message_type = message_class(described.data, described.name)
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=3000, compression=compression, **options)
         writer.start(profile="", library="another program")
@@ -167,7 +167,7 @@ def foreign(path, topics=("/raw/a", "/raw/b"), metadata=None, compression=Compre
             for row, number in enumerate(ids):
                 samples = np.arange(block * 100, block * 100 + 100) + 0.25 * row
                 t0 = 5_000_000 + block * 10**8
-                message = made(t0_ns=t0, first_sample=block * 100, sample_rate_hz=1000.0, samples=samples)
+                message = message_type(t0_ns=t0, first_sample=block * 100, sample_rate_hz=1000.0, samples=samples)
                 writer.add_message(number, t0 + 10**8, message.SerializeToString(), t0)
         writer.finish()
     return path
@@ -210,12 +210,12 @@ def test_deviation_from_the_layout_is_located(tmp_path, changes, message):
 # -- damage ----------------------------------------------------------------------------------------------
 
 
-def test_bit_flips_are_never_read_as_samples(small, tmp_path):
-    whole, true = small.read_bytes(), signal(2 * GROUP)
+def test_bit_flips_are_never_read_as_samples(small_file, tmp_path):
+    content, true = small_file.read_bytes(), signal(2 * GROUP)
     scales = {"body1": 1 / 500.0, "body2": 1 / 0.01}
     rng, path, refused = random.Random(7), tmp_path / "flipped.mcap", 0
     for _ in range(100):
-        data = bytearray(whole)
+        data = bytearray(content)
         data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
         path.write_bytes(data)
         try:
@@ -232,8 +232,8 @@ def test_bit_flips_are_never_read_as_samples(small, tmp_path):
     assert refused > 90
 
 
-def test_damaged_metadata_record_is_not_used(small, tmp_path):
-    data = small.read_bytes()
+def test_damaged_metadata_record_is_not_used(small_file, tmp_path):
+    data = small_file.read_bytes()
     place = data.index(b"\x07\0\0\0rate_hz") + 15
     path = tmp_path / "a.mcap"
     path.write_bytes(data[:place] + b"9" + data[place + 1 :])
@@ -242,9 +242,9 @@ def test_damaged_metadata_record_is_not_used(small, tmp_path):
 
 
 @pytest.mark.parametrize("cut", [1, 8, 30, 5000, 30_000])
-def test_file_without_end_names_the_remedy(small, tmp_path, cut):
+def test_file_without_end_names_the_remedy(small_file, tmp_path, cut):
     path = tmp_path / "torn.mcap"
-    path.write_bytes(small.read_bytes()[:-cut])
+    path.write_bytes(small_file.read_bytes()[:-cut])
     with pytest.raises(RecordingError, match=r"torn\.mcap: the file was not closed properly.*daq recover"):
         daq.open(path)
 
@@ -311,9 +311,9 @@ def holding(path, inside, end):
 
 
 def chunk_index(offset, length, size, end=10**9, offsets=10):
-    held = struct.pack("<HQ", 1, 0)
+    message_offsets = struct.pack("<HQ", 1, 0)
     head = struct.pack("<QQQQI", 0, end, offset, length, offsets)
-    return record(8, head + held + struct.pack("<Q", 0) + text(b"zstd") + struct.pack("<QQ", 0, size))
+    return record(8, head + message_offsets + struct.pack("<Q", 0) + text(b"zstd") + struct.pack("<QQ", 0, size))
 
 
 DATA_BEGINS = len(MAGIC) + 9 + 4 + 4 + 4
@@ -379,9 +379,9 @@ def test_absurd_lengths_are_rejected(tmp_path, index, little_memory):
 
 def block_message(first, samples, rate=100.0, log_time=None):
     described = block_schema("shotrig.BlockFloat64")
-    made = message_class(described.data, described.name)
+    message_type = message_class(described.data, described.name)
     t0 = int(first * 1e9 / rate) % 2**63
-    data = made(t0_ns=t0, first_sample=first, sample_rate_hz=rate, samples=samples).SerializeToString()
+    data = message_type(t0_ns=t0, first_sample=first, sample_rate_hz=rate, samples=samples).SerializeToString()
     end = int((first + len(samples)) * 1e9 / rate) % 2**63 if log_time is None else log_time
     return record(5, struct.pack("<HIQQ", 1, 0, end, t0) + data), end
 
@@ -392,8 +392,8 @@ def test_distant_block_does_not_exhaust_memory(tmp_path, little_memory):
     with daq.open(path) as recording:
         assert recording.samples == 2**33 + 2
         assert recording.read("a", 2**33 - 1, 2**33 + 2)[1:].tolist() == [1.0, 2.0]
-        held = len(message) // 4
-        with pytest.raises(RecordingError, match=rf"samples 0 to {2**33 + 1}: at most {held} of them"):
+        n_samples = len(message) // 4
+        with pytest.raises(RecordingError, match=rf"samples 0 to {2**33 + 1}: at most {n_samples} of them"):
             recording.read("a")
 
 

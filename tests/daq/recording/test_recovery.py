@@ -23,7 +23,7 @@ TRUE = signal(SAMPLES) * np.array([[1 / 500.0], [1 / 0.01]])
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
+def intact_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("whole") / "a.mcap"
     return write(path, signal(SAMPLES), scene(recording={"display": True}))
 
@@ -42,7 +42,7 @@ def chunks_of(path):
     ]
 
 
-def kept(path, true=TRUE):
+def check_readable(path, true=TRUE):
     """Samples of both channels; NaN is lost, and everything else must be the truth in its place."""
     with daq.open(path) as recording:
         recording.check()
@@ -53,28 +53,28 @@ def kept(path, true=TRUE):
         for gap in recording.gaps:
             for row, name in enumerate(recording.channels):
                 listed[row, gap.first_sample : gap.last_sample + 1] |= name in gap.channels
-        there = ~np.isnan(samples)
-        assert np.array_equal(samples[there], true[there])
+        is_readable = ~np.isnan(samples)
+        assert np.array_equal(samples[is_readable], true[is_readable])
         # Only data that is missing before the end is listed.
-        assert np.array_equal(listed[:, : recording.samples], ~there[:, : recording.samples])
-    return there
+        assert np.array_equal(listed[:, : recording.samples], ~is_readable[:, : recording.samples])
+    return is_readable
 
 
 def expected_of(chunks, broken):
     """Which samples must be there when some chunks are broken."""
-    there = np.zeros(TRUE.shape, bool)
-    seen = {"/raw/body1": 0, "/raw/body2": 0}
+    is_readable = np.zeros(TRUE.shape, bool)
+    n_groups = {"/raw/body1": 0, "/raw/body2": 0}
     for begin, end, topics in chunks:
-        for row, topic in enumerate(seen):
+        for row, topic in enumerate(n_groups):
             if topic in topics:
-                first = seen[topic] * GROUP
-                there[row, first : first + GROUP] = not broken(begin, end)
-                seen[topic] += 1
-    return there
+                first = n_groups[topic] * GROUP
+                is_readable[row, first : first + GROUP] = not broken(begin, end)
+                n_groups[topic] += 1
+    return is_readable
 
 
-def test_truncated_file_keeps_every_whole_chunk(whole, tmp_path):
-    data, chunks, rng = whole.read_bytes(), chunks_of(whole), random.Random(5)
+def test_truncated_file_keeps_every_whole_chunk(intact_file, tmp_path):
+    data, chunks, rng = intact_file.read_bytes(), chunks_of(intact_file), random.Random(5)
     torn, fixed = tmp_path / os.fsdecode(b"torn\xff.mcap"), tmp_path / "fixed.mcap"
     first = min(begin for begin, _, topics in chunks if "/raw/body1" in topics)
     # After the last record before the summary, a file contains no data.
@@ -91,7 +91,7 @@ def test_truncated_file_keeps_every_whole_chunk(whole, tmp_path):
             refused += 1
             continue
         salvage = daq.recover(torn, fixed, overwrite=True)
-        assert np.array_equal(kept(fixed), expected)
+        assert np.array_equal(check_readable(fixed), expected)
         assert salvage.whole == (cut > ends)
         assert sum(salvage.kept.values()) == expected.sum()
         fixed.unlink()
@@ -99,8 +99,8 @@ def test_truncated_file_keeps_every_whole_chunk(whole, tmp_path):
 
 
 @pytest.mark.thorough
-def test_bit_flips_lose_a_chunk_at_most(whole, tmp_path):
-    data, chunks, rng = whole.read_bytes(), chunks_of(whole), random.Random(6)
+def test_bit_flips_lose_a_chunk_at_most(intact_file, tmp_path):
+    data, chunks, rng = intact_file.read_bytes(), chunks_of(intact_file), random.Random(6)
     flipped, fixed = tmp_path / "flipped.mcap", tmp_path / "fixed.mcap"
     for _ in range(100):
         place = rng.randrange(len(data))
@@ -108,65 +108,65 @@ def test_bit_flips_lose_a_chunk_at_most(whole, tmp_path):
         damaged[place] ^= 1 << rng.randrange(8)
         flipped.write_bytes(damaged)
         salvage = daq.recover(flipped, fixed, overwrite=True)
-        there = kept(fixed)
+        is_readable = check_readable(fixed)
         hit = expected_of(chunks, lambda begin, end, place=place: begin <= place < end)
         # Undamaged data is recovered; a chunk with a damaged head may be recovered too.
-        assert there[hit].all()
+        assert is_readable[hit].all()
         lost = sum(stop - first for spans in salvage.lost.values() for first, stop in spans)
-        assert lost == (~there).sum()
+        assert lost == (~is_readable).sum()
         if lost:
             assert any("checksum" in note or "unpack" in note or "record" in note for note in salvage.notes)
 
 
 @pytest.mark.parametrize("length", [1, 40, 5000, 60_000])
-def test_overwritten_stretches_lose_only_themselves(whole, tmp_path, length):
-    data, chunks, rng = whole.read_bytes(), chunks_of(whole), random.Random(length)
+def test_overwritten_stretches_lose_only_themselves(intact_file, tmp_path, length):
+    data, chunks, rng = intact_file.read_bytes(), chunks_of(intact_file), random.Random(length)
     for filler in (b"\0" * length, b"\xff" * length, rng.randbytes(length), data[:length]):
         place = rng.randrange(len(data) - length)
         damaged = tmp_path / "damaged.mcap"
         damaged.write_bytes(data[:place] + filler + data[place + length :])
         daq.recover(damaged, tmp_path / "fixed.mcap", overwrite=True)
         untouched = expected_of(chunks, lambda begin, end, at=place: begin < at + length and at < end)
-        assert kept(tmp_path / "fixed.mcap")[untouched].all()
+        assert check_readable(tmp_path / "fixed.mcap")[untouched].all()
 
 
-def test_samples_behind_a_cut_keep_their_places(whole, tmp_path):
-    data, chunks = whole.read_bytes(), chunks_of(whole)
+def test_samples_behind_a_cut_keep_their_places(intact_file, tmp_path):
+    data, chunks = intact_file.read_bytes(), chunks_of(intact_file)
     raw = [chunk for chunk in chunks if "/raw/body1" in chunk[2]]
     begin, end = raw[1][0] + 100, raw[2][0] + 100
     (tmp_path / "cut.mcap").write_bytes(data[:begin] + data[end:])
     daq.recover(tmp_path / "cut.mcap", tmp_path / "fixed.mcap")
-    there = kept(tmp_path / "fixed.mcap")
-    assert not there[0, GROUP : 2 * GROUP].any()
-    assert there[0, 3 * GROUP :].all()
+    is_readable = check_readable(tmp_path / "fixed.mcap")
+    assert not is_readable[0, GROUP : 2 * GROUP].any()
+    assert is_readable[0, 3 * GROUP :].all()
 
 
 @pytest.mark.parametrize("place", range(9))
-def test_chunk_with_damaged_length_is_recovered(whole, tmp_path, place):
-    chunks = [chunk for chunk in chunks_of(whole) if "/raw/body2" in chunk[2]]
-    damaged = bytearray(whole.read_bytes())
+def test_chunk_with_damaged_length_is_recovered(intact_file, tmp_path, place):
+    chunks = [chunk for chunk in chunks_of(intact_file) if "/raw/body2" in chunk[2]]
+    damaged = bytearray(intact_file.read_bytes())
     damaged[chunks[2][0] + place] ^= 0x41
     (tmp_path / "a.mcap").write_bytes(damaged)
     salvage = daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
-    assert kept(tmp_path / "fixed.mcap").all()
+    assert check_readable(tmp_path / "fixed.mcap").all()
     assert salvage.lost == {}
 
 
-def test_file_with_damaged_end_is_complete(whole, tmp_path):
-    (tmp_path / "a.mcap").write_bytes(whole.read_bytes()[:-3])
+def test_file_with_damaged_end_is_complete(intact_file, tmp_path):
+    (tmp_path / "a.mcap").write_bytes(intact_file.read_bytes()[:-3])
     salvage = daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
     assert salvage.whole
     assert list(salvage.report())[-1] == "nothing was lost"
     with daq.open(tmp_path / "fixed.mcap") as recording:
         assert recording.status == "complete"
         assert [marker.kind for marker in recording.markers] == ["measure"]
-    assert kept(tmp_path / "fixed.mcap").all()
+    assert check_readable(tmp_path / "fixed.mcap").all()
 
 
-def test_lost_markers_and_display_are_counted(whole, tmp_path):
-    data = bytearray(whole.read_bytes())
+def test_lost_markers_and_display_are_counted(intact_file, tmp_path):
+    data = bytearray(intact_file.read_bytes())
     for topic in ("/markers", "/tf"):
-        begin, end, _ = [chunk for chunk in chunks_of(whole) if topic in chunk[2]][-1]
+        begin, end, _ = [chunk for chunk in chunks_of(intact_file) if topic in chunk[2]][-1]
         data[(begin + end) // 2] ^= 1
     (tmp_path / "a.mcap").write_bytes(data)
     salvage = daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
@@ -253,23 +253,23 @@ def test_killed_recorder_keeps_all_flushed_samples(tmp_path):
         written = int([line, *rest][-1] if len(rest) < 2 else rest[-2])
         fixed = path.with_suffix(".fixed")
         salvage = daq.recover(path, fixed)
-        there = kept(fixed, true)
-        assert there[:, : written // GROUP * GROUP].all()
+        is_readable = check_readable(fixed, true)
+        assert is_readable[:, : written // GROUP * GROUP].all()
         assert any("has no end" in note for note in salvage.notes)
 
 
 # -- refusals --------------------------------------------------------------------------------------------
 
 
-def test_wrong_recovery_targets_change_nothing(whole, tmp_path):
+def test_wrong_recovery_targets_change_nothing(intact_file, tmp_path):
     path, other = tmp_path / "a.mcap", tmp_path / "b.mcap"
-    path.write_bytes(whole.read_bytes())
+    path.write_bytes(intact_file.read_bytes())
     other.write_bytes(b"precious")
     with pytest.raises(RecordingError, match="into itself"):
         daq.recover(path, path, overwrite=True)
     with pytest.raises(RecordingError, match="exists"):
         daq.recover(path, other)
-    assert path.read_bytes() == whole.read_bytes()
+    assert path.read_bytes() == intact_file.read_bytes()
     assert other.read_bytes() == b"precious"
     with pytest.raises(RecordingError, match="No such file"):
         daq.recover(tmp_path / "none.mcap", tmp_path / "c.mcap")
@@ -277,18 +277,18 @@ def test_wrong_recovery_targets_change_nothing(whole, tmp_path):
         daq.recover(tmp_path, tmp_path / "c.mcap")
 
 
-def test_recovery_needs_room_before_it_begins(whole, tmp_path, monkeypatch):
+def test_recovery_needs_room_before_it_begins(intact_file, tmp_path, monkeypatch):
     usage = shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=whole.stat().st_size - 1))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=intact_file.stat().st_size - 1))
     with pytest.raises(RunError, match=r"its disk has 0\.\d MB left.*another disk with -o"):
-        daq.recover(whole, tmp_path / "fixed.mcap")
+        daq.recover(intact_file, tmp_path / "fixed.mcap")
     assert not list(tmp_path.iterdir())
 
 
-def test_recovery_onto_a_full_disk_leaves_nothing(whole, tmp_path):
-    with pytest.raises(RunError, match=r"is not changed.*another disk with -o") as full, file_size_limit(20_000):
-        daq.recover(whole, tmp_path / "fixed.mcap")
-    assert "daq recover" not in str(full.value) and not list(tmp_path.iterdir())
+def test_recovery_onto_a_full_disk_leaves_nothing(intact_file, tmp_path):
+    with pytest.raises(RunError, match=r"is not changed.*another disk with -o") as failure, file_size_limit(20_000):
+        daq.recover(intact_file, tmp_path / "fixed.mcap")
+    assert "daq recover" not in str(failure.value) and not list(tmp_path.iterdir())
 
 
 def test_random_bytes_are_not_recovered(tmp_path):
@@ -312,8 +312,8 @@ def test_recovery_uses_nothing_without_checksum(tmp_path):
         daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
 
 
-def test_nothing_recoverable_is_reported(whole, tmp_path):
-    data = bytearray(whole.read_bytes()[:-3])
+def test_nothing_recoverable_is_reported(intact_file, tmp_path):
+    data = bytearray(intact_file.read_bytes()[:-3])
     data[400] ^= 1
     (tmp_path / "a.mcap").write_bytes(data)
     with pytest.raises(ShotrigError, match="nothing can be recovered"):
@@ -323,16 +323,16 @@ def test_nothing_recoverable_is_reported(whole, tmp_path):
 # -- command line ----------------------------------------------------------------------------------------
 
 
-def test_recover_command_lists_losses_like_info(whole, tmp_path):
-    data, run = whole.read_bytes(), CliRunner().invoke
+def test_recover_command_lists_losses_like_info(intact_file, tmp_path):
+    data, run = intact_file.read_bytes(), CliRunner().invoke
     (tmp_path / "torn.mcap").write_bytes(data[: len(data) // 2])
     result = run(app, ["recover", str(tmp_path / "torn.mcap"), "-o", str(tmp_path / "fixed.mcap")])
     assert result.exit_code == 0
     assert "were not flushed" in result.output
-    shown = run(app, ["info", "--check", str(tmp_path / "fixed.mcap")])
-    assert shown.exit_code == 0
-    assert "recovered from torn.mcap" in shown.output
-    assert "all checksums match" in shown.output
-    assert "body 2, acceleration" in shown.output
+    info = run(app, ["info", "--check", str(tmp_path / "fixed.mcap")])
+    assert info.exit_code == 0
+    assert "recovered from torn.mcap" in info.output
+    assert "all checksums match" in info.output
+    assert "body 2, acceleration" in info.output
     refused = run(app, ["info", str(tmp_path / "torn.mcap")])
     assert isinstance(refused.exception, RecordingError)

@@ -79,7 +79,7 @@ def rewritten(path: Path, checksums: bool = True, shift: int = 0) -> Path:
         for channel in summary.channels.values():
             copy.add_channel(channel.topic, channel.message_encoding, schemas[channel.schema_id], channel.metadata)
         for chunk in range(len(summary.offsets)):
-            moved = []
+            messages = []
             for message in container.messages(chunk):
                 channel, data = summary.channels[message.channel], bytes(message.data)
                 times = message.log_time, message.publish_time
@@ -88,8 +88,8 @@ def rewritten(path: Path, checksums: bool = True, shift: int = 0) -> Path:
                     clock, first = Timebase(block.rate), block.first_sample + shift
                     data = encode(clock, first, block.samples[None, None]).tobytes()
                     times = clock.time_ns(first + block.samples.size), clock.time_ns(first)
-                moved.append(Message(message.channel, *times, data, message.sequence))
-            copy.add_chunk(moved)
+                messages.append(Message(message.channel, *times, data, message.sequence))
+            copy.add_chunk(messages)
         copy.finish()
     if not checksums:
         content = bytearray(target.read_bytes())
@@ -136,9 +136,9 @@ def test_unmarked_missing_samples_are_reported(sound: Path, shift: int) -> None:
 def test_chunk_that_packs_too_well_is_rejected() -> None:
     import struct
 
-    many = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0) * 2000
+    records = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0) * 2000
     with pytest.raises(Damage, match="more than"):
-        messages_in(memoryview(many), stored=100)
+        messages_in(memoryview(records), stored=100)
     with pytest.raises(Damage, match="does not belong in a chunk"):
         messages_in(memoryview(struct.pack("<BQ", 0xEE, 0)), stored=100)
     huge = struct.pack("<QQQII", 0, 0, 1 << 25, 0, 4) + b"zstd" + struct.pack("<Q", 8) + bytes(8)

@@ -89,9 +89,9 @@ def test_saved_gaps_and_contacts_match_truth(recording, written):
     np.testing.assert_array_equal(gap_mm, 1e3 * recording.truth("gap")[0])
     assert gap_mm.max() == pytest.approx(0.98, rel=1e-6), "the damper should have reached its ceiling"
     changed, states = written.series("/dampers/contact/damper_1", "state")
-    shown = states[np.searchsorted(changed, time + 1e-9, side="right") - 1]
+    displayed = states[np.searchsorted(changed, time + 1e-9, side="right") - 1]
     true = np.array(["flight", "floor", "ceiling"])[recording.truth("contact")[0].astype(int)]
-    assert (shown == true).all()
+    assert (displayed == true).all()
     assert set(states) == {"flight", "floor", "ceiling"}
 
 
@@ -102,9 +102,9 @@ def test_drawn_rig_follows_displacement_channels(recording, written):
     for body in (1, 2, 3):
         time, place = written.series(f"/rig/body_{body}", "translation", width=3)
         np.testing.assert_allclose(time, frames / recording.rate, atol=1e-9)
-        moved = place[:, 2] - place[:, 2].mean()
+        deviation = place[:, 2] - place[:, 2].mean()
         read = recording.read(f"body{body}")[frames] * replay.view.magnification
-        np.testing.assert_allclose(moved, read - read.mean(), atol=1e-6)
+        np.testing.assert_allclose(deviation, read - read.mean(), atol=1e-6)
     _, gap = written.series("/rig/body_2/damper", "translation", width=3)
     true = recording.truth("gap")[0][frames] * replay.view.magnification
     np.testing.assert_allclose(gap[:, 2], true, atol=1e-6)
@@ -144,9 +144,9 @@ def test_lost_samples_leave_a_hole_in_curves(recording, tmp_path):
     with daq.open(path) as torn:
         save(Replay(torn), tmp_path / "gap.rrd")
         rows = Read(tmp_path / "gap.rrd")
-        _, shown = rows.series("/channels/displacement/body1", "scalars")
-        assert np.isnan(shown[lost.start : lost.stop]).all()
-        assert np.isfinite(np.delete(shown, np.arange(lost.start, lost.stop))).all()
+        _, displayed = rows.series("/channels/displacement/body1", "scalars")
+        assert np.isnan(displayed[lost.start : lost.stop]).all()
+        assert np.isfinite(np.delete(displayed, np.arange(lost.start, lost.stop))).all()
         time, _ = rows.series("/rig/body_1", "translation", width=3)
         within = (time > (lost.start - 0.5) / torn.rate) & (time < (lost.stop - 0.5) / torn.rate)
         assert not within.any()
@@ -179,11 +179,11 @@ def test_accelerations_are_integrated_and_described(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("begin", "end", "speed", "said"),
+    ("begin", "end", "speed", "message"),
     [(2.0, None, 1.0, "length is 1.000 s"), (0.6, 0.5, 1.0, "is after --to 0.5 s"), (None, None, 0.0, "--speed 0")],
 )
-def test_impossible_part_or_speed_is_rejected(recording, begin, end, speed, said):
-    with pytest.raises(SceneError, match=said):
+def test_impossible_part_or_speed_is_rejected(recording, begin, end, speed, message):
+    with pytest.raises(SceneError, match=message):
         Replay(recording, begin, end, speed)
 
 
@@ -247,8 +247,8 @@ def test_overloaded_channel_has_a_lane(tmp_path):
     with daq.open(tmp_path / "overload.mcap") as opened:
         save(Replay(opened, end_s=0.85), tmp_path / "overload.rrd")
     changed, states = Read(tmp_path / "overload.rrd").series("/test/overload/body1", "state")
-    shown = dict(zip(changed.round(6).tolist(), states, strict=True))
-    assert shown == {0.1: "0", 0.2: "none", 0.8: "1", 0.850195: "none"}
+    displayed = dict(zip(changed.round(6).tolist(), states, strict=True))
+    assert displayed == {0.1: "0", 0.2: "none", 0.8: "1", 0.850195: "none"}
 
 
 def test_entity_of_odd_name_is_one_path_part():

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.instrument.engines.log import MarkedRecording
+from daq.instrument.engines.log import MarkedRecording, make_folder
 from daq.recording.recorded_test import TestKind
 from rig.errors import ShotrigError
 
@@ -90,7 +90,7 @@ class BenchRecordings:
         if self._recording is None:
             scene, kind = test or (bench.scene, TestKind.NONE)
             path = self._next_path()
-            path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(path)
             overwrite = self._overwrite and not self.paths
             self._recording = MarkedRecording(path, scene, channels, bench.rate, time_ns, overwrite, kind)
             self._first, self.problem = block.first, ""

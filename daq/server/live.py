@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.instrument.chassis import Chassis
-from daq.instrument.engines.log import MarkedRecording
+from daq.instrument.engines.log import MarkedRecording, make_folder
+from rig.errors import ShotrigError
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -60,17 +61,30 @@ class LiveRecording:
 
     A change of the input settings starts another file, with a number appended to its name.
 
-    `chassis`: the instrument; `path`: recording to write; `overwrite`: whether an existing file may be replaced.
+    `chassis`: the instrument; `path`: recording to write; `overwrite`: whether an existing file may be replaced. An
+    error while it records is reported on stderr and ends the recording; clients continue. Raises `RecordingError` if
+    its folder cannot be created.
     """
 
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool = False) -> None:
+        make_folder(path)
         self._chassis, self._path, self._overwrite = chassis, path, overwrite
         self._channels: Any = None
         self._recording: MarkedRecording | None = None
+        self._has_failed = False
         self.paths: list[Path] = []
         chassis.listeners.append(self._on_block)
 
     def _on_block(self, bench: Any, block: Any) -> None:
+        if self._has_failed:
+            return
+        try:
+            self._record(bench, block)
+        except ShotrigError as error:
+            self._has_failed, self._recording = True, None
+            self._report(f"the recording has stopped: {error}")
+
+    def _record(self, bench: Any, block: Any) -> None:
         if bench.channels is not self._channels:
             self._complete()
             number = f"-{len(self.paths) + 1}" if self.paths else ""
@@ -94,11 +108,13 @@ class LiveRecording:
             self._chassis.listeners.remove(self._on_block)
             self._complete()
         if not self.paths:
-            # The terminal may be closed already.
-            with suppress(OSError):
-                print(
-                    f"note: {self._path}: nothing was recorded, because no client ran a task. Start a task before the "
-                    "server ends.",
-                    file=sys.stderr,
-                    flush=True,
-                )
+            self._report(
+                f"note: {self._path}: nothing was recorded, because no client ran a task. Start a task before the "
+                "server ends."
+            )
+
+    @staticmethod
+    def _report(message: str) -> None:
+        # The terminal may be closed already.
+        with suppress(OSError):
+            print(message, file=sys.stderr, flush=True)

@@ -159,6 +159,18 @@ def test_each_test_has_its_own_recording(bench):
 
 
 @pytest.mark.parametrize("bench", ["sweep"], indirect=True)
+def test_unusable_recording_folder_is_reported(bench, tmp_path):
+    (tmp_path / "file").write_bytes(b"")
+    bench.recordings._path = tmp_path / "file" / "test.mcap"
+    bench.recordings.enabled = True
+    bench.operator.start()
+    pass_time(bench, 0.5)
+    bench.close()
+    assert "cannot be created" in bench.recordings.problem
+    assert not bench.recordings.enabled
+
+
+@pytest.mark.parametrize("bench", ["sweep"], indirect=True)
 def test_wrong_settings_are_reported(bench):
     ask(bench, low=50.0, high=50.0)
     bench.operator.start()

@@ -135,6 +135,18 @@ def test_live_recording_marks_overloads(tmp_path):
         assert {mark.kind for mark in recording.markers} == {"overload"}
 
 
+def test_failed_recording_does_not_disturb_clients(tmp_path, capsys):
+    path = tmp_path / "new" / "run.mcap"
+    with daq.connect("bare-structure", clock="fast") as connection, nidaqmx.Task(grpc_options=connection) as task:
+        task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0", min_val=-500, max_val=500)
+        task.timing.cfg_samp_clk_timing(5120.0, samps_per_chan=100)
+        with contextlib.closing(LiveRecording(connection.chassis, path)):
+            path.write_bytes(b"precious")
+            assert [len(task.read(100)) for _ in range(2)] == [100, 100]
+    assert capsys.readouterr().err.count("run.mcap") == 1
+    assert path.read_bytes() == b"precious"
+
+
 def test_recording_without_samples_is_reported(tmp_path, capsys):
     LiveRecording(connect_scene("bare-structure", "fast"), tmp_path / "run.mcap").close()
     assert "run.mcap: nothing was recorded" in capsys.readouterr().err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +12,11 @@ from numpy.typing import NDArray
 from analysis.fitting.measured import Curves, Sensor
 from analysis.fitting.parameters import Parameter, with_values
 from analysis.fitting.predicted import linear_response, linear_slopes, scene_of_test
-from analysis.fitting.steady_tones import SteadyTones, StoredOrbit
 from rig.arrays import Array, ComplexArray
 from rig.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from analysis.fitting.steady_tones import SteadyTones, StoredOrbit
 
 # Prior standard deviation of a value's logarithm: so wide that it matters only where the data determine nothing.
 PRIOR_SD = 1.0
@@ -32,7 +35,14 @@ _NEIGHBOURHOOD = 1.15
 
 
 # State of a group: the fitted points, the orbit at each point, and the previous orbits.
-Motions = tuple[NDArray[np.bool_], list[StoredOrbit | None], list[StoredOrbit | None]]
+Motions = tuple[NDArray[np.bool_], "list[StoredOrbit | None]", "list[StoredOrbit | None]"]
+
+
+def _steady_tones(measured: Curves) -> SteadyTones:
+    # Loaded where dampers move: the equations of orbits take a tenth of the time of a fit without dampers.
+    from analysis.fitting.steady_tones import SteadyTones
+
+    return SteadyTones(measured)
 
 
 @dataclass
@@ -106,7 +116,7 @@ class Problem:
         self.groups = [
             Group(
                 measured,
-                SteadyTones(measured) if measured.moving else None,
+                _steady_tones(measured) if measured.moving else None,
                 np.ones(measured.frequency.size, bool),
                 _local_peaks(measured),
             )

@@ -134,7 +134,7 @@ class Design(Result):
             **complete_style(style, marker="o", color=COLORS[0], ms=5, label="best for its mass"),
         )
         ax.set(xlabel=f"added mass / {unit}", ylabel="reduction of the worst peak / dB", xlim=(0.0, None))
-        ax.set_title("More mass does more")
+        ax.set_title("Added mass")
 
     @property
     def front(self) -> list[Trial]:

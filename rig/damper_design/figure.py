@@ -184,7 +184,7 @@ def _chart(axes: Axes, design: Design) -> None:
     levels = design.question.levels
     axes.plot(
         levels, [chosen] * len(levels), "o-", color=RED, lw=2.0, ms=4,
-        label=f"{'chosen' if design.best.choice.has_ceiling else 'largest searched'}, at the forces asked for",
+        label=f"{'chosen' if design.best.choice.has_ceiling else 'largest searched'}, at the design levels",
     )  # fmt: skip
     axes.grid(False)
     axes.set(xlabel="force / N", ylabel=clearance_label(choice))
@@ -218,12 +218,12 @@ def _curves(axes: Axes, design: Design) -> None:
             bare_acceleration, [design.bare.size / peak.size for peak in row], f"{marker}-", ms=4, color=color,
             lw=1.6 if number == chosen else 0.8, label=f"clearance {clearance:.3g} mm",
         )  # fmt: skip
-    axes.set(xlabel="acceleration at the peak without dampers / g", ylabel="peak without dampers / with them")
+    axes.set(xlabel="acceleration at the peak without dampers / g", ylabel="largest peak without / with dampers")
     set_log_scale(axes.xaxis)
     axes.set_ylim(0.0, None)
     axes.axhline(1.0, color="black", lw=0.8)
     axes.legend()
-    axes.set_title("Over the acceleration without dampers")
+    axes.set_title("Acceleration level")
 
 
 def _backbone(axes: Axes, design: Design) -> None:
@@ -231,10 +231,10 @@ def _backbone(axes: Axes, design: Design) -> None:
     row = design.chart[nominal]
     axes.plot(design.levels, [peak.frequency for peak in row], "o-", color=BLUE, ms=4, label="with dampers")
     axes.axhline(design.bare.frequency, color=GREY, ls="--", label="without")
-    axes.set(xlabel="force / N", ylabel="frequency of the largest peak / Hz")
+    axes.set(xlabel="force / N", ylabel="frequency / Hz")
     set_log_scale(axes.xaxis)
     axes.legend()
-    axes.set_title("Where the largest peak lies")
+    axes.set_title("Frequency of the largest peak")
 
 
 class Agreement(NamedTuple):

@@ -59,27 +59,27 @@ def matlab_signals(path: Path, _stack: ExitStack) -> list[Signal]:
     return _signals(path, dict(_flat(matlab_arrays(path))))
 
 
-def _flat(content: Mapping[str, Any], before: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
+def _flat(content: Mapping[str, Any], prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
     """Name the fields of structures by their path: ``Signal_1.y_values.values``."""
     for name, value in content.items():
-        where = f"{before}{name}"
+        path = f"{prefix}{name}"
         if isinstance(value, Mapping):
             if depth < _MAX_DEPTH:
-                yield from _flat(value, f"{where}.", depth + 1)
+                yield from _flat(value, f"{path}.", depth + 1)
             continue
         array = np.asarray(value)
         items = array.ravel()[:_MAX_ITEMS]
         if array.dtype.names and depth < _MAX_DEPTH:
             for number, item in enumerate(items, 1):
-                part = where if items.size == 1 else f"{where}({number})"
-                yield from _flat(dict(zip(array.dtype.names, item, strict=True)), f"{part}.", depth + 1)
+                item_path = path if items.size == 1 else f"{path}({number})"
+                yield from _flat(dict(zip(array.dtype.names, item, strict=True)), f"{item_path}.", depth + 1)
         elif array.dtype.kind == "O" and array.size == 1 and depth < _MAX_DEPTH:
-            yield from _flat({name: array.item()}, before, depth + 1)
+            yield from _flat({name: array.item()}, prefix, depth + 1)
         elif array.dtype.kind == "O" and all(isinstance(item, Mapping) for item in array.flat):
             for number, item in enumerate(items, 1):
-                yield from _flat({f"{name}({number})": item}, before, depth + 1)
+                yield from _flat({f"{name}({number})": item}, prefix, depth + 1)
         else:
-            yield where, array
+            yield path, array
 
 
 def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:

@@ -153,30 +153,30 @@ class _Topics:
         for name, values in _numeric_fields(content):
             if (channel.topic, name) not in self.fields:
                 self._in_memory += _FIELD_BYTES
-            each = self.fields.setdefault((channel.topic, name), _Field())
-            each.values.frombytes(np.ascontiguousarray(values).tobytes())
-            each.counts.append(values.size)
-            each.times.append(message.publish_time or message.log_time)
-            each.rate = each.rate or _stated_rate(content)
+            field = self.fields.setdefault((channel.topic, name), _Field())
+            field.values.frombytes(np.ascontiguousarray(values).tobytes())
+            field.counts.append(values.size)
+            field.times.append(message.publish_time or message.log_time)
+            field.rate = field.rate or _stated_rate(content)
             self._in_memory += values.nbytes + _MESSAGE_BYTES
             self._need(container)
 
 
-def _signal(path: Path, number: int, name: str, each: _Field, unit: str) -> Signal:
-    values, counts = np.frombuffer(each.values), np.frombuffer(each.counts, np.int64)
-    times = np.frombuffer(each.times, np.uint64)
+def _signal(path: Path, number: int, name: str, field: _Field, unit: str) -> Signal:
+    values, counts = np.frombuffer(field.values), np.frombuffer(field.counts, np.int64)
+    times = np.frombuffer(field.times, np.uint64)
     if (times[1:] < times[:-1]).any():
         order = np.argsort(times, kind="stable")
         messages = np.split(values, np.cumsum(counts)[:-1])
         values, counts, times = np.concatenate([messages[at] for at in order]), counts[order], times[order]
-    since = (times - times[0]) * 1e-9
-    clock = Clock(each.rate)
-    if each.rate is None and values.size == times.size:
-        clock = clock_of_times(since, 1e-9, f"{path}: the messages on {name}")._replace(start_s=0.0)
-    elif each.rate is None and times.size > 1 and since[-1] > 0:
+    elapsed_s = (times - times[0]) * 1e-9
+    clock = Clock(field.rate)
+    if field.rate is None and values.size == times.size:
+        clock = clock_of_times(elapsed_s, 1e-9, f"{path}: the messages on {name}")._replace(start_s=0.0)
+    elif field.rate is None and times.size > 1 and elapsed_s[-1] > 0:
         # All but the last array lie between the first time and the last.
-        before = values.size - int(counts[-1])
-        clock = Clock(rate_of_interval(float(since[-1]) / before, 1e-9 / before))
+        n_intervals = values.size - int(counts[-1])
+        clock = Clock(rate_of_interval(float(elapsed_s[-1]) / n_intervals, 1e-9 / n_intervals))
     return Signal.of_array(path, number, name, unit, values, clock, int(times[0]))
 
 
@@ -220,7 +220,7 @@ def _stated_rate(content: Mapping[str, Any]) -> float | None:
 
 
 def _read_multi_array(data: bytes, kind: str) -> Array:
-    """Read the numbers of a multi-array: behind its layout, a list of labelled sizes."""
+    """Read the numbers of a multi-array; they follow its layout, a list of labelled sizes."""
     order = "<" if data[1] & 1 else ">"
 
     def number(at: int) -> int:

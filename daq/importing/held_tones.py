@@ -196,15 +196,15 @@ def _scatter(phase: Array) -> float:
 
 
 def _ends(phase: Array) -> tuple[int, int]:
-    """First block, and the one after the last, that belong to the tone of the middle half."""
+    """Return the range of blocks [first, stop) whose phase fits the tone of the middle half."""
     size = phase.size
     middle = slice(size // 4, size - size // 4)
-    at = np.arange(size)
-    deviation = phase - np.polyval(np.polyfit(at[middle], phase[middle], 1), at)
+    block = np.arange(size)
+    deviation = phase - np.polyval(np.polyfit(block[middle], phase[middle], 1), block)
     limit = max(_END_SIGMAS * float(deviation[middle].std()), _END_MIN)
     outside = np.flatnonzero(abs(deviation) > limit)
-    before, after = outside[outside < size // 2], outside[outside >= size // 2]
-    return (int(before[-1]) + 1 if before.size else 0), (int(after[0]) if after.size else size)
+    first_half, second_half = outside[outside < size // 2], outside[outside >= size // 2]
+    return (int(first_half[-1]) + 1 if first_half.size else 0), (int(second_half[0]) if second_half.size else size)
 
 
 def _share(intervals: Sequence[_ToneInterval], track: Track) -> float:

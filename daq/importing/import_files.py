@@ -34,18 +34,18 @@ from rig.scene.scene import Scene
 
 # Samples of each channel in memory at a time.
 _PIECE_SAMPLES = 1 << 16
-# Relative difference below which two rates are the same rate, rounded in a file.
-_SAME_RATE = 2e-5
+# Relative difference below which two rates are equal: files round them.
+_RATE_TOLERANCE = 2e-5
 # Band of a test whose scene states none, as ratios to the sample rate.
 _LOWEST_RATIO = 1e-4
 _HIGHEST_RATIO = 0.4
 # Larger readings, in SI, are not a vibration.
 _IMPLAUSIBLE = {"acceleration": 1e6, "velocity": 1e4, "displacement": 1e2, "force": 1e7, "voltage": 1e4}
-# Number of lost segments of a channel from which those with short pauses between them are joined.
+# Largest number of lost segments of a channel; beyond it, segments with short pauses between them are joined.
 _MAX_LOST_SEGMENTS = 1000
-# These pauses, s.
+# Longest pause between two lost segments that are joined.
 _LOST_PAUSE_S = 0.1
-# Pause between two overloads that are joined, s.
+# Longest pause between two overloads that are joined.
 _OVERLOAD_PAUSE_S = 0.01
 # Share of a free test after which its largest motion is too late for a decay.
 _LATE_SHARE = 0.05
@@ -176,13 +176,13 @@ def _common_rate(chosen: Sequence[Choice], scene: Scene) -> float:
                 "converter: {rate: 5120 Hz} in the scene."
             )
         return converter.sample_rate
-    if rates[-1] > rates[0] * (1.0 + _SAME_RATE):
+    if rates[-1] > rates[0] * (1.0 + _RATE_TOLERANCE):
         raise RecordingError(
             f"the signals have several sample rates, {listed(rates)}; a recording has one. Import them one by one, or "
             "choose those of one rate in a table."
         )
     rate = rates[0]
-    if in_scene and abs(converter.sample_rate - rate) > _SAME_RATE * rate:
+    if in_scene and abs(converter.sample_rate - rate) > _RATE_TOLERANCE * rate:
         raise SceneError(
             f"the files state {rate:.10g} Hz, the scene's converter {converter.sample_rate:.10g} Hz. Correct the wrong "
             f"value: --set converter.rate={rate:.10g}Hz, or rate: in the table."
@@ -237,7 +237,7 @@ def _cut(assigned: Sequence[Assigned], rate: float, from_s: float | None, to_s: 
 def _as_measured(scene: Scene, assigned: Sequence[Assigned], rate: float) -> Scene:
     """Return the scene with the channels of the files, and their rate."""
     converter = scene.converter.replace(rate=rate, remove_delay=True, dropped_blocks=(), skew=None)
-    if abs(converter.sample_rate - rate) > _SAME_RATE * rate:
+    if abs(converter.sample_rate - rate) > _RATE_TOLERANCE * rate:
         raise SceneError(
             f"the files state {rate:.10g} Hz, a rate that {converter.preset} does not have. Give the "
             "scene the converter that was used, or none."

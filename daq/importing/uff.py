@@ -91,57 +91,57 @@ def functions(path: Path) -> list[dict[str, Any]]:
     if not sets:
         others = ", ".join(map(str, sorted(set(kinds) - {0}))) or "none"
         raise RecordingError(f"{path} holds no data set 58 (functions); its data sets: {others}")
-    for each in sets:
-        each["si"] = units == _UNITS_SI
+    for data_set in sets:
+        data_set["si"] = units == _UNITS_SI
     return sets
 
 
-def title(each: Mapping[str, Any]) -> str:
+def title(data_set: Mapping[str, Any]) -> str:
     """Name a function by the beginning of its first line, or by its node and direction."""
-    first = str(each["id1"]).partition(":")[0].strip()
-    return first if first and first.upper() != "NONE" else point(each, "rsp")
+    first = str(data_set["id1"]).partition(":")[0].strip()
+    return first if first and first.upper() != "NONE" else point(data_set, "rsp")
 
 
-def point(each: Mapping[str, Any], which: str) -> str:
+def point(data_set: Mapping[str, Any], which: str) -> str:
     """Name the node and direction of a response (``rsp``) or reference (``ref``): ``3 +Z``."""
-    direction = int(each[f"{which}_dir"])
+    direction = int(data_set[f"{which}_dir"])
     sign = _DIRECTIONS.get(abs(direction), "")
-    return f"{int(each[f'{which}_node'])} {sign if direction >= 0 else sign.replace('+', '-')}".strip()
+    return f"{int(data_set[f'{which}_node'])} {sign if direction >= 0 else sign.replace('+', '-')}".strip()
 
 
-def label(each: Mapping[str, Any], axis: str) -> str:
+def label(data_set: Mapping[str, Any], axis: str) -> str:
     """Return the unit of an axis by its label, or by its kind in a file in SI; empty if neither states it."""
-    text = str(each.get(f"{axis}_axis_units_lab", "")).strip()
+    text = str(data_set.get(f"{axis}_axis_units_lab", "")).strip()
     if text and text.upper() != "NONE":
         # Labels of Windows programs are not UTF-8; the character that the reader cannot decode in a unit is the square.
         return text.replace("\ufffd", "²")
-    return UNITS.get(int(each.get(f"{axis}_spec_data_type", 0)), "") if each["si"] else ""
+    return UNITS.get(int(data_set.get(f"{axis}_spec_data_type", 0)), "") if data_set["si"] else ""
 
 
-def is_time(each: Mapping[str, Any]) -> bool:
+def is_time(data_set: Mapping[str, Any]) -> bool:
     """Return whether a function is a function of time."""
-    kind = int(each["func_type"])
-    return kind == TIME_RESPONSE or (kind == GENERAL and int(each["abscissa_spec_data_type"]) == _ABSCISSA_TIME)
+    kind = int(data_set["func_type"])
+    return kind == TIME_RESPONSE or (kind == GENERAL and int(data_set["abscissa_spec_data_type"]) == _ABSCISSA_TIME)
 
 
-def _signal(path: Path, number: int, name: str, each: Mapping[str, Any]) -> Signal:
+def _signal(path: Path, number: int, name: str, data_set: Mapping[str, Any]) -> Signal:
     where = f"{path}: times of {name!r}"
-    if int(each["abscissa_spacing"]):
-        interval = float(each["abscissa_inc"])
+    if int(data_set["abscissa_spacing"]):
+        interval = float(data_set["abscissa_inc"])
         try:
-            rate = _stated_rate(each) or rate_of_interval(interval, _last_digit(interval) / 2)
+            rate = _stated_rate(data_set) or rate_of_interval(interval, _last_digit(interval) / 2)
         except RecordingError as error:
             raise RecordingError(f"{where}: {error}") from None
-        clock = Clock(rate, float(each["abscissa_min"]))
+        clock = Clock(rate, float(data_set["abscissa_min"]))
     else:
-        times = np.asarray(each["x"], dtype=float)
-        clock = clock_of_times(times, _resolution(times, each), where)
-    return Signal.of_array(path, number, name, label(each, "ordinate"), np.asarray(each["data"]), clock)
+        times = np.asarray(data_set["x"], dtype=float)
+        clock = clock_of_times(times, _resolution(times, data_set), where)
+    return Signal.of_array(path, number, name, label(data_set, "ordinate"), np.asarray(data_set["data"]), clock)
 
 
-def _stated_rate(each: Mapping[str, Any]) -> float | None:
+def _stated_rate(data_set: Mapping[str, Any]) -> float | None:
     """Read the exact rate that `analysis export` writes in the fourth line, where there is one."""
-    words = str(each.get("id4", "")).split()
+    words = str(data_set.get("id4", "")).split()
     if len(words) == 4 and words[:2] == ["sample", "rate"] and words[3] == "Hz":
         try:
             return float(words[2])
@@ -150,12 +150,12 @@ def _stated_rate(each: Mapping[str, Any]) -> float | None:
     return None
 
 
-def _resolution(times: np.ndarray, each: Mapping[str, Any]) -> float:
+def _resolution(times: np.ndarray, data_set: Mapping[str, Any]) -> float:
     """Resolution of unevenly spaced times: six digits in text, or that of single precision, s."""
     largest = float(abs(times).max(initial=0.0))
-    if not int(each.get("binary", 0)):
+    if not int(data_set.get("binary", 0)):
         return _last_digit(largest)
-    return float(np.spacing(np.float32(largest))) if int(each["ord_data_type"]) in (2, 5) else 0.0
+    return float(np.spacing(np.float32(largest))) if int(data_set["ord_data_type"]) in (2, 5) else 0.0
 
 
 def _last_digit(number: float) -> float:

@@ -102,8 +102,8 @@ def info(path: str | Path, check: bool = False) -> Info:
     >>> import tempfile, daq, rig
     >>> scene = rig.load("fig10b-no-damper", {"test.repeats": 1, "test.interval": "0.3s"})
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     found = daq.info(daq.record(scene, f"{folder}/hit.mcap"))
-    >>> list(found.channels), len(found.next_steps)
+    ...     description = daq.info(daq.record(scene, f"{folder}/hit.mcap"))
+    >>> list(description.channels), len(description.next_steps)
     (['body1', 'body2', 'body3', 'hammer'], 4)
     """
     with Recording(path) as recording:

@@ -71,14 +71,14 @@ class Replay:
     def _survey(self) -> tuple[Extremes, int]:
         """Largest motions, and the sample with the largest motion; reads the whole segment."""
         shaker_bodies = [shaker.body for _, shaker in self.recording.scene.tables]
-        extremes, most_motion, largest = Extremes(), self.start, 0.0
+        extremes, largest_sample, largest = Extremes(), self.start, 0.0
         for instants, motion in self.motion.segments(self.start, self.stop, self.step):
             extremes = extremes.widened(motion, shaker_bodies)
             # A picture should show dampers in flight; without dampers, large displacements.
             motion_samples = np.abs(motion.displacement).max(axis=0) if motion.gap is None else motion.gap.sum(axis=0)
             if instants.size and motion_samples.max() > largest:
-                largest, most_motion = float(motion_samples.max()), int(instants[motion_samples.argmax()])
-        return extremes, most_motion
+                largest, largest_sample = float(motion_samples.max()), int(instants[motion_samples.argmax()])
+        return extremes, largest_sample
 
     @cached_property
     def view(self) -> RigView:
@@ -157,7 +157,7 @@ class Replay:
         stream.log(path, lane, static=True)
         changes = {span.stop: "none" for span in spans}
         changes |= {span.start: state for span, state in zip(spans, states, strict=True)}
-        at = np.array(sorted(changes))
+        samples = np.array(sorted(changes))
         stream.send_columns(
-            path, [traces.times(at)], rr.StateChange.columns(state=[changes[int(sample)] for sample in at])
+            path, [traces.times(samples)], rr.StateChange.columns(state=[changes[int(sample)] for sample in samples])
         )

@@ -12,21 +12,21 @@ from rig.numerics.simd import aligned_zeros, copy, multiply
 
 
 class PartWorkspace(NamedTuple):
-    """Room to work in."""
+    """Working arrays of a propagation over parts of an interval."""
 
     # The vector, two work vectors of its size, zeros, and the contribution of disturbances; (size,).
     vector: Array
     term: Array
     work: Array
-    nothing: Array
+    zeros: Array
     steady: Array
     full_part: Array  # A part; (6,)
 
 
 def part_workspace(size: int) -> PartWorkspace:
-    """Make room to work in for vectors of a size."""
-    vector, term, work, nothing, steady = (aligned_zeros(size) for _ in range(5))
-    return PartWorkspace(vector, term, work, nothing, steady, aligned_zeros(6))
+    """Return working arrays for vectors of a size."""
+    vector, term, work, zeros, steady = (aligned_zeros(size) for _ in range(5))
+    return PartWorkspace(vector, term, work, zeros, steady, aligned_zeros(6))
 
 
 @unfused_kernel
@@ -76,19 +76,19 @@ def form_moments(tables: Tables, vector: Array, work: Array) -> None:
 @unfused_kernel
 def advance(tables: Tables, share: float, workspace: PartWorkspace) -> None:
     """Multiply the vector by the exponential of the generator times `share` of an interval."""
-    vector, term, work, nothing = workspace.vector, workspace.term, workspace.work, workspace.nothing
+    vector, term, work, zeros = workspace.vector, workspace.term, workspace.work, workspace.zeros
     coarse = min(int(share * PARTS), PARTS)
-    rest = share - coarse / PARTS
-    fine = min(int(rest * PARTS * PARTS), PARTS - 1)
-    rest -= fine / (PARTS * PARTS)
-    multiply(tables.coarse, coarse, vector, nothing, term)
-    multiply(tables.fine, fine, term, nothing, vector)
-    if rest > 0.0:
+    remainder = share - coarse / PARTS
+    fine = min(int(remainder * PARTS * PARTS), PARTS - 1)
+    remainder -= fine / (PARTS * PARTS)
+    multiply(tables.coarse, coarse, vector, zeros, term)
+    multiply(tables.fine, fine, term, zeros, vector)
+    if remainder > 0.0:
         # The series from its end.
         copy(vector, term)
         for k in range(tables.terms, 0, -1):
             for r in range(term.size):
-                term[r] *= rest / k
+                term[r] *= remainder / k
             multiply(tables.generator, 0, term, vector, work)
             copy(work, term)
         copy(term, vector)

@@ -126,8 +126,8 @@ def discretise(circuit: Circuit, gain: float, rate: float, integrals: int, entri
     generator = rate_of_change(circuit, gain, rate, integrals)
     to_moments = np.eye(width)
     to_moments[states:, states:] = _moments(integrals)
-    everything, start = with_disturbances(generator, circuit, rate, integrals, entries)
-    step = to_moments @ expm(everything)[:width] @ start
+    augmented, start = with_disturbances(generator, circuit, rate, integrals, entries)
+    step = to_moments @ expm(augmented)[:width] @ start
 
     # The first three terms may do no more than bring down the input's derivatives: they do not count.
     norm = np.abs(generator).sum(axis=1).max() / PARTS**2

@@ -61,8 +61,8 @@ class Disturbances:
     def __init__(
         self, sources: Sequence[Disturbance], direct: Array, degrees: Sequence[int], oversampling: int
     ) -> None:
-        self._sources, self._each = tuple(sources), oversampling
-        self._direct, self._any_direct = direct, bool(direct.any())
+        self._sources, self._oversampling = tuple(sources), oversampling
+        self._direct, self._has_direct = direct, bool(direct.any())
         self._degrees = tuple(degrees)
         self._interval, self._drawn = 0, 0
         self._last = np.zeros((len(sources), 1))
@@ -73,23 +73,23 @@ class Disturbances:
         self._interval = stop
         if not self._sources or intervals == 0:
             return np.zeros((len(self._sources), intervals))
-        count = -(-(stop - 1) // self._each) + 1 - self._drawn
+        count = -(-(stop - 1) // self._oversampling) + 1 - self._drawn
         voltages = np.empty((len(self._sources), count))
         for row, source in zip(voltages, self._sources, strict=True):
             source.fill(row)
-        if self._each > 1:
+        if self._oversampling > 1:
             # The sample at or after the end of each interval; an interval of a sample that began in the last block
             # continues with the numbers drawn there.
-            sample = -(-np.arange(first, stop) // self._each)
+            sample = -(-np.arange(first, stop) // self._oversampling)
             voltages_with_last = np.concatenate([self._last, voltages], axis=1)
             voltages, self._last = voltages_with_last[:, sample - (self._drawn - 1)], voltages_with_last[:, -1:]
-            self._split(voltages, (np.arange(first, stop) - 1) % self._each)
+            self._split(voltages, (np.arange(first, stop) - 1) % self._oversampling)
         self._drawn += count
         return voltages
 
     def _split(self, voltages: Array, place: NDArray[np.int64]) -> None:
         """Write polynomials over samples for the interval at a place in each sample."""
-        length = 1.0 / self._each
+        length = 1.0 / self._oversampling
         middle = (2 * place + 1) * length - 1.0
         for row, degree in enumerate(self._degrees):
             if degree == 1:
@@ -102,7 +102,7 @@ class Disturbances:
 
     def add_direct(self, voltages: Array, volts: Array) -> None:
         """Add the direct feedthrough of the disturbances of `draw`, at intervals that end at a sample, to the volts."""
-        if self._any_direct:
+        if self._has_direct:
             _sum_up(self._direct, voltages, volts)
 
 

@@ -22,8 +22,10 @@ from rig.simulation.motion import Motion
 STRAIGHT = 1e-4
 
 
-# Columns of `CubicInput.parts` behind the four numbers of a piece.
-LENGTH, JUMP = 4, 5
+# Column of `CubicInput.parts` with the length of a part.
+LENGTH = 4
+# Column of `CubicInput.parts` with the impulse at the end of a part.
+JUMP = 5
 
 
 class CubicInput(NamedTuple):

@@ -92,7 +92,7 @@ def limits_of(
     fastest = float(np.abs(np.linalg.eigvals(circuit.a)).max(initial=0.0)) / (2 * np.pi * rate)
     count = max(MIN_CHECKS, int(np.ceil(CHECKS_PER_PERIOD * fastest)))
     steps = np.array(
-        [max(fewest, int(np.ceil(each * fastest))) for each, fewest in zip(STEPS_PER_PERIOD, MIN_STEPS, strict=True)]
+        [max(least, int(np.ceil(count * fastest))) for count, least in zip(STEPS_PER_PERIOD, MIN_STEPS, strict=True)]
     )
 
     # The excess over the limit is missing behind the sensor, and shifts its zero.
@@ -106,17 +106,17 @@ def limits_of(
             shift = first
             excess_input[shift] = -section.a[0, 0] / rate
     excess_ramps = np.array([_ramps(generator, excess_input, count) for count in steps])
-    everything, start = with_disturbances(generator, circuit, rate, tables.integrals, entries)
-    steady_response = np.array([(expm(everything / count) @ start)[:width, states + 4 :].T for count in steps])
+    augmented, start = with_disturbances(generator, circuit, rate, tables.integrals, entries)
+    steady_response = np.array([(expm(augmented / count) @ start)[:width, states + 4 :].T for count in steps])
     steady = np.array([entry.degree == 0 for entry in entries], dtype=bool)
     steady_response[:, ~steady] = 0.0
     varying = tables.step[states + 4 :].copy()
     varying[steady] = 0.0
     through = output[width]
-    watched = [(np.concatenate([output[:size], np.zeros(len(everything) - size)]), reach)]
-    watched += [(np.eye(len(everything))[state], rails[state]) for state in range(states)]
+    watched = [(np.concatenate([output[:size], np.zeros(len(augmented) - size)]), reach)]
+    watched += [(np.eye(len(augmented))[state], rails[state]) for state in range(states)]
     watched = [(row, linear_limit) for row, linear_limit in watched if np.isfinite(linear_limit)]
-    checks, linear_limit = _check_rows(watched, everything, start, states, count)
+    checks, linear_limit = _check_rows(watched, augmented, start, states, count)
     return Limits(
         checks=checks,
         linear_limit=linear_limit,
@@ -159,10 +159,10 @@ def _holding_inputs(generator: Array, states: int, steps: int) -> Array:
 
 
 def _check_rows(
-    watched: Sequence[tuple[Array, float]], everything: Array, start: Array, states: int, count: int
+    watched: Sequence[tuple[Array, float]], augmented: Array, start: Array, states: int, count: int
 ) -> tuple[Array, Array]:
     """Rows of the limited voltages at each check, and the magnitudes that prove them within their limits in between."""
-    over_check = expm(everything / count)
+    over_check = expm(augmented / count)
     checks = np.zeros((len(watched) * count, start.shape[1]))
     linear_limit = np.zeros(len(checks))
     for number, (row, largest) in enumerate(watched):
@@ -276,7 +276,7 @@ def _in_steps(
             excess = _excess(limits, vector)
         while node < steps and (node + 1) / steps <= end:
             if place == node / steps:
-                multiply(limits.step, size, vector, workspace.nothing, workspace.term)
+                multiply(limits.step, size, vector, workspace.zeros, workspace.term)
                 copy(workspace.term, vector)
             else:
                 advance(tables, (node + 1) / steps - place, workspace)

@@ -12,10 +12,13 @@ from mcap.opcode import Opcode
 
 # Largest chunk that is unpacked, bytes; a recorder's chunks are a thousandth of it.
 LARGEST_CHUNK = 1 << 26
-# Limits against small files that would keep a reader busy for minutes: unpacked size up to which any ratio is accepted,
-# bytes; largest ratio beyond it; and number of records from which there may not be more records than bytes.
-PACKS_FREELY, PACKS_AT_MOST = 1 << 21, 1000
-FEW_RECORDS = 1 << 10
+# The following limits reject small files that would keep a reader busy for minutes.
+# Unpacked size up to which any compression ratio is accepted, bytes.
+_FREE_RATIO_BYTES = 1 << 21
+# Largest compression ratio beyond this size.
+_MAX_RATIO = 1000
+# Largest excess of the number of records in a chunk over its bytes in the file.
+_MAX_EXCESS_RECORDS = 1 << 10
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -55,7 +58,7 @@ def unpack_chunk(content: memoryview, checksum_needed: bool = False, largest: in
     (packed,) = struct.unpack_from("<Q", content, begin)
     if size > (LARGEST_CHUNK if largest is None else largest):
         raise Damage(f"it claims to unpack to {size} bytes; at most {largest or LARGEST_CHUNK} are accepted")
-    if largest is None and size > PACKS_FREELY + PACKS_AT_MOST * len(content):
+    if largest is None and size > _FREE_RATIO_BYTES + _MAX_RATIO * len(content):
         raise Damage(f"it claims to unpack from {len(content)} bytes to {size}")
     if begin + 8 + packed != len(content):
         raise Damage(f"it claims {packed} bytes of records in {len(content) - begin - 8}")
@@ -126,11 +129,11 @@ def records_in(records: memoryview, stored: int) -> Iterator[tuple[int, memoryvi
 
     `stored` is the number of bytes that the chunk takes in the file.
     """
-    place, end, budget = 0, len(records), FEW_RECORDS + stored
+    place, end, budget = 0, len(records), _MAX_EXCESS_RECORDS + stored
     while place < end:
         budget -= 1
         if budget < 0:
-            raise Damage(f"it holds more than {FEW_RECORDS + stored} records in {stored} bytes")
+            raise Damage(f"it holds more than {_MAX_EXCESS_RECORDS + stored} records in {stored} bytes")
         if end - place < RECORD_HEAD.size:
             raise Damage("a record in it is cut short")
         opcode, length = RECORD_HEAD.unpack_from(records, place)

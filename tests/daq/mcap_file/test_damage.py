@@ -296,10 +296,10 @@ def test_unpacked_size_is_limited(monkeypatch):
 @pytest.mark.parametrize("compression", [b"zstd", b"lz4"])
 def test_packing_ratio_is_limited(compression, monkeypatch):
     content = chunk(compression, bytes(10_000))
-    monkeypatch.setattr(module, "PACKS_AT_MOST", 3)
-    monkeypatch.setattr(module, "PACKS_FREELY", 10_000 - 3 * len(content))
+    monkeypatch.setattr(module, "_MAX_RATIO", 3)
+    monkeypatch.setattr(module, "_FREE_RATIO_BYTES", 10_000 - 3 * len(content))
     assert len(unpack_chunk(memoryview(content))) == 10_000
-    monkeypatch.setattr(module, "PACKS_FREELY", 10_000 - 3 * len(content) - 1)
+    monkeypatch.setattr(module, "_FREE_RATIO_BYTES", 10_000 - 3 * len(content) - 1)
     with pytest.raises(Damage, match="claims to unpack from"):
         unpack_chunk(memoryview(content))
 
@@ -362,7 +362,7 @@ def test_misfit_records_of_a_chunk_are_rejected():
 
 
 def test_more_records_than_bytes_are_rejected(monkeypatch):
-    monkeypatch.setattr(module, "FEW_RECORDS", 3)
+    monkeypatch.setattr(module, "_MAX_EXCESS_RECORDS", 3)
     for stored in (0, 1, 2, 7):
         inside = memoryview(record(3, b"") * (4 + stored))
         assert len(list(records_in(inside[9:], stored))) == 3 + stored

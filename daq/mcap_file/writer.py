@@ -10,7 +10,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple, Protocol
 
@@ -119,16 +119,14 @@ class ChunkedFile:
         for each in messages:
             if isinstance(each, Messages):
                 encoded = _encoded(each)
-                index = np.empty(encoded.shape, _ENTRIES)
-                index["log_time"] = each.log_time
-                starts = np.arange(place, place + encoded.nbytes, encoded.itemsize)
-                index["place"] = starts.reshape(index.shape)
+                index = _index_of(each, encoded, place)
                 if isinstance(each.channel, int):
                     entries[each.channel].append(index.tobytes())
                 else:
                     for channel, entry in _by_channel(encoded["channel"], index):
                         entries[channel].append(entry)
-                times += np.ravel(each.log_time).tolist()
+                if encoded.size:
+                    times += _range_of(each.log_time)
                 parts.append(encoded.tobytes())
                 place += encoded.nbytes
                 continue
@@ -141,8 +139,34 @@ class ChunkedFile:
         if not times:
             self._announced.write(announced)
             return False
-        earliest, latest = min(times), max(times)
-        content = b"".join(parts)
+        self._write_chunk(b"".join(parts), entries, min(times), max(times))
+        return True
+
+    def add_chunk_per_channel(self, channels: Sequence[int], messages: Sequence[Messages]) -> int:
+        """Write a chunk for each channel; return their number.
+
+        Row k of `data`, shape (channels, messages, bytes), belongs to the channel in place k; times and sequences of
+        shape (messages,) are common to all channels.
+        """
+        numbers = np.array(channels)[:, None]
+        rows = [_encoded(each._replace(channel=numbers)) for each in messages]
+        times = [time for each in messages for time in _range_of(each.log_time)]
+        index, index_place = b"", -1
+        for row, channel in enumerate(channels):
+            announced = self._announced.end()
+            if index_place != len(announced):
+                index_place = place = len(announced)
+                pieces = []
+                for each, encoded in zip(messages, rows, strict=True):
+                    pieces.append(_index_of(each, encoded[row], place).tobytes())
+                    place += encoded[row].nbytes
+                index = b"".join(pieces)
+            content = b"".join([announced, *(encoded[row].tobytes() for encoded in rows)])
+            self._write_chunk(content, {channel: [index]}, min(times), max(times))
+        return len(channels)
+
+    def _write_chunk(self, content: bytes, entries: Mapping[int, Sequence[bytes]], earliest: int, latest: int) -> None:
+        """Write the records of a chunk, and the index of each of its channels."""
         packed = self._compress(content)
         begin = self._stream.tell()
         name, size = self._compression, len(content)
@@ -169,7 +193,6 @@ class ChunkedFile:
         )
         sizes = self._chunk_sizes.pack(end - begin - length, len(name), name, len(packed), size)
         self._chunks.append(b"".join((head, *places, sizes)))
-        return True
 
     def add_attachment(self, create_time: int, log_time: int, name: str, media_type: str, data: bytes) -> None:
         """Write an attachment."""
@@ -243,6 +266,19 @@ def _encoded(messages: Messages) -> NDArray[Any]:
     encoded["log_time"], encoded["publish_time"] = messages.log_time, messages.publish_time
     encoded["data"] = messages.data
     return encoded
+
+
+def _index_of(messages: Messages, encoded: NDArray[Any], place: int) -> NDArray[Any]:
+    """Return the index of encoded messages whose first record is at a place in the chunk."""
+    index = np.empty(encoded.shape, _ENTRIES)
+    index["log_time"] = messages.log_time
+    index["place"] = np.arange(place, place + encoded.nbytes, encoded.itemsize).reshape(index.shape)
+    return index
+
+
+def _range_of(times: NDArray[np.uint64] | int) -> tuple[int, int]:
+    """Return the earliest and the latest time."""
+    return int(np.minimum.reduce(times, axis=None)), int(np.maximum.reduce(times, axis=None))
 
 
 def _by_channel(channels: NDArray[Any], index: NDArray[Any]) -> Iterator[tuple[int, bytes]]:

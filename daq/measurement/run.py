@@ -185,6 +185,15 @@ class MeasurementRun(BenchLoop):
         assert self._recorder is not None
         if self.bench.scene.recording.truth:
             self._recorder.write_truth(block.motion)
+        if self.bench.lost:
+            self._write_acquired(block)
+        else:
+            self._recorder.write(block.samples)
+        self._listener(block, readings)
+
+    def _write_acquired(self, block: Block) -> None:
+        """Write the samples of a block that are not lost during the transfer."""
+        assert self._recorder is not None
         recorded = np.ones(block.samples.shape[1], dtype=bool)
         for begin, end in self.bench.lost:
             recorded[max(0, begin - block.first) : max(0, end + 1 - block.first)] = False
@@ -194,7 +203,6 @@ class MeasurementRun(BenchLoop):
                 continue
             self._note_loss()
             self._recorder.write(block.samples[:, start:stop])
-        self._listener(block, readings)
 
     def on_window(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
         """Mark the overloads of a window."""

@@ -341,7 +341,10 @@ class Recorder:
 
     def _emit(self, stop: float) -> None:
         """Write the groups before a number, in order."""
-        for number in sorted({number for stream in self._streams for number in stream.complete}):
+        streams = self._streams
+        if not any(stream.complete for stream in streams):
+            return
+        for number in sorted({number for stream in streams for number in stream.complete}):
             if number < stop:
                 with delayed_interrupt():
                     self._write_group(number)
@@ -359,9 +362,8 @@ class Recorder:
             self._show(number // self._groups_shown)
         self._write_markers((number + 1) * self._group)
         if raw is not None:
-            blocks = self._blocks(raw)
-            for row, topic in enumerate(self._topics):
-                self._send(of_row(blocks, row, topic))
+            # A chunk for each channel, so that readers of one need not decode the others.
+            self._chunks += self._file.add_chunk_per_channel(self._topics, self._blocks(raw))
         if self._truth is not None:
             streams = [[] if group is None else self._blocks(group) for group in self._truth.take(number)]
             for chunk in self._truth.chunks:
@@ -422,6 +424,8 @@ class Recorder:
     def _write_markers(self, stop: float) -> None:
         """Write the markers that end before a sample."""
         due = [mark for mark in self._marks if mark.end < stop]
+        if not due:
+            return
         self._marks = [mark for mark in self._marks if mark.end >= stop]
         messages = []
         for marker in sorted(due, key=lambda mark: mark.first_sample):

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Array
-from rig.engine.flow_tables import MAX_RATE_TIMES_STEP, tables_for
+from rig.engine.flow_tables import MAX_RATE_TIMES_STEP, FlowTables, tables_for
 from rig.engine.kernel import DONE, LOG_FULL, NEED_TABLE, STUCK, advance
 from rig.engine.power_series import STALE, UNSETTLED, differentiate
 from rig.engine.samples import MotionSamples, StateSamples, store_motion, store_state
 from rig.engine.screening import reset_envelope
-from rig.engine.state import CONFIGURATION, SLOT, empty_log, state_at_rest
+from rig.engine.state import CONFIGURATION, SLOT, Log, empty_log, state_at_rest
 from rig.engine.trajectory import Trajectory
 from rig.engine.workspace import Workspace, workspace_for
 from rig.errors import RunError, SceneError
@@ -131,6 +131,7 @@ class Propagator:
         self._no_motion, self._no_states = self.motion_samples(0), self.state_samples(0)
         self._no_drive = np.zeros((len(system.inputs), 2))
         self._elapsed = 0.0
+        self._empty_log = _copied_log(self.log, 0, 0, self.tables)
         self._find_table()
 
     @property
@@ -316,15 +317,22 @@ class Propagator:
 
     def _take_log(self) -> tuple[Any, ...]:
         """Return the content of the log, and empty it."""
-        log, (events, breaks, _) = self.log, self.log.filled
-        content = (
-            *(part[:events].copy() for part in (log.segment, log.offset, log.damper, log.kind, log.closing)),
-            *(part[:breaks].copy() for part in (log.break_segment, log.break_offset, log.before, log.after)),
-            *(part[:breaks].copy() for part in (log.speed_before, log.speed_after)),
-            *self.tables.slots_of(log.configuration[:breaks]).T,
-        )
+        log, (events, breaks, _) = self.log, self.log.filled.tolist()
+        if not events and not breaks:
+            return self._empty_log
+        content = _copied_log(log, events, breaks, self.tables)
         log.filled[:2] = 0
         return content
+
+
+def _copied_log(log: Log, events: int, breaks: int, tables: FlowTables) -> tuple[Any, ...]:
+    """Copy the first events and breaks of a log, in the order of the fields of `Trajectory`."""
+    return (
+        *(part[:events].copy() for part in (log.segment, log.offset, log.damper, log.kind, log.closing)),
+        *(part[:breaks].copy() for part in (log.break_segment, log.break_offset, log.before, log.after)),
+        *(part[:breaks].copy() for part in (log.speed_before, log.speed_after)),
+        *tables.slots_of(log.configuration[:breaks]).T,
+    )
 
 
 def step_for(span: float, max_rate: float) -> tuple[float, float]:

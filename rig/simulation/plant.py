@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rig.arrays import Array
 from rig.engine.propagator import Propagator, sampled_propagator
 from rig.engine.samples import MotionSamples
 from rig.engine.state import FLOOR
@@ -53,6 +54,8 @@ class Plant:
                 row = self.inputs.index(at_shaker("shaker", number, len(scene.shakers)))
                 self._limit[row] = shaker.amplifier.limit / shaker.amplifier.gain
         self._dampers = len(scene.dampers)
+        # Of a block without breaks; most blocks share these empty arrays.
+        self._no_breaks: tuple[Array, Array, Array] | None = None
         self._next = 0
         self._last = np.zeros((len(self.inputs), 1))
 
@@ -103,10 +106,9 @@ class Plant:
         self, buffer: MotionSamples, trajectory: Trajectory, first_end: int, first: int, separated: NDArray[np.int64]
     ) -> Motion:
         """Return the motion of a block; segment s of the trajectory ends at sample `first_end` + s."""
-        system, n, points = self.system, self.system.coordinates, len(self.system.points)
-        interval = 1.0 / self.rate
+        system, interval = self.system, 1.0 / self.rate
         displacement, velocity, acceleration, gap = self._propagator.motion_parts(buffer)
-        before, after = trajectory.before, trajectory.after
+        breaks = self._breaks(trajectory) if self._no_breaks is None or len(trajectory.before) else self._no_breaks
         times = (first_end + trajectory.event_segment - 1) * interval + trajectory.event_offset
         events = event_table(times, trajectory.event_damper, trajectory.event_kind, trajectory.event_speed, system)
         if len(separated):
@@ -122,15 +124,27 @@ class Plant:
             contact=self._for_all_dampers(buffer.contact, FLOOR),
             break_sample=first_end + trajectory.break_segment,
             break_offset=np.minimum(trajectory.break_offset, interval),
-            break_displacement=np.ascontiguousarray(before[:, :points].T),
-            break_velocity=np.array([before[:, n : n + points].T, after[:, n : n + points].T]),
-            break_acceleration=self._propagator.accelerations(
-                np.concatenate([before, after]), np.concatenate([trajectory.before_slot, trajectory.after_slot])
-            )
-            .reshape(n, 2, len(before))[:points]
-            .transpose(1, 0, 2),
+            break_displacement=breaks[0],
+            break_velocity=breaks[1],
+            break_acceleration=breaks[2],
             events=events,
         )
+
+    def _breaks(self, trajectory: Trajectory) -> tuple[Array, Array, Array]:
+        """Return displacements, velocities and accelerations at the breaks of a block, as in `Motion`."""
+        n, points = self.system.coordinates, len(self.system.points)
+        before, after = trajectory.before, trajectory.after
+        accelerations = self._propagator.accelerations(
+            np.concatenate([before, after]), np.concatenate([trajectory.before_slot, trajectory.after_slot])
+        )
+        breaks = (
+            np.ascontiguousarray(before[:, :points].T),
+            np.array([before[:, n : n + points].T, after[:, n : n + points].T]),
+            accelerations.reshape(n, 2, len(before))[:points].transpose(1, 0, 2),
+        )
+        if not len(before):
+            self._no_breaks = breaks
+        return breaks
 
     def _for_all_dampers(self, rows: NDArray[Any], constant: float) -> NDArray[Any]:
         """Combine rows of moving dampers with a constant for dampers that cannot move; shape (dampers, samples)."""

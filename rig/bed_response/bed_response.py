@@ -19,7 +19,7 @@ from rig.grain_beds.spheres import spheres_of
 from rig.progress import CountProgress
 from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
-from rig.scene.quantities import FREQUENCY, positive_values
+from rig.scene.quantities import FREQUENCY, count, positive_values
 from rig.scene.scene import Scene
 from rig.study import Study, digest
 
@@ -115,7 +115,7 @@ def bed_response(
     is a bed of grains that can move, or LAMMPS is not installed. Raises `RunError` if the table cannot be read or
     written.
     """
-    scene = scene_of(scene)
+    scene, periods = scene_of(scene), count(periods, 1, "periods")
     requested = np.asarray(positive_values(frequencies, FREQUENCY, "frequencies"), dtype=np.float64)
     if not spheres_of(scene):
         raise SceneError(

@@ -10,7 +10,18 @@ from rig.damper_design.choice import Question, Space, landings_from, variants
 from rig.errors import SceneError
 from rig.motion_map.grid import columns
 from rig.scene.body_names import body_number
-from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, MASS, RATIO, ascending_pair, number, parse, positive_values
+from rig.scene.quantities import (
+    FORCE,
+    FREQUENCY,
+    LENGTH,
+    MASS,
+    RATIO,
+    ascending_pair,
+    count,
+    number,
+    parse,
+    positive_values,
+)
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.system.open_loop_drive import level_of, with_ideal_force
@@ -92,7 +103,7 @@ def parse_request(
     Raises `SceneError` if no candidate designs remain, or nothing drives the structure.
     """
     carriers, evaluated = (_bodies(bodies, scene, "bodies"), tuple(sorted({*_bodies(watched, scene, "watched")})))
-    if not 1 <= dampers <= len(carriers):
+    if count(dampers, 1, "dampers") > len(carriers):
         raise SceneError(
             f"dampers: got {dampers}; expected 1 to {len(carriers)}, one for each body that may carry "
             "one. Name a body twice for two dampers in it."

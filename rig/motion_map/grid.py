@@ -7,7 +7,7 @@ import numpy as np
 from rig.arrays import Array
 from rig.errors import SceneError
 from rig.scene.excitation import Multisine, Random, Sine, SteppedSine, SweptSine
-from rig.scene.quantities import FORCE, LENGTH, VOLTAGE
+from rig.scene.quantities import FORCE, LENGTH, VOLTAGE, count
 from rig.scene.scene import Scene
 from rig.scene.shaker import TableShaker
 from rig.system.assembly import assemble
@@ -53,11 +53,9 @@ def columns(scene: Scene, low: float | None = None, high: float | None = None, p
     if low is None or high is None:
         default = _test_range(scene)
         low, high = default[0] if low is None else low, default[1] if high is None else high
-    if not 0.0 < low < high or points < 2:
-        raise SceneError(
-            f"frequencies: got {low:g} to {high:g} Hz in {points} points; expected a rising range above "
-            "0 and at least 2 points"
-        )
+    points = count(points, 2, "points")
+    if not 0.0 < low < high:
+        raise SceneError(f"frequencies: got {low:g} to {high:g} Hz; expected a rising range above 0")
     natural = natural_frequencies(scene, low, high)
     grid = np.linspace(low, high, 20_001)
     density = np.full(grid.shape, 1.0 / (high - low))
@@ -125,11 +123,9 @@ def rows_of(
     """
     scene_value, default = (_clearances if over == "clearance" else _levels)(scene, frequency)
     low, high = default[0] if lowest is None else lowest, default[1] if highest is None else highest
-    if not 0.0 < low < high or rows < 2:
-        raise SceneError(
-            f"{over}: got {low:.4g} to {high:.4g} in {rows} rows; expected a rising range above 0 and "
-            "at least 2 rows (--least, --most, --rows)"
-        )
+    rows = count(rows, 2, "rows")
+    if not 0.0 < low < high:
+        raise SceneError(f"{over}: got {low:.4g} to {high:.4g}; expected a rising range above 0 (--least, --most)")
     step = np.log(high / low) / (rows - 1)
     if lowest is not None and highest is not None:
         return np.geomspace(low, high, rows)

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from decimal import Context, Decimal
 from fractions import Fraction
 from functools import cache, lru_cache
-from typing import Any, overload
+from operator import index
+from typing import Any, SupportsIndex, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -225,10 +226,14 @@ def positive_values(values: ArrayLike, kind: Kind, name: str) -> NDArray[np.floa
     >>> positive_values(["49 Hz", "3000 rpm"], FREQUENCY, "frequencies").tolist()
     [49.0, 50.0]
     """
-    raw = np.atleast_1d(np.asarray(values))
-    if raw.dtype.kind == "U":
-        raw = np.array([number(str(item), kind, name) for item in raw.flat]).reshape(raw.shape)
-    numbers = np.asarray(raw, dtype=np.float64)
+    try:
+        raw = np.atleast_1d(np.asarray(values))
+        if raw.dtype.kind == "U":
+            raw = np.array([number(str(item), kind, name) for item in raw.flat]).reshape(raw.shape)
+        # Conversion of a list raises an error for complex numbers, where that of an array discards the imaginary part.
+        numbers = np.asarray(raw.tolist(), dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SceneError(f"{name}: got {values!r}; expected a list of real numbers or texts") from None
     is_valid = (numbers >= kind.minimum) & (numbers <= kind.maximum)
     if numbers.ndim != 1 or not numbers.size or not is_valid.all():
         invalid = ", ".join(map(str, numbers[~is_valid].tolist()[:3])) or "none"
@@ -245,6 +250,23 @@ def positive_value(value: ArrayLike, kind: Kind, name: str) -> float:
     if numbers.size != 1:
         raise SceneError(f"{name}: got {numbers.size} values; expected one, such as {kind.example}")
     return float(numbers[0])
+
+
+def count(value: SupportsIndex, minimum: int, name: str) -> int:
+    """Return an argument that is a number of things.
+
+    Raises `SceneError` if it is not a whole number or is below the minimum; the message begins with its name.
+
+    >>> count(48, 2, "points")
+    48
+    """
+    try:
+        whole = index(value)
+    except TypeError:
+        whole = minimum - 1
+    if whole < minimum:
+        raise SceneError(f"{name}: got {value!r}; expected a whole number of at least {minimum}")
+    return whole
 
 
 def text(value: float, kind: Kind) -> str:

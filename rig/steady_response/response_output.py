@@ -11,6 +11,7 @@ from rig.errors import SceneError
 from rig.output_files import atomic_write, csv_text
 from rig.results.text import format_frequencies
 from rig.scene.excitation import Sine, SteppedSine, spaced_frequencies
+from rig.scene.quantities import count
 from rig.scene.scene import Scene
 from rig.steady_response.frequency_response import SteadyResponse
 
@@ -28,9 +29,9 @@ def sweep_frequencies(
         stepped = test if isinstance(test, SteppedSine) else None
         first = first if first is not None else getattr(stepped, "from_", None)
         last = last if last is not None else getattr(stepped, "to", None)
-        points = points if points is not None else getattr(stepped, "points", None) or 101
-        if first is None or last is None or not 0.0 < first < last or points < 2:
-            raise SceneError("frequencies: expected --from below --to, both above zero, and at least 2 --points")
+        points = count(points if points is not None else getattr(stepped, "points", None) or 101, 2, "points")
+        if first is None or last is None or not 0.0 < first < last:
+            raise SceneError("frequencies: expected --from below --to, both above zero")
         return spaced_frequencies(first, last, points, "linear"), direction or "up"
     if isinstance(test, SteppedSine):
         return tuple(sorted(set(test.order))), direction or test.direction
@@ -55,7 +56,7 @@ def csv_rows(response: SteadyResponse) -> tuple[list[str], list[list[str]]]:
             numbers = (abs(value), np.degrees(np.angle(value)), response.peak[body, k])
             row += [repr(float(number)) for number in numbers]
         row += [repr(float(response.force[k])), str(response.motion_type[k])]
-        row += [repr(float(count)) for count in response.impacts[:, k]]
+        row += [repr(float(impacts)) for impacts in response.impacts[:, k]]
         row += [str(response.repetition[k]), str(bool(response.converged[k])).lower()]
         row += [repr(float(response.residual[k])), sweep_directions[k]]
         table.append(row)

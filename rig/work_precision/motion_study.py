@@ -17,6 +17,7 @@ from rig.arrays import Array
 from rig.engine.propagator import tone_propagator
 from rig.errors import RunError, SceneError, ShotrigError
 from rig.scene.excitation import Sine, SteppedSine, SweptSine
+from rig.scene.quantities import count
 from rig.scene.scene import Scene
 from rig.simulation.simulate import Run, simulate
 from rig.system.assembly import assemble
@@ -108,7 +109,7 @@ def motion_study(
     `frequency`: drive frequency, Hz; None: `hardest_frequency`. Raises `SceneError` if nothing drives the scene, or
     its impacts are coupled by a full mass matrix.
     """
-    system = assemble(scene)
+    system, periods = assemble(scene), count(periods, 1, "periods")
     frequency = frequency if frequency is not None else hardest_frequency(scene, system)
     tone = tone_drive(scene, system, frequency)
     assert tone is not None

@@ -1,5 +1,7 @@
 """Commands of rig as Python calls, and scenes built in Python."""
 
+from collections.abc import Callable
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -47,6 +49,27 @@ def test_explanation_is_a_table_with_a_plot() -> None:
     axes = explanation.plot()
     assert len(axes.patches) == len(explanation.states)
     plt.close(axes.figure)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda scene: rig.response(scene, 18.0, 22.0, 2.5), "points: got 2.5; expected a whole number of at least 2"),
+        (lambda scene: rig.map(scene, rows=2.5, first=18.0, last=22.0), "rows: got 2.5"),
+        (lambda scene: rig.map(scene, points="3", first=18.0, last=22.0), "points: got '3'"),
+        (lambda scene: rig.grains(scene, periods=0), "periods: got 0; expected a whole number of at least 1"),
+        (lambda scene: rig.cost(scene, periods=0), "periods: got 0"),
+        (lambda scene: rig.design(scene, dampers="2"), "dampers: got '2'"),
+        (
+            lambda scene: rig.design(scene, levels=[[1.0], [1.0, 2.0]]),
+            "levels: got .*; expected a list of real",
+        ),
+        (lambda scene: rig.design(scene, band=[1j, 2j]), "band: got .*; expected a list of real numbers"),
+    ],
+)
+def test_argument_of_the_wrong_type_is_named(call: Callable[[rig.Scene], object], message: str) -> None:
+    with pytest.raises(rig.SceneError, match=message):
+        call(rig.Scene(structure=STRUCTURE, dampers=[DAMPER], **DRIVEN))
 
 
 def test_map_and_cost_are_results() -> None:

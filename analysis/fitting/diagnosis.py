@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations, islice
 from typing import Any
 
@@ -69,7 +70,8 @@ def cause(problem: Problem) -> tuple[bool, str]:
         return False, (
             "No recording without moving dampers is among them. Add one, so that the structure can be fitted alone."
         )
-    uncorrected = _fit_structure(problem, linear_curves).variance
+    uncorrected_fit = _fit_structure(problem, linear_curves)
+    uncorrected = uncorrected_fit.variance
     if uncorrected < _MAX_NOISE_VARIANCE:
         return False, (
             "The recordings without moving dampers fit, so the dampers differ from the scene's, or the errors of their "
@@ -77,7 +79,8 @@ def cause(problem: Problem) -> tuple[bool, str]:
         )
     limit = max(_MAX_NOISE_VARIANCE, _EXPLAINED_RATIO * uncorrected)
     explanations: list[tuple[float, str, bool]] = []
-    for trials in (_try_reversed_signs, _try_swaps, _try_factors, _try_damping, _try_delays):
+    try_delays = partial(_try_delays, undelayed=uncorrected_fit)
+    for trials in (_try_reversed_signs, _try_swaps, _try_factors, _try_damping, try_delays):
         explanations += [explanation for explanation in trials(problem, linear_curves) if explanation[0] < limit]
         if any(variance < _MAX_NOISE_VARIANCE and is_named for variance, _, is_named in explanations):
             break
@@ -189,8 +192,7 @@ def _try_damping(problem: Problem, linear_curves: list[Curves]) -> _Explanations
     )
 
 
-def _try_delays(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
-    undelayed = _fit_structure(problem, linear_curves)
+def _try_delays(problem: Problem, linear_curves: list[Curves], undelayed: _Refit) -> _Explanations:
     for sensor in dict.fromkeys((*_sensors(linear_curves), *(curves.reference_sensor for curves in linear_curves))):
         initial_delay, trial = _estimate_delay(linear_curves, sensor), undelayed
         if initial_delay:

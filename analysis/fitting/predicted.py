@@ -10,7 +10,7 @@ from analysis.fitting.measured import Curves
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
 from rig.scene.scene import Scene
-from rig.system.assembly import assemble
+from rig.system.assembly import assemble, matrices_without_free_beds
 from rig.system.open_loop_drive import riding_equations, riding_response
 
 
@@ -75,10 +75,10 @@ def linear_slopes(
     states = riding_response(system, _drive(bench), omega)
     right_sides = [-1j * (inertia @ states)]
     for larger, smaller, distance in changed:
-        equation_pairs = zip(
-            *(riding_equations(assemble(scene), _drive(scene)) for scene in (larger, smaller)), strict=True
-        )
-        by_inertia, by_matrix, by_inflow = ((high - low) / distance for high, low in equation_pairs)
+        if bench.dampers:
+            by_inertia, by_matrix, by_inflow = _equation_slopes(larger, smaller, distance)
+        else:
+            by_inertia, by_matrix, by_inflow = _matrix_slopes(larger, smaller, distance, system.states)
         right_sides.append(by_matrix @ states + by_inflow[:, None] - 1j * omega * (by_inertia @ states))
     dynamic = 1j * omega[:, None, None] * inertia - matrix
     solution = np.linalg.solve(dynamic, np.array(right_sides).transpose(2, 1, 0)).transpose(2, 1, 0)
@@ -89,6 +89,24 @@ def linear_slopes(
         ratio = states[:bodies] / states[table]
         slopes = (slopes - ratio * solution[:, table, None]) / states[table]
     return np.asarray(slopes[1:]), np.asarray(2.0 * np.pi * slopes[0])
+
+
+def _equation_slopes(larger: Scene, smaller: Scene, distance: float) -> tuple[Array, Array, Array]:
+    """Differentiate the result of `riding_equations` with respect to a value."""
+    pairs = zip(*(riding_equations(assemble(scene), _drive(scene)) for scene in (larger, smaller)), strict=True)
+    by_inertia, by_matrix, by_inflow = ((high - low) / distance for high, low in pairs)
+    return by_inertia, by_matrix, by_inflow
+
+
+def _matrix_slopes(larger: Scene, smaller: Scene, distance: float, states: int) -> tuple[Array, Array, Array]:
+    """Do the same without dampers, in less time: only the matrices of the equations depend on fitted values."""
+    pairs = zip(matrices_without_free_beds(larger), matrices_without_free_beds(smaller), strict=True)
+    by_mass, by_damping, by_stiffness = ((high - low) / distance for high, low in pairs)
+    n = len(by_mass)
+    by_inertia, by_matrix = np.zeros((2, states, states))
+    by_inertia[n : 2 * n, n : 2 * n] = by_mass
+    by_matrix[n : 2 * n, :n], by_matrix[n : 2 * n, n : 2 * n] = -by_stiffness, -by_damping
+    return by_inertia, by_matrix, np.zeros(states)
 
 
 def _drive(bench: Scene) -> str:

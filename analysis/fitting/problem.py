@@ -266,7 +266,7 @@ class Problem:
             if k < count
             and (self.parameters[k].damper is None or self.parameters[k].quantity in ("mass", "mass_ratio"))
         ]
-        benches = [self._neighbours(x, k, curves) for k in effective]
+        benches = [self._neighbours(x, k, scene, curves) for k in effective]
         frequency = self.operating_points(x, curves)[1]
         by_value, by_frequency = linear_slopes(scene_of_test(scene, curves), curves, frequency, benches)
         values, (channel_gains, gain) = self.values(x), self.gains(x, curves)
@@ -288,15 +288,17 @@ class Problem:
         white = np.einsum("nij,cjn->nic", curves.whiten[used], slopes[:, :, used])
         return white / np.sqrt(1.0 + (model_error * group.local_peak[used]) ** 2)[..., None]
 
-    def _neighbours(self, x: Array, k: int, curves: Curves) -> tuple[Scene, Scene, float]:
-        """Return benches with a slightly larger and a slightly smaller value, and the difference of the values."""
-        values, place = self.values(x).tolist(), self.parameters[k].place
-        places = [parameter.place for parameter in self.parameters]
+    def _neighbours(self, x: Array, k: int, scene: Scene, curves: Curves) -> tuple[Scene, Scene, float]:
+        """Return benches with a slightly larger and a slightly smaller value, and the difference of the values.
+
+        `scene` has the values of the unknowns x.
+        """
+        value, place = float(self.values(x)[k]), self.parameters[k].place
         larger, smaller = (
-            with_values(self.model, dict(zip(places, values, strict=True)) | {place: values[k] * factor})
+            scene_of_test(with_values(scene, {place: value * factor}), curves)
             for factor in (1.0 + _MATRIX_STEP, 1.0 - _MATRIX_STEP)
         )
-        return scene_of_test(larger, curves), scene_of_test(smaller, curves), 2.0 * _MATRIX_STEP * values[k]
+        return larger, smaller, 2.0 * _MATRIX_STEP * value
 
 
 def _local_peaks(curves: Curves) -> Array:

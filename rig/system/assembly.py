@@ -45,11 +45,7 @@ def assemble(scene: Scene) -> HybridSystem:
         raise SceneError(f"{len(free)} dampers that move; expected at most {limit}{condition}")
     weight = np.zeros(bodies)
     np.subtract.at(weight, body[locked], masses[locked] * scene.gravity)
-    equations = _Equations(bodies, model.with_bed_masses(), weight)
-    for number, shaker in enumerate(scene.shakers, 1):
-        _add_shaker(equations, shaker, *(at_shaker(part, number, len(scene.shakers)) for part in ("shaker", "table")))
-    if scene.test is not None and scene.test.kind == "impulse":
-        equations.add_input("hammer", "N", {scene.test.body - 1: 1.0})
+    equations = _without_free_beds(scene, model, weight)
     clearance = np.array([scene.dampers[j].clearance for j in free], dtype=np.float64)
     restitution = np.array([scene.dampers[j].restitution for j in free], dtype=np.float64)
     walls = _walls(equations.mass, [scene.dampers[j] for j in free], masses[free])
@@ -70,6 +66,23 @@ def assemble(scene: Scene) -> HybridSystem:
     )
     system.initial[:] = _initial_state(scene, system)
     return system
+
+
+def matrices_without_free_beds(scene: Scene) -> tuple[Array, Array, Array]:
+    """Compute mass, damping and stiffness of bodies and tables, each with the shape (coordinates, coordinates)."""
+    model = structural_model(scene)
+    equations = _without_free_beds(scene, model, np.zeros(len(model.mass)))
+    return equations.mass, equations.damping, equations.stiffness
+
+
+def _without_free_beds(scene: Scene, model: StructuralModel, weight: Array) -> _Equations:
+    """Return the equations of bodies and tables with their inputs; `weight`: of locked beds, N, shape (bodies,)."""
+    equations = _Equations(len(model.mass), model.with_bed_masses(), weight)
+    for number, shaker in enumerate(scene.shakers, 1):
+        _add_shaker(equations, shaker, *(at_shaker(part, number, len(scene.shakers)) for part in ("shaker", "table")))
+    if scene.test is not None and scene.test.kind == "impulse":
+        equations.add_input("hammer", "N", {scene.test.body - 1: 1.0})
+    return equations
 
 
 class _Coil(NamedTuple):

@@ -31,7 +31,7 @@ OUTCOMES = ("right", "warned", "refused", "wrong")
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenes", type=int, default=270, help="how many scenes (default: 270)")
+    parser.add_argument("--scenes", type=int, default=300, help="how many scenes (default: 300)")
     parser.add_argument("--seed", type=int, default=1, help="another seed draws other scenes")
     parser.add_argument("--kind", action="append", choices=KINDS, help="only this kind of test (repeatable)")
     parser.add_argument("--workers", type=int, default=os.cpu_count())

@@ -38,6 +38,8 @@ KINDS = (
     "curves_pairs",
     "multisine_pairs",
     "stepped_sine_pairs",
+    "random_shakers",
+    "multisine_shakers",
 )
 # Largest time constant of a mode: transients must decay within seconds.
 _MAX_TIME_CONSTANT_S = 1.6

@@ -28,6 +28,8 @@ NUMBERS = {
     "curves_pairs": 0,
     "multisine_pairs": 2,
     "stepped_sine_pairs": 0,
+    "random_shakers": 0,
+    "multisine_shakers": 0,
 }
 
 

@@ -18,12 +18,15 @@ from tests.gauntlet.judges import JUDGES, modes
 from tests.gauntlet.landings import LANDINGS, STEPPED_LANDINGS, draw_landings
 from tests.gauntlet.pairs import CURVES, MULTISINE, STEPPED, draw_pair, exact_curves
 from tests.gauntlet.scenes import draw
+from tests.gauntlet.two_shakers import MULTISINE as MULTISINE_SHAKERS
+from tests.gauntlet.two_shakers import RANDOM, draw_shakers
 from tests.gauntlet.verdict import Case, Verdict
 
 _FORMATS = (".npz", ".csv")
 _DRAW_FUNCTIONS = {TONE: draw_cavities, STEPS: draw_cavities, DECAY: draw_decay}
 _DRAW_FUNCTIONS |= dict.fromkeys((LANDINGS, STEPPED_LANDINGS), draw_landings)
 _DRAW_FUNCTIONS |= dict.fromkeys((CURVES, MULTISINE, STEPPED), draw_pair)
+_DRAW_FUNCTIONS |= dict.fromkeys((RANDOM, MULTISINE_SHAKERS), draw_shakers)
 
 
 def run_trial(seed: int, number: int, kind: str) -> list[Verdict]:

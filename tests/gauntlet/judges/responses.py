@@ -24,6 +24,7 @@ from rig.scene.presets import complete_from_preset
 from rig.scene.shaker import ForceShaker
 from rig.system.structural_model import receptance
 from tests.gauntlet.cavities import STEPS, TONE
+from tests.gauntlet.two_shakers import exact_receptance
 from tests.gauntlet.verdict import Case, Outcome, Verdict
 
 # Smallest fraction of the lines of a scene within their intervals.
@@ -133,6 +134,8 @@ def judge(case: Case, kind: str) -> list[Verdict]:
     """Compare all curves of a recording with closed form or exact orbits."""
     if case.scene.test.kind == "free" or kind in (TONE, STEPS):
         return []
+    if len(case.scene.shakers) > 1:
+        return _judge_several_shakers(case, kind)
     full_bound, without_tolerances = _Tally("responses"), _Tally("responses, as built")
     warnings: list[str] = []
     regular_truth = _exclude_irregular(case, _truth(case.scene))
@@ -147,6 +150,28 @@ def judge(case: Case, kind: str) -> list[Verdict]:
             full_bound.add(frf, truth(frf.frequency)[body])
             within_tolerance = replace(frf, uncertainty=frf.uncertainty.without(SENSITIVITY, CLOCK))
             without_tolerances.add(within_tolerance, _curve_of_actual_sensors(case, frf, truth_near_nominal_force))
+    return [tally.verdict(kind, warnings) for tally in (full_bound, without_tolerances)]
+
+
+def _judge_several_shakers(case: Case, kind: str) -> list[Verdict]:
+    """Compare the responses to each force of shakers that are driven together with closed form."""
+    full_bound, without_tolerances = _Tally("responses"), _Tally("responses, as built")
+    warnings: list[str] = []
+    shaker_numbers = {
+        f"force at body {shaker.bodies[0]}": number for number, shaker in enumerate(case.scene.shakers, 1)
+    }
+    clock = 1.0 + (case.scene.converter.clock_error or 0.0)
+    for matrix in analysis.frequency_responses(case.recording):
+        for frf in matrix:
+            warnings += frf.warnings
+            body = int(case.recording.channels[frf.response].at.split()[1]) - 1
+            shaker = shaker_numbers[frf.input]
+            full_bound.add(frf, exact_receptance(case.scene, frf.frequency, shaker)[body])
+            within_tolerance = replace(frf, uncertainty=frf.uncertainty.without(SENSITIVITY, CLOCK))
+            gain = _gain(case, frf.response, frf.frequency) / _gain(case, f"f{shaker}", frf.frequency)
+            without_tolerances.add(
+                within_tolerance, exact_receptance(case.scene, clock * frf.frequency, shaker)[body] * gain
+            )
     return [tally.verdict(kind, warnings) for tally in (full_bound, without_tolerances)]
 
 

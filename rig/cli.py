@@ -261,7 +261,8 @@ def cost(
     frequency: Annotated[
         str | None,
         typer.Option(
-            metavar="F", help="Drive frequency. Default: frequency of the largest acceleration without impacts."
+            metavar="F",
+            help="Drive frequency. Default: frequency of the largest acceleration with the dampers at rest.",
         ),
     ] = None,
     periods: Annotated[

@@ -165,8 +165,8 @@ def impacts(
     search = MatchingPursuit(models, readings, valid, noise_floor, rate, NOISE_QUANTILE)
     if not search.valid.any():
         raise RecordingError(
-            f"{info.name}: lost or overloaded samples leave no {min_samples} samples in a row. Choose another segment, "
-            "or record at a lower level or with a larger converter range."
+            f"{info.name}: every part without lost or overloaded samples is shorter than {min_samples} samples. "
+            "Choose another segment, or record at a lower level or with a larger converter range."
         )
     jumps = search.run()
     largest = max((abs(jump.sizes[0]) for jump in jumps), default=0.0 if pulse else np.inf)

@@ -50,7 +50,9 @@ for name, text in tests.items():
     above.semilogy(np.fft.rfftfreq(4096, 1 / 5120.0), spectrum, label=name)
     below.semilogy(frf.frequency, 1e6 * abs(frf.value), label=name)
     peaks[name] = float(frf.frequency[np.argmax(abs(frf.value))])
-    print(f"{name}: highest peak at {peaks[name]:.2f} Hz, smallest force line {spectrum[:1600].min():.1e} N s")
+    print(
+        f"{name}: highest peak at {peaks[name]:.2f} Hz, minimum of the force spectrum {spectrum[:1600].min():.1e} N s"
+    )
 above.set(xlim=(0, 400), ylim=(1e-4, 1), ylabel="force spectrum / (N s)")
 below.set(xlim=(0, 400), xlabel="frequency / Hz", ylabel="compliance of the arm / (µm/N)")
 above.legend()

@@ -84,7 +84,9 @@ def write_npz(segment: Slice, path: Path) -> None:
     reserved = {"channels", "units", "rate", "start_s"}
     if len({*members.values()} | reserved) < len(members) + len(reserved):
         names = ", ".join(members)
-        raise SceneError(f"{segment.recording.path}: the channels {names} have equal names in .npz. Choose fewer.")
+        raise SceneError(
+            f"{segment.recording.path}: the channels {names} have the same name in .npz. Export one of them only."
+        )
     with zipfile.ZipFile(path, "w") as archive:
         for name, member in members.items():
             with archive.open(_member(member), "w", force_zip64=True) as stream:
@@ -150,7 +152,7 @@ _BYTES = {".csv": 20.0, ".npz": 8.0, ".mat": 8.0, ".wav": 3.0, ".uff": 20.25, ".
 
 
 def expected_bytes(segment: Slice, ending: str) -> float:
-    """Estimate the size of the exported file, bytes; the time in CSV files is as long as a sample."""
+    """Estimate the size of the exported file, bytes; in CSV files the time is one more column."""
     columns = len(segment.channels) + (ending == ".csv")
     return (segment.stop - segment.start) * (_BYTES[ending] * columns)
 
@@ -198,7 +200,7 @@ def export(
     RecordingError
         If samples are lost that the format requires, or the recording is damaged.
     RunError
-        If the file cannot be written, or the disk is too small.
+        If the file cannot be written, or the free disk space is too small.
     """
     kind = kind_of(path)
     if speed != 1.0 and kind != ".wav":
@@ -209,7 +211,7 @@ def export(
         segment = replace(segment, on_read=_counter(total, progress))
     with atomic_write(path, overwrite or None) as part:
         needed, free_bytes = expected_bytes(segment, kind), shutil.disk_usage(part.parent).free
-        # A table of short numbers needs only about a quarter of the expected size.
+        # A table of numbers with few digits needs only about a quarter of the expected size.
         if needed > 4 * free_bytes:
             raise RunError(
                 f"{path} would take about {needed / 1e6:.3g} MB, and its disk has {free_bytes / 1e6:.3g} MB left. "

@@ -28,8 +28,8 @@ def write_mat(segment: Slice, path: Path) -> None:
     count = segment.stop - segment.start
     if count > MAX_SAMPLES:
         raise SceneError(
-            f"{segment.recording.path}: a MATLAB file takes {MAX_SAMPLES} samples of a channel, these are {count}. "
-            "Export a segment (--from, --to), or .npz."
+            f"{segment.recording.path}: a MATLAB file holds at most {MAX_SAMPLES} samples per channel; this segment "
+            f"has {count}. Export a segment (--from, --to), or .npz."
         )
     names = variable_names(segment.channels, {"channels", "units", "fs", "start_s"})
     rate = segment.recording.rate

@@ -26,9 +26,9 @@ _MAX_CHANGE = 6.0
 _STEP = 1e-6
 # Relative step for derivatives of the matrices, in which all values but modal damping are linear.
 _MATRIX_STEP = 1e-3
-# Residual of a point without a steady motion in the model, standard deviations.
+# Residual assigned to a point where the model has no periodic solution, standard deviations.
 _FAILED_RESIDUAL = 30.0
-# Largest residual, in standard deviations and in medians, of a point with the right kind of motion.
+# A point with a larger residual is an outlier; in standard deviations, and in medians of the residuals.
 _OUTLIER_LIMIT = 6.0
 # Ratio of frequencies up to which points are neighbours.
 _NEIGHBOURHOOD = 1.15
@@ -85,8 +85,8 @@ class Group:
         channel_gains, gain = problem.gains(x, curves)
 
         def residual(k: int, value: ComplexArray) -> float:
-            white = abs(curves.whiten[k] @ (value - curves.value[:, k]))
-            return float(np.nan_to_num(white, nan=np.inf).max())
+            whitened = abs(curves.whiten[k] @ (value - curves.value[:, k]))
+            return float(np.nan_to_num(whitened, nan=np.inf).max())
 
         residuals = np.array([residual(k, predicted[:, k]) for k in range(frequency.size)])
         limit = _OUTLIER_LIMIT * max(1.0, float(np.median(residuals)))
@@ -205,9 +205,9 @@ class Problem:
         """Return the residuals of a group's used points in standard deviations; shape (used, responses)."""
         curves, used = group.curves, group.used
         residual = self.predicted(x, group, scene, search)[:, used] - curves.value[:, used]
-        white = np.einsum("nij,jn->ni", curves.whiten[used], residual)
-        white = white / np.sqrt(1.0 + (model_error * group.local_peak[used]) ** 2)
-        return np.where(np.isfinite(white), white, _FAILED_RESIDUAL * (1 + 1j))
+        whitened = np.einsum("nij,jn->ni", curves.whiten[used], residual)
+        whitened = whitened / np.sqrt(1.0 + (model_error * group.local_peak[used]) ** 2)
+        return np.where(np.isfinite(whitened), whitened, _FAILED_RESIDUAL * (1 + 1j))
 
     def residual(self, x: Array, groups: Sequence[Group], model_error: float = 0.0, search: bool = True) -> Array:
         """Return residuals of groups (real and imaginary parts), then deviations of the unknowns from their priors."""
@@ -246,7 +246,7 @@ class Problem:
         columns: list[list[ComplexArray]] = [[] for _ in groups]
         for k in indices:
             shifted = x.copy()
-            # An undetermined unknown may have moved far beyond where its value still changes.
+            # A poorly determined unknown may lie where its value is already clipped.
             shifted[k] += _STEP * max(1.0, abs(x[k]))
             changed = self.scene(shifted)
             for group, unchanged, column in zip(groups, base, columns, strict=True):
@@ -285,8 +285,8 @@ class Problem:
                 slopes[column] = (by_response_gain - by_gain * channel_gains[:, None] / gain) / gain * bodies[rows]
             elif k >= count:
                 slopes[column] = channel_gains[:, None] / gain * by_frequency[rows] * curves.frequency
-        white = np.einsum("nij,cjn->nic", curves.whiten[used], slopes[:, :, used])
-        return white / np.sqrt(1.0 + (model_error * group.local_peak[used]) ** 2)[..., None]
+        whitened = np.einsum("nij,cjn->nic", curves.whiten[used], slopes[:, :, used])
+        return whitened / np.sqrt(1.0 + (model_error * group.local_peak[used]) ** 2)[..., None]
 
     def _neighbours(self, x: Array, k: int, scene: Scene, curves: Curves) -> tuple[Scene, Scene, float]:
         """Return benches with a slightly larger and a slightly smaller value, and the difference of the values.

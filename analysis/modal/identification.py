@@ -118,8 +118,8 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     uncertain, unmeasured = frequency[unbounded], frequency[gaps]
     if not inside.any() and unmeasured.size:
         raise RecordingError(
-            f"{curves[0].label}: poles ({', '.join(f'{f:.4g}' for f in unmeasured)} Hz) only in gaps, where lines were "
-            "left out. Record again without the flaws that the warnings name."
+            f"{curves[0].label}: the poles ({', '.join(f'{f:.4g}' for f in unmeasured)} Hz) lie only where lines were "
+            "excluded. Correct the faults in the warnings and record again."
         )
     if not inside.any():
         raise RecordingError(

@@ -103,7 +103,7 @@ def compare_peaks(paths: Sequence[Path], progress: CountProgress | None = None) 
     is only one recording, or if the recordings have no response in common.
     """
     if len(paths) < 2:
-        raise SceneError("compare: one recording. Give at least two, first the one to compare with.")
+        raise SceneError("compare: only one recording. Give two or more; the first is the reference.")
     sweeps: list[list[list[Response]]] = []
     measured_points: list[MeasurementPoints] = []
     for path, label in zip(paths, scene_labels(paths), strict=True):

@@ -38,7 +38,9 @@ def _comparisons(changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> li
         bounded = [pair for pair in changes_of_label if all(map(isfinite, pair[1].decibel))]
         first, highest = max(changes_of_label, key=lambda pair: pair[1].bare.value)
         if not bounded:
-            sentences.append(f"“{label}” against “{first.label}”: the measured points determine no change of a peak.")
+            sentences.append(
+                f"“{label}” against “{first.label}”: the measured points do not determine the change of the peaks."
+            )
             continue
         _, change = max(bounded, key=lambda pair: pair[1].bare.value)
         best, low, high = change.decibel
@@ -55,7 +57,7 @@ def _comparisons(changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> li
                 f"from {1e6 * change.bare.value:.4g} to {1e6 * change.damped.value:.4g} µm/N"
             )
         if highest.mode != change.mode:
-            text += f"; the points at the highest peak, {highest.mode:.2f} Hz, do not determine its change"
+            text += f"; the change of the highest peak ({highest.mode:.2f} Hz) cannot be determined"
         sentences.append(f"{text}.")
     return sentences
 
@@ -110,6 +112,6 @@ def _decays(measurements: Sequence[Measured]) -> list[str]:
             continue
         quiet = result.quiet_from
         below = "stays above 1 g" if np.isnan(quiet) else f"falls below 1 g after {quiet:.3g} s"
-        falls = "" if np.isnan(result.halving) else f" and loses its first 6 dB of energy in {result.halving:.3g} s"
+        falls = "" if np.isnan(result.halving) else f" and its energy level decreases by 6 dB in {result.halving:.3g} s"
         parts.append(f"“{measured.label}”: after the hit, {result.channel} {below}{falls}")
     return [f"{'; '.join(parts)}."] if parts else []

@@ -60,8 +60,8 @@ def sweep(scene: Scene, path: Path) -> Arrays:
 def bare_sweep(scene: Scene, path: Path) -> Arrays:
     """Estimate compliances as `sweep`, transmissibilities X_j / X_0, and modal parameters from a recording.
 
-    Returns as `sweep`, with transfer (bodies, points), omega and omega_error (modes,) in rad/s, damping (modes,),
-    and mode shapes (bodies, modes) with largest element 1.
+    Returns the entries of `sweep`, and transfer (bodies, points), omega and omega_error (modes,) in rad/s, damping
+    (modes,), and mode shapes (bodies, modes) with largest element 1.
     """
     with open_or_record(scene, path) as recording:
         arrays = sweep(scene, path)

@@ -112,7 +112,10 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
         raise RecordingError(f"{path}: no frequency response (data set 58, function type 4). {remedy}")
     references = list(dict.fromkeys(uff.point(data_set, "ref") for data_set in frf_sets))
     if reference is None and len(references) > 1:
-        raise SceneError(f"{path}: {len(references)} references. Choose one of {', '.join(references)[:300]}.")
+        raise SceneError(
+            f"{path}: the file contains {len(references)} references. Choose one with `reference`: "
+            f"{', '.join(references)[:300]}."
+        )
     selected = [data_set for data_set in frf_sets if reference in (None, uff.point(data_set, "ref"))]
     if not selected:
         raise SceneError(f"{path}: no reference {reference!r}. Choose one of {', '.join(references)[:300]}.")
@@ -311,7 +314,7 @@ def _valid_lines(where: str, frequency: Array, value: NDArray[Any]) -> NDArray[n
     lines = valid[np.argsort(frequency[valid])]
     for hertz in frequency[lines[[0, -1]]]:
         if not FREQUENCY.supports(hertz):
-            raise RecordingError(f"{where} has a line at {hertz:.3g} Hz; expected lines {FREQUENCY.range}")
+            raise RecordingError(f"{where} has a line at {hertz:.3g} Hz; expected {FREQUENCY.range}. Correct the file.")
     largest = abs(value[lines]).max()
     if largest and not _MIN_MAGNITUDE <= largest <= _MAX_MAGNITUDE:
         raise RecordingError(

@@ -67,7 +67,7 @@ def averages(rec: Recording, channels: Sequence[str], block: float | None = None
     leaks = averaged.remaining > _MAX_REMAINING_RATIO
     if leaks:
         notes.append(
-            f"{averaged.remaining:.0%} of the motion remain at the end of a block, so the curve has leakage. "
+            f"{averaged.remaining:.0%} of the peak response remains at the end of a block, so the curve has leakage. "
             "Use longer blocks, or leave out --estimator for a response without leakage."
         )
     segments = [(start, start + size) for start in starts]

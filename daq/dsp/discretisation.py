@@ -134,8 +134,8 @@ def discretise(circuit: Circuit, gain: float, rate: float, integrals: int, entri
     if not norm <= MOST_NORM:
         fastest = np.abs(np.linalg.eigvals(circuit.a)).max(initial=0.0) / (2.0 * np.pi)
         raise SceneError(
-            f"channels: a corner or resonance of {fastest:.3g} Hz is too fast for a sample rate of {rate:.6g} Hz. "
-            "Leave it out (an ideal part has none), or choose a higher rate."
+            f"channels: a corner or resonance frequency of {fastest:.3g} Hz is too high for a sample rate of "
+            f"{rate:.6g} Hz. Remove its key (for an ideal component), or choose a higher sample rate."
         )
     terms, remainder = 4, norm
     while remainder > 1e-18:

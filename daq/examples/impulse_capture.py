@@ -11,7 +11,7 @@ import daq
 
 PRETRIGGER = 256  # samples before the trigger
 SAMPLES = 5120
-LEVEL = 10.0  # force that triggers, N
+LEVEL = 10.0  # trigger level of the force, N
 
 
 def main() -> None:
@@ -27,7 +27,7 @@ def main() -> None:
         task.triggers.reference_trigger.cfg_anlg_edge_ref_trig("hammer", PRETRIGGER, Slope.RISING, LEVEL)
         force, *bodies = np.array(task.read(READ_ALL_AVAILABLE, timeout=20.0))
         trigger_index = int(np.argmax(force > LEVEL))
-        print(f"first sample above {LEVEL:g} N: index {trigger_index}; {force.max():.1f} N at most")
+        print(f"first sample above {LEVEL:g} N: index {trigger_index}; peak force {force.max():.1f} N")
         for name, samples in zip(task.channel_names[1:], bodies, strict=True):
             before_hit, after_hit = (np.abs(samples[: PRETRIGGER - 32]).max(), np.abs(samples[PRETRIGGER:]).max())
             print(f"{name}: up to {before_hit:.4f} g before the hit, {after_hit:.2f} g after it")

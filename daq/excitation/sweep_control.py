@@ -1,4 +1,4 @@
-"""Control of a swept tone: a constant force amplitude although the structure is never in the steady state."""
+"""Control of a swept tone: a constant force amplitude during transient response."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rig.arrays import Array, ComplexArray
 _MIN_PERIODS = 2.0
 # Minimum length of an observation, samples, for six terms.
 _MIN_SAMPLES = 6
-# Minimum length of an observation, beats of a tone near half the sampling rate.
+# Minimum length of an observation, periods of the beat between the tone and the Nyquist frequency.
 _MIN_BEATS = 1.5
 # Memory of the estimated mode: this factor times 1 / sqrt(sweep rate), the time in which a sweep passes a lightly
 # damped mode.
@@ -26,9 +26,9 @@ _MEMORY_FACTOR = 0.5
 _MIN_MEMORY_PERIODS = 6.0
 # Longest memory, periods: more do not improve a slow sweep, and the motion with dampers may change.
 _MAX_MEMORY_PERIODS = 20.0
-# Number of steps in which the delay of an observation, half its length, is compensated.
+# Number of integration steps that compensate the delay of an observation (half its length).
 _N_STEPS = 6
-# Largest change of the drive between windows, relative to the largest of the last drives.
+# Largest change of the drive between windows, relative to the largest of the last `_N_DRIVES` amplitudes.
 _MAX_CHANGE_RATIO = 0.5
 # Number of the last drives that are stored.
 _N_DRIVES = 12
@@ -73,7 +73,7 @@ class SweepControl:
     def __init__(self, law: ShakerLaw, level: float, limit: float, drive: complex) -> None:
         self._law, self._level, self._limit = law, level, limit
         self._mode = NearestMode()
-        self._goal: complex | None = None
+        self._target_force: complex | None = None
         self._played: deque[tuple[float, complex]] = deque([(0.0, drive)], maxlen=_N_DRIVES)
 
     def played(self, time: float, drive: complex) -> None:
@@ -85,9 +85,9 @@ class SweepControl:
         if not observation.force:
             # Readings within one converter count do not determine the drive.
             return self._played[-1][1]
-        if self._goal is None:
+        if self._target_force is None:
             # The phase of the force is arbitrary; the present phase requires the smallest change.
-            self._goal = self._level * observation.force / abs(observation.force)
+            self._target_force = self._level * observation.force / abs(observation.force)
         memory_periods = _MEMORY_FACTOR * observation.frequency / max(abs(observation.rate), 1e-9) ** 0.5
         memory = min(max(memory_periods, _MIN_MEMORY_PERIODS), _MAX_MEMORY_PERIODS) / observation.frequency
         self._mode.add(
@@ -117,28 +117,37 @@ class SweepControl:
             drive = complex(np.interp(time, times, drives))
             frequency_offset = 1j * observation.angular_frequency(time - step / 2) - centre
             decay = mode.pole - centre - frequency_offset
-            decayed, fed = exp(decay * step), mode.gain * step * integral(decay * step)
-            free = decayed * envelope + fed * force
-            # X = c F + x; the rate of change of the force is that at the end of the step, because it may be fast.
-            motion = per_motion + frequency_offset * motion_slope
-            stiff = per_force + frequency_offset * force_slope + motion * mode.residual_term + motion_slope * mode.gain
-            inert = (force_slope + motion_slope * mode.residual_term) / step
-            next_force = (drive - (motion + motion_slope * decay) * free + inert * force) / (stiff + inert)
-            envelope = decayed * envelope + fed * (force + next_force) / 2
+            decayed, forced_gain = exp(decay * step), mode.gain * step * integral(decay * step)
+            free_envelope = decayed * envelope + forced_gain * force
+            # X = c F + x, by backward Euler for the force, which may change fast within a step.
+            motion_coefficient = per_motion + frequency_offset * motion_slope
+            force_coefficient = (
+                per_force
+                + frequency_offset * force_slope
+                + motion_coefficient * mode.residual_term
+                + motion_slope * mode.gain
+            )
+            force_rate_coefficient = (force_slope + motion_slope * mode.residual_term) / step
+            next_force = (
+                drive - (motion_coefficient + motion_slope * decay) * free_envelope + force_rate_coefficient * force
+            ) / (force_coefficient + force_rate_coefficient)
+            envelope = decayed * envelope + forced_gain * (force + next_force) / 2
             force = next_force
         return envelope, force
 
     def _target_drive(self, observation: Observation, window: float, envelope: complex, force: complex) -> complex:
-        """Return the drive of a steady force at the level at the end of the window."""
-        assert self._goal is not None
-        mode, goal = self._mode, self._goal
+        """Return the drive amplitude that gives the requested force at the end of the window."""
+        assert self._target_force is not None
+        mode, target_force = self._mode, self._target_force
         decay = mode.pole - 1j * observation.angular_frequency(observation.end + window / 2)
-        fed = mode.gain * window * integral(decay * window)
-        envelope = exp(decay * window) * envelope + fed * (force + goal) / 2
+        forced_gain = mode.gain * window * integral(decay * window)
+        envelope = exp(decay * window) * envelope + forced_gain * (force + target_force) / 2
         end = 1j * observation.angular_frequency(observation.end + window)
         (per_force, per_motion), (_, motion_slope) = self._law.at(end), self._law.slope(end)
-        change = (mode.pole - end) * envelope + mode.gain * goal
-        return (per_force + per_motion * mode.residual_term) * goal + per_motion * envelope + motion_slope * change
+        change = (mode.pole - end) * envelope + mode.gain * target_force
+        return (
+            (per_force + per_motion * mode.residual_term) * target_force + per_motion * envelope + motion_slope * change
+        )
 
     def _limit_drive(self, target: complex, force: float) -> complex:
         """Limit the steps of the drive, its growth at an excessive force, and its amplitude."""
@@ -166,11 +175,11 @@ def estimate_amplitudes(samples: Array, phase: Array, rate: float) -> tuple[Comp
 
     A Hann window weighs the samples, shape (channels, at least `observation_samples`).
     """
-    part = (np.arange(phase.size) + 0.5) / phase.size
-    time = (part - 0.5) * phase.size / rate
+    position = (np.arange(phase.size) + 0.5) / phase.size
+    time = (position - 0.5) * phase.size / rate
     cosine, sine = np.cos(phase), -np.sin(phase)
-    model = np.column_stack([cosine, sine, time * cosine, time * sine, np.ones(phase.size), part - 0.5])
-    weighted = model * (1 - np.cos(2 * np.pi * part))[:, None]
+    model = np.column_stack([cosine, sine, time * cosine, time * sine, np.ones(phase.size), position - 0.5])
+    weighted = model * (1 - np.cos(2 * np.pi * position))[:, None]
     # Constant readings are then exactly zero.
     changes = samples - samples[:, :1]
     fit = np.linalg.solve(weighted.T @ model, weighted.T @ changes.T)

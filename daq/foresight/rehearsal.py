@@ -1,4 +1,4 @@
-"""A rehearsal: the test on the bench without a recording, with the extremes of every channel; its recording's size."""
+"""Rehearse a test on the virtual bench: extremes of every channel and size of the recording, without recording."""
 
 from __future__ import annotations
 
@@ -74,16 +74,16 @@ class Rehearsal(BenchLoop):
         self.steps: list[Step] = []
         self.sweep: tuple[int, int] | None = None
         self.seconds, self.complete = 0.0, False
-        # Reason for which the test would abort.
+        # Reason why the test was aborted.
         self.aborted: str | None = None
         self.last_blocks: deque[Block] = deque()
         self._stored_samples = 0
 
-    def run(self, longest: float) -> Self:
+    def run(self, max_duration: float) -> Self:
         """Run the test to its end, to an abort, or up to a duration in s."""
         test = excitation(self.station)
         try:
-            self.complete = self.play(test, next(test), longest)
+            self.complete = self.play(test, next(test), max_duration)
         except LimitReached as reached:
             self.aborted = str(reached)
         self.seconds = self.station.now / self.rate
@@ -102,7 +102,7 @@ class Rehearsal(BenchLoop):
         """Ignore the progress of the test."""
 
     def ending(self, readings: Array) -> BaseException | None:
-        """Return the error of a limit, unless its steps are excluded."""
+        """Return the violation of a limit, unless steps are still excluded."""
         error = super().ending(readings)
         return None if self._excluded_steps else error
 

@@ -77,7 +77,7 @@ def choose(scene: Scene, signals: Sequence[Signal], table: Mapping[str, Column])
                 listed = ", ".join(f"{signal.file} ({signal.number}: {signal.name})" for signal in matches)
                 name = channel.name if column is None else column.column
                 raise ValueError(
-                    f"several signals are called {name!r}: {listed}. Choose in the table, by column and file."
+                    f"several signals are called {name!r}: {listed}. Give its column and file in the table."
                 )
         except ValueError as error:
             mistakes.append(f"{channel.name}: {error}")

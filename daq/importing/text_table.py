@@ -95,7 +95,9 @@ def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: 
     clock = table.take_clock("s") if times else None
     longest = max(channel.samples for channel in channels)
     if longest > table.rows:
-        warn(f"{path}: its heading states {longest} samples, its table has {table.rows}, which are imported")
+        warn(
+            f"{path}: the header states {longest} samples, the table has {table.rows}. Check that the file is complete."
+        )
     if 0 < longest < table.rows and not times:
         warn(
             f"{path}: its heading states segments of {longest} samples, its table has {table.rows} lines: they are "

@@ -28,17 +28,17 @@ if TYPE_CHECKING:
     from rig.simulation.motion import Motion
 
 # The filters of a rate that begins while the rig moves settle on this much of the past motion, s.
-_SETTLING = 2.0
+_SETTLING_S = 2.0
 # Upper bound of the past motion in ticks: a stiff scene has a million ticks per second.
-_LONGEST_PAST = 1 << 18
+_MAX_PAST_TICKS = 1 << 18
 
 
 class Bench:
     """Plant, measuring chain and converter of a scene, from power-on.
 
     `acquire` takes the drive at the converter's rate and returns samples at that rate. `advance` takes it tick by
-    tick and samples at several rates. The samples depend neither on the division of the drive into calls nor on
-    other rates.
+    tick (a tick is one of the equal intervals of the drive) and samples at several rates. The samples depend neither on
+    the division of the drive into calls nor on other rates.
 
     >>> import rig
     >>> bench = Bench(rig.load("bare-structure"))
@@ -55,13 +55,13 @@ class Bench:
         self.rate = scene.converter.sample_rate
         self.tick_rate = self.rate * self.ticks
         self._plant = plant = Plant(scene, scene.converter.true_rate * self.ticks)
-        self._own = Stream(scene, self.rate, Fraction(1, self.ticks), plant)
-        self._streams = {self.rate: self._own}
+        self._base_stream = Stream(scene, self.rate, Fraction(1, self.ticks), plant)
+        self._streams = {self.rate: self._base_stream}
         self._outputs = Outputs(scene, plant.inputs, plant.drive_units)
         self._line = DriveLine(len(plant.inputs), self.ticks)
         # Motion and drive of the latest ticks of `advance`.
         self._past: deque[tuple[Motion, Array]] = deque()
-        self.latency = self._own.latency
+        self.latency = self._base_stream.latency
         self.inputs: tuple[str, ...] = tuple(plant.inputs)
         self.drive_units: tuple[str, ...] = tuple(plant.drive_units)
         self.points: tuple[str, ...] = tuple(plant.points)
@@ -70,12 +70,12 @@ class Bench:
     @property
     def channels(self) -> tuple[ChannelInfo, ...]:
         """The channels at `rate`, in the order of the rows of `Block.samples`."""
-        return self._own.channels
+        return self._base_stream.channels
 
     @property
     def lost(self) -> tuple[tuple[int, int], ...]:
-        """First and last sample of every stretch that is lost between converter and recording, at `rate`."""
-        return self._own.lost
+        """First and last sample of each run of samples that is lost between converter and recording, at `rate`."""
+        return self._base_stream.lost
 
     def lost_at(self, rate: float) -> tuple[tuple[int, int], ...]:
         """Return the same for another rate of the latest `advance`."""
@@ -84,7 +84,7 @@ class Bench:
     @property
     def wiring(self) -> tuple[Channel, ...]:
         """The channels of the scene with their present couplings and supplies, see `rewire`."""
-        return self._own.wiring
+        return self._base_stream.wiring
 
     def rewire(self, wiring: Sequence[Channel]) -> None:
         """Set couplings and supplies of the channels; see `daq.signal_chain.chain.Chain.rewire`."""
@@ -93,16 +93,19 @@ class Bench:
                 stream.rewire(wiring)
 
     def acquire(self, drive: Array) -> Block:
-        """Drive the rig, (inputs, samples) in `drive_units`, and return the samples at `rate`; lines join the drive."""
+        """Drive the rig and return the samples at `rate`.
+
+        The drive, (inputs, samples) in `drive_units`, is interpolated linearly between samples.
+        """
         drive = validate_drive(drive, self.inputs)
         line = self._line.through(self._outputs.put_out(drive))
-        return self._own.take(self._plant.advance(line), line)
+        return self._base_stream.take(self._plant.advance(line), line)
 
     def advance(self, drive: Array, rates: Collection[float] = ()) -> dict[float, Block]:
         """Drive the rig, (inputs, ticks), and return the samples at `rate` and at each of `rates`.
 
-        Lines join the drive. A rate that was not among those of the last call begins with filters that have settled
-        on the past motion.
+        The drive is interpolated linearly between ticks. A rate that was not among those of the last call begins with
+        filters that have settled on the past motion.
         """
         rates = {self.rate, *rates}
         self._streams = {rate: self._streams.get(rate) or self._begin(rate) for rate in sorted(rates)}
@@ -110,7 +113,7 @@ class Bench:
         motion = self._plant.advance(drive)
         self._past.append((motion, drive))
         self.drive = drive[:, -motion.first % self.ticks :: self.ticks]
-        while motion.first - self._past[0][0].first > min(_SETTLING * self.tick_rate, _LONGEST_PAST):
+        while motion.first - self._past[0][0].first > min(_SETTLING_S * self.tick_rate, _MAX_PAST_TICKS):
             self._past.popleft()
         return {rate: stream.take(motion, drive) for rate, stream in self._streams.items()}
 
@@ -120,7 +123,7 @@ class Bench:
 
     def physical(self, samples: Array | NDArray[np.int32]) -> Array:
         """Convert samples to each channel's unit by its data sheet; shape (channels, samples)."""
-        return self._own.physical(samples)
+        return self._base_stream.physical(samples)
 
 
 @dataclass(frozen=True)
@@ -152,7 +155,7 @@ class Stream:
         self._scene = at_rate(scene, rate)
         needed = oversampling(self._scene)
         if any(channel.measures_force or channel.measures_voltage for channel in scene.channels or ()):
-            # The drive is a straight line from tick to tick: longer intervals would lose what lies between.
+            # The drive is linear from tick to tick: longer intervals would undersample the force and voltage channels.
             needed = max(needed, math.ceil(1 / per_tick))
         self._intervals = _intervals(needed, per_tick)
         motion_rate = self._scene.converter.true_rate * self._intervals
@@ -219,7 +222,7 @@ def first_tick(per_tick: Fraction, sample: int) -> int:
 
 
 def at_rate(scene: Scene, rate: float) -> Scene:
-    """Return a scene with another sample rate; without its test if that rate does not resolve the test's tones."""
+    """Return the scene at another sample rate. The test is removed if that rate does not resolve its tones."""
     if rate == scene.converter.sample_rate:
         return scene
     converter = scene.converter.replace(rate=rate)

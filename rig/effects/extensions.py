@@ -1,4 +1,4 @@
-"""Functions of packages that build on the rig: effects, steps of their cost, and predictions, as entry points."""
+"""Load the functions that other packages register as entry points: effects, cost estimates, test predictions."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Propagation of a system in time: the kernel's state, its log, and the two kinds of drive.
 
-Sampled drive: one segment for each sample interval; the drive is exact inside (first-order hold). Pure tone: segments
-between marks. A mark is a sample instant, or the start of a period, where the phase of the drive is reset, so that it
-is still exact after a million periods.
+Sampled drive: one segment for each sample interval; the linear interpolation of the drive (first-order hold) is
+integrated exactly. Pure tone: segments between marks. A mark is a sample instant, or the start of a period, where the
+phase of the drive is reset, so that it is still exact after a million periods.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rig.engine.kernel import DONE, LOG_FULL, NEED_TABLE, STUCK, advance
 from rig.engine.power_series import STALE, UNSETTLED, differentiate
 from rig.engine.samples import MotionSamples, StateSamples, store_motion, store_state
 from rig.engine.screening import reset_envelope
-from rig.engine.state import CONFIGURATION, SLOT, Log, empty_log, state_at_rest
+from rig.engine.state import AMBIGUOUS, CONFIGURATION, SLOT, Log, empty_log, state_at_rest
 from rig.engine.trajectory import Trajectory
 from rig.engine.workspace import Workspace, workspace_for
 from rig.errors import RunError, SceneError
@@ -36,8 +36,10 @@ MAX_STEPS = 1e7
 ALL_SEGMENTS = np.ones(1, dtype=bool)
 #: The row of the only segment.
 _FIRST_ROW = np.zeros(1, dtype=np.int64)
-# Steps, renewal and row of a segment of zero duration, whose motion is not stored.
-_ZERO_STEPS, _NO_RENEWAL, _NO_ROW = np.zeros(1), np.zeros(1, dtype=bool), np.full(1, -1)
+# Fields of a segment of zero duration, whose motion is not stored.
+_ZERO_STEPS = np.zeros(1)
+_NO_RENEWAL = np.zeros(1, dtype=bool)
+_NO_ROW = np.full(1, -1)
 
 
 class Segments(NamedTuple):
@@ -66,7 +68,8 @@ def _propagate(
 ) -> tuple[int, int, float]:  # fmt: skip
     """Propagate through segments, and fill the rows of `states` and the columns of `motion`.
 
-    Returns early, with the segment and its remaining steps (negative: not begun), if the caller must act.
+    Returns early, with the segment and its remaining steps (negative: not begun), if a table or space in the log is
+    needed, or a contact is stuck.
     """
     steps, renew, drive, row = segments
     inputs, count = drive.shape[0], drive.shape[1] - 1
@@ -136,8 +139,8 @@ class Propagator:
 
     @property
     def ambiguous(self) -> int:
-        """Number of decisions within rounding until now."""
-        return int(self.state.counters[3])
+        """Number of contact decisions so far that depended on rounding."""
+        return int(self.state.counters[AMBIGUOUS])
 
     @property
     def work(self) -> int:

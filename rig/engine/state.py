@@ -37,7 +37,7 @@ class State(NamedTuple):
 
 
 class Log(NamedTuple):
-    """Events and breaks in the order of time.
+    """Events and breaks in chronological order.
 
     `filled`: number of events, number of breaks, and segment of the present instant. `now`: time of the present instant
     after the start of its segment, s.

@@ -61,8 +61,7 @@ class Bed:
     def state_bytes(self) -> bytes:
         """Return the state of the grains and of their contacts, for `resume`.
 
-        Neighbours and forces are computed again here and in `resume`, so that both beds continue with the same bits;
-        without this call the bits would differ.
+        Both beds compute neighbors and forces again, so that they continue with the same bits.
         """
         with TemporaryDirectory() as folder:
             file = Path(folder) / "bed"
@@ -160,7 +159,7 @@ class Bed:
         return local
 
     def _view(self) -> None:
-        """View LAMMPS's arrays of the grains; they do not move, as number and order of the grains do not change."""
+        """View LAMMPS's arrays of the grains, whose addresses stay valid while their number and order do."""
         count, arrays = self._lammps.extract_setting("nlocal"), self._lammps.numpy
         self._position, self._velocity, self._masses = (
             arrays.extract_atom(name)[:count] for name in ("x", "v", "rmass")

@@ -99,7 +99,7 @@ def newton(equations: Equations, x: Vector, scale: Vector, steps: Steps, normal:
         if size < steps.tolerance or stalled or quadratic:
             return x, direction / np.linalg.norm(direction), iteration
         if size > 1e3 * max(last_size, 1e-3):
-            raise NoConvergence(f"the corrections grow (last one {size:.1e})")
+            raise NoConvergence(f"Newton's method diverges (last correction {size:.1e})")
         last_size = size
     raise NoConvergence(f"the correction is still {last_size:.1e} after {steps.max_iterations} iterations")
 

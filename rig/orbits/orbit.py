@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-# A margin above the negative of this value may be negative by rounding; below it an orbit is inadmissible.
+# Margins down to minus this value are treated as zero (rounding); below it an orbit is inadmissible.
 MARGIN_ROUNDING = 1e-9
 # Largest number of Newton corrections from an initial guess.
 MAX_CORRECTIONS = 25
@@ -61,7 +61,7 @@ class Orbit(Result):
     compliance : ndarray of complex, shape (bodies,)
         First harmonic of each displacement over that of the force [m/N].
     peak : ndarray, shape (bodies,)
-        Half the range of each displacement [m].
+        Half the peak-to-peak value of each displacement [m].
     margin : float
         Distance to the nearest border, beyond which the sequence of events is impossible: gaps in g/w^2,
         accelerations in g, times in 1/w. At most 1, negative beyond the border.
@@ -184,7 +184,7 @@ class Orbit(Result):
 
     @property
     def flaw(self) -> str:
-        """Violated border of an inadmissible orbit; "" if it is admissible. A guess may converge beyond a border."""
+        """Violated border of an inadmissible orbit, to which Newton's method may converge; "" if it is admissible."""
         return self.border if self.margin < -MARGIN_ROUNDING else ""
 
 

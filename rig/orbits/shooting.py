@@ -34,7 +34,7 @@ class ShootingResult(NamedTuple):
 
 
 class MotionState(NamedTuple):
-    """Motion at the current instant, with derivatives by the unknowns and, in the last column, the parameter."""
+    """Motion at the current instant, with derivatives with respect to the unknowns and, last, the parameter."""
 
     x: Array  # State; cos wt, sin wt; 1; shape (states + 3,)
     height: Array
@@ -78,24 +78,24 @@ def _propagate(
     derivative of the end with respect to it.
     """
     n, size, duration = motion.dx.shape[0], motion.dx.shape[1] - 1, end - time
-    x, sx, a = motion.x, motion.dx, equations.generator[config]
+    x, dx, a = motion.x, motion.dx, equations.generator[config]
     initial, dinitial = x.copy(), np.zeros(n + 3)
     flow = exponential(a, duration, equations.rate[config])
     x[:] = flow @ initial
-    dinitial[:n] = sx[:, size]
+    dinitial[:n] = dx[:, size]
     dinitial[n], dinitial[n + 1] = -time * change.omega * initial[n + 1], time * change.omega * initial[n]
-    sx[:] = np.ascontiguousarray(flow[:n, :n]) @ sx
-    sx[:, size] = exponential_slope(a, change.generator[config], initial, dinitial, duration, equations.rate[config])[
+    dx[:] = np.ascontiguousarray(flow[:n, :n]) @ dx
+    dx[:, size] = exponential_slope(a, change.generator[config], initial, dinitial, duration, equations.rate[config])[
         :n
     ]
     for i in range(n):
         rate = 0.0
         for m in range(n + 3):
             rate += a[i, m] * x[m]
-        sx[i, end_col] += dend * rate
+        dx[i, end_col] += dend * rate
         if start_col >= 0:
             drive_rate = equations.omega * (flow[i, n + 1] * initial[n] - flow[i, n] * initial[n + 1])
-            sx[i, start_col] += drive_rate - rate
+            dx[i, start_col] += drive_rate - rate
     for j in range(motion.height.shape[0]):
         motion.height[j] += (motion.speed[j] - 0.5 * equations.gravity * duration) * duration
         motion.speed[j] -= equations.gravity * duration
@@ -120,7 +120,7 @@ def _contact_force_condition(
     jacobian: Array,
 ) -> float:
     """Return body acceleration plus gravity, zero at zero contact force, and write its derivatives into a row."""
-    n, size, x, sx = motion.dx.shape[0], motion.dx.shape[1] - 1, motion.x, motion.dx
+    n, size, x, dx = motion.dx.shape[0], motion.dx.shape[1] - 1, motion.x, motion.dx
     acc_row = equations.inverse_mass.shape[1] + body
     force, residual = equations.generator[config, acc_row], equations.gravity
     for m in range(n + 3):
@@ -128,7 +128,7 @@ def _contact_force_condition(
         jacobian[row, size] += change.generator[config, acc_row, m] * x[m]
     for c in range(size + 1):
         for m in range(n):
-            jacobian[row, c] += force[m] * sx[m, c]
+            jacobian[row, c] += force[m] * dx[m, c]
     drive_rate = force[n + 1] * x[n] - force[n] * x[n + 1]
     jacobian[row, row] += equations.omega * drive_rate
     jacobian[row, size] += time * change.omega * drive_rate
@@ -155,7 +155,7 @@ def _apply_impact(
     The impulse is (1 + e) v_rel / (1 / m_d + e_b M^-1 e_b) with restitution e, zero unless it bounces.
     """
     body, nq, size = equations.body_coordinate[j], equations.inverse_mass.shape[1], motion.dx.shape[1] - 1
-    x, sx, sh, sv = motion.x, motion.dx, motion.dheight, motion.dspeed
+    x, dx, dheight, dspeed = motion.x, motion.dx, motion.dheight, motion.dspeed
     offset, offset_derivative = 0.0, 0.0
     if kind in (kinds.CEILING, kinds.CEILING_BOUNCE):
         offset, offset_derivative = equations.clearance[j], change.clearance[j]
@@ -169,21 +169,21 @@ def _apply_impact(
     gain_derivative = gain * gain / rebound * (inverse_mass_decrease - inverse_change[body, body])
     relative_speed = motion.speed[j] - x[nq + body]
     for c in range(size + 1):
-        jacobian[row, c] = sh[j, c] - sx[body, c]
-        relative_speed_derivative = sv[j, c] - sx[nq + body, c]
+        jacobian[row, c] = dheight[j, c] - dx[body, c]
+        relative_speed_derivative = dspeed[j, c] - dx[nq + body, c]
         impulse = gain * relative_speed_derivative
         if c == size:
             jacobian[row, c] -= offset_derivative
             impulse += gain_derivative * relative_speed
             for i in range(nq):
-                sx[nq + i, c] += inverse_change[i, body] * gain * relative_speed
-            sv[j, c] += gain * relative_speed * inverse_mass_decrease
+                dx[nq + i, c] += inverse_change[i, body] * gain * relative_speed
+            dspeed[j, c] += gain * relative_speed * inverse_mass_decrease
         for i in range(nq):
-            sx[nq + i, c] += inverse[i, body] * impulse
-        sv[j, c] -= impulse / equations.mass[j]
-        sh[j, c] = sx[body, c]
+            dx[nq + i, c] += inverse[i, body] * impulse
+        dspeed[j, c] -= impulse / equations.mass[j]
+        dheight[j, c] = dx[body, c]
     motion.height[j] = x[body] + offset
-    sh[j, size] += offset_derivative
+    dheight[j, size] += offset_derivative
     for i in range(nq):
         x[nq + i] += inverse[i, body] * gain * relative_speed
     motion.speed[j] -= gain / equations.mass[j] * relative_speed
@@ -191,13 +191,13 @@ def _apply_impact(
 
 
 @cached_njit
-def _change_force(
+def _change_contact(
     equations: Equations, change: Change, kind: int, wall: int, j: int, motion: MotionState, row: int, jacobian: Array
 ) -> tuple[float, float]:
     """Change the finite-duration contact of damper j; return its event condition and the closing speed.
 
-    The condition of a touch is z - o = 0, with gap z and wall position o. The wall's force is zero at
-    z - o + (c / k) z' = 0.
+    With gap z, and gap o at which the wall is touched, the condition of a touch is z - o = 0. The wall's force is zero
+    at z - o + (c / k) z' = 0.
     """
     size, bed = motion.dx.shape[1] - 1, equations.bed[j]
     speed_index = equations.inverse_mass.shape[1] + bed
@@ -277,7 +277,7 @@ def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Ar
                 jacobian[row, row - 1] = -1.0
             _separate(equations, change, sequence.wall[k, j], j, motion)
         elif kind >= kinds.TOUCH_FLOOR:
-            residual[row], closing[k] = _change_force(
+            residual[row], closing[k] = _change_contact(
                 equations, change, kind, sequence.wall[k, j], j, motion, row, jacobian
             )
         else:

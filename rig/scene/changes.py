@@ -46,12 +46,15 @@ class Change:
         if isinstance(node, list):
             indices = range(len(node)) if isinstance(step, str) else [step]
             if not node or indices[0] >= len(node):
-                raise SceneError(f"{self}: the scene has {len(node) or 'none'} of these, counted from 1")
+                raise SceneError(
+                    f"{self}: item {step + 1 if isinstance(step, int) else 1} does not exist. The scene has {len(node)}, "
+                    "numbered from 1."
+                )
             remaining = steps if isinstance(step, str) else remaining
             return [self._replace(item, remaining) if k in indices else item for k, item in enumerate(node)]
         if isinstance(step, int):
             if step > 0 or node is None:
-                raise SceneError(f"{self}: the scene has no list there, so that there is no item {step + 1}")
+                raise SceneError(f"{self}: the key is not a list. Remove the [{step + 1}].")
             return self._replace(node, remaining)
         mapping = node if isinstance(node, dict) else {}
         if step == "masses" and remaining and isinstance(mapping.get(step), dict):

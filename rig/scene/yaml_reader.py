@@ -23,7 +23,7 @@ _FRACTION_WITH_UNIT = re.compile(r"\d+\s*[^\d\s.,eE].*")
 MAX_CHARACTERS = 64_000_000
 # Largest nesting depth.
 MAX_DEPTH = 20
-_TOO_DEEP = f"nested deeper than {MAX_DEPTH} levels; expected a scene"
+_TOO_DEEP = f"more than {MAX_DEPTH} levels of nesting. Check the indentation."
 # Largest number of nodes that aliases may add; a few nested aliases could otherwise expand to billions.
 MAX_ALIAS_NODES = 20_000
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -46,7 +46,7 @@ class Document:
 
 
 class _Unreadable(Exception):
-    """Exception that ends reading with one mistake at a line."""
+    """Error at a line that ends the reading."""
 
     def __init__(self, line: int, message: str) -> None:
         super().__init__(message)
@@ -97,7 +97,7 @@ def _parser_message(error: yaml.MarkedYAMLError, lines: Sequence[str]) -> tuple[
             f"the list or mapping has no closing {problem[-2]}; expected items with commas between, then {problem[-2]}",
         )
     if "expected key" in problem or "expected <block end>" in problem or "'-' indicator" in problem:
-        return (line, "the indentation matches none of the lines above; expected the keys of a part in one column")
+        return (line, "the indentation does not match any line above. Align the keys of one section.")
     if "nesting depth" in problem:
         return line, _TOO_DEEP  # the parser's own limit, reached before an event of that depth
     if "unexpected end of stream" in problem:
@@ -126,7 +126,8 @@ class _Reader:
 
     def _node(self, event: Any, place: Place) -> Any:
         line = _line(event)
-        if line != self.document.line(place):  # saves a million entries for a matrix of a thousand rows
+        # Only lines that differ from the enclosing place are stored: a matrix has a million places.
+        if line != self.document.line(place):
             self.document.lines[place] = line
         if len(place) > MAX_DEPTH:
             raise _Unreadable(line, _TOO_DEEP)
@@ -150,7 +151,7 @@ class _Reader:
         value = self.anchors[event.anchor]
         self.repeated += _count_nodes(value, MAX_ALIAS_NODES)
         if self.repeated > MAX_ALIAS_NODES:
-            raise _Unreadable(line, f"aliases add more than {MAX_ALIAS_NODES} values; expected a scene")
+            raise _Unreadable(line, f"aliases add more than {MAX_ALIAS_NODES} values. Write the values out.")
         return value
 
     def _sequence(self, place: Place) -> list[Any]:

@@ -28,7 +28,7 @@ MAX_REPETITION = 8
 COMPARED_PERIODS = 40
 #: Largest number of periods between two comparisons.
 MAX_SKIPPED_PERIODS = 400
-#: A motion whose change over a repetition is less than this many tolerances is assumed to converge to it.
+#: A motion that changes by less than this many tolerances per repetition is assumed to converge to that repetition.
 SETTLING_TOLERANCES = 1e4
 #: Relative changes below this value are rounding errors.
 CHANGE_ROUNDING = 2e-14
@@ -159,7 +159,7 @@ def _state_scales(propagator: Propagator) -> Array:
 def one_cycle(propagator: Propagator, steps: float, level: float, repetition: int) -> tuple[Trajectory, Array]:
     """Integrate one repetition of a steady motion, with states stored at `INSTANTS_PER_PERIOD` instants per period.
 
-    Returns `begins`, initial states of the segments.
+    Returns the trajectory, and the initial state of each segment.
     """
     initial = propagator.state.z.copy()
     trajectory = sample_periods(propagator, steps, level, repetition)

@@ -94,7 +94,7 @@ class Channel:
             level_db = given["ai_sound_pressure_max_sound_pressure_lvl"]
             if not -1000.0 < level_db < 1000.0:
                 raise invalid_value(
-                    f"channel {name}: a sound pressure level of {level_db:g} dB: expected up to some 100 dB"
+                    f"channel {name}: a sound pressure level of {level_db:g} dB: expected less than 1000 dB"
                 )
             # Peak of a sine with this RMS level; the reference is 20 uPa.
             limit = 20e-6 * 10 ** (level_db / 20) * math.sqrt(2)

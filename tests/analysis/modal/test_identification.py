@@ -275,7 +275,7 @@ def test_damping_of_single_line_lies_within_error():
 
 def test_omitted_peak_gives_no_mode():
     # The flanks would determine a single pole with small errors, although there may be two.
-    with pytest.raises(RecordingError, match=r"12\.8.* Hz\) only in gaps"):
+    with pytest.raises(RecordingError, match=r"12\.8.* Hz\) lie only where lines were excluded"):
         analysis.identify(peak_in_gap([]))
 
 

@@ -59,7 +59,7 @@ def test_noise_settles_after_transient() -> None:
 
 
 def test_drift_is_not_steady() -> None:
-    look, _ = judged(lambda look: 1.0 + 0.002 * look, most=300)
+    look, _ = judged(lambda look: 1.0 + 0.002 * look, max_looks=300)
     assert look == 300
 
 

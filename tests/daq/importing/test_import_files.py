@@ -328,7 +328,7 @@ def test_uncertain_labview_clock_is_reported(tmp_path):
     (tmp_path / "a.lvm").write_text(heading + "".join(f"\t{value}\n" for value in (0.1, -0.1, 0.2)))
     recording, messages = import_recording(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap")
     recording.close()
-    assert any("9 samples, its table has 3" in text for text in messages)
+    assert any("9 samples, the table has 3" in text for text in messages)
     assert any("1023.02 to 1024.07 Hz" in text for text in messages)
 
 

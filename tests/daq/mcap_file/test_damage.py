@@ -9,8 +9,8 @@ import lz4.frame
 import pytest
 import zstandard
 
-from daq.mcap_file import chunk as module
-from daq.mcap_file import damaged_file as walk
+from daq.mcap_file import chunk as chunk_module
+from daq.mcap_file import damaged_file as damaged_file_module
 from daq.mcap_file.chunk import CHUNK_HEAD, Damage, Stored, messages_in, records_in, unpack_chunk
 from daq.mcap_file.damaged_file import DamagedFile, Intact, Unreadable
 from daq.mcap_file.summary import checked
@@ -69,7 +69,7 @@ for each in RECORDS:
     place += len(each)
 
 
-def held(part):
+def content_of(part):
     """Content of a part, as bytes or fields."""
     content = part.content
     if isinstance(content, memoryview):
@@ -86,10 +86,10 @@ LENGTHS = {
     for byte in range(8)
 }
 
-LONG = {begin: end - begin for begin, end in SPANS}
+RECORD_LENGTHS = {begin: end - begin for begin, end in SPANS}
 # Number of bytes that confirm the length of each record; an attachment must be complete.
-TELLING = [49, 15, 20, 53, LONG[SPANS[4][0]], 52]
-TRUE = [INSIDE[0], None, checked({"seed": "1", "rate": "5120"}), INSIDE[1], b"structure: {}", INSIDE[2]]
+BYTES_TO_IDENTIFY = [49, 15, 20, 53, RECORD_LENGTHS[SPANS[4][0]], 52]
+EXPECTED_CONTENTS = [INSIDE[0], None, checked({"seed": "1", "rate": "5120"}), INSIDE[1], b"structure: {}", INSIDE[2]]
 
 
 def parts_of(path, data):
@@ -101,7 +101,7 @@ def parts_of(path, data):
 def test_whole_file_is_read_in_order(tmp_path):
     parts = parts_of(tmp_path / "a", WHOLE)
     assert all(isinstance(part, Intact) for part in parts)
-    assert [held(part) for part in parts] == [each for each in TRUE if each is not None]
+    assert [content_of(part) for part in parts] == [each for each in EXPECTED_CONTENTS if each is not None]
     assert [part.stored for part in parts] == [len(content) for opcode, content in CONTENTS if opcode != 7]
 
 
@@ -113,31 +113,37 @@ def test_damaged_byte_costs_only_its_record(tmp_path, damage):
         if data == WHOLE:
             continue
         parts = parts_of(tmp_path / "a", data)
-        had = [held(part) for part in parts if isinstance(part, Intact)]
-        untouched = [true for true, (begin, end) in zip(TRUE, SPANS, strict=True) if not begin <= at < end]
-        assert [each for each in TRUE if each is not None and (each in untouched or each in had)] == had
-        assert all(each in had for each in untouched if each is not None)
-        spoilt = [part for part in parts if isinstance(part, Unreadable)]
-        assert len(spoilt) <= 1
-        missing = [each for each in TRUE if each is not None and each not in had]
+        recovered = [content_of(part) for part in parts if isinstance(part, Intact)]
+        untouched = [true for true, (begin, end) in zip(EXPECTED_CONTENTS, SPANS, strict=True) if not begin <= at < end]
+        assert [
+            each for each in EXPECTED_CONTENTS if each is not None and (each in untouched or each in recovered)
+        ] == recovered
+        assert all(each in recovered for each in untouched if each is not None)
+        unreadable = [part for part in parts if isinstance(part, Unreadable)]
+        assert len(unreadable) <= 1
+        missing = [each for each in EXPECTED_CONTENTS if each is not None and each not in recovered]
         assert not (missing and at in LENGTHS)
         if missing:
-            [span] = [span for true, span in zip(TRUE, SPANS, strict=True) if true == missing[0]]
-            assert (spoilt[0].begin, spoilt[0].end) == span
-            assert spoilt[0].reason
+            [span] = [span for true, span in zip(EXPECTED_CONTENTS, SPANS, strict=True) if true == missing[0]]
+            assert (unreadable[0].begin, unreadable[0].end) == span
+            assert unreadable[0].reason
 
 
 def test_cut_file_keeps_all_records_before_the_cut(tmp_path):
-    near = {at + beside for span in SPANS for at in span for beside in (0, *range(-10, 70, 3))}
-    for cut in sorted(each for each in near if len(HEAD) <= each <= SPANS[-1][1]):
+    cuts = {at + offset for span in SPANS for at in span for offset in (0, *range(-10, 70, 3))}
+    for cut in sorted(each for each in cuts if len(HEAD) <= each <= SPANS[-1][1]):
         parts = parts_of(tmp_path / "a", WHOLE[:cut])
-        before = [true for true, (_, end) in zip(TRUE, SPANS, strict=True) if end <= cut and true is not None]
-        assert [held(part) for part in parts if isinstance(part, Intact)] == before
-        torn = [begin for begin, end in SPANS if begin < cut < end]
-        reason = [(part.begin, part.end) for part in parts if isinstance(part, Unreadable)]
-        assert reason == [(begin, cut) for begin in torn]
-        for begin, part in zip(torn, (each for each in parts if isinstance(each, Unreadable)), strict=True):
-            known = cut - begin < 9 or cut - begin >= TELLING[SPANS.index((begin, begin + LONG[begin]))]
+        before = [
+            true for true, (_, end) in zip(EXPECTED_CONTENTS, SPANS, strict=True) if end <= cut and true is not None
+        ]
+        assert [content_of(part) for part in parts if isinstance(part, Intact)] == before
+        cut_records = [begin for begin, end in SPANS if begin < cut < end]
+        unreadable_spans = [(part.begin, part.end) for part in parts if isinstance(part, Unreadable)]
+        assert unreadable_spans == [(begin, cut) for begin in cut_records]
+        for begin, part in zip(cut_records, (each for each in parts if isinstance(each, Unreadable)), strict=True):
+            known = (
+                cut - begin < 9 or cut - begin >= BYTES_TO_IDENTIFY[SPANS.index((begin, begin + RECORD_LENGTHS[begin]))]
+            )
             assert part.reason == ("the file ends within a record" if known else "no record can be identified")
 
 
@@ -149,7 +155,11 @@ def test_record_after_foreign_bytes_is_located(tmp_path, length):
         begin = len(HEAD) + len(RECORDS[0])
         spans = [(part.begin, part.end) for part in parts if isinstance(part, Unreadable)]
         assert spans == [(begin, begin + length)]
-        assert [held(part) for part in parts if isinstance(part, Intact)] == [TRUE[0], TRUE[3], TRUE[4]]
+        assert [content_of(part) for part in parts if isinstance(part, Intact)] == [
+            EXPECTED_CONTENTS[0],
+            EXPECTED_CONTENTS[3],
+            EXPECTED_CONTENTS[4],
+        ]
 
 
 @pytest.mark.parametrize("kind", range(len(RECORDS)))
@@ -157,21 +167,21 @@ def test_any_record_after_foreign_bytes_is_located(tmp_path, kind):
     for tail in (RECORDS[3] + END, END, b""):
         parts = parts_of(tmp_path / "a", HEAD + bytes(20) + RECORDS[kind] + tail)
         assert (parts[0].begin, parts[0].end) == (len(HEAD), len(HEAD) + 20)
-        had = [TRUE[kind], TRUE[3] if tail.startswith(RECORDS[3]) else None]
-        assert [held(part) for part in parts[1:]] == [each for each in had if each is not None]
+        recovered = [EXPECTED_CONTENTS[kind], EXPECTED_CONTENTS[3] if tail.startswith(RECORDS[3]) else None]
+        assert [content_of(part) for part in parts[1:]] == [each for each in recovered if each is not None]
     parts = parts_of(tmp_path / "a", HEAD + bytes(20) + END + RECORDS[kind])
     assert [(part.begin, part.end) for part in parts] == [(len(HEAD), len(HEAD) + 20)]
 
 
-def unlike_itself():
+def inconsistent_records():
     """Return slightly inconsistent beginnings of records."""
     contents = [*CONTENTS[:4], (9, attachment(b"x")[:-1] + b"\0"), (0x0F, bytes(4)), (0x0C, metadata({"seed": "1"}))]
     for opcode, content in contents:
         # A chunk must not have a correct checksum, which would confirm it.
-        spoilt = content[:-1] + bytes([content[-1] ^ 1]) if opcode == 6 else content
+        changed_content = content[:-1] + bytes([content[-1] ^ 1]) if opcode == 6 else content
         for wrong in (-16, -1, 1, 3, 16, 256):
             if len(content) + wrong >= 0:
-                yield struct.pack("<BQ", opcode, len(content) + wrong) + spoilt
+                yield struct.pack("<BQ", opcode, len(content) + wrong) + changed_content
     yield record(7, struct.pack("<HI", 1, 8) + bytes(8))
     yield record(7, struct.pack("<HI", 1, 17) + bytes(17))
     # No compression of that name.
@@ -181,12 +191,16 @@ def unlike_itself():
 
 @pytest.mark.parametrize("before", [b"", bytes(20)])
 def test_lookalike_record_is_passed_over(tmp_path, before):
-    for decoy in unlike_itself():
+    for decoy in inconsistent_records():
         parts = parts_of(tmp_path / "a", HEAD + RECORDS[2] + before + decoy + RECORDS[3] + RECORDS[4] + END)
         begin = len(HEAD) + len(RECORDS[2])
         spans = [(part.begin, part.end) for part in parts if isinstance(part, Unreadable)]
         assert spans == [(begin, begin + len(before) + len(decoy))], decoy
-        assert [held(part) for part in parts if isinstance(part, Intact)] == [TRUE[2], TRUE[3], TRUE[4]]
+        assert [content_of(part) for part in parts if isinstance(part, Intact)] == [
+            EXPECTED_CONTENTS[2],
+            EXPECTED_CONTENTS[3],
+            EXPECTED_CONTENTS[4],
+        ]
 
 
 @pytest.mark.parametrize(
@@ -201,15 +215,15 @@ def test_damaged_record_is_reported_wherever_it_ends(tmp_path, kind, reason):
     # The length is rejected if no consistent record follows.
     parts = parts_of(tmp_path / "a", HEAD + damaged + bytes(9) + RECORDS[0])
     assert (parts[0].begin, parts[0].end) == (len(HEAD), len(HEAD) + len(damaged) + 9)
-    assert parts[0].reason == "no record can be identified" and held(parts[1]) == TRUE[0]
+    assert parts[0].reason == "no record can be identified" and content_of(parts[1]) == EXPECTED_CONTENTS[0]
 
 
 @pytest.mark.parametrize("kind", [2, 4])
 def test_largest_record_is_read_and_larger_rejected(tmp_path, kind, monkeypatch):
     size = len(CONTENTS[kind][1])
-    monkeypatch.setattr(walk, "LARGEST_RECORD", size)
-    assert held(parts_of(tmp_path / "a", HEAD + RECORDS[kind] + END)[0]) == TRUE[kind]
-    monkeypatch.setattr(walk, "LARGEST_RECORD", size - 1)
+    monkeypatch.setattr(damaged_file_module, "LARGEST_RECORD", size)
+    assert content_of(parts_of(tmp_path / "a", HEAD + RECORDS[kind] + END)[0]) == EXPECTED_CONTENTS[kind]
+    monkeypatch.setattr(damaged_file_module, "LARGEST_RECORD", size - 1)
     [part] = parts_of(tmp_path / "a", HEAD + RECORDS[kind] + END)
     assert (part.begin, part.end) == (len(HEAD), len(HEAD) + len(RECORDS[kind]))
 
@@ -218,9 +232,9 @@ def test_largest_record_is_read_and_larger_rejected(tmp_path, kind, monkeypatch)
 def test_largest_chunk_is_read_and_larger_rejected(tmp_path, kind, monkeypatch):
     content = CONTENTS[kind][1]
     packed = len(content) - CHUNK_HEAD.size - 8 - CHUNK_HEAD.unpack_from(content)[4]
-    monkeypatch.setattr(walk, "LARGEST_CHUNK", packed)
-    assert held(parts_of(tmp_path / "a", HEAD + RECORDS[kind] + END)[0]) == TRUE[kind]
-    monkeypatch.setattr(walk, "LARGEST_CHUNK", packed - 1)
+    monkeypatch.setattr(damaged_file_module, "LARGEST_CHUNK", packed)
+    assert content_of(parts_of(tmp_path / "a", HEAD + RECORDS[kind] + END)[0]) == EXPECTED_CONTENTS[kind]
+    monkeypatch.setattr(damaged_file_module, "LARGEST_CHUNK", packed - 1)
     [part] = parts_of(tmp_path / "a", HEAD + RECORDS[kind] + END)
     assert (part.begin, part.end) == (len(HEAD), len(HEAD) + len(RECORDS[kind]))
     assert part.reason == "a chunk that is too large"
@@ -230,7 +244,7 @@ def test_wrong_beginning_is_reported_and_records_searched(tmp_path):
     parts = parts_of(tmp_path / "a", b"not a recording" + RECORDS[0] + END)
     assert (parts[0].begin, parts[0].end) == (0, 15)
     assert "does not begin with the MCAP signature" in parts[0].reason
-    assert held(parts[1]) == TRUE[0] and len(parts) == 2
+    assert content_of(parts[1]) == EXPECTED_CONTENTS[0] and len(parts) == 2
 
 
 @pytest.mark.parametrize(
@@ -245,7 +259,7 @@ def test_chunk_without_checksum_is_not_used(tmp_path, content, why):
     parts = parts_of(tmp_path / "a", HEAD + record(6, content) + RECORDS[3] + END)
     assert (parts[0].begin, parts[0].end) == (len(HEAD), len(HEAD) + 9 + len(content))
     assert parts[0].reason.startswith("a chunk: ") and why in parts[0].reason
-    assert held(parts[1]) == TRUE[3]
+    assert content_of(parts[1]) == EXPECTED_CONTENTS[3]
 
 
 @pytest.mark.parametrize(
@@ -255,7 +269,7 @@ def test_chunk_without_checksum_is_not_used(tmp_path, content, why):
 def test_records_without_right_checksum_are_not_used(tmp_path, opcode, content, why):
     parts = parts_of(tmp_path / "a", HEAD + record(opcode, content) + RECORDS[3] + END)
     assert why in parts[0].reason or isinstance(parts[0], Unreadable)
-    assert [held(part) for part in parts if isinstance(part, Intact)] == [TRUE[3]]
+    assert [content_of(part) for part in parts if isinstance(part, Intact)] == [EXPECTED_CONTENTS[3]]
 
 
 @pytest.mark.parametrize("compression", PACKERS)
@@ -287,7 +301,7 @@ def test_chunk_damaged_anywhere_is_rejected_or_equal(compression):
 
 
 def test_unpacked_size_is_limited(monkeypatch):
-    monkeypatch.setattr(module, "LARGEST_CHUNK", 1000)
+    monkeypatch.setattr(chunk_module, "LARGEST_CHUNK", 1000)
     assert len(unpack_chunk(memoryview(chunk(b"", bytes(1000))))) == 1000
     with pytest.raises(Damage, match="claims to unpack to 1001 bytes; at most 1000"):
         unpack_chunk(memoryview(chunk(b"", bytes(1001))))
@@ -296,10 +310,10 @@ def test_unpacked_size_is_limited(monkeypatch):
 @pytest.mark.parametrize("compression", [b"zstd", b"lz4"])
 def test_packing_ratio_is_limited(compression, monkeypatch):
     content = chunk(compression, bytes(10_000))
-    monkeypatch.setattr(module, "_MAX_RATIO", 3)
-    monkeypatch.setattr(module, "_FREE_RATIO_BYTES", 10_000 - 3 * len(content))
+    monkeypatch.setattr(chunk_module, "_MAX_RATIO", 3)
+    monkeypatch.setattr(chunk_module, "_FREE_RATIO_BYTES", 10_000 - 3 * len(content))
     assert len(unpack_chunk(memoryview(content))) == 10_000
-    monkeypatch.setattr(module, "_FREE_RATIO_BYTES", 10_000 - 3 * len(content) - 1)
+    monkeypatch.setattr(chunk_module, "_FREE_RATIO_BYTES", 10_000 - 3 * len(content) - 1)
     with pytest.raises(Damage, match="claims to unpack from"):
         unpack_chunk(memoryview(content))
 
@@ -362,7 +376,7 @@ def test_misfit_records_of_a_chunk_are_rejected():
 
 
 def test_more_records_than_bytes_are_rejected(monkeypatch):
-    monkeypatch.setattr(module, "_MAX_EXCESS_RECORDS", 3)
+    monkeypatch.setattr(chunk_module, "_MAX_EXCESS_RECORDS", 3)
     for stored in (0, 1, 2, 7):
         inside = memoryview(record(3, b"") * (4 + stored))
         assert len(list(records_in(inside[9:], stored))) == 3 + stored

@@ -45,8 +45,8 @@ def test_changing_an_alias_keeps_its_other_place(file) -> None:
     [
         ("dampers[2].clearance=1kg", 'dampers[2].clearance=1kg: dampers[2].clearance: got "1kg"; expected a len'),
         ("dampers.clearence=1mm", "dampers[2].clearence: unknown key 'clearence'. Did you mean 'clearance'?"),
-        ("dampers[3].mass=1kg", "the scene has 2 of these, counted from 1"),
-        ("channels[1].name=a", "no list there, so that there is no item 1"),
+        ("dampers[3].mass=1kg", "item 3 does not exist. The scene has 2, numbered from 1."),
+        ("channels[1].name=a", "the key is not a list. Remove the [1]."),
         ("dampers[0].mass=1kg", "lists count from 1"),
         ("test..force=1N", "no key"),
         ("gravity", "expected KEY=VALUE such as test.force=5N"),
@@ -75,7 +75,7 @@ def test_scene_commands_take_changes(package) -> None:
         ("structure.masses=[1 kg]", "with --set structure.masses=[1 kg]: structure.springs: got 2 springs"),
         ("gravity=9,81", '--set gravity=9,81: gravity: got "9,81"; expected a decimal point: 9.81'),
         ("dampers[0].mass=1kg", "--set dampers[0].mass=1kg: no key"),
-        ("dampers[3].mass=1kg", "--set dampers[3].mass=1kg: the scene has 2"),
+        ("dampers[3].mass=1kg", "--set dampers[3].mass=1kg: item 3 does not exist"),
     ],
 )
 def test_mistake_of_an_option_names_the_option(file, change, message) -> None:

@@ -230,7 +230,7 @@ MISTAKES = [
     ("structure: [1, 2}", ":1: the list or mapping has no closing ]"),
     ("a: b: 2", ':1: a second ": " in one value'),
     ("structure:\n\tmasses: [1 kg]", ":2: a tab in the indentation; expected spaces"),
-    ("structure:\n  masses: [1 kg]\n damping: 1", ":3: the indentation matches none of the lines above"),
+    ("structure:\n  masses: [1 kg]\n damping: 1", ":3: the indentation does not match any line above"),
     (STRUCTURE + "gravity 9.81", ':2: a line without ": "'),
     (STRUCTURE + 'name: "a', ":2: a quotation mark is not closed"),
     (STRUCTURE + "gravity: 9,81 m/s^2", ':2: gravity: got "9,81 m/s^2"; expected a decimal point: 9.81 m/s^2'),
@@ -397,8 +397,8 @@ BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
     ("text", "message"),
     [
         (BOMB, "aliases add more than"),
-        ("[" * 100_000, "nested deeper than"),
-        ("{a: " * 100_000, "nested deeper than"),
+        ("[" * 100_000, "levels of nesting"),
+        ("{a: " * 100_000, "levels of nesting"),
         ("structure: {masses: [" + "9" * 100_000 + "], springs: [1]}", "expected a mass"),
     ],
 )

@@ -46,10 +46,8 @@ class Change:
         if isinstance(node, list):
             indices = range(len(node)) if isinstance(step, str) else [step]
             if not node or indices[0] >= len(node):
-                raise SceneError(
-                    f"{self}: item {step + 1 if isinstance(step, int) else 1} does not exist. The scene has {len(node)}, "
-                    "numbered from 1."
-                )
+                number = step + 1 if isinstance(step, int) else 1
+                raise SceneError(f"{self}: item {number} does not exist. The scene has {len(node)}, numbered from 1.")
             remaining = steps if isinstance(step, str) else remaining
             return [self._replace(item, remaining) if k in indices else item for k, item in enumerate(node)]
         if isinstance(step, int):

@@ -122,7 +122,8 @@ class LockIn:
     def tone(self) -> ToneFit:
         """Solve for the amplitudes over all parts added so far."""
         size = 2 * self.harmonics + 2
-        firsts, lengths = (np.array([getattr(part, name) for part in self._parts]) for name in ("first", "length"))
+        firsts = np.array([part.first for part in self._parts])
+        lengths = np.array([part.length for part in self._parts])
         projections = np.stack([part.projection for part in self._parts])
         to_local = self._to_local(firsts, lengths)
         grams, factors = (np.stack([self._gram(part.length)[index] for part in self._parts]) for index in range(2))

@@ -8,7 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.instrument.engines.log import MarkedRecording, make_folder
+from daq.instrument.engines.log import MarkedRecording
+from daq.recording.committed_file import make_folder
 from daq.recording.recorded_test import TestKind
 from rig.errors import ShotrigError
 

@@ -15,14 +15,14 @@ from daq.excitation import Excitation, Station, excitation
 from daq.measurement.bench_loop import BenchLoop
 from daq.measurement.estimate import check_resources, estimate
 from daq.measurement.limits import FlaggedIntervals
-from daq.recording.committed_file import DiskError
+from daq.recording.committed_file import DiskError, make_folder
 from daq.recording.recorded_test import SceneOutline, TestKind, kind_of_settings
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
 from daq.virtual_bench.bench import Block
 from rig.arrays import Array
 from rig.ending_signals import interrupt_flag
-from rig.errors import RecordingError, RunError, SceneError, ShotrigError
+from rig.errors import RunError, SceneError, ShotrigError
 from rig.errors import RunWarning as RunWarning  # public as daq.RunWarning
 from rig.input_files import as_path
 from rig.numerics.runs import runs_of
@@ -129,13 +129,7 @@ class MeasurementRun(BenchLoop):
         missing = missing_force_reference(bench.scene, bench.channels)
         if missing is not None:
             warnings.warn(missing, RunWarning, stacklevel=4)
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise RecordingError(
-                f"{path}: cannot make the folder {path.parent.absolute()} ({error.strerror}). Choose a place "
-                "that can be written to (-o FILE.mcap)."
-            ) from None
+        make_folder(path)
         try:
             # Interrupts are deferred while the file is created and while it is completed: otherwise it would be
             # invalid.

@@ -25,6 +25,17 @@ class DiskError(RunError):
     """The disk is full or fails; the message states the content of the file."""
 
 
+def make_folder(path: Path) -> None:
+    """Create the folder of a recording; raises `RecordingError` if it cannot be created."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordingError(
+            f"{path}: cannot make the folder {path.parent.absolute()} ({error.strerror}). Choose a place that can be "
+            "written to (-o FILE.mcap)."
+        ) from None
+
+
 class Disk:
     """The stream of the MCAP writer: bytes wait in memory until `commit` writes them together.
 

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.instrument.chassis import Chassis
-from daq.instrument.engines.log import MarkedRecording, make_folder
+from daq.instrument.engines.log import MarkedRecording
+from daq.recording.committed_file import make_folder
 from rig.errors import ShotrigError
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from daq.importing.tdms import log_as_warning
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.values import LoggingMode, LoggingOperation
 from daq.measurement.limits import FlaggedIntervals
-from rig.errors import RecordingError, ShotrigError
+from rig.errors import ShotrigError
 
 if TYPE_CHECKING:
     from daq.instrument.engines.acquisition import Acquisition, InputPlan
@@ -25,17 +25,6 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
     from daq.virtual_bench.bench import Bench
     from rig.scene.scene import Scene
-
-
-def make_folder(path: Path) -> None:
-    """Create the folder of a recording; raises `RecordingError` if it cannot be created."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecordingError(
-            f"{path}: the folder {path.parent.absolute()} cannot be created ({error.strerror}). Choose another place "
-            "with -o FILE.mcap."
-        ) from None
 
 
 class MarkedRecording:

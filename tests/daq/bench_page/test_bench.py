@@ -166,7 +166,7 @@ def test_unusable_recording_folder_is_reported(bench, tmp_path):
     bench.operator.start()
     pass_time(bench, 0.5)
     bench.close()
-    assert "cannot be created" in bench.recordings.problem
+    assert "cannot make the folder" in bench.recordings.problem
     assert not bench.recordings.enabled
 
 

@@ -133,13 +133,13 @@ def frf(
     for source, label in _sources(recordings):
         if isinstance(source, Path):
             curves = read_curves(source, reference, response, unit)
-            responses.append(_labelled(stack([curve.to(motion) for curve in curves]), label))
+            responses.append(_labeled(stack([curve.to(motion) for curve in curves]), label))
             continue
         with source as rec:
             for sweep in frequency_responses(
                 rec, response, reference, motion, estimator, block, progress, overlap, window
             ):
-                responses.append(_labelled(sweep, label, rec.scene.name))
+                responses.append(_labeled(sweep, label, rec.scene.name))
     return Results(responses)
 
 
@@ -168,7 +168,7 @@ def modes(
     from analysis.modal.identification import identify
 
     responses = frf(recordings, None, reference, block=block, unit=unit, progress=progress)
-    return Results(_labelled(identify(response, modes), response.label) for response in responses)
+    return Results(_labeled(identify(response, modes), response.label) for response in responses)
 
 
 def dampers(recordings: Recordings, progress: CountProgress | None = None) -> Results[Dampers]:
@@ -343,7 +343,7 @@ def _only_recordings(source: Any) -> Any:
     return source
 
 
-def _labelled(result: Any, label: str, scene: str | None = None) -> Any:
+def _labeled(result: Any, label: str, scene: str | None = None) -> Any:
     """Name a result after its recording, instead of the scene."""
     from dataclasses import replace
 

@@ -66,7 +66,7 @@ def frf(
     ] = None,
     block: Block = None,
     overlap: Annotated[
-        float | None, typer.Option(metavar="SHARE", help="Overlap of neighbouring blocks. Default: 0.5.")
+        float | None, typer.Option(metavar="SHARE", help="Overlap of neighboring blocks. Default: 0.5.")
     ] = None,
     window: Annotated[
         str | None, typer.Option(metavar="NAME", help="Window of blocks: hann, none, ... Default: hann, for hits none.")
@@ -80,7 +80,7 @@ def frf(
     """Estimate frequency responses with 95 % bounds and coherence."""
     from analysis.presentation.frf_findings import present_frf
 
-    with allow_overwriting(overwrite), count_progress("analysing") as progress:
+    with allow_overwriting(overwrite), count_progress("analyzing") as progress:
         result = present_frf(
             files, output, response, reference, motion, estimator, block, theory, progress, overlap, window, unit
         )
@@ -118,7 +118,7 @@ def modes(
     """Estimate natural frequencies, damping ratios and mode shapes."""
     from analysis.presentation.mode_findings import present_modes
 
-    with allow_overwriting(overwrite), count_progress("analysing") as progress:
+    with allow_overwriting(overwrite), count_progress("analyzing") as progress:
         result = present_modes(files, output, reference, modes, block, progress, unit)
     _show(result)
 
@@ -131,7 +131,7 @@ def dampers(files: Files, output: Output = None, overwrite: Overwrite = False) -
     """
     from analysis.presentation.damper_findings import present_dampers
 
-    with allow_overwriting(overwrite), count_progress("analysing") as progress:
+    with allow_overwriting(overwrite), count_progress("analyzing") as progress:
         result = present_dampers(files, output, progress)
     _show(result)
 
@@ -144,7 +144,7 @@ def compare(files: Files, output: Output = None, overwrite: Overwrite = False) -
     """
     from analysis.presentation.comparison import present_compare
 
-    with allow_overwriting(overwrite), count_progress("analysing") as progress:
+    with allow_overwriting(overwrite), count_progress("analyzing") as progress:
         result = present_compare(files, output, progress)
     _show(result)
 
@@ -198,7 +198,7 @@ def report(
     """Write an interactive HTML page about recordings."""
     from analysis.reporting.report import write_report
 
-    with allow_overwriting(overwrite), count_progress("analysing") as progress:
+    with allow_overwriting(overwrite), count_progress("analyzing") as progress:
         result = write_report(files, output, progress)
     _show(result)
 
@@ -249,7 +249,7 @@ def export(
             raise typer.BadParameter(
                 "--channel, --from, --to and --speed apply to samples only. Leave them out, or leave out --what."
             )
-        with count_progress("analysing") as progress:
+        with count_progress("analyzing") as progress:
             lines = export_results(file, output, what, overwrite, progress)
         print(*lines, sep="\n")
         return
@@ -293,7 +293,7 @@ def cost(
     create_folder(output)
     with allow_overwriting(overwrite), output_source("chain-cost", setting.to_yaml()):
         reject_foreign_files(*output_files(setting, output))
-        with count_progress("recording and analysing") as progress:
+        with count_progress("recording and analyzing") as progress:
             study = chain_study(setting, frequency, progress)
         files = write(study, output)
     print(table(study))

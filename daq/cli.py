@@ -171,7 +171,7 @@ def describe_recordings(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings.")],
     check: Annotated[bool, _option(None, "Read the whole file and verify every record.", "--check")] = False,
 ) -> None:
-    """Describe recordings and list the commands that can analyse them."""
+    """Describe recordings and list the commands that can analyze them."""
     from daq.viewing.description import info
 
     for file in files:

@@ -106,12 +106,12 @@ def color_of(index: int) -> str:
     return COLORS[index % len(COLORS)]
 
 
-def frequency_axis(axes: Axes, low: float, high: float, labelled: bool) -> None:
+def frequency_axis(axes: Axes, low: float, high: float, labeled: bool) -> None:
     """Set up a frequency axis with plain tick labels, logarithmic unless its range is short."""
     axes.set_xlim(low, high)
     if high / low >= 2.0:
         set_log_scale(axes.xaxis, 10)
-    if labelled:
+    if labeled:
         axes.set_xlabel("frequency / Hz")
     else:
         axes.tick_params(labelbottom=False)

@@ -167,7 +167,7 @@ def _processes(cleanup: ExitStack) -> Executor:
     pool = ProcessPoolExecutor(cores(), mp_context=context, initializer=_begin)
 
     def end() -> None:
-        # Waiting pieces are cancelled before the workers end, because the pool would otherwise notify them.
+        # Waiting pieces are canceled before the workers end, because the pool would otherwise notify them.
         pool.shutdown(wait=False, cancel_futures=True)
         workers = [process for process in context.started if process.pid is not None]
         for worker in workers:

@@ -43,7 +43,7 @@ def table(study: ChainStudy) -> str:
             "",
             *table_lines(rows, "<<>>><"),
             "",
-            "ms for a second: CPU time to record and analyse a second of the test. Relative error: of the compliance,",
+            "ms for a second: CPU time to record and analyze a second of the test. Relative error: of the compliance,",
             "corrected by the data sheets. Correction: relative error of a displacement without it. All changes start",
             "from the scene without noise, rounding to counts, sensor tolerances and bias, which no sheet corrects.",
             f"Reference: {study.reference}.",

@@ -16,9 +16,9 @@ from rig.results.uncertainty import SENSITIVITY
 # Width of the band of a peak below the natural frequency of the bare structure, relative to that frequency. The band
 # above is half as wide.
 _BAND_BELOW_RATIO = 0.15
-# Maximum relative error with which neighbours predict a point; above it, the curve has a jump.
+# Maximum relative error with which neighbors predict a point; above it, the curve has a jump.
 _MAX_PREDICTION_ERROR = 0.2
-# Number of frequencies of the interpolated curve between the neighbours of the highest point.
+# Number of frequencies of the interpolated curve between the neighbors of the highest point.
 _GRID_POINTS = 801
 # Maximum relative interpolation error at a peak; above it, a smaller frequency step is recommended.
 _MAX_INTERPOLATION_ERROR = 0.01
@@ -53,7 +53,7 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
     Around a resonance 1/H is nearly quadratic in frequency (k - m w^2 + i c w for one mode). Therefore 1/H is
     interpolated through the three points around the highest point, and through five points as a check. The bound
     contains the bounds of these points and twice the difference of the two interpolations. It also contains twice the
-    error with which neighbours predict the points: widely spaced points may miss the top of a peak with dampers. (In
+    error with which neighbors predict the points: widely spaced points may miss the top of a peak with dampers. (In
     a test with computed curves with dampers and one to nine points in the half-power bandwidth, the bound contained
     the true peak in 98 % of cases.) The limits of the frequency enclose all frequencies at which the curve is within
     the bound of its peak.
@@ -124,7 +124,7 @@ def _highest_local_maximum(magnitude: np.ndarray, scatter: np.ndarray) -> int:
 
 
 def _prediction_error(f: np.ndarray, inverse: np.ndarray, scatter: np.ndarray, highest: int) -> float:
-    """Estimate the relative error, beyond scatter, with which neighbours predict the points at the peak."""
+    """Estimate the relative error, beyond scatter, with which neighbors predict the points at the peak."""
     errors = [0.0]
     for k in (highest - 1, highest, highest + 1):
         others = np.array([i for i in range(max(k - 2, 0), min(k + 3, f.size)) if i != k])

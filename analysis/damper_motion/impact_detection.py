@@ -125,7 +125,7 @@ def impacts(
 
     The reading of a velocity jump is computed from the channel's data sheet, including sensor resonance, integrator,
     averaging and decimation. At every sample, four contributions are fitted by least squares: this reading, a step and
-    a kink of the acceleration, and a smooth motion. Step and kink accompany impacts on the body and on its neighbours.
+    a kink of the acceleration, and a smooth motion. Step and kink accompany impacts on the body and on its neighbors.
     An impact is detected if the jump exceeds `DETECTION_SIGMAS` standard deviations. It is subtracted and the search
     is repeated (orthogonal matching pursuit). Overlapping impacts are fitted jointly. For finite-duration contact,
     the pulse shape of the scene's spring-dashpot contact replaces the jump, and times are those of first contact.
@@ -263,7 +263,7 @@ def _valid_samples(rec: Recording, name: str, samples: Array, start: int, ring: 
     valid = np.isfinite(samples)
     for marker in rec.overloads:
         if marker.fields.get("channel") == name:
-            # The response after an overload cannot be modelled, because the overload hides its beginning.
+            # The response after an overload cannot be modeled, because the overload hides its beginning.
             valid[max(marker.first_sample - start, 0) : max(marker.end + 1 + ring - start, 0)] = False
     return valid
 

@@ -213,8 +213,8 @@ class ImpactModel:
         sizes = self._to_sizes[row] @ outputs_nearby[best_row]
         if offset:
             direction = 1 if offset > 0 else -1
-            neighbour = self._to_sizes[row + direction] @ outputs_nearby[best_row + direction]
-            sizes = (1.0 - abs(offset)) * sizes + abs(offset) * neighbour
+            neighbor = self._to_sizes[row + direction] @ outputs_nearby[best_row + direction]
+            sizes = (1.0 - abs(offset)) * sizes + abs(offset) * neighbor
         error = noise / abs(self.r_factors[row, 2, 2])
         return (row + offset + 0.5) / self.instants - MAX_SHIFT, sizes, error, float(explained[best_row])
 

@@ -22,7 +22,7 @@ ITERATIONS = 4
 _MAX_CHANGE_SAMPLES = 0.5
 # Added to the diagonal of the normalized normal equations, so that they stay positive definite despite rounding.
 _DIAGONAL_LOADING = 1e-11
-# Maximum distance of a fitted jump from its start, samples: a larger one would merge it with a neighbour.
+# Maximum distance of a fitted jump from its start, samples: a larger one would merge it with a neighbor.
 _MAX_DISTANCE_SAMPLES = 2.0
 
 

@@ -40,15 +40,15 @@ MODEL_ERROR = 3e-3
 _CONTACT_MODEL_ERROR = 2e-2
 # Residual of a subtracted jump during its ringing, relative to the jump.
 RESIDUAL_RATIO = 0.02
-# An impact on a neighbouring body causes a slightly curved kink of the acceleration. The fit can mistake it for a
+# An impact on a neighboring body causes a slightly curved kink of the acceleration. The fit can mistake it for a
 # jump of at most this ratio to the velocity that the kink causes within one sample.
 _KINK_JUMP_RATIO = 1.0
 # For finite-duration contact: the time that replaces the sample, relative to the contact duration.
 _KINK_DURATION_RATIO = 1.0 / 6.0
 # Maximum number of searches of the residual.
 _MAX_ROUNDS = 12
-# Maximum number of iterations that centre a window on a jump.
-_MAX_CENTRINGS = 4
+# Maximum number of iterations that center a window on a jump.
+_MAX_CENTERINGS = 4
 # Jumps at a smaller distance are treated as one, samples.
 _MIN_DISTANCE_SAMPLES = 4
 # Minimum distance at which two jumps may be resolved, samples.
@@ -172,7 +172,7 @@ class MatchingPursuit:
         return [jump for jump in fitted if not contact or abs(jump.sizes[0]) > DETECTION_SIGMAS * jump.error]
 
     def _subtract_jumps(self) -> bool:
-        """Detect, fit and subtract the largest jump in each neighbourhood; return whether a jump was detected."""
+        """Detect, fit and subtract the largest jump in each neighborhood; return whether a jump was detected."""
         from scipy.ndimage import maximum_filter1d
 
         model = self.model
@@ -193,7 +193,7 @@ class MatchingPursuit:
         peak_windows = np.flatnonzero(peaks)
         added = False
         for first in peak_windows[np.argsort(-ratio[peak_windows], kind="stable")]:
-            jump = self._fit_centred(int(first), float(noise[first]))
+            jump = self._fit_centered(int(first), float(noise[first]))
             if any(abs(jump.time - other.time) < _MIN_DISTANCE_SAMPLES for other in self.jumps):
                 continue
             self._add(jump, -1.0)
@@ -411,17 +411,17 @@ class MatchingPursuit:
             ratio[block] = np.square(weights @ projected[:, block]).max(axis=0)
         return ratio / np.square(noise), noise
 
-    def _fit_centred(self, first: int, noise: float) -> Jump:
-        """Fit the best jump near a window, in a window that is centred on the jump."""
+    def _fit_centered(self, first: int, noise: float) -> Jump:
+        """Fit the best jump near a window, in a window that is centered on the jump."""
         last = self.residual.size - self.model.window
-        for _ in range(_MAX_CENTRINGS):
+        for _ in range(_MAX_CENTERINGS):
             window = self.residual[first : first + self.model.window]
             instant, sizes, error, explained = self.model.best_instant(window, noise)
             time = first + self.window_offset + instant
-            centred = min(max(int(np.floor(time)) - self.window_offset, 0), last)
-            if centred == first:
+            centered = min(max(int(np.floor(time)) - self.window_offset, 0), last)
+            if centered == first:
                 break
-            first = centred
+            first = centered
         return Jump(time, sizes, error, explained)
 
 

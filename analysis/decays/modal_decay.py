@@ -45,10 +45,10 @@ class ModalDecay(Result):
     Uncertainties are standard uncertainties due to noise, the bias of band-pass and fall, and the clock.
     """
 
-    # Hz, at the amplitude with the smallest uncertainty; if no amplitude determines it, `centre`, and NaN
+    # Hz, at the amplitude with the smallest uncertainty; if no amplitude determines it, `center`, and NaN
     frequency: float
     frequency_error: float
-    centre: float  # centre frequency of the band-pass, Hz: the peak of the spectrum
+    center: float  # center frequency of the band-pass, Hz: the peak of the spectrum
     time: Array  # after the hit, s
     envelope: Array  # amplitude of the acceleration, m/s²
     noise: float  # noise of the band-passed acceleration, rms, m/s²
@@ -56,7 +56,7 @@ class ModalDecay(Result):
     amplitude: Array
     damping: Array  # damping ratio at those amplitudes
     damping_error: Array
-    damping_smear: Array  # bound of its bias, because band-pass and fall average over neighbouring amplitudes
+    damping_smear: Array  # bound of its bias, because band-pass and fall average over neighboring amplitudes
     natural: Array  # natural frequency at those amplitudes, Hz
     natural_error: Array
 
@@ -150,7 +150,7 @@ def band_width(frequencies: Array, index: int) -> float:
 def modal_decay(
     acceleration: Array,  # m/s², from before the hit
     rate: float,
-    frequency: float,  # centre of the band-pass, Hz
+    frequency: float,  # center of the band-pass, Hz
     width: float,  # standard deviation of the band-pass, Hz
     begin: int,  # sample at which the free decay begins
     amplitudes: Array | None = None,  # m/s²; omitted: every 1.5 dB down to the noise
@@ -193,7 +193,7 @@ def modal_decay(
         reported = np.isfinite(damping) & (damping > 0) & (relative < MAX_RELATIVE_ERROR)
     hz_per_step = rate / (2.0 * np.pi)
     natural, natural_error = hz_per_step * natural[reported], hz_per_step * natural_error[reported]
-    # An unresolved neighbour that decays more slowly dominates at small amplitudes; it is far from the peak.
+    # An unresolved neighbor that decays more slowly dominates at small amplitudes; it is far from the peak.
     plausible = np.flatnonzero(np.isfinite(natural_error) & (abs(natural / frequency - 1.0) < _SAME_MODE_RATIO))
     frequency_estimate = frequency, float("nan")
     if plausible.size:

@@ -35,7 +35,7 @@ def frf_figure(
     """Draw measured frequency responses on common axes.
 
     `frfs`: curves of the same motion and reference, with their labels in the legend. `theory`: curves without error
-    bars, drawn thin and dashed in the colour of their response. `marks`: vertical lines, such as jumps.
+    bars, drawn thin and dashed in the color of their response. `marks`: vertical lines, such as jumps.
     """
     lines = np.concatenate([part for frf in frfs for part in (frf.frequency, frf.omitted)])
     low, high = float(lines.min()), float(lines.max())
@@ -97,7 +97,7 @@ def _caption(frfs: Sequence[Response]) -> list[str]:
     if any(np.any(_reaches_zero(frf)) for frf in frfs):
         out.append("A band down to the axis includes zero.")
     if not all(exceeds_noise(frf).all() for frf in frfs):
-        out.append("Grey: within the noise; phase not shown.")
+        out.append("Gray: within the noise; phase not shown.")
     if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
         out.append("Crosses: steady state not reached.")
     if any(frf.omitted.size for frf in frfs):
@@ -126,7 +126,7 @@ def _curve(frf: Response, shade: str, upper: Axes, middle: Axes, lower: Axes) ->
     for frequency in frf.omitted:
         upper.plot(frequency, 0.0, "x", color=shade, ms=5, clip_on=False, transform=upper.get_xaxis_transform())
     if not (clear | np.isnan(size)).all():
-        # One extra point on either side makes the line continuous where its colour changes to grey.
+        # One extra point on either side makes the line continuous where its color changes to gray.
         noisy = ~clear | ~np.roll(clear, 1) | ~np.roll(clear, -1)
         upper.plot(frf.frequency, np.where(noisy, size, np.nan), color=NOISE, lw=0.7, zorder=2)
     upper.plot(frf.frequency, np.where(clear, size, np.nan), label=escape_figure(frf.label), **line_style)
@@ -135,9 +135,9 @@ def _curve(frf: Response, shade: str, upper: Axes, middle: Axes, lower: Axes) ->
     angle = np.where(clear, phase_degrees(frf), np.nan)
     for width, strength in ((total, 0.13), (random, 0.25)):
         degrees = np.degrees(np.arcsin(np.minimum(width / np.maximum(size, 1e-300), 1.0)))
-        frequency, centre = _break_at_wraps(frf.frequency, angle)
+        frequency, center = _break_at_wraps(frf.frequency, angle)
         height = _break_at_wraps(frf.frequency, angle, degrees)[1]
-        middle.fill_between(frequency, centre - height, centre + height, color=shade, alpha=strength, lw=0)
+        middle.fill_between(frequency, center - height, center + height, color=shade, alpha=strength, lw=0)
     middle.plot(*_break_at_wraps(frf.frequency, angle), **line_style)
     if np.any(frf.degrees > 0):
         lower.plot(frf.frequency, frf.coherence, color=shade, zorder=3)

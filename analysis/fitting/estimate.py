@@ -49,7 +49,7 @@ _FAILED_SQUARE = 1e6
 _HALF_FAILED_COST = 4.5
 # Rounds of fitting all unknowns, each after a search for other motions at outliers.
 _ROUNDS = 4
-# Number of clusters of neighbouring frequencies in a group whose residuals may have a common cause.
+# Number of clusters of neighboring frequencies in a group whose residuals may have a common cause.
 _CLUSTERS = 40
 
 
@@ -220,7 +220,7 @@ def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
     """Return a factor of the covariance of the unknowns, as in `Estimate`, and the mean square of the residuals.
 
     Systematic errors shift the unknowns; each shift is added. Residuals larger than the stated errors enlarge the
-    covariance by their mean square. Residuals with common causes, between responses and over neighbouring
+    covariance by their mean square. Residuals with common causes, between responses and over neighboring
     frequencies, are counted by cluster (K.-Y. Liang, S. L. Zeger, Longitudinal data analysis using generalized
     linear models, Biometrika 73 (1986)); the larger covariance is used.
     """

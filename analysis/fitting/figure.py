@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 MAX_ROWS = 8
 # Height of a row of the figure, inches.
 _ROW_HEIGHT_IN = 2.4
-# A frequency step that exceeds its neighbours by this factor is a gap in a curve.
+# A frequency step that exceeds its neighbors by this factor is a gap in a curve.
 _GAP_RATIO = 3.0
 
 
@@ -33,12 +33,12 @@ def fit_figure(result: Fit) -> Figure:
         for compared, band, (curve_axes, residual_axes) in zip(rows, bands, axes, strict=True):
             _draw(curve_axes, residual_axes, compared)
             # Only rows of the same band may share the numbers below the last.
-            labelled = compared is rows[-1] or any(band != other for other in bands)
+            labeled = compared is rows[-1] or any(band != other for other in bands)
             for ax in (curve_axes, residual_axes):
-                frequency_axis(ax, *band, labelled)
+                frequency_axis(ax, *band, labeled)
         add_legend_below(
             figure,
-            f"Dots: measured. Lines: the fitted scene at the same frequencies.{crosses} Grey: two standard deviations.",
+            f"Dots: measured. Lines: the fitted scene at the same frequencies.{crosses} Gray: two standard deviations.",
         )
     return figure
 
@@ -48,8 +48,8 @@ def _draw(curve_axes: Axes, residual_axes: Axes, compared: Compared) -> None:
     frequency, used = curves.frequency[order], compared.used[order]
     factor, unit = (1.0, "m/m") if curves.reference == "table" else (1e6, "µm/N")
     steps = np.diff(frequency)
-    neighbours = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
-    gaps = np.flatnonzero(steps > _GAP_RATIO * neighbours) + 1 if steps.size > 1 else np.empty(0, dtype=int)
+    neighbors = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
+    gaps = np.flatnonzero(steps > _GAP_RATIO * neighbors) + 1 if steps.size > 1 else np.empty(0, dtype=int)
     for k, sensor in enumerate(curves.sensors):
         magnitude, residual = factor * abs(curves.value[k, order]), compared.normalized_residuals[k, order]
         for ax, size in ((curve_axes, magnitude), (residual_axes, residual)):

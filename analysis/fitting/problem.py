@@ -30,8 +30,8 @@ _MATRIX_STEP = 1e-3
 _FAILED_RESIDUAL = 30.0
 # A point with a larger residual is an outlier; in standard deviations, and in medians of the residuals.
 _OUTLIER_LIMIT = 6.0
-# Ratio of frequencies up to which points are neighbours.
-_NEIGHBOURHOOD = 1.15
+# Ratio of frequencies up to which points are neighbors.
+_NEIGHBORHOOD = 1.15
 
 
 # State of a group: the fitted points, the orbit at each point, and the previous orbits.
@@ -266,7 +266,7 @@ class Problem:
             if k < count
             and (self.parameters[k].damper is None or self.parameters[k].quantity in ("mass", "mass_ratio"))
         ]
-        benches = [self._neighbours(x, k, scene, curves) for k in effective]
+        benches = [self._neighbors(x, k, scene, curves) for k in effective]
         frequency = self.operating_points(x, curves)[1]
         by_value, by_frequency = linear_slopes(scene_of_test(scene, curves), curves, frequency, benches)
         values, (channel_gains, gain) = self.values(x), self.gains(x, curves)
@@ -288,7 +288,7 @@ class Problem:
         whitened = np.einsum("nij,cjn->nic", curves.whiten[used], slopes[:, :, used])
         return whitened / np.sqrt(1.0 + (model_error * group.local_peak[used]) ** 2)[..., None]
 
-    def _neighbours(self, x: Array, k: int, scene: Scene, curves: Curves) -> tuple[Scene, Scene, float]:
+    def _neighbors(self, x: Array, k: int, scene: Scene, curves: Curves) -> tuple[Scene, Scene, float]:
         """Return benches with a slightly larger and a slightly smaller value, and the difference of the values.
 
         `scene` has the values of the unknowns x.
@@ -305,7 +305,7 @@ def _local_peaks(curves: Curves) -> Array:
     """Return the largest value near each point in standard deviations, shape (n, responses)."""
     order = np.argsort(curves.frequency, kind="stable")
     f, size = curves.frequency[order], abs(curves.value[:, order])
-    low, high = np.searchsorted(f, f / _NEIGHBOURHOOD), np.searchsorted(f, f * _NEIGHBOURHOOD, side="right")
+    low, high = np.searchsorted(f, f / _NEIGHBORHOOD), np.searchsorted(f, f * _NEIGHBORHOOD, side="right")
     largest = np.empty(size.T.shape)
     largest[order] = np.stack([size[:, a:b].max(axis=1) for a, b in zip(low, high, strict=True)])
     return largest * abs(np.einsum("nii->ni", curves.whiten))

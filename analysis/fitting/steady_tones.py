@@ -28,7 +28,7 @@ from rig.system.structural_model import driven_bodies, structural_model
 _MAX_CORRECTIONS = 8
 # Periods of simulation to search an orbit.
 _MAX_PERIODS = 1500
-# Steps of the continuation from the setting of a neighbouring point, and corrections of the level in each step.
+# Steps of the continuation from the setting of a neighboring point, and corrections of the level in each step.
 _CONTINUATION_STEPS = 8
 _LEVEL_CORRECTIONS = 2
 # Secant steps to the drive that gives the level, and the smallest relative step.
@@ -115,11 +115,11 @@ class SteadyTones:
         return response
 
     def alternatives(self, bench: Scene, level: Array, frequency: Array, k: int) -> Iterator[OrbitResponse]:
-        """Yield the stable orbits at a point that are reached from its neighbours, from riding, and from rest."""
+        """Yield the stable orbits at a point that are reached from its neighbors, from riding, and from rest."""
         solver = _OrbitSolver(bench)
-        for neighbour in (k - 1, k + 1):
-            if 0 <= neighbour < frequency.size and (orbit := self.orbits[neighbour]) is not None:
-                reached = solver.continue_orbit(orbit, frequency[[neighbour, k]], level[[neighbour, k]])
+        for neighbor in (k - 1, k + 1):
+            if 0 <= neighbor < frequency.size and (orbit := self.orbits[neighbor]) is not None:
+                reached = solver.continue_orbit(orbit, frequency[[neighbor, k]], level[[neighbor, k]])
                 if reached is not None:
                     yield reached
         for moving in (True, False):
@@ -138,9 +138,9 @@ class SteadyTones:
         return max(gaps, default=0.0)
 
     def _recover(self, solver: _OrbitSolver, frequency: Array, level: Array, k: int) -> OrbitResponse | None:
-        """Refine the previous orbit of a point or one of its neighbours; if all fail, search from riding."""
-        neighbours = [self.orbits[j] for j in (k - 1, k + 1) if 0 <= j < len(self.orbits)]
-        for orbit in (self.previous[k], *neighbours):
+        """Refine the previous orbit of a point or one of its neighbors; if all fail, search from riding."""
+        neighbors = [self.orbits[j] for j in (k - 1, k + 1) if 0 <= j < len(self.orbits)]
+        for orbit in (self.previous[k], *neighbors):
             if orbit is not None and (refined := solver.refine(orbit, frequency[k], level[k])) is not None:
                 return refined
         if k in self.failed:

@@ -33,11 +33,11 @@ _MAX_INITIAL_POLES = 15
 _MAX_CANDIDATES = 40
 # A misfit above this multiple of the noise power is not noise: the structure is nonlinear.
 _MAX_NOISE_RATIO = 4.0
-# Model errors relative to the neighbouring peaks, assumed in this order.
+# Model errors relative to the neighboring peaks, assumed in this order.
 _MODEL_ERRORS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
-# The neighbourhood of a frequency extends by this factor in both directions.
+# The neighborhood of a frequency extends by this factor in both directions.
 _NEIGHBORHOOD_RATIO = 1.15
-# With fewer degrees of freedom, a line's own error is uncertain and the neighbouring errors are used too.
+# With fewer degrees of freedom, a line's own error is uncertain and the neighboring errors are used too.
 _MIN_DEGREES = 10.0
 # Ratio of a limit of error to its standard uncertainty.
 _LIMIT_FACTOR = 1.8
@@ -46,7 +46,7 @@ _LIMIT_FACTOR = 1.8
 def identify(frfs: Response | Sequence[Response], count: int | None = None) -> Modes:
     """Identify the common modes of a set of frequency responses of one test.
 
-    The initial poles are taken from stabilisation charts (least-squares complex frequency domain). Poles and residues
+    The initial poles are taken from stabilization charts (least-squares complex frequency domain). Poles and residues
     are refined by weighted least squares, with the error bar of each point as its weight. Poles that do not improve
     the fit beyond noise are removed, and further candidates are tried, until only significant poles remain. If the
     residuals of the best model exceed the error bars, as for a structure with nonlinear dampers, the points are
@@ -232,7 +232,7 @@ def _best_model(
         models.append((curves, model))
         if model.misfit < _MAX_NOISE_RATIO * curves.degrees(model.poles.size):
             break
-    # The model error is relative to neighbouring peaks, so it may exceed a peak of one or two lines and hide its
+    # The model error is relative to neighboring peaks, so it may exceed a peak of one or two lines and hide its
     # mode.
     narrow = [
         int((in_band(curves, model.poles) & narrower_than_resolution(curves, model.poles)).sum())

@@ -19,7 +19,7 @@ _MAX_PEAKS = 24
 _LINES_PER_PEAK = 41
 # The flanks of a peak extend down to this ratio to its height.
 _FLANK_RATIO = 0.1
-# A peak exceeds its neighbourhood by this factor.
+# A peak exceeds its neighborhood by this factor.
 _MIN_PEAK_RATIO = 2.0
 # A frequency step of this multiple of the steps on either side is a gap.
 _GAP_RATIO = 5.0
@@ -81,16 +81,16 @@ def in_gaps(frequency: Array, poles: ComplexArray) -> NDArray[np.bool_]:
     array([False,  True, False, False])
     """
     steps = np.diff(frequency)
-    neighbours = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
+    neighbors = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
     natural: Array = np.asarray(abs(poles) / (2 * np.pi), dtype=float)
     above = np.searchsorted(frequency, natural)
     in_band = (above > 0) & (above < frequency.size)
     step = np.clip(above - 1, 0, steps.size - 1)
     nearest = np.minimum(abs(natural - frequency[step]), abs(frequency[step + 1] - natural))
-    return np.asarray(in_band & (steps[step] > _GAP_RATIO * neighbours[step]) & (nearest > -poles.real / (2 * np.pi)))
+    return np.asarray(in_band & (steps[step] > _GAP_RATIO * neighbors[step]) & (nearest > -poles.real / (2 * np.pi)))
 
 
 def is_peak(size: Array, line: int) -> bool:
-    """Return whether a line exceeds its neighbours by the factor that defines a peak."""
-    neighbours = size[max(line - _SCATTER_LINES // 2, 0) : line + _SCATTER_LINES // 2 + 1]
-    return bool(size[line] > _MIN_PEAK_RATIO * np.median(neighbours))
+    """Return whether a line exceeds its neighbors by the factor that defines a peak."""
+    neighbors = size[max(line - _SCATTER_LINES // 2, 0) : line + _SCATTER_LINES // 2 + 1]
+    return bool(size[line] > _MIN_PEAK_RATIO * np.median(neighbors))

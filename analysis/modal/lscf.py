@@ -18,7 +18,7 @@ _MIN_STABLE_POLES = 4
 
 @dataclass(frozen=True)
 class ChartPole:
-    """One pole of the stabilisation chart."""
+    """One pole of the stabilization chart."""
 
     order: int  # number of modes of its model
     frequency: float  # Hz
@@ -68,7 +68,7 @@ def poles_by_order(
 
 
 def chart(frequency: Array, value: ComplexArray, weight: Array, max_order: int = 24) -> list[ChartPole]:
-    """Compute the stabilisation chart of models with 2 to `max_order` poles."""
+    """Compute the stabilization chart of models with 2 to `max_order` poles."""
     out: list[ChartPole] = []
     previous: list[complex] = []
     spacing = float(np.median(np.diff(frequency)))

@@ -51,13 +51,13 @@ class Modes(Result):
     responses : tuple of str
         Channels.
     chart : tuple of ChartPole
-        Stabilisation chart.
+        Stabilization chart.
     lower : ndarray, shape (responses,)
         Contribution of modes below the band: lower / s², m/N.
     upper : ndarray, shape (responses, 3)
         Contribution of modes above the band: upper[0] + upper[1] s + upper[2] s², m/N.
     model_error : float
-        Residual of the modal model beyond the error bars, relative to the neighbouring peaks; 0 if the residuals are
+        Residual of the modal model beyond the error bars, relative to the neighboring peaks; 0 if the residuals are
         within the error bars.
     label : str
         Scene and setting.

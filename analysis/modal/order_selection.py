@@ -116,7 +116,7 @@ def _gain(curves: Curves, misfit: float, larger: Fit, poles: int) -> float:
 
 
 def correlation_length(residual: ComplexArray) -> float:
-    """Estimate the number of neighbouring lines with a common residual; 1 for independent noise."""
+    """Estimate the number of neighboring lines with a common residual; 1 for independent noise."""
     power = float(np.sum(abs(residual) ** 2))
     if power == 0.0:
         return 1.0

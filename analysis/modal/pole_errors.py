@@ -45,7 +45,7 @@ def pole_errors(curves: Curves, model: Fit) -> tuple[Array, Array]:
     """Return the standard deviations of natural frequencies [Hz] and damping ratios, both of shape (modes,).
 
     They are the largest of three estimates. The first is for independent errors of all lines and responses, with the
-    variance of the misfit. The second is for errors common to responses and neighbouring lines, due to force noise,
+    variance of the misfit. The second is for errors common to responses and neighboring lines, due to force noise,
     transients or a nonlinear structure (W. K. Newey, K. D. West, A simple, positive semi-definite, heteroskedasticity
     and autocorrelation consistent covariance matrix, Econometrica 55 (1987) 703-708). The third is for errors of the
     reference.
@@ -139,7 +139,7 @@ def _shift(error: Array, distance: Array, half_width_hz: float) -> float:
 def _covariance_factors(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
     """Return factors F of the covariance ``F F^T`` of the parameters by three kinds of errors, (parameters, columns).
 
-    The kinds are independent errors, errors common to responses and neighbouring lines, estimated from the misfit, and
+    The kinds are independent errors, errors common to responses and neighboring lines, estimated from the misfit, and
     errors of the reference. Errors of the reference cause equal relative errors of all responses at a line, so that
     the poles follow them and the misfit hardly increases. They are at most the errors of the most precise response.
     """

@@ -28,7 +28,7 @@ class Curves:
     frequency: Array  # Hz, rising, shape (n,)
     value: ComplexArray  # receptances, m/N, shape (responses, n)
     weight: Array  # inverse standard deviations, shape (responses, n)
-    shared: float = 1.0  # number of neighbouring lines with a common error
+    shared: float = 1.0  # number of neighboring lines with a common error
     resolution: float = 0.0  # Hz: leakage bandwidth of each line
 
     @property

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-class _Labelled(Protocol):
+class _Labeled(Protocol):
     """A dataclass with a label that begins with the name of its scene."""
 
     @property
     def label(self) -> str: ...
 
 
-Labelled = TypeVar("Labelled", bound=_Labelled)
+Labeled = TypeVar("Labeled", bound=_Labeled)
 Parameters = ParamSpec("Parameters")
 Returned = TypeVar("Returned")
 
@@ -83,6 +83,6 @@ def scene_labels(paths: Sequence[Path]) -> list[str]:
     return distinct_names(names, paths)
 
 
-def relabel(curve: Labelled, scene: str, label: str) -> Labelled:
+def relabel(curve: Labeled, scene: str, label: str) -> Labeled:
     """Replace the scene's name by the recording's label."""
     return replace(curve, label=label + curve.label.removeprefix(scene))  # type: ignore[type-var]

@@ -128,7 +128,7 @@ def decay_charts(measurements: Sequence[Measured]) -> list[Chart]:
         for mode in result.modes:
             if mode.damping.size:
                 percent, bound = 100.0 * mode.damping, 200.0 * mode.damping_error
-                name = f"{label}, {mode.centre:.4g} Hz"
+                name = f"{label}, {mode.center:.4g} Hz"
                 order = np.argsort(mode.amplitude)
                 low, high = (percent - bound)[order], (percent + bound)[order]
                 amplitude = mode.amplitude[order]

@@ -115,7 +115,7 @@ def decays(measurements: Sequence[Measured]) -> str:
                     for k in (0, -1)
                 )
                 ends = (first, last)
-            frequency = f"{mode.centre:.4g}"
+            frequency = f"{mode.center:.4g}"
             if np.isfinite(mode.frequency):
                 frequency = with_bound(mode.frequency, 2.0 * mode.frequency_error)
             rows.append((frequency, *ends))
@@ -221,7 +221,7 @@ def _middle_frequency(measured: Measured) -> float:
         band = measured.passes[0].frfs[0].frequency
         return float(np.sqrt(band[band > 0].min() * band.max()))
     if measured.decay is not None and measured.decay.modes:
-        return float(np.exp(np.mean([np.log(mode.centre) for mode in measured.decay.modes])))
+        return float(np.exp(np.mean([np.log(mode.center) for mode in measured.decay.modes])))
     return measured.rec.rate / 100.0
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.reproduction.figures import BLACK, BLUE, GREEN, GREY, RED, Columns, Parts
+from analysis.reproduction.figures import BLACK, BLUE, GRAY, GREEN, RED, Columns, Parts
 from rig.figure_style import new_figure
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def optimum(parts: Parts) -> Figure:
             label=f"{'heaviest' if best['mass_ratio'] >= ratios.max() else 'best'} of {100 * ratios.min():.0f} to "
             f"{100 * ratios.max():.0f} %: {100 * best['mass_ratio']:.0f} %, {1e3 * best['best']:.2f} mm",
         )  # fmt: skip
-        axes.axvline(0.98, color=GREY, ls=":", lw=0.9, label="paper: 0.98 mm")
+        axes.axvline(0.98, color=GRAY, ls=":", lw=0.9, label="paper: 0.98 mm")
         ticks = [0.3, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0]
         axes.set_xticks(ticks, [f"{t:g}" for t in ticks])
         axes.set_xticks([], minor=True)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Columns = Mapping[str, np.ndarray]
 Parts = Mapping[str, Columns]
 
-BLUE, RED, GREEN, PINK, SKY, ORANGE, GREY, BLACK = COLORS
+BLUE, RED, GREEN, PINK, SKY, ORANGE, GRAY, BLACK = COLORS
 # Natural frequency of the first mode, Hz; it determines the window of the envelope.
 LOWEST_MODE_HZ = 12.4
 _WAVEFORM_LABEL = "time / ms     (solid: body and floor; dashed: damper; shaded: cavity)"
@@ -41,7 +41,7 @@ def figure_4(parts: Parts) -> Figure:
             plot_body(upper, measured, body, "o", color=shade, ms=2.2, label=f"body {body + 1}")
             lower.plot(measured["frequency"], abs(measured["transfer"][body]), "o-", color=shade, ms=2.2, lw=0.7)
         for omega in theory["omega"]:
-            upper.axvline(omega / (2 * np.pi), color=GREY, lw=0.7, ls=":")
+            upper.axvline(omega / (2 * np.pi), color=GRAY, lw=0.7, ls=":")
             upper.annotate(
                 f"{omega:.1f} rad/s", (omega / (2 * np.pi), 0.0), xycoords=("data", "axes fraction"),
                 xytext=(3, 4), textcoords="offset points", va="bottom", ha="left", fontsize=7.5, rotation=90,
@@ -66,7 +66,7 @@ def figure_5(parts: Parts) -> Figure:
         axes = figure.subplots()
         inside = (theory["frequency"] >= 45) & (theory["frequency"] <= 54)
         axes.plot(
-            theory["frequency"][inside], abs(theory["compliance"][1][inside]), color=GREY, lw=0.9, ls="--",
+            theory["frequency"][inside], abs(theory["compliance"][1][inside]), color=GRAY, lw=0.9, ls="--",
             label="no damper",
         )  # fmt: skip
         for data, shade, label in ((single, RED, "one damper, body 2"), (three, BLUE, "three dampers")):
@@ -132,7 +132,7 @@ def _draw_waveforms(axes: Axes, wave: Columns) -> None:
 def figure_8(parts: Parts) -> Figure:
     """Draw Fig 8: measured response with none, one, two and three dampers."""
     curves = (
-        ("rec-bare", "A: no damper", GREY), ("rec-one", "B: one (body 1)", RED), ("rec-two", "C: two", ORANGE),
+        ("rec-bare", "A: no damper", GRAY), ("rec-one", "B: one (body 1)", RED), ("rec-two", "C: two", ORANGE),
         ("rec-three", "D: three", BLUE),
     )  # fmt: skip
     with new_figure(4.8) as figure:
@@ -156,7 +156,7 @@ def figure_9(parts: Parts) -> Figure:
     with new_figure(7.6) as figure:
         upper, lower = figure.subplots(2, 1, height_ratios=[1.1, 1], sharex=True)
         for name, mark, label in (("bare", "--", "no damper"), ("riding", ":", "mⱼ + mdⱼ")):
-            upper.plot(approximate["line"], abs(approximate[name]), mark, color=GREY, lw=0.8, label=label)
+            upper.plot(approximate["line"], abs(approximate[name]), mark, color=GRAY, lw=0.8, label=label)
         magnitude = abs(approximate["compliance"])
         _draw_branches(upper, approximate, magnitude, ORANGE, "approximate method", approximate["valid"])
         magnitude = abs(exact["compliance"][:, 1])
@@ -196,7 +196,7 @@ def figure_10a(parts: Parts) -> Figure:
         plot_body(upper, measured, 0, "o", color=BLACK, ms=2.2, label="recording")
         magnitude, error = abs(measured["compliance"][0]), np.nan_to_num(measured["error"][0])
         low, high = np.maximum(magnitude - 2 * error, 1e-3 * magnitude), magnitude + 2 * error
-        upper.fill_between(measured["frequency"], low, high, color=GREY, alpha=0.3, lw=0)
+        upper.fill_between(measured["frequency"], low, high, color=GRAY, alpha=0.3, lw=0)
         log_axis(upper, [abs(simulated["compliance"][0])])
         set_log_scale(upper.yaxis, factor=1e6)
         upper.set_ylabel("compliance of body 1 |X₁/F₁| / (µm/N)")
@@ -221,7 +221,7 @@ def figure_10b(parts: Parts) -> Figure:
     """Draw Fig 10b: free decay of body 3's acceleration after a hit on body 1."""
     with new_figure(4.2) as figure:
         axes = figure.subplots()
-        for name, shade, label in (("none", GREY, "no damper"), ("three", BLUE, "three dampers")):
+        for name, shade, label in (("none", GRAY, "no damper"), ("three", BLUE, "three dampers")):
             data = parts[f"rec-hit-{name}"]
             axes.plot(data["time"], data["acceleration"], color=shade, lw=0.5)
             envelope = outline(data["acceleration"], 1.0 / (LOWEST_MODE_HZ * (data["time"][1] - data["time"][0])))

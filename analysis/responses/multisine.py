@@ -79,7 +79,7 @@ def best_linear_approximation(
         means.append(mean * phase_factor)
         noises.append((spectra.spectra - mean) * phase_factor / np.sqrt(periods * (periods - 1.0)))
     stack = np.stack(means)
-    centre = stack.mean(axis=0)
+    center = stack.mean(axis=0)
     noise = Scatter(
         np.asarray(np.concatenate(noises) / count, dtype=complex),
         np.full(frequency.size, 2.0 * sum(len(spectra.spectra) - 1 for spectra in complete)),
@@ -92,18 +92,18 @@ def best_linear_approximation(
     # and therefore absent from the scatter.
     noise_power = np.mean([spectra.samples.var(axis=0, ddof=1).mean(axis=1) for spectra in complete], axis=0)
     reproducible = reproducible_rounding(noise_power / np.where(counts > 0.0, counts, 1.0) ** 2)
-    amplitude: Array = np.abs(centre)
+    amplitude: Array = np.abs(center)
     # Worst case: a resonance reduces the reading to a single tone with the power of all lines.
     gain = np.minimum(tone_gain(in_counts(rec, names, np.sum(amplitude**2, axis=1) / 2.0)), 0.5)
     rounding = reproducible[:, None] * (counts[:, None] / np.sqrt(samples) + gain[:, None] * amplitude)
     noise_only = Lines(
-        tuple(names), frequency, centre, noise, rec.scene.name, tuple(notes), unsettled,
-        n_neighbours=SIDE, n_rotated=count, resolution=rounding,
+        tuple(names), frequency, center, noise, rec.scene.name, tuple(notes), unsettled,
+        n_neighbors=SIDE, n_rotated=count, resolution=rounding,
     )  # fmt: skip
     dampers_move = any(damper.moves for damper in rec.scene.dampers)
     if count == 1:
         return replace(noise_only, warnings=(*notes, ONE_REALISATION)) if dampers_move else noise_only
-    rows = (stack - centre) / np.sqrt(count * (count - 1.0))
+    rows = (stack - center) / np.sqrt(count * (count - 1.0))
     realisations = Scatter(rows, np.full(frequency.size, 2.0 * (count - 1.0)))
     with_distortion = replace(noise_only, scatter=realisations, noise=noise)
     if _distorted(with_distortion, noise_only):

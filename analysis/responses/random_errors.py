@@ -1,6 +1,6 @@
 """Random errors of the responses of one test: their covariance over outputs at each line, and from line to line.
 
-All responses are divided by the same reference, whose noise causes equal relative errors in all of them. Neighbouring
+All responses are divided by the same reference, whose noise causes equal relative errors in all of them. Neighboring
 lines of a local fit use the same bins. Both correlations determine the scatter of the parameters of a model fitted to
 many lines. The errors of the readings are propagated to first order [1]_.
 
@@ -65,7 +65,7 @@ class MeanErrors:
         return replace(self, weights=np.concatenate([self.weights, *(other.weights for other in same)], axis=1))
 
     def covariance(self, error: Array, shared: float) -> LineCovariance:
-        """Compute the covariance over elements; the stated variances include information from neighbouring lines."""
+        """Compute the covariance over elements; the stated variances include information from neighboring lines."""
         lines = np.einsum("kai,kij,kcj->kac", self.weights, self.means, self.weights.conj(), optimize=True)
         return LineCovariance(_add_uncorrelated(_scale_to_variances(lines, error)), shared)
 
@@ -98,7 +98,7 @@ class MatrixErrors:
 
 @dataclass(frozen=True)
 class LocalErrors:
-    """Errors of local fits to spectra: sums over bins, most of which neighbouring lines have in common."""
+    """Errors of local fits to spectra: sums over bins, most of which neighboring lines have in common."""
 
     # influence of the error at each bin of the reading on the response; shape (lines, elements, segments, width)
     influence: ComplexArray
@@ -111,7 +111,7 @@ class LocalErrors:
     one_reference: bool  # whether the reference is a single channel that is not part of the response
     # error common to all lines, as a standard deviation of either quadrature; shape (lines, elements)
     common: ComplexArray
-    shared: float = 1.0  # number of neighbouring lines with a common error although their bins are different
+    shared: float = 1.0  # number of neighboring lines with a common error although their bins are different
 
     def at(self, lines: Lines) -> LocalErrors:
         """Select some lines."""
@@ -153,11 +153,11 @@ class LocalErrors:
         power = residual @ residual.conj().swapaxes(1, 2) / self.free
         first, width = self.first, self.curve.shape[2]
         bins = int(first.max()) + width
-        centre = first + width // 2
-        nearest = np.clip(np.searchsorted(0.5 * (centre[1:] + centre[:-1]), np.arange(bins)), 0, count - 1)
+        center = first + width // 2
+        nearest = np.clip(np.searchsorted(0.5 * (center[1:] + center[:-1]), np.arange(bins)), 0, count - 1)
         reference_ratio: Array | None = None
         if self.one_reference:
-            reference, variances, reference_ratio = _separate_noise(power, self.curve, self.drive, centre)
+            reference, variances, reference_ratio = _separate_noise(power, self.curve, self.drive, center)
             within = np.clip(np.arange(bins) - first[nearest], 0, width - 1)
             curve = self.curve[nearest, :, within]
             noise = reference[nearest, None, None] * curve[:, :, None] * curve[:, None].conj()
@@ -251,7 +251,7 @@ def _add_uncorrelated(lines: ComplexArray) -> ComplexArray:
 
 
 def _separate_noise(
-    power: ComplexArray, curve: ComplexArray, drive: Array, centre: NDArray[np.int64]
+    power: ComplexArray, curve: ComplexArray, drive: Array, center: NDArray[np.int64]
 ) -> tuple[Array, Array, Array]:
     """Separate noise of the reference, common to all responses, from noise of each response.
 
@@ -261,7 +261,7 @@ def _separate_noise(
     reference.
     """
     lines, _, width = curve.shape
-    step = float(np.median(np.diff(centre))) if lines > 1 else 1.0
+    step = float(np.median(np.diff(center))) if lines > 1 else 1.0
     n_lines = min(1 + 2 * int(np.ceil(_CONSTANT_NOISE_WIDTHS * width / step / 2.0)), max(lines, 1))
     curve_power = curve @ curve.conj().swapaxes(1, 2) / width
     variances = np.einsum("kaa->ka", power).real

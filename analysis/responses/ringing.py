@@ -2,7 +2,7 @@
 
 Noise in the windows may hide a transient that decays slowly and is close to the frequency of the tone. The transient
 is therefore predicted from the response. Around each point, a quotient of two polynomials in frequency is fitted to
-the response (Levy 1959); its poles are the poles of the neighbouring resonances.
+the response (Levy 1959); its poles are the poles of the neighboring resonances.
 """
 
 from __future__ import annotations
@@ -70,14 +70,14 @@ def ringing(value: ComplexArray, frequency: Array, wait_s: Array, window_s: Arra
 
 
 def _local_poles(
-    value: ComplexArray, omega: Array, centre: float, max_residual: float
+    value: ComplexArray, omega: Array, center: float, max_residual: float
 ) -> tuple[ComplexArray, ComplexArray]:
     """Estimate poles s, rad/s, and residues of the terms ``residue / (i w - s)`` of a response near a point.
 
     The number of poles is the smallest for which the residual does not exceed `max_residual`.
     """
     half_range, scale = 0.5 * np.ptp(omega), float(abs(value).max())
-    offset, normalized = (omega - centre) / half_range, value / scale
+    offset, normalized = (omega - center) / half_range, value / scale
     roots, residues = np.zeros((2, 0), dtype=complex)
     for poles in range(1, 1 + (len(value) - 1) // 3):
         powers = offset[:, None] ** np.arange(poles + 1)
@@ -89,4 +89,4 @@ def _local_poles(
         residual = polynomial.polyval(offset, numerator) - normalized * polynomial.polyval(offset, denominator)
         if np.sqrt(np.mean(np.square(np.abs(residual)))) * scale <= max_residual:
             break
-    return np.asarray(1j * (centre + half_range * roots)), np.asarray(1j * half_range * scale * residues)
+    return np.asarray(1j * (center + half_range * roots)), np.asarray(1j * half_range * scale * residues)

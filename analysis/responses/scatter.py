@@ -2,7 +2,7 @@
 
 A variance computed as a quadratic form ``w C w*`` may be negative by rounding if the covariance C has a null space,
 for example that of two averages of four channels. Computed from the factor, it is a sum of squares. Variances with
-few degrees of freedom may be close to zero by chance. They are moderated by the variances of neighbouring lines, as
+few degrees of freedom may be close to zero by chance. They are moderated by the variances of neighboring lines, as
 empirical Bayes estimates [1]_.
 
 References
@@ -69,7 +69,7 @@ def moderate(variance: Array, degrees: Array, expected: Array, side: int) -> tup
     """Moderate variances by the variances of `side` lines on either side; return them with their degrees of freedom.
 
     The logarithms of ``variance / expected`` scatter between lines because of the finite degrees of freedom and because
-    the true ratios differ. The more similar the true ratios, the greater the weight of neighbouring lines.
+    the true ratios differ. The more similar the true ratios, the greater the weight of neighboring lines.
 
     >>> random = np.random.default_rng(1)
     >>> alone = random.chisquare(2.0, 400) / 2.0

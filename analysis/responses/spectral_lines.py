@@ -60,7 +60,7 @@ class Lines:
     # frequencies of discarded measurements, Hz
     left_out: Array = field(default_factory=lambda: np.empty(0))
     # number of lines on either side with similar noise, for lines with too few averages of their own
-    n_neighbours: int = 0
+    n_neighbors: int = 0
     noise: Scatter | None = None  # contribution of noise alone to `scatter`; None: all of it
     # number of parts of the mean that were rotated by the phase of their own reference, which aligns its noise too
     n_rotated: int = 1
@@ -84,9 +84,9 @@ class Lines:
         weights = (response_weights - value * reference_weights) / f
         noise = self.scatter if self.noise is None else self.noise
         variance, degrees = self.scatter.variance(weights), self.scatter.degrees
-        if self.n_neighbours:
-            expected = noise.local_variance(weights, self.n_neighbours)
-            variance, degrees = moderate(variance, degrees, expected, self.n_neighbours)
+        if self.n_neighbors:
+            expected = noise.local_variance(weights, self.n_neighbors)
+            variance, degrees = moderate(variance, degrees, expected, self.n_neighbors)
         error = np.sqrt(variance / 2.0)
         limits: dict[str, Array] = {}
         reference_limits = [self._reference_noise(reference_weights, noise) / abs(f)]
@@ -124,8 +124,8 @@ class Lines:
         that were rotated by the phase of their own reference scatter only in its amplitude. The periods of each
         realisation scatter by the whole noise.
         """
-        variance = np.nan_to_num(noise.local_variance(reference_weights, self.n_neighbours))
-        degrees = noise.degrees * (2 * self.n_neighbours + 1)
+        variance = np.nan_to_num(noise.local_variance(reference_weights, self.n_neighbors))
+        degrees = noise.degrees * (2 * self.n_neighbors + 1)
         return np.asarray(np.sqrt(self.n_rotated * variance / 2.0) * radius(_REFERENCE_CONFIDENCE, degrees))
 
 

@@ -59,7 +59,7 @@ class SweptTone:
     warnings: tuple[str, ...]
     # frequencies at which all dampers stay on their floors, so that the structure is linear; shape (lines,)
     on_floor: NDArray[np.bool_]
-    shared: float = 1.0  # number of neighbouring frequencies that use the same lines of their spectra
+    shared: float = 1.0  # number of neighboring frequencies that use the same lines of their spectra
 
     def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
         """Estimate the frequency response with coherence, random and systematic errors."""
@@ -67,7 +67,7 @@ class SweptTone:
         frf = self.spectra.frf(rec, numerator, denominator, reference, motion, self.label, self.warnings)
         budget = frf.uncertainty
         assert isinstance(budget.errors, LocalErrors)
-        # Segments of neighbouring frequencies overlap in time although their bins are counted as independent.
+        # Segments of neighboring frequencies overlap in time although their bins are counted as independent.
         errors = replace(budget.errors, one_reference=False, shared=self.shared)
         frf = replace(frf, uncertainty=replace(budget, shared=self.shared, errors=errors))
         if not warn_of_dampers(rec):
@@ -127,9 +127,9 @@ def sweep_spectra(
     if marker.fields.get("settled") is False:
         notes.append("The sweep began before steady state at its first frequency. Increase test: settle.")
     order = sorted(np.flatnonzero(is_clean), key=lambda index: bounds[index])
-    neighbours = np.arange(-SIDE, SIDE + 1)
-    samples = np.empty((_POINTS, len(names), neighbours.size), dtype=complex)
-    line_frequency = np.empty((_POINTS, neighbours.size))
+    neighbors = np.arange(-SIDE, SIDE + 1)
+    samples = np.empty((_POINTS, len(names), neighbors.size), dtype=complex)
+    line_frequency = np.empty((_POINTS, neighbors.size))
     variances = np.empty((len(names), _POINTS))
     direction = 1 if marker.fields["to"] > marker.fields["from"] else -1
     noise_levels = []
@@ -148,17 +148,17 @@ def sweep_spectra(
         quiet_lines = (
             np.arange(quiet_line - SIDE - 1, quiet_line + SIDE + 2) if has_noise else np.zeros(0, dtype=np.int64)
         )
-        lines = np.concatenate([line + neighbours, quiet_lines])
+        lines = np.concatenate([line + neighbors, quiet_lines])
         spectrum = spectrum_at_lines(block - block.mean(axis=1, keepdims=True), lines, shift)
-        samples[index] = spectrum[:, : neighbours.size]
-        line_frequency[index] = frequency[index] + neighbours * rec.rate / size
+        samples[index] = spectrum[:, : neighbors.size]
+        line_frequency[index] = frequency[index] + neighbors * rec.rate / size
         begin, width = bounds[index][0], SIDE * rec.rate / size
         # A logarithmic sweep has only positive frequencies.
         edges = [max(frequency[index] + offset, 1e-6 * frequency[index]) for offset in (-width, width)]
         passage = [first + _sample_at(marker, edge, rec.rate) - begin for edge in edges]
         variances[:, index] = _samples_between(block, passage, rec.rate / frequency[index]).var(axis=1)
         if has_noise:
-            noise = _noise(spectrum[:, neighbours.size :]) / size
+            noise = _noise(spectrum[:, neighbors.size :]) / size
             noise_levels.append((line_frequency[index, SIDE] + (quiet_line - line) * rec.rate / size, *noise))
     clean_points, lengths = np.array(sorted(order)), np.array([end - begin for begin, end in bounds])
     noise = _interpolate_noise(noise_levels, frequency[clean_points], len(names))
@@ -168,9 +168,9 @@ def sweep_spectra(
     spectra = LocalSpectra(
         names,
         np.moveaxis(samples[clean_points], 0, 1).reshape(1, len(names), -1),
-        np.ones((1, clean_points.size * neighbours.size), dtype=complex),
+        np.ones((1, clean_points.size * neighbors.size), dtype=complex),
         line_frequency[clean_points].ravel(),
-        np.arange(clean_points.size) * neighbours.size + SIDE,
+        np.arange(clean_points.size) * neighbors.size + SIDE,
         SIDE,
         1.0,
         gain,

@@ -259,7 +259,7 @@ def _change_by_shift(frequency: Array, value: ComplexArray, shift: Array) -> Arr
     """Compute the change of a curve over rising frequencies by frequency errors of either sign.
 
     Between sparse lines a peak is steeper than its chords. A pole and a constant, ``a / (f - p) + b``, are therefore
-    fitted to each line and its neighbours. The slope of this function is the product of the two adjacent chords over
+    fitted to each line and its neighbors. The slope of this function is the product of the two adjacent chords over
     the chord across.
     """
     spacing = np.diff(frequency)

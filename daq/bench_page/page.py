@@ -10,7 +10,7 @@ from nicegui import ui
 
 from daq.bench_page.monitor import POSES_S
 from daq.bench_page.rig_svg import RigDrawing
-from daq.drawing.palette import channel_colour, hex_colour
+from daq.drawing.palette import channel_color, hex_color
 from rig.arrays import Array
 
 if TYPE_CHECKING:
@@ -187,7 +187,7 @@ class Page:
         field("Number of hits", "hits", "hammer")
         with ui.row():
             ui.button("Start", on_click=operator.start).props("data-testid=start")
-            ui.button("Stop", on_click=operator.stop, color="grey").props("data-testid=stop")
+            ui.button("Stop", on_click=operator.stop, color="gray").props("data-testid=stop")
         recordings = self._bench.recordings
         ui.switch("Record").bind_value(recordings, "enabled").props("data-testid=record")
         self._state = ui.label().classes("text-sm").props("data-testid=state")
@@ -197,7 +197,7 @@ class Page:
 
     def _charts(self) -> None:
         channels = self._monitor.channels
-        series = [(info.name, info.unit, hex_colour(channel_colour(info.at))) for info in channels]
+        series = [(info.name, info.unit, hex_color(channel_color(info.at))) for info in channels]
         with ui.row().classes("items-center"):
             ui.label("Time shown / s")
             self._span = ui.toggle([0.1, 1.0, 5.0], value=1.0).props("dense")
@@ -210,7 +210,7 @@ class Page:
             {"type": "log", "scale": True},
         )
         bodies = [
-            (info.name, "m/N", hex_colour(channel_colour(info.at)))
+            (info.name, "m/N", hex_color(channel_color(info.at)))
             for info in channels
             if info.at.startswith("body") and info.quantity != "force"
         ]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.drawing.palette import DRIVE, GROUND, LEAD, MARK, STEEL, Colour, body_colour, hex_colour
+from daq.drawing.palette import DRIVE, GROUND, LEAD, MARK, STEEL, Color, body_color, hex_color
 from daq.drawing.rig_view import Extremes, RigPose, RigView
 from daq.drawing.stack import COIL_LENGTH, PLATE, WALL, WIDTH
 
@@ -55,20 +55,20 @@ class RigDrawing:
             parts.append(_group(table.entity("coil_spring"), _coil(table.x, COIL_LENGTH, DRIVE)))
         masses = scene.structure.masses
         for body in range(1, scene.structure.bodies + 1):
-            height, colour = view.stack.heights[body - 1], body_colour(body)
+            height, color = view.stack.heights[body - 1], body_color(body)
             if view.sprung[body - 1]:
                 springs = "".join(_coil(x, view.stack.lengths[body - 1], STEEL) for x in (-0.3 * WIDTH, 0.3 * WIDTH))
                 parts.append(_group(f"rig/spring_{body}", springs))
             cavities = view.stack.cavities[body - 1]
-            frame = _box(0.0, height / 2, WIDTH, height, colour, filled=not cavities)
+            frame = _box(0.0, height / 2, WIDTH, height, color, filled=not cavities)
             for cavity in cavities:
-                frame += _box(cavity.x, WALL / 2, cavity.width + WALL, WALL, colour)
+                frame += _box(cavity.x, WALL / 2, cavity.width + WALL, WALL, color)
                 if cavity.ceiling is not None:
-                    frame += _box(cavity.x, cavity.ceiling + WALL / 2, cavity.width + WALL, WALL, colour)
+                    frame += _box(cavity.x, cavity.ceiling + WALL / 2, cavity.width + WALL, WALL, color)
                 (_, _, z), (width, _, tall) = cavity.damper
                 frame += _group(view.damper_entity(cavity.place), _box(cavity.x, z, width, tall, LEAD))
             text = scene.structure.label(body) + ("" if masses is None else f" {masses[body - 1]:g} kg")
-            frame += _text(WIDTH / 2 + 0.012, height / 2, text, colour)
+            frame += _text(WIDTH / 2 + 0.012, height / 2, text, color)
             parts.append(_group(f"rig/body_{body}", frame))
         parts.append(_text(-0.215, -0.035, f"motion × {view.magnification:g}", MARK))
         top = SCALE * (view.stack.top + 0.1)
@@ -88,24 +88,24 @@ def _group(entity: str, content: str) -> str:
     return f'<g id="{identifier(entity)}">{content}</g>'
 
 
-def _box(x: float, z: float, width: float, height: float, colour: Colour, filled: bool = True) -> str:
+def _box(x: float, z: float, width: float, height: float, color: Color, filled: bool = True) -> str:
     corner = SCALE * (x - width / 2), -SCALE * (z + height / 2)
-    fill = hex_colour(colour) if filled else "none"
+    fill = hex_color(color) if filled else "none"
     return (
         f'<rect x="{corner[0]:.1f}" y="{corner[1]:.1f}" width="{SCALE * width:.1f}" height="{SCALE * height:.1f}" '
-        f'fill="{fill}" stroke="{hex_colour(colour)}" stroke-width="4"/>'
+        f'fill="{fill}" stroke="{hex_color(color)}" stroke-width="4"/>'
     )
 
 
-def _text(x: float, z: float, text: str, colour: Colour) -> str:
-    style = f'font-size="15" fill="{hex_colour(colour)}"'
+def _text(x: float, z: float, text: str, color: Color) -> str:
+    style = f'font-size="15" fill="{hex_color(color)}"'
     return f'<text x="{SCALE * x:.0f}" y="{-SCALE * z:.0f}" {style}>{escape(text)}</text>'
 
 
-def _coil(x: float, length: float, colour: Colour) -> str:
+def _coil(x: float, length: float, color: Color) -> str:
     along = np.linspace(0.0, 1.0, 4 * TURNS + 1)
     points = " ".join(
         f"{SCALE * (x + COIL_HALF_WIDTH * side):.1f},{-SCALE * length * at:.1f}"
         for at, side in zip(along, np.sin(2 * np.pi * TURNS * along), strict=True)
     )
-    return f'<polyline points="{points}" fill="none" stroke="{hex_colour(colour)}" stroke-width="2.5"/>'
+    return f'<polyline points="{points}" fill="none" stroke="{hex_color(color)}" stroke-width="2.5"/>'

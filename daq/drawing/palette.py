@@ -1,19 +1,19 @@
-"""Colours of the displays: one for each body, shared by its drawing, channels and damper."""
+"""Colors of the displays: one for each body, shared by its drawing, channels and damper."""
 
 from __future__ import annotations
 
-Colour = tuple[int, int, int]
+Color = tuple[int, int, int]
 
-STEEL: Colour = (176, 184, 194)
-DARK_STEEL: Colour = (96, 104, 116)
-GROUND: Colour = (74, 80, 90)
-LEAD: Colour = (214, 122, 46)
-GLUED: Colour = (120, 112, 104)
-DRIVE: Colour = (120, 200, 130)
-HAMMER: Colour = (240, 240, 240)
-MARK: Colour = (150, 156, 166)
-BACKGROUND: Colour = (22, 24, 29)
-BODIES: tuple[Colour, ...] = (
+STEEL: Color = (176, 184, 194)
+DARK_STEEL: Color = (96, 104, 116)
+GROUND: Color = (74, 80, 90)
+LEAD: Color = (214, 122, 46)
+GLUED: Color = (120, 112, 104)
+DRIVE: Color = (120, 200, 130)
+HAMMER: Color = (240, 240, 240)
+MARK: Color = (150, 156, 166)
+BACKGROUND: Color = (22, 24, 29)
+BODIES: tuple[Color, ...] = (
     (86, 156, 214),
     (229, 192, 80),
     (224, 108, 117),
@@ -23,26 +23,26 @@ BODIES: tuple[Colour, ...] = (
 )
 
 
-def body_colour(body: int) -> Colour:
-    """Colour of a body, counted from 1; the colours repeat beyond six bodies.
+def body_color(body: int) -> Color:
+    """Color of a body, counted from 1; the colors repeat beyond six bodies.
 
-    >>> body_colour(1) == body_colour(7)
+    >>> body_color(1) == body_color(7)
     True
     """
     return BODIES[(body - 1) % len(BODIES)]
 
 
-def channel_colour(at: str) -> Colour:
-    """Colour of a channel, by the position of its sensor.
+def channel_color(at: str) -> Color:
+    """Color of a channel, by the position of its sensor.
 
-    >>> channel_colour("body 2") == body_colour(2)
+    >>> channel_color("body 2") == body_color(2)
     True
     """
     if at.startswith("body "):
-        return body_colour(int(at.removeprefix("body ")))
+        return body_color(int(at.removeprefix("body ")))
     return DRIVE if at.startswith(("table", "drive")) else HAMMER
 
 
-def hex_colour(colour: Colour) -> str:
-    """Write a colour as in style sheets, ``#b0b8c2``."""
-    return "#{:02x}{:02x}{:02x}".format(*colour)
+def hex_color(color: Color) -> str:
+    """Write a color as in style sheets, ``#b0b8c2``."""
+    return "#{:02x}{:02x}{:02x}".format(*color)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.drawing.palette import DARK_STEEL, DRIVE, GLUED, GROUND, HAMMER, LEAD, MARK, STEEL, Colour, body_colour
+from daq.drawing.palette import DARK_STEEL, DRIVE, GLUED, GROUND, HAMMER, LEAD, MARK, STEEL, Color, body_color
 from daq.drawing.shapes import Point, arrow, boxes, coils, cylinder, label, lines
 from daq.drawing.stack import (
     COIL_LENGTH,
@@ -104,7 +104,7 @@ def exaggeration(extremes: Extremes) -> float:
 
 
 def _label_place(text: str, height: float) -> Point:
-    """Return the position of a centred text next to a body."""
+    """Return the position of a centered text next to a body."""
     return (WIDTH / 2 + 0.06 + 0.0045 * len(text), -DEPTH / 2, height)
 
 
@@ -153,30 +153,30 @@ class RigView:
         yield from self._rest_marks()
 
     def _body(self, body: int) -> Iterator[tuple[str, rr.AsComponents]]:
-        colour, height = self._colour(f"body {body}", body_colour(body)), self.stack.heights[body - 1]
+        color, height = self._color(f"body {body}", body_color(body)), self.stack.heights[body - 1]
         name = f"rig/body_{body}"
         masses = self.scene.structure.masses
         text = self.scene.structure.label(body) + (f"  {masses[body - 1]:g} kg" if masses is not None else "")
         text += self._note(f"body {body}")
         cavities = self.stack.cavities[body - 1]
         if cavities:
-            yield f"{name}/frame", boxes(walls(cavities), colour)
+            yield f"{name}/frame", boxes(walls(cavities), color)
             for number in range(len(cavities)):
                 yield from self._damper(body, number)
         else:
-            yield f"{name}/frame", boxes([((0, 0, height / 2), (WIDTH, DEPTH, height))], colour)
+            yield f"{name}/frame", boxes([((0, 0, height / 2), (WIDTH, DEPTH, height))], color)
         lug_end = max(
             (table.x + LUG / 2 for table in self.shaker_tables if table.body == body and table.x), default=0.0
         )
         if lug_end:
             middle, length = (lug_end + WIDTH / 2) / 2, lug_end - WIDTH / 2
-            yield f"{name}/lug", boxes([((middle, 0, WALL / 2), (length, DEPTH / 2, WALL))], colour)
-        yield f"{name}/name", label(_label_place(text, 0.75 * height), text, colour)
+            yield f"{name}/lug", boxes([((middle, 0, WALL / 2), (length, DEPTH / 2, WALL))], color)
+        yield f"{name}/name", label(_label_place(text, 0.75 * height), text, color)
         pointer: list[Point] = [(-WIDTH / 2 - out, -DEPTH / 2, height / 2) for out in (0.0, 0.028)]
-        yield f"{name}/pointer", lines([pointer], colour, 0.0012)
+        yield f"{name}/pointer", lines([pointer], color, 0.0012)
 
-    def _colour(self, point: str, colour: Colour) -> Colour:
-        return GLUED if point in self._unknown else colour
+    def _color(self, point: str, color: Color) -> Color:
+        return GLUED if point in self._unknown else color
 
     def _note(self, point: str) -> str:
         return ", not measured" if point in self._unknown else ""
@@ -213,19 +213,19 @@ class RigView:
             yield table.entity("shaker"), boxes([(middle, (0.07, 0.07, height))], DARK_STEEL)
         plate = ((table.x, 0, -PLATE / 2), (0.085, 0.085, PLATE))
         stem = ((table.x, 0, -PLATE - 0.02), (0.022, 0.022, 0.04))
-        colour = self._colour(table.point, DRIVE)
-        yield f"{table.entity('table')}/plate", boxes([plate, stem], colour)
+        color = self._color(table.point, DRIVE)
+        yield f"{table.entity('table')}/plate", boxes([plate, stem], color)
         text_at = (table.x + 0.055, -0.09, -PLATE)
         text = table.point if table.kind == "table" else table.point.replace("table", "armature")
-        yield f"{table.entity('table')}/name", label(text_at, text + self._note(table.point), colour)
+        yield f"{table.entity('table')}/name", label(text_at, text + self._note(table.point), color)
         yield table.entity("coil_spring"), coils([table.x], COIL_LENGTH, DRIVE)
 
     @staticmethod
-    def _force_arrow(entity: str, x: float, text: str, colour: Colour) -> Iterator[tuple[str, rr.AsComponents]]:
+    def _force_arrow(entity: str, x: float, text: str, color: Color) -> Iterator[tuple[str, rr.AsComponents]]:
         """Draw an upward arrow at the front of a body's underside, with its name."""
         foot = (x, -DEPTH / 2 - 0.02, -0.055)
-        yield entity, arrow(foot, 0.055, colour)
-        yield f"{entity}/name", label(foot, text, colour)
+        yield entity, arrow(foot, 0.055, color)
+        yield f"{entity}/name", label(foot, text, color)
 
     def _rest_marks(self) -> Iterator[tuple[str, rr.AsComponents]]:
         """Draw the scale at the left: rest positions of the bodies, a drawn length, and the exaggeration."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.drawing.palette import Colour
+from daq.drawing.palette import Color
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -18,43 +18,43 @@ COIL_TURNS = 7
 COIL_RADIUS = 0.020
 
 
-def boxes(parts: Sequence[tuple[Point, Point]], colour: Colour) -> rr.Boxes3D:
-    """Draw solid boxes, each by its centre and its size."""
+def boxes(parts: Sequence[tuple[Point, Point]], color: Color) -> rr.Boxes3D:
+    """Draw solid boxes, each by its center and its size."""
     import rerun as rr
 
-    centres, sizes = zip(*parts, strict=True)
-    return rr.Boxes3D(centers=centres, sizes=sizes, colors=[colour], fill_mode="solid")
+    centers, sizes = zip(*parts, strict=True)
+    return rr.Boxes3D(centers=centers, sizes=sizes, colors=[color], fill_mode="solid")
 
 
-def cylinder(middle: Point, height: float, radius: float, colour: Colour) -> rr.Cylinders3D:
+def cylinder(middle: Point, height: float, radius: float, color: Color) -> rr.Cylinders3D:
     """Draw an upright solid cylinder."""
     import rerun as rr
 
-    return rr.Cylinders3D(centers=[middle], lengths=[height], radii=[radius], colors=[colour], fill_mode="solid")
+    return rr.Cylinders3D(centers=[middle], lengths=[height], radii=[radius], colors=[color], fill_mode="solid")
 
 
-def label(at: Point, text: str, colour: Colour) -> rr.Points3D:
-    """Write a text, centred below a point."""
+def label(at: Point, text: str, color: Color) -> rr.Points3D:
+    """Write a text, centered below a point."""
     import rerun as rr
 
-    return rr.Points3D([at], labels=[text], colors=[colour], radii=[0.0001], show_labels=True)
+    return rr.Points3D([at], labels=[text], colors=[color], radii=[0.0001], show_labels=True)
 
 
-def arrow(foot: Point, height: float, colour: Colour) -> rr.Arrows3D:
+def arrow(foot: Point, height: float, color: Color) -> rr.Arrows3D:
     """Draw an upright arrow."""
     import rerun as rr
 
-    return rr.Arrows3D(origins=[foot], vectors=[(0, 0, height)], colors=[colour], radii=[0.003])
+    return rr.Arrows3D(origins=[foot], vectors=[(0, 0, height)], colors=[color], radii=[0.003])
 
 
-def lines(strips: Sequence[Sequence[Point]], colour: Colour, radius: float) -> rr.LineStrips3D:
+def lines(strips: Sequence[Sequence[Point]], color: Color, radius: float) -> rr.LineStrips3D:
     """Draw thin lines."""
     import rerun as rr
 
-    return rr.LineStrips3D(strips, colors=[colour], radii=[radius])
+    return rr.LineStrips3D(strips, colors=[color], radii=[radius])
 
 
-def coils(places: Sequence[float], length: float, colour: Colour) -> rr.LineStrips3D:
+def coils(places: Sequence[float], length: float, color: Color) -> rr.LineStrips3D:
     """Draw coil springs from z = 0 to z = length, each at its x: a helix with straight ends."""
     import rerun as rr
 
@@ -63,4 +63,4 @@ def coils(places: Sequence[float], length: float, colour: Colour) -> rr.LineStri
     helix = np.column_stack([COIL_RADIUS * np.cos(turn), COIL_RADIUS * np.sin(turn), length * (0.08 + 0.84 * along)])
     ends = np.array([[0.0, 0.0, at * length] for at in (0.0, 0.08, 0.92, 1.0)])
     strip = np.vstack([ends[:2], helix, ends[2:]])
-    return rr.LineStrips3D([strip + np.array([x, 0.0, 0.0]) for x in places], colors=[colour], radii=[0.0028])
+    return rr.LineStrips3D([strip + np.array([x, 0.0, 0.0]) for x in places], colors=[color], radii=[0.0028])

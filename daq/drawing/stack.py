@@ -48,7 +48,7 @@ class Cavity:
 
     @property
     def damper(self) -> Box:
-        """Centre and size of the damper on its floor."""
+        """Center and size of the damper on its floor."""
         size = (self.width - 2 * _CLEARANCE, DEPTH - WALL - _CLEARANCE - 0.001, DAMPER_HEIGHT)
         return (self.x, -WALL / 2, WALL + DAMPER_HEIGHT / 2), size
 
@@ -66,7 +66,7 @@ def cavities(dampers: Sequence[Damper], body: int, magnification: float) -> list
 
 
 def walls(cavities: Sequence[Cavity]) -> list[Box]:
-    """Return the boxes (centre, size) of a body with cavities, open to the front, with the visible ceilings."""
+    """Return the boxes (center, size) of a body with cavities, open to the front, with the visible ceilings."""
     height = HOLLOW_HEIGHT
     parts: list[Box] = [
         ((0, 0, WALL / 2), (WIDTH, DEPTH, WALL)),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from daq.dsp.discretisation import CUBIC, PARTS, Tables
+from daq.dsp.discretization import CUBIC, PARTS, Tables
 from daq.dsp.interpolation import JUMP, LENGTH, CubicInput
 from rig.arrays import Array
 from rig.numerics.jit import unfused_kernel

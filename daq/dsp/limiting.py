@@ -17,7 +17,7 @@ from scipy.linalg import expm
 
 from daq.dsp.broken_intervals import PartWorkspace, advance, begin_part, form_moments
 from daq.dsp.circuit import RECOVERY, Circuit, Section
-from daq.dsp.discretisation import Entry, Tables, input_first, laid_out, rate_of_change, with_disturbances
+from daq.dsp.discretization import Entry, Tables, input_first, laid_out, rate_of_change, with_disturbances
 from daq.dsp.interpolation import JUMP, LENGTH, CubicInput, copy_into
 from rig.arrays import Array
 from rig.numerics.fma import weighted_sums

@@ -47,7 +47,7 @@ class Noise:
     def __init__(self, density: float, corner: float | None, rate: float, random: np.random.Generator) -> None:
         self._deviation = density * np.sqrt(0.5 * rate)
         self._random = random
-        # Of the filter that colours it.
+        # Of the filter that colors it.
         self.states = 0
         if corner is not None:
             loss, weight, self._gain = flicker_filter(corner, rate)
@@ -60,7 +60,7 @@ class Noise:
         self._random.standard_normal(out=samples)
         samples *= self._deviation
         if self.states:
-            _colour(samples, self._retained, self._weight, self._gain, self._states)
+            _color(samples, self._retained, self._weight, self._gain, self._states)
 
 
 class FastNoise:
@@ -72,8 +72,8 @@ class FastNoise:
     def __init__(
         self, density: float, corner: float | None, rate: float, random: np.random.Generator, degree: int
     ) -> None:
-        coloured = 1.0 + 2.0 * (corner or 0.0) / rate
-        self._size = density * np.sqrt(coloured * 0.5 * rate * (2 * degree + 1) / _EVEN)
+        colored = 1.0 + 2.0 * (corner or 0.0) / rate
+        self._size = density * np.sqrt(colored * 0.5 * rate * (2 * degree + 1) / _EVEN)
         self._random = random
 
     def fill(self, samples: Array) -> None:
@@ -115,7 +115,7 @@ def flicker_filter(corner: float, rate: float) -> tuple[Array, Array, float]:
     def spectrum(y: float) -> float:
         return 1.0 + float(np.sum(strength * poles / (poles + y)))
 
-    # Zeros of the spectrum at negative y: one between neighbouring poles, one beyond the last.
+    # Zeros of the spectrum at negative y: one between neighboring poles, one beyond the last.
     ends = np.append(poles, poles[-1] + 2 * np.sum(strength * poles))
     spectrum_zeros = np.array(
         [
@@ -139,7 +139,7 @@ def _loss(y: Array) -> Array:
 
 
 @unfused_kernel
-def _colour(samples: Array, retained: Array, weight: Array, gain: float, states: Array) -> None:
+def _color(samples: Array, retained: Array, weight: Array, gain: float, states: Array) -> None:
     """Pass samples through first-order states in parallel, in place."""
     for i in range(samples.size):
         white = samples[i]

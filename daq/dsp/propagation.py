@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from daq.dsp.broken_intervals import PartWorkspace, part_workspace, through_parts
-from daq.dsp.discretisation import Tables
+from daq.dsp.discretization import Tables
 from daq.dsp.interpolation import CubicInput, copy_into
 from daq.dsp.limiting import Limits, follow_closely, within
 from rig.arrays import Array

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.excitation.spectrum_shaping import crossfade, equalise, flat, limit_factor, lines_between, wave_of
+from daq.excitation.spectrum_shaping import crossfade, equalize, flat, limit_factor, lines_between, wave_of
 from daq.excitation.station import Excitation, Station
 from rig.arrays import Array
 
@@ -36,7 +36,7 @@ def excite(station: Station, test: Multisine) -> Excitation:
     for realisation in range(1, test.realisations + 1):
         phases = [random.uniform(0.0, 2 * np.pi, lines.size)]
         if station.controlled and realisation == 1:
-            amplitudes, _, playing[0] = yield from equalise(station, lines, period, phases[0])
+            amplitudes, _, playing[0] = yield from equalize(station, lines, period, phases[0])
         for number in shakers[1:]:
             generator = station.generator(f"multisine {number} {realisation}")
             phases.append(generator.uniform(0.0, 2 * np.pi, lines.size))

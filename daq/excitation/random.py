@@ -8,7 +8,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.signal.windows import hann
 
-from daq.excitation.spectrum_shaping import Lines, equalise, flat, lines_between
+from daq.excitation.spectrum_shaping import Lines, equalize, flat, lines_between
 from daq.excitation.station import Excitation, Station
 from rig.arrays import Array
 
@@ -33,7 +33,7 @@ def excite(station: Station, test: Random) -> Excitation:
     amplitudes, gains = flat(level, lines), np.ones(lines.size)
     if station.controlled:
         phases = generator.uniform(0.0, 2 * np.pi, lines.size)
-        amplitudes, gains, wave = yield from equalise(station, lines, period, phases)
+        amplitudes, gains, wave = yield from equalize(station, lines, period, phases)
         yield station.drive(wave * (1 + np.cos(np.pi * np.arange(period) / period)) / 2)
     total = station.samples(test.duration)
     block = min(total, station.samples(_BLOCK_S))

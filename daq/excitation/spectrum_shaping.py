@@ -59,7 +59,7 @@ def flat(level: float, lines: Lines) -> Array:
     return np.full(lines.size, level * np.sqrt(2.0 / lines.size))
 
 
-def equalise(
+def equalize(
     station: Station, lines: Lines, period: int, phases: Array
 ) -> Generator[Array, Array, tuple[Array, Array, Array]]:
     """Compute the drive with a flat spring force over the lines, by iteration with measurements.

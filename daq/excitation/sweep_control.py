@@ -103,10 +103,10 @@ class SweepControl:
     def _present_envelopes(self, observation: Observation) -> tuple[complex, complex]:
         """Return the envelopes of mode and force at the end of the observation, from the drive since its middle."""
         mode, law, force = self._mode, self._law, observation.force
-        centre = 1j * observation.angular_frequency(observation.middle)
-        (per_force, per_motion), (force_slope, motion_slope) = law.at(centre), law.slope(centre)
+        center = 1j * observation.angular_frequency(observation.middle)
+        (per_force, per_motion), (force_slope, motion_slope) = law.at(center), law.slope(center)
         # The envelope in the middle of the observation, from its windowed mean.
-        decay = mode.pole - centre
+        decay = mode.pole - center
         spread = complex(_HANN @ np.exp(decay * observation.length * _INSTANTS))
         envelope = (observation.motion - mode.residual_term * force) / spread + mode.gain * force * (
             1 / spread - 1
@@ -115,8 +115,8 @@ class SweepControl:
         step = observation.length / 2 / _N_STEPS
         for time in observation.middle + step * np.arange(1, _N_STEPS + 1):
             drive = complex(np.interp(time, times, drives))
-            frequency_offset = 1j * observation.angular_frequency(time - step / 2) - centre
-            decay = mode.pole - centre - frequency_offset
+            frequency_offset = 1j * observation.angular_frequency(time - step / 2) - center
+            decay = mode.pole - center - frequency_offset
             decayed, forced_gain = exp(decay * step), mode.gain * step * integral(decay * step)
             free_envelope = decayed * envelope + forced_gain * force
             # X = c F + x, by backward Euler for the force, which may change fast within a step.

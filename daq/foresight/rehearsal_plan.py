@@ -138,7 +138,7 @@ def _first_hits(test: Impulse, seconds: float) -> Impulse:
 def plan_about_peaks(
     scene: Scene, test: SteppedSine | SweptSine, channels: tuple[ChannelInfo, ...], seconds: float
 ) -> RehearsalPlan:
-    """Plan groups of neighbouring frequencies about the peaks, at the highest level, each started from rest."""
+    """Plan groups of neighboring frequencies about the peaks, at the highest level, each started from rest."""
     if isinstance(test, SteppedSine):
         frequencies, direction = np.unique(test.order), test.direction
         settle, periods = test.settle, test.measure.periods
@@ -193,7 +193,7 @@ def _with_settled_bias(scene: Scene) -> Scene:
 def _peak_indices(
     scene: Scene, channels: tuple[ChannelInfo, ...], frequencies: Array, max_count: int
 ) -> NDArray[np.intp]:
-    """Return indices of ascending frequencies: the peaks of the linear response, then their neighbours."""
+    """Return indices of ascending frequencies: the peaks of the linear response, then their neighbors."""
     peak_heights: dict[int, float] = {}
     for dampers in dict.fromkeys((scene.dampers, ())):
         for curve in channel_readings(scene.replace(dampers=dampers), channels, frequencies):

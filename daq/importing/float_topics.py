@@ -220,7 +220,7 @@ def _stated_rate(content: Mapping[str, Any]) -> float | None:
 
 
 def _read_multi_array(data: bytes, kind: str) -> Array:
-    """Read the numbers of a multi-array; they follow its layout, a list of labelled sizes."""
+    """Read the numbers of a multi-array; they follow its layout, a list of labeled sizes."""
     order = "<" if data[1] & 1 else ">"
 
     def number(at: int) -> int:

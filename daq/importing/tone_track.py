@@ -91,12 +91,12 @@ class _Blocks:
         pending = averages if self._averages is None else np.concatenate([self._averages, averages], axis=1)
         blocks = (pending.shape[1] - self._size) // self._hop + 1
         if blocks > 0:
-            self._analyse(pending, blocks)
+            self._analyze(pending, blocks)
             self._n_blocks += blocks
             pending = pending[:, blocks * self._hop :].copy()
         self._averages = pending
 
-    def _analyse(self, pending: Array, blocks: int) -> None:
+    def _analyze(self, pending: Array, blocks: int) -> None:
         view = np.lib.stride_tricks.sliding_window_view(pending, self._size, axis=1)[:, :: self._hop]
         reference = view[self._reference, :blocks]
         self._levels.append(np.nan_to_num(reference.std(axis=1)).astype(np.float32))
@@ -104,11 +104,11 @@ class _Blocks:
         # A constant is in the first two lines.
         peak = np.argmax(size[:, 2:-1], axis=1) + 2
         rows = np.arange(blocks)
-        # Distance of the tone from its highest line, in lines, by the higher neighbour under a Hann window.
+        # Distance of the tone from its highest line, in lines, by the higher neighbor under a Hann window.
         below, at, above = (size[rows, peak + k] for k in (-1, 0, 1))
-        neighbour = np.maximum(below, above) / np.maximum(at, 1e-300)
+        neighbor = np.maximum(below, above) / np.maximum(at, 1e-300)
         side = np.where(above > below, 1.0, -1.0)
-        offset = np.asarray(side * np.clip((2 * neighbour - 1) / (neighbour + 1), 0.0, 0.5))
+        offset = np.asarray(side * np.clip((2 * neighbor - 1) / (neighbor + 1), 0.0, 0.5))
         line = peak + offset
         resolved = np.flatnonzero((at > 0.0) & (line >= self._lowest) & (line < self._highest))
         if not resolved.size:

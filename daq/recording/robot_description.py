@@ -13,7 +13,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from daq.drawing.palette import DRIVE, GROUND, LEAD, Colour, body_colour
+from daq.drawing.palette import DRIVE, GROUND, LEAD, Color, body_color
 from daq.drawing.stack import DEPTH, HEADROOM, PLATE, WALL, WIDTH, Stack, round_factor, walls
 from daq.recording.protobuf import Schema, descriptors, varint, varints
 from rig.arrays import Array
@@ -91,7 +91,7 @@ class RobotDescription:
         for body, (inside, height, bottom) in enumerate(parts, 1):
             points.append(f"body {body}")
             boxes = walls(inside) if inside else [((0.0, 0.0, height / 2), (WIDTH, DEPTH, height))]
-            self._link(f"body_{body}", boxes, body_colour(body))
+            self._link(f"body_{body}", boxes, body_color(body))
             self._joint(WORLD, f"body_{body}", bottom)
         for table in stack.tables:
             points.append(table.point)
@@ -106,12 +106,12 @@ class RobotDescription:
             self._joint(f"body_{damper.body}", f"damper_{number}", WALL)
         self.points = tuple(points)
 
-    def _link(self, name: str, boxes: Sequence[Box], colour: Colour) -> None:
-        rgba = " ".join(f"{part / 255:.3f}" for part in (*colour, 255))
+    def _link(self, name: str, boxes: Sequence[Box], color: Color) -> None:
+        rgba = " ".join(f"{part / 255:.3f}" for part in (*color, 255))
         visuals = "".join(
-            f'<visual><origin xyz="{_numbers(centre)}"/><geometry><box size="{_numbers(size)}"/></geometry>'
+            f'<visual><origin xyz="{_numbers(center)}"/><geometry><box size="{_numbers(size)}"/></geometry>'
             f'<material name="{name}"><color rgba="{rgba}"/></material></visual>'
-            for centre, size in boxes
+            for center, size in boxes
         )
         self._links.append(f'<link name="{name}">{visuals}</link>')
 

@@ -1,4 +1,4 @@
-"""Converters: the input turns volts into counts; the outputs limit and quantise the drives of the shakers."""
+"""Converters: the input turns volts into counts; the outputs limit and quantize the drives of the shakers."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def volts_per_count(settings: Settings) -> float | None:
     return float(2.0 * settings.range / 2.0**settings.bits)
 
 
-class Quantiser:
-    """Quantises and clips; the most positive code is a count less than the range, as in two's complement.
+class Quantizer:
+    """Quantizes and clips; the most positive code is a count less than the range, as in two's complement.
 
-    >>> quantiser = Quantiser(Settings(bits=8, range="1 V"))
-    >>> quantiser.convert(np.array([[0.5, -0.004, 1.5]]))
+    >>> quantizer = Quantizer(Settings(bits=8, range="1 V"))
+    >>> quantizer.convert(np.array([[0.5, -0.004, 1.5]]))
     (array([[ 64,  -1, 127]], dtype=int32), array([[False, False,  True]]))
     """
 
@@ -66,7 +66,7 @@ def _merge_blocks(blocks: Iterable[tuple[int, int]]) -> tuple[tuple[int, int], .
 
 
 class Outputs:
-    """Clips and quantises the drive at the range of each output; the hammer and unspecified outputs pass everything.
+    """Clips and quantizes the drive at the range of each output; the hammer and unspecified outputs pass everything.
 
     >>> import rig
     >>> scene = rig.load("reference-A")

@@ -102,7 +102,7 @@ class FilteredSampler:
 
 
 class Jitter:
-    """Timing jitter: the change of each sample is the timing error times the slope between neighbouring samples.
+    """Timing jitter: the change of each sample is the timing error times the slope between neighboring samples.
 
     The difference quotient underestimates the slope of a sinusoid by sinc(f / rate); second-order terms and delays of
     whole intervals are neglected.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from daq.dsp.block_buffers import BlockBuffers
 from daq.dsp.circuit import INTEGRATION, RECOVERY, Circuit
-from daq.dsp.discretisation import Entry, Tables, discretise
+from daq.dsp.discretization import Entry, Tables, discretize
 from daq.dsp.disturbances import Disturbance, Disturbances, Offset
 from daq.dsp.interpolation import CubicInput
 from daq.dsp.limiting import limits_of
@@ -160,13 +160,13 @@ _MAX_TABLES = 64
 
 
 def _tables(circuit: Circuit, gain: float, rate: float, moments: int, entries: Sequence[Entry]) -> Tables:
-    """Discretise a circuit, or return the tables of an equal circuit."""
+    """Discretize a circuit, or return the tables of an equal circuit."""
     matrices = (np.asarray(matrix).tobytes() for matrix in (circuit.a, circuit.b, circuit.c, circuit.d))
     key = (*matrices, np.asarray(circuit.sections).tobytes(), gain, rate, moments, tuple(entries))
     if key not in _CACHE:
         if len(_CACHE) >= _MAX_TABLES:
             _CACHE.clear()
-        _CACHE[key] = discretise(circuit, gain, rate, moments, entries)
+        _CACHE[key] = discretize(circuit, gain, rate, moments, entries)
     return _CACHE[key]
 
 

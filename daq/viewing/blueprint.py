@@ -43,7 +43,7 @@ def layout(
     phases = rrb.StateTimelineView(
         origin="test",
         contents=["test/phase", f"{OVERLOADS}/**"],
-        name="test (grey: settling, green: measuring, or the decay after a hit; red: overloaded)",
+        name="test (gray: settling, green: measuring, or the decay after a hit; red: overloaded)",
         time_view=axis,
     )
     curves = [_curves(entity, f"{title} around the cursor", cursor_range) for entity, title in plots]

@@ -11,9 +11,9 @@ if TYPE_CHECKING:
 UNITS = {"frequency": "Hz", "force": "N", "peak": "N", "width": "s", "amplitude": "m"}
 WARNINGS = ("overload", "gap", "lost", "abort", "double_hit", "level")
 NOT_PHASES = ("overload", "alarm", "level")
-COLOURS = {"settle": 0x55606EFF, "measure": 0x3D8B5FFF, "hit": 0x3D8B5FFF, "gap": 0xC4453BFF, "lost": 0xC4453BFF}
-OTHER_COLOUR = 0x7A6AA8FF
-OVERLOAD_COLOUR = 0xC4453BFF
+COLORS = {"settle": 0x55606EFF, "measure": 0x3D8B5FFF, "hit": 0x3D8B5FFF, "gap": 0xC4453BFF, "lost": 0xC4453BFF}
+OTHER_COLOR = 0x7A6AA8FF
+OVERLOAD_COLOR = 0xC4453BFF
 
 
 class Line(NamedTuple):
@@ -25,12 +25,12 @@ class Line(NamedTuple):
 
 
 class MarkedSlice(NamedTuple):
-    """A segment of samples with its label and colour (0xRRGGBBAA); `stop` is the first sample after it."""
+    """A segment of samples with its label and color (0xRRGGBBAA); `stop` is the first sample after it."""
 
     start: int
     stop: int
     label: str
-    colour: int
+    color: int
 
 
 def log_lines(recording: Recording, start: int, stop: int) -> list[Line]:
@@ -69,7 +69,7 @@ def phases(recording: Recording, start: int, stop: int) -> list[MarkedSlice]:
         first, last = max(start, mark.first_sample), min(stop, end)
         if slices and slices[-1].stop > first:
             slices[-1] = slices[-1]._replace(stop=first)
-        slices.append(MarkedSlice(first, last, label, COLOURS.get(mark.kind, OTHER_COLOUR)))
+        slices.append(MarkedSlice(first, last, label, COLORS.get(mark.kind, OTHER_COLOR)))
     return [phase for phase in slices if phase.stop > phase.start]
 
 
@@ -80,7 +80,7 @@ def overloads(recording: Recording, start: int, stop: int) -> dict[str, list[Mar
         first, last = max(start, mark.first_sample), min(stop, mark.stop)
         if first < last:
             name = str(mark.fields.get("channel", ""))
-            by_channel.setdefault(name, []).append(MarkedSlice(first, last, f"{name} overloaded", OVERLOAD_COLOUR))
+            by_channel.setdefault(name, []).append(MarkedSlice(first, last, f"{name} overloaded", OVERLOAD_COLOR))
     return by_channel
 
 

@@ -151,7 +151,7 @@ class Replay:
         lane = rr.StateConfiguration(
             values=[*states, "none"],
             labels=[*(span.label for span in spans), ""],
-            colors=np.array([*(span.colour for span in spans), 0], dtype=np.uint32),
+            colors=np.array([*(span.color for span in spans), 0], dtype=np.uint32),
             visible=[True] * len(spans) + [False],
         )
         stream.log(path, lane, static=True)

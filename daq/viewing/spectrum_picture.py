@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.drawing.palette import channel_colour
+from daq.drawing.palette import channel_color
 from rig.escaping import escape_figure
 
 if TYPE_CHECKING:
@@ -64,9 +64,9 @@ def spectrum_picture(recording: Recording, start: int, stop: int, size: tuple[in
         frequency = next(iter(spectra.values()))[0]
         in_range = (frequency >= 1.0) & (frequency <= max(100.0, 8 * natural_hz[-1]))
         for name, (_, amplitude) in spectra.items():
-            colour = tuple(level / 255 for level in channel_colour(members[name].at))
+            color = tuple(level / 255 for level in channel_color(members[name].at))
             panel.loglog(
-                frequency[in_range], amplitude[in_range], color=colour, label=escape_figure(name), linewidth=1.0
+                frequency[in_range], amplitude[in_range], color=color, label=escape_figure(name), linewidth=1.0
             )
         for line in natural_hz[natural_hz > 1.0]:
             panel.axvline(line, color=_FOREGROUND, linewidth=0.8, linestyle=":", alpha=0.7)

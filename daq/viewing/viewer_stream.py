@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from daq.drawing.palette import body_colour, channel_colour
+from daq.drawing.palette import body_color, channel_color
 from daq.viewing.blueprint import TIMELINE
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rig.scene.damper import Damper
 
 CONTACTS = ("flight", "floor", "ceiling", "lost")
-CONTACT_COLOURS = (0x3B82C4FF, 0x8A5A2BFF, 0xC4453BFF, 0x404040FF)
+CONTACT_COLORS = (0x3B82C4FF, 0x8A5A2BFF, 0xC4453BFF, 0x404040FF)
 # Quantities in the order of the plots, with the factor to the shown unit.
 DISPLAY_UNITS = {
     "displacement": (1e3, "mm"),
@@ -44,17 +44,17 @@ class Traces:
         self._stream, self._rate, self._channels = stream, rate, channels
         self._contact: list[int] = [-1] * len(dampers)
 
-        def curve(colour: tuple[int, int, int], name: str) -> rr.SeriesLines:
+        def curve(color: tuple[int, int, int], name: str) -> rr.SeriesLines:
             # By default the viewer averages the samples of a pixel, and a tone would vanish.
-            return rr.SeriesLines(colors=[colour], names=[name], widths=[1.2], aggregation_policy="MinMax")
+            return rr.SeriesLines(colors=[color], names=[name], widths=[1.2], aggregation_policy="MinMax")
 
         for name, info in channels.items():
-            stream.log(entity(info.quantity, name), curve(channel_colour(info.at), name), static=True)
+            stream.log(entity(info.quantity, name), curve(channel_color(info.at), name), static=True)
         lane = rr.StateConfiguration(
-            values=list(CONTACTS), labels=list(CONTACTS), colors=np.array(CONTACT_COLOURS, dtype=np.uint32)
+            values=list(CONTACTS), labels=list(CONTACTS), colors=np.array(CONTACT_COLORS, dtype=np.uint32)
         )
         for place, damper in enumerate(dampers, start=1):
-            style = curve(body_colour(damper.body), f"damper {place} (body {damper.body})")
+            style = curve(body_color(damper.body), f"damper {place} (body {damper.body})")
             stream.log(f"dampers/gap_mm/damper_{place}", style, static=True)
             stream.log(f"dampers/contact/damper_{place}", lane, static=True)
 

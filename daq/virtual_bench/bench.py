@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.signal_chain.chain import Chain
-from daq.signal_chain.converter import Outputs, Quantiser
+from daq.signal_chain.converter import Outputs, Quantizer
 from daq.signal_chain.oversampling import DriveLine, oversampling
 from daq.virtual_bench.motion_rate import MotionAtRate
 from rig.arrays import Array
@@ -167,7 +167,7 @@ class Stream:
         self._motion = MotionAtRate(
             per_tick * self._intervals, self._intervals, 1.0 / plant.rate, self._first * self._intervals
         )
-        self._converter = Quantiser(self._scene.converter)
+        self._converter = Quantizer(self._scene.converter)
         self.lost, self.latency = self._converter.lost, self._chain.latency
         self.rewire(self._chain.wiring if wiring is None else wiring)
         for motion, drive in past:

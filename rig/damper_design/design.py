@@ -38,7 +38,7 @@ CHART_CLEARANCES = np.geomspace(0.25, 4.0, 7)
 CHART_MARGIN = 2.0
 #: Smallest ratio of the outermost levels to the middle level.
 MIN_LEVEL_RATIO = 4.0
-#: Ratio of neighbouring levels.
+#: Ratio of neighboring levels.
 LEVEL_STEP_RATIO = 2.0**0.5
 
 

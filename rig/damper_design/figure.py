@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-BLUE, RED, GREY = *COLORS[:2], "#a0a0a0"
+BLUE, RED, GRAY = *COLORS[:2], "#a0a0a0"
 
 
 def summary(design: Design) -> str:
@@ -230,7 +230,7 @@ def _backbone(axes: Axes, design: Design) -> None:
     nominal = int(np.argmin(np.abs(np.log(design.clearance_factors))))
     row = design.chart[nominal]
     axes.plot(design.levels, [peak.frequency for peak in row], "o-", color=BLUE, ms=4, label="with dampers")
-    axes.axhline(design.bare.frequency, color=GREY, ls="--", label="without")
+    axes.axhline(design.bare.frequency, color=GRAY, ls="--", label="without")
     axes.set(xlabel="force / N", ylabel="frequency / Hz")
     set_log_scale(axes.xaxis)
     axes.legend()

@@ -44,8 +44,8 @@ def response_at_level(problem: OrbitProblem, level: float, frequencies: Array) -
 def refined_peak(problem: OrbitProblem, response: OrbitResponse, body: int) -> tuple[float, float]:
     """Compute the largest compliance of a body over frequency [m/N], and its frequency [Hz].
 
-    If the largest point is an orbit, the maximum between its neighbours is computed over orbits with the same events,
-    so that it does not depend on the grid. If the point and its neighbours were simulated, a linear resonance is
+    If the largest point is an orbit, the maximum between its neighbors is computed over orbits with the same events,
+    so that it does not depend on the grid. If the point and its neighbors were simulated, a linear resonance is
     fitted to the three points: 1 / |X|^2 is then a parabola.
     """
     size = np.abs(response.compliance[body - 1])
@@ -54,10 +54,10 @@ def refined_peak(problem: OrbitProblem, response: OrbitResponse, body: int) -> t
     orbit = response.orbits[i]
     if i in (0, size.size - 1):
         return largest, frequency
-    neighbours = slice(i - 1, i + 2)
-    if response.simulated[neighbours].all():
+    neighbors = slice(i - 1, i + 2)
+    if response.simulated[neighbors].all():
         curvature, slope, value_at_center = np.polyfit(
-            response.value[neighbours] - frequency, size[neighbours] ** -2.0, 2
+            response.value[neighbors] - frequency, size[neighbors] ** -2.0, 2
         ).tolist()
         minimum = value_at_center - slope**2 / (4 * curvature) if curvature > 0.0 else 0.0
         if minimum > 0.0:

@@ -1,4 +1,4 @@
-"""Effects that a scene turns on, and the states that each adds; effects not in the scene are not modelled."""
+"""Effects that a scene turns on, and the states that each adds; effects not in the scene are not modeled."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class Explanation(Result):
         for rows, parts in parts_of_rows.items():
             lines += ["", *parts, *rows]
         if self.absent:
-            lines += ["", f"not in the scene, so not modelled: {', '.join(self.absent)}"]
+            lines += ["", f"not in the scene, so not modeled: {', '.join(self.absent)}"]
         return "\n".join(lines)
 
 

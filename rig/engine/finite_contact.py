@@ -1,6 +1,6 @@
 """Finite-duration contact: floor and ceiling are spring-dampers without adhesion.
 
-The *bed* is the particles of a damper, modelled as one mass. The force on the bed is -k (z - o) - c z' (z the gap, o
+The *bed* is the particles of a damper, modeled as one mass. The force on the bed is -k (z - o) - c z' (z the gap, o
 the height of the wall) while the bed overlaps the wall and the force points away from the wall. Only the force may
 jump. Three guards detect the changes:
 

@@ -28,7 +28,7 @@ class Flow(NamedTuple):
     bound: times |z|, for each damper the bound of the fourth derivative of its guard with respect to tau over the step,
     then the sum of the magnitudes of the guard's terms.
     rates: nonzero elements of A in compressed rows (pointer, column).
-    neighbour[slot, i]: slot after the change i of `HybridSystem.toggles`, or -1.
+    neighbor[slot, i]: slot after the change i of `HybridSystem.toggles`, or -1.
 
     The guard of a damper depends on the position of its body in flight, and on the body's acceleration at rest. The
     guard of a finite-duration contact depends on the gap in flight, and on the wall's force in contact.
@@ -52,7 +52,7 @@ class Flow(NamedTuple):
     column: np.ndarray
     rates: np.ndarray
     rates_constant: np.ndarray
-    neighbour: np.ndarray
+    neighbor: np.ndarray
 
 
 class Model(NamedTuple):

@@ -97,7 +97,7 @@ class FlowTables:
             if existing is not None:
                 return existing
             slot = len(self.slots)
-            if slot == self.flow.neighbour.shape[0]:
+            if slot == self.flow.neighbor.shape[0]:
                 self._grow()
             self._fill(slot, configuration)
             self.slots[configuration] = slot
@@ -207,7 +207,7 @@ class FlowTables:
 
     def _empty(self, capacity: int) -> Flow:
         arrays = {name: aligned_zeros(capacity, *shape) for name, shape in self._shapes().items()}
-        neighbour = np.full((capacity, max(1, len(self._toggles))), -1, dtype=np.int64)
+        neighbor = np.full((capacity, max(1, len(self._toggles))), -1, dtype=np.int64)
         return Flow(
             tabulated=self.tabulated,
             stepping=self.stepping,
@@ -215,14 +215,14 @@ class FlowTables:
             enveloping=self.step * self.drive.max_rate < MAX_ENVELOPE_PHASE_RAD,
             pointer=self._pointer,
             column=self._column,
-            neighbour=neighbour,
+            neighbor=neighbor,
             **arrays,
         )
 
     def _grow(self) -> None:
         old = self.flow
-        self.flow = self._empty(2 * len(old.neighbour))
-        for name in (*self._shapes(), "neighbour"):
+        self.flow = self._empty(2 * len(old.neighbor))
+        for name in (*self._shapes(), "neighbor"):
             source, target = getattr(old, name), getattr(self.flow, name)
             target[: len(source)] = source
 
@@ -237,8 +237,8 @@ class FlowTables:
         for i, change in enumerate(self._toggles):
             other = self.slots.get(configuration ^ change)
             if other is not None:
-                flow.neighbour[slot, i] = other
-                flow.neighbour[other, i] = slot
+                flow.neighbor[slot, i] = other
+                flow.neighbor[other, i] = slot
 
     def _tabulate(self, slot: int, configuration: int, matrix: np.ndarray, offset: np.ndarray) -> None:
         flow, system, size = self.flow, self.system, self.size

@@ -112,7 +112,7 @@ def toggle_contact(flow: Flow, model: Model, state: State, contact: int) -> None
     """Open or close a contact: update the configuration, and the slot of its table."""
     state.counters[CONFIGURATION] ^= model.toggles[contact]
     if state.counters[SLOT] >= 0:
-        state.counters[SLOT] = flow.neighbour[state.counters[SLOT], contact]
+        state.counters[SLOT] = flow.neighbor[state.counters[SLOT], contact]
 
 
 @inlined_kernel

@@ -49,7 +49,7 @@ def workspace_for(flow: Flow, size: int) -> Workspace:
         zero_constant=aligned_zeros(1, padded_length(columns)),
         bound=aligned_zeros(flow.bound_constant.shape[1]),
         derivative=aligned_zeros(flow.derivative_constant.shape[1]),
-        contact=allocate_contact_work(flow.neighbour.shape[1], flow.derivative_constant.shape[1]),
+        contact=allocate_contact_work(flow.neighbor.shape[1], flow.derivative_constant.shape[1]),
         series=aligned_zeros(N_COEFFICIENTS),
         work=aligned_zeros(MAX_HALVINGS + 3, N_COEFFICIENTS),
         spans=np.zeros((MAX_HALVINGS + 3, 2)),

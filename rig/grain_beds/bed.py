@@ -56,7 +56,7 @@ class Bed:
             self._command(f"set atom {atom} diameter {diameter!r}")
         self._command(f"set group all density {spheres.density()!r}")
         self._initialize()
-        self._centre = self.centre
+        self._center = self.center
 
     def state_bytes(self) -> bytes:
         """Return the state of the grains and of their contacts, for `resume`.
@@ -116,14 +116,14 @@ class Bed:
         return 0.5 * float(self._total(self._masses @ (self._velocity**2).sum(axis=1)))
 
     @property
-    def centre(self) -> float:
-        """Height of the centre of mass, m."""
+    def center(self) -> float:
+        """Height of the center of mass, m."""
         return float(self._total(self._masses @ self._position[:, 2])) / self.mass
 
     @property
     def lift(self) -> float:
-        """Height of the centre of mass above that at the start, m."""
-        return self.centre - self._centre
+        """Height of the center of mass above that at the start, m."""
+        return self.center - self._center
 
     @property
     def positions(self) -> Array:
@@ -147,7 +147,7 @@ class Bed:
         )
 
     def _initialize(self) -> None:
-        """Compute neighbours and forces, and view LAMMPS's arrays."""
+        """Compute neighbors and forces, and view LAMMPS's arrays."""
         self._command("run 0 post no")
         self._view()
 

@@ -34,7 +34,7 @@ class BedStates(NamedTuple):
     """Motion of the beds at the steps of a march.
 
     force (beds, walls, steps + 1): upward force of floor, ceiling and side on the grains, N.
-    lift (beds, steps + 1): height of the centre of mass above that of the settled bed, m.
+    lift (beds, steps + 1): height of the center of mass above that of the settled bed, m.
     """
 
     force: Array

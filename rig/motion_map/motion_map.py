@@ -42,7 +42,7 @@ MAX_WAIT_DECAY_TIMES = 3.0
 MIN_WAIT_LIMIT_PERIODS = 2000
 #: The longest wait is at most this, periods.
 MAX_WAIT_LIMIT_PERIODS = 20_000
-#: Colors of `KINDS`: grey for riding, blue for the paper's types, warm colors for the other types.
+#: Colors of `KINDS`: gray for riding, blue for the paper's types, warm colors for the other types.
 COLORS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#f2c14e", "#e07b39", "#8c1c3a")
 LEGEND = ("riding", "Type I", "Type II", "Type III", *KINDS[4:])
 

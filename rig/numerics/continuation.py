@@ -35,7 +35,7 @@ class Steps:
     min_step: float = 1e-8
     max_step: float = 0.2
     max_angle_rad: float = 0.15
-    """Largest angle between the tangents of neighbouring points."""
+    """Largest angle between the tangents of neighboring points."""
     tolerance: float = 1e-11
     """Largest last correction of Newton's iteration (scaled unknowns)."""
     max_iterations: int = 8
@@ -297,7 +297,7 @@ def _locate_border(
 def locate(
     equations: Equations, curve: Curve, index: int, monitor: Monitor, steps: Steps | None = None
 ) -> tuple[Vector, Vector]:
-    """Locate the zero of a monitor between two neighbouring points of a curve.
+    """Locate the zero of a monitor between two neighboring points of a curve.
 
     Points of the chord between them are corrected to the curve, and the zero is found by Brent's method.
 

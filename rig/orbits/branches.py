@@ -110,7 +110,7 @@ class _Explorer:
             if len(self.branches) == MAX_BRANCHES:
                 self.failures.append(
                     f"{MAX_BRANCHES} branches followed. The branch through {self.parameter} "
-                    f"{getattr(start.setting, self.parameter):.8g} [{start.plan.label}] and its neighbours are missing"
+                    f"{getattr(start.setting, self.parameter):.8g} [{start.plan.label}] and its neighbors are missing"
                 )
                 return
             if any(self._contains(branch, start) for branch in self.branches):

@@ -122,7 +122,7 @@ class OrbitCurve(Result):
         )
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw every branch, with one colour for each type of motion; unstable orbits are dashed."""
+        """Draw every branch, with one color for each type of motion; unstable orbits are dashed."""
         types = list(dict.fromkeys(branch.motion_type for branch in self.branches))
         for branch in self.branches:
             is_first = branch.motion_type not in {line.get_label() for line in ax.lines}

@@ -58,7 +58,7 @@ def format_quantity(value: float, bound: float, unit: str) -> str:
 
 
 def format_frequencies(frequencies: Sequence[float], chosen: Sequence[bool]) -> str:
-    """List the chosen frequencies in Hz, neighbours as ranges; if the ranges are many, their number and limits.
+    """List the chosen frequencies in Hz, neighbors as ranges; if the ranges are many, their number and limits.
 
     >>> format_frequencies([10.0, 11.0, 12.5, 14.0, 20.0], [True, False, True, True, True])
     '10 and 12.5 to 20 Hz'

@@ -36,7 +36,7 @@ class Covariance(Protocol):
 
     @property
     def shared(self) -> float:
-        """Number of neighbouring lines with the same error."""
+        """Number of neighboring lines with the same error."""
 
     @property
     def reference(self) -> Array | None:
@@ -100,7 +100,7 @@ class UncertaintyBudget:
     """Contributions to the uncertainty of a response.
 
     `errors`: random errors of the elements, for their covariance; None: they are independent.
-    `shared`: number of neighbouring lines that are computed from the same samples, so that they have the same error.
+    `shared`: number of neighboring lines that are computed from the same samples, so that they have the same error.
     `clock`: largest relative error of the sample clock, and so of all frequencies; its effect on values is one of the
     contributions.
     """

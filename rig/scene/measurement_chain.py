@@ -1,6 +1,6 @@
 """Settings of the measurement chain: sensors, integrating amplifiers, converter, and content of the recording.
 
-Omitted effects are not modelled: an accelerometer without keys measures the exact acceleration.
+Omitted effects are not modeled: an accelerometer without keys measures the exact acceleration.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ Supply = Annotated[float, Quantity(CURRENT, at_least=0.0)]
 
 
 class Accelerometer(Settings):
-    """A piezoelectric accelerometer with the figures of its datasheet; only the given effects are modelled."""
+    """A piezoelectric accelerometer with the figures of its datasheet; only the given effects are modeled."""
 
     preset: Preset | None = None
     """Name of a part whose datasheet supplies the values not given here."""
@@ -182,7 +182,7 @@ class Channel(Settings):
     """Supply current of the sensor at this input [A], 0: none; None: as the converter."""
 
     @classmethod
-    def kind_by_neighbours(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
+    def kind_by_neighbors(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
         """Return the measured quantity as the kind of the limits."""
         kind = {"1": VELOCITY, "2": LENGTH}.get(str(at(content, ("integrator", "order"))), ACCELERATION)
         place = str(content.get("at")).partition(" ")[0]
@@ -246,7 +246,7 @@ class Converter(Settings):
     rate: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 5120.0
     """Requested sample rate [Hz]."""
     bits: Annotated[int, Field(ge=2, le=32)] | None = None
-    """Resolution, a whole number such as 24; needs `range`. None: not quantised."""
+    """Resolution, a whole number such as 24; needs `range`. None: not quantized."""
     range: Annotated[float, Quantity(VOLTAGE, above=0.0)] | None = None
     """Voltage at full scale [V]; None: not clipped."""
     noise: Annotated[float, Quantity(VOLTAGE_NOISE, at_least=0.0)] | None = None

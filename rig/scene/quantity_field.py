@@ -17,7 +17,7 @@ class Quantity:
     Parameters
     ----------
     kinds : Kind
-        Allowed kinds. With several, another key decides (`Settings.kind_by_neighbours`).
+        Allowed kinds. With several, another key decides (`Settings.kind_by_neighbors`).
     above, at_least, below : float
         Bounds, in SI.
     infinite : bool

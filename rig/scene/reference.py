@@ -20,7 +20,7 @@ _WIDTH = 100
 _DEFAULT_OF_KEYS = "the defaults of its keys"
 _INTRODUCTION = (
     "Quantities carry units (0.98 mm, 6.6 kN/m, 5 %). A number without a unit is in SI, a frequency in Hz. An effect "
-    "whose key is omitted and has no default is not modelled, and takes no computing time. Effects have their names in "
+    "whose key is omitted and has no default is not modeled, and takes no computing time. Effects have their names in "
     "rig explain, and the number of states that each adds; `rig explain SCENE --measure` measures their computing time."
 )
 #: Effect of a key under its name in `rig explain`, and the number of added states (None: it depends on the scene).

@@ -55,7 +55,7 @@ class Scene(Settings):
         return replace_names(content)
 
     @classmethod
-    def kind_by_neighbours(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
+    def kind_by_neighbors(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
         """Return the drive's kind, in the unit of the shaker's input."""
         kinds = {"table": LENGTH, "electrodynamic": VOLTAGE, "force": FORCE}
         shaker, number = content.get("shaker"), str(at(content, ("test", "shaker")))

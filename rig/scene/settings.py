@@ -138,7 +138,7 @@ class Settings(_Model):
         return ()
 
     @classmethod
-    def kind_by_neighbours(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
+    def kind_by_neighbors(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
         """Return the required kind of each quantity, by place, that depends on other keys."""
         return {}
 
@@ -269,7 +269,7 @@ class Settings(_Model):
 
     @classmethod
     def _wrong_kinds(cls, data: Mapping[str, Any], known_places: set[Place]) -> Iterable[Mistake]:
-        for place, kind in cls.kind_by_neighbours(data).items():
+        for place, kind in cls.kind_by_neighbors(data).items():
             values = at(data, place)
             for value in values if isinstance(values, list | tuple) else [values]:
                 if not isinstance(value, str) or place in known_places:

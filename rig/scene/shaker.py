@@ -157,7 +157,7 @@ class Amplifier(Settings):
     """Largest output [V or A]; infinite: no clipping."""
 
     @classmethod
-    def kind_by_neighbours(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
+    def kind_by_neighbors(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
         """Return the unit of the output, V or A, according to the mode."""
         if content.get("mode") == "current":
             return {("gain",): TRANSCONDUCTANCE, ("limit",): CURRENT}

@@ -70,7 +70,7 @@ _Dumper.add_representer(str, lambda dumper, value: dumper.represent_scalar("tag:
 
 def _given_values(settings: Settings, structure: Structure | None, kinds: Mapping[Place, Kind]) -> dict[str, Any]:
     values = {name: getattr(settings, name) for name in type(settings).model_fields}
-    kinds = {**kinds, **type(settings).kind_by_neighbours(values)}
+    kinds = {**kinds, **type(settings).kind_by_neighbors(values)}
     result: dict[str, Any] = {}
     for name, field in type(settings).model_fields.items():
         value, quantity = values[name], quantity_at(field)

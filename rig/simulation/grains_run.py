@@ -1,6 +1,6 @@
 """Open-loop runs of scenes with beds of grains, in sections, so that an interrupted run can be continued.
 
-When LAMMPS reads a bed from a file, it recomputes neighbours and forces, which changes the last digits of the motion.
+When LAMMPS reads a bed from a file, it recomputes neighbors and forces, which changes the last digits of the motion.
 Therefore every run recomputes them at the end of every section: interrupted and uninterrupted runs are identical to
 the bit.
 """

@@ -48,7 +48,7 @@ class Run(Result):
         SI; at a sample that coincides with an impact, the value after it.
     gap : ndarray, shape (dampers that move, samples)
         Height of each damper above its floor, m; it includes the overlap of finite-duration contact. For a bed of
-        grains, height of its centre of mass above the initial position.
+        grains, height of its center of mass above the initial position.
     contact : ndarray of int8, shape (dampers that move, samples)
         0 in flight, 1 on the floor, 2 at the ceiling.
     events : structured ndarray

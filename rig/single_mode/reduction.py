@@ -120,7 +120,7 @@ def reduce_to_mode(
     if dampers and not ratio > 0:
         raise SceneError(
             f"mode {mode}: Eq. 13 as printed gives the mass ratio {ratio:.3g}, because dampers are on "
-            "bodies that move against the largest one. Use weighting='energy', or normalise the shape "
+            "bodies that move against the largest one. Use weighting='energy', or normalize the shape "
             "at the damper's body (at=...)."
         )
     participation = float(sum(shape[body - 1] for body in driven))

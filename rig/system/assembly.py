@@ -1,6 +1,6 @@
 """From a scene to the hybrid linear system of the kernel.
 
-A damper's *bed* is its particles, modelled as one mass that moves in a cavity of a body. The bed *rides* while it is
+A damper's *bed* is its particles, modeled as one mass that moves in a cavity of a body. The bed *rides* while it is
 at rest on the floor of the cavity, and moves with the body; otherwise it *flies*.
 """
 

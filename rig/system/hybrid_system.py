@@ -1,6 +1,6 @@
 """A compiled scene: the linear system between contact changes, its dampers, and its drive.
 
-A damper's *bed* is its particles, modelled as one mass. A damper *rides* while its bed is at rest on the floor.
+A damper's *bed* is its particles, modeled as one mass. A damper *rides* while its bed is at rest on the floor.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The structure as matrices with its dampers' masses: natural modes and the linear frequency response.
 
-A damper's *bed* is its particles, modelled as one mass. A bed that *rides* is at rest on the floor of its cavity, and
+A damper's *bed* is its particles, modeled as one mass. A bed that *rides* is at rest on the floor of its cavity, and
 moves with its body.
 
 Convention: x(t) = Re(X e^{i w t}), so that a phase lag is negative.

@@ -16,7 +16,7 @@ import numpy as np
 import rig
 from daq.recording.recorder import Recorder
 from daq.signal_chain.chain import Chain
-from daq.signal_chain.converter import Quantiser
+from daq.signal_chain.converter import Quantizer
 from daq.virtual_bench.bench import Bench
 from rig.scene.scene import Scene
 from rig.simulation.plant import Plant
@@ -88,7 +88,7 @@ def measure() -> Iterator[str]:
         for _ in range(4):
             plant = Plant(step, rate)
             chain = Chain(step, rate, plant.points, plant.inputs)
-            converter = Quantiser(step.converter)
+            converter = Quantizer(step.converter)
             elapsed, breaks = 0.0, 0
             for first in range(0, round(SECONDS * RATE), BLOCK):
                 drive = 3.0 * np.sin(2 * np.pi * 34.8 / RATE * np.arange(first, first + BLOCK))[None]

@@ -34,7 +34,7 @@ SETTINGS = (
 PACKINGS = (1, 2, 3)
 #: Time step in Rayleigh times.
 STEP_RAYLEIGH_TIMES = 0.1
-#: Distance up to which spheres are neighbours, in radii.
+#: Distance up to which spheres are neighbors, in radii.
 SKIN_RADII = 0.3
 FLOOR, CEILING, SIDE = range(3)
 
@@ -46,7 +46,7 @@ def contact_force(
 ) -> None:  # fmt: skip
     """Compute the force of a contact and its tangential part, and update its tangential displacement.
 
-    `relative`: relative velocity of the centres; `spin`: sum of the lever arms times the spins; `law`: effective normal
+    `relative`: relative velocity of the centers; `spin`: sum of the lever arms times the spins; `law`: effective normal
     and shear modulus, damping of the restitution.
     """
     closing = relative @ normal
@@ -131,8 +131,8 @@ def wall_forces(
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def neighbours(at: Array, within: float) -> NDArray[np.int64]:
-    """Return the pairs of spheres whose centres are closer than a distance."""
+def neighbors(at: Array, within: float) -> NDArray[np.int64]:
+    """Return the pairs of spheres whose centers are closer than a distance."""
     count = 0
     pairs = np.empty((len(at) * 30, 2), np.int64)
     for i in range(len(at)):
@@ -153,8 +153,8 @@ def shake_bed(
     count = len(at)
     speed, spin, force, torque = np.zeros((4, count, 3))
     pair_displacements, wall_displacements, lift = (np.zeros((count, count, 3)), np.zeros((count, 3, 3)), np.zeros(3))
-    history, travelled, skin = np.empty((steps, 3)), 0.0, SKIN_RADII * radius
-    pairs = neighbours(at, 2.0 * radius + skin)
+    history, traveled, skin = np.empty((steps, 3)), 0.0, SKIN_RADII * radius
+    pairs = neighbors(at, 2.0 * radius + skin)
     inertia = 0.4 * mass * radius**2
     frame_acceleration = np.zeros(3)
     for k in range(steps + 1):
@@ -200,9 +200,9 @@ def shake_bed(
         if k > 0:
             history[k - 1] = lift
         at += step * speed
-        travelled += step * math.sqrt((speed**2).sum(axis=1).max())
-        if travelled > 0.5 * skin:
-            pairs, travelled = neighbours(at, 2.0 * radius + skin), 0.0
+        traveled += step * math.sqrt((speed**2).sum(axis=1).max())
+        if traveled > 0.5 * skin:
+            pairs, traveled = neighbors(at, 2.0 * radius + skin), 0.0
     return history
 
 

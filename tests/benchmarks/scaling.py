@@ -1,6 +1,6 @@
 """Scaling of processor time with the size of a test, as exponents: `python -m tests.benchmarks.scaling`.
 
-A chain of bodies under a random force is explained, recorded and analysed with increasing numbers of bodies, dampers,
+A chain of bodies under a random force is explained, recorded and analyzed with increasing numbers of bodies, dampers,
 channels or seconds. An exponent of 1 means a proportional time. A chain with modal damping has full matrices, so that
 the time of a matrix-vector product grows with the square of the number of bodies.
 """

@@ -2,7 +2,7 @@
 
 Each structure has two to five bodies, as a chain or with springs across. `rig design` chooses one to three dampers
 for it. Brute force then tries places, masses and clearances at twenty times the cost of the search, and the choice is
-recorded and analysed. Exit code 1: brute force is more than 1 % better, or the recorded reduction differs by 0.3 dB.
+recorded and analyzed. Exit code 1: brute force is more than 1 % better, or the recorded reduction differs by 0.3 dB.
 """
 
 from __future__ import annotations

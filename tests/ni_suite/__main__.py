@@ -3,7 +3,7 @@
 Usage: python -m tests.ni_suite PATH [arguments of pytest]
 
 PATH is a copy of https://github.com/ni/nidaqmx-python (MIT), which this project does not hold. Its tests run as
-they are, against a server of the devices that they expect (see `devices`), those parametrised for gRPC. What
+they are, against a server of the devices that they expect (see `devices`), those parametrized for gRPC. What
 concerns no vibration rig is left out by file or by name, see `LEFT_OUT`.
 """
 

@@ -56,7 +56,7 @@ def poles(ours: dict[str, np.ndarray]) -> Iterator[Row]:
     frequency = frequency - shift
     peer = Model(frf, frequency, lower=8.0 - shift, upper=60.0 - shift, pol_order_high=20, frf_form="accelerance")
     peer.get_poles(show_progress=False)
-    # Of its stabilisation chart the highest order, and in that the poles nearest to ours.
+    # Of its stabilization chart the highest order, and in that the poles nearest to ours.
     order = len(peer.pole_freq) - 1
     chosen = [
         int(np.argmin(abs(peer.pole_freq[order] + shift - f) + 1e3 * (peer.pole_xi[order] <= 0)))

@@ -5,7 +5,7 @@
   const LIGHT = { text: "#1b1f24", grid: "#d8dde3" };
   const DARK = { text: "#dfe4ea", grid: "#3a424c" };
   const MAX_WIDTH = 700; // px: the printable width of A4
-  // Anchors of a perceptually uniform colour map (viridis), dark to bright.
+  // Anchors of a perceptually uniform color map (viridis), dark to bright.
   const MAP = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
   const plots = [];
   const scheme = window.matchMedia("(prefers-color-scheme: dark)");
@@ -39,7 +39,7 @@
     return x.step === undefined ? column(x) : evenly(x);
   }
 
-  // One image element of a spectrogram panel, coloured by level.
+  // One image element of a spectrogram panel, colored by level.
   function picture(image) {
     const canvas = document.createElement("canvas");
     canvas.width = image.columns;
@@ -73,10 +73,10 @@
   // Labels of a logarithmic axis: decades; over less than two decades also values between.
   function decades(plot, splits, number) {
     const scale = plot.scales[plot.axes[number].scale], wide = Math.log10(scale.max / scale.min);
-    const labelled = wide > 2 ? [1] : wide > 1.2 ? [1, 2, 5] : [1, 2, 3, 5, 7];
+    const labeled = wide > 2 ? [1] : wide > 1.2 ? [1, 2, 5] : [1, 2, 3, 5, 7];
     return splits.map((value) => {
       const [mantissa] = value.toExponential(3).split("e");
-      return labelled.includes(Number(mantissa)) ? value : null;
+      return labeled.includes(Number(mantissa)) ? value : null;
     });
   }
 

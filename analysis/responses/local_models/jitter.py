@@ -35,7 +35,7 @@ def jitter_factor(rec: Recording, names: Sequence[str], hits: Sequence[tuple[int
     factor = np.zeros((0, len(names)))
     if not deviation:
         return factor
-    # Weights of a polynomial fit to neighbouring lines, from the hit to their first zero.
+    # Weights of a polynomial fit to neighboring lines, from the hit to their first zero.
     n_samples = size * (_FIT_ORDER + 1) // (2 * side + 1)
     weights = scipy.signal.savgol_coeffs(2 * side + 1, _FIT_ORDER)
     cosines = np.cos(2.0 * np.pi / size * np.arange(n_samples)[:, None] * np.arange(-side, side + 1))

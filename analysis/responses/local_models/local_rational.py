@@ -2,7 +2,7 @@
 
 Around every line the response is a quotient of two polynomials of low order. The transients at the two ends of a
 segment, which cause leakage, are another quotient with the same denominator. All polynomials are fitted to the
-neighbouring lines by least squares [1]_. No window widens the peaks, the response need not decay within the segment,
+neighboring lines by least squares [1]_. No window widens the peaks, the response need not decay within the segment,
 and the residuals of the fit determine the error bars.
 
 The transfer function of sensor, amplifier and coupling is known and is not fitted. The transients of slow high-pass
@@ -96,7 +96,7 @@ def local_fit(
 
     `ends`: phase of the first sample of each segment, if the transients at beginning and end are separate terms. It is
     1 at all bins if they are a single term, and 0 if the rig was at rest. `used`: measured part of the samples. The
-    remaining samples are zero padding, which correlates neighbouring lines. `others`, shape (inputs, segments, bins):
+    remaining samples are zero padding, which correlates neighboring lines. `others`, shape (inputs, segments, bins):
     true spectra of other inputs, each with its own numerator and the common denominator.
 
     >>> random = np.random.default_rng(1)
@@ -197,7 +197,7 @@ def _fit(
     excited = np.where(drive > _ZERO_POWER, drive, np.nan)[:, 0, 0]
     scale = size[:, 0, 0] / excited
     constant = unknown.numerator[:, 0]
-    # Zero padding correlates neighbouring lines and reduces the degrees of freedom.
+    # Zero padding correlates neighboring lines and reduces the degrees of freedom.
     equations = segments * width
     unknowns = terms.shared.shape[-1] + poles + (segments + len(begins)) * (order + 1 + len(reading.slow))
     free = max(used * equations - unknowns, 0.5)

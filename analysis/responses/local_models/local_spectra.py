@@ -159,7 +159,7 @@ class LocalSpectra:
 
     @property
     def shared(self) -> float:
-        """Return the number of neighbouring lines with a common error: each fit reduces its lines to a single value."""
+        """Return the number of neighboring lines with a common error: each fit reduces its lines to a single value."""
         step = float(np.median(np.diff(self.lines))) if self.lines.size > 1 else 1.0
         return max((2 * self.side + 1) / (3 * ORDER + 2) / step, 1.0)
 

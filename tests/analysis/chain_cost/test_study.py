@@ -51,7 +51,7 @@ def test_quiet_chain_approaches_exact_solution(study: ChainStudy) -> None:
     assert "linear equations" in study.reference
 
 
-def test_noise_error_grows_with_quantisation(study: ChainStudy) -> None:
+def test_noise_error_grows_with_quantization(study: ChainStudy) -> None:
     ratio = error(study, "noise", "ten times") / error(study, "noise", "the scene's")
     assert 3.0 < ratio < 30.0
     assert error(study, "bits", "12") > 10.0 * error(study, "bits", "24")

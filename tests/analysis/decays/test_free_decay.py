@@ -165,11 +165,11 @@ def test_three_dampers_have_true_damping(tmp_path):
         ideal_sensor = ChannelInfo("true", "body 2", "displacement", 1.0, rec.rate)
         true_acceleration = correct_motion(ideal_sensor, rec.truth("displacement")[1], "acceleration", 2.0, 800.0)
         [(_, last)] = hits(rec)
-    frequencies = np.array([mode.centre for mode in decay.modes])
+    frequencies = np.array([mode.center for mode in decay.modes])
     np.testing.assert_allclose(frequencies, [12.4, 34.7, 49.0], rtol=0.05)
     for index, mode in enumerate(decay.modes):
         width = band_width(frequencies, index)
-        expected = modal_decay(true_acceleration, rec.rate, mode.centre, width, last + 1, amplitudes=mode.amplitude)
+        expected = modal_decay(true_acceleration, rec.rate, mode.center, width, last + 1, amplitudes=mode.amplitude)
         assert mode.damping.size > 5 and within_bounds(mode, expected).mean() > 0.95
     # Above 1 g the dampers dissipate; below 1 g only the structural damping of 0.5 % remains, with the riding masses.
     assert max(mode.damping.max() for mode in decay.modes) > 0.02
@@ -191,11 +191,11 @@ def test_free_decay_agrees_with_noise_free_run(tmp_path, order):
     motion = rig.simulate(scene, duration=5.0, rate=5120.0)
     ideal_sensor = ChannelInfo("true", "body 3", "displacement", 1.0, 5120.0)
     true_acceleration = correct_motion(ideal_sensor, motion.displacement[2], "acceleration", 2.0, 800.0)
-    frequencies = np.array([mode.centre for mode in decay.modes])
+    frequencies = np.array([mode.center for mode in decay.modes])
     assert len(frequencies) >= 2
     for index, mode in enumerate(decay.modes):
         width = band_width(frequencies, index)
-        expected = modal_decay(true_acceleration, 5120.0, mode.centre, width, 0, amplitudes=mode.amplitude)
+        expected = modal_decay(true_acceleration, 5120.0, mode.center, width, 0, amplitudes=mode.amplitude)
         assert mode.damping.size > 5 and within_bounds(mode, expected).mean() > 0.95
 
 

@@ -212,7 +212,7 @@ def test_lines_are_sorted_by_frequency(tmp_path):
 @pytest.mark.parametrize("ending", ["uff", "csv"])
 def test_own_file_keeps_errors_and_modes(ending, tmp_path):
     value = accelerance()[:, 1:] / (2j * np.pi * FREQUENCY[1:]) ** 2
-    # As for a hammer with AC coupling: a common error of neighbouring lines is not visible as scatter.
+    # As for a hammer with AC coupling: a common error of neighboring lines is not visible as scatter.
     error = 1e-4 * abs(value).max() * (1.0 + 1e3 * np.exp(-FREQUENCY[1:] / 1.5))
     error = np.where(FREQUENCY[1:] < 15.0, error, 1e-9 * abs(value).max())
     drift = value + error * np.exp(0.3j * FREQUENCY[1:])

@@ -147,7 +147,7 @@ def test_overloaded_and_unsettled_points_warn(tmp_path):
     assert frf.frequency.tolist() == [30.0] and frf.unsteady.tolist() == [True]
 
 
-def test_unsettled_neighbours_form_ranges(tmp_path):
+def test_unsettled_neighbors_form_ranges(tmp_path):
     settled = np.ones(40, dtype=bool)
     settled[[3, *range(10, 31)]] = False
     marks = [

@@ -91,7 +91,7 @@ def set_number(browser, name, value):
 
 
 @pytest.mark.thorough
-def test_sweep_is_started_seen_recorded_and_analysed(bench, browser, tmp_path):
+def test_sweep_is_started_seen_recorded_and_analyzed(bench, browser, tmp_path):
     page, device, process = bench
     browser.get(page)
     wait_for(browser, lambda: part(browser, "state").text == "ready")

@@ -141,7 +141,7 @@ def test_lost_samples_do_not_count_as_extremes():
     assert extremes.body == extremes.spring == 1e-3
 
 
-def test_unmeasured_points_are_labelled():
+def test_unmeasured_points_are_labeled():
     view = RigView(SCENE, Extremes(), gaps_known=True, unknown=["body 2", "table"])
     names = {path: part for path, part in view.still_parts() if path.endswith("/name")}
     texts = {path: str(part.labels.as_arrow_array()) for path, part in names.items()}

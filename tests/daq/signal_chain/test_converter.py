@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from daq.signal_chain.converter import Quantiser
+from daq.signal_chain.converter import Quantizer
 from rig.errors import SceneError
 from rig.scene.data_sheets import data_sheets
 from rig.scene.measurement_chain import Accelerometer, Hammer
@@ -12,7 +12,7 @@ from tests.daq.dsp.analytic_motion import Path, at_rest, chain_of, motion_of, sc
 
 def test_count_is_range_over_codes():
     chain, _ = chain_of(scene_of("", converter="{bits: 16, range: 5 V}"))
-    converter = Quantiser(Settings(bits=16, range=5.0))
+    converter = Quantizer(Settings(bits=16, range=5.0))
     assert chain.channels[0].volts_per_count == 10.0 / 65536
     assert chain.channels[0].range == 5.0
     samples, overload = converter.convert(np.array([[0.0, 1.0, -5.0, 5.0, 4.99995, -7.0]]))
@@ -22,27 +22,27 @@ def test_count_is_range_over_codes():
 
 
 def test_range_without_bits_clips():
-    samples, overload = Quantiser(Settings(range=5.0)).convert(np.array([[1.25, -6.0]]))
+    samples, overload = Quantizer(Settings(range=5.0)).convert(np.array([[1.25, -6.0]]))
     assert samples.tolist() == [[1.25, -5.0]]
     assert overload.tolist() == [[False, True]]
 
 
 def test_ideal_converter_passes_volts():
     volts = np.array([[1e6, -3.3]])
-    samples, overload = Quantiser(Settings()).convert(volts)
+    samples, overload = Quantizer(Settings()).convert(volts)
     assert np.array_equal(samples, volts)
     assert not overload.any()
 
 
 def test_full_range_stays_in_32_bits():
-    samples, _ = Quantiser(Settings(bits=32, range=1.0)).convert(np.array([[2.0, -2.0]]))
+    samples, _ = Quantizer(Settings(bits=32, range=1.0)).convert(np.array([[2.0, -2.0]]))
     assert samples.tolist() == [[2**31 - 1, -(2**31)]]
 
 
 @pytest.mark.parametrize("bits", [8, 16, 24])
-def test_quantisation_noise_is_a_twelfth(bits):
+def test_quantization_noise_is_a_twelfth(bits):
     volts = 3.0 * np.sin(np.arange(400_000) * 0.1234567)[None]
-    converter = Quantiser(Settings(bits=bits, range=5.0))
+    converter = Quantizer(Settings(bits=bits, range=5.0))
     count = 10.0 / 2.0**bits
     error = converter.convert(volts)[0] * count - volts
     assert error.var() == pytest.approx(count**2 / 12, rel=0.02)
@@ -80,7 +80,7 @@ def test_clock_error_separates_true_rate():
 
 def test_dropped_blocks_are_listed():
     blocks = [{"at": 0.2, "samples": 10}, {"at": 0.1, "samples": 5}, {"at": 0.1005, "samples": 6}]
-    assert Quantiser(Settings(rate=1000.0, dropped_blocks=blocks)).lost == ((100, 105), (200, 209))
+    assert Quantizer(Settings(rate=1000.0, dropped_blocks=blocks)).lost == ((100, 105), (200, 209))
 
 
 def test_preset_module_figures_apply():

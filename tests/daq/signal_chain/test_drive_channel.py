@@ -44,7 +44,7 @@ def test_each_drive_channel_reads_its_output() -> None:
     assert result[1, 1:] == pytest.approx(averaged(volts[1]), abs=1e-12)
 
 
-def test_output_module_clips_and_quantises() -> None:
+def test_output_module_clips_and_quantizes() -> None:
     volts = np.array([[0.1001, 12.0, -12.0, 0.0]])
     text = "shaker: {kind: force, body: 1, output: {preset: NI 9263}}\nchannels: [{name: drive, at: drive}]\n"
     result, _ = read(text, np.repeat(volts, 2, axis=1))

@@ -96,7 +96,7 @@ def test_quantity_is_detected_inside_unions():
     assert quantity_of(float | None) is None
 
 
-def test_shown_value_is_short_and_recognisable():
+def test_shown_value_is_short_and_recognizable():
     assert [format_value(value) for value in (None, {}, {"a": 1, "b": 2}, "x", 1.5)] == [
         "nothing",
         "no keys",

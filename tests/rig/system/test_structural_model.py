@@ -33,7 +33,7 @@ def test_uniform_chain_frequencies_are_closed_form() -> None:
     np.testing.assert_allclose(frequencies, expected, rtol=1e-11)
 
 
-def test_spring_joins_neighbouring_bodies() -> None:
+def test_spring_joins_neighboring_bodies() -> None:
     np.testing.assert_array_equal(
         chain_matrix(SPRINGS), [[46100.0, -21800.0, 0.0], [-21800.0, 41600.0, -19800.0], [0.0, -19800.0, 19800.0]]
     )

@@ -1,4 +1,4 @@
-"""Driver behaviour that scripts for hardware rely on, in addition to reads and writes."""
+"""Driver behavior that scripts for hardware rely on, in addition to reads and writes."""
 
 import numpy as np
 import pytest

@@ -119,7 +119,7 @@ def with_disturbances(
     return bigger, start
 
 
-def discretise(circuit: Circuit, gain: float, rate: float, integrals: int, entries: Sequence[Entry]) -> Tables:
+def discretize(circuit: Circuit, gain: float, rate: float, integrals: int, entries: Sequence[Entry]) -> Tables:
     """Return the tables of a circuit behind a gain in V per unit, with moments of the output (1: the average)."""
     states = circuit.c.size
     width = states + integrals

@@ -1,10 +1,10 @@
-"""Effect of grain stiffness and time step on the steady motion of a bed, with its scatter over packings.
+"""Effect of grain stiffness and time step on the steady motion of a bed of grains, with its scatter over packings.
 
     python -m tests.benchmarks.bed_convergence
 
-A body of one mode at 50 Hz has a bed of a tenth of its mass: two layers in free flight, four layers that hit a ceiling,
-and six layers just after separation, which depend most on their elasticity. Grains and structure are coupled at every
-time step, so that the step is also the coupling interval. Each setting takes six minutes of one core.
+A single-mode structure at 50 Hz has a bed of a tenth of its mass: two layers in free flight, four layers that hit a
+ceiling, and six layers just after separation, whose motion depends most on their elasticity. Grains and structure are
+coupled at every time step. Each setting takes six minutes of one core.
 """
 
 from __future__ import annotations
@@ -20,49 +20,55 @@ from rig.grain_beds.spheres import rayleigh_time
 from rig.scene.damper import Grains
 from rig.scene.scene import STANDARD_GRAVITY, Scene
 
+# Seeds of the random packings.
 PACKINGS = (1, 2, 3)
-# Periods per block, and number of blocks.
-BLOCK = 20
-MAX_BLOCKS = 3
-#: Frequency, Hz; force over the body's weight; clearance, m; layers.
+BLOCK_PERIODS = 20
+BLOCKS = 3
+#: Frequency, Hz; force relative to the body's weight; clearance, m; number of layers.
 SETTINGS = ((48.5, 0.15, math.inf, 2), (49.0, 0.2, 0.98e-3, 4), (47.5, 0.08, 3e-3, 6))
 RESONANCE_HZ = 50.0
-#: Stiffness over that of the study, and step in Rayleigh times.
+#: Modulus of the grains relative to the bed study; time step in Rayleigh times. The first is the reference.
 VARIANTS = ((1.0, 0.06), (0.5, 0.06), (2.0, 0.06), (1.0, 0.03), (1.0, 0.12))
 
 
 def resonant_scene(force: float, clearance: float, layers: int, packing: int, modulus: float, step: float) -> Scene:
-    """Return a scene with a bed of the study in a resonant body."""
+    """Return a scene with a bed of the bed study in a body of ten times its mass on a spring.
+
+    `force`: relative to the body's weight; `clearance`: m; `modulus`: Pa; `step`: Rayleigh times.
+    """
     grains = Grains(diameter=2e-3, modulus=modulus)
     time_step = step * rayleigh_time(grains, grains.density)
     scene = scene_of_bed(Setting(1.0, clearance, layers, packing), modulus=modulus, time_step=time_step)
-    bed = scene.dampers[0].mass
-    assert bed is not None
-    body = 10.0 * bed
+    bed_mass = scene.dampers[0].mass
+    assert bed_mass is not None
+    body_mass = 10.0 * bed_mass
     return scene.replace(
         structure={
-            "masses": [body], "springs": [body * (2.0 * math.pi * RESONANCE_HZ) ** 2], "damping": {"modal": 0.005},
+            "masses": [body_mass],
+            "springs": [body_mass * (2.0 * math.pi * RESONANCE_HZ) ** 2],
+            "damping": {"modal": 0.005},
         },
-        test={"kind": "sine", "frequency": RESONANCE_HZ, "force": force * body * STANDARD_GRAVITY},
-    )  # fmt: skip
+        test={"kind": "sine", "frequency": RESONANCE_HZ, "force": force * body_mass * STANDARD_GRAVITY},
+    )
 
 
 def main() -> None:
-    """Print means over packings, their standard errors, and the deviation of each variant from the first."""
+    """Print means over packings, their standard errors, and the deviation of each variant from the reference."""
     names = ("compliance", "floor impulse", "energy")
     for (frequency, force, clearance, layers), (stiffness, step) in product(SETTINGS, VARIANTS):
         values = []
         for packing in PACKINGS:
             scene = resonant_scene(force, clearance, layers, packing, stiffness * MODULUS_PA, step)
-            motion = steady_grains(scene, frequency, BLOCK, MAX_BLOCKS, min_blocks=MAX_BLOCKS)
+            motion = steady_grains(scene, frequency, BLOCK_PERIODS, BLOCKS, min_blocks=BLOCKS)
             values.append([abs(motion.compliance[0]), motion.floor_impulse[0], motion.energy[0]])
         if (stiffness, step) == VARIANTS[0]:
             reference = np.array(values)
-        mean, standard_error = (np.mean(values, axis=0), np.std(values, axis=0, ddof=1) / math.sqrt(len(values)))
+        mean = np.mean(values, axis=0)
+        standard_error = np.std(values, axis=0, ddof=1) / math.sqrt(len(values))
         deviation = mean / reference.mean(axis=0) - 1.0
         results = (
-            f"{name} {a:.4g} ±{100 * b / a:.1f} % ({100 * c:+.1f} %)"
-            for name, a, b, c in zip(names, mean, standard_error, deviation, strict=True)
+            f"{name} {value:.4g} ±{100 * error / value:.1f} % ({100 * relative:+.1f} %)"
+            for name, value, error, relative in zip(names, mean, standard_error, deviation, strict=True)
         )
         print(f"{layers} layers, {stiffness * MODULUS_PA / 1e6:g} MPa, step {step:g}: {', '.join(results)}", flush=True)
 

@@ -1,4 +1,6 @@
-"""Speed of the measurement chain, effect by effect and in total: `python -m tests.benchmarks.chain`.
+"""Speed of the measurement chain (sensors and converter) with more and more effects.
+
+    python -m tests.benchmarks.chain
 
 Times are CPU times of one thread. Set OPENBLAS_NUM_THREADS=1: otherwise idle threads of BLAS are included.
 """
@@ -12,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import rig
 from daq.recording.recorder import Recorder
@@ -23,12 +26,12 @@ from rig.simulation.plant import Plant
 
 RATE = 51200.0  # samples per second
 SECONDS = 4
-BLOCK = 5120  # samples
+BLOCK_SAMPLES = 5120
 # Long enough that the 10 ms for opening and closing a recording are negligible.
 RECORDED_SECONDS = 20
 PLACES = ("body 1", "body 2", "body 3", "table")
 
-# Keys that each step adds to accelerometer, integrator and converter.
+# Name of the effects that each step adds, and the keys that it adds to accelerometer, integrator and converter.
 EFFECT_STEPS: tuple[tuple[str, dict[str, Any], dict[str, Any] | None, dict[str, Any]], ...] = (
     ("ideal", {}, None, {}),
     ("resonance, low cut-off", {"resonance": "30 kHz", "low_cutoff": "0.5 Hz"}, None, {}),
@@ -58,7 +61,7 @@ EFFECT_STEPS: tuple[tuple[str, dict[str, Any], dict[str, Any] | None, dict[str, 
 
 
 def scenes_with_effects(scene: Scene) -> Iterator[tuple[str, Scene]]:
-    """Yield the scene with an increasing number of effects."""
+    """Yield the name of the last added effect, and the scene with all effects up to it."""
     sensor: dict[str, Any] = {}
     integrator: dict[str, Any] | None = None
     converter: dict[str, Any] = {"rate": RATE}
@@ -75,23 +78,31 @@ def scenes_with_effects(scene: Scene) -> Iterator[tuple[str, Scene]]:
 
 def full_scene() -> Scene:
     """Return a scene with three dampers and an electrodynamic shaker, measured with all effects."""
-    return [step for _, step in scenes_with_effects(rig.load("fig8-three-dampers"))][-1]
+    *_, (_, scene) = scenes_with_effects(rig.load("fig8-three-dampers"))
+    return scene
+
+
+def tone_block(first: int) -> NDArray[np.float64]:
+    """Return a block of the drive voltage from a sample on: 3 V at 34.8 Hz, near the second mode."""
+    return 3.0 * np.sin(2 * np.pi * 34.8 / RATE * np.arange(first, first + BLOCK_SAMPLES))[None]
 
 
 def measure() -> Iterator[str]:
-    """Yield a line for each step: time per channel and sample, and speed of four channels relative to real time."""
-    scene = rig.load("fig8-three-dampers")
-    for name, step in scenes_with_effects(scene):
-        rate = step.converter.true_rate
+    """Yield a line for each step: time per channel and sample, and speed of four channels relative to real time.
+
+    A break is a jump of a motion between two samples, at an impact.
+    """
+    for name, scene in scenes_with_effects(rig.load("fig8-three-dampers")):
+        rate = scene.converter.true_rate
         shortest = np.inf
         # The first pass compiles.
         for _ in range(4):
-            plant = Plant(step, rate)
-            chain = Chain(step, rate, plant.points, plant.inputs)
-            converter = Quantizer(step.converter)
+            plant = Plant(scene, rate)
+            chain = Chain(scene, rate, plant.points, plant.inputs)
+            converter = Quantizer(scene.converter)
             elapsed, breaks = 0.0, 0
-            for first in range(0, round(SECONDS * RATE), BLOCK):
-                drive = 3.0 * np.sin(2 * np.pi * 34.8 / RATE * np.arange(first, first + BLOCK))[None]
+            for first in range(0, round(SECONDS * RATE), BLOCK_SAMPLES):
+                drive = tone_block(first)
                 motion = plant.advance(drive)
                 breaks += motion.break_sample.size
                 start = time.process_time()
@@ -104,9 +115,9 @@ def measure() -> Iterator[str]:
             f"{breaks / SECONDS:.0f} breaks a second"
         )
     scene = full_scene()
-    for name, display in (("all, and recorded", False), ("all, recorded with display", True)):
+    for name, display in (("all effects, recorded", False), ("all effects, recorded with display", True)):
         elapsed = min(recording_time(scene.replace(recording={"display": display})) for _ in range(4))
-        yield f"{name:36s} motion and all: {RECORDED_SECONDS / elapsed:5.1f} times real time"
+        yield f"{name:36s} simulation included: {RECORDED_SECONDS / elapsed:5.1f} times real time"
 
 
 def recording_time(scene: Scene) -> float:
@@ -115,9 +126,8 @@ def recording_time(scene: Scene) -> float:
     with tempfile.TemporaryDirectory() as folder:
         start = time.process_time()
         with Recorder(Path(folder) / "chain.mcap", scene, bench.channels, bench.rate) as recorder:
-            for first in range(0, round(RECORDED_SECONDS * RATE), BLOCK):
-                drive = 3.0 * np.sin(2 * np.pi * 34.8 / RATE * np.arange(first, first + BLOCK))[None]
-                recorder.write(bench.acquire(drive).samples)
+            for first in range(0, round(RECORDED_SECONDS * RATE), BLOCK_SAMPLES):
+                recorder.write(bench.acquire(tone_block(first)).samples)
         return time.process_time() - start
 
 

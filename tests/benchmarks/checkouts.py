@@ -1,4 +1,4 @@
-"""Earlier commits in separate folders, for comparison with this checkout."""
+"""Checkouts of other commits in separate folders, for comparison with this checkout."""
 
 from __future__ import annotations
 

@@ -1,6 +1,8 @@
-"""A design on one and on two workers of a Dask cluster: speed, equality of the files, size and cost of a task.
+"""`rig design` on one and on two workers of a Dask cluster: speed, equality of the files, size and cost of a task.
 
-``python -m tests.benchmarks.cluster [SCENE]``: some minutes; the machine should have nothing else to do.
+    python -m tests.benchmarks.cluster [SCENE]
+
+It takes some minutes on an otherwise idle machine.
 """
 
 from __future__ import annotations
@@ -21,13 +23,13 @@ from rig.workers import Workers
 EMPTY_TASKS = 3000
 
 
-def empty_task(piece: object) -> int:
-    """Return at once; the input has a realistic size."""
+def empty_task(task_input: object) -> int:
+    """Return at once: a task whose input has a realistic size."""
     return 0
 
 
 def design_on_cluster(scene: str, workers: int, folder: Path) -> tuple[float, dict[str, bytes]]:
-    """Design on a number of workers; return the seconds from their start, and the files."""
+    """Design on a number of workers; return the elapsed time [s], and the written files by name."""
     from distributed import LocalCluster
 
     folder.mkdir()
@@ -46,32 +48,28 @@ def main() -> int:
     choice = Choice(space.locations[0], (space.mass,), space.clearance[:1])
     question = request.parts[0]
     task_input = question, choice
-    print(f"a task and its piece: {len(pickle.dumps((empty_task, task_input)))} bytes; ", end="")
+    print(f"a task and its input: {len(pickle.dumps((empty_task, task_input)))} bytes; ", end="")
     print(f"its result: {len(pickle.dumps(question.worst(choice)))} bytes")
     start = time.process_time()
     for place in space.locations:
         request.worst(Choice(place, (space.mass,), space.clearance[1:]))
-    print(f"it computes for {(time.process_time() - start) / len(space.locations) / len(request.parts):.2f} s")
+    task_time = (time.process_time() - start) / len(space.locations) / len(request.parts)
+    print(f"CPU time of a task: {task_time:.2f} s")
     with Workers("local") as workers:
         list(workers.compute(empty_task, [task_input]))
-        # The scheduler is in this process.
+        # The scheduler runs in this process, so that its time is included.
         start = time.process_time()
         list(workers.compute(empty_task, [task_input] * EMPTY_TASKS))
         print(f"scheduler and client: {1e3 * (time.process_time() - start) / EMPTY_TASKS:.2f} ms of CPU a task")
     with tempfile.TemporaryDirectory() as folder:
         single_time, single_files = design_on_cluster(name, 1, Path(folder) / "one")
         double_time, double_files = design_on_cluster(name, 2, Path(folder) / "two")
-    is_equal = single_files == double_files
+    different = [name for name in single_files if single_files[name] != double_files.get(name)]
     print(
-        f"one worker {single_time:.0f} s, two {double_time:.0f} s: {single_time / double_time:.2f} times as fast, ",
-        end="",
+        f"one worker {single_time:.0f} s, two {double_time:.0f} s: {single_time / double_time:.2f} times as fast, "
+        f"{f'files differ: {different}' if different else 'equal files'}"
     )
-    print(
-        "the same files"
-        if is_equal
-        else f"files differ: {[n for n in single_files if single_files[n] != double_files.get(n)]}"
-    )
-    return int(not is_equal)
+    return int(single_files != double_files)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""Times of commands, absolute and relative to a recording: `python -m tests.benchmarks.command_times`.
+"""Times of commands, absolute and relative to a reference recording: `python -m tests.benchmarks.command_times`.
 
 Each command runs in a separate process with compiled code in the cache, as at a user's second call. The reference is
 `daq record fig8-three-dampers` with the code of an earlier commit and the third-party packages of this environment.
-Commands that a user waits for on all cores have a limit of elapsed time, the others of processor time. The last rows
-are the first calls on a machine, with an empty cache of compiled code.
+Commands that use all cores have a limit of elapsed time, the others of processor time. The last rows are the first
+calls on a machine, with an empty cache of compiled code.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from typing import NamedTuple
 
 from tests.benchmarks.checkouts import temporary_checkout
 
-REFERENCE = "789067b"
+REFERENCE_COMMIT = "789067b"
 SCENE = "fig8-three-dampers"
-# In a command: a folder that is new in each run, because commands of studies continue an earlier run.
+# Placeholder in a command for a folder that is new in each run: otherwise a study would continue an earlier run.
 NEW_FOLDER = "{new}"
 # Calls that compile, in this order: the engine, two dampers in one body, a periodic orbit.
 FIRST_CALLS = {
@@ -49,10 +49,10 @@ class Times(NamedTuple):
 
 @dataclass(frozen=True)
 class Command:
-    """A command and its largest time.
+    """A command and the limits of its time.
 
-    `max_ratio`: processor time relative to that of the reference recording; `max_seconds`: processor time;
-    `max_elapsed`: elapsed time, s. `runs`: number of measured runs.
+    `max_ratio`: limit of the processor time relative to the reference recording; `max_seconds`: of the processor time,
+    s; `max_elapsed`: of the elapsed time, s. `runs`: number of measured runs.
     """
 
     words: tuple[str, ...]
@@ -63,13 +63,16 @@ class Command:
 
     @property
     def name(self) -> str:
-        """The command without the options of its output."""
+        """The command without its output options."""
         has_new_folder = any(NEW_FOLDER in word for word in self.words)
         end = self.words.index("-o") if has_new_folder else len(self.words)
         return " ".join(word for word in self.words[:end] if word != "--overwrite")
 
-    def missed(self, times: Times, reference: float) -> str | None:
-        """Return the limit that is exceeded, "" if none is, and None without a limit; `reference` is a time in s."""
+    def exceeded_limits(self, times: Times, reference: float) -> str | None:
+        """Return the exceeded limits as text, "" if there are none, None without limits.
+
+        `reference`: processor time of the reference recording, s.
+        """
         limits = (
             (self.max_ratio, times.processor / reference, ""),
             (self.max_seconds, times.processor, " s"),
@@ -79,8 +82,8 @@ class Command:
         exceeded = [f"{limit:.3g}{unit}" for limit, value, unit in given if value > limit]
         return ", ".join(exceeded) if given else None
 
-    def goal(self) -> str:
-        """Return the limits as text."""
+    def all_limits(self) -> str:
+        """Return all limits as text."""
         limits = ((self.max_ratio, ""), (self.max_seconds, " s"), (self.max_elapsed, " s elapsed"))
         return ", ".join(f"{limit:.3g}{unit}" for limit, unit in limits if limit is not None)
 
@@ -131,7 +134,7 @@ def environment_of(code: Path, **variables: str) -> dict[str, str]:
 
 
 def shortest_times(words: Sequence[str], folder: Path, code: Path, runs: int = 2) -> Times:
-    """Return the shortest times of some runs with the code of a folder, after one run that fills the cache."""
+    """Return the shortest times of some runs with the code of a folder, after a run that fills the cache."""
     environment, times = environment_of(code), []
     for _ in range(1 + runs):
         new = str(Path(tempfile.mkdtemp(dir=folder)) / "new")
@@ -145,14 +148,14 @@ def table_row(command: Command, times: Times, reference: float) -> str:
 
     >>> command = Command(("daq", "info", "a.mcap"), max_seconds=0.3)
     >>> table_row(command, Times(0.45, 0.5), 10.0)
-    'daq info a.mcap                                              0.45   0.045     0.50  MISSED (0.3 s)'
+    'daq info a.mcap                                              0.45   0.045     0.50  ABOVE 0.3 s'
     >>> table_row(Command(("rig", "map", "fig9", "-o", NEW_FOLDER), max_elapsed=5.0), Times(8.0, 4.5), 10.0)
-    'rig map fig9                                                 8.00   0.800     4.50  reached (5 s elapsed)'
+    'rig map fig9                                                 8.00   0.800     4.50  within 5 s elapsed'
     """
-    missed = command.missed(times, reference)
-    goal = "" if missed is None else f"{'MISSED' if missed else 'reached'} ({missed or command.goal()})"
+    exceeded = command.exceeded_limits(times, reference)
+    verdict = "" if exceeded is None else f"ABOVE {exceeded}" if exceeded else f"within {command.all_limits()}"
     processor, elapsed = times
-    return f"{command.name[:55]:55s} {processor:9.2f} {processor / reference:7.3f} {elapsed:8.2f}  {goal}".rstrip()
+    return f"{command.name[:55]:55s} {processor:9.2f} {processor / reference:7.3f} {elapsed:8.2f}  {verdict}".rstrip()
 
 
 def first_calls(folder: Path, code: Path) -> Iterator[tuple[Command, Times]]:
@@ -172,18 +175,20 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "recordings").symlink_to(repository / "recordings")
-        with temporary_checkout(REFERENCE, folder / "reference") as reference_code:
+        with temporary_checkout(REFERENCE_COMMIT, folder / "reference") as reference_code:
             record = ("daq", "record", SCENE, "-o", "r.mcap", "--overwrite")
             reference = shortest_times(record, folder, reference_code).processor
-        print(f"daq record {SCENE} at {REFERENCE}: {reference:.2f} s of processor time")
-        print(f"{'command':55s} {'CPU / s':>9s} {'ratio':>7s} {'wall / s':>8s}  goal")
-        measured = ((each, shortest_times(each.words, folder, repository, each.runs)) for each in COMMANDS)
-        missed = []
-        for command, times in chain(measured, first_calls(folder, repository)):
+        print(f"daq record {SCENE} at {REFERENCE_COMMIT}: {reference:.2f} s of processor time")
+        print(f"{'command':55s} {'CPU / s':>9s} {'ratio':>7s} {'wall / s':>8s}  limit")
+        warm_calls = (
+            (command, shortest_times(command.words, folder, repository, command.runs)) for command in COMMANDS
+        )
+        too_slow = []
+        for command, times in chain(warm_calls, first_calls(folder, repository)):
             print(table_row(command, times, reference), flush=True)
-            if command.missed(times, reference):
-                missed.append(command.name)
-        print(f"missed: {', '.join(missed) or 'none'}")
+            if command.exceeded_limits(times, reference):
+                too_slow.append(command.name)
+        print(f"above their limits: {', '.join(too_slow) or 'none'}")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""Comparison of two commits in alternating runs: `python -m tests.benchmarks.compare A B`.
+"""Processor times of two commits, compared in alternating runs: `python -m tests.benchmarks.compare A B`.
 
-Both are measured with the benchmark of this checkout and in its environment. A time differs if all runs of one commit
-took longer than all runs of the other. With five runs each, this happens by chance for one in 126 times.
+Both commits run `compared_times` of this checkout in its environment. A time is faster or slower if all runs of one
+commit took longer than all runs of the other. With five runs each, chance alone does this for one time in 126.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ def verdict(before: list[float], after: list[float]) -> str:
 
 
 def main(first: str, second: str) -> None:
-    """Measure both in turns and print a table."""
-    with tempfile.TemporaryDirectory() as name, ExitStack() as checkouts:
-        folder = Path(name)
+    """Measure both commits in turns and print a table."""
+    with tempfile.TemporaryDirectory() as directory, ExitStack() as checkouts:
+        folder = Path(directory)
         runs: list[list[dict[str, float]]] = [[], []]
         code_folders = [
-            checkouts.enter_context(temporary_checkout(commit, folder / name_))
-            for name_, commit in (("a", first), ("b", second))
+            checkouts.enter_context(temporary_checkout(commit, folder / name))
+            for name, commit in (("a", first), ("b", second))
         ]
         for number in range(ROUNDS):
             for code, results in zip(code_folders, runs, strict=True):

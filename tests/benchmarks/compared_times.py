@@ -1,8 +1,8 @@
-"""Processor times of tasks, each next to a reference time: `python -m tests.benchmarks.compared_times FILE.json`.
+"""Processor times of tasks next to reference times: `python -m tests.benchmarks.compared_times [--quick] FILE.json`.
 
 Times are processor times, including child processes, because wall-clock times on a shared machine depend on its load.
-The reference is the real time of a test, the import of numpy, or the required time of a study. `--quick` omits the
-studies, the compilation of a first run, and the analysis of a long recording.
+The reference is the real time of a test, the import of numpy, or the largest acceptable time of a study. `--quick`
+omits the studies, the compilation of a first run, and the analysis of a long recording.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ import daq
 import rig
 from tests.benchmarks.engine import engine_period, tone_of
 
+# Places of the four accelerometers.
 PLACES = ("body 1", "body 2", "body 3", "table")
+# Settings of the converter and of all accelerometers.
 DATA_SHEET_PARTS = {"converter": {"preset": "NI 9234", "rate": "51.2 kHz"}, "accelerometer": {"preset": "PCB 352C33"}}
 PARTS_WITH_ALL_EFFECTS = {
     "converter": {
@@ -37,7 +39,7 @@ PARTS_WITH_ALL_EFFECTS = {
         "overload_recovery": "10 ms",
     },
 }  # fmt: skip
-# Required processor times of studies, summed over both cores, s.
+# Largest acceptable processor times of studies, summed over all cores, s.
 MAX_STUDY_SECONDS = {
     "rig map fig9 --points 60 --rows 40": 20.0,
     "rig cost fig9": 20.0,
@@ -47,20 +49,22 @@ MAX_STUDY_SECONDS = {
 
 
 class ComparedTime(NamedTuple):
-    """Name and processor time of a task, and name and time of its reference, s."""
+    """Name and processor time of a task, and name and time of its reference."""
 
     name: str
     seconds: float
-    peer: str
-    peer_seconds: float
+    reference: str
+    reference_seconds: float
 
     def __str__(self) -> str:
-        ratio = self.peer_seconds / self.seconds
-        return f"{self.name:52s} {self.seconds:10.4g} s   {ratio:8.3g} x {self.peer} ({self.peer_seconds:.3g} s)"
+        speed = self.reference_seconds / self.seconds
+        return (
+            f"{self.name:52s} {self.seconds:10.4g} s   {speed:8.3g} x {self.reference} ({self.reference_seconds:.3g} s)"
+        )
 
 
 def command_time(*words: str, repeats: int = 1, folder: Path | None = None, **environment: str) -> float:
-    """Return the shortest processor time of a command, s."""
+    """Return the shortest processor time of some runs of a Python command, s."""
     times, variables = [], os.environ | environment
     for _ in range(repeats):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -71,7 +75,7 @@ def command_time(*words: str, repeats: int = 1, folder: Path | None = None, **en
 
 
 def random_test_at_51_200_hz(parts: dict[str, Any]) -> rig.Scene:
-    """Return the rig with three dampers with 2 ms contact, under random drive, measured with the given parts."""
+    """Return a random test of three dampers with 2 ms contact, with the given converter and accelerometer."""
     channels = [{"name": at.replace(" ", ""), "at": at, "accelerometer": parts["accelerometer"]} for at in PLACES]
     damper = {"mass_ratio": 0.1, "clearance": float("inf"), "contact": {"duration": "2 ms"}}
     return rig.load("fig8-three-dampers").replace(
@@ -84,7 +88,7 @@ def random_test_at_51_200_hz(parts: dict[str, Any]) -> rig.Scene:
 
 
 def recording_time(name: str, scene: rig.Scene, folder: Path) -> ComparedTime:
-    """Measure the recording of a test after compilation and import."""
+    """Measure the recording of a test; the first of four runs imports and compiles, and does not count."""
     shortest, duration = float("inf"), 0.0
     for number in range(4):
         path, before = folder / f"{number}.mcap", resource.getrusage(resource.RUSAGE_SELF)
@@ -130,7 +134,7 @@ def engine_periods() -> Iterator[ComparedTime]:
 
 
 def analyses() -> Iterator[ComparedTime]:
-    """Measure an analysis of ten minutes."""
+    """Measure the analysis of a recording of ten minutes."""
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         scene = random_test_at_51_200_hz(DATA_SHEET_PARTS)
@@ -142,7 +146,7 @@ def analyses() -> Iterator[ComparedTime]:
             with daq.open(path) as recording:
                 analysis.frfs(recording)
             times.append(time.process_time() - start)
-        yield ComparedTime("FRFs of ten minutes at 4 x 51.2 kS/s", min(times), "required time", 2.0)
+        yield ComparedTime("FRFs of ten minutes at 4 x 51.2 kS/s", min(times), "acceptable time", 2.0)
 
 
 def studies() -> Iterator[ComparedTime]:
@@ -152,7 +156,7 @@ def studies() -> Iterator[ComparedTime]:
         for words, max_seconds in MAX_STUDY_SECONDS.items():
             program, *rest = words.split()
             yield ComparedTime(
-                words, command_time("-m", program, *rest, folder=Path(folder)), "required time", max_seconds
+                words, command_time("-m", program, *rest, folder=Path(folder)), "acceptable time", max_seconds
             )
 
 
@@ -164,7 +168,7 @@ def first_runs() -> Iterator[ComparedTime]:
             command_time("-m", *words, NUMBA_CACHE_DIR=folder)
             for words in (("rig", "simulate", "reference-A"), ("daq", "record", *sweep))
         )
-        yield ComparedTime("first rig simulate and daq record", sum(seconds), "required time", 30.0)
+        yield ComparedTime("first rig simulate and daq record", sum(seconds), "acceptable time", 30.0)
 
 
 def main(words: list[str]) -> None:

@@ -1,11 +1,11 @@
-"""Beds of grains by an independent discrete-element program, compared with LAMMPS as coupled by rig.
+"""Beds of grains simulated by an independent discrete-element program, compared with LAMMPS as used by `rig`.
 
     python -m tests.benchmarks.discrete_elements
 
-The program only uses the contact laws: Hertz with the dashpot of the restitution, Mindlin with Coulomb's limit, and
-walls of the same material. The motion of the floor is prescribed. Both programs start from the same packings, because
-the motion below a ceiling depends on the height of the bed to a hundredth of a diameter. The comparison takes a quarter
-of an hour on one core.
+The independent program below shares only the contact laws: normal force by Hertz with a dashpot for the restitution,
+tangential force by Mindlin with Coulomb's limit, and walls of the same material. Its floor has the motion of the
+structure in `rig`. Both programs start from the same packings, because the motion below a ceiling depends on the height
+of the bed to a hundredth of a diameter. The comparison takes a quarter of an hour on one core.
 """
 
 from __future__ import annotations
@@ -25,35 +25,37 @@ from rig.grain_beds.spheres import Spheres, rayleigh_time, spheres_of
 from rig.scene.excitation import Sine
 from rig.scene.scene import STANDARD_GRAVITY
 
-#: Acceleration in g, clearance in m, layers, and periods of a block. There are three blocks, of which the last two are
-#: averaged. Deep beds below a high ceiling need many periods to become steady.
+#: Acceleration, g; clearance, m; layers; periods of a block. Of three blocks the last two are averaged. Deep beds below
+#: a high ceiling need many periods to become steady.
 SETTINGS = (
     (3.0, math.inf, 6, 20), (2.5, math.inf, 4, 20), (3.0, 0.3e-3, 2, 20), (4.5, 0.15e-3, 2, 20), (5.5, 0.5e-3, 4, 20),
     (7.0, 2e-3, 6, 60),
 )  # fmt: skip
+#: Seeds of the random packings.
 PACKINGS = (1, 2, 3)
 #: Time step in Rayleigh times.
 STEP_RAYLEIGH_TIMES = 0.1
-#: Distance up to which spheres are neighbors, in radii.
+#: Largest gap between neighboring spheres, in radii.
 SKIN_RADII = 0.3
+#: Indices of the walls.
 FLOOR, CEILING, SIDE = range(3)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def contact_force(
-    normal: Array, overlap: float, radius: float, mass: float, relative: Array, spin: Array, displacement: Array,
-    law: Array, friction: float, step: float, force: Array, shear: Array,
+    normal: Array, overlap: float, radius: float, mass: float, velocity: Array, spin: Array, displacement: Array,
+    law: Array, friction: float, step: float, force: Array, tangential_force: Array,
 ) -> None:  # fmt: skip
-    """Compute the force of a contact and its tangential part, and update its tangential displacement.
+    """Compute the force of a contact and its tangential part, N, and update its tangential displacement, m.
 
-    `relative`: relative velocity of the centers; `spin`: sum of the lever arms times the spins; `law`: effective normal
-    and shear modulus, damping of the restitution.
+    `radius`, `mass`: effective radius and mass; `velocity`: relative velocity of the centers; `spin`: sum of the lever
+    arms times the angular velocities; `law`: effective normal and shear modulus, damping ratio of the restitution.
     """
-    closing = relative @ normal
+    normal_velocity = velocity @ normal
     contact_radius = math.sqrt(radius * overlap)
     dashpot = 2.0 * math.sqrt(5.0 / 6.0) * law[2] * math.sqrt(2.0 * law[0] * contact_radius * mass)
-    normal_force = 4.0 / 3.0 * law[0] * contact_radius * overlap - dashpot * closing
-    sliding_velocity = relative - closing * normal - np.cross(spin, normal)
+    normal_force = 4.0 / 3.0 * law[0] * contact_radius * overlap - dashpot * normal_velocity
+    sliding_velocity = velocity - normal_velocity * normal - np.cross(spin, normal)
     # The tangential displacement rotates with the contact at constant length.
     previous_length = math.sqrt(displacement @ displacement)
     displacement -= (displacement @ normal) * normal
@@ -62,83 +64,89 @@ def contact_force(
         displacement *= previous_length / length
     displacement += sliding_velocity * step
     stiffness = 8.0 * law[1] * contact_radius
-    shear[:] = -stiffness * displacement - dashpot * sliding_velocity
-    shear_force, friction_limit = math.sqrt(shear @ shear), friction * abs(normal_force)
-    if shear_force > friction_limit:
-        shear *= friction_limit / shear_force
-        displacement[:] = -(shear + dashpot * sliding_velocity) / stiffness
-    force[:] = normal_force * normal + shear
+    tangential_force[:] = -stiffness * displacement - dashpot * sliding_velocity
+    magnitude, friction_limit = math.sqrt(tangential_force @ tangential_force), friction * abs(normal_force)
+    if magnitude > friction_limit:
+        tangential_force *= friction_limit / magnitude
+        displacement[:] = -(tangential_force + dashpot * sliding_velocity) / stiffness
+    force[:] = normal_force * normal + tangential_force
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def pair_forces(
-    at: Array, speed: Array, spin: Array, radius: float, mass: float, law: Array, friction: float, step: float,
-    pairs: NDArray[np.int64], stretch: Array, force: Array, torque: Array,
+def add_pair_forces(
+    positions: Array, velocity: Array, spin: Array, radius: float, mass: float, law: Array, friction: float,
+    step: float, pairs: NDArray[np.int64], displacements: Array, force: Array, torque: Array,
 ) -> None:  # fmt: skip
-    """Add the forces and torques of pairs of spheres."""
-    force_ij, shear = np.empty(3), np.empty(3)
+    """Add the forces and torques of pairs of spheres; `displacements`: tangential, of each pair."""
+    pair_force, tangential_force = np.empty(3), np.empty(3)
     for i, j in pairs:
-        separation = at[i] - at[j]
+        separation = positions[i] - positions[j]
         distance = math.sqrt(separation @ separation)
         overlap = 2.0 * radius - distance
         if overlap <= 0.0:
-            stretch[i, j] = 0.0
+            displacements[i, j] = 0.0
             continue
         normal, arm = separation / distance, radius - 0.5 * overlap
-        surface_velocity = arm * (spin[i] + spin[j])
         contact_force(
-            normal, overlap, 0.5 * radius, 0.5 * mass, speed[i] - speed[j], surface_velocity, stretch[i, j],
-            law, friction, step, force_ij, shear,
+            normal, overlap, 0.5 * radius, 0.5 * mass, velocity[i] - velocity[j], arm * (spin[i] + spin[j]),
+            displacements[i, j], law, friction, step, pair_force, tangential_force,
         )  # fmt: skip
-        force[i] += force_ij
-        force[j] -= force_ij
-        torque_ij = -arm * np.cross(normal, shear)
-        torque[i] += torque_ij
-        torque[j] += torque_ij
+        force[i] += pair_force
+        force[j] -= pair_force
+        pair_torque = -arm * np.cross(normal, tangential_force)
+        torque[i] += pair_torque
+        torque[j] += pair_torque
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def wall_forces(
-    at: Array, speed: Array, spin: Array, radius: float, mass: float, law: Array, frictions: Array, step: float,
-    cavity: Array, stretch: Array, force: Array, torque: Array, lift: Array,
+def add_wall_forces(
+    positions: Array, velocity: Array, spin: Array, radius: float, mass: float, law: Array, frictions: Array,
+    step: float, cavity: Array, displacements: Array, force: Array, torque: Array, upward_force: Array,
 ) -> None:  # fmt: skip
-    """Add the forces and torques of floor, ceiling and side; `cavity`: its radius and height; `lift`: upward forces."""
-    push, shear, normal = np.empty(3), np.empty(3), np.empty(3)
-    lift[:] = 0.0
-    for i in range(len(at)):
+    """Add the forces and torques of floor, ceiling and side, and sum the upward force of each wall on the bed.
+
+    `frictions`, `upward_force`: of each wall; `cavity`: its radius and height; `displacements`: tangential, of each
+    sphere at each wall.
+    """
+    wall_force, tangential_force, normal = np.empty(3), np.empty(3), np.empty(3)
+    upward_force[:] = 0.0
+    for i in range(len(positions)):
         for wall in range(3):
-            normal[:], curved = 0.0, radius
+            normal[:], effective_radius = 0.0, radius
             if wall == FLOOR:
-                overlap, normal[2] = radius - at[i, 2], 1.0
+                overlap, normal[2] = radius - positions[i, 2], 1.0
             elif wall == CEILING:
-                overlap, normal[2] = at[i, 2] + radius - cavity[1], -1.0
+                overlap, normal[2] = positions[i, 2] + radius - cavity[1], -1.0
             else:
-                out = math.hypot(at[i, 0], at[i, 1])
-                overlap, curved = out + radius - cavity[0], radius * cavity[0] / (cavity[0] - radius)
-                if out > 0.0:
-                    normal[:2] = -at[i, :2] / out
+                # The side is concave.
+                axis_distance = math.hypot(positions[i, 0], positions[i, 1])
+                overlap = axis_distance + radius - cavity[0]
+                effective_radius = radius * cavity[0] / (cavity[0] - radius)
+                if axis_distance > 0.0:
+                    normal[:2] = -positions[i, :2] / axis_distance
             if overlap <= 0.0:
-                stretch[i, wall] = 0.0
+                displacements[i, wall] = 0.0
                 continue
             arm = radius - 0.5 * overlap
             contact_force(
-                normal, overlap, curved, mass, speed[i], arm * spin[i], stretch[i, wall],
-                law, frictions[wall], step, push, shear,
+                normal, overlap, effective_radius, mass, velocity[i], arm * spin[i], displacements[i, wall],
+                law, frictions[wall], step, wall_force, tangential_force,
             )  # fmt: skip
-            force[i] += push
-            torque[i] -= arm * np.cross(normal, shear)
-            lift[wall] += push[2]
+            force[i] += wall_force
+            torque[i] -= arm * np.cross(normal, tangential_force)
+            upward_force[wall] += wall_force[2]
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def neighbors(at: Array, within: float) -> NDArray[np.int64]:
-    """Return the pairs of spheres whose centers are closer than a distance."""
+def neighboring_pairs(positions: Array, max_distance: float) -> NDArray[np.int64]:
+    """Return the pairs of spheres (pairs, 2) whose centers are closer than a distance."""
     count = 0
-    pairs = np.empty((len(at) * 30, 2), np.int64)
-    for i in range(len(at)):
-        for j in range(i + 1, len(at)):
-            offset = at[i] - at[j]
-            if offset @ offset < within * within:
+    # A sphere has fewer than 30 neighbors.
+    pairs = np.empty((len(positions) * 30, 2), np.int64)
+    for i in range(len(positions)):
+        for j in range(i + 1, len(positions)):
+            separation = positions[i] - positions[j]
+            if separation @ separation < max_distance * max_distance:
                 pairs[count, 0], pairs[count, 1] = i, j
                 count += 1
     return pairs[:count]
@@ -146,90 +154,82 @@ def neighbors(at: Array, within: float) -> NDArray[np.int64]:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def shake_bed(
-    at: Array, radius: float, mass: float, law: Array, frictions: Array, cavity: Array, step: float, steps: int,
+    positions: Array, radius: float, mass: float, law: Array, frictions: Array, cavity: Array, step: float, steps: int,
     amplitude: float, omega: float, gravity: float,
 ) -> Array:  # fmt: skip
-    """Shake a bed from rest; return the upward forces of floor, ceiling and side after each step (steps, 3)."""
-    count = len(at)
-    speed, spin, force, torque = np.zeros((4, count, 3))
-    pair_displacements, wall_displacements, lift = (np.zeros((count, count, 3)), np.zeros((count, 3, 3)), np.zeros(3))
-    history, traveled, skin = np.empty((steps, 3)), 0.0, SKIN_RADII * radius
-    pairs = neighbors(at, 2.0 * radius + skin)
+    """Shake a bed from rest; return the upward forces of floor, ceiling and side after each step (steps, 3), N.
+
+    The motion is computed by the leapfrog method in the frame of the cavity: velocities belong to half steps.
+    """
+    count = len(positions)
+    velocity, spin, force, torque = np.zeros((4, count, 3))
+    pair_displacements, wall_displacements = np.zeros((count, count, 3)), np.zeros((count, 3, 3))
+    upward_force, history = np.zeros(3), np.empty((steps, 3))
+    # Pairs are searched again when spheres may have moved by half the gap up to which they are neighbors.
+    travelled, skin = 0.0, SKIN_RADII * radius
+    pairs = neighboring_pairs(positions, 2.0 * radius + skin)
     inertia = 0.4 * mass * radius**2
     frame_acceleration = np.zeros(3)
     for k in range(steps + 1):
         # Velocities for the dashpots are extrapolated over the remaining half step.
-        predicted_speed, predicted_spin = (
-            speed + 0.5 * step * (force / mass - frame_acceleration),
-            spin + 0.5 * step * torque / inertia,
-        )
+        predicted_velocity = velocity + 0.5 * step * (force / mass - frame_acceleration)
+        predicted_spin = spin + 0.5 * step * torque / inertia
         force[:], torque[:] = 0.0, 0.0
-        pair_forces(
-            at,
-            predicted_speed,
-            predicted_spin,
-            radius,
-            mass,
-            law,
-            frictions[0],
-            step,
-            pairs,
-            pair_displacements,
-            force,
-            torque,
-        )
-        wall_forces(
-            at,
-            predicted_speed,
-            predicted_spin,
-            radius,
-            mass,
-            law,
-            frictions,
-            step,
-            cavity,
-            wall_displacements,
-            force,
-            torque,
-            lift,
-        )
+        add_pair_forces(
+            positions, predicted_velocity, predicted_spin, radius, mass, law, frictions[0], step,
+            pairs, pair_displacements, force, torque,
+        )  # fmt: skip
+        add_wall_forces(
+            positions, predicted_velocity, predicted_spin, radius, mass, law, frictions, step,
+            cavity, wall_displacements, force, torque, upward_force,
+        )  # fmt: skip
+        # Apparent gravity in the frame of the cavity.
         frame_acceleration[2] = gravity - amplitude * omega**2 * math.sin(omega * k * step)
         step_fraction = 0.5 if k == 0 else 1.0
-        speed += step_fraction * step * (force / mass - frame_acceleration)
+        velocity += step_fraction * step * (force / mass - frame_acceleration)
         spin += step_fraction * step * torque / inertia
         if k > 0:
-            history[k - 1] = lift
-        at += step * speed
-        traveled += step * math.sqrt((speed**2).sum(axis=1).max())
-        if traveled > 0.5 * skin:
-            pairs, traveled = neighbors(at, 2.0 * radius + skin), 0.0
+            history[k - 1] = upward_force
+        positions += step * velocity
+        travelled += step * math.sqrt((velocity**2).sum(axis=1).max())
+        if travelled > 0.5 * skin:
+            pairs, travelled = neighboring_pairs(positions, 2.0 * radius + skin), 0.0
     return history
 
 
 def simulate_bed(spheres: Spheres, amplitude: float, block: int) -> Array:
-    """Simulate a bed on a floor with an amplitude [m]; return impulses of floor and ceiling, and energy, normalized."""
+    """Simulate a bed on a floor that moves with an amplitude [m]; `block`: periods of each of three blocks.
+
+    Returns over the last two blocks the mean forces of floor and ceiling, relative to the bed's weight, and the energy
+    per period, relative to the weight times 1 mm.
+    """
     grains = spheres.settings
     positions = settled(spheres)
-    per_period = math.ceil(1.0 / (FREQUENCY * STEP_RAYLEIGH_TIMES * rayleigh_time(grains, spheres.density())))
-    step, omega = 1.0 / (FREQUENCY * per_period), 2.0 * math.pi * FREQUENCY
-    side = grains.friction if grains.side_friction is None else grains.side_friction
-    loss = -math.log(grains.restitution) / math.hypot(math.log(grains.restitution), math.pi)
-    shear = grains.modulus / (4.0 * (2.0 - grains.poisson_ratio) * (1.0 + grains.poisson_ratio))
-    law = np.array([grains.modulus / (2.0 * (1.0 - grains.poisson_ratio**2)), shear, loss])
-    lift = shake_bed(
-        positions.copy(), 0.5 * grains.diameter, spheres.mass / spheres.count, law,
-        np.array([grains.friction, grains.friction, side]),
+    rayleigh_step = STEP_RAYLEIGH_TIMES * rayleigh_time(grains, spheres.density())
+    steps_per_period = math.ceil(1.0 / (FREQUENCY * rayleigh_step))
+    step, omega = 1.0 / (FREQUENCY * steps_per_period), 2.0 * math.pi * FREQUENCY
+    side_friction = grains.friction if grains.side_friction is None else grains.side_friction
+    damping_ratio = -math.log(grains.restitution) / math.hypot(math.log(grains.restitution), math.pi)
+    normal_modulus = grains.modulus / (2.0 * (1.0 - grains.poisson_ratio**2))
+    shear_modulus = grains.modulus / (4.0 * (2.0 - grains.poisson_ratio) * (1.0 + grains.poisson_ratio))
+    forces = shake_bed(
+        positions.copy(), 0.5 * grains.diameter, spheres.mass / spheres.count,
+        np.array([normal_modulus, shear_modulus, damping_ratio]),
+        np.array([grains.friction, grains.friction, side_friction]),
         np.array([0.5 * grains.cavity, highest(spheres, positions) + spheres.clearance]),
-        step, 3 * block * per_period, amplitude, omega, STANDARD_GRAVITY,
-    )[block * per_period :]  # fmt: skip
+        step, 3 * block * steps_per_period, amplitude, omega, STANDARD_GRAVITY,
+    )[block * steps_per_period :]  # fmt: skip
     weight = spheres.mass * STANDARD_GRAVITY
-    speed = amplitude * omega * np.cos(omega * step * (np.arange(len(lift)) + 1))
-    energy = float(lift.sum(axis=1) @ speed) * step / (2 * block)
-    return np.array([lift[:, FLOOR].mean() / weight, -lift[:, CEILING].mean() / weight, energy / (weight * 1e-3)])
+    floor_velocity = amplitude * omega * np.cos(omega * step * (np.arange(len(forces)) + 1))
+    energy = float(forces.sum(axis=1) @ floor_velocity) * step / (2 * block)
+    return np.array([forces[:, FLOOR].mean() / weight, -forces[:, CEILING].mean() / weight, energy / (weight * 1e-3)])
 
 
 def compare_programs(setting: Setting, block: int) -> tuple[Array, Array]:
-    """Simulate a bed with LAMMPS in a structure, and with the program above on a floor with the same motion."""
+    """Simulate a bed with LAMMPS in a structure, and with `simulate_bed` on a floor with the same motion.
+
+    Returns the results of both, as `simulate_bed` does.
+    """
     scene = scene_of_bed(setting)
     (spheres,) = spheres_of(scene).values()
     assert spheres.count == BEDS[setting.layers][0]
@@ -238,8 +238,8 @@ def compare_programs(setting: Setting, block: int) -> tuple[Array, Array]:
     assert isinstance(test, Sine)
     assert test.force is not None
     _, floor, ceiling, energy, *_ = summary_row(scene, motion)
-    other = simulate_bed(spheres, abs(motion.compliance[0]) * test.force, block)
-    return np.array([float(floor), float(ceiling), float(energy)]), other
+    amplitude = abs(motion.compliance[0]) * test.force
+    return np.array([float(floor), float(ceiling), float(energy)]), simulate_bed(spheres, amplitude, block)
 
 
 def main() -> None:
@@ -248,7 +248,7 @@ def main() -> None:
         results = np.array(
             [compare_programs(Setting(level, clearance, layers, packing), block) for packing in PACKINGS]
         )
-        # Both start from the same packing, so that their difference scatters less than either result.
+        # Both start from the same packing: their difference scatters less than the result of either.
         values = np.stack([results[:, 0], results[:, 1], results[:, 0] - results[:, 1]])
         means, errors = values.mean(axis=1), values.std(axis=1, ddof=1) / math.sqrt(len(PACKINGS))
         print(f"{level:g} g, clearance {1e3 * clearance:g} mm, {layers} layers:")

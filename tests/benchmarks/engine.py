@@ -1,8 +1,8 @@
-"""Comparison of the engine with general solvers in one run: `python -m tests.benchmarks.engine`.
+"""CPU time of the engine, compared with general solvers of differential equations: `python -m tests.benchmarks.engine`.
 
-Reference cases A, B and C, after compilation, in one thread. The solvers have suitable settings for this problem:
-DOP853, CVODE and a compiled Dormand-Prince method with a relative tolerance of 1e-12, steps of at most T/40, and event
-functions that are ignored for 20 us after a separation.
+The scenes are the reference cases A, B and C, after compilation, in one thread. The solvers have suitable settings for
+this problem: DOP853, CVODE and a compiled Dormand-Prince method with a relative tolerance of 1e-12, steps of at most a
+fortieth of a period, and event functions that are ignored for 20 us after a separation.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from rig.work_precision.adaptive_solvers import cvode_leg, follow, scipy_leg
 from rig.work_precision.compiled_runge_kutta import DormandPrince
 from rig.work_precision.first_order_form import FirstOrderForm
 
-# Number of periods, equal for all solvers: the first periods have few events and would not be representative.
+# Number of periods, equal for all solvers. There are many, because the first periods have few events.
 PERIODS = 100
 # Time after a separation during which the event functions are ignored.
 GUARD_DELAY_S = 2e-5
 RATE = 51200.0  # samples per second
-BLOCK = 5120  # samples
+BLOCK_SAMPLES = 5120
 
 
 def shortest_time(action: Callable[[], object], repeats: int) -> float:
@@ -42,7 +42,7 @@ def shortest_time(action: Callable[[], object], repeats: int) -> float:
 
 
 def tone_of(scene: rig.Scene) -> tuple[HybridSystem, ToneDrive]:
-    """Return the system of a scene and its tone."""
+    """Return the system of a scene and the tone of its drive."""
     system = assemble(scene)
     tone = tone_drive(scene, system)
     assert tone is not None
@@ -55,7 +55,8 @@ def engine_period(scene: rig.Scene, periods: int = PERIODS, repeats: int = 200) 
     propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega)
     propagator.set_state(tone.state, np.array([1.0, 0.0]))
     start = propagator.snapshot()
-    segment_steps, rows, starts_period = (np.full(periods, steps), np.full(periods, -1), np.ones(periods, dtype=bool))
+    # One segment a period, without stored rows.
+    segment_steps, rows, starts_period = np.full(periods, steps), np.full(periods, -1), np.ones(periods, dtype=bool)
 
     def run() -> None:
         propagator.resume(start)
@@ -66,7 +67,7 @@ def engine_period(scene: rig.Scene, periods: int = PERIODS, repeats: int = 200) 
 
 
 def solver_periods(scene: rig.Scene) -> dict[str, float]:
-    """Return the CPU time of the general solvers for a period, s."""
+    """Return the CPU time of each general solver for a period of the drive, s."""
     system, tone = tone_of(scene)
     problem = FirstOrderForm(system, tone, PERIODS)
     max_step = 2.0 * np.pi / tone.omega / 40
@@ -85,14 +86,17 @@ def solver_periods(scene: rig.Scene) -> dict[str, float]:
 
 
 def plant_speed(name: str, amplitude: float, noise: float) -> float:
-    """Return the speed of the plant relative to real time, under a drive sampled at 51.2 kHz."""
+    """Return the speed of the plant relative to real time under a drive sampled at 51.2 kHz.
+
+    `amplitude`: of a sine at 218.8 rad/s; `noise`: standard deviation of added white noise.
+    """
     rng = np.random.default_rng(1)
-    time_s = np.arange(10 * BLOCK) / RATE
+    time_s = np.arange(10 * BLOCK_SAMPLES) / RATE
     drive = amplitude * np.sin(218.8 * time_s) + noise * rng.standard_normal(len(time_s))
     plant = Plant(rig.load(name), RATE)
-    blocks = [drive[None, k : k + BLOCK] for k in range(0, len(drive), BLOCK)]
+    blocks = [drive[None, k : k + BLOCK_SAMPLES] for k in range(0, len(drive), BLOCK_SAMPLES)]
     plant.advance(blocks[0])
-    return BLOCK / RATE / min(shortest_time(lambda b=block: plant.advance(b), 1) for block in blocks * 5)  # type: ignore[misc]
+    return BLOCK_SAMPLES / RATE / min(shortest_time(lambda b=block: plant.advance(b), 1) for block in blocks * 5)  # type: ignore[misc]
 
 
 def main() -> None:
@@ -107,8 +111,8 @@ def main() -> None:
         print()
     print("Plant under a drive sampled at 51.2 kHz, in times real time (motion, gaps and breaks included)")
     for name, amplitude in (("reference-A", 2.6), ("reference-C", 10.0), ("fig8-three-dampers", 5.0)):
-        tone, broad = plant_speed(name, amplitude, 0.0), plant_speed(name, amplitude, 0.3 * amplitude)
-        print(f"  {name:20s} sine {tone:5.0f} x   sine with broadband noise {broad:5.0f} x")
+        sine, noisy = plant_speed(name, amplitude, 0.0), plant_speed(name, amplitude, 0.3 * amplitude)
+        print(f"  {name:20s} sine {sine:5.0f} x   sine with white noise {noisy:5.0f} x")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,7 @@
-"""A frequency curve as exact orbits and by simulation to steady state: `python -m tests.benchmarks.orbits`."""
+"""Speed of response curves from periodic orbits, compared with simulation to steady state.
+
+python -m tests.benchmarks.orbits
+"""
 
 from __future__ import annotations
 
@@ -13,8 +16,8 @@ from rig.system.open_loop_drive import with_ideal_force
 
 T = TypeVar("T")
 
-# Scene, band [Hz], points: resonances of the scenes of Figs 5, 8 and 9 with regular motion and, last, a band with
-# some irregular motion, which both methods must simulate.
+# Scene, band [Hz], number of points: resonances with regular motion and, last, a band with some irregular motion, which
+# both methods must simulate.
 CURVES = (
     ("fig9", (47.0, 50.85), 200),
     ("fig5-single-damper", (46.0, 51.0), 200),
@@ -26,7 +29,7 @@ REPEATS = 3
 
 
 def measure() -> Iterator[str]:
-    """Yield a line for every curve."""
+    """Yield a header, and a line for each curve: times of both methods, and deviations."""
     yield (
         f"{'curve':38} {'points':>6} {'simulated':>12} {'orbits':>10} {'ratio':>6} {'differ':>8} "
         f"{'residual':>8} {'irregular':>9}"
@@ -34,7 +37,7 @@ def measure() -> Iterator[str]:
     for name, band, points in CURVES:
         scene = with_ideal_force(rig.load(name))
         frequencies = np.linspace(*band, points)
-        # These calls load compiled code, which is not measured.
+        # These calls load compiled code: not measured.
         rig.frequency_response(scene, frequencies[:2])
         rig.orbit_response(scene, frequencies[:2])
         simulation_time, simulated = _shortest_time(lambda: rig.frequency_response(scene, frequencies))  # noqa: B023

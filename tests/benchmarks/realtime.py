@@ -1,7 +1,7 @@
-"""Real-time capability of a live bench: `python -m tests.benchmarks.realtime [--minutes 10]`.
+"""Real-time capability of a live device: `python -m tests.benchmarks.realtime [--minutes 10]`.
 
-The bench has three dampers, an electrodynamic shaker, all sensor effects, 24 bits and four channels at 51.2 kS/s. It is
-logged into a recording with display channels, and a client reads ten times a second.
+The scene has three dampers, an electrodynamic shaker, all sensor effects, 24 bits and four channels at 51.2 kS/s. The
+device logs into a recording with display channels, and a client reads ten times a second.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tests.benchmarks.chain import RATE, full_scene
 READS_PER_SECOND = 10
 
 
-def memory() -> float:
+def process_memory() -> float:
     """Return the current memory of this process, MB."""
     pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
@@ -32,10 +32,10 @@ def memory() -> float:
 
 def measure(folder: Path, minutes: float) -> Iterator[str]:
     """Yield a line for each minute, and the final results."""
-    path, samples = folder / "live.mcap", round(RATE / READS_PER_SECOND)
-    # Five seconds are a whole number of periods.
+    path, read_samples = folder / "live.mcap", round(RATE / READS_PER_SECOND)
+    # Five seconds are a whole number of periods, so that the repeated output is continuous.
     drive = 3.0 * np.sin(2 * np.pi * 34.8 / RATE * np.arange(round(5 * RATE)))
-    overruns, samples_read, memories = 0, 0, []
+    errors, samples_read, memories = 0, 0, []
     with (
         daq.connect(full_scene(), clock="real") as rig,
         nidaqmx.Task(grpc_options=rig) as inputs,
@@ -51,26 +51,26 @@ def measure(folder: Path, minutes: float) -> Iterator[str]:
         output.start()
         inputs.start()
         reader = AnalogMultiChannelReader(inputs.in_stream)
-        data = np.zeros((4, samples))
+        data = np.zeros((4, read_samples))
         start, cpu_start = time.monotonic(), time.process_time()
         for number in range(round(60 * minutes * READS_PER_SECOND)):
             try:
-                samples_read += reader.read_many_sample(data, samples)
+                samples_read += reader.read_many_sample(data, read_samples)
             except nidaqmx.DaqError as error:
-                overruns += 1
+                errors += 1
                 yield f"after {number / READS_PER_SECOND:.1f} s: {error}"
             if number % (60 * READS_PER_SECOND) == 60 * READS_PER_SECOND - 1:
-                memories.append(memory())
+                memories.append(process_memory())
                 elapsed, cpu_time = time.monotonic() - start, time.process_time() - cpu_start
                 yield (
-                    f"{len(memories):3d} min: {overruns} errors, {samples_read} samples per channel read in "
+                    f"{len(memories):3d} min: {errors} errors, {samples_read} samples per channel read in "
                     f"{elapsed:.1f} s, {100 * cpu_time / elapsed:.1f} % of a core, {memories[-1]:.0f} MB in memory"
                 )
     with daq.open(path) as recording:
         lost = sum(gap.samples for gap in recording.gaps)
         yield f"recording: {recording.samples} samples per channel, {lost} lost, {path.stat().st_size / 1e6:.0f} MB"
     if memories:
-        yield f"memory from the first minute to the last: {memories[-1] - memories[0]:+.1f} MB"
+        yield f"change of memory from the first minute to the last: {memories[-1] - memories[0]:+.1f} MB"
 
 
 if __name__ == "__main__":

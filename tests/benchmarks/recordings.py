@@ -6,7 +6,7 @@ import resource
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,20 +16,21 @@ import rig
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
 
-CHANNELS = ("body 1", "body 2", "body 3", "table")
+# Places of the four channels.
+PLACES = ("body 1", "body 2", "body 3", "table")
 
 
 def recording_time(path: Path, rate: float, seconds: int, display: bool) -> float:
-    """Write noise as float64, which cannot be compressed, in blocks of 0.1 s; return the elapsed time, s."""
+    """Write four channels of float64 noise in blocks of 0.1 s; return the elapsed time, s. Noise is incompressible."""
     scene = rig.load("bare-structure").replace(recording={"display": display, "samples": "float64"})
-    channels = [ChannelInfo(at.replace(" ", ""), at, "acceleration", 0.01, rate) for at in CHANNELS]
-    block = round(rate / 10)
-    noise = np.random.default_rng(1).standard_normal((4, 20 * block))
+    channels = [ChannelInfo(at.replace(" ", ""), at, "acceleration", 0.01, rate) for at in PLACES]
+    block_samples = round(rate / 10)
+    noise = np.random.default_rng(1).standard_normal((4, 20 * block_samples))
     start = time.perf_counter()
     with Recorder(path, scene, channels, rate) as recorder:
         for number in range(10 * seconds):
-            first = number % 20 * block
-            recorder.write(noise[:, first : first + block])
+            first = number % 20 * block_samples
+            recorder.write(noise[:, first : first + block_samples])
     return time.perf_counter() - start
 
 
@@ -39,7 +40,7 @@ def peak_memory() -> float:
 
 
 def measure(folder: Path, one_hour: bool) -> Iterator[str]:
-    """Yield the results; `one_hour` requires 6 GB of disk space and some minutes."""
+    """Yield a line for each result; `one_hour` adds those of a recording of an hour: 6 GB on disk, some minutes."""
     rate, seconds = 10240.0, 300
     path = folder / "blocks-of-1024.mcap"
     elapsed = recording_time(path, rate, seconds, display=False)
@@ -61,14 +62,16 @@ def measure(folder: Path, one_hour: bool) -> Iterator[str]:
             for name in recording.channels:
                 recording.read(name, middle, middle + round(rate))
 
-    yield f"open, and one second of all channels: {1e3 * min(_elapsed(one_second) for _ in range(5)):.1f} ms"
+    shortest = min(_elapsed(one_second) for _ in range(5))
+    yield f"opening it and reading one second of all channels: {1e3 * shortest:.1f} ms"
     with daq.open(path) as recording:
         elapsed = _elapsed(lambda: sum(samples.shape[1] for _, samples in recording.blocks()))
-    yield f"all of it in blocks: {4 * 8 * rate * 3600 / 1e6 / elapsed:.0f} MB/s, peak memory {peak_memory():.0f} MB"
+    speed = 4 * 8 * rate * 3600 / 1e6 / elapsed
+    yield f"reading all of it in blocks: {speed:.0f} MB/s, peak memory {peak_memory():.0f} MB"
 
 
-def _elapsed(action: object) -> float:
-    assert callable(action)
+def _elapsed(action: Callable[[], object]) -> float:
+    """Return the elapsed time of a call, s."""
     start = time.perf_counter()
     action()
     return time.perf_counter() - start

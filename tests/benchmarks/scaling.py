@@ -1,8 +1,8 @@
 """Scaling of processor time with the size of a test, as exponents: `python -m tests.benchmarks.scaling`.
 
 A chain of bodies under a random force is explained, recorded and analyzed with increasing numbers of bodies, dampers,
-channels or seconds. An exponent of 1 means a proportional time. A chain with modal damping has full matrices, so that
-the time of a matrix-vector product grows with the square of the number of bodies.
+channels or seconds. The exponent is the slope of log time over log size; 1 means a proportional time. A chain with
+modal damping has full matrices: the time of a matrix-vector product grows with the square of the number of bodies.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ if TYPE_CHECKING:
 
 # Bodies, dampers, channels and seconds of the smallest test.
 SMALLEST = {"bodies": 3, "dampers": 1, "channels": 4, "seconds": 60}
-# Measured values of each quantity.
+# Sizes of each quantity, which is varied alone.
 SIZES = {"bodies": (3, 30, 300), "dampers": (1, 8, 62), "channels": (4, 16, 64), "seconds": (60, 600, 3600)}
-# Changed values of the other quantities: enough bodies for all dampers, and few seconds for large systems.
+# While a quantity is varied, these values replace the smallest ones of others: enough bodies for all dampers, and few
+# seconds for large systems.
 OTHER_VALUES = {
     "bodies": {"seconds": 5},
     "dampers": {"bodies": 64, "seconds": 5},
@@ -38,13 +39,13 @@ OTHER_VALUES = {
 
 
 def chain(bodies: int, dampers: int, spring: float, damping: dict[str, Any], **settings: Any) -> rig.Scene:
-    """Build a chain of equal bodies with dampers spread over it."""
-    bodies_with_dampers = np.unique(np.linspace(1, bodies, dampers).round().astype(int)).tolist() if dampers else []
+    """Build a chain of equal bodies with dampers spread over it; `spring`: stiffness of each spring, N/m."""
+    damper_bodies = np.unique(np.linspace(1, bodies, dampers).round().astype(int)).tolist() if dampers else []
     return rig.Scene.model_validate(
         {
             "name": f"{bodies} bodies, {dampers} dampers",
             "structure": {"masses": [0.7] * bodies, "springs": [spring] * bodies, "damping": damping},
-            "dampers": [{"body": place, "mass_ratio": 0.1, "clearance": "1 mm"} for place in bodies_with_dampers],
+            "dampers": [{"body": body, "mass_ratio": 0.1, "clearance": "1 mm"} for body in damper_bodies],
             **settings,
         }
     )
@@ -98,7 +99,10 @@ def measure(scene: rig.Scene, path: Path) -> dict[str, float]:
 
 
 def engine_scaling(quantity: str, sizes: list[tuple[int, int]], size_index: int, axes: Axes) -> None:
-    """Print and plot the time per period over a quantity, and the exponent fitted to the larger half of its values."""
+    """Print and plot the engine's time per period, and the exponent fitted to the larger half of the sizes.
+
+    `sizes`: numbers of bodies and dampers; `size_index`: which of them `quantity` is.
+    """
     values = np.array([size[size_index] for size in sizes], dtype=float)
     times = np.array([engine_period(tone_chain(*size), 40, 5) for size in sizes])
     for size, seconds in zip(sizes, times, strict=True):
@@ -114,8 +118,8 @@ def engine_scaling(quantity: str, sizes: list[tuple[int, int]], size_index: int,
     axes.legend()
 
 
-def draw_engine_scaling(path: Path) -> None:
-    """Print and draw the time per period over the numbers of bodies and dampers."""
+def plot_engine_scaling(path: Path) -> None:
+    """Print and plot the engine's time per period over the numbers of bodies and dampers."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")
@@ -146,7 +150,7 @@ def main() -> None:
             exponents = {name: np.log(rows[-1][name] / rows[-2][name]) / log_ratio for name in rows[-1]}
             print(f"       exponents   {'  '.join(f'{name} {e:10.2f}' for name, e in exponents.items())}")
     print("CPU time of the engine for a period of a tone")
-    draw_engine_scaling(Path("recordings/engine-growth.png"))
+    plot_engine_scaling(Path("recordings/engine-growth.png"))
 
 
 if __name__ == "__main__":

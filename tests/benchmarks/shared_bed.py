@@ -1,10 +1,10 @@
-"""A bed of grains on one rank of MPI and on several: time of a step of grains and structure.
+"""Time of a step of a bed of grains that is shared by several MPI ranks (processes), compared with one rank.
 
     python -m tests.benchmarks.shared_bed [RANKS]
 
-Beds at rest in their cavities ride on a body that is shaken at 29 Hz. The result is the processor time of the first
-rank, including its waiting for the others. Of every few steps the shortest time of several repeats is used, because
-ranks that share their cores with other programs wait for each other far longer than they compute.
+Each bed starts at rest in its cavity, in a body that is shaken at 29 Hz. A step advances grains and structure. The time
+is the processor time of the first rank, including its waiting for the others. Steps are timed in groups of five, and
+the shortest time of each group over several runs counts: a rank whose core is busy with other programs delays all.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from rig.grain_beds import coupling, packing
 from rig.grain_beds.spheres import spheres_of
 from rig.scene.scene import Scene
 
-#: Mass of the bed, kg; diameter of the cavity, m; steps to follow.
+#: Mass of the bed, kg; diameter of the cavity, m; number of steps.
 BEDS = ((0.071, 0.04, 1000), (0.285, 0.06, 400), (1.14, 0.08, 100))
-REPEATS = 6
-STEPS_PER_MEASUREMENT = 5
+RUNS = 6
+STEPS_PER_GROUP = 5
 
 
 def scene_of(mass: float, cavity: float) -> Scene:
@@ -43,7 +43,7 @@ def scene_of(mass: float, cavity: float) -> Scene:
 
 
 def print_step_times(positions_path: str, mass: float, cavity: float, steps: int) -> None:
-    """Print the times of groups of steps, s."""
+    """Run one rank: print the times of all groups of steps, s, as JSON."""
     ranks.join()
     coupling.settled = lambda _: np.load(positions_path)
     coupled = coupling.CoupledPropagator(scene_of(mass, cavity), 1e-3)
@@ -51,38 +51,32 @@ def print_step_times(positions_path: str, mass: float, cavity: float, steps: int
     drive = 70.0 * mass * np.sin(2.0 * np.pi * periods)[None]
     coupled.set_state(coupled.system.initial, drive[:, 0])
     times = []
-    for first in range(0, steps, STEPS_PER_MEASUREMENT):
+    for first in range(0, steps, STEPS_PER_GROUP):
         start = time.process_time()
-        coupled.march(drive[:, first : first + STEPS_PER_MEASUREMENT + 1])
+        coupled.march(drive[:, first : first + STEPS_PER_GROUP + 1])
         times.append(time.process_time() - start)
     print(json.dumps(times))
 
 
 def compare_ranks(n_ranks: int) -> None:
-    """Print the time of a step for each number of grains and ranks."""
+    """Print the time of a step for each bed, on one rank and on several."""
     with tempfile.TemporaryDirectory() as folder:
-        positions_path = Path(folder) / "fallen.npy"
+        positions_path = Path(folder) / "positions.npy"
         for mass, cavity, steps in BEDS:
             spheres = spheres_of(scene_of(mass, cavity))[0]
             np.save(positions_path, packing._drop(spheres))
             arguments = [str(positions_path), str(mass), str(cavity), str(steps)]
             times: dict[int, list[list[float]]] = {1: [], n_ranks: []}
-            for _ in range(REPEATS):
-                for number, turns in times.items():
-                    command = [
-                        Path(sys.prefix) / "bin" / "mpiexec",
-                        "-n",
-                        str(number),
-                        sys.executable,
-                        "-m",
-                        __spec__.name,
-                    ]
-                    process = subprocess.run([*command, *arguments], capture_output=True, text=True, check=True)
-                    turns.append(json.loads(process.stdout))
-            single_time, several_time = (1e3 * np.min(turns, axis=0).sum() / steps for turns in times.values())
+            for _ in range(RUNS):
+                for rank_count, runs in times.items():
+                    mpi = [Path(sys.prefix) / "bin" / "mpiexec", "-n", str(rank_count)]
+                    command = [*mpi, sys.executable, "-m", __spec__.name, *arguments]
+                    process = subprocess.run(command, capture_output=True, text=True, check=True)
+                    runs.append(json.loads(process.stdout))
+            single_ms, several_ms = (1e3 * np.min(runs, axis=0).sum() / steps for runs in times.values())
             print(
-                f"{spheres.count} grains: {single_time:.2f} ms a step on one rank, {several_time:.2f} ms on {n_ranks}, "
-                f"{single_time / several_time:.2f} times as fast",
+                f"{spheres.count} grains: {single_ms:.2f} ms a step on one rank, {several_ms:.2f} ms on {n_ranks}, "
+                f"{single_ms / several_ms:.2f} times as fast",
                 flush=True,
             )
 

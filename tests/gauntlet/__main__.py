@@ -1,7 +1,8 @@
 """Compare the analysis with the truth on random scenes: ``python -m tests.gauntlet --scenes 300 --seed 7``.
 
-Prints a table by judge and kind of test. Exit code 1: a result was wrong without a warning, or the fraction of points
-within their 95 % intervals is too small or too large.
+The test of each scene is recorded and analyzed. A judge compares one kind of result with the truth, point by point; a
+point is a value with a 95 % interval. The printed table has a row for each judge and kind of test. Exit code 1: a
+result was wrong without a warning, or the fraction of points within their 95 % intervals is too small or too large.
 """
 
 from __future__ import annotations
@@ -21,11 +22,12 @@ from tests.gauntlet.scenes import KINDS
 from tests.gauntlet.trial import run_trial
 from tests.gauntlet.verdict import Verdict
 
-# Fraction of the points within their 95 % intervals, over all scenes of a kind: smallest, and largest for intervals
-# without the limit of a data sheet, which no sensor exceeds.
+# Smallest and largest fraction of the points within their 95 % intervals, over all scenes of a kind.
 MIN_COVERAGE = 0.90
 MAX_COVERAGE = 0.99
-TIGHT_BOUND_JUDGES = ("responses, as built",)
+# The largest fraction applies only to intervals without sensor tolerances: no sensor exceeds the limits of its data
+# sheet, so that intervals with tolerances contain more than 95 %.
+JUDGES_WITHOUT_TOLERANCES = ("responses, as built",)
 OUTCOMES = ("right", "warned", "refused", "wrong")
 
 
@@ -49,8 +51,8 @@ def main() -> int:
             for job in track(completed, "gauntlet", total=len(jobs), console=Console(stderr=True)):
                 verdicts += job.result()
         except KeyboardInterrupt:
-            # Report the finished scenes, and name those that were running.
-            print("running:", *(name for job, name in jobs.items() if job.running()), sep="\n  ")
+            # Report the finished scenes, and name the unfinished ones.
+            print("not finished:", *(name for job, name in jobs.items() if job.running()), sep="\n  ")
             pool.shutdown(wait=False, cancel_futures=True)
     for verdict in sorted(verdicts, key=lambda verdict: (verdict.kind, verdict.scene)):
         if verdict.outcome == "wrong" or options.verbose:
@@ -60,6 +62,7 @@ def main() -> int:
 
 
 def print_summary(all_verdicts: list[Verdict]) -> int:
+    """Print a row for each judge and kind of test; return the exit code."""
     groups: dict[tuple[str, str], list[Verdict]] = defaultdict(list)
     for verdict in all_verdicts:
         groups[verdict.judge, verdict.kind].append(verdict)
@@ -81,7 +84,7 @@ def print_summary(all_verdicts: list[Verdict]) -> int:
         inside = sum(verdict.inside for verdict in verdicts)
         counts = [sum(v.outcome == outcome for v in verdicts) for outcome in OUTCOMES]
         coverage = inside / points if points else np.nan
-        max_coverage = MAX_COVERAGE if judge in TIGHT_BOUND_JUDGES else 1.0
+        max_coverage = MAX_COVERAGE if judge in JUDGES_WITHOUT_TOLERANCES else 1.0
         failed |= counts[-1] > 0 or (points > 0 and not MIN_COVERAGE <= coverage <= max_coverage)
         widths = [v.width for v in verdicts if v.points and np.isfinite(v.width)]
         width = f"{np.median(widths):.2%}" if widths else "-"

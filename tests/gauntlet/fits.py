@@ -1,9 +1,10 @@
-"""Fits to recordings of random benches: ``python -m tests.gauntlet.fits --benches 30 --seed 7``.
+"""Scenes fitted to recordings of random scenes: ``python -m tests.gauntlet.fits --benches 30 --seed 7``.
 
-Each bench has two to five bodies, up to three dampers (some with finite-duration contact), noise, and sensors that
-deviate up to the limits of data sheets. It is recorded without and with its dampers, and fitted from a guess with
-errors up to 20 %. Prints the number of values and their coverage for each status. Exit code 1: too few true values lie
-in their intervals, or the error of a determined value is too large.
+Each random scene has two to five bodies, up to three dampers (some with finite-duration contact), noise, and sensors
+that deviate up to the limits of data sheets. It is recorded without and with its dampers, and fitted from a guess with
+errors up to 20 %. `analysis.fit` gives each value a status: determined, roughly (determined) or undetermined. Printed
+are the number of values and their coverage for each status. Exit code 1: too few true values lie in their 95 %
+intervals, or the error of a determined value is too large.
 """
 
 from __future__ import annotations
@@ -31,23 +32,25 @@ import rig
 from analysis.fitting.parameters import free_parameters, with_ratio_per_mode, with_values
 from rig.errors import ShotrigError
 from rig.system.structural_model import natural_modes, receptance, structure_matrices
-from tests.gauntlet.scenes import Draw, Settings, structure
+from tests.gauntlet.scenes import Draw, Settings, draw_chain
 
-# Largest relative error of a determined value, by the last part of its key.
+# Largest relative error of a determined value, by the last part of its key in the scene file.
 MAX_ERRORS = {"modal": 0.03, "alpha": 0.03, "beta": 0.03, "clearance": 0.02, "mass": 0.02, "mass_ratio": 0.02}
-# Largest relative error of a determined frequency.
+# Largest relative error of a determined natural frequency.
 MAX_FREQUENCY_ERROR = 1e-4
 # Smallest fraction of the determined values within their 95 % intervals.
 MIN_COVERAGE = 0.90
-# Largest relative error of the guess.
+# Largest relative error of a value in the guess.
 _GUESS_ERROR = 0.2
+_SEED_OFFSET = 50_000
+_CONTACT_SEED_OFFSET = 60_000
 
 
 @dataclass(frozen=True)
 class JudgedValue:
-    """A fitted value: its name, its status, its relative error and its relative 95 % bound."""
+    """A fitted value with its status, its relative error and its relative 95 % bound."""
 
-    bench: str
+    scene: str
     name: str
     status: str
     error: float
@@ -56,21 +59,21 @@ class JudgedValue:
 
 @dataclass(frozen=True)
 class Trial:
-    """Result of the fit to one bench."""
+    """Result of the fit to one scene; without values if the fit failed, for the reason in the note."""
 
-    bench: str
+    scene: str
     values: tuple[JudgedValue, ...]
     seconds: float
     note: str
 
 
-def draw(seed: int, number: int) -> rig.Scene:
-    """Draw a bench; same seed and number give the same."""
-    random = Draw(seed, number + 50_000)
+def draw_scene(seed: int, number: int) -> rig.Scene:
+    """Draw a scene, determined by seed and number."""
+    random = Draw(seed, number + _SEED_OFFSET)
     while True:
-        chain, modes = structure(random)
+        chain, natural_frequencies = draw_chain(random)
         bodies = len(chain["masses"])
-        if 2 <= bodies <= 5 and modes[-1] < 120.0:
+        if 2 <= bodies <= 5 and natural_frequencies[-1] < 120.0:
             break
     sensor: Settings = {
         "sensitivity": "100 mV/g", "noise": f"{random.log_uniform(5.0, 50.0):.3g} ug/sqrt(Hz)",
@@ -90,23 +93,24 @@ def draw(seed: int, number: int) -> rig.Scene:
         {
             "body": body, "mass_ratio": random.uniform(0.03, 0.12),
             "clearance": ".inf" if random.chance(0.2) else f"{random.log_uniform(0.3, 2.0):.3g} mm",
-            **_contact(Draw(seed, number + 60_000 + 1000 * body)),
+            **_contact(Draw(seed, number + _CONTACT_SEED_OFFSET + 1000 * body)),
         }
         for body in damper_bodies
     ]  # fmt: skip
+    rate = round(max(2048.0, 20.0 * natural_frequencies[-1]), 1)
     settings: Settings = {
         "name": f"bench {seed}/{number}", "structure": chain, "dampers": dampers, "shaker": shaker,
-        "test": {"kind": "stepped_sine", "frequencies": _test_frequencies(random, chain, modes), "force": 1.0},
-        "channels": channels, "converter": {"rate": round(max(2048.0, 20.0 * modes[-1]), 1), "bits": 24, "range": 20.0},
+        "test": {"kind": "stepped_sine", "frequencies": _test_frequencies(natural_frequencies), "force": 1.0},
+        "channels": channels, "converter": {"rate": rate, "bits": 24, "range": 20.0},
         "recording": {"display": False}, "seed": random.integer(1, 10**6),
     }  # fmt: skip
     scene = rig.loads(yaml.safe_dump(settings, sort_keys=False), where=str(settings["name"]))
     frequency = np.array(scene.test.frequencies)
     response = receptance(scene, frequency)
     monitored = [body - 1 for body in damper_bodies] or list(range(bodies))
-    peak_acceleration = float(((2 * np.pi * frequency) ** 2 * abs(response[monitored]).max(axis=0)).max())
-    # Without dampers, their bodies would reach some g at the highest resonance.
-    force = float(f"{random.log_uniform(4.0, 12.0) * 9.81 / peak_acceleration:.4g}")
+    peak_accelerance = float(((2 * np.pi * frequency) ** 2 * abs(response[monitored]).max(axis=0)).max())
+    # Without dampers, their bodies would reach 4 to 12 g at the highest resonance.
+    force = float(f"{random.log_uniform(4.0, 12.0) * 9.81 / peak_accelerance:.4g}")
     return scene.replace(test=scene.test.replace(force=force))
 
 
@@ -117,18 +121,19 @@ def _contact(random: Draw) -> Settings:
     return {"contact": {"duration": f"{random.log_uniform(0.5, 8.0):.3g} ms"}, "restitution": random.uniform(0.05, 0.6)}
 
 
-def _test_frequencies(random: Draw, chain: Settings, modes: list[float]) -> list[float]:
-    """Return frequencies that are dense near resonances and sparse elsewhere."""
-    low, high = 0.6 * modes[0], 1.15 * modes[-1]
+def _test_frequencies(natural_frequencies: list[float]) -> list[float]:
+    """Return frequencies that are dense near resonances and sparse elsewhere, Hz."""
+    low, high = 0.6 * natural_frequencies[0], 1.15 * natural_frequencies[-1]
     points = set(np.geomspace(low, high, 16).tolist())
-    for mode in modes:
-        points |= {mode * (1.0 + 0.012 * step * abs(step) / 2.0) for step in range(-4, 5)}
+    for resonance in natural_frequencies:
+        # Nine points within 10 %, with distances to the resonance that grow with the square of their number.
+        points |= {resonance * (1.0 + 0.012 * step * abs(step) / 2.0) for step in range(-4, 5)}
     return sorted({float(f"{point:.5g}") for point in points if low <= point <= high})
 
 
 def run_trial(seed: int, number: int) -> Trial:
-    """Record a bench without and with its dampers, fit a guess, and compare the fit with the truth."""
-    scene = with_ratio_per_mode(draw(seed, number))
+    """Record a scene without and with its dampers, fit it from a guess, and compare the values with the true ones."""
+    scene = with_ratio_per_mode(draw_scene(seed, number))
     random = np.random.default_rng([seed, number])
     parameters = free_parameters(scene)
     factors = np.exp(random.uniform(-_GUESS_ERROR, _GUESS_ERROR, len(parameters)))
@@ -144,8 +149,8 @@ def run_trial(seed: int, number: int) -> Trial:
         warnings.simplefilter("ignore", daq.RunWarning)
         try:
             paths = []
-            for name, variant in {"bare": scene.replace(dampers=()), "damped": scene}.items():
-                if name == "bare" or scene.dampers:
+            for name, variant in {"undamped": scene.replace(dampers=()), "damped": scene}.items():
+                if name == "undamped" or scene.dampers:
                     paths.append(Path(folder) / f"{name}.mcap")
                     daq.record(variant, paths[-1])
             start = time.process_time()
@@ -163,7 +168,8 @@ def run_trial(seed: int, number: int) -> Trial:
         )
         for true, fitted in zip(parameters, fit.parameters, strict=True)
     ]
-    omega, _ = natural_modes(*structure_matrices(scene.structure)[::2])
+    mass, _, stiffness = structure_matrices(scene.structure)
+    omega, _ = natural_modes(mass, stiffness)
     for mode, true in zip(fit.modes, omega / (2 * np.pi), strict=True):
         bound = mode.frequency_bound / mode.frequency
         status = "determined" if bound < MAX_FREQUENCY_ERROR else "roughly"
@@ -175,9 +181,9 @@ def run_trial(seed: int, number: int) -> Trial:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--benches", type=int, default=30, help="how many (default: 30)")
-    parser.add_argument("--first", type=int, default=0, help="number of the first bench")
-    parser.add_argument("--seed", type=int, default=1, help="another seed draws other benches")
+    parser.add_argument("--benches", type=int, default=30, help="number of scenes (default: 30)")
+    parser.add_argument("--first", type=int, default=0, help="number of the first scene")
+    parser.add_argument("--seed", type=int, default=1, help="another seed draws other scenes")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     options = parser.parse_args()
     numbers = range(options.first, options.first + options.benches)
@@ -185,7 +191,7 @@ def main() -> int:
         trials = []
         for trial in pool.map(run_trial, [options.seed] * options.benches, numbers):
             trials.append(trial)
-            print(f"{trial.bench}: {trial.seconds:.0f} s, {trial.note}", flush=True)
+            print(f"{trial.scene}: {trial.seconds:.0f} s, {trial.note}", flush=True)
             for value in trial.values:
                 if abs(value.error) > value.bound or (
                     value.status == "determined" and abs(value.error) > _max_error(value.name)
@@ -201,12 +207,13 @@ def _max_error(name: str) -> float:
 
 
 def print_summary(trials: list[Trial]) -> int:
+    """Print a row for each value and status; return the exit code."""
     groups: dict[str, list[JudgedValue]] = defaultdict(list)
     for trial in trials:
         for value in trial.values:
             groups[value.name].append(value)
     table = Table(
-        "value", "status", "how many", "within 95 % interval", "median error", "largest error", "median interval"
+        "value", "status", "number", "within 95 % interval", "median error", "largest error", "median interval"
     )
     failed = any(not trial.values for trial in trials)
     n_inside = n_determined = 0
@@ -215,10 +222,8 @@ def print_summary(trials: list[Trial]) -> int:
             selected = [value for value in values if value.status == status]
             if not selected:
                 continue
-            error, bound = (
-                np.array([abs(value.error) for value in selected]),
-                np.array([value.bound for value in selected]),
-            )
+            error = np.array([abs(value.error) for value in selected])
+            bound = np.array([value.bound for value in selected])
             n_covered = int((error <= bound).sum())
             if status == "determined":
                 n_inside, n_determined = n_inside + n_covered, n_determined + len(selected)

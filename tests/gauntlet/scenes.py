@@ -1,7 +1,7 @@
-"""Random scenes: structure, shaker, test, sensors and converter, all determined by the seed.
+"""Random scenes: structure, shaker, test, sensors and converter, all determined by a seed and a number.
 
-Every test takes about a second to record. A draw is the content of a scene file, so that a scene with a wrong answer
-can be written out and run by hand.
+Every test takes about a second to record. Scenes are drawn as the content of a scene file, so that a scene with a wrong
+result can be written to a file and run by hand.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from daq.virtual_bench.bench import Bench
 from rig.scene.measurement_chain import Accelerometer, Hammer
 from rig.system.structural_model import receptance
 
+# Part of a scene file.
 Settings = dict[str, Any]
 
-# Kinds with dampers are compared with exact orbits, the others with closed form.
+# Kinds of tests. Those with dampers are compared with periodic orbits or simulation, the others with closed form.
 KINDS = (
     "random",
     "burst_random",
@@ -33,31 +34,31 @@ KINDS = (
     "tone_dampers",
     "steps_dampers",
     "decay_dampers",
-    "tone_landings",
-    "steps_landings",
-    "curves_pairs",
-    "multisine_pairs",
-    "stepped_sine_pairs",
-    "random_shakers",
-    "multisine_shakers",
+    "tone_finite_contact",
+    "steps_finite_contact",
+    "curves_close_modes",
+    "multisine_close_modes",
+    "stepped_sine_close_modes",
+    "random_two_shakers",
+    "multisine_two_shakers",
 )
-# Largest time constant of a mode: transients must decay within seconds.
+# Largest time constant of the first mode: transients must decay within seconds.
 _MAX_TIME_CONSTANT_S = 1.6
-# Fractions of the scenes with a fault.
+# Fractions of the scenes with a fault of the measurement.
 _TIGHT_RANGE_FRACTION = 0.2
 _LOST_BLOCK_FRACTION = 0.15
 _DOUBLE_HIT_FRACTION = 0.2
 _SATURATED_FRACTION = 0.2
-# Fraction of the inputs that are AC coupled, and range of their corner frequencies.
+# Fraction of the converters that are AC coupled, and range of their corner frequencies.
 _AC_COUPLED_FRACTION = 0.4
 _AC_CORNERS_HZ = (0.05, 0.8)
-# Offsets of the seeds of later additions, so that all earlier draws of a scene stay the same.
+# Draws that were added later have their own seeds, at these offsets, so that all earlier draws stay the same.
 _COUPLING_SEED_OFFSET = 2_000_000
-INSTRUMENTS = 3_000_000
+INSTRUMENT_SEED_OFFSET = 3_000_000
 
 
 class Draw:
-    """Random choices, all from one seed."""
+    """Random numbers and choices, all determined by a seed and a number; values have five digits."""
 
     def __init__(self, seed: int, number: int) -> None:
         self._random = np.random.default_rng([seed, number])
@@ -81,7 +82,7 @@ class Draw:
 def draw(seed: int, number: int, kind: str) -> rig.Scene:
     """Draw a scene for a kind of test; same seed, number and kind give the same scene."""
     random = Draw(seed, number)
-    chain, modes = structure(random)
+    chain, natural_frequencies = draw_chain(random)
     settings: Settings = {"name": f"gauntlet {seed}/{number} {kind}", "structure": chain}
     bodies = len(chain["masses"])
     test = kind.removesuffix("_dampers").removeprefix("imported_")
@@ -89,36 +90,38 @@ def draw(seed: int, number: int, kind: str) -> rig.Scene:
         settings["dampers"] = _dampers(random, bodies)
     if test != "impulse":
         settings["shaker"] = _shaker(random, chain, bodies, kind)
-    settings["test"] = _test(random, test, modes, bodies, settings)
+    settings["test"] = _test(random, test, natural_frequencies, bodies, settings)
     settings["channels"] = _channels(random, settings, bodies)
-    settings["converter"] = _converter(random, settings, modes)
+    settings["converter"] = _converter(random, settings, natural_frequencies)
     if not any("preset" in channel.get("accelerometer", {}) for channel in settings["channels"]):
-        # The module feeds the sensors of a data sheet, and couples them accordingly.
-        module = "preset" in settings["converter"]
-        settings["converter"] |= coupling(Draw(seed, number + _COUPLING_SEED_OFFSET), module)
+        # Sensors of a data sheet need the current supply of a preset, which fixes the coupling.
+        has_preset = "preset" in settings["converter"]
+        settings["converter"] |= draw_coupling(Draw(seed, number + _COUPLING_SEED_OFFSET), has_preset)
     if kind.startswith("imported_"):
-        # Real converters have a filter. Importing without one warns that the bounds exclude aliasing.
+        # Real converters have a filter. An import without a filter warns that the bounds exclude aliasing.
         settings["converter"] |= {"filter": "delta_sigma"}
         settings["converter"].pop("sampling", None)
     settings["recording"] = {"display": False}
     settings["seed"] = random.integer(1, 10**6)
     scene = _draw_range(random, rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"]))
-    # A file of samples does not mark overloads of sensors, and after a filter no clipped peak is flat.
+    # No saturation in imported files: they do not mark overloads, and after a filter no clipped peak is flat.
     return scene if kind.startswith("imported_") else _draw_saturation(random, scene)
 
 
-def structure(random: Draw) -> tuple[Settings, list[float]]:
-    """Draw a chain of 1 to 6 bodies; return it with its natural frequencies, Hz."""
+def draw_chain(random: Draw) -> tuple[Settings, list[float]]:
+    """Draw the structure, a chain of 1 to 6 bodies; return it with its natural frequencies, Hz."""
     bodies = random.integer(1, 6)
     masses = [random.log_uniform(0.3, 3.0) for _ in range(bodies)]
     springs = np.array([random.log_uniform(0.4, 2.5) for _ in range(bodies)])
     stiffness = np.diag(springs + np.append(springs[1:], 0.0))
     stiffness -= np.diag(springs[1:], 1) + np.diag(springs[1:], -1)
-    root = 1.0 / np.sqrt(masses)
-    modes = np.sqrt(np.linalg.eigvalsh(root[:, None] * stiffness * root)) / (2 * np.pi)
-    factor = random.log_uniform(8.0, 25.0) / modes[0]
-    modes = modes * factor
-    min_damping_ratio = 1.0 / (2 * np.pi * modes[0] * _MAX_TIME_CONSTANT_S)
+    inverse_root_mass = 1.0 / np.sqrt(masses)
+    eigenvalues = np.linalg.eigvalsh(inverse_root_mass[:, None] * stiffness * inverse_root_mass)
+    natural_frequencies = np.sqrt(eigenvalues) / (2 * np.pi)
+    # Scale the springs so that the first natural frequency is 8 to 25 Hz.
+    factor = random.log_uniform(8.0, 25.0) / natural_frequencies[0]
+    natural_frequencies = natural_frequencies * factor
+    min_damping_ratio = 1.0 / (2 * np.pi * natural_frequencies[0] * _MAX_TIME_CONSTANT_S)
     damping: Settings
     damping_model = random.integer(0, 2)
     if damping_model == 0:
@@ -126,17 +129,17 @@ def structure(random: Draw) -> tuple[Settings, list[float]]:
     elif damping_model == 1:
         damping = {"modal": [random.log_uniform(max(0.003, min_damping_ratio), 0.04) for _ in range(bodies)]}
     else:
-        # Mass- and stiffness-proportional: `ratio` at the first mode, of which `fraction` grows with frequency.
+        # Proportional damping: `ratio` at the first mode, of which `fraction` is stiffness-proportional.
         ratio, fraction = random.log_uniform(max(0.005, 1.5 * min_damping_ratio), 0.03), random.uniform(0.1, 0.5)
-        angular = 2 * np.pi * modes[0]
+        omega = 2 * np.pi * natural_frequencies[0]
         damping = {
             "rayleigh": {
-                "alpha": float(2 * ratio * (1 - fraction) * angular),
-                "beta": float(2 * ratio * fraction / angular),
+                "alpha": float(2 * ratio * (1 - fraction) * omega),
+                "beta": float(2 * ratio * fraction / omega),
             }
         }
     chain = {"masses": masses, "springs": [float(f"{k:.6g}") for k in springs * factor**2], "damping": damping}
-    return chain, [float(mode) for mode in modes]
+    return chain, natural_frequencies.tolist()
 
 
 def _dampers(random: Draw, bodies: int) -> list[Settings]:
@@ -147,22 +150,23 @@ def _dampers(random: Draw, bodies: int) -> list[Settings]:
     return dampers
 
 
-def _shaker(random: Draw, structure: Settings, bodies: int, kind: str) -> Settings:
+def _shaker(random: Draw, chain: Settings, bodies: int, kind: str) -> Settings:
     body = random.integer(1, bodies)
-    kind_of_shaker = random.choice(["force", "table", "electrodynamic"])
-    if kind_of_shaker == "force" or kind == "swept_sine_dampers":
+    shaker_kind = random.choice(["force", "table", "electrodynamic"])
+    if shaker_kind == "force" or kind == "swept_sine_dampers":
         return {"kind": "force", "body": body}
     return {
-        "kind": kind_of_shaker,
+        "kind": shaker_kind,
         "body": body,
-        "spring": round(structure["springs"][0] * random.uniform(0.1, 0.6), 1),
+        "spring": round(chain["springs"][0] * random.uniform(0.1, 0.6), 1),
     }
 
 
-def _test(random: Draw, test: str, modes: list[float], bodies: int, settings: Settings) -> Settings:
-    low = float(f"{modes[0] * random.uniform(0.5, 0.8):.3g}")
-    top = modes[random.integer(0, len(modes) - 1)]
-    high = float(f"{max(min(top * random.uniform(1.1, 1.5), 8 * low), 1.6 * low):.3g}")
+def _test(random: Draw, test: str, natural_frequencies: list[float], bodies: int, settings: Settings) -> Settings:
+    """Draw a test from below the first mode to above a drawn mode, over 1.6 to 8 times its lowest frequency."""
+    low = float(f"{natural_frequencies[0] * random.uniform(0.5, 0.8):.3g}")
+    highest_mode = natural_frequencies[random.integer(0, len(natural_frequencies) - 1)]
+    high = float(f"{max(min(highest_mode * random.uniform(1.1, 1.5), 8 * low), 1.6 * low):.3g}")
     level = random.log_uniform(0.2, 20.0)
     if test == "impulse":
         test_settings: Settings = {
@@ -179,12 +183,12 @@ def _test(random: Draw, test: str, modes: list[float], bodies: int, settings: Se
         return test_settings
     band: Settings = {"from": low, "to": high}
     has_spring = settings["shaker"]["kind"] != "force"
-    # The force of a sweep is controlled period by period, which takes ten times as long as everything else.
+    # Sweeps through a spring are open loop: force control period by period takes ten times as long as all other tests.
     level_settings: Settings = {"force": level}
     if (has_spring and test == "swept_sine") or (
         has_spring and test in ("random", "burst_random", "multisine") and random.chance(0.3)
     ):
-        level_settings = {"drive": _open_drive(settings, level)}
+        level_settings = {"drive": _open_loop_drive(settings, level)}
     if test in ("random", "burst_random"):
         test_settings = {"kind": "random", **band, "duration": random.uniform(20.0, 60.0), **level_settings}
         if test == "burst_random":
@@ -209,8 +213,8 @@ def _test(random: Draw, test: str, modes: list[float], bodies: int, settings: Se
     }  # fmt: skip
 
 
-def _open_drive(settings: Settings, level: float) -> float:
-    """Drive that causes a force of about `level`: displacement of a table, or voltage of an amplifier."""
+def _open_loop_drive(settings: Settings, level: float) -> float:
+    """Return the drive for a force of about `level` [N]: displacement of a table [m] or voltage of an amplifier."""
     shaker = settings["shaker"]
     return float(f"{level / shaker['spring'] if shaker['kind'] == 'table' else 0.1 * level:.4g}")
 
@@ -218,12 +222,13 @@ def _open_drive(settings: Settings, level: float) -> float:
 def _channels(random: Draw, settings: Settings, bodies: int) -> list[Settings]:
     shaker = settings.get("shaker")
     impulse = settings["test"]["kind"] == "impulse"
-    measured = {random.integer(1, bodies) for _ in range(2)}
+    measured_bodies = {random.integer(1, bodies) for _ in range(2)}
     if shaker is not None and shaker["kind"] != "force":
-        measured.add(shaker["body"])
+        measured_bodies.add(shaker["body"])
     sensors = random.choice(["ideal", "preset", "drawn", "integrated"])
     channels = [
-        {"name": f"a{body}", "at": f"body {body}", **_sensor(random, sensors, impulse)} for body in sorted(measured)
+        {"name": f"a{body}", "at": f"body {body}", **_sensor(random, sensors, impulse)}
+        for body in sorted(measured_bodies)
     ]
     if impulse:
         channels.append({"name": "hammer", "at": "hammer", **_force_sensor(random, sensors)})
@@ -278,8 +283,8 @@ def _force_sensor(random: Draw, sensors: str) -> Settings:
     return {"hammer": sensor}
 
 
-def _converter(random: Draw, settings: Settings, modes: list[float]) -> Settings:
-    min_rate = max(1024.0, 12.0 * modes[-1])
+def _converter(random: Draw, settings: Settings, natural_frequencies: list[float]) -> Settings:
+    min_rate = max(1024.0, 12.0 * natural_frequencies[-1])
     converter: Settings = {"rate": round(max(min_rate, random.choice([1024.0, 2048.0, 2560.0, 5120.0])), 1)}
     if settings["test"]["kind"] == "impulse":
         converter["rate"] = round(max(converter["rate"], 6.0 / settings["test"]["width"], 2048.0), 1)
@@ -297,37 +302,38 @@ def _converter(random: Draw, settings: Settings, modes: list[float]) -> Settings
     if converter.get("filter") is None and "preset" not in converter and random.chance(0.2):
         converter["sampling"] = "point"
     if random.chance(0.2):
-        # All channels are sampled within an interval.
+        # All channels are sampled within one sample interval.
         converter["skew"] = min(random.log_uniform(1e-6, 1e-4), 0.9 / converter["rate"] / len(settings["channels"]))
     if random.chance(0.15):
         converter["clock_error"] = random.uniform(-5e-5, 5e-5)
     if random.chance(_LOST_BLOCK_FRACTION):
-        length = 30.0
+        max_time_s = 30.0
         converter["dropped_blocks"] = [
-            {"at": random.uniform(1.0, length), "samples": random.integer(1, 3000)} for _ in range(random.integer(1, 3))
+            {"at": random.uniform(1.0, max_time_s), "samples": random.integer(1, 3000)}
+            for _ in range(random.integer(1, 3))
         ]
     return {key: value for key, value in converter.items() if value is not None}
 
 
-def coupling(random: Draw, module: bool) -> Settings:
-    """Draw the coupling of all inputs; a module has its own corner frequency."""
+def draw_coupling(random: Draw, has_preset: bool) -> Settings:
+    """Draw the coupling of all inputs; a converter from a preset has its own corner frequency."""
     if not random.chance(_AC_COUPLED_FRACTION):
         return {"coupling": "DC"}
-    return {"coupling": "AC"} | ({} if module else {"ac_corner": random.log_uniform(*_AC_CORNERS_HZ)})
+    return {"coupling": "AC"} | ({} if has_preset else {"ac_corner": random.log_uniform(*_AC_CORNERS_HZ)})
 
 
-def instrumented(random: Draw, scene: rig.Scene, tolerances: bool = True) -> rig.Scene:
-    """Draw the settings that a scene leaves open: coupling, resolution, clock error, sensor tolerances."""
+def with_drawn_instruments(random: Draw, scene: rig.Scene, tolerances: bool = True) -> rig.Scene:
+    """Return a scene with drawn settings of its instruments: coupling, resolution, clock error, sensor tolerances."""
     converter = scene.converter
     if converter.preset is None:
-        converter = converter.replace(**coupling(random, False))
-    # Quantization after an integrator hides every impact, so that nothing could be judged.
+        converter = converter.replace(**draw_coupling(random, False))
+    # No quantization after an integrator: it would hide every impact.
     integrated = any(channel.integrator is not None for channel in scene.channels)
     if converter.preset is None and not integrated and random.chance(0.5):
         # Readings of impacts are much larger than the linear response.
-        largest = max(volts for volts, _ in _largest_signals(scene).values())
-        volts = float(f"{largest * random.log_uniform(10.0, 50.0):.3g}")
-        converter = converter.replace(bits=random.choice([16, 24]), range=volts)
+        largest_voltage = max(voltage for voltage, _ in _largest_signals(scene).values())
+        input_range = float(f"{largest_voltage * random.log_uniform(10.0, 50.0):.3g}")
+        converter = converter.replace(bits=random.choice([16, 24]), range=input_range)
     if random.chance(0.3):
         converter = converter.replace(clock_error=random.uniform(-5e-5, 5e-5))
     channels = []
@@ -340,29 +346,27 @@ def instrumented(random: Draw, scene: rig.Scene, tolerances: bool = True) -> rig
 
 
 def _draw_range(random: Draw, scene: rig.Scene) -> rig.Scene:
-    """Draw the range of the converter: mostly with margin, sometimes too small for the test."""
+    """Return a scene with a drawn input range of the converter: mostly with margin, sometimes too small."""
     if "bits" not in scene.converter.model_fields_set and random.chance(0.3):
         return scene
     margin = random.log_uniform(0.15, 0.8) if random.chance(_TIGHT_RANGE_FRACTION) else random.log_uniform(1.5, 50.0)
-    largest = max(volts for volts, _ in _largest_signals(scene).values())
-    volts = float(f"{max(largest * margin, 1e-6):.3g}")
-    return scene.replace(converter=scene.converter.replace(range=volts))
+    largest_voltage = max(voltage for voltage, _ in _largest_signals(scene).values())
+    input_range = float(f"{max(largest_voltage * margin, 1e-6):.3g}")
+    return scene.replace(converter=scene.converter.replace(range=input_range))
 
 
 def _draw_saturation(random: Draw, scene: rig.Scene) -> rig.Scene:
-    """Draw a saturation limit that the test may reach, sometimes with a slow recovery from overload."""
+    """Return a scene in which a sensor may saturate, sometimes with a slow recovery from overload."""
     if not random.chance(_SATURATED_FRACTION):
         return scene
-    largest_signals, channel_name = (
-        _largest_signals(scene),
-        random.choice([channel.name for channel in scene.channels]),
-    )
-    limit = {"saturation": float(f"{largest_signals[channel_name][1] * random.log_uniform(0.2, 2.0):.3g}")}
+    saturating = random.choice([channel.name for channel in scene.channels])
+    _, largest_input = _largest_signals(scene)[saturating]
+    limit = {"saturation": float(f"{largest_input * random.log_uniform(0.2, 2.0):.3g}")}
     channels = []
     for channel in scene.channels:
-        if channel.name == channel_name and channel.measures_force:
+        if channel.name == saturating and channel.measures_force:
             channel = channel.replace(hammer=(channel.hammer or Hammer()).replace(**limit))
-        elif channel.name == channel_name:
+        elif channel.name == saturating:
             if random.chance(0.3):
                 limit["overload_recovery"] = random.log_uniform(2e-3, 0.2)
             channel = channel.replace(accelerometer=(channel.accelerometer or Accelerometer()).replace(**limit))
@@ -371,8 +375,8 @@ def _draw_saturation(random: Draw, scene: rig.Scene) -> rig.Scene:
 
 
 def _largest_signals(scene: rig.Scene) -> dict[str, tuple[float, float]]:
-    """Estimate the largest voltage of each channel and the largest input of its sensor, without dampers."""
-    test, is_sweep = scene.test, scene.test.kind in ("sine", "stepped_sine", "swept_sine")
+    """Estimate for each channel the largest voltage and the largest input of its sensor (SI), without dampers."""
+    test, is_single_tone = scene.test, scene.test.kind in ("sine", "stepped_sine", "swept_sine")
     if test.kind == "sine":
         band, level = np.array([test.frequency]), test.force
     elif test.kind == "impulse":
@@ -395,7 +399,9 @@ def _largest_signals(scene: rig.Scene) -> dict[str, tuple[float, float]]:
         if test.kind == "impulse" and info.quantity != "force":
             # The pulse excites all modes together.
             readings, inputs = 4.0 * test.width * readings, 4.0 * test.width * inputs
+        # A single tone is largest at a resonance; other signals are taken as three times their RMS value.
         largest[info.name] = tuple(
-            float(level * (row.max() if is_sweep else 3.0 * np.sqrt(np.mean(row**2)))) for row in (readings, inputs)
+            float(level * (curve.max() if is_single_tone else 3.0 * np.sqrt(np.mean(curve**2))))
+            for curve in (readings, inputs)
         )
     return largest

@@ -1,4 +1,4 @@
-"""One random scene of each kind of test; `make gauntlet` runs hundreds."""
+"""The analysis is right for one random scene of each kind of test; `make gauntlet` draws hundreds of scenes."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from tests.gauntlet.scenes import KINDS
 from tests.gauntlet.trial import run_trial
 
 SEED = 5
-# Numbers of scenes whose answers are compared with the truth, not refused, and take a few seconds at most.
-NUMBERS = {
+# Numbers of scenes whose results are all judged, not refused, and which take a few seconds at most.
+SCENE_NUMBERS = {
     "random": 1,
     "burst_random": 6,
     "multisine": 0,
@@ -23,19 +23,19 @@ NUMBERS = {
     "tone_dampers": 0,
     "steps_dampers": 0,
     "decay_dampers": 0,
-    "tone_landings": 0,
-    "steps_landings": 6,
-    "curves_pairs": 0,
-    "multisine_pairs": 2,
-    "stepped_sine_pairs": 0,
-    "random_shakers": 0,
-    "multisine_shakers": 0,
+    "tone_finite_contact": 0,
+    "steps_finite_contact": 6,
+    "curves_close_modes": 0,
+    "multisine_close_modes": 2,
+    "stepped_sine_close_modes": 0,
+    "random_two_shakers": 0,
+    "multisine_two_shakers": 0,
 }
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
-def test_random_scene_gives_right_answers(kind: str) -> None:
-    verdicts = run_trial(SEED, NUMBERS[kind], kind)
+def test_results_of_random_scene_are_right(kind: str) -> None:
+    verdicts = run_trial(SEED, SCENE_NUMBERS[kind], kind)
     assert verdicts
     assert {verdict.outcome for verdict in verdicts} == {"right"}

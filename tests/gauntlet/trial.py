@@ -1,4 +1,4 @@
-"""Trial of one random scene: draw it, record its test, compare the analysis with the truth."""
+"""Trial of one random scene: draw the scene, record its test, and compare the analysis with the truth."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ import rig
 from analysis.exporting.export import export
 from analysis.recordings.slices import Slice
 from rig.errors import ShotrigError
-from tests.gauntlet.cavities import DECAY, STEPS, TONE, draw_cavities, draw_decay
-from tests.gauntlet.judges import JUDGES, modes
-from tests.gauntlet.landings import LANDINGS, STEPPED_LANDINGS, draw_landings
-from tests.gauntlet.pairs import CURVES, MULTISINE, STEPPED, draw_pair, exact_curves
+from tests.gauntlet.close_modes import CURVES, MULTISINE, STEPPED, draw_close_modes, exact_curves
+from tests.gauntlet.finite_contact import STEPS_FINITE_CONTACT, TONE_FINITE_CONTACT, draw_finite_contact
+from tests.gauntlet.instant_contact import DECAY, STEPS, TONE, draw_decay, draw_instant_contact
+from tests.gauntlet.judges import JUDGES, Judge, modes
 from tests.gauntlet.scenes import draw
-from tests.gauntlet.two_shakers import MULTISINE as MULTISINE_SHAKERS
-from tests.gauntlet.two_shakers import RANDOM, draw_shakers
+from tests.gauntlet.two_shakers import MULTISINE as MULTISINE_TWO_SHAKERS
+from tests.gauntlet.two_shakers import RANDOM, draw_two_shakers
 from tests.gauntlet.verdict import Case, Verdict
 
-_FORMATS = (".npz", ".csv")
-_DRAW_FUNCTIONS = {TONE: draw_cavities, STEPS: draw_cavities, DECAY: draw_decay}
-_DRAW_FUNCTIONS |= dict.fromkeys((LANDINGS, STEPPED_LANDINGS), draw_landings)
-_DRAW_FUNCTIONS |= dict.fromkeys((CURVES, MULTISINE, STEPPED), draw_pair)
-_DRAW_FUNCTIONS |= dict.fromkeys((RANDOM, MULTISINE_SHAKERS), draw_shakers)
+# File formats of imported recordings.
+_FILE_ENDINGS = (".npz", ".csv")
+_DRAW_FUNCTIONS = {TONE: draw_instant_contact, STEPS: draw_instant_contact, DECAY: draw_decay}
+_DRAW_FUNCTIONS |= dict.fromkeys((TONE_FINITE_CONTACT, STEPS_FINITE_CONTACT), draw_finite_contact)
+_DRAW_FUNCTIONS |= dict.fromkeys((CURVES, MULTISINE, STEPPED), draw_close_modes)
+_DRAW_FUNCTIONS |= dict.fromkeys((RANDOM, MULTISINE_TWO_SHAKERS), draw_two_shakers)
 
 
 def run_trial(seed: int, number: int, kind: str) -> list[Verdict]:
@@ -35,31 +36,31 @@ def run_trial(seed: int, number: int, kind: str) -> list[Verdict]:
     if kind == CURVES:
         # Curves in closed form need no recording.
         return [modes.compare_modes(scene, exact_curves(scene, seed, number), kind)]
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as warnings_:
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as caught_warnings:
         warnings.simplefilter("always", daq.RunWarning)
         path = Path(folder) / "gauntlet.mcap"
         try:
             daq.record(scene, path)
         except ShotrigError as error:
-            # An aborted test counts as refused; a recording that it leaves is judged nevertheless.
+            # A test that aborts without a recording counts as refused. A partial recording is judged.
             if not path.exists():
                 return [Verdict("record", kind, "refused", note=str(error), scene=scene.name)]
         if kind.startswith("imported_"):
-            path = _import_again(path, scene, _FORMATS[number % len(_FORMATS)])
+            path = _export_and_import(path, scene, _FILE_ENDINGS[number % len(_FILE_ENDINGS)])
         with daq.open(path) as recording:
-            case = Case(scene, recording, [str(warning.message) for warning in warnings_])
-            verdicts = [verdict for name, judge in JUDGES.items() for verdict in _verdicts(name, judge, case, kind)]
+            case = Case(scene, recording, [str(warning.message) for warning in caught_warnings])
+            verdicts = [verdict for name, judge in JUDGES.items() for verdict in _run_judge(name, judge, case, kind)]
     return [replace(verdict, scene=scene.name) for verdict in verdicts]
 
 
-def _import_again(path: Path, scene: rig.Scene, ending: str) -> Path:
-    """Export the samples and import them again, as a file of another program without markers."""
+def _export_and_import(path: Path, scene: rig.Scene, ending: str) -> Path:
+    """Export the samples and import them again: like a file of another program, the recording has no markers."""
     with daq.open(path) as recording:
         export(Slice.of(recording), path.with_suffix(ending))
     return daq.import_files(path.with_suffix(ending), scene, path.with_name("imported.mcap"))
 
 
-def _verdicts(name, judge, case, kind) -> list[Verdict]:
+def _run_judge(name: str, judge: Judge, case: Case, kind: str) -> list[Verdict]:
     try:
         return judge(case, kind)
     except ShotrigError as error:

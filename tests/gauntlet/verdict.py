@@ -1,4 +1,4 @@
-"""Input and output of a judge: the recorded case, and the verdict on one kind of answer."""
+"""Input and output of a judge: the recorded random scene, and the verdict on one kind of result of the analysis."""
 
 from __future__ import annotations
 
@@ -20,30 +20,32 @@ class Case:
     """A random scene and its recording."""
 
     scene: Scene
-    """As drawn."""
     recording: Recording
-    """Open."""
+    """The recording of the scene's test, open for reading."""
     warnings: Sequence[str]
-    """Warnings of the run."""
+    """Warnings during the recording."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict of a judge on one scene."""
+    """Verdict of a judge on one kind of result for one scene."""
 
     judge: str
     """Name of the judge."""
     kind: str
     """Kind of test."""
     outcome: Outcome
-    """Warned: the result names the affected lines or channels and the cause. Wrong: it does not."""
+    """Refused: the analysis raised an error or gave no value. Warned: it named what is affected and the cause.
+
+    Wrong: a value is wrong, and there was no warning.
+    """
     inside: int = 0
-    """Points within their stated 95 % bound."""
+    """Number of points within their stated 95 % bound."""
     points: int = 0
-    """Points that were judged."""
+    """Number of judged points."""
     width: float = np.nan
-    """Median of bound / true value. It reveals bounds that hold only because they are wide."""
+    """Median of bound / true value. A large value reveals bounds that are kept only because they are wide."""
     note: str = ""
     """Largest deviation, or the reason for a refusal."""
     scene: str = ""
-    """Name of the scene: seed, number and kind, from which it can be drawn again."""
+    """Name of the scene. It contains the seed, number and kind, from which the scene can be drawn again."""

@@ -15,7 +15,7 @@ from daq.recording.markers import Marker
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError
 from tests.analysis.responses import synthetic
-from tests.gauntlet.cavities import TONE
+from tests.gauntlet.instant_contact import TONE
 from tests.gauntlet.judges.impacts import detectable
 from tests.gauntlet.trial import run_trial
 

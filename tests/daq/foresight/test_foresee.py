@@ -13,7 +13,7 @@ import rig
 from daq.foresight import rehearsal_plan
 from rig.errors import SceneError
 from rig.system.structural_model import receptance
-from tests.gauntlet.foresights import KINDS, compare, with_long_test
+from tests.gauntlet.predicted_maxima import KINDS, compare, with_long_test
 from tests.gauntlet.scenes import draw
 
 TONE = {"kind": "sine", "frequency": "30 Hz", "force": "2 N", "duration": "3 s"}

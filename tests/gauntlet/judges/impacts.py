@@ -1,9 +1,9 @@
-"""Impacts detected in the channels, compared with those of the engine: F1 score of detected and true impacts.
+"""Judge of impacts: F1 score of the impacts detected in the channels, against the true impacts of the simulation.
 
-With finite-duration contact the touch counts as the impact, not the release. Only impacts above the stated
-threshold count, without those that the result declares inseparable from a larger one or hidden by its ringing. A
-detected impact may match any true one. The two match within two samples, the main lobe of the converter's filter;
-with finite-duration contact, where wall, time and size agree within the stated errors.
+True impacts count only above the detection threshold that the result states. They do not count if, according to the
+result, they cannot be separated from a larger impact or are hidden by its ringing. A detected impact may match any true
+impact within two samples (the main lobe of the converter's filter). With finite-duration contact the start of the
+contact is the impact, and its wall, time and velocity jump must agree within the stated errors.
 """
 
 from __future__ import annotations
@@ -15,72 +15,79 @@ from analysis.damper_motion.impact_detection import Impacts, impacts, score
 from analysis.responses.systematic import tolerance
 from daq.signal_chain.channel import ChannelInfo
 from rig.system.assembly import assemble
-from tests.gauntlet.cavities import TONE
-from tests.gauntlet.landings import LANDINGS
+from tests.gauntlet.finite_contact import TONE_FINITE_CONTACT
+from tests.gauntlet.instant_contact import TONE
 from tests.gauntlet.verdict import Case, Verdict
 
-# Largest distance of a detected from its true impact, samples.
+# Largest time between a detected impact and its true impact, samples.
 MAX_DISTANCE_SAMPLES = 2.0
-# Margin at both ends of a window in which impacts are not judged, s: earlier ringing decays there.
+# Margin at both ends of a window in which impacts are not judged: ringing of earlier impacts decays there.
 _MARGIN_S = 0.05
-# Largest plausible error, standard deviations.
+# Largest plausible error, in standard uncertainties.
 MAX_ERROR_SIGMAS = 4.0
-# Smallest F1 score: 2 hits / (detected + true).
+# Smallest F1 score: 2 matched / (detected + true).
 MIN_F1_SCORE = 0.8
 
 
 def judge(case: Case, kind: str) -> list[Verdict]:
-    """Compare the impacts of every damper; points are detected plus true impacts, as in the F1 score."""
-    if kind not in (TONE, LANDINGS):
+    """Compare the impacts of every damper; the points are detected plus true impacts, as in the F1 score."""
+    if kind not in (TONE, TONE_FINITE_CONTACT):
         return []
-    recording, score_hits, points, notes = case.recording, 0, 0, []
+    recording, n_matched, points, notes = case.recording, 0, 0, []
     [window] = [marker for marker in recording.markers if marker.kind == "measure"]
     low, high = window.first_sample / recording.rate + _MARGIN_S, window.stop / recording.rate - _MARGIN_S
     for number, damper in enumerate(case.scene.dampers, 1):
         detected = impacts(recording, f"a{damper.body}", window.first_sample, window.stop)
         time, jump = true_impacts(case, number)
         is_judged = (time > low) & (time < high) & detectable(time, jump, detected)
-        is_judged &= ~_in_excluded_interval(time, detected.left_out)
+        is_judged &= ~_is_in_excluded_interval(time, detected.left_out)
         _, right, is_detected = score(detected.time, time, _max_distance(detected, recording.rate))
         n_false = int(np.sum(~right & (detected.time > low) & (detected.time < high)))
         if detected.contact_duration and right.any():
-            right[right] = _agree(detected, right, time, jump, case.recording.channels[detected.channel])
+            right[right] = _agrees_within_errors(detected, right, time, jump, recording.channels[detected.channel])
             is_detected = score(detected.time[right], time, _max_distance(detected, recording.rate))[2]
             n_false = int(np.sum(~right & (detected.time > low) & (detected.time < high)))
         n_detected, n_missed = int(np.sum(is_detected & is_judged)), int(np.sum(~is_detected & is_judged))
-        score_hits, points = score_hits + 2 * n_detected, points + 2 * n_detected + n_missed + n_false
+        n_matched, points = n_matched + 2 * n_detected, points + 2 * n_detected + n_missed + n_false
         notes.append(f"a{damper.body}: {n_detected} detected, {n_missed} missed, {n_false} false")
-    outcome = "right" if score_hits >= MIN_F1_SCORE * points else "wrong"
-    return [Verdict("impacts", kind, outcome, score_hits, points, note="; ".join(notes))]
+    outcome = "right" if n_matched >= MIN_F1_SCORE * points else "wrong"
+    return [Verdict("impacts", kind, outcome, n_matched, points, note="; ".join(notes))]
 
 
 def _max_distance(detected: Impacts, rate: float) -> float:
-    """Return the largest distance of a detected from its true impact, s."""
+    """Return the largest time between a detected impact and its true impact, s."""
     return max(MAX_DISTANCE_SAMPLES / rate, 0.5 * detected.contact_duration)
 
 
-def _agree(
+def _agrees_within_errors(
     detected: Impacts,
     matched: NDArray[np.bool_],
     time: NDArray[np.float64],
     jump: NDArray[np.float64],
     info: ChannelInfo,
 ) -> NDArray[np.bool_]:
-    """Return whether wall, time and size of matched impacts agree within the stated errors."""
+    """Return whether the walls, times and velocity jumps of matched impacts agree within the stated errors.
+
+    A jump is positive at the ceiling and negative at the floor.
+    """
     nearest = np.abs(time - detected.time[matched, None]).argmin(axis=1)
-    in_time = abs(detected.time[matched] - time[nearest]) < MAX_ERROR_SIGMAS * detected.time_error[matched]
-    bound = MAX_ERROR_SIGMAS * detected.jump_error[matched] + tolerance(info) * abs(detected.jump[matched])
-    return in_time & (abs(detected.jump[matched] - jump[nearest]) < bound)
+    time_bound = MAX_ERROR_SIGMAS * detected.time_error[matched]
+    jump_bound = MAX_ERROR_SIGMAS * detected.jump_error[matched] + tolerance(info) * abs(detected.jump[matched])
+    time_error, jump_error = detected.time[matched] - time[nearest], detected.jump[matched] - jump[nearest]
+    return (abs(time_error) < time_bound) & (abs(jump_error) < jump_bound)
 
 
-def _in_excluded_interval(time: NDArray[np.float64], intervals: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _is_in_excluded_interval(time: NDArray[np.float64], intervals: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return whether each impact lies in an interval that the search excluded, or within a millisecond of it."""
-    margin = 1e-3
-    return ((time[:, None] > intervals[:, 0] - margin) & (time[:, None] < intervals[:, 1] + margin)).any(axis=1)
+    margin_s = 1e-3
+    return ((time[:, None] > intervals[:, 0] - margin_s) & (time[:, None] < intervals[:, 1] + margin_s)).any(axis=1)
 
 
 def true_impacts(case: Case, number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return times and velocity jumps of the body for a damper, numbered from 1; negative at the floor."""
+    """Return times [s] and velocity jumps [m/s] of a damper's body; the damper is numbered from 1.
+
+    The body's velocity jumps downward (negative) at the floor.
+    """
     damper, events = case.scene.dampers[number - 1], case.recording.events
     contacts = events[(events["damper"] == number) & np.isin(events["kind"], ("floor", "ceiling", "touch"))]
     at_ceiling = contacts["kind"] == "ceiling"
@@ -97,8 +104,8 @@ def true_impacts(case: Case, number: int) -> tuple[NDArray[np.float64], NDArray[
 
 
 def detectable(time: NDArray[np.float64], jump: NDArray[np.float64], detected: Impacts) -> NDArray[np.bool_]:
-    """Return whether each impact should be detected: above the threshold, and not masked by a larger one."""
-    # Bouncing ends in thousands of tiny impacts, which mask no other impact.
+    """Return whether each impact should be detected: above the threshold, and not masked by a larger impact."""
+    # Omit the thousands of tiny impacts at the end of bouncing: they mask no other impact.
     is_detectable = abs(jump) > detected.threshold
     time, magnitude = time[is_detectable], abs(jump[is_detectable])
     distance = abs(time - time[:, None])

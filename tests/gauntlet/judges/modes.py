@@ -1,6 +1,6 @@
-"""Identified modes, compared with those of the structure: frequency and damping ratio within their stated errors.
+"""Judge of modes: natural frequencies and damping ratios, compared with the structure within their stated errors.
 
-Both modes of a close pair must be identified. Elsewhere a mode may be missing, because noise may hide it.
+Both modes of a close pair must be identified. Of other structures a mode may be missing, because noise may hide it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from analysis.modal.modes import Modes
 from rig.arrays import Array
 from rig.results.response import Response
 from rig.system.structural_model import structure_matrices
-from tests.gauntlet.pairs import CURVES, MULTISINE, STEPPED
+from tests.gauntlet.close_modes import CURVES, MULTISINE, STEPPED
 from tests.gauntlet.verdict import Case, Outcome, Verdict
 
 # Coverage factor of the 95 % interval.
@@ -23,13 +23,13 @@ COVERAGE_FACTOR = 1.96
 MAX_ERROR_SIGMAS = 4.5
 # Warning that the points are too far apart to determine the modes.
 _EXTRAPOLATED = "the damping is extrapolated from the flanks"
-# Rounding, relative.
+# Relative rounding error.
 _ROUNDING = 1e-9
-_PAIRS = (CURVES, MULTISINE, STEPPED)
+_CLOSE_MODES = (CURVES, MULTISINE, STEPPED)
 
 
 def judge(case: Case, kind: str) -> list[Verdict]:
-    """Identify modes from all curves of a linear structure."""
+    """Identify the modes of a linear structure from all curves of the first level."""
     if case.scene.dampers or case.scene.test.kind == "free":
         return []
     verdicts = [
@@ -41,10 +41,11 @@ def judge(case: Case, kind: str) -> list[Verdict]:
 
 
 def compare_modes(scene: rig.Scene, curves: list[Response], kind: str) -> Verdict:
-    """Compare the modes of some curves with the structure; points are frequencies and damping ratios."""
+    """Compare the modes identified from curves with the structure; points are frequencies and damping ratios."""
     modes = analysis.identify(curves)
     true_frequency, true_ratio = _true_modes(scene)
-    matched, extra = _match(modes, true_frequency, true_ratio)
+    matched, spurious = _match(modes, true_frequency, true_ratio)
+    # Errors of frequency and damping ratio, in standard uncertainties.
     error = np.array(
         [
             [
@@ -55,17 +56,17 @@ def compare_modes(scene: rig.Scene, curves: list[Response], kind: str) -> Verdic
             for i, j in matched
         ]
     ).reshape(-1, 2)
-    separated = kind not in _PAIRS or {0, 1} <= {j for _, j in matched}
+    is_separated = kind not in _CLOSE_MODES or {0, 1} <= {j for _, j in matched}
     outcome: Outcome = "right"
     if modes.model_error:
         outcome = "warned"
-    elif extra or not separated or np.any(error > MAX_ERROR_SIGMAS):
+    elif spurious or not is_separated or np.any(error > MAX_ERROR_SIGMAS):
         outcome = "warned" if any(_EXTRAPOLATED in text for text in modes.warnings) else "wrong"
     counted = outcome != "warned"
     worst = error.max(initial=0.0)
-    note = f"{len(matched)} of {true_frequency.size} modes identified, largest error {worst:.2f} standard deviations"
-    note += "".join(f", {modes.frequency[i]:.5g} Hz is spurious" for i in extra)
-    note += "" if separated else f", the pair at {true_frequency[0]:.5g} Hz is not separated"
+    note = f"{len(matched)} of {true_frequency.size} modes identified, largest error {worst:.2f} standard uncertainties"
+    note += "".join(f", {modes.frequency[i]:.5g} Hz is spurious" for i in spurious)
+    note += "" if is_separated else f", the pair at {true_frequency[0]:.5g} Hz is not separated"
     width = float(np.median(COVERAGE_FACTOR * modes.damping_error / modes.damping))
     return Verdict(
         "modes", kind, outcome, int(np.sum(error < COVERAGE_FACTOR)) if counted else 0, error.size if counted else 0,
@@ -74,13 +75,13 @@ def compare_modes(scene: rig.Scene, curves: list[Response], kind: str) -> Verdic
 
 
 def _true_modes(scene: rig.Scene) -> tuple[Array, Array]:
-    """Return natural frequencies as measured with the error of the clock, Hz, and damping ratios."""
+    """Return natural frequencies [Hz] and damping ratios; the frequencies are read with the error of the clock."""
     mass, damping, stiffness = structure_matrices(scene.structure)
     bodies = len(mass)
-    state = np.block(
+    state_matrix = np.block(
         [[np.zeros((bodies, bodies)), np.eye(bodies)], [-linalg.solve(mass, np.hstack([stiffness, damping]))]]
     )
-    poles = np.linalg.eigvals(state)
+    poles = np.linalg.eigvals(state_matrix)
     poles = poles[poles.imag > 0.0]
     poles = poles[np.argsort(abs(poles))]
     clock = 1.0 + (scene.converter.clock_error or 0.0)
@@ -88,13 +89,13 @@ def _true_modes(scene: rig.Scene) -> tuple[Array, Array]:
 
 
 def _match(modes: Modes, frequency: Array, ratio: Array) -> tuple[list[tuple[int, int]], list[int]]:
-    """Match identified with true modes, nearest first; also return the spurious modes."""
+    """Return pairs of indices of identified and true modes, nearest first, and the indices of spurious modes."""
     distance = abs(modes.frequency[:, None] - frequency)
     is_close = distance < np.maximum(5.0 * modes.frequency_error[:, None], ratio * frequency)
     matched: list[tuple[int, int]] = []
-    for flat in np.argsort(distance, axis=None):
-        i, j = divmod(int(flat), frequency.size)
+    for flat_index in np.argsort(distance, axis=None):
+        i, j = divmod(int(flat_index), frequency.size)
         if is_close[i, j] and all(i != a and j != b for a, b in matched):
             matched.append((i, j))
-    genuine = {i for i, _ in matched}
-    return matched, [i for i in range(modes.frequency.size) if i not in genuine]
+    matched_modes = {i for i, _ in matched}
+    return matched, [i for i in range(modes.frequency.size) if i not in matched_modes]

@@ -1,7 +1,8 @@
-"""Frequency responses: every line lies within its 95 % interval of the exact curve, or is marked, or is rejected.
+"""Judge of frequency responses: the exact curve lies within the 95 % interval of each line, or the line is marked.
 
-There are two comparisons: the full interval with the structure, and the interval without sensor tolerances with the
-structure as measured by its actual sensors. The second prevents that wide tolerances hide other errors.
+There are two comparisons. "responses": full intervals with the exact response of the structure. "responses, as built":
+intervals without sensor tolerances, with the exact response as read by the actual sensors, which deviate from their
+data sheets. The second comparison reveals errors that wide tolerances would hide.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from scipy import special
 import analysis
 import rig
 from analysis.responses.multisine import LIFTED, NONLINEAR, ONE_REALISATION
+from daq.recording.markers import Marker
+from daq.recording.recording import Recording
 from daq.signal_chain.devices import accelerometer, force_sensor
 from rig.results.response import MOTIONS, Response
 from rig.results.uncertainty import CLOCK, SENSITIVITY
@@ -23,15 +26,19 @@ from rig.scene.measurement_chain import Accelerometer, Hammer
 from rig.scene.presets import complete_from_preset
 from rig.scene.shaker import ForceShaker
 from rig.system.structural_model import receptance
-from tests.gauntlet.cavities import STEPS, TONE
+from tests.gauntlet.instant_contact import STEPS, TONE
 from tests.gauntlet.two_shakers import exact_receptance
 from tests.gauntlet.verdict import Case, Outcome, Verdict
 
+# Function from frequencies [Hz] to the receptances of all bodies (bodies, frequencies), m/N.
+ReceptanceFunction = Callable[[NDArray[np.float64]], NDArray[np.complex128]]
+
 # Smallest fraction of the lines of a scene within their intervals.
 MIN_COVERAGE = 0.7
-# With few lines, chance alone can violate it. Smallest joint probability of the errors under correct intervals.
+# With few lines, chance alone can violate `MIN_COVERAGE`. A scene is also right if the joint probability of its errors,
+# if the intervals are correct, is larger than this.
 MIN_PROBABILITY = 1e-4
-# A line is misleading if its error exceeds this multiple of its bound and `MISLEADING_ERROR`.
+# A line is misleading if its error exceeds both this multiple of its bound and `MISLEADING_ERROR`.
 MISLEADING_BOUNDS = 3.0
 # Error of a misleading line relative to the true value.
 MISLEADING_ERROR = 0.05
@@ -47,15 +54,16 @@ _ROUNDING = 1e-9
 _FORCE_STEP = 2e-3
 # Largest relative derivative: larger values indicate a change to another type of motion.
 _MAX_RELATIVE_SLOPE = 20.0
-# Largest relative standard deviation of the true amplitudes in the parts of a regular motion.
+# The true motion at a frequency is regular if the amplitudes of the parts of its measurement scatter less: relative
+# standard deviation.
 _MAX_AMPLITUDE_DEVIATION = 0.02
-# Largest relative change of the true amplitude from the first to the second half of a measurement in steady state: a
-# decaying transient that is as large as `_MIN_OTHER_DIFFERENCE` changes more.
+# Largest relative change of the true amplitude from the first to the second half of a steady measurement. A decaying
+# transient that is as large as `_MIN_DIFFERENCE_OF_MOTIONS` changes more.
 _MAX_STEADY_DRIFT = 1e-3
-# A steady motion whose amplitude differs from that of the orbit by more is another stable motion.
-_MIN_OTHER_DIFFERENCE = 0.01
-# Largest relative difference between an orbit and the settled simulation of the same motion.
-_MAX_DIFFERENCE_OF_ONE_MOTION = 1e-3
+# A steady motion is another stable motion than the periodic orbit if its amplitude differs by more than this fraction.
+_MIN_DIFFERENCE_OF_MOTIONS = 0.01
+# Largest relative difference between an orbit and a simulation to steady state of the same motion.
+_MAX_DIFFERENCE_OF_METHODS = 1e-3
 # Number of parts of a measurement, each of whole periods, whose amplitudes are compared.
 _COMPARED_PARTS = 10
 # Largest relative deviation of the force for which the first-order correction is accurate to about 1e-5.
@@ -64,20 +72,26 @@ _MAX_FORCE_DEVIATION = 2e-3
 
 @dataclass
 class _Tally:
-    """Counts of lines within their bounds, of misleading lines, and of lines without a claim."""
+    """Numbers of lines of all curves of a recording, by the outcome of their comparison with the exact curve."""
 
     name: str
     inside: int = 0
+    """Lines within their bounds."""
     points: int = 0
+    """Judged lines: those with a finite bound that are not marked as unsteady."""
     probability: float = 1.0
-    """Joint probability of errors as large, for the least likely curve."""
+    """Joint probability of errors that are at least as large, for the least likely curve."""
     misleading: int = 0
     unresolved: int = 0
+    """Lines without a value or without a finite bound."""
     marked: int = 0
+    """Lines marked as unsteady."""
     widths: list[float] = field(default_factory=list)
+    """Bound relative to the true value, for each judged line."""
     notes: list[str] = field(default_factory=list)
 
     def add(self, frf: Response, exact: NDArray[np.complex128]) -> None:
+        """Add the lines of a curve; lines where the exact curve is NaN do not count."""
         bound, is_known = frf.bound(0.95), np.isfinite(exact)
         magnitude, error = np.maximum(abs(exact), 1e-300), abs(frf.value - exact)
         bound = bound + _ROUNDING * magnitude
@@ -92,7 +106,8 @@ class _Tally:
             np.sum(judged & (error > MISLEADING_BOUNDS * bound) & (error > MISLEADING_ERROR * magnitude))
         )
         if judged.any():
-            # An error exceeds k times its 95 % bound with a probability of 0.05 to the power of k squared.
+            # A complex Gaussian error exceeds k times its 95 % bound with a probability of 0.05^(k^2). Therefore the
+            # sum of these exponents has a gamma distribution.
             exponent = -np.log(0.05) * np.sum((error / bound)[judged] ** 2)
             self.probability = min(self.probability, float(special.gammaincc(judged.sum(), exponent)))
             self.widths += (bound / magnitude)[judged].tolist()
@@ -104,6 +119,7 @@ class _Tally:
             )
 
     def verdict(self, kind: str, warnings: list[str]) -> Verdict:
+        """Return the verdict on all added curves, given the warnings of the analysis."""
         lines = self.points + self.unresolved + self.marked
         covered = self.inside >= MIN_COVERAGE * self.points or self.probability > MIN_PROBABILITY
         is_right = covered and self.misleading <= MAX_MISLEADING_FRACTION * self.points
@@ -117,7 +133,7 @@ class _Tally:
         else:
             outcome = "right" if is_right else "wrong"
         note = "; ".join(self.notes) + "".join(f" [{text}]" for text in dict.fromkeys(warnings))
-        # Curves that are refused or warned of as a whole have no bounds to count.
+        # The bounds of refused curves, and of curves with a warning, do not count.
         counted = outcome in ("right", "wrong")
         return Verdict(
             self.name,
@@ -139,22 +155,22 @@ def judge(case: Case, kind: str) -> list[Verdict]:
     full_bound, without_tolerances = _Tally("responses"), _Tally("responses, as built")
     warnings: list[str] = []
     regular_truth = _exclude_irregular(case, _truth(case.scene))
-    truth, truth_near_nominal_force = (
-        _truth_at_actual_forces(case, regular_truth, np.inf),
-        _truth_at_actual_forces(case, regular_truth, _MAX_FORCE_DEVIATION),
-    )
+    truth = _truth_at_actual_forces(case, regular_truth, np.inf)
+    truth_near_nominal_force = _truth_at_actual_forces(case, regular_truth, _MAX_FORCE_DEVIATION)
     for group in analysis.frequency_responses(case.recording):
         for frf in group:
             warnings += frf.warnings
             body = int(case.recording.channels[frf.response].at.split()[1]) - 1
             full_bound.add(frf, truth(frf.frequency)[body])
-            within_tolerance = replace(frf, uncertainty=frf.uncertainty.without(SENSITIVITY, CLOCK))
-            without_tolerances.add(within_tolerance, _curve_of_actual_sensors(case, frf, truth_near_nominal_force))
+            frf_without_tolerances = replace(frf, uncertainty=frf.uncertainty.without(SENSITIVITY, CLOCK))
+            without_tolerances.add(
+                frf_without_tolerances, _curve_of_actual_sensors(case, frf, truth_near_nominal_force)
+            )
     return [tally.verdict(kind, warnings) for tally in (full_bound, without_tolerances)]
 
 
 def _judge_several_shakers(case: Case, kind: str) -> list[Verdict]:
-    """Compare the responses to each force of shakers that are driven together with closed form."""
+    """Compare the responses to each of several simultaneous forces with closed form."""
     full_bound, without_tolerances = _Tally("responses"), _Tally("responses, as built")
     warnings: list[str] = []
     shaker_numbers = {
@@ -167,18 +183,18 @@ def _judge_several_shakers(case: Case, kind: str) -> list[Verdict]:
             body = int(case.recording.channels[frf.response].at.split()[1]) - 1
             shaker = shaker_numbers[frf.input]
             full_bound.add(frf, exact_receptance(case.scene, frf.frequency, shaker)[body])
-            within_tolerance = replace(frf, uncertainty=frf.uncertainty.without(SENSITIVITY, CLOCK))
+            frf_without_tolerances = replace(frf, uncertainty=frf.uncertainty.without(SENSITIVITY, CLOCK))
             gain = _gain(case, frf.response, frf.frequency) / _gain(case, f"f{shaker}", frf.frequency)
             without_tolerances.add(
-                within_tolerance, exact_receptance(case.scene, clock * frf.frequency, shaker)[body] * gain
+                frf_without_tolerances, exact_receptance(case.scene, clock * frf.frequency, shaker)[body] * gain
             )
     return [tally.verdict(kind, warnings) for tally in (full_bound, without_tolerances)]
 
 
-def _truth(scene: rig.Scene) -> Callable[[NDArray[np.float64]], NDArray[np.complex128]]:
-    """Return a function for the receptances of all bodies; results are stored.
+def _truth(scene: rig.Scene) -> ReceptanceFunction:
+    """Return a function for the true receptances of all bodies, with a cache.
 
-    NaN where the motion is irregular, or where two stable motions exist: the path of the test decides between them.
+    NaN where the motion is irregular, or where two stable motions exist, between which the course of the test decides.
     """
     cache: dict[bytes, NDArray[np.complex128]] = {}
 
@@ -186,14 +202,13 @@ def _truth(scene: rig.Scene) -> Callable[[NDArray[np.float64]], NDArray[np.compl
         key = frequency.tobytes()
         if key not in cache:
             if scene.test.kind == "multisine":
-                # With dampers in flight the estimate warns that it is no response to tones; otherwise the dampers
-                # are at rest.
+                # If dampers fly, the analysis warns and the curve is not judged. Otherwise the dampers are at rest.
                 dampers = [damper.replace(locked=True) for damper in scene.dampers]
                 cache[key] = receptance(scene.replace(dampers=dampers), frequency)
             elif scene.dampers and isinstance(scene.driven_shaker, ForceShaker):
                 response = rig.orbit_response(scene, frequency)
                 settled = _steady_receptance(scene, frequency)
-                differs = np.any(abs(settled / response.compliance - 1.0) > _MAX_DIFFERENCE_OF_ONE_MOTION, axis=0)
+                differs = np.any(abs(settled / response.compliance - 1.0) > _MAX_DIFFERENCE_OF_METHODS, axis=0)
                 cache[key] = np.where(response.simulated | differs, np.nan, response.compliance)
             elif scene.dampers:
                 # Through the coil spring, the harmonics of the dampers affect the force.
@@ -205,33 +220,24 @@ def _truth(scene: rig.Scene) -> Callable[[NDArray[np.float64]], NDArray[np.compl
     return exact
 
 
-def _exclude_irregular(
-    case: Case, exact: Callable[[NDArray[np.float64]], NDArray[np.complex128]]
-) -> Callable[[NDArray[np.float64]], NDArray[np.complex128]]:
+def _exclude_irregular(case: Case, exact: ReceptanceFunction) -> ReceptanceFunction:
     """Return ``exact`` with NaN at frequencies where the recorded true motion is irregular or another steady motion."""
     recording, excluded = case.recording, []
     if not case.scene.dampers or recording.truth_points == ():
         return exact
     for marker in recording.markers:
         if marker.kind == "measure" and "frequency" in marker.fields and marker.last_sample is not None:
-            period = recording.rate / marker.fields["frequency"]
-            n_periods = int((marker.stop - marker.first_sample) / period)
-            part_periods = max(n_periods // _COMPARED_PARTS, 1)
-            edges = np.arange(n_periods // part_periods + 1) * part_periods * period
-            edges = marker.first_sample + np.round(edges).astype(int)
-            motion = recording.truth("displacement", edges[0], edges[-1])
-            tone = motion * np.exp(-2j * np.pi * np.arange(motion.shape[1]) / period)
-            amplitudes = 2.0 * abs(
-                np.array([part.mean(axis=1) for part in np.split(tone, edges[1:-1] - edges[0], axis=1)])
-            )
+            frequency = marker.fields["frequency"]
+            amplitudes = _amplitudes_of_parts(recording, marker)
             mean, middle = amplitudes.mean(axis=0), len(amplitudes) // 2
             drift = np.max(abs(amplitudes[:middle].mean(axis=0) - amplitudes[middle:].mean(axis=0)) / mean)
-            is_other = False
+            is_irregular = np.any(amplitudes.std(axis=0) > _MAX_AMPLITUDE_DEVIATION * mean)
+            is_other_motion = False
             if drift < _MAX_STEADY_DRIFT and isinstance(case.scene.driven_shaker, ForceShaker):
-                expected = abs(exact(np.array([marker.fields["frequency"]]))[: len(motion), 0])
-                is_other = bool(np.any(abs(mean / marker.fields["drive"] / expected - 1.0) > _MIN_OTHER_DIFFERENCE))
-            if np.any(amplitudes.std(axis=0) > _MAX_AMPLITUDE_DEVIATION * mean) or is_other:
-                excluded.append(marker.fields["frequency"])
+                expected = marker.fields["drive"] * abs(exact(np.array([frequency]))[: len(mean), 0])
+                is_other_motion = np.any(abs(mean / expected - 1.0) > _MIN_DIFFERENCE_OF_MOTIONS)
+            if is_irregular or is_other_motion:
+                excluded.append(frequency)
 
     def regular(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
         is_excluded = np.isclose(frequency[:, None], np.array(excluded), rtol=1e-3, atol=0.0).any(axis=1)
@@ -240,8 +246,21 @@ def _exclude_irregular(
     return regular
 
 
+def _amplitudes_of_parts(recording: Recording, marker: Marker) -> NDArray[np.float64]:
+    """Return true displacement amplitudes at the frequency of a measurement in parts of it (parts, bodies), m."""
+    period = recording.rate / marker.fields["frequency"]
+    n_periods = int((marker.stop - marker.first_sample) / period)
+    part_periods = max(n_periods // _COMPARED_PARTS, 1)
+    edges = np.arange(n_periods // part_periods + 1) * part_periods * period
+    edges = marker.first_sample + np.round(edges).astype(int)
+    motion = recording.truth("displacement", edges[0], edges[-1])
+    demodulated = motion * np.exp(-2j * np.pi * np.arange(motion.shape[1]) / period)
+    parts = np.split(demodulated, edges[1:-1] - edges[0], axis=1)
+    return 2.0 * abs(np.array([part.mean(axis=1) for part in parts]))
+
+
 def _steady_receptance(scene: rig.Scene, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """Return receptances from simulation until steady state; NaN where it is not reached."""
+    """Return receptances from a simulation to steady state; NaN where it is not reached."""
     down = getattr(scene.test, "direction", "up") == "down"
     response = rig.frequency_response(scene, frequency, direction="down" if down else "up", longest=3000)
     order = np.argsort(response.frequency)
@@ -249,13 +268,11 @@ def _steady_receptance(scene: rig.Scene, frequency: NDArray[np.float64]) -> NDAr
     return values[:, np.searchsorted(response.frequency[order], frequency)]
 
 
-def _truth_at_actual_forces(
-    case: Case, truth: Callable[[NDArray[np.float64]], NDArray[np.complex128]], max_deviation: float
-) -> Callable[[NDArray[np.float64]], NDArray[np.complex128]]:
-    """Return a function for the receptances at the actual forces, to first order; NaN beyond its range of validity.
+def _truth_at_actual_forces(case: Case, truth: ReceptanceFunction, max_deviation: float) -> ReceptanceFunction:
+    """Return a function for the true receptances at the actual forces, to first order in the force deviation.
 
-    The controller controls the reading of sensors with deviations, within its tolerance. The response of a nonlinear
-    structure belongs to the actual force, not to the specified force.
+    NaN where the deviation exceeds `max_deviation`. The actual force differs from the specified force within the
+    tolerance of the controller, and because its sensors deviate. A nonlinear response depends on the actual force.
     """
     scene = case.scene
     readings = {
@@ -274,7 +291,7 @@ def _truth_at_actual_forces(
         with np.errstate(invalid="ignore"):
             deviation = forces[nearest] / abs(_force_gain(case, frequency, values)) / scene.test.force - 1.0
             slope = (truth_at_higher_force(frequency) - values) / _FORCE_STEP
-            # A steeper slope means that more force leads to another kind of motion: the first order is invalid.
+            # Where a larger force leads to another type of motion, the first order is invalid.
             smooth = abs(slope) < _MAX_RELATIVE_SLOPE * abs(values)
             return np.asarray(np.where((abs(deviation) <= max_deviation) & smooth, values + slope * deviation, np.nan))
 
@@ -282,10 +299,10 @@ def _truth_at_actual_forces(
 
 
 def _gain(case: Case, name: str, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """Return the ratio of reading to true value of a channel at nominal frequencies, for its sensor and clock."""
+    """Return the ratio of reading to true value of a channel at nominal frequencies [Hz], for its sensor and clock."""
     channel = next(channel for channel in case.scene.channels or () if channel.name == name)
     clock, info = 1.0 + (case.scene.converter.clock_error or 0.0), case.recording.channels[name]
-    # The data sheet's response is applied at the nominal frequency, while the sensor acts at the true one.
+    # The analysis corrects by the sensor's response at the nominal frequency, while the sensor acts at the true one.
     shift = info.response(frequency * clock) / info.response(frequency)
     if channel.measures_force:
         deviation = force_sensor(complete_from_preset(channel.hammer or Hammer()), case.scene.seed, name).deviation
@@ -295,7 +312,7 @@ def _gain(case: Case, name: str, frequency: NDArray[np.float64]) -> NDArray[np.c
 
 
 def _force_gain(case: Case, frequency: NDArray[np.float64], exact: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return the ratio of the reading to the true force, from the receptances of all bodies."""
+    """Return the ratio of reading to true force; `exact`: receptances of all bodies."""
     channels = case.scene.channels or ()
     force = next((channel.name for channel in channels if channel.measures_force), None)
     if force is not None:
@@ -303,19 +320,18 @@ def _force_gain(case: Case, frequency: NDArray[np.float64], exact: NDArray[np.co
     table = next(channel.name for channel in channels if channel.at == "table")
     number = case.scene.shaker.bodies[0]
     driven = next(channel.name for channel in channels if channel.at == f"body {number}")
-    # The spring force is read as the difference of the displacements at its ends.
-    spring = case.scene.shaker.spring * exact[number - 1]
-    # NaN where the truth is unknown; such lines are not judged.
+    # The force is the spring's stiffness times the difference of the displacements of table and body. Relative to the
+    # force, stiffness times displacement is 1 + r at the table and r at the body.
+    r = case.scene.shaker.spring * exact[number - 1]
+    # NaN where the truth is unknown; these lines are not judged.
     with np.errstate(invalid="ignore"):
-        gain = _gain(case, table, frequency) * (1.0 + spring) - _gain(case, driven, frequency) * spring
+        gain = _gain(case, table, frequency) * (1.0 + r) - _gain(case, driven, frequency) * r
     return np.asarray(gain)
 
 
-def _curve_of_actual_sensors(
-    case: Case, frf: Response, truth: Callable[[NDArray[np.float64]], NDArray[np.complex128]]
-) -> NDArray[np.complex128]:
-    """Return the exact curve as measured by the actual sensors, with their deviations from the data sheets."""
-    # With a clock error the true frequencies differ from the nominal ones.
+def _curve_of_actual_sensors(case: Case, frf: Response, truth: ReceptanceFunction) -> NDArray[np.complex128]:
+    """Return the exact curve as read by the actual sensors, which deviate from their data sheets."""
+    # A clock error makes the true frequencies differ from the nominal frequencies.
     exact = truth(frf.frequency * (1.0 + (case.scene.converter.clock_error or 0.0)))
     body = int(case.recording.channels[frf.response].at.split()[1])
     with np.errstate(invalid="ignore"):

@@ -1,9 +1,9 @@
-"""Coefficient of restitution estimated from velocity jumps, compared with the scene."""
+"""Judge of restitution: the coefficient of restitution estimated from velocity jumps, compared with the scene."""
 
 from __future__ import annotations
 
 from analysis.damper_motion.free_flight import BodyMotion, restitution
-from tests.gauntlet.cavities import TONE
+from tests.gauntlet.instant_contact import TONE
 from tests.gauntlet.verdict import Case, Verdict
 
 # Coverage factor of the 95 % interval.
@@ -16,17 +16,19 @@ def judge(case: Case, kind: str) -> list[Verdict]:
     """Compare the estimate for each damper with the scene."""
     if kind != TONE:
         return []
-    rec, verdicts = case.recording, []
-    [window] = [marker for marker in rec.markers if marker.kind == "measure"]
+    recording, verdicts = case.recording, []
+    [window] = [marker for marker in recording.markers if marker.kind == "measure"]
     for damper in case.scene.dampers:
-        motion = BodyMotion(rec, f"a{damper.body}", window.first_sample, window.stop)
+        motion = BodyMotion(recording, f"a{damper.body}", window.first_sample, window.stop)
         estimate = restitution(motion, damper)
         if estimate is None:
             verdicts.append(Verdict("restitution", kind, "refused", note="not determined"))
             continue
         error = abs(estimate.value - damper.restitution) / estimate.error
-        estimated = f"{estimate.value:.3f}, standard uncertainty {estimate.error:.3f}"
-        note = f"a{damper.body}: {estimated}, true {damper.restitution:.3f}"
+        note = (
+            f"a{damper.body}: {estimate.value:.3f}, standard uncertainty {estimate.error:.3f}, "
+            f"true {damper.restitution:.3f}"
+        )
         verdicts.append(
             Verdict(
                 "restitution",

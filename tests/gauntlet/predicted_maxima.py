@@ -1,7 +1,8 @@
-"""Predicted and recorded maxima on random scenes: ``python -m tests.gauntlet.foresights --scenes 40 --seed 7``.
+"""Predicted maxima compared with recordings: ``python -m tests.gauntlet.predicted_maxima --scenes 40 --seed 7``.
 
-Prints a line for each scene and the largest relative error of linear scenes and of scenes with dampers. Exit code 1:
-the error of a channel exceeds the documented limit.
+`daq.foresee` predicts the maximum of each channel before a test. It rehearses the test, completely or in parts. Printed
+are a line for each random scene, and the largest relative errors of scenes without and with dampers. Exit code 1: an
+error exceeds the documented limit, or a test aborts although no abort was predicted, or the reverse.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ import sys
 import tempfile
 import time
 import warnings
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +22,7 @@ import rig
 from rig.errors import RunError
 from tests.gauntlet.scenes import draw
 
+# Kinds of tests: a selection of those of `tests.gauntlet.scenes`.
 KINDS = (
     "random",
     "multisine",
@@ -40,16 +41,22 @@ MAX_RELATIVE_ERROR = {"linear": 0.05, "with dampers": 0.20}
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of predicted and recorded maxima of the channels of a scene."""
+    """Predicted and recorded maxima of the channels of a scene."""
 
     kind: str
     max_error: float
+    """Largest relative error of a predicted maximum."""
     channel: str
+    """The channel with the largest error."""
     fully_rehearsed: bool
     overloaded: bool
+    """Whether an overload was predicted."""
     abort_agrees: bool
+    """Whether the test aborted exactly if that was predicted."""
     seconds: float
+    """CPU time of the prediction."""
     duration_error: float
+    """Relative error of the predicted duration."""
 
     @property
     def group(self) -> str:
@@ -76,33 +83,34 @@ def with_long_test(scene: rig.Scene) -> rig.Scene:
 def compare(scene: rig.Scene, kind: str, folder: Path) -> Comparison:
     """Predict the maxima of a scene, record it, and compare the maxima of every channel."""
     start = time.process_time()
-    foreseen = daq.foresee(scene)
+    prediction = daq.foresee(scene)
     seconds = time.process_time() - start
     path, aborted = folder / "recorded.mcap", False
-    with warnings.catch_warnings(), suppress(RunError):
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        aborted = True
-        daq.record(scene, path, overwrite=True)
-        aborted = False
+        try:
+            daq.record(scene, path, overwrite=True)
+        except RunError:
+            aborted = True
     max_error, channel_name = 0.0, ""
     with daq.open(path) as recording:
         for channel in recording.channels:
             recorded = float(np.nanmax(abs(recording.read(channel))))
-            error = abs(foreseen[channel].recorded / recorded - 1.0) if recorded else 0.0
+            error = abs(prediction[channel].recorded / recorded - 1.0) if recorded else 0.0
             if error > max_error:
                 max_error, channel_name = error, channel
         duration = recording.samples / recording.rate
-    overloaded = any(expectation.overloaded for expectation in foreseen.expectations)
-    abort_agrees = aborted == (foreseen.aborts is not None)
+    overloaded = any(expectation.overloaded for expectation in prediction.expectations)
+    abort_agrees = aborted == (prediction.aborts is not None)
     return Comparison(
         kind,
         max_error,
         channel_name,
-        not foreseen.rehearsed,
+        not prediction.rehearsed,
         overloaded,
         abort_agrees,
         seconds,
-        foreseen.seconds / duration - 1.0,
+        prediction.seconds / duration - 1.0,
     )
 
 
@@ -123,7 +131,7 @@ def main() -> int:
             comparisons.append(comparison)
             print(
                 f"{number:3} {kind:22} {comparison.max_error:7.2%} {comparison.channel:8} "
-                f"{'whole' if comparison.fully_rehearsed else 'parts'} "
+                f"{'complete' if comparison.fully_rehearsed else 'parts   '} "
                 f"{'overload ' if comparison.overloaded else ''}{'' if comparison.abort_agrees else 'ABORT DIFFERS '}"
                 f"CPU {comparison.seconds:.2f} s, duration {comparison.duration_error:+.0%}",
                 flush=True,

@@ -6,36 +6,37 @@ import yaml
 
 import rig
 from rig.system.landing import spring_damper
-from tests.gauntlet.cavities import force_that_flies
-from tests.gauntlet.scenes import INSTRUMENTS, Draw, Settings, instrumented
+from tests.gauntlet.instant_contact import draw_force_for_flight
+from tests.gauntlet.scenes import INSTRUMENT_SEED_OFFSET, Draw, Settings, with_drawn_instruments
 
-# The paper's rig: masses [kg], springs [N/m], natural frequencies [Hz].
-_MASSES = (0.74, 0.71, 0.64)
-_SPRINGS = (24.3e3, 21.8e3, 19.8e3)
-_MODES = (12.6, 34.8, 49.2)
+# The paper's rig.
+_MASSES_KG = (0.74, 0.71, 0.64)
+_SPRINGS_N_PER_M = (24.3e3, 21.8e3, 19.8e3)
+_NATURAL_FREQUENCIES_HZ = (12.6, 34.8, 49.2)
 # Range of contact durations.
 _CONTACT_DURATIONS_S = (5e-4, 8e-3)
-LANDINGS, STEPPED_LANDINGS = "tone_landings", "steps_landings"
+# Kinds of tests: a tone near a mode, and steps around a mode.
+TONE_FINITE_CONTACT, STEPS_FINITE_CONTACT = "tone_finite_contact", "steps_finite_contact"
 
 
-def draw_landings(seed: int, number: int, kind: str) -> rig.Scene:
+def draw_finite_contact(seed: int, number: int, kind: str) -> rig.Scene:
     """Draw a tone, or steps, near a mode of the paper's rig with one to three dampers; the truth is recorded."""
     random = Draw(seed, number)
     damper_bodies = sorted({random.integer(1, 3) for _ in range(random.integer(1, 3))})
-    mode_frequency = random.choice(_MODES)
+    natural_frequency = random.choice(_NATURAL_FREQUENCIES_HZ)
     first, last = (
-        float(f"{mode_frequency * random.uniform(*fractions):.4g}") for fractions in ((0.88, 1.0), (1.01, 1.1))
+        float(f"{natural_frequency * random.uniform(*fractions):.4g}") for fractions in ((0.88, 1.0), (1.01, 1.1))
     )
     test: Settings = {"kind": "sine", "frequency": first, "duration": 1.5}
-    if kind == STEPPED_LANDINGS:
+    if kind == STEPS_FINITE_CONTACT:
         test = {"kind": "stepped_sine", "from": first, "to": last, "points": 6}
     rate = random.choice([5120.0, 12800.0, 25600.0, 51200.0])
     sensor, converter = _instruments(random, rate)
     settings: Settings = {
         "name": f"gauntlet {seed}/{number} {kind}",
         "structure": {
-            "masses": [mass * random.uniform(0.8, 1.25) for mass in _MASSES],
-            "springs": [spring * random.uniform(0.8, 1.25) for spring in _SPRINGS],
+            "masses": [mass * random.uniform(0.8, 1.25) for mass in _MASSES_KG],
+            "springs": [spring * random.uniform(0.8, 1.25) for spring in _SPRINGS_N_PER_M],
             "damping": {"modal": random.log_uniform(0.003, 0.02)},
         },
         "dampers": [_damper(random, body) for body in damper_bodies],
@@ -50,11 +51,12 @@ def draw_landings(seed: int, number: int, kind: str) -> rig.Scene:
         "seed": random.integer(1, 10**6),
     }
     scene = rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"])
-    scene = scene.replace(test=scene.test.replace(force=force_that_flies(random, scene, damper_bodies[0])))
-    return instrumented(Draw(seed, number + INSTRUMENTS), scene)
+    scene = scene.replace(test=scene.test.replace(force=draw_force_for_flight(random, scene, damper_bodies[0])))
+    return with_drawn_instruments(Draw(seed, number + INSTRUMENT_SEED_OFFSET), scene)
 
 
 def _damper(random: Draw, body: int) -> Settings:
+    """Draw a damper whose contact is given by its duration, or by stiffness and damping."""
     ratio, duration = random.uniform(0.03, 0.15), random.log_uniform(*_CONTACT_DURATIONS_S)
     restitution = random.choice([0.0, random.uniform(0.05, 0.6)])
     damper: Settings = {
@@ -64,13 +66,13 @@ def _damper(random: Draw, body: int) -> Settings:
     }
     if random.chance(0.7):
         return {**damper, "restitution": restitution, "contact": {"duration": duration}}
-    reduced_mass = _MASSES[body - 1] * ratio / (1.0 + ratio)
+    reduced_mass = _MASSES_KG[body - 1] * ratio / (1.0 + ratio)
     stiffness, damping = spring_damper(duration, restitution, reduced_mass)
     return {**damper, "contact": {"stiffness": float(stiffness), "damping": float(damping)}}
 
 
 def _instruments(random: Draw, rate: float) -> tuple[Settings, Settings]:
-    """Draw sensor and converter: ideal, of data sheets, or a sensor with an integrator."""
+    """Draw sensor and converter: ideal, from data sheets, or with drawn values and perhaps an integrator."""
     choice = random.integer(0, 2)
     if choice == 0:
         return {}, {"rate": rate}

@@ -1,10 +1,10 @@
-"""The server with several releases of NI's client, each in a separate environment.
+"""The server with several releases of NI's client `nidaqmx`, each in a separate environment.
 
     python -m tests.clients [VERSION ...]
 
-The releases are the oldest with the protocol, the last that needs an older protobuf than this project, the oldest that
-can be installed with this project, an intermediate release and the newest. The client of a script may be older than the
-client of this project, whose message classes the server uses.
+The default releases are: the oldest with the gRPC protocol, the last that needs an older protobuf than this project,
+the oldest that can be installed with this project, an intermediate release and the newest. A user's client may be older
+than the `nidaqmx` of this project, whose message classes the server uses.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ from nidaqmx.system import System
 channel = grpc.insecure_channel(sys.argv[1])
 options = nidaqmx.GrpcSessionOptions(channel, "")
 assert "cDAQ1Mod1" in System.remote(options).devices.device_names
-with nidaqmx.Task(grpc_options=options) as task, nidaqmx.Task(grpc_options=options) as driving:
+with nidaqmx.Task(grpc_options=options) as task, nidaqmx.Task(grpc_options=options) as output:
     task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:3", min_val=-500.0, max_val=500.0)
     task.timing.cfg_samp_clk_timing(5000.0, sample_mode=AcquisitionType.FINITE, samps_per_chan=1000)
     assert abs(task.timing.samp_clk_rate - 5120.0) < 1e-9, task.timing.samp_clk_rate
-    driving.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
-    driving.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.FINITE, samps_per_chan=1000)
-    driving.triggers.start_trigger.cfg_dig_edge_start_trig("/cDAQ1/ai/StartTrigger")
-    AnalogSingleChannelWriter(driving.out_stream).write_many_sample(np.sin(np.arange(1000) / 20.0))
+    output.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+    output.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.FINITE, samps_per_chan=1000)
+    output.triggers.start_trigger.cfg_dig_edge_start_trig("/cDAQ1/ai/StartTrigger")
+    AnalogSingleChannelWriter(output.out_stream).write_many_sample(np.sin(np.arange(1000) / 20.0))
     done = threading.Event()
     task.register_done_event(lambda *arguments: done.set() or 0)
-    driving.start()
+    output.start()
     task.start()
-    found = np.zeros((4, 1000))
-    assert AnalogMultiChannelReader(task.in_stream).read_many_sample(found, READ_ALL_AVAILABLE) == 1000
-    assert np.ptp(found, axis=1).min() > 0.0
+    samples = np.zeros((4, 1000))
+    assert AnalogMultiChannelReader(task.in_stream).read_many_sample(samples, READ_ALL_AVAILABLE) == 1000
+    assert np.ptp(samples, axis=1).min() > 0.0
     assert done.wait(60.0)
-    driving.wait_until_done()
+    output.wait_until_done()
     task.stop()
     try:
         task.ai_channels.add_ai_voltage_chan("nowhere/ai0")
@@ -59,7 +59,7 @@ print("passed")
 
 
 def main() -> int:
-    """Run the script with each release, and name those that fail."""
+    """Run the script with each release and print whether it passes; exit code 1 if one fails."""
     failed = []
     with tempfile.TemporaryDirectory() as folder, daq.connect("bare-structure", clock="fast") as rig:
         script = Path(folder, "script.py")

@@ -14,7 +14,7 @@ settings.register_profile(
 )
 settings.load_profile("project")
 
-# On a busy machine, commands would report that they are still running, between the lines that tests check.
+# No messages that a command is still running: on a busy machine they would appear between the lines that tests check.
 console.MAX_SILENCE_S = float("inf")
 
 # A shell starts background programs with interrupts ignored, and child processes inherit this setting: programs that
@@ -26,7 +26,8 @@ if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_I
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
-# Modules are imported once and remain: to search them for garbage during collection takes a fifth of its time.
+# No garbage collection while pytest collects the tests: imports create almost no garbage, and it takes a fifth of the
+# time.
 gc.disable()
 
 

@@ -1,4 +1,4 @@
-"""The tests under other settings of processor, libraries and Python versions: `make matrix`.
+"""Run the tests under other settings of processor, libraries and Python versions: `make matrix`.
 
 Results must not depend on vector width, BLAS kernel, threads, locale, time zone, folder or user rights, nor on the
 versions of Python and of the dependencies that `pyproject.toml` allows. Settings that are unavailable are reported.
@@ -49,8 +49,8 @@ KERNEL_INSTRUCTIONS = {
     "Sapphirerapids": "AVX512_SPR",
 }
 QUICK_OPTIONS = ["-m", "not thorough"]
-# Tests of CI: examples in docstrings, which print digits, and the engine against its references. The quick tests of the
-# analysis run under a narrow and a wide kernel.
+# Tests of `--short`, for CI: examples in docstrings, which print digits, and the engine against its references. The
+# quick tests of the analysis run under a kernel with narrow and one with wide vectors.
 SHORT_TESTS = ["rig", "daq", "analysis", "tests/rig/engine", "tests/rig/numerics"]
 SHORT_KERNELS = ("Nehalem", "SkylakeX")
 
@@ -104,7 +104,7 @@ def lower_bounds() -> str:
 
 
 def create_environment(python: str, folder: Path, constraints: str) -> str:
-    """Install the product with another Python, or with other versions of its dependencies."""
+    """Install the product in a new environment, with constraints on its dependencies; return the path of its Python."""
     subprocess.run([python, "-m", "venv", str(folder / "venv")], check=True)
     python_path = str(folder / "venv" / "bin" / "python")
     (folder / "constraints.txt").write_text(constraints, encoding="utf-8")

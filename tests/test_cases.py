@@ -1,7 +1,7 @@
 """Hard cases: every scene in tests/cases meets the requirements in its header.
 
-The header is a comment with `Why hard`, then `Run` (the engine alone, open loop) or `Bench` (with sensors and
-converter), `Vary` (one setting over a range) and `Must hold`. All but the first are YAML.
+The header is a comment with these parts, of which all but the first are YAML: `Why hard`; `Run` (simulate the motion
+alone, open loop) or `Bench` (with sensors and converter); `Vary` (a setting over a range); `Must hold` (requirements).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Case:
         return cls(path, {name: yaml.safe_load(text) for name, text in sections.items() if name != "Why hard"})
 
     def scenes(self) -> Iterator[rig.Scene]:
-        """The scene, or its variants."""
+        """Yield the scene, or its variants if the header varies a setting."""
         scene = rig.load(self.path)
         vary = self.header.get("Vary")
         if vary is None:
@@ -72,13 +72,14 @@ def test_hard_case_meets_its_requirements(case: Case) -> None:
 
 
 def check_simulation(scene: rig.Scene, settings: dict[str, Any], requirements: dict[str, Any]) -> None:
+    """Simulate a scene and check its events and motion; `settings`, `requirements`: the parts of the header."""
     frequency = parse(settings["frequency"], FREQUENCY) if "frequency" in settings else None
     rate = parse(settings.get("rate", "2 kHz"), FREQUENCY)
     run = rig.simulate(scene, parse(settings["duration"], TIME), rate, frequency=frequency)
     check_invariants(run)
     kinds = [str(kind) for kind in run.events["kind"]]
-    count = requirements.get("events")
-    assert len(kinds) > 0 if count == "some" else count in (None, len(kinds))
+    required_count = requirements.get("events")
+    assert len(kinds) > 0 if required_count == "some" else required_count in (None, len(kinds))
     assert requirements.get("kinds", kinds) == kinds
     assert requirements.get("ambiguous", run.ambiguous) == run.ambiguous
     if "first" in requirements:
@@ -86,8 +87,8 @@ def check_simulation(scene: rig.Scene, settings: dict[str, Any], requirements: d
     if "first_time" in requirements:
         assert run.events["time"][0] == parse(requirements["first_time"], TIME)
     if "unison" in requirements:
+        # Three equal dampers have equal events at equal times, to the last bit.
         simultaneous = run.events[: len(run.events) // 3 * 3].reshape(-1, 3)
-        # Equal to the last bit of the time.
         assert np.ptp(simultaneous["time"], axis=1).max() < 1e-14
         assert len(run.events) % 3 == 0 and len(run.events) > 0
     if "drift" in requirements:
@@ -98,9 +99,9 @@ def check_simulation(scene: rig.Scene, settings: dict[str, Any], requirements: d
 
 
 def check_invariants(run: rig.Run) -> None:
-    """Check the invariants of any run."""
-    for part in (run.displacement, run.velocity, run.acceleration, run.gap):
-        assert np.isfinite(part).all()
+    """Check what is true of any simulation: finite motion, gaps within clearances, ordered events, energy balance."""
+    for motion in (run.displacement, run.velocity, run.acceleration, run.gap):
+        assert np.isfinite(motion).all()
     clearance = np.array([d.clearance for d in run.scene.dampers if not d.locked and d.clearance > 0.0])
     assert (run.gap >= 0.0).all()
     assert (run.gap <= clearance[:, None] + 1e-12).all()
@@ -113,6 +114,7 @@ def check_invariants(run: rig.Run) -> None:
 
 
 def check_measurement(scene: rig.Scene, settings: dict[str, Any], requirements: dict[str, Any]) -> None:
+    """Measure a scene with sensors and converter, and check the readings."""
     bench = Bench(scene)
     samples = int(parse(settings["duration"], TIME) * bench.rate)
     drive = sampled_drive(bench, settings.get("drive"), samples)
@@ -141,7 +143,7 @@ def check_measurement(scene: rig.Scene, settings: dict[str, Any], requirements: 
         names = [channel.name for channel in bench.channels]
         begin = int(parse(comparison["from"], TIME) * bench.rate)
         measured = reading[names.index(comparison["channel"]), begin:]
-        # An accelerometer reads changes, so that the displacement at power-on is missing in its reading.
+        # An integrated acceleration lacks the displacement at power-on.
         true = np.concatenate(truths)
         true = (true - true[0])[begin:]
         assert np.std(measured - true) < parse(comparison["within"], RATIO) * np.std(true)

@@ -1,6 +1,7 @@
-"""Commands, Python and links in the README and the guides: `sh` and `python` blocks run, `bash` blocks are parsed.
+"""Commands, Python code and links in the README and the guides are valid.
 
-`bash` marks commands that take long, need an extra or wait for a user.
+Blocks marked `sh` and `python` run. Blocks marked `bash` are only parsed: their commands take long, need an optional
+package or wait for a user.
 """
 
 from __future__ import annotations
@@ -27,10 +28,12 @@ PROGRAMS = ("rig", "daq", "analysis")
 
 
 def blocks(page: Path) -> list[tuple[str, str]]:
+    """Return kind and text of the code blocks of a page."""
     return re.findall(r"^```(\w+)\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
 
 
 def commands(page: Path, *kinds: str) -> list[list[str]]:
+    """Return the words of each command of this product in blocks of some kinds."""
     lines = [
         shlex.split(line, comments=True) for kind, block in blocks(page) if kind in kinds for line in block.splitlines()
     ]
@@ -38,7 +41,7 @@ def commands(page: Path, *kinds: str) -> list[list[str]]:
 
 
 def scenes() -> dict[str, str]:
-    """Scene files that pages tell their reader to save, by name."""
+    """Return the texts of the scene files that readers of the pages save, by name."""
     scene_texts = {}
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
@@ -73,7 +76,7 @@ def test_commands_of_pages_run_as_typed(page, folder) -> None:
 
 
 @pytest.mark.thorough
-def test_readme_quotes_the_comparison_it_prints(folder) -> None:
+def test_readme_quotes_printed_comparison(folder) -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     (words,) = [words for words in commands(ROOT / "README.md", "sh") if words[1] == "compare"]
     header, row = re.findall(r"^    ((?:response|body3) .*)$", text, re.MULTILINE)

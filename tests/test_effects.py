@@ -17,7 +17,7 @@ def full_scene() -> rig.Scene:
 
 
 def without_sensor_effect(key: str) -> rig.Scene:
-    """The scene without one effect of the second channel's sensor or amplifier."""
+    """Return the scene without one effect of the second channel's sensor or integrator."""
     scene = full_scene()
     first, second, *rest = scene.channels
     if key == "integrator":
@@ -27,17 +27,21 @@ def without_sensor_effect(key: str) -> rig.Scene:
     return scene.replace(channels=(first, second, *rest))
 
 
+def tone(samples: int, rate: float) -> np.ndarray:
+    """Return a drive of 8 V at 34.8 Hz, near the second mode: the dampers fly."""
+    return 8.0 * np.sin(2 * np.pi * 34.8 * np.arange(samples) / rate)[None]
+
+
 def acquire_samples(scene: rig.Scene) -> np.ndarray:
     bench = Bench(scene)
-    time = np.arange(800) / bench.rate
-    return bench.acquire(8.0 * np.sin(2 * np.pi * 34.8 * time)[None]).samples
+    return bench.acquire(tone(800, bench.rate)).samples
 
 
 @pytest.mark.parametrize("key", ["resonance", "noise", "low_cutoff", "integrator"])
 def test_effect_of_one_channel_changes_no_other(key: str) -> None:
-    with_it, without = acquire_samples(full_scene()), acquire_samples(without_sensor_effect(key))
-    np.testing.assert_array_equal(without[[0, 2, 3]], with_it[[0, 2, 3]])
-    assert (without[1] != with_it[1]).any()
+    with_effect, without = acquire_samples(full_scene()), acquire_samples(without_sensor_effect(key))
+    np.testing.assert_array_equal(without[[0, 2, 3]], with_effect[[0, 2, 3]])
+    assert (without[1] != with_effect[1]).any()
 
 
 def test_removed_channel_changes_no_other() -> None:
@@ -48,11 +52,10 @@ def test_removed_channel_changes_no_other() -> None:
 
 @pytest.mark.parametrize("part", [{"channels": None}, {"converter": {"rate": 5120.0}}, {"recording": {"truth": True}}])
 def test_measurement_settings_do_not_change_motion(part: dict[str, object]) -> None:
-    time = np.arange(800) / 5120.0
-    drive = 8.0 * np.sin(2 * np.pi * 34.8 * time)[None]
-    with_it, without = (Bench(scene).acquire(drive).motion for scene in (full_scene(), full_scene().replace(**part)))
+    scenes = full_scene(), full_scene().replace(**part)
+    original, changed = (Bench(scene).acquire(tone(800, 5120.0)).motion for scene in scenes)
     for field in ("displacement", "velocity", "acceleration", "gap", "break_offset", "events"):
-        np.testing.assert_array_equal(getattr(without, field), getattr(with_it, field))
+        np.testing.assert_array_equal(getattr(changed, field), getattr(original, field))
 
 
 @pytest.mark.parametrize("part", ["display", "truth"])
@@ -68,9 +71,8 @@ def test_display_and_truth_do_not_change_channels(part: str, tmp_path: Path) -> 
 
 def test_unreachable_ceiling_does_not_change_motion() -> None:
     scene = full_scene()
-    ceilings = scene.replace(dampers=[damper.replace(clearance=10.0) for damper in scene.dampers])
-    drive = 8.0 * np.sin(2 * np.pi * 34.8 * np.arange(2000) / 5120.0)[None]
-    with_them, without = (rig.Plant(variant, 5120.0).advance(drive) for variant in (ceilings, scene))
-    assert len(without.events) > 0
-    np.testing.assert_array_equal(with_them.displacement, without.displacement)
-    np.testing.assert_array_equal(with_them.events, without.events)
+    with_ceilings = scene.replace(dampers=[damper.replace(clearance=10.0) for damper in scene.dampers])
+    motion, with_motion = (rig.Plant(variant, 5120.0).advance(tone(2000, 5120.0)) for variant in (scene, with_ceilings))
+    assert len(motion.events) > 0
+    np.testing.assert_array_equal(with_motion.displacement, motion.displacement)
+    np.testing.assert_array_equal(with_motion.events, motion.events)

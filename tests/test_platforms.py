@@ -1,4 +1,4 @@
-"""Emulated differences between systems: rules of Windows for open files, consoles with few characters."""
+"""Emulated differences between operating systems: Windows rules for open files, consoles with few characters."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SCENE = {
 
 @pytest.fixture
 def windows_files(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Open files cannot be renamed, replaced or removed, and files open for reading cannot be synced."""
+    """Emulate Windows: open files cannot be renamed, replaced or removed; files open for reading cannot be synced."""
 
     def reject_open_file(path: Path) -> None:
         if str(path.resolve()) in {file.path for file in psutil.Process().open_files()}:
@@ -36,24 +36,24 @@ def windows_files(monkeypatch: pytest.MonkeyPatch) -> None:
 
     replace, unlink, sync = Path.replace, Path.unlink, os.fsync
 
-    def careful_replace(self: Path, target: Path) -> Path:
+    def windows_replace(self: Path, target: Path) -> Path:
         reject_open_file(self)
         reject_open_file(Path(target))
         return replace(self, target)
 
-    def careful_unlink(self: Path, missing_ok: bool = False) -> None:
+    def windows_unlink(self: Path, missing_ok: bool = False) -> None:
         reject_open_file(self)
         unlink(self, missing_ok)
 
-    def careful_sync(number: int) -> None:
+    def windows_sync(number: int) -> None:
         if fcntl.fcntl(number, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDONLY:
             raise OSError(errno.EBADF, "Bad file descriptor")
         sync(number)
 
-    monkeypatch.setattr(Path, "replace", careful_replace)
-    monkeypatch.setattr(Path, "rename", careful_replace)
-    monkeypatch.setattr(Path, "unlink", careful_unlink)
-    monkeypatch.setattr(os, "fsync", careful_sync)
+    monkeypatch.setattr(Path, "replace", windows_replace)
+    monkeypatch.setattr(Path, "rename", windows_replace)
+    monkeypatch.setattr(Path, "unlink", windows_unlink)
+    monkeypatch.setattr(os, "fsync", windows_sync)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has these rules itself")

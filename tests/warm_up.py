@@ -1,4 +1,4 @@
-"""Compile the kernels of the tests once, on both cores: otherwise every worker would compile them."""
+"""Compile the kernels of the tests once, before the workers of pytest start: otherwise each would compile them."""
 
 from __future__ import annotations
 

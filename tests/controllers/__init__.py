@@ -1,1 +1,1 @@
-"""Other people's controllers as they ship, against the instrument; run by hand where there is a copy of them."""
+"""Unmodified control and acquisition programs of other authors with the virtual instrument; run by hand."""

@@ -1,8 +1,8 @@
-"""LDAQ acquires through its own NI source: `python -m tests.controllers.ldaq SITE_PACKAGES [real|fast]`.
+"""LDAQ acquires through its NI interface: `python -m tests.controllers.ldaq SITE_PACKAGES [real|fast]`.
 
-SITE_PACKAGES is where `pip install LDAQ` has put it, in an environment of its own: the folder with `LDAQ` and
-`nidaqwrapper` in it. A scene's own test shakes the rig, LDAQ's `Core` reads three accelerometers through
-`NIAcquisition`, starts at its trigger, and what it measured must be that test's tone.
+SITE_PACKAGES is the folder with `LDAQ` and `nidaqwrapper` in a separate environment (`pip install LDAQ`). The test of
+the scene excites the structure with a tone. LDAQ's `Core` reads three accelerometers through `NIAcquisition` from its
+trigger on; its data must contain this tone.
 """
 
 from __future__ import annotations
@@ -38,23 +38,23 @@ source = NIAcquisition(task)
 source.set_trigger(0.02, 1, duration=2.0, duration_unit="seconds", presamples=200)
 core = LDAQ.Core([source])
 core.run(hotkeys=False, verbose=0)
-found = core.get_measurement_dict()["shaker test"]
+measured = core.get_measurement_dict()["shaker test"]
 task.clear_task()
-time, data = found["time"], found["data"]
+time, data = measured["time"], measured["data"]
 assert data.shape == (10240, 3), data.shape
 assert np.allclose(np.diff(time), 1 / 5120)
 assert data[:199, 1].max() < 0.02 <= data[199:202, 1].max(), data[195:205, 1]
 spectrum = np.abs(np.fft.rfft(data[-5120:] * np.hanning(5120)[:, None], axis=0))
 assert (np.argmax(spectrum[5:], axis=0) + 5 == 25).all()
 # The sensors on one body agree within their tolerances.
-one, other = np.std(data[-5120:, 1:], axis=0)
-assert abs(one / other - 1) < 0.15
+first, second = np.std(data[-5120:, 1:], axis=0)
+assert abs(first / second - 1) < 0.15
 print(f"LDAQ {LDAQ.__version__ if hasattr(LDAQ, '__version__') else ''}: passed, {data.shape} samples")
 """
 
 
 def main() -> int:
-    """Run the script with LDAQ's packages behind those of this environment."""
+    """Run the script; LDAQ's packages come after those of this environment on the path."""
     if len(sys.argv) < 2:
         print(__doc__)
         return 2

@@ -1,11 +1,10 @@
-"""Rattlesnake closes its random vibration loop: `python -m tests.controllers.rattlesnake CHECKOUT [SITE_PACKAGES]`.
+"""Rattlesnake controls a random vibration test: `python -m tests.controllers.rattlesnake CHECKOUT [SITE_PACKAGES]`.
 
-CHECKOUT is a copy of https://github.com/sandialabs/rattlesnake-vibration-controller (GPL), which this project does not
-hold; SITE_PACKAGES is where what it needs is installed (qtpy, PyQt5, pyqtgraph, netCDF4, openpyxl and the like). Its
-processes run as they ship: acquisition, output, and the random environment with the four of its own, each a client of
-the instrument or of them. Only its window is left out; what a user would press there is sent into its queues. It
-identifies the system, predicts the drive, and controls the acceleration to a flat spectrum; the error that it states
-must be below 3 dB rms.
+CHECKOUT is a copy of https://github.com/sandialabs/rattlesnake-vibration-controller (GPL), which is not part of this
+project. SITE_PACKAGES is a folder with its dependencies (qtpy, PyQt5, pyqtgraph, netCDF4, openpyxl, ...). Its processes
+for acquisition, output and random control run unmodified, as clients of the virtual instrument. Its window is replaced:
+the script below sends the commands of a user into its queues. Rattlesnake identifies the system, predicts the drive,
+and controls the acceleration to a flat spectrum. The control error that it reports must be below 3 dB RMS.
 """
 
 from __future__ import annotations
@@ -61,93 +60,96 @@ random.sysid_signal_type, random.sysid_window, random.sysid_overlap = "Random", 
 random.sysid_burst_on, random.sysid_pretrigger, random.sysid_burst_ramp_fraction = 0.5, 0.05, 0.05
 
 log = mp.Queue()
-def messages(name):
+def message_queue(name):
     return VerboseMessageQueue(log, name)
-commands, data_in, data_out = {NAME: messages("environment")}, {NAME: mp.Queue()}, {NAME: mp.Queue()}
-controller, shown = messages("controller"), mp.Queue()
-queues = QueueContainer(controller, messages("acquisition"), messages("output"), messages("streaming"), log, mp.Queue(),
-                        mp.Queue(), shown, commands, data_in, data_out)
-acquiring, putting_out = mp.Value("i", 0), mp.Value("i", 0)
+commands, data_in, data_out = {NAME: message_queue("environment")}, {NAME: mp.Queue()}, {NAME: mp.Queue()}
+controller, window_updates = message_queue("controller"), mp.Queue()
+queues = QueueContainer(controller, message_queue("acquisition"), message_queue("output"), message_queue("streaming"),
+                        log, mp.Queue(), mp.Queue(), window_updates, commands, data_in, data_out)
+acquiring, generating = mp.Value("i", 0), mp.Value("i", 0)
 environments = [[ControlTypes.RANDOM, NAME]]
 processes = [
     mp.Process(target=all_environment_processes[ControlTypes.RANDOM],
-               args=(NAME, commands[NAME], shown, controller, log, data_in[NAME], data_out[NAME], acquiring,
-                     putting_out)),
+               args=(NAME, commands[NAME], window_updates, controller, log, data_in[NAME], data_out[NAME], acquiring,
+                     generating)),
     mp.Process(target=acquisition_process, args=(queues, environments, acquiring)),
-    mp.Process(target=output_process, args=(queues, environments, putting_out)),
+    mp.Process(target=output_process, args=(queues, environments, generating)),
 ]
-for each in processes:
-    each.start()
-identified, errors, found = threading.Event(), [], []
+for process in processes:
+    process.start()
+# Control errors, dB RMS.
+identified, errors, control_errors = threading.Event(), [], []
 
 
 def relay():
-    # What the window does with instructions of the environment.
+    # The window forwards commands of the environment to acquisition and output.
     both = (queues.acquisition_command_queue, queues.output_command_queue)
-    to = {GlobalCommands.RUN_HARDWARE: both, GlobalCommands.STOP_HARDWARE: both,
-          GlobalCommands.START_ENVIRONMENT: both[1:], GlobalCommands.STOP_ENVIRONMENT: both[:1]}
+    receivers = {GlobalCommands.RUN_HARDWARE: both, GlobalCommands.STOP_HARDWARE: both,
+                 GlobalCommands.START_ENVIRONMENT: both[1:], GlobalCommands.STOP_ENVIRONMENT: both[:1]}
     while True:
         message, data = controller.get("test")
         if message == GlobalCommands.COMPLETED_SYSTEM_ID:
             identified.set()
-        for each in to.get(message, ()):
-            each.put("test", (message, data))
+        for receiver in receivers.get(message, ()):
+            receiver.put("test", (message, data))
 
 
 def watch():
     while True:
-        given = shown.get()
-        if given[0] == "error":
-            errors.append(given[1])
-            print(given[1], flush=True)
-        elif given[0] == NAME and given[1][0] == "update_test_response_error_list":
-            found.append(float(given[1][1][0][0]))
+        sender, update = window_updates.get()[:2]
+        if sender == "error":
+            errors.append(update)
+            print(update, flush=True)
+        elif sender == NAME and update[0] == "update_test_response_error_list":
+            control_errors.append(float(update[1][0][0]))
 
 
-def flush():
+def write_log():
     with open("Rattlesnake.log", "w") as file:
         while True:
             file.write(log.get())
 
 
-for each in (relay, watch, flush):
-    threading.Thread(target=each, daemon=True).start()
+for function in (relay, watch, write_log):
+    threading.Thread(target=function, daemon=True).start()
 commands[NAME].put("test", (GlobalCommands.INITIALIZE_DATA_ACQUISITION, daq))
-for each in (queues.acquisition_command_queue, queues.output_command_queue):
-    each.put("test", (GlobalCommands.INITIALIZE_DATA_ACQUISITION, (daq, {NAME: [0, 1]})))
+for command_queue in (queues.acquisition_command_queue, queues.output_command_queue):
+    command_queue.put("test", (GlobalCommands.INITIALIZE_DATA_ACQUISITION, (daq, {NAME: [0, 1]})))
 commands[NAME].put("test", (GlobalCommands.INITIALIZE_ENVIRONMENT_PARAMETERS, random))
 time.sleep(2)
 commands[NAME].put("test", (SystemIdCommands.START_SYSTEM_ID, (random, None)))
 assert identified.wait(20 + 2 * seconds) or errors, "the system was not identified"
-while (acquiring.value or putting_out.value) and not errors:
+while (acquiring.value or generating.value) and not errors:
     time.sleep(0.1)
 if not errors:
     controller.put("test", (GlobalCommands.RUN_HARDWARE, None))
     time.sleep(2)
     commands[NAME].put("test", (RandomVibrationCommands.START_CONTROL, 1.0))
     time.sleep(seconds)
-print("error, dB rms, as control goes on:", " ".join(f"{each:.2f}" for each in found[:: max(1, len(found) // 10)]))
-for each in psutil.Process().children(recursive=True):
-    each.kill()
-passed = bool(found) and not errors and found[-1] < 3.0
-print("Rattlesnake:", f"passed, {found[-1]:.2f} dB rms after {len(found)} updates" if passed else "FAILED", flush=True)
+selected = control_errors[:: max(1, len(control_errors) // 10)]
+print("control error over time, dB RMS:", " ".join(f"{error:.2f}" for error in selected))
+for process in psutil.Process().children(recursive=True):
+    process.kill()
+passed = bool(control_errors) and not errors and control_errors[-1] < 3.0
+result = f"passed, {control_errors[-1]:.2f} dB RMS after {len(control_errors)} updates" if passed else "FAILED"
+print("Rattlesnake:", result, flush=True)
 os._exit(0 if passed else 1)
 """
 
 
 def main() -> int:
-    """Run the script in the copy of Rattlesnake."""
+    """Run the script in the folder of the checkout."""
     if len(sys.argv) < 2:
         print(__doc__)
         return 2
-    copy, *packages = (str(Path(each).resolve()) for each in sys.argv[1:])
-    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [os.environ.get("PYTHONPATH"), copy, *packages]))
+    checkout, *packages = (str(Path(argument).resolve()) for argument in sys.argv[1:])
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [os.environ.get("PYTHONPATH"), checkout, *packages]))
     os.environ["QT_QPA_PLATFORM"] = "offscreen"
     scene = rig.loads(SCENE)
     with tempfile.TemporaryDirectory() as folder:
         script = Path(folder, "script.py")
         script.write_text(SCRIPT)
-        os.chdir(copy)
+        os.chdir(checkout)
         return run_script(script, ["40"], scene, "real")
 
 

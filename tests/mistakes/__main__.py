@@ -1,4 +1,4 @@
-"""All mistakes of the catalogue with the messages that they give: `python -m tests.mistakes`."""
+"""Print all mistakes of the catalogue with the messages that they cause: `python -m tests.mistakes`."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from tests.mistakes.catalogue import MISTAKES, Mistake
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 
 
-def message(mistake: Mistake, folder: Path) -> tuple[int, str]:
-    """Make a mistake in an empty folder; return the exit code and everything that was printed."""
+def message_of(mistake: Mistake, folder: Path) -> tuple[int, str]:
+    """Make a mistake in an empty folder; return the exit code and the printed text."""
     for name, demo in {"sweep.mcap": "demo-sweep-no-damper.mcap", "hit.mcap": "demo-impulse-no-damper.mcap"}.items():
         (folder / name).symlink_to(RECORDINGS / demo)
     for name, text in mistake.files.items():
         (folder / name).write_text(text, encoding="utf-8")
-    program, *words = shlex.split(mistake.words)
-    before, argv, printed = Path.cwd(), sys.argv, io.StringIO()
+    program, *words = shlex.split(mistake.command)
+    previous_folder, previous_argv, printed = Path.cwd(), sys.argv, io.StringIO()
     os.chdir(folder)
     sys.argv = [program, *words]
     code = 0
@@ -36,23 +36,23 @@ def message(mistake: Mistake, folder: Path) -> tuple[int, str]:
             except SystemExit as end:
                 code = end.code if isinstance(end.code, int) else int(end.code is not None)
     finally:
-        sys.argv = argv
-        os.chdir(before)
+        sys.argv = previous_argv
+        os.chdir(previous_folder)
     return code, printed.getvalue()
 
 
 def main() -> int:
-    """Print the catalogue; return 1 if a message lacks a fact."""
+    """Print the catalogue; return exit code 1 if a message lacks a fact."""
     failed = 0
     for number, mistake in enumerate(MISTAKES, 1):
         with tempfile.TemporaryDirectory() as folder:
-            code, text = message(mistake, Path(folder))
-        missing = [name for name in mistake.names if name not in " ".join(text.split())]
+            code, text = message_of(mistake, Path(folder))
+        missing = [name for name in mistake.facts if name not in " ".join(text.split())]
         failed += bool(missing or not code)
-        print(f"{number:2d}. {mistake.what}\n    $ {mistake.words}\n      {text.strip()}")
+        print(f"{number:2d}. {mistake.what}\n    $ {mistake.command}\n      {text.strip()}")
         if missing or not code:
             print(f"    LACKS {missing}, exit code {code}")
-    print(f"{len(MISTAKES) - failed} of {len(MISTAKES)} say where, what and what to do")
+    print(f"{len(MISTAKES) - failed} of {len(MISTAKES)} messages contain all facts")
     return int(failed > 0)
 
 

@@ -1,9 +1,10 @@
-"""Forty mistakes of users, and the facts that the message about each must name: where, what, and what to do."""
+"""Forty mistakes of users, and the facts that each message must contain: where, what, and what to do."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+# A valid scene.
 SCENE = """\
 name: bracket
 structure:
@@ -17,22 +18,22 @@ test: {kind: stepped_sine, force: 2 N, from: 40 Hz, to: 220 Hz, points: 12}
 
 @dataclass(frozen=True)
 class Mistake:
-    """One mistake.
+    """A mistake of a user.
 
-    what : what the user did wrong
-    words : the command, as typed in a folder with the recordings `sweep.mcap` and `hit.mcap`
-    names : texts that the message must contain
-    files : files that the user wrote beforehand, by name
+    what : description of the mistake
+    command : the command line, typed in a folder with the recordings `sweep.mcap` and `hit.mcap`
+    facts : texts that the message must contain
+    files : contents of other files in the folder, by name
     """
 
     what: str
-    words: str
-    names: tuple[str, ...]
+    command: str
+    facts: tuple[str, ...]
     files: dict[str, str] = field(default_factory=dict)
 
 
 def edited(old: str, new: str) -> dict[str, str]:
-    """Return the scene with one text replaced, as the file mine.yaml."""
+    """Return the valid scene with one text replaced, as the file mine.yaml."""
     assert old in SCENE
     return {"mine.yaml": SCENE.replace(old, new)}
 
@@ -41,7 +42,9 @@ EXPLAIN = "rig explain mine.yaml"
 
 MISTAKES = (
     # Scene: keys, values, units
-    Mistake("a misspelt top key", EXPLAIN, ("mine.yaml", "strukture", "structure"), edited("structure:", "strukture:")),
+    Mistake(
+        "a misspelt top-level key", EXPLAIN, ("mine.yaml", "strukture", "structure"), edited("structure:", "strukture:")
+    ),
     Mistake("a misspelt inner key", EXPLAIN, ("mine.yaml:4", "springs"), edited("springs", "sprigns")),
     Mistake("a wrong unit", EXPLAIN, ("mine.yaml:3", "4.2 N", "a mass such as"), edited("4.2 kg", "4.2 N")),
     Mistake("an unknown unit", EXPLAIN, ("mine.yaml:3", "klb"), edited("4.2 kg", "4.2 klb")),
@@ -62,7 +65,7 @@ MISTAKES = (
     Mistake("a key twice", EXPLAIN, ("mine.yaml:8", "name"), {"mine.yaml": SCENE + "name: again\n"}),
     Mistake("damping above critical", EXPLAIN, ("mine.yaml:5", "100 %"), edited("modal: 1 %", "modal: 150 %")),
     Mistake(
-        "a band the wrong way round", EXPLAIN, ("mine.yaml:7", "from", "to"), edited("from: 40 Hz", "from: 400 Hz")
+        "a band with its ends exchanged", EXPLAIN, ("mine.yaml:7", "from", "to"), edited("from: 40 Hz", "from: 400 Hz")
     ),
     Mistake("a frequency above half the rate", EXPLAIN, ("mine.yaml", "test"), edited("to: 220 Hz", "to: 22000 Hz")),
     Mistake(
@@ -93,7 +96,7 @@ MISTAKES = (
         {"sweep-frf.csv": "mine\n"},
     ),
     Mistake("a recording in another format", "daq record fig9 -o run.wav", ("run.wav", ".mcap")),
-    Mistake("an empty stretch", "analysis export hit.mcap -o x.csv --from 900", ("hit.mcap", "6.25 s")),
+    Mistake("an interval without samples", "analysis export hit.mcap -o x.csv --from 900", ("hit.mcap", "6.25 s")),
     Mistake("one recording to compare", "analysis compare sweep.mcap", ("two",)),
     # Recordings of the wrong kind
     Mistake("a decay of a sweep", "analysis decay sweep.mcap", ("sweep.mcap", "analysis frf sweep.mcap")),

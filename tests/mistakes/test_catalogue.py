@@ -1,4 +1,4 @@
-"""Every mistake of the catalogue gives a message that says where, what and what to do."""
+"""The message about every mistake of the catalogue says where it is, what is wrong and what to do."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from pathlib import Path
 
 import pytest
 
-from tests.mistakes.__main__ import message
+from tests.mistakes.__main__ import message_of
 from tests.mistakes.catalogue import MISTAKES, Mistake
 
 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.what.replace(" ", "-"))
 def test_message_names_place_and_remedy(mistake: Mistake, tmp_path: Path) -> None:
-    code, text = message(mistake, tmp_path)
+    code, text = message_of(mistake, tmp_path)
     printed = " ".join(text.split())
     assert code and "Traceback" not in printed
-    assert not [name for name in mistake.names if name not in printed], printed
+    assert not [name for name in mistake.facts if name not in printed], printed
 
 
 def test_catalogue_has_forty_different_mistakes() -> None:
-    assert len({(mistake.words, *mistake.files.items()) for mistake in MISTAKES}) >= 40
+    assert len({(mistake.command, *mistake.files.items()) for mistake in MISTAKES}) >= 40

@@ -1,6 +1,7 @@
-"""Mutation testing: change the code in places that matter, and count the changes that the tests detect: `make mutants`.
+"""Mutation testing: change the code of important modules, and count the changes that the tests detect: `make mutants`.
 
-Each mutation is made in a copy of the checkout. A seed chooses among all mutations of a place:
+A mutation is a small change of one line. Each is made in a copy of the checkout. A place is a group of modules with
+their tests. The seed chooses among all mutations of a place:
 `python -m tests.mutants --seed 2 --only filters --each 40`.
 """
 
@@ -19,7 +20,7 @@ from rich.table import Table
 from tests.mutants.places import PLACES
 from tests.mutants.trial import Trial, try_place
 
-# Smallest share of the mutations of a place that its tests must detect.
+# Smallest fraction of the mutations of a place that its tests must detect; equivalent mutations do not count.
 MIN_SCORE = 0.85
 
 
@@ -27,7 +28,7 @@ def main() -> int:
     """Try the mutations; exit code 1 if the tests of a place detect too few."""
     parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__)
     parser.add_argument("--seed", type=int, default=1, help="another seed chooses other mutations")
-    parser.add_argument("--each", type=int, default=25, help="mutations of a place")
+    parser.add_argument("--each", type=int, default=25, help="number of mutations of each place")
     parser.add_argument("--only", choices=PLACES, action="append", help="only this place; may be repeated")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     options = parser.parse_args()
@@ -35,23 +36,24 @@ def main() -> int:
     trials: list[Trial] = []
     # One process for each place, because each works in its own folder.
     with ProcessPoolExecutor(options.workers, get_context("spawn"), max_tasks_per_child=1) as pool:
-        running = [pool.submit(try_place, place, options.each, options.seed) for place in places]
-        for job in track(as_completed(running), "mutants", len(places), console=Console(stderr=True)):
+        jobs = [pool.submit(try_place, place, options.each, options.seed) for place in places]
+        for job in track(as_completed(jobs), "mutants", len(places), console=Console(stderr=True)):
             trials += job.result()
-            for each in job.result():
-                if not each.detected:
-                    print(f"not detected, {each.place}, {each.module}:\n{each.change}", flush=True)
-                    print(f"{each.equivalent or 'reason unknown'}\n", flush=True)
+            for trial in job.result():
+                if not trial.detected:
+                    print(f"not detected, {trial.place}, {trial.module}:\n{trial.change}", flush=True)
+                    print(f"{trial.equivalent or 'reason unknown'}\n", flush=True)
     return print_summary(trials, places)
 
 
 def print_summary(trials: list[Trial], places: list[str]) -> int:
+    """Print a row for each place; return the exit code."""
     table = Table("place", "mutations", "detected", "not detected", "equivalent", "score")
     scores = []
     for place in places:
-        detected = sum(each.detected for each in trials if each.place == place)
-        undetected = [each for each in trials if each.place == place and not each.detected]
-        equivalent = sum(bool(each.equivalent) for each in undetected)
+        detected = sum(trial.detected for trial in trials if trial.place == place)
+        undetected = [trial for trial in trials if trial.place == place and not trial.detected]
+        equivalent = sum(bool(trial.equivalent) for trial in undetected)
         survivors = len(undetected) - equivalent
         scores.append(detected / (detected + survivors))
         counts = (detected + len(undetected), detected, survivors, equivalent)

@@ -1,8 +1,8 @@
-"""Modules in which a fault would cost a user most, and the tests that should detect it."""
+"""The modules in which a fault would harm a user most, and the tests that should detect it."""
 
 from __future__ import annotations
 
-# Tests that take minutes while kernels run as plain Python are excluded.
+# Kernels of the engine run as plain Python here; these tests would take minutes.
 _SLOW = "million_linear_periods or hundred_thousand_periods"
 _ENGINE = (
     "tests/rig/engine/test_reference.py tests/rig/engine/test_finite_contact.py tests/rig/engine/test_limits.py "
@@ -55,7 +55,7 @@ PLACES: dict[str, dict[str, str]] = {
     },
 }
 
-# Faults without a detectable effect: {faulty line: reason}.
+# Equivalent mutations, which no test can detect: {changed line: reason}.
 EQUIVALENT = {
     "@dataclass(frozen=False)": "nothing assigns to the fields",
     "_WINDOW = 1 << 19": "the amount read at a time changes no result",
@@ -67,10 +67,10 @@ EQUIVALENT = {
     "dampers, points = model.mass.shape[ -1], model.first_velocity": "the array has one dimension",
     "min_gap = max(1, round(_MIN_GAP_S * self._channels[ -1].rate))": "rows of one array have one rate",
     "messages = np.empty((len(samples), blocks, len(heads[ -1]) + length * samples.itemsize), np.uint8)": (
-        "all heads are of one length"
+        "all heads have the same length"
     ),
     "self._moments[past + count : end] = -1.0": "these moments have no weight",
-    "nodes, weights = legendre.leggauss( 33)": "32 points are exact to rounding already",
+    "nodes, weights = legendre.leggauss( 33)": "32 points are already exact to rounding",
     "grid = np.concatenate([np.geomspace(10 * lowest, 0.5 * rate, 401), np.linspace(0.3, 0.5, 400) * rate])": (
         "the fit uses hundreds of points; the place of each does not matter"
     ),
@@ -98,8 +98,8 @@ EQUIVALENT = {
     "while place != self.size:": "no record ends beyond the file",
     "if len(content) < CHUNK_HEAD.size + 7:": "content that is one byte too short fails the next condition",
     "if name_length > 15 or len(content) < begin + 8:": "no compression has a name of 16 letters",
-    "if not TYPE_CHECKING:": "it only imports more",
-    'if len(scene.shakers) != 1 and any(shaker.kind != "force" for shaker in scene.shakers):': "any of none is false",
+    "if not TYPE_CHECKING:": "the only effect is an import",
+    'if len(scene.shakers) != 1 and any(shaker.kind != "force" for shaker in scene.shakers):': "without shakers it is false",
     "excited = np.where(drive > _ZERO_POWER, drive, np.nan)[:, 0, -1]": "the array has one column",
     "better = _power(new_residual) <= _power(residual)": "equal residuals are equally good",
     "records = unpacker.decompress(packed, max_length=size + 2)": "the caller checks the length as well",

@@ -1,7 +1,7 @@
-"""A pytest plugin for trials: the first example that fails is enough, as is a test that takes far too long.
+"""A pytest plugin that detects a mutation quickly: a test fails at its first failing example, or after a time limit.
 
-Without numba, kernels run as plain Python. Their products in vector registers are machine code from the start: here
-are the same sums in numpy.
+With NUMBA_DISABLE_JIT=1 kernels run as plain Python, but the functions of `rig.numerics.simd` exist only as machine
+code. This plugin replaces them by equal functions in numpy.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from numba import config
 from rig.numerics import simd
 
 Array = np.ndarray
-#: Time that a test may take, s.
-LONGEST = 60
+#: Time limit of a test. The tests used here take less than a tenth of it.
+TIME_LIMIT_S = 60
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_configure() -> None:
-    """Leave out the search for a simpler example."""
+    """Do not simplify a failing example."""
     settings.register_profile("quickly", settings.get_profile("project"), phases=[Phase.explicit, Phase.generate])
     settings.load_profile("quickly")
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call() -> Iterator[None]:
-    """Let no test go on for ever: none that serves here takes a tenth of that."""
+    """Fail a test after the time limit."""
     signal.signal(signal.SIGALRM, _too_long)
-    signal.alarm(LONGEST)
+    signal.alarm(TIME_LIMIT_S)
     try:
         return (yield)
     finally:
@@ -40,18 +40,19 @@ def pytest_runtest_call() -> Iterator[None]:
 
 
 def _too_long(*_: object) -> None:
-    raise TimeoutError(f"more than {LONGEST} s")
+    raise TimeoutError(f"more than {TIME_LIMIT_S} s")
 
 
-def _combine(matrix: Array, constant: Array, slot: int, vector: Array, columns: int, out: Array) -> None:
-    out.reshape(-1)[: constant.shape[1]] = constant[slot] + vector[:columns] @ matrix[slot, :columns]
+def _combine(matrix: Array, constant: Array, index: int, vector: Array, columns: int, out: Array) -> None:
+    out.reshape(-1)[: constant.shape[1]] = constant[index] + vector[:columns] @ matrix[index, :columns]
 
 
-def _multiply(matrix: Array, slot: int, vector: Array, constant: Array, out: Array) -> None:
-    out[:] = constant + vector @ matrix[slot]
+def _multiply(matrix: Array, index: int, vector: Array, constant: Array, out: Array) -> None:
+    out[:] = constant + vector @ matrix[index]
 
 
 def _negatives(vector: Array) -> int:
+    """Return a bit mask of the negative elements."""
     return sum(1 << i for i in np.flatnonzero(vector < 0.0).tolist())
 
 

@@ -1,4 +1,4 @@
-"""Mutations of one place: each is made in a copy of the checkout, and the tests of its module are run."""
+"""Trials of the mutations of one place: make each in a copy of the checkout, and run the tests of its module."""
 
 from __future__ import annotations
 
@@ -23,19 +23,21 @@ from rig.numerics.jit import machine_code_root
 from tests.mutants.places import EQUIVALENT, PLACES
 
 ROOT = Path(__file__).parents[2]
-# Mutations without an effect: operators of types, decorators that compile, and `is` for small numbers.
+# Operators of Cosmic Ray whose mutations have no effect: those of types (`|`), compiling decorators, and `is`.
 EXCLUDED_OPERATORS = ("BitOr", "BitAnd", "BitXor", "LShift", "RShift", "FloorDiv", "RemoveDecorator", "Unary_Invert")
 
 
 @dataclass(frozen=True)
 class Trial:
-    """Result of one mutation: whether the tests detect it, why none can, and the changed lines."""
+    """Result of one mutation."""
 
     place: str
     module: str
     detected: bool
     equivalent: str
+    """Why no test can detect the mutation; "" if unknown."""
     change: str
+    """The changed lines."""
 
 
 def choose_mutations(place: str, count: int, seed: int) -> dict[str, list[MutationSpec]]:
@@ -45,13 +47,13 @@ def choose_mutations(place: str, count: int, seed: int) -> dict[str, list[Mutati
         with use_db(":memory:") as work:
             init([Path(module)], work, {})
             for item in work.work_items:
-                for fault in item.mutations:
-                    if _is_applicable(fault.operator_name):
-                        positions.setdefault((module, fault.start_pos), []).append(fault)
-    chance = random.Random(f"{seed} {place}")
+                for mutation in item.mutations:
+                    if _is_applicable(mutation.operator_name):
+                        positions.setdefault((module, mutation.start_pos), []).append(mutation)
+    rng = random.Random(f"{seed} {place}")
     chosen: dict[str, list[MutationSpec]] = {}
-    for module, position in chance.sample(sorted(positions), min(count, len(positions))):
-        chosen.setdefault(module, []).append(chance.choice(positions[module, position]))
+    for module, position in rng.sample(sorted(positions), min(count, len(positions))):
+        chosen.setdefault(module, []).append(rng.choice(positions[module, position]))
     return chosen
 
 
@@ -63,36 +65,36 @@ def try_place(place: str, count: int, seed: int) -> list[Trial]:
     """Mutate the modules of a place in a copy of the checkout, one mutation at a time, and run their tests."""
     logging.disable(logging.CRITICAL)
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder, chdir(_copy(Path(folder))):
-        # Machine code of mutated modules stays in this folder; that of the others is copied.
+        # Use the cached machine code of modules without a mutation.
         shutil.copytree(machine_code_root(), Path(folder) / "machine-code")
         os.environ |= {"NUMBA_CACHE_DIR": folder, "PYTHONPATH": str(Path.cwd()), "OPENBLAS_NUM_THREADS": "1"}
         trials = []
         for module, chosen in choose_mutations(place, count, seed).items():
-            for stale in (Path(module).parent / "__pycache__").glob(f"{Path(module).stem}.*"):
-                stale.unlink()
+            for compiled in (Path(module).parent / "__pycache__").glob(f"{Path(module).stem}.*"):
+                compiled.unlink()
             command = (
                 f"{sys.executable} -m pytest -x -q -n 0 -m 'not thorough' -p no:cacheprovider "
                 f"-p tests.mutants.quickly {module} {PLACES[place][module]}"
             )
-            # Otherwise its kernels would be compiled for minutes with each mutation.
+            # Without numba: it would compile the engine's kernels for minutes with each mutation.
             os.environ["NUMBA_DISABLE_JIT"] = str(int(module.startswith("rig/engine/")))
-            started = time.monotonic()
+            start = time.monotonic()
             outcome, output = run_tests(command, 3600.0)
             if outcome is not TestOutcome.SURVIVED:
                 raise RuntimeError(f"{module}: its tests fail without a mutation:\n{output[-3000:]}")
-            timeout = 30.0 + 2.0 * (time.monotonic() - started)
-            trials += [_try_mutation(place, module, fault, command, timeout) for fault in chosen]
+            timeout = 30.0 + 2.0 * (time.monotonic() - start)
+            trials += [_try_mutation(place, module, mutation, command, timeout) for mutation in chosen]
     return trials
 
 
-def _try_mutation(place: str, module: str, fault: MutationSpec, command: str, timeout: float) -> Trial:
-    result = mutate_and_test([fault], command, timeout)
+def _try_mutation(place: str, module: str, mutation: MutationSpec, command: str, timeout: float) -> Trial:
+    result = mutate_and_test([mutation], command, timeout)
     if result.test_outcome not in (TestOutcome.KILLED, TestOutcome.SURVIVED):
-        raise RuntimeError(f"{module}: no trial of {fault}:\n{result.output}")
+        raise RuntimeError(f"{module}: {mutation} could not be tried:\n{result.output}")
     lines = [line for line in result.diff.splitlines() if line.startswith(("@@", "-", "+"))]
-    change = [line for line in lines if line[:3] not in ("---", "+++")]
-    reason = next((EQUIVALENT[text] for line in change if (text := line[1:].strip()) in EQUIVALENT), "")
-    return Trial(place, module, result.test_outcome is TestOutcome.KILLED, reason, "\n".join(change))
+    changed_lines = [line for line in lines if line[:3] not in ("---", "+++")]
+    reason = next((EQUIVALENT[text] for line in changed_lines if (text := line[1:].strip()) in EQUIVALENT), "")
+    return Trial(place, module, result.test_outcome is TestOutcome.KILLED, reason, "\n".join(changed_lines))
 
 
 def _copy(folder: Path) -> Path:

@@ -1,4 +1,4 @@
-"""The simulated devices that NI's tests expect, with the signal that NI's simulated devices give."""
+"""The simulated devices that NI's tests expect, with a sine at every input, as NI's simulated devices have."""
 
 from __future__ import annotations
 
@@ -21,14 +21,15 @@ from daq.signal_chain.channel import ChannelInfo
 from daq.virtual_bench.bench import samples_per_tick
 from rig.scene.modules import Rates
 
+# Codes of NI-DAQmx for product categories and bus types.
 _X_SERIES, _SC_EXPRESS, _DSA, _CHASSIS, _MODULE = 15858, 15886, 14649, 14658, 14659
 _TS_CHASSIS, _TS_MODULE = 16180, 16181
 _PCIE, _PXIE, _USB, _TCPIP, _CDAQ = 13612, 14706, 12586, 14828, 14637
-_COUNT = 200
+_INPUT_COUNT = 200
 
 
 def modules() -> list[Module]:
-    """List the devices of NI's `tests/max_config`; all of them look at the same inputs and outputs."""
+    """Return the devices of NI's `tests/max_config`; all of them share the same inputs and outputs."""
     rows = tuple(range(32))
     general = Module(
         "",
@@ -46,25 +47,34 @@ def modules() -> list[Module]:
         simultaneous=False,
     )
     x_series = replace(general, product_type="PCIe-6363", category=_X_SERIES, bus=_PCIE, inputs=rows, outputs=rows[:4])
-    sensing = replace(
+    sensor_module = replace(
         general, inputs=rows[:8], ranges=(10.0,), wirings=(Wiring.DIFFERENTIAL, Wiring.PSEUDO_DIFFERENTIAL)
     )
 
-    def in_chassis(name: str, product: str, slot: int, **given: Any) -> Module:
+    def in_chassis(name: str, product: str, slot: int, **settings: Any) -> Module:
         chassis = "tsChassisTester" if product.startswith("TS") else "cdaqChassisTester"
         category = _TS_MODULE if product.startswith("TS") else _MODULE
         return replace(
-            general, name=name, product_type=product, category=category, bus=_CDAQ, chassis=chassis, slot=slot, **given
+            general,
+            name=name,
+            product_type=product,
+            category=category,
+            bus=_CDAQ,
+            chassis=chassis,
+            slot=slot,
+            **settings,
         )
 
     return [
         replace(general, name="aoTester", product_type="PXIe-4322", outputs=rows[:8]),
-        replace(sensing, name="bridgeTester", product_type="PXIe-4331", number=0x74A9C4C4, rates=Rates(0.01, 102400.0)),
-        replace(sensing, name="chargeTester", product_type="PXIe-4480", category=_DSA),
+        replace(
+            sensor_module, name="bridgeTester", product_type="PXIe-4331", number=0x74A9C4C4, rates=Rates(0.01, 102400.0)
+        ),
+        replace(sensor_module, name="chargeTester", product_type="PXIe-4480", category=_DSA),
         replace(general, name="dmmTester", product_type="NI myDAQ", bus=_USB, inputs=rows[:2], outputs=rows[:2]),
-        replace(sensing, name="dsaTester", product_type="PXIe-4466", category=_DSA, ranges=(10.0, 42.4)),
+        replace(sensor_module, name="dsaTester", product_type="PXIe-4466", category=_DSA, ranges=(10.0, 42.4)),
         *(replace(x_series, name=f"nidaqmxMultithreadingTester{number}") for number in range(1, 5)),
-        replace(sensing, name="positionTester", product_type="PXIe-4340"),
+        replace(sensor_module, name="positionTester", product_type="PXIe-4340"),
         Module("tsChassisTester", "TS-15000", category=_TS_CHASSIS, bus=_PXIE),
         in_chassis("tsPowerTester1", "TS-15200", 1),
         in_chassis("tsPowerTester2", "TS-15200", 2),
@@ -78,7 +88,7 @@ def modules() -> list[Module]:
 
 
 class SimulatedSignals:
-    """Terminals and bench that give every input a sine within the limits of the channel that looks at it."""
+    """Replacement of `Terminals` and `Bench`: every input is a sine within the limits of its channel."""
 
     rate, tick_rate = 1000.0, 10_000.0
 
@@ -87,10 +97,10 @@ class SimulatedSignals:
         self.scene = rig.load("bare-structure")
         self.dtype: type[np.generic] = np.float64
         self.channels: Sequence[ChannelInfo] = [
-            ChannelInfo(f"ai{number}", "body 1", "acceleration", 1.0, self.rate) for number in range(_COUNT)
+            ChannelInfo(f"ai{number}", "body 1", "acceleration", 1.0, self.rate) for number in range(_INPUT_COUNT)
         ]
         self.drive_per_volt = np.ones(32)
-        self._low, self._high = np.full((_COUNT, 1), -5.0), np.full((_COUNT, 1), 5.0)
+        self._low, self._high = np.full((_INPUT_COUNT, 1), -5.0), np.full((_INPUT_COUNT, 1), 5.0)
         self._position = 0
 
     def lost_at(self, rate: float) -> Sequence[tuple[int, int]]:
@@ -107,7 +117,7 @@ class SimulatedSignals:
         return {rate: self._block(begin, begin + ticks, rate) for rate in {self.rate, *rates}}
 
     def _block(self, begin: int, end: int, rate: float) -> _Block:
-        """Give the samples at a rate between two ticks."""
+        """Return the samples at a rate between two ticks."""
         per_tick = samples_per_tick(rate, self.tick_rate)
         first, stop = (-(-tick * per_tick.numerator // per_tick.denominator) for tick in (begin, end))
         sine = 0.4 * np.sin(2 * np.pi * np.arange(first, stop) / 50)
@@ -132,9 +142,9 @@ class SimulatedSignals:
 
     def wire(self, channels: Sequence[Channel], in_use: Collection[int]) -> None:
         """See `Terminals.wire`."""
-        for each in channels:
-            self._low[each.row] = each.settings["ai_min"] * each.volts_per_unit
-            self._high[each.row] = each.settings["ai_max"] * each.volts_per_unit
+        for channel in channels:
+            self._low[channel.row] = channel.settings["ai_min"] * channel.volts_per_unit
+            self._high[channel.row] = channel.settings["ai_max"] * channel.volts_per_unit
 
     def filter_properties(self, row: int, rate: float | None) -> dict[str, Any]:
         """See `Terminals.filter_properties`."""
@@ -148,8 +158,8 @@ class _Block:
     overload: NDArray[np.bool_]
 
 
-def save_what_ni_saved(storage: Storage, task: Task) -> None:
-    """Save the tasks, channels and scales of NI's `tests/max_config`."""
+def save_inputs(storage: Storage, task: Task) -> None:
+    """Save the input task, the channels and the scales of NI's `tests/max_config`."""
     scales = {
         "double_gain_scale": Scale(
             LINEAR, {"lin_slope": 2.0, "lin_y_intercept": 0.0, "descr": "Twice the gain", "scaled_units": "Double Gain"}
@@ -175,6 +185,6 @@ def save_what_ni_saved(storage: Storage, task: Task) -> None:
 
 
 def save_outputs(storage: Storage, task: Task) -> None:
-    """Save the task of NI's `tests/max_config` that has outputs."""
+    """Save the output task of NI's `tests/max_config`."""
     task.settings.add("aoTester/ao0:2", "VoltageOut_0", None, {})
     storage.save_task(task.settings, "AOTesterTask", "Test Author")

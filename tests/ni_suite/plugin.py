@@ -1,4 +1,4 @@
-"""Pytest plugin that lets NI's tests find this project's server in place of NI's."""
+"""Pytest plugin: NI's tests start this project's server instead of NI's server."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Any
 
 
 def pytest_configure(config: Any) -> None:
-    """Let the fixture that starts NI's server start ours."""
-    from tests import _grpc_utils  # NI's package `tests`
+    """Replace the path of the server program in NI's fixture."""
+    # This is NI's package `tests`.
+    from tests import _grpc_utils
 
     _grpc_utils.GrpcServerProcess._get_grpc_server_exe = lambda self: os.environ["NI_SUITE_SERVER"]

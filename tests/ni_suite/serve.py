@@ -1,4 +1,4 @@
-"""A server of the devices that NI's tests expect; it prints its port as NI's own server does."""
+"""Start a server of the devices that NI's tests expect; it prints its port as NI's server does."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from daq.instrument.clock import RealClock
 from daq.instrument.task import Task
 from daq.server.served_instrument import Limits
 from daq.server.service import Server
-from tests.ni_suite.devices import SimulatedSignals, modules, save_outputs, save_what_ni_saved
+from tests.ni_suite.devices import SimulatedSignals, modules, save_inputs, save_outputs
 
 if __name__ == "__main__":
     chassis = Chassis(modules(), SimulatedSignals(), RealClock())
     server = Server(chassis, limits=Limits(tasks=10_000))
-    for save in (save_what_ni_saved, save_outputs):
+    for save in (save_inputs, save_outputs):
         task = Task(chassis, "", server.instrument.storage.scales)
         save(server.instrument.storage, task)
         task.close()

@@ -1,1 +1,1 @@
-"""Fault injection: kills, damaged files, full disks and invalid input, from a seed; `make soak` prints the table."""
+"""Fault injection: kills, damaged files, full disks and invalid input, drawn from a seed (`make soak`)."""

@@ -1,6 +1,7 @@
-"""Inject hundreds of faults: kills, damaged files, full disks and invalid input: `make soak`.
+"""Inject hundreds of faults into commands: kills, damaged files, full disks and invalid input (`make soak`).
 
-Every case has a number, which reproduces it: `python -m tests.soak --only damage --seed 1234 --cases 1`.
+A command must report a fault without a traceback, and must not lose or change files. Every case has a number, which
+reproduces it: `python -m tests.soak --only damage --seed 1234 --cases 1`.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 
 from tests.soak.cases import KINDS, Bench
-from tests.soak.command import PACKAGES, Ended
+from tests.soak.command import PACKAGES, CommandResult
 
 matplotlib.use("agg")
 
-# Number of cases of each kind by default.
+# Default number of cases of each kind.
 CASES = {
     "kills": 200,
     "starts": 100,
@@ -43,22 +44,22 @@ CASES = {
 
 @dataclass
 class Tally:
-    """Results of the cases of a kind."""
+    """Results of the cases of a kind; memory [bytes] and seconds are the largest of a command."""
 
     cases: int = 0
     faults: Counter[str] = field(default_factory=Counter)
     memory: int = 0
     seconds: float = 0.0
 
-    def add(self, number: int, ended: Ended, further: list[str]) -> None:
+    def add(self, number: int, result: CommandResult, file_faults: list[str]) -> None:
         """Count a case and print its faults."""
-        faults = ended.faults + further
+        faults = result.faults + file_faults
         self.cases += 1
         self.faults.update(faults)
-        self.memory, self.seconds = max(self.memory, ended.memory), max(self.seconds, ended.seconds)
+        self.memory, self.seconds = max(self.memory, result.memory), max(self.seconds, result.seconds)
         if faults:
-            last_line = (ended.output.strip().splitlines() or [""])[-1]
-            print(f"  {number}: {' '.join(ended.command)!r}: {', '.join(faults)}: {last_line[:160]!r}", flush=True)
+            last_line = (result.output.strip().splitlines() or [""])[-1]
+            print(f"  {number}: {' '.join(result.command)!r}: {', '.join(faults)}: {last_line[:160]!r}", flush=True)
 
 
 def main() -> int:
@@ -69,29 +70,31 @@ def main() -> int:
     parser.add_argument("--cases", type=int, help="number of cases of each kind")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="stop each kind after this time")
     options = parser.parse_args()
-    # A shell starts background commands with interrupts ignored; Ctrl-C must print the table.
+    # A shell starts background commands with interrupts ignored, but Ctrl-C must print the table.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    # Most commands run in forks of this process, so that their imports happen once, here.
+    # Most commands run in forks of this process: import their packages once, here.
     for package in PACKAGES:
         __import__(f"{package}.cli")
     tallies: dict[str, Tally] = {}
     try:
         with tempfile.TemporaryDirectory(prefix="soak-") as folder, progress_bar() as progress:
-            print("making the recordings to be damaged", file=sys.stderr)
+            print("recording the files to damage", file=sys.stderr)
             bench = Bench(Path(folder))
             for kind in options.only or KINDS:
                 tallies[kind] = Tally()
                 numbers = range(options.seed, options.seed + (options.cases or CASES[kind]))
-                _run(bench, kind, numbers, 60.0 * options.minutes, tallies[kind], progress)
+                run_cases(bench, kind, numbers, 60.0 * options.minutes, tallies[kind], progress)
     except KeyboardInterrupt:
-        print("\ninterrupted; so far:")
+        print("\ninterrupted; results of the finished cases:")
         print_table(tallies)
         return 130
     print_table(tallies)
     return 1 if any(tally.faults for tally in tallies.values()) else 0
 
 
-def _run(bench: Bench, kind: str, numbers: Sequence[int], seconds: float, tally: Tally, progress: Progress) -> None:
+def run_cases(
+    bench: Bench, kind: str, numbers: Sequence[int], seconds: float, tally: Tally, progress: Progress
+) -> None:
     """Run the cases of a kind until their time limit."""
     print(f"{kind}:", flush=True)
     task, deadline = progress.add_task(kind, total=len(numbers)), time.monotonic() + seconds
@@ -104,15 +107,15 @@ def _run(bench: Bench, kind: str, numbers: Sequence[int], seconds: float, tally:
 
 @contextmanager
 def progress_bar() -> Iterator[Progress]:
-    """Show the progress of each kind, without a thread, which a fork could interrupt while it writes."""
+    """Show the progress of each kind without a thread: a fork could interrupt it while it writes."""
     columns = *Progress.get_default_columns(), MofNCompleteColumn(), TimeElapsedColumn()
     with Progress(*columns, console=Console(stderr=True), auto_refresh=False) as progress:
         yield progress
 
 
 def print_table(tallies: dict[str, Tally]) -> None:
-    """Print the table."""
-    print(f"\n{'kind':12}{'cases':>7}{'longest s':>11}{'most MB':>9}   faults")
+    """Print a row for each kind."""
+    print(f"\n{'kind':12}{'cases':>7}{'max s':>11}{'max MB':>9}   faults")
     for kind, tally in tallies.items():
         faults = ", ".join(f"{count} {fault}" for fault, count in tally.faults.items()) or "none"
         print(f"{kind:12}{tally.cases:7}{tally.seconds:11.1f}{tally.memory / 1e6:9.0f}   {faults}")

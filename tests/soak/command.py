@@ -1,4 +1,4 @@
-"""Run a command in a child process, and observe its exit code, output, silences, time and memory."""
+"""Run a command in a child process, and measure its exit code, output, time without output, duration and memory."""
 
 from __future__ import annotations
 
@@ -19,31 +19,37 @@ import psutil
 
 from rig.ending_signals import TERMINATION_SIGNALS
 
-# Longest time without output before a command counts as hanging, s.
+# Longest time without output before a command counts as hanging.
 SILENCE_LIMIT_S = 20.0
-# Longest time of a command, s.
+# Time after which a command is killed.
 TIME_LIMIT_S = 60.0
-# Largest memory of a command, bytes.
+# Largest resident memory of a command.
 MEMORY_LIMIT_BYTES = 1 << 30
-# Interval between observations of a command, s.
+# Interval between measurements of the CPU time of a command.
 OBSERVATION_INTERVAL_S = 0.2
 PACKAGES = ("rig", "daq", "analysis")
 
 
 @dataclass(frozen=True)
-class Ended:
-    """How a command ended."""
+class CommandResult:
+    """Result of a command."""
 
-    command: tuple[str, ...]  # its words
-    code: int  # exit code; negative: the signal that ended it
-    output: str  # what it wrote to both streams
-    silence: float  # longest time without output, s, without the time in which it waited for a processor
-    seconds: float  # time from start to end
-    memory: int  # most resident memory, bytes
+    command: tuple[str, ...]
+    """Words of the command line."""
+    code: int
+    """Exit code; negative: the signal that ended the command."""
+    output: str
+    """Standard output and standard error."""
+    silence: float
+    """Longest time without output, s; waiting for a processor does not count."""
+    seconds: float
+    """Elapsed time."""
+    memory: int
+    """Largest resident memory, bytes."""
 
     @property
     def faults(self) -> list[str]:
-        """Faults of the command."""
+        """Names of the faults in the result."""
         names = []
         if "Traceback (most recent call last)" in self.output or "Exception ignored" in self.output:
             names.append("traceback")
@@ -53,10 +59,10 @@ class Ended:
             names.append("silence")
         if self.memory > MEMORY_LIMIT_BYTES:
             names.append("memory")
-        # A command that still shows progress at the time limit was killed here, which is no fault.
+        # A command with progress at the time limit was killed by `_watch`: this is not a fault.
         if self.code not in (0, 1, 2, 129, 130, 143) and self.seconds < TIME_LIMIT_S:
             names.append(f"exit code {self.code}")
-        if any(ord(letter) < 32 and letter not in "\n\t\r" for letter in self.output):
+        if any(ord(character) < 32 and character not in "\n\t\r" for character in self.output):
             names.append("control character")
         return names
 
@@ -64,27 +70,27 @@ class Ended:
 def run(
     words: Sequence[str],
     folder: Path,
-    end: Callable[[int, float], None] | None = None,
+    on_poll: Callable[[int, float], None] | None = None,
     environment: dict[str, str] | None = None,
     prepare: Callable[[], None] | None = None,
-    longest: float = TIME_LIMIT_S,
-) -> Ended:
-    """Run `rig`, `daq` or `analysis` in a fork of this process, which has imported them already.
+    time_limit: float = TIME_LIMIT_S,
+) -> CommandResult:
+    """Run `rig`, `daq` or `analysis` in a fork of this process, which has already imported the packages.
 
     Parameters
     ----------
     words : sequence of str
-        The command.
+        Words of the command line.
     folder : Path
-        Where it runs.
-    end : callable, optional
-        ``end(process, seconds)``, called repeatedly while the command runs; it may kill it.
+        Working directory.
+    on_poll : callable, optional
+        ``on_poll(process_id, seconds)``, called every few milliseconds while the command runs; it may send a signal.
     environment : dict, optional
-        Variables to set.
+        Environment variables to set.
     prepare : callable, optional
-        Called in the child before the command.
-    longest : float
-        Time after which it is killed, s.
+        Called in the child process before the command.
+    time_limit : float
+        Time after which the command is killed, s.
     """
 
     def run_command() -> None:
@@ -94,15 +100,15 @@ def run(
         sys.argv = list(words)
         import_module(f"{words[0]}.cli").main()
 
-    return _watch(words, *_fork(folder, environment or {}, run_command), end, longest)
+    return _watch(words, *_fork(folder, environment or {}, run_command), on_poll, time_limit)
 
 
-def run_afresh(
-    words: Sequence[str], folder: Path, end: Callable[[int, float], None] | None = None, module: bool = False
-) -> Ended:
-    """Run a command in a new process, as a shell does: by its installed script, or by ``python -m``.
+def run_new_process(
+    words: Sequence[str], folder: Path, on_poll: Callable[[int, float], None] | None = None, module: bool = False
+) -> CommandResult:
+    """Run a command in a new process, as a shell does: by its installed script, or by ``python -m`` if `module`.
 
-    `words`, `folder`, `end`: as of `run`; `module`: whether to run it by ``python -m``.
+    `words`, `folder`, `on_poll`: as of `run`.
     """
     script = Path(sys.executable).with_name(words[0])
     program = [sys.executable, "-m", words[0]] if module or not script.exists() else [str(script)]
@@ -110,115 +116,124 @@ def run_afresh(
     def run_command() -> NoReturn:
         os.execv(program[0], [*program, *words[1:]])
 
-    return _watch(words, *_fork(folder, {}, run_command), end, TIME_LIMIT_S)
+    return _watch(words, *_fork(folder, {}, run_command), on_poll, TIME_LIMIT_S)
 
 
 def is_own_traceback(output: str) -> bool:
-    """Return whether a traceback passes through a file of the packages, not only through the start of Python."""
+    """Return whether a traceback contains a file of the packages, and not only of the start of Python."""
     return any(f'File "{Path(import_module(package).__file__ or "").parent}{os.sep}' in output for package in PACKAGES)
 
 
-def processes_remain(process: int, seconds: float = 5.0) -> bool:
-    """Return whether processes of a command still exist some time after its end."""
+def processes_remain(group: int, seconds: float = 5.0) -> bool:
+    """Return whether processes of a process group still exist after a time."""
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
         try:
-            os.killpg(process, 0)
+            os.killpg(group, 0)
         except ProcessLookupError:
             return False
         time.sleep(OBSERVATION_INTERVAL_S)
     return True
 
 
-class ComputingTime:
-    """Time of a command without that in which it waited for a processor."""
+class RunningTime:
+    """Time of a command without the time in which it waited for a processor."""
 
-    def __init__(self, process: int) -> None:
-        self.process = psutil.Process(process)
-        self.last_time, self.computed = time.monotonic(), 0.0
+    def __init__(self, process_id: int) -> None:
+        self.process = psutil.Process(process_id)
+        self.last_time, self.last_cpu_time = time.monotonic(), 0.0
 
-    def passed(self) -> float:
-        """Return the time since the previous call, s."""
+    def since_last_call(self) -> float:
+        """Return the time since the previous call, s: the CPU time of a computing command, else the elapsed time."""
         now = time.monotonic()
-        span, self.last_time = now - self.last_time, now
-        computed, ready = 0.0, False
+        elapsed, self.last_time = now - self.last_time, now
+        total_cpu_time, is_ready = 0.0, False
         try:
-            for child in (self.process, *self.process.children(recursive=True)):
-                computed += sum(child.cpu_times()[:4])
-                ready |= child.status() in (psutil.STATUS_RUNNING, psutil.STATUS_DISK_SLEEP)
+            for process in (self.process, *self.process.children(recursive=True)):
+                total_cpu_time += sum(process.cpu_times()[:4])
+                is_ready |= process.status() in (psutil.STATUS_RUNNING, psutil.STATUS_DISK_SLEEP)
         except psutil.Error:
-            # The command or one of its children is ending.
+            # A process ended meanwhile.
             return 0.0
-        cpu_time, self.computed = max(computed - self.computed, 0.0), computed
-        # Background threads wake for moments even in a command that hangs.
-        return min(cpu_time, span) if ready or cpu_time > 0.02 * span else span
+        cpu_time, self.last_cpu_time = max(total_cpu_time - self.last_cpu_time, 0.0), total_cpu_time
+        # Background threads use up to 2 % of a processor even in a command that hangs.
+        return min(cpu_time, elapsed) if is_ready or cpu_time > 0.02 * elapsed else elapsed
 
 
 def _watch(
-    words: Sequence[str], process: int, reading: int, end: Callable[[int, float], None] | None, longest: float
-) -> Ended:
-    """Collect the output of a child until it ends."""
-    started = last_observation = time.monotonic()
-    computing_time, received, current_silence, silence, is_open = (ComputingTime(process), bytearray(), 0.0, 0.0, True)
+    words: Sequence[str],
+    process_id: int,
+    output: int,
+    on_poll: Callable[[int, float], None] | None,
+    time_limit: float,
+) -> CommandResult:
+    """Collect the output of a child process from a pipe until it ends."""
+    start = last_measurement = time.monotonic()
+    running_time, received, current_silence, longest_silence, is_open = (
+        RunningTime(process_id),
+        bytearray(),
+        0.0,
+        0.0,
+        True,
+    )
     try:
         while is_open:
-            ready, _, _ = select.select([reading], [], [], 0.005 if end is not None else OBSERVATION_INTERVAL_S)
+            ready, _, _ = select.select([output], [], [], 0.005 if on_poll is not None else OBSERVATION_INTERVAL_S)
             now = time.monotonic()
-            if now - last_observation >= OBSERVATION_INTERVAL_S:
-                current_silence, last_observation = current_silence + computing_time.passed(), now
-                silence = max(silence, current_silence)
+            if now - last_measurement >= OBSERVATION_INTERVAL_S:
+                current_silence, last_measurement = current_silence + running_time.since_last_call(), now
+                longest_silence = max(longest_silence, current_silence)
             if ready:
-                data = os.read(reading, 1 << 16)
+                data = os.read(output, 1 << 16)
                 received += data
                 is_open, current_silence = bool(data), 0.0
-            if end is not None:
-                end(process, now - started)
-            if now - started > longest:
+            if on_poll is not None:
+                on_poll(process_id, now - start)
+            if now - start > time_limit:
                 break
     finally:
         if is_open:
-            os.killpg(process, signal.SIGKILL)
-        _, status, usage = os.wait4(process, 0)
-        os.close(reading)
-    return Ended(
+            os.killpg(process_id, signal.SIGKILL)
+        _, status, usage = os.wait4(process_id, 0)
+        os.close(output)
+    return CommandResult(
         tuple(words),
         os.waitstatus_to_exitcode(status),
         received.decode(errors="replace"),
-        silence,
-        time.monotonic() - started,
+        longest_silence,
+        time.monotonic() - start,
         usage.ru_maxrss * 1024,
     )
 
 
 def _fork(folder: Path, environment: dict[str, str], run_command: Callable[[], None]) -> tuple[int, int]:
-    """Start a child that acts in a folder; return its process number and the pipe of its output."""
-    reading, writing = os.pipe()
+    """Start a child process in a folder; return its process id and the reading end of the pipe of its output."""
+    reading_end, writing_end = os.pipe()
     # Block signals until the child has the default handlers of a new process.
-    signals = TERMINATION_SIGNALS
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
-    process = os.fork()
-    if process == 0:
-        # A process group of its own, as in a shell: a terminal sends Ctrl-C to the whole group.
+    previous_mask = signal.pthread_sigmask(signal.SIG_BLOCK, TERMINATION_SIGNALS)
+    process_id = os.fork()
+    if process_id == 0:
+        # A separate process group, as in a shell: a terminal sends Ctrl-C to the whole group.
         os.setpgid(0, 0)
-        for number in signals:
-            signal.signal(number, signal.SIG_DFL)
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        execute(folder, writing, environment, run_command)
+        for signal_number in TERMINATION_SIGNALS:
+            signal.signal(signal_number, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)
+        _execute(folder, writing_end, environment, run_command)
     with suppress(OSError):
-        # Parent and child both set the group, since either may run first.
-        os.setpgid(process, process)
-    signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    os.close(writing)
-    return process, reading
+        # Parent and child both set the group, because either may run first.
+        os.setpgid(process_id, process_id)
+    signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)
+    os.close(writing_end)
+    return process_id, reading_end
 
 
-def execute(folder: Path, writing: int, environment: dict[str, str], run_command: Callable[[], None]) -> NoReturn:
-    """Turn the child of a fork into the command."""
+def _execute(folder: Path, output: int, environment: dict[str, str], run_command: Callable[[], None]) -> NoReturn:
+    """Run a command in the child of a fork with its output to a pipe, and end the process."""
     code = 70
     try:
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-        os.dup2(writing, 1)
-        os.dup2(writing, 2)
+        os.dup2(output, 1)
+        os.dup2(output, 2)
         sys.stdin, sys.stdout, sys.stderr = (
             open(number, mode, closefd=False)  # noqa: SIM115
             for number, mode in ((0, "r"), (1, "w"), (2, "w"))

@@ -15,7 +15,7 @@ import typer
 from tests.soak.command import PACKAGES
 from tests.soak.scenes import ODD_TEXTS
 
-# Valid values by the name of the option or argument; options that are not listed take a number.
+# Valid values of each option or argument, by its name; options that are not listed take a number.
 VALID_VALUES: dict[str, tuple[str, ...]] = {
     "scene": ("s.yaml", "fig9", "bare-structure"),
     "scenes": ("s.yaml", "fig9"),
@@ -61,6 +61,7 @@ VALID_VALUES: dict[str, tuple[str, ...]] = {
     "show": ("fig9",),
     "cluster": ("local",),
 }
+# Odd paths, including those of `create_odd_files`.
 PATHS = (
     "folder",
     "folder/",
@@ -88,6 +89,7 @@ PATHS = (
     "new\n\x1b[31m.mcap",
     os.fsdecode(b"\xff\xfe.mcap"),
 )
+# Odd numbers.
 NUMBERS = (
     "nan",
     "-inf",
@@ -108,7 +110,9 @@ NUMBERS = (
     "1 2",
     "",
 )
+# Valid and odd units.
 UNITS = ("", "", " Hz", "Hz", " s", " N", " kg", " mm", " %", " parsec", " Hz Hz", ",", ",1", "\u00b5s", "\x1b[1m")
+# Odd texts.
 TEXTS = (
     *(text.replace("\0", "") for text in ODD_TEXTS),
     os.fsdecode(b"\xff"),
@@ -147,12 +151,12 @@ def create_odd_files(folder: Path) -> None:
         try:
             os.mknod(folder / name, stat.S_IFCHR | 0o666, os.makedev(1, minor))
         except PermissionError:
-            # Only root can create devices, or lose them.
+            # Without root rights: link to the system's device.
             (folder / name).symlink_to(f"/dev/{name}")
 
 
-def contents(folder: Path) -> dict[str, str]:
-    """Describe the contents of a folder: kinds of files, and digests of regular ones."""
+def folder_contents(folder: Path) -> dict[str, str]:
+    """Return the digest of each regular file in a folder, and the type of other files, by path."""
     return {str(path.relative_to(folder)): _content(path) for path in sorted(folder.rglob("*"))}
 
 
@@ -163,52 +167,52 @@ def _content(path: Path) -> str:
     return f"{stat.S_IFMT(mode):o}"
 
 
-def lost(before: dict[str, str], after: dict[str, str], words: list[str]) -> list[str]:
-    """Name files that were lost or changed; only --overwrite may replace a regular file."""
+def lost_files(before: dict[str, str], after: dict[str, str], words: list[str]) -> list[str]:
+    """Return messages about files that a command lost or changed; only --overwrite may replace a regular file."""
     messages = [f"file lost: {name}" for name in before if name not in after]
     for name in before.keys() & after.keys():
-        regular = len(before[name]) > 6 and len(after[name]) > 6
-        if before[name] != after[name] and not (regular and "--overwrite" in words):
+        # A digest is longer than the code of a type.
+        is_regular = len(before[name]) > 6 and len(after[name]) > 6
+        if before[name] != after[name] and not (is_regular and "--overwrite" in words):
             messages.append(f"file changed: {name}")
     return sorted(messages)
 
 
-def draw(chance: random.Random) -> list[str]:
-    """Draw a command of any package, with some of its options and arguments, some of which are odd."""
-    program = chance.choice(PACKAGES)
+def draw_command_line(rng: random.Random) -> list[str]:
+    """Draw a command of any package, with some of its options and arguments; some values are odd."""
+    program = rng.choice(PACKAGES)
     commands: Any = typer.main.get_command(import_module(f"{program}.cli").app)
-    name = chance.choice(list(commands.commands))
-    odd_ratio = chance.choice((0.2, 0.5, 0.9))
+    name = rng.choice(list(commands.commands))
+    odd_ratio = rng.choice((0.2, 0.5, 0.9))
     options, arguments = [], []
     for parameter in commands.commands[name].params:
-        if chance.random() > (0.95 if parameter.required else 0.25):
+        if rng.random() > (0.95 if parameter.required else 0.25):
             continue
         if parameter.param_type_name == "argument":
             arguments += [
-                _value(parameter, odd_ratio, chance)
-                for _ in range(chance.choice((1, 1, 2)) if parameter.nargs < 0 else 1)
+                _value(parameter, odd_ratio, rng) for _ in range(rng.choice((1, 1, 2)) if parameter.nargs < 0 else 1)
             ]
         elif parameter.is_flag:
             options.append([parameter.opts[0]])
         else:
             options.append(
-                [chance.choice(parameter.opts), *(_value(parameter, odd_ratio, chance) for _ in range(parameter.nargs))]
+                [rng.choice(parameter.opts), *(_value(parameter, odd_ratio, rng) for _ in range(parameter.nargs))]
             )
-    if chance.random() < 0.05:
-        options.append([chance.choice(("--nonsense", "-x", "--help", "-o", "--", "--set"))])
-    if chance.random() < 0.1:
-        chance.shuffle(arguments)
-    chance.shuffle(options)
+    if rng.random() < 0.05:
+        options.append([rng.choice(("--nonsense", "-x", "--help", "-o", "--", "--set"))])
+    if rng.random() < 0.1:
+        rng.shuffle(arguments)
+    rng.shuffle(options)
     option_words = [word for option in options for word in option]
-    # A script keeps all arguments after its name, so our options stand before it.
+    # `daq run` passes all arguments after the name of the script to it: options come first.
     return [program, name, *((*option_words, *arguments) if name == "run" else (*arguments, *option_words))]
 
 
-def _value(option: Any, odd_ratio: float, chance: random.Random) -> str:
-    """Give a value for an option or an argument."""
-    if chance.random() > odd_ratio:
-        return chance.choice(VALID_VALUES.get(option.name, ("1", "2", "0.5")))
-    kind = chance.random()
+def _value(option: Any, odd_ratio: float, rng: random.Random) -> str:
+    """Draw a value of an option or an argument: odd with a probability of `odd_ratio`."""
+    if rng.random() > odd_ratio:
+        return rng.choice(VALID_VALUES.get(option.name, ("1", "2", "0.5")))
+    kind = rng.random()
     if kind < 0.4:
-        return chance.choice(NUMBERS) + chance.choice(UNITS)
-    return chance.choice(PATHS if kind < 0.75 else TEXTS)
+        return rng.choice(NUMBERS) + rng.choice(UNITS)
+    return rng.choice(PATHS if kind < 0.75 else TEXTS)

@@ -1,4 +1,4 @@
-"""Recordings that are damaged as by a failing disk, and recordings with hostile contents."""
+"""Damaged recordings, as from a failing disk, and recordings with invalid contents but correct checksums."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from daq.mcap_file.reader import Container
 from daq.mcap_file.summary import checked
 from daq.mcap_file.writer import ChunkedFile, Message
 from daq.recording import layout
-from tests.soak.scenes import ESCAPE, MARKUP, ODD_NUMBERS, ODD_TEXTS
+from tests.soak.scenes import ESCAPE, MARKUP, ODD_NUMBERS, ODD_TEXTS, invalid_scene
 
+# Odd values of metadata.
 ODD_JSON: tuple[Any, ...] = (
     None,
     True,
@@ -36,39 +37,39 @@ ODD_JSON: tuple[Any, ...] = (
 )
 
 
-def damage(source: bytes, chance: random.Random) -> bytes:
-    """Damage a file as disks, cables and people do."""
+def damage(source: bytes, rng: random.Random) -> bytes:
+    """Return the bytes of a file with one to five random damages."""
     data = bytearray(source)
-    for _ in range(chance.choice((1, 1, 1, 2, 5))):
-        position = chance.randrange(len(data)) if data else 0
-        kind = chance.randrange(9)
+    for _ in range(rng.choice((1, 1, 1, 2, 5))):
+        position = rng.randrange(len(data)) if data else 0
+        kind = rng.randrange(9)
         if kind == 0:
             data[position:] = b""
         elif kind == 1 and data:
-            data[position] ^= 1 << chance.randrange(8)
+            data[position] ^= 1 << rng.randrange(8)
         elif kind == 2:
-            size = chance.choice((1, 8, 512, 4096, 65536))
+            size = rng.choice((1, 8, 512, 4096, 65536))
             data[position : position + size] = bytes(len(data[position : position + size]))
         elif kind == 3:
-            size = chance.choice((1, 9, 512, 5000))
-            data[position : position + size] = chance.randbytes(len(data[position : position + size]))
+            size = rng.choice((1, 9, 512, 5000))
+            data[position : position + size] = rng.randbytes(len(data[position : position + size]))
         elif kind == 4:
-            del data[position : position + chance.choice((1, 7, 512, 4096))]
+            del data[position : position + rng.choice((1, 7, 512, 4096))]
         elif kind == 5:
-            data[position:position] = chance.randbytes(chance.choice((1, 7, 512)))
+            data[position:position] = rng.randbytes(rng.choice((1, 7, 512)))
         elif kind == 6:
-            source_position, size = chance.randrange(len(data) + 1), chance.choice((16, 512, 4096))
+            source_position, size = rng.randrange(len(data) + 1), rng.choice((16, 512, 4096))
             data[position : position + size] = data[source_position : source_position + size]
         elif kind == 7:
             data[:position] = b""
         elif len(data) > position + 8:
-            struct.pack_into("<Q", data, position, chance.choice((0, 1, 2**31, 2**63, 2**64 - 1, 2**40)))
+            struct.pack_into("<Q", data, position, rng.choice((0, 1, 2**31, 2**63, 2**64 - 1, 2**40)))
     return bytes(data)
 
 
-def hostile(source: Path, target: Path, chance: random.Random) -> str:
-    """Copy a recording with an odd content but correct checksums; return a description of the content."""
-    kind = chance.choice(
+def write_invalid_recording(source: Path, target: Path, rng: random.Random) -> str:
+    """Copy a recording with one kind of invalid content but correct checksums; return its description."""
+    kind = rng.choice(
         ("channel", "channel", "channel", "marker", "event", "metadata", "scene", "time", "name", "chunk", "many")
     )
     description = kind
@@ -78,24 +79,27 @@ def hostile(source: Path, target: Path, chance: random.Random) -> str:
         schemas = {0: 0}
         for number, schema in summary.schemas.items():
             schemas[number] = copy.add_schema(schema.name, schema.encoding, schema.data)
-        raw = [number for number, channel in summary.channels.items() if channel.topic.startswith(layout.RAW)]
-        changed_channel = chance.choice(raw)
+        sample_channels = [
+            number for number, channel in summary.channels.items() if channel.topic.startswith(layout.RAW)
+        ]
+        changed_channel = rng.choice(sample_channels)
+        # Numbers of the schemas and channels in the source: numbers in the copy.
         numbers = {}
         for number, channel in summary.channels.items():
             topic, metadata = channel.topic, dict(channel.metadata)
             if kind == "channel" and number == changed_channel:
-                key = chance.choice([*metadata, "unit", "filter"])
-                metadata[key] = _odd_text(chance)
+                key = rng.choice([*metadata, "unit", "filter"])
+                metadata[key] = _odd_text(rng)
                 description = f"{key} = {metadata[key][:40]!r}"
-                if chance.random() < 0.1:
+                if rng.random() < 0.1:
                     del metadata[key]
                     description = f"no {key}"
             if kind == "name" and number == changed_channel:
-                topic = layout.RAW + chance.choice(ODD_TEXTS)
+                topic = layout.RAW + rng.choice(ODD_TEXTS)
                 metadata["name"] = topic.removeprefix(layout.RAW)
             numbers[number] = copy.add_channel(topic, channel.message_encoding, schemas[channel.schema_id], metadata)
         if kind == "many":
-            for extra in range(chance.choice((10, 3000))):
+            for extra in range(rng.choice((10, 3000))):
                 copy.add_channel(
                     f"{layout.RAW}extra{extra}", "protobuf", schemas[summary.channels[changed_channel].schema_id], {}
                 )
@@ -105,57 +109,58 @@ def hostile(source: Path, target: Path, chance: random.Random) -> str:
                 channel, data = summary.channels[message.channel], bytes(message.data)
                 times = [message.log_time, message.publish_time]
                 if kind == "marker" and channel.topic == layout.MARKERS:
-                    data = _odd_object(data, chance)
+                    data = _with_odd_value(data, rng)
                 if kind == "event" and channel.topic == layout.EVENTS:
-                    data = _odd_object(data, chance)
-                if kind == "time" and message.channel in raw and chunk >= len(summary.offsets) // 2:
-                    data, times = shift_block(
-                        data, times, chance_shift := 2 ** random.Random(str(summary.offsets)).choice((20, 27, 40, 62))
-                    )
-                    description = f"time shifted by {chance_shift} samples"
+                    data = _with_odd_value(data, rng)
+                if kind == "time" and message.channel in sample_channels and chunk >= len(summary.offsets) // 2:
+                    # The same shift for all blocks.
+                    shift = 2 ** random.Random(str(summary.offsets)).choice((20, 27, 40, 62))
+                    data, times = shift_block(data, times, shift)
+                    description = f"time shifted by {shift} samples"
                 messages.append(
                     Message(numbers[message.channel], *(time % 2**64 for time in times), data, message.sequence)
                 )
             copy.add_chunk(messages)
         if kind == "chunk":
-            content = bytes(1 << 26) if chance.random() < 0.5 else struct.pack("<BQ", 0xEE, 0) * (7_000_000)
-            for _ in range(chance.choice((1, 20))):
-                _raw_chunk(file, copy, content)
+            # 64 MB of zeros, or millions of empty records of an unknown type.
+            content = bytes(1 << 26) if rng.random() < 0.5 else struct.pack("<BQ", 0xEE, 0) * (7_000_000)
+            for _ in range(rng.choice((1, 20))):
+                _write_chunk(file, copy, content)
         records = container.metadata()
-        name = chance.choice(list(records))
+        changed_record = rng.choice(list(records))
         for record, fields in records.items():
             changed = {key: text for key, text in fields.items() if key != "crc32"}
-            if kind == "metadata" and record == name:
-                key = chance.choice(list(changed))
-                changed[key] = _odd_text(chance)
+            if kind == "metadata" and record == changed_record:
+                key = rng.choice(list(changed))
+                changed[key] = _odd_text(rng)
                 description = f"{record}.{key} = {changed[key][:40]!r}"
             copy.add_metadata(record, checked(changed))
         scene = container.attachment(layout.SCENE_FILE) or b""
         if kind == "scene":
-            from tests.soak.scenes import scene as odd_scene
-
-            scene = odd_scene(chance).encode(errors="replace")
+            scene = invalid_scene(rng).encode(errors="replace")
         copy.add_attachment(0, 0, layout.SCENE_FILE, "application/yaml", scene)
         copy.finish()
     return description
 
 
-def _odd_text(chance: random.Random) -> str:
-    if chance.random() < 0.3:
-        return chance.choice(ODD_TEXTS)
-    if chance.random() < 0.3:
-        return repr(chance.choice(ODD_NUMBERS))
-    return json.dumps(chance.choice(ODD_JSON))
+def _odd_text(rng: random.Random) -> str:
+    """Draw an odd text, number or JSON value, as text."""
+    if rng.random() < 0.3:
+        return rng.choice(ODD_TEXTS)
+    if rng.random() < 0.3:
+        return repr(rng.choice(ODD_NUMBERS))
+    return json.dumps(rng.choice(ODD_JSON))
 
 
-def _odd_object(data: bytes, chance: random.Random) -> bytes:
+def _with_odd_value(data: bytes, rng: random.Random) -> bytes:
+    """Return a JSON object with one odd value, of an existing or an additional key."""
     content = json.loads(data)
-    content[chance.choice([*content, "channel", "reason", "settled"])] = chance.choice((*ODD_JSON, *ODD_NUMBERS))
+    content[rng.choice([*content, "channel", "reason", "settled"])] = rng.choice((*ODD_JSON, *ODD_NUMBERS))
     return json.dumps(content).encode()
 
 
 def shift_block(data: bytes, times: list[int], shift: int) -> tuple[bytes, list[int]]:
-    """Shift a block consistently to a much later sample."""
+    """Shift a block of samples by a number of samples, with its times [ns]; unchanged if it cannot be encoded."""
     from daq.recording.layout import Timebase
     from daq.recording.sample_block import decode, encode
 
@@ -176,7 +181,7 @@ def shift_block(data: bytes, times: list[int], shift: int) -> tuple[bytes, list[
         return data, times
 
 
-def _raw_chunk(file: Any, copy: ChunkedFile, content: bytes) -> None:
+def _write_chunk(file: Any, copy: ChunkedFile, content: bytes) -> None:
     """Write a chunk with an extreme compression ratio."""
     import zlib
 

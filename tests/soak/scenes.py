@@ -1,4 +1,4 @@
-"""Random invalid scenes and options."""
+"""Random scene files with invalid or extreme entries, and commands on them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import Any
 
 import yaml
 
+# Control sequences of a terminal: color and window title.
 ESCAPE = "\x1b[31mred\x1b]0;title\x07"
+# Markup of HTML, rich and Markdown.
 MARKUP = "<script>alert(1)</script> [bold]x[/bold] **b** `c` |d| ![i](http://x)"
 ODD_TEXTS = (
     ESCAPE,
@@ -44,10 +46,11 @@ ODD_NUMBERS = (
     float("inf"),
     float("-inf"),
 )
-ODD_THINGS: tuple[Any, ...] = (None, True, [], {}, [[]], [None], {"a": {"b": []}}, [1, "x"], ["1 kg"] * 1000)
+ODD_VALUES: tuple[Any, ...] = (None, True, [], {}, [[]], [None], {"a": {"b": []}}, [1, "x"], ["1 kg"] * 1000)
 UNITS = ("Hz", "s", "kg", "N", "V", "m", "mm", "%", "kN/m", "rad/s", "mV/g", "bit", "", "parsec", "ug/sqrt(Hz)")
 
-BASES = (
+# Valid scenes, from which the invalid ones are made.
+VALID_SCENES = (
     {
         "structure": {
             "masses": ["0.74 kg", "0.71 kg"],
@@ -131,21 +134,21 @@ BASES = (
 )
 
 
-def sound(chance: random.Random) -> str:
+def valid_scene(rng: random.Random) -> str:
     """Return a valid scene file."""
-    return yaml.safe_dump(chance.choice(BASES), sort_keys=False)
+    return yaml.safe_dump(rng.choice(VALID_SCENES), sort_keys=False)
 
 
-def scene(chance: random.Random) -> str:
+def invalid_scene(rng: random.Random) -> str:
     """Return a scene file with one to three invalid or extreme entries."""
-    content = _copy(chance.choice(BASES))
-    if chance.random() < 0.08:
-        return _not_a_scene(chance)
-    if chance.random() < 0.1:
-        _enlarge(content, chance)
+    content = _copy(rng.choice(VALID_SCENES))
+    if rng.random() < 0.08:
+        return _not_a_scene(rng)
+    if rng.random() < 0.1:
+        _enlarge(content, rng)
     else:
-        for _ in range(chance.choice((1, 1, 1, 2, 3))):
-            _replace_entry(content, chance)
+        for _ in range(rng.choice((1, 1, 1, 2, 3))):
+            _replace_entry(content, rng)
     return yaml.safe_dump(content, allow_unicode=True, sort_keys=False)
 
 
@@ -153,8 +156,9 @@ def _copy(content: Any) -> Any:
     return yaml.safe_load(yaml.safe_dump(content))
 
 
-def _not_a_scene(chance: random.Random) -> str:
-    return chance.choice(
+def _not_a_scene(rng: random.Random) -> str:
+    """Return a text that is not YAML, or YAML that is not a scene."""
+    return rng.choice(
         (
             "",
             "[]",
@@ -178,40 +182,42 @@ def _not_a_scene(chance: random.Random) -> str:
     )
 
 
-def _paths(content: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+def key_paths(content: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the keys that lead to each entry of nested dictionaries and lists."""
     items = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
     for key, value in items:
         yield (*path, key)
-        yield from _paths(value, (*path, key))
+        yield from key_paths(value, (*path, key))
 
 
-def _replace_entry(content: Any, chance: random.Random) -> None:
+def _replace_entry(content: Any, rng: random.Random) -> None:
     """Replace or remove one entry."""
-    *path, key = chance.choice(list(_paths(content)))
+    *path, key = rng.choice(list(key_paths(content)))
     for part in path:
         content = content[part]
-    if chance.random() < 0.1 and isinstance(content, dict):
+    if rng.random() < 0.1 and isinstance(content, dict):
         del content[key]
         return
-    content[key] = _odd(content[key], chance)
+    content[key] = _odd_value(content[key], rng)
 
 
-def _odd(value: Any, chance: random.Random) -> Any:
-    kind = chance.random()
+def _odd_value(value: Any, rng: random.Random) -> Any:
+    """Draw an odd number with the unit of a value, an odd text, or a value of another type."""
+    kind = rng.random()
     if kind < 0.55:
-        number = chance.choice(ODD_NUMBERS)
+        number = rng.choice(ODD_NUMBERS)
         unit = str(value).split(" ", 1)[-1] if " " in str(value) else ""
-        unit = chance.choice(UNITS) if chance.random() < 0.2 else unit
+        unit = rng.choice(UNITS) if rng.random() < 0.2 else unit
         return f"{number!r} {unit}".strip() if unit else number
     if kind < 0.75:
-        return chance.choice(ODD_TEXTS)
-    return _copy(chance.choice(ODD_THINGS))
+        return rng.choice(ODD_TEXTS)
+    return _copy(rng.choice(ODD_VALUES))
 
 
-def _enlarge(content: Any, chance: random.Random) -> None:
+def _enlarge(content: Any, rng: random.Random) -> None:
     """Make one part of the scene very large."""
-    count = chance.choice((300, 2_000, 20_000, 100_000, 1_000_000))
-    part = chance.choice(("bodies", "channels", "dampers", "steps"))
+    count = rng.choice((300, 2_000, 20_000, 100_000, 1_000_000))
+    part = rng.choice(("bodies", "channels", "dampers", "steps"))
     if part == "bodies":
         content["structure"] = {"masses": [1.0] * count, "springs": [1e4] * count}
     elif part == "channels":
@@ -223,11 +229,11 @@ def _enlarge(content: Any, chance: random.Random) -> None:
         content["shaker"] = {"kind": "force", "body": 1}
 
 
-def command(path: str, chance: random.Random) -> list[str]:
+def scene_command(path: str, rng: random.Random) -> list[str]:
     """Return a command on a scene, often with an invalid option."""
-    odd = chance.choice(ODD_NUMBERS)
-    choose = lambda *options: list(chance.choice(options))  # noqa: E731
-    kinds: dict[str, list[str]] = {
+    odd = rng.choice(ODD_NUMBERS)
+    choose = lambda *options: list(rng.choice(options))  # noqa: E731
+    commands: dict[str, list[str]] = {
         "explain": ["rig", "explain", path],
         "simulate": [
             "rig",
@@ -273,13 +279,13 @@ def command(path: str, chance: random.Random) -> list[str]:
             *choose((), ("--block", str(odd)), ("--block", "7")),
         ],
     }
-    return kinds[chance.choices(list(kinds), (2, 3, 2, 1, 4))[0]]
+    return commands[rng.choices(list(commands), weights=(2, 3, 2, 1, 4))[0]]
 
 
-def rarer_command(path: str, chance: random.Random) -> list[str]:
-    """Return one of the slower commands, on a scene `path` in a folder with r.mcap, x.csv and c.py."""
-    odd, text = chance.choice(ODD_NUMBERS), chance.choice(ODD_TEXTS).replace("\0", "")
-    kinds = (
+def rare_command(path: str, rng: random.Random) -> list[str]:
+    """Return a rarely used command, often with an odd number; its folder has the scene, r.mcap, x.csv and c.py."""
+    odd, text = rng.choice(ODD_NUMBERS), rng.choice(ODD_TEXTS).replace("\0", "")
+    commands = (
         f"rig cost {path} --periods 2",
         f"rig cost {path} --frequency {odd}Hz",
         f"rig design {path} --levels {odd}N,1N",
@@ -297,7 +303,7 @@ def rarer_command(path: str, chance: random.Random) -> list[str]:
         f"daq serve {path} --port {odd}",
         f"daq scope {path} -F {odd} -o i.mcap",
     )
-    arguments = chance.choice(kinds).split()
-    if chance.random() < 0.1:
-        arguments = [*chance.choice((("rig", "help"), ("rig", "presets"), ("rig", "scenes", "--show"))), text]
-    return arguments
+    words = rng.choice(commands).split()
+    if rng.random() < 0.1:
+        words = [*rng.choice((("rig", "help"), ("rig", "presets"), ("rig", "scenes", "--show"))), text]
+    return words

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 import rig
 from rig.errors import SceneError
-from tests.soak.scenes import BASES, ODD_NUMBERS, ODD_TEXTS, _paths
+from tests.soak.scenes import ODD_NUMBERS, ODD_TEXTS, VALID_SCENES, key_paths
 
 texts = st.sampled_from(ODD_TEXTS) | st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]))
 numbers = st.sampled_from(ODD_NUMBERS) | st.floats() | st.integers()
@@ -30,8 +30,8 @@ def set_value(content: Any, place: tuple[Any, ...], value: Any) -> None:
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_value_anywhere_loads_or_names_its_place(data: st.DataObject, tmp_path: Path) -> None:
-    content = yaml.safe_load(yaml.safe_dump(data.draw(st.sampled_from(BASES))))
-    set_value(content, data.draw(st.sampled_from(list(_paths(content)))), data.draw(anything))
+    content = yaml.safe_load(yaml.safe_dump(data.draw(st.sampled_from(VALID_SCENES))))
+    set_value(content, data.draw(st.sampled_from(list(key_paths(content)))), data.draw(anything))
     path = tmp_path / "odd.yaml"
     path.write_text(yaml.safe_dump(content, allow_unicode=True), encoding="utf-8")
     try:

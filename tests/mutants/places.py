@@ -99,7 +99,7 @@ EQUIVALENT = {
     "if len(content) < CHUNK_HEAD.size + 7:": "content that is one byte too short fails the next condition",
     "if name_length > 15 or len(content) < begin + 8:": "no compression has a name of 16 letters",
     "if not TYPE_CHECKING:": "the only effect is an import",
-    'if len(scene.shakers) != 1 and any(shaker.kind != "force" for shaker in scene.shakers):': "without shakers it is false",
+    'if len(scene.shakers) != 1 and any(shaker.kind != "force" for shaker in scene.shakers):': "no shaker, no match",
     "excited = np.where(drive > _ZERO_POWER, drive, np.nan)[:, 0, -1]": "the array has one column",
     "better = _power(new_residual) <= _power(residual)": "equal residuals are equally good",
     "records = unpacker.decompress(packed, max_length=size + 2)": "the caller checks the length as well",

@@ -1,4 +1,4 @@
-"""NI's client connected to a rig in this process."""
+"""NI's client package nidaqmx, connected to a virtual rig in this process: tasks, inputs and outputs for tests."""
 
 import contextlib
 
@@ -8,7 +8,7 @@ from nidaqmx.errors import DaqError
 
 import daq
 
-RATE = 5120.0
+RATE = 5120.0  # Hz
 _connected = []
 
 reads_waveforms = pytest.mark.skipif(
@@ -60,8 +60,8 @@ def raises_code(code, hint="", kind=DaqError, samples=None):
     assert caught.value.error_code == code
     assert hint in str(caught.value)
     if samples is not None:
-        done = "written" if kind is nidaqmx.errors.DaqWriteError else "read"
-        assert getattr(caught.value, f"samps_per_chan_{done}") == samples
+        direction = "written" if kind is nidaqmx.errors.DaqWriteError else "read"
+        assert getattr(caught.value, f"samps_per_chan_{direction}") == samples
 
 
 def pass_samples(chassis, samples, rate=RATE):

@@ -1,4 +1,4 @@
-"""Options without effect are rejected before any work."""
+"""Options of `daq` commands that would have no effect are rejected, and the message names what they require."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rig.errors import RecordingError, SceneError
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("command", "message"),
     [
         ("import run.csv --table channels.yaml", "--scene"),
         ("import run.csv --from 1", "--scene"),
@@ -22,18 +22,18 @@ from rig.errors import RecordingError, SceneError
         ("serve --set seed=1", "--set requires a scene"),
     ],
 )
-def test_ineffective_option_names_what_it_needs(words, message):
-    ended = CliRunner().invoke(app, words.split())
-    if not isinstance(ended.exception, SceneError):
-        assert ended.exit_code == 2
-    assert message in " ".join(f"{ended.output} {ended.exception}".replace("│", " ").split())
+def test_error_of_ineffective_option_names_requirement(command, message):
+    result = CliRunner().invoke(app, command.split())
+    if not isinstance(result.exception, SceneError):
+        assert result.exit_code == 2
+    assert message in " ".join(f"{result.output} {result.exception}".replace("│", " ").split())
 
 
 @pytest.mark.parametrize(
-    "words",
+    "command",
     ["record fig9 -o a.csv", "import x.csv --scene fig9 -o a.UFF", "recover a.mcap -o a.npz", "scope fig9 -o a.rrd"],
 )
-def test_recording_with_other_extension_is_rejected(words):
-    ended = CliRunner().invoke(app, words.split())
-    assert isinstance(ended.exception, RecordingError)
-    assert "expected a name such as a.mcap" in str(ended.exception)
+def test_recording_with_other_extension_is_rejected(command):
+    result = CliRunner().invoke(app, command.split())
+    assert isinstance(result.exception, RecordingError)
+    assert "expected a name such as a.mcap" in str(result.exception)

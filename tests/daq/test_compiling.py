@@ -1,4 +1,4 @@
-"""After the warm-up, no function needs compilation."""
+"""`daq.warm_up` compiles all functions that a bench needs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 import rig
 from rig.errors import SceneError
 
-AFTERWARDS = """
+SCRIPT = """
 import daq
 daq.warm_up()
 import numpy as np
@@ -24,8 +24,8 @@ print(sorted({event.data["dispatcher"].py_func.__qualname__ for _, event in reco
 
 
 def test_nothing_compiles_after_warm_up() -> None:
-    completed = subprocess.run([sys.executable, "-c", AFTERWARDS], check=True, capture_output=True, text=True)
-    assert completed.stdout == "[]\n"
+    result = subprocess.run([sys.executable, "-c", SCRIPT], check=True, capture_output=True, text=True)
+    assert result.stdout == "[]\n"
 
 
 def test_unknown_part_is_rejected() -> None:

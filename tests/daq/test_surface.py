@@ -1,4 +1,4 @@
-"""The `daq` commands as Python calls."""
+"""The `daq` commands as Python functions: signatures, results and errors."""
 
 from __future__ import annotations
 

@@ -23,15 +23,15 @@ from analysis.recordings.slices import Slice
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError, RunError, SceneError
-from tests.daq.recording.recordings import RATE, channels, scene, signal, write
-from tests.daq.recording.test_suspicion import rewritten
+from tests.daq.recording.recordings import RATE, make_scene, random_volts, two_channels, write_recording
+from tests.daq.recording.test_suspicion import rewrite
 
 SAMPLES = 5000
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
-    path = write(tmp_path_factory.mktemp("export") / "a.mcap", signal(SAMPLES))
+    path = write_recording(tmp_path_factory.mktemp("export") / "a.mcap", random_volts(SAMPLES))
     with daq.open(path) as opened:
         yield opened
 
@@ -39,10 +39,10 @@ def recording(tmp_path_factory):
 @pytest.fixture(scope="module")
 def recording_with_gap(tmp_path_factory):
     path = tmp_path_factory.mktemp("gap") / "a.mcap"
-    with Recorder(path, scene(), channels(), RATE) as recorder:
-        recorder.write(signal(1000))
+    with Recorder(path, make_scene(), two_channels(), RATE) as recorder:
+        recorder.write(random_volts(1000))
         recorder.gap(500)
-        recorder.write(signal(1000))
+        recorder.write(random_volts(1000))
     with daq.open(path) as opened:
         yield opened
 
@@ -89,7 +89,7 @@ def test_wav_is_read_by_scipy(recording, tmp_path):
 
 
 def test_silent_wav_stays_silent(tmp_path):
-    with daq.open(write(tmp_path / "a.mcap", np.zeros((2, 100)))) as recording:
+    with daq.open(write_recording(tmp_path / "a.mcap", np.zeros((2, 100)))) as recording:
         export(Slice.of(recording), tmp_path / "a.wav")
     assert not wavfile.read(tmp_path / "a.wav")[1].any()
 
@@ -141,8 +141,8 @@ def test_series_pass_sep005_reference_check(recording):
 
 def test_series_carry_the_date(tmp_path):
     start = 1_763_726_400_250_000_000
-    with Recorder(tmp_path / "a.mcap", scene(), channels(), RATE, start_ns=start) as recorder:
-        recorder.write(signal(3000))
+    with Recorder(tmp_path / "a.mcap", make_scene(), two_channels(), RATE, start_ns=start) as recorder:
+        recorder.write(random_volts(3000))
     with daq.open(tmp_path / "a.mcap") as recording:
         series = analysis.sep005(recording, from_s=1.0)
     assert series[0]["start_timestamp"] == "2025-11-21T12:00:01.250000+00:00"
@@ -219,7 +219,7 @@ def test_failing_disk_is_reported(recording, tmp_path):
 
 
 def test_long_void_is_reported_quickly(tmp_path):
-    path = rewritten(write(tmp_path / "a.mcap", signal(SAMPLES)), shift=2**40)
+    path = rewrite(write_recording(tmp_path / "a.mcap", random_volts(SAMPLES)), shift=2**40)
     with daq.open(path) as recording:
         with pytest.raises(RecordingError, match="of them are in the file"):
             Slice.of(recording)
@@ -249,7 +249,7 @@ def test_target_folder_is_reported(recording, tmp_path):
 
 def test_channels_like_paths_get_plain_names(tmp_path):
     info = [ChannelInfo("../x y", "body 1", "force", 1.0, RATE)]
-    with Recorder(tmp_path / "a.mcap", scene(), info, RATE) as recorder:
+    with Recorder(tmp_path / "a.mcap", make_scene(), info, RATE) as recorder:
         recorder.write(np.ones((1, 10)))
     with daq.open(tmp_path / "a.mcap") as recording:
         export(Slice.of(recording), tmp_path / "a.npz")

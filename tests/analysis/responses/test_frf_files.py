@@ -12,7 +12,7 @@ from analysis.cli import app
 from analysis.presentation.tables import frf_table
 from rig.errors import RecordingError, SceneError
 from rig.results.response import Response, stack
-from tests.daq.importing.files import NAMES, RATE, bench, tdms
+from tests.daq.importing.files import NAMES, RATE, make_scene, write_tdms
 
 # pyuff leaves a binary file open that it wrote.
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
@@ -158,8 +158,8 @@ def test_block_average_agrees_with_scipy(tmp_path):
     force = random.standard_normal(40960)
     rows = np.vstack([signal.lfilter([1.0], [1.0, -1.8, 0.9], force), signal.lfilter([0.3], [1.0, 0.9], force), force])
     rows[:2] += 0.1 * random.standard_normal((2, 40960))
-    tdms(tmp_path / "a.tdms", rows / np.array([[9.80665], [1.0], [1.0]]))
-    daq.import_files(tmp_path / "a.tdms", bench(), tmp_path / "r.mcap")
+    write_tdms(tmp_path / "a.tdms", rows / np.array([[9.80665], [1.0], [1.0]]))
+    daq.import_files(tmp_path / "a.tdms", make_scene(), tmp_path / "r.mcap")
     block = {"fs": RATE, "window": "hann", "nperseg": 2048, "noverlap": 1536}
     frequency, power = signal.welch(force, **block)
     with daq.open(tmp_path / "r.mcap") as recording:
@@ -185,9 +185,9 @@ def test_averaged_hits_are_quotient_of_spectra(tmp_path):
     rows = np.vstack([response / 9.80665, 0.5 * response, force]) + 1e-3 * np.random.default_rng(6).standard_normal(
         (3, force.size)
     )
-    tdms(tmp_path / "a.tdms", rows)
+    write_tdms(tmp_path / "a.tdms", rows)
     daq.import_files(
-        tmp_path / "a.tdms", bench("{kind: impulse, body: 1, peak: 50 N, width: 4 ms}"), tmp_path / "r.mcap",
+        tmp_path / "a.tdms", make_scene("{kind: impulse, body: 1, peak: 50 N, width: 4 ms}"), tmp_path / "r.mcap",
     )  # fmt: skip
     with daq.open(tmp_path / "r.mcap") as recording:
         begins = [marker.first_sample for marker in recording.markers]

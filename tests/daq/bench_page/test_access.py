@@ -1,4 +1,4 @@
-"""The bench page requires its token."""
+"""Access to the bench page requires the token of its address, or the cookie that the page sets."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import pytest
 from daq.bench_page.access import TokenGate
 
 
-async def inner(scope, receive, send):
+async def page(scope, receive, send):
+    """Answer every request, as the page behind the gate does."""
     if scope["type"] == "websocket":
         await send({"type": "websocket.accept"})
         return
@@ -18,22 +19,23 @@ async def inner(scope, receive, send):
 
 
 def answer(gate, query="", cookie="", kind="http"):
-    sent = []
+    """Return the messages that the gate sends in answer to a request."""
+    messages = []
 
     async def receive():
         return {"type": f"{kind}.connect"}
 
     async def send(message):
-        sent.append(message)
+        messages.append(message)
 
     headers = [(b"cookie", cookie.encode())] if cookie else []
     asyncio.run(gate({"type": kind, "query_string": query.encode(), "headers": headers}, receive, send))
-    return sent
+    return messages
 
 
 @pytest.fixture
 def gate():
-    return TokenGate(inner, "bench")
+    return TokenGate(page, "bench")
 
 
 def test_token_in_the_address_sets_a_cookie(gate):
@@ -45,7 +47,7 @@ def test_token_in_the_address_sets_a_cookie(gate):
 
 
 @pytest.mark.parametrize("query", ["", "token=", "token=guess"])
-def test_request_without_token_is_refused(gate, query):
+def test_request_without_token_is_rejected(gate, query):
     first, second = answer(gate, query, cookie="bench=guess")
     assert first["status"] == 403
     assert b"token" in second["body"]
@@ -57,4 +59,4 @@ def test_web_socket_needs_the_cookie(gate):
 
 
 def test_each_bench_has_another_token(gate):
-    assert TokenGate(inner, "bench").token != gate.token
+    assert TokenGate(page, "bench").token != gate.token

@@ -26,18 +26,21 @@ channels:
   - {name: force, at: PLACE, hammer: {sensitivity: 11 mV/N}}
 converter: {rate: 1024 Hz, bits: 24, range: 5 V}
 """
-SHAKEN = "shaker: {kind: force, body: 1}\ntest: {kind: sine, frequency: 62 Hz, force: 10 N}\n"
-HIT = "test: {kind: impulse, body: 1, peak: 100 N, width: 8 ms, repeats: 3, interval: 2 s, double_hit: {hits: [2]}}\n"
+SHAKER_TEST = "shaker: {kind: force, body: 1}\ntest: {kind: sine, frequency: 62 Hz, force: 10 N}\n"
+HAMMER_TEST = (
+    "test: {kind: impulse, body: 1, peak: 100 N, width: 8 ms, repeats: 3, interval: 2 s, double_hit: {hits: [2]}}\n"
+)
 
 
-def scene(kind):
-    place, rest = ("hammer", HIT) if kind == "hammer" else ("shaker", SHAKEN)
-    return rig.load(read_yaml(BRACKET.replace("PLACE", place) + rest).content)
+def make_scene(kind):
+    """Return the scene of a hammer test, or of a test by shaker."""
+    place, test = ("hammer", HAMMER_TEST) if kind == "hammer" else ("shaker", SHAKER_TEST)
+    return rig.load(read_yaml(BRACKET.replace("PLACE", place) + test).content)
 
 
 @pytest.fixture
 def bench(request, tmp_path):
-    chassis = connect_scene(scene(request.param), "manual")
+    chassis = connect_scene(make_scene(request.param), "manual")
     live_bench = LiveBench(chassis, "", tmp_path / "test.mcap", False)
     live_bench.operator.settings.kind = request.param
     yield live_bench
@@ -46,20 +49,21 @@ def bench(request, tmp_path):
 
 
 def pass_time(bench, seconds):
-    """Let time pass, and wait until the view has caught up."""
+    """Advance the clock by a time in s, and wait until the display is up to date."""
     for _ in range(round(seconds / 0.1)):
         bench.chassis.clock.advance(0.1)
         bench.monitor.catch_up()
 
 
-def ask(bench, **settings):
+def set_controls(bench, **settings):
+    """Enter settings on the page."""
     for name, value in settings.items():
         setattr(bench.operator.settings, name, value)
 
 
 @pytest.mark.parametrize("bench", ["sweep"], indirect=True)
 def test_recorded_sweep_has_the_resonance(bench):
-    ask(bench, level=5.0, low=50.0, high=75.0, duration=20.0)
+    set_controls(bench, level=5.0, low=50.0, high=75.0, duration=20.0)
     bench.recordings.enabled = True
     bench.operator.start()
     assert bench.operator.running
@@ -72,16 +76,16 @@ def test_recorded_sweep_has_the_resonance(bench):
         assert recording.test.kind == "sweep"
         assert recording.scene.test.kind == "swept_sine"
         frf = analysis.frfs(recording)["arm"]
-        highest = frf.frequency[np.argmax(abs(frf.value))]
-        assert highest == pytest.approx(62.0, abs=0.3)
+        resonance = frf.frequency[np.argmax(abs(frf.value))]
+        assert resonance == pytest.approx(62.0, abs=0.3)
     assert live.names == ["base", "arm"]
-    assert live.frequency[np.argmax(abs(live.value[1]))] == pytest.approx(highest, abs=1.0)
+    assert live.frequency[np.argmax(abs(live.value[1]))] == pytest.approx(resonance, abs=1.0)
     assert np.median(live.coherence) > 0.99
 
 
 @pytest.mark.parametrize("bench", ["random"], indirect=True)
 def test_stopped_random_test_leaves_a_readable_recording(bench):
-    ask(bench, level=5.0, low=20.0, high=200.0, duration=60.0)
+    set_controls(bench, level=5.0, low=20.0, high=200.0, duration=60.0)
     bench.recordings.enabled = True
     bench.operator.start()
     pass_time(bench, 6.0)
@@ -100,12 +104,12 @@ def test_stopped_random_test_leaves_a_readable_recording(bench):
 
 @pytest.mark.parametrize("bench", ["sine"], indirect=True)
 def test_sine_follows_frequency_and_level(bench):
-    ask(bench, level=5.0, frequency=40.0)
+    set_controls(bench, level=5.0, frequency=40.0)
     bench.operator.start()
     pass_time(bench, 5.0)
     (peak, frequency), *_ = bench.monitor.output()
     assert (peak, frequency) == (pytest.approx(5.0, rel=0.01), pytest.approx(40.0, rel=0.01))
-    ask(bench, frequency=50.0, level=2.0)
+    set_controls(bench, frequency=50.0, level=2.0)
     bench.operator.turn()
     pass_time(bench, 5.0)
     (peak, frequency), *_ = bench.monitor.output()
@@ -114,7 +118,7 @@ def test_sine_follows_frequency_and_level(bench):
 
 @pytest.mark.parametrize("bench", ["hammer"], indirect=True)
 def test_only_accepted_hits_are_marked_and_averaged(bench):
-    ask(bench, level=100.0, hits=4, duration=2.0)
+    set_controls(bench, level=100.0, hits=4, duration=2.0)
     bench.recordings.enabled = True
     bench.operator.start()
     pass_time(bench, 7.5)
@@ -134,8 +138,8 @@ def test_only_accepted_hits_are_marked_and_averaged(bench):
 
 
 @pytest.mark.parametrize("bench", ["hammer"], indirect=True)
-def test_overloaded_channel_lights_its_lamp(bench):
-    ask(bench, level=1000.0, hits=1, duration=2.0)
+def test_overloaded_channel_is_indicated(bench):
+    set_controls(bench, level=1000.0, hits=1, duration=2.0)
     bench.operator.start()
     pass_time(bench, 1.0)
     assert bench.monitor.overloads() == [False, False, True]
@@ -146,7 +150,7 @@ def test_overloaded_channel_lights_its_lamp(bench):
 
 @pytest.mark.parametrize("bench", ["sweep"], indirect=True)
 def test_each_test_has_its_own_recording(bench):
-    ask(bench, level=5.0, low=50.0, high=75.0, duration=2.0)
+    set_controls(bench, level=5.0, low=50.0, high=75.0, duration=2.0)
     bench.recordings.enabled = True
     for _ in range(2):
         bench.operator.start()
@@ -172,14 +176,14 @@ def test_unusable_recording_folder_is_reported(bench, tmp_path):
 
 @pytest.mark.parametrize("bench", ["sweep"], indirect=True)
 def test_wrong_settings_are_reported(bench):
-    ask(bench, low=50.0, high=50.0)
+    set_controls(bench, low=50.0, high=50.0)
     bench.operator.start()
     assert not bench.operator.running
     assert "equal to from" in bench.operator.message
 
 
 def test_client_and_page_share_the_output(tmp_path):
-    with connect(scene("sine"), clock="real") as client:
+    with connect(make_scene("sine"), clock="real") as client:
         live_bench = LiveBench(client.chassis, "", tmp_path / "client.mcap", False)
         with nidaqmx.Task("mine", grpc_options=client) as task:
             task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")

@@ -1,4 +1,4 @@
-"""A user session on the page: start a sweep, observe the resonance, record, analyze."""
+"""A user session on the bench page in a real browser: start a sweep, observe the resonance, record, analyze."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import pytest
 import analysis
 import daq
 from daq.server.client_defaults import open_channel
-from tests.daq.bench_page.test_bench import BRACKET, SHAKEN
+from tests.daq.bench_page.test_bench import BRACKET, SHAKER_TEST
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
 pytest.importorskip("nicegui", reason="the extra 'bench' is not installed")
@@ -29,8 +29,8 @@ from selenium.webdriver.common.by import By  # noqa: E402
 from selenium.webdriver.support.ui import WebDriverWait  # noqa: E402
 
 CHROMIUM, DRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")
-PATIENCE_S = 120.0
-# Names and data of the curves of the chart whose title begins with a text.
+TIMEOUT_S = 120.0
+# JavaScript that returns names and data of the curves of the chart whose title begins with a text.
 CURVES = """
 const charts = [...document.querySelectorAll('.nicegui-echart')].map(each => getElement(each).chart);
 const chart = charts.find(each => each && each.getOption().title[0].text.startsWith(arguments[0]));
@@ -41,7 +41,7 @@ return chart ? chart.getOption().series.map(each => [each.name, each.data]) : []
 @pytest.fixture
 def bench(tmp_path):
     """A bench in a separate process: address of the page, address of the device, process."""
-    (tmp_path / "bracket.yaml").write_text(BRACKET.replace("PLACE", "shaker") + SHAKEN, encoding="utf-8")
+    (tmp_path / "bracket.yaml").write_text(BRACKET.replace("PLACE", "shaker") + SHAKER_TEST, encoding="utf-8")
     command = [sys.executable, "-m", "daq", "bench", "bracket.yaml", "--no-browser", "-o", "rec/test.mcap"]
     process = subprocess.Popen(
         [*command, "--port", "0", "--device-port", "0"],
@@ -74,13 +74,13 @@ def browser():
         yield driver
 
 
-def part(browser, name):
+def element(browser, name):
     return browser.find_element(By.CSS_SELECTOR, f"[data-testid={name}]")
 
 
 def wait_for(browser, condition):
-    # On a busy machine the page may be loaded twice.
-    wait = WebDriverWait(browser, PATIENCE_S, ignored_exceptions=(StaleElementReferenceException,))
+    """Return the value of the condition once it is true; on a busy machine the page may be loaded twice."""
+    wait = WebDriverWait(browser, TIMEOUT_S, ignored_exceptions=(StaleElementReferenceException,))
     return wait.until(lambda driver: condition())
 
 
@@ -91,24 +91,24 @@ def set_number(browser, name, value):
 
 
 @pytest.mark.thorough
-def test_sweep_is_started_seen_recorded_and_analyzed(bench, browser, tmp_path):
+def test_sweep_is_displayed_recorded_and_analyzed(bench, browser, tmp_path):
     page, device, process = bench
     browser.get(page)
-    wait_for(browser, lambda: part(browser, "state").text == "ready")
+    wait_for(browser, lambda: element(browser, "state").text == "ready")
     for name, value in {"level": 5, "low": 50, "high": 75, "duration": 20}.items():
         set_number(browser, name, value)
-    part(browser, "record").click()
-    part(browser, "start").click()
-    wait_for(browser, lambda: part(browser, "state").text not in ("", "ready"))
+    element(browser, "record").click()
+    element(browser, "start").click()
+    wait_for(browser, lambda: element(browser, "state").text not in ("", "ready"))
     # Another program reads a channel meanwhile, and the page shows its task.
     with open_channel(device) as channel, nidaqmx.Task("other", grpc_options=_options(channel)) as task:
         task.ai_channels.add_ai_accel_chan("cDAQ1Mod1/ai0")
         task.timing.cfg_samp_clk_timing(1024.0, samps_per_chan=1024)
         task.start()
-        wait_for(browser, lambda: "other" in part(browser, "clients").text)
+        wait_for(browser, lambda: "other" in element(browser, "clients").text)
         assert np.ptp(task.read(1024)) > 0.0
-    wait_for(browser, lambda: "recording to" in part(browser, "file").text)
-    wait_for(browser, lambda: part(browser, "state").text == "ready")
+    wait_for(browser, lambda: "recording to" in element(browser, "file").text)
+    wait_for(browser, lambda: element(browser, "state").text == "ready")
     wait_for(browser, lambda: dict(browser.execute_script(CURVES, "Frequency response"))["arm"])
     curve = np.array(dict(browser.execute_script(CURVES, "Frequency response"))["arm"])
     assert curve[np.argmax(curve[:, 1]), 0] == pytest.approx(62.0, abs=1.0)
@@ -129,7 +129,7 @@ def _options(channel):
 
 
 @pytest.mark.thorough
-def test_page_without_token_is_refused(bench):
+def test_page_without_token_is_rejected(bench):
     page, _, _ = bench
     with pytest.raises(urllib.error.HTTPError, match="403"):
         urllib.request.urlopen(page.partition("?")[0])

@@ -1,4 +1,4 @@
-"""Hits are detected in the force and assessed at the end of their windows."""
+"""Hammer hits are detect_hits in the force and checked for faults at the end of their windows."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ import pytest
 
 from daq.bench_page.hits import HitDetector
 
-RATE = 1000.0
+RATE = 1000.0  # Hz
 
 
-def force(*pulses: tuple[float, float], seconds: float = 1.0) -> np.ndarray:
-    """Half sines of 5 ms, given by time and peak."""
+def force_of(*pulses: tuple[float, float], seconds: float = 1.0) -> np.ndarray:
+    """Return a force (1 channel, samples) of half sines of 5 ms, each given by time in s and peak in N."""
     time = np.arange(seconds * RATE) / RATE
-    wave = np.zeros(time.size)
+    force = np.zeros(time.size)
     for start, peak in pulses:
-        inside = (time >= start) & (time < start + 5e-3)
-        wave[inside] += peak * np.sin(np.pi * (time[inside] - start) / 5e-3)
-    return wave[None]
+        in_pulse = (time >= start) & (time < start + 5e-3)
+        force[in_pulse] += peak * np.sin(np.pi * (time[in_pulse] - start) / 5e-3)
+    return force[None]
 
 
-def detected(readings, overload=None, block=100):
+def detect_hits(readings, overload=None, block=100):
     detector = HitDetector(0, RATE, min_peak=20.0, window=0.4)
     overload = np.zeros(readings.shape, bool) if overload is None else overload
-    for at in range(0, readings.shape[1], block):
-        detector.add(at, readings[:, at : at + block], overload[:, at : at + block])
+    for first in range(0, readings.shape[1], block):
+        detector.add(first, readings[:, first : first + block], overload[:, first : first + block])
     return detector.hits
 
 
@@ -37,8 +37,8 @@ def detected(readings, overload=None, block=100):
         ([(0.2, 15.0), (0.23, 15.0)], ["double hit", "too weak"]),
     ],
 )
-def test_verdict_names_each_fault(pulses, faults):
-    (hit,) = detected(force(*pulses))
+def test_faults_of_a_hit_are_named(pulses, faults):
+    (hit,) = detect_hits(force_of(*pulses))
     assert hit.faults == faults
     assert hit.accepted == (not faults)
     assert hit.peak == pytest.approx(pulses[0][1], rel=0.05)
@@ -47,19 +47,19 @@ def test_verdict_names_each_fault(pulses, faults):
 def test_overload_in_the_window_is_clipping():
     overload = np.zeros((1, 1000), bool)
     overload[0, 205] = True
-    assert detected(force((0.2, 50.0)), overload)[0].faults == ["clipped"]
+    assert detect_hits(force_of((0.2, 50.0)), overload)[0].faults == ["clipped"]
 
 
 @pytest.mark.parametrize("block", [7, 100, 1000])
 def test_hits_do_not_depend_on_blocks(block):
-    hits = detected(force((0.1, 50.0), (0.6, 40.0), seconds=1.2), block=block)
+    hits = detect_hits(force_of((0.1, 50.0), (0.6, 40.0), seconds=1.2), block=block)
     assert [hit.number for hit in hits] == [1, 2]
     assert [hit.first + int(np.argmax(hit.force > 30.0)) for hit in hits] == [102, 602]
     assert all(hit.readings.shape == (1, 400) for hit in hits)
 
 
-def test_gap_in_the_samples_begins_again():
-    detector, readings = HitDetector(0, RATE, min_peak=20.0, window=0.4), force((0.2, 50.0))
+def test_hit_with_missing_samples_is_ignored():
+    detector, readings = HitDetector(0, RATE, min_peak=20.0, window=0.4), force_of((0.2, 50.0))
     flags = np.zeros((1, 300), bool)
     detector.add(0, readings[:, :300], flags)
     detector.add(500, readings[:, 500:800], flags)

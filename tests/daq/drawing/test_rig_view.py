@@ -1,4 +1,7 @@
-"""The drawing of the rig: parts stay connected for any scene and motion."""
+"""The drawing of the rig: parts stay connected for any scene and motion.
+
+Bodies are stacked on their springs from the ground up; each damper moves in a cavity of its body.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,8 @@ shaker: {shaker}
 """
 
 
-def motion_of(scene, amplitude_m, seed=0, instants=50):
+def random_pose(scene, amplitude_m, seed=0, instants=50):
+    """Return random displacements and gaps of all parts, up to an amplitude."""
     noise = np.random.default_rng(seed)
     bodies, dampers = scene.structure.bodies, len(scene.dampers)
     return RigPose(
@@ -29,7 +33,8 @@ def motion_of(scene, amplitude_m, seed=0, instants=50):
     )
 
 
-def drawn(scene, motion):
+def draw(scene, motion):
+    """Return the view, and for each moving part its heights in m and its scale factors."""
     view = RigView(scene, Extremes().widened(motion, [shaker.body for _, shaker in scene.tables]), gaps_known=True)
     parts = {path: (move[:, 2], scale) for path, move, scale in view.moving_parts(motion)}
     return view, parts
@@ -37,40 +42,40 @@ def drawn(scene, motion):
 
 @pytest.mark.parametrize("amplitude_m", [1e-6, 0.3e-3, 1e-3, 7e-3, 0.2])
 def test_springs_end_at_the_parts_they_join(amplitude_m):
-    motion = motion_of(SCENE, amplitude_m)
-    view, parts = drawn(SCENE, motion)
-    rest_of_ground = np.zeros(50)
-    below = rest_of_ground
+    motion = random_pose(SCENE, amplitude_m)
+    view, parts = draw(SCENE, motion)
+    ground = np.zeros(50)
+    top_of_lower_part = ground
     for body in (1, 2, 3):
-        foot, scale = parts[f"rig/spring_{body}"]
-        head = foot + scale[:, 2] * view.stack.lengths[body - 1]
-        bottom = parts[f"rig/body_{body}"][0]
-        np.testing.assert_allclose(foot, below, atol=1e-12)
-        np.testing.assert_allclose(head, bottom, atol=1e-12)
-        below = bottom + view.stack.heights[body - 1]
-    foot, scale = parts["rig/coil_spring"]
-    np.testing.assert_allclose(foot, parts["rig/table"][0], atol=1e-12)
-    np.testing.assert_allclose(foot + 0.110 * scale[:, 2], parts["rig/body_1"][0], atol=1e-12)
+        lower_end, scale = parts[f"rig/spring_{body}"]
+        upper_end = lower_end + scale[:, 2] * view.stack.lengths[body - 1]
+        bottom_of_body = parts[f"rig/body_{body}"][0]
+        np.testing.assert_allclose(lower_end, top_of_lower_part, atol=1e-12)
+        np.testing.assert_allclose(upper_end, bottom_of_body, atol=1e-12)
+        top_of_lower_part = bottom_of_body + view.stack.heights[body - 1]
+    lower_end, scale = parts["rig/coil_spring"]
+    np.testing.assert_allclose(lower_end, parts["rig/table"][0], atol=1e-12)
+    coil_spring_length_m = 0.110
+    np.testing.assert_allclose(lower_end + coil_spring_length_m * scale[:, 2], parts["rig/body_1"][0], atol=1e-12)
 
 
 @pytest.mark.parametrize("amplitude_m", [1e-6, 0.3e-3, 1e-3, 7e-3, 0.2])
 def test_parts_never_pass_through_each_other(amplitude_m):
-    motion = motion_of(SCENE, amplitude_m, seed=1)
-    _, parts = drawn(SCENE, motion)
-    for path, (move, scale) in parts.items():
+    motion = random_pose(SCENE, amplitude_m, seed=1)
+    _, parts = draw(SCENE, motion)
+    for path, (height, scale) in parts.items():
         if scale is not None:
             assert scale[:, 2].min() > 0.3, path
         if path.endswith("damper"):
-            assert move.min() >= 0.0, path
-            assert move.max() <= HEADROOM + 1e-12, path
+            assert height.min() >= 0.0, path
+            assert height.max() <= HEADROOM + 1e-12, path
 
 
 def test_damper_at_its_ceiling_touches_it():
     scene = rig.load("fig9")
     clearance = scene.dampers[0].clearance
-    still = np.zeros((3, 2))
-    motion = RigPose(still, np.zeros((1, 2)), np.array([[0.0, clearance]]))
-    view, parts = drawn(scene, motion)
+    motion = RigPose(np.zeros((3, 2)), np.zeros((1, 2)), np.array([[0.0, clearance]]))
+    view, parts = draw(scene, motion)
     floor_gap, ceiling_gap = parts["rig/body_2/damper"][0]
     assert floor_gap == 0.0
     [cavity] = cavities(scene.dampers, 2, view.magnification)
@@ -79,7 +84,7 @@ def test_damper_at_its_ceiling_touches_it():
 
 def test_cavity_with_distant_ceiling_is_open():
     scene = SCENE.replace(dampers=[{"body": 2, "mass": "50 g", "clearance": "1 m"}])
-    view, _ = drawn(scene, motion_of(scene, 1e-3))
+    view, _ = draw(scene, random_pose(scene, 1e-3))
     [cavity] = cavities(scene.dampers, 2, view.magnification)
     assert cavity.ceiling is None
 
@@ -87,7 +92,7 @@ def test_cavity_with_distant_ceiling_is_open():
 def test_two_dampers_have_separate_cavities():
     pair = [{"body": 2, "mass": f"{mass} g", "clearance": "1 mm"} for mass in (30, 20)]
     scene = SCENE.replace(dampers=[*pair, {"body": 3, "mass": "10 g", "clearance": "1 mm"}])
-    _, parts = drawn(scene, motion_of(scene, 1e-3))
+    _, parts = draw(scene, random_pose(scene, 1e-3))
     assert {"rig/body_2/damper_1", "rig/body_2/damper_2", "rig/body_3/damper"} <= parts.keys()
     left, right = cavities(scene.dampers, 2, 1.0)
     assert left.x + left.width / 2 + WALL == pytest.approx(right.x - right.width / 2)
@@ -97,7 +102,7 @@ def test_two_dampers_have_separate_cavities():
 @pytest.mark.parametrize("path", sorted(SCENES.glob("*.yaml")), ids=lambda path: path.stem)
 def test_bundled_scene_is_drawn_completely(path):
     scene = rig.load(path)
-    view, parts = drawn(scene, motion_of(scene, 1e-3))
+    view, parts = draw(scene, random_pose(scene, 1e-3))
     still = [entity for entity, _ in view.still_parts()]
     assert len(still) == len(set(still))
     for moving in parts:
@@ -114,7 +119,7 @@ def test_bundled_scene_is_drawn_completely(path):
 )
 def test_other_rigs_are_drawn_without_missing_parts(shaker):
     scene = rig.loads(CHAIN.format(name="chain", shaker=shaker))
-    view, parts = drawn(scene, motion_of(scene, 1e-3))
+    view, parts = draw(scene, random_pose(scene, 1e-3))
     still = {entity for entity, _ in view.still_parts()}
     assert "rig/spring_3" not in still and "rig/spring_3" not in parts
     assert ("rig/table" in parts) == ("force" not in shaker)
@@ -125,7 +130,7 @@ def test_other_rigs_are_drawn_without_missing_parts(shaker):
 def test_matrices_draw_bodies_without_springs():
     matrices = {"mass": [[1.0, 0.0], [0.0, 1.0]], "stiffness": [[2e4, -1e4], [-1e4, 1e4]]}
     scene = rig.loads(f"name: given\nstructure: {{matrices: {matrices}}}\n".replace("'", ""))
-    view, parts = drawn(scene, motion_of(scene, 1e-3))
+    view, parts = draw(scene, random_pose(scene, 1e-3))
     assert set(parts) == {"rig/body_1", "rig/body_2"}
     assert not any("spring" in entity for entity, _ in view.still_parts())
 
@@ -145,5 +150,5 @@ def test_unmeasured_points_are_labeled():
     view = RigView(SCENE, Extremes(), gaps_known=True, unknown=["body 2", "table"])
     names = {path: part for path, part in view.still_parts() if path.endswith("/name")}
     texts = {path: str(part.labels.as_arrow_array()) for path, part in names.items()}
-    silent = {path for path, text in texts.items() if "not measured" in text}
-    assert silent == {"rig/body_2/name", "rig/table/name"}
+    unmeasured = {path for path, text in texts.items() if "not measured" in text}
+    assert unmeasured == {"rig/body_2/name", "rig/table/name"}

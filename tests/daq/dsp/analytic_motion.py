@@ -1,4 +1,4 @@
-"""Motions in closed form, as `rig.simulation.motion.Motion`, and scenes with one channel to measure them."""
+"""Motions in closed form, as `rig.simulation.motion.Motion`, and signal chains that measure them."""
 
 from dataclasses import dataclass, replace
 
@@ -11,9 +11,10 @@ from rig.simulation.motion import Motion
 
 @dataclass(frozen=True)
 class Path:
-    """One point's motion.
+    """The motion of a point.
 
-    Tones are (amplitude of acceleration, frequency in Hz, phase in rad), impacts (time, jump of velocity).
+    Tones are (amplitude of acceleration in m/s^2, frequency in Hz, phase in rad); impacts are (time in s, jump of
+    velocity in m/s).
     """
 
     tones: tuple = ()
@@ -21,14 +22,14 @@ class Path:
     start_velocity: float = 0.0
 
     def at(self, time, strictly_before=False):
-        """Displacement, velocity and acceleration, shape (3, times)."""
+        """Return displacement, velocity and acceleration (3, times)."""
         t = np.asarray(time, dtype=float)
         x, v, a = self.start_velocity * t, np.full(t.shape, self.start_velocity), np.zeros(t.shape)
         for amplitude, frequency, phase in self.tones:
-            w = 2 * np.pi * frequency
-            x = x - amplitude / w**2 * np.cos(w * t + phase)
-            v = v + amplitude / w * np.sin(w * t + phase)
-            a = a + amplitude * np.cos(w * t + phase)
+            omega = 2 * np.pi * frequency
+            x = x - amplitude / omega**2 * np.cos(omega * t + phase)
+            v = v + amplitude / omega * np.sin(omega * t + phase)
+            a = a + amplitude * np.cos(omega * t + phase)
         for instant, jump in self.impacts:
             has_passed = t > instant if strictly_before else t >= instant
             x = x + has_passed * jump * (t - instant)
@@ -37,7 +38,7 @@ class Path:
 
 
 def motion_of(paths, rate, count, first=0):
-    """Return samples first ... first+count-1 of several points; an impact at one point is a break for all."""
+    """Return `count` samples of the motion of several points; an impact at one point is a break for all."""
     t = np.arange(first, first + count) / rate
     times = np.array(sorted({instant for path in paths for instant, _ in path.impacts}))
     ticks = np.ceil(times * rate - 1e-9).astype(np.int64)
@@ -45,14 +46,14 @@ def motion_of(paths, rate, count, first=0):
     times, ticks = times[inside], ticks[inside]
     x, v, a = np.moveaxis(np.array([path.at(t) for path in paths]), 1, 0)
     before, after = (np.array([path.at(times, side) for path in paths]) for side in (True, False))
-    none = np.zeros((0, count))
+    without_dampers = np.zeros((0, count))
     return Motion(
         first=first,
         displacement=x,
         velocity=v,
         acceleration=a,
-        gap=none,
-        contact=none.astype(np.int8),
+        gap=without_dampers,
+        contact=without_dampers.astype(np.int8),
         break_sample=ticks,
         break_offset=times - (ticks - 1) / rate,
         break_displacement=after[:, 0],
@@ -83,7 +84,7 @@ def cut(motion, first, stop):
 
 
 def scene_of(*channels, converter="{rate: 5120 Hz}", bodies=1, more=""):
-    """Load a scene whose channels are given by their keys behind `at: body n`, in this order."""
+    """Return a scene with channels c1 on body 1, c2 on body 2, ...; each is given by its further keys."""
     listed = "".join(f"\n  - {{name: c{n}, at: body {n}{keys}}}" for n, keys in enumerate(channels, 1))
     bodies = max(bodies, len(channels))
     return rig.loads(
@@ -93,7 +94,7 @@ def scene_of(*channels, converter="{rate: 5120 Hz}", bodies=1, more=""):
 
 
 def chain_of(scene, oversampling=1):
-    """Make the signal chain of a scene, and return it with the rate of its motion."""
+    """Return the signal chain of a scene, and the rate of the motion that it measures, Hz."""
     rate = scene.converter.true_rate * oversampling
     return Chain(scene, rate, [f"body {n + 1}" for n in range(scene.structure.bodies)]), rate
 

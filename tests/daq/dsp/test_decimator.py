@@ -1,4 +1,7 @@
-"""The decimator against an explicit sum; its filter against the integral of the kernel."""
+"""The decimator of a converter against an explicit sum, and its taps against integrals of the filter's kernel.
+
+The signal in each interval is given by its moments: the coefficients of Legendre polynomials P_k.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ def test_filtered_sample_is_the_weighted_sum(oversampling, delay):
     for begin, end in ((0, 1), (1, 1), (1, 3), (3, 100), (100, 105), (105, intervals)):
         decimator.place(end - begin)[: end - begin] = moments[begin:end]
         parts.append(decimator.filter(end - begin).copy())
-        # Channels take turns in the memory.
+        # Other channels use the same memory.
         buffers.rows(1000)[:] = np.nan
     samples = np.concatenate(parts)
     assert samples.size == -(-intervals // oversampling)
@@ -37,11 +40,11 @@ def test_filtered_sample_is_the_weighted_sum(oversampling, delay):
 
 
 @pytest.mark.parametrize("oversampling", [1, 3])
-def test_weighed_polynomial_is_the_integral(oversampling):
+def test_taps_are_integrals_of_the_kernel(oversampling):
     low_pass = Decimation.standard(1000.0)
     taps = taps_of(low_pass, oversampling)
     assert taps.shape == (oversampling, MOMENTS, 2 * DELAY)
-    # Constants are unchanged, and the delay is as stated: t is read as t - 38 samples.
+    # A constant is unchanged, and a ramp is delayed by 38 samples.
     assert taps[:, 0].sum() == pytest.approx(1.0, rel=1e-12)
     interval = np.arange(2 * DELAY * oversampling).reshape(2 * DELAY, oversampling).T
     middle = -(interval + 0.5) / oversampling
@@ -54,15 +57,15 @@ def test_weighed_polynomial_is_the_integral(oversampling):
         end = j + p / oversampling
         polynomial = np.polynomial.legendre.Legendre.basis(k)
 
-        def weighed(lag, end=end, polynomial=polynomial):
-            place = 1.0 - 2.0 * oversampling * (lag - end)
-            return float(low_pass.impulse_response(np.array(lag - DELAY)) * polynomial(place))
+        def weighted_polynomial(lag, end=end, polynomial=polynomial):
+            position = 1.0 - 2.0 * oversampling * (lag - end)  # In the interval, from -1 to 1.
+            return float(low_pass.impulse_response(np.array(lag - DELAY)) * polynomial(position))
 
-        expected = quad(weighed, end, end + 1 / oversampling)[0] * (2 * k + 1) / total
+        expected = quad(weighted_polynomial, end, end + 1 / oversampling)[0] * (2 * k + 1) / total
         assert taps[p, k, j] == pytest.approx(expected, rel=1e-6, abs=1e-9)
 
 
-def test_steady_value_passes_the_filter():
+def test_constant_is_not_changed_by_the_filter():
     time = np.linspace(-DELAY, DELAY, 100 * DELAY + 1)
     kernel = Decimation.standard(5120.0).impulse_response(time)
     assert trapezoid(kernel, time) == pytest.approx(1.0, abs=1e-5)
@@ -74,9 +77,9 @@ def test_filter_response_is_the_fourier_integral():
     time = np.linspace(-38.0, 38.0, 200_001)
     kernel = low_pass.impulse_response(time)
     step = time[1] - time[0]
-    for share in (0.0, 0.2, 0.44, PASS, 0.5, STOP, 0.7, 3.0):
-        expected = np.sum(kernel * np.cos(2 * np.pi * share * time)) * step / (np.sum(kernel) * step)
-        assert low_pass.magnitude(share * 5120.0) == pytest.approx(expected, abs=2e-6)
+    for cycles_per_sample in (0.0, 0.2, 0.44, PASS, 0.5, STOP, 0.7, 3.0):
+        expected = np.sum(kernel * np.cos(2 * np.pi * cycles_per_sample * time)) * step / (np.sum(kernel) * step)
+        assert low_pass.magnitude(cycles_per_sample * 5120.0) == pytest.approx(expected, abs=2e-6)
     assert 20 * np.log10(abs(low_pass.magnitude(np.linspace(STOP, 8.0, 4000) * 5120.0)).max()) < -100.0
     assert abs(20 * np.log10(abs(low_pass.magnitude(np.linspace(0.0, PASS, 2000) * 5120.0)))).max() < 1e-4
     assert not low_pass.impulse_response(np.array([-38.0, -40.0, 38.0, 41.5])).any()

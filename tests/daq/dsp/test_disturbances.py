@@ -1,4 +1,4 @@
-"""Disturbances within a sample interval, and noise spectra, against their specification."""
+"""Disturbances of a channel (noise, offset) as polynomials within a sample interval, and their spectra."""
 
 from __future__ import annotations
 
@@ -10,31 +10,33 @@ from daq.dsp.disturbances import Disturbances, Offset
 from daq.dsp.noise import LOWEST, FastNoise, Noise, flicker_filter, generator
 
 
-class Given:
-    """Known values in place of random numbers."""
+class KnownValues:
+    """A source of known values in place of random numbers."""
 
     def __init__(self, values):
-        self._values, self._place = values, 0
+        self._values, self._used = values, 0
 
     def fill(self, samples):
-        samples[:] = self._values[self._place : self._place + samples.size]
-        self._place += samples.size
+        samples[:] = self._values[self._used : self._used + samples.size]
+        self._used += samples.size
 
 
-@pytest.mark.parametrize("each", [1, 2, 5])
+@pytest.mark.parametrize("oversampling", [1, 2, 5])
 @pytest.mark.parametrize("cuts", [[], [1], [1, 2, 3, 9], [0, 7, 7, 20]])
-def test_cut_polynomials_are_the_same_curves(each, cuts):
-    samples = np.random.default_rng(each).standard_normal((4, 30))
-    disturbances = Disturbances([Given(row) for row in samples], np.zeros(4), (0, 1, 2, 0), each)
-    curves = np.concatenate([disturbances.draw(int(n)) for n in np.diff([0, *cuts, 29 * each + 1])], axis=1)
-    inside = np.linspace(-1.0, 1.0, 5)
-    # Interval 0 ends at sample 0; a sample's polynomials reach over the time since the sample before.
-    for interval in range(29 * each + 1):
-        sample = -(-interval // each)
-        place = (interval - 1) % each
-        over = (2 * place + 1 + inside) / each - 1.0
-        np.testing.assert_allclose(legval(inside, curves[:3, interval]), legval(over, samples[:3, sample]), atol=1e-12)
-        assert curves[3, interval] == samples[3, sample]
+def test_polynomials_of_intervals_equal_those_of_samples(oversampling, cuts):
+    samples = np.random.default_rng(oversampling).standard_normal((4, 30))
+    disturbances = Disturbances([KnownValues(row) for row in samples], np.zeros(4), (0, 1, 2, 0), oversampling)
+    n_intervals = 29 * oversampling + 1
+    coefficients = np.concatenate([disturbances.draw(int(n)) for n in np.diff([0, *cuts, n_intervals])], axis=1)
+    in_interval = np.linspace(-1.0, 1.0, 5)
+    # Interval 0 ends at sample 0; the polynomials of a sample are valid since the previous sample.
+    for interval in range(n_intervals):
+        sample = -(-interval // oversampling)
+        position = (interval - 1) % oversampling
+        since_sample = (2 * position + 1 + in_interval) / oversampling - 1.0
+        values, expected = (legval(in_interval, coefficients[:3, interval]), legval(since_sample, samples[:3, sample]))
+        np.testing.assert_allclose(values, expected, atol=1e-12)
+        assert coefficients[3, interval] == samples[3, sample]
 
 
 def test_direct_disturbances_are_added():
@@ -44,20 +46,21 @@ def test_direct_disturbances_are_added():
     volts = np.array([10.0, 20.0])
     disturbances.add_direct(disturbances.draw(2), volts)
     assert volts.tolist() == [5.5, 15.5]
-    none = Disturbances([], np.zeros(0), (), 4)
-    assert none.draw(3).shape == (0, 3)
+    without_sources = Disturbances([], np.zeros(0), (), 4)
+    assert without_sources.draw(3).shape == (0, 3)
 
 
 def test_settling_offset_is_exponential():
-    source, level, time, rate = Offset(-3.0, 0.25, 100.0), -3.0, 0.25, 100.0
+    level, time_constant, rate = -3.0, 0.25, 100.0
+    source = Offset(level, time_constant, rate)
     samples = np.empty(200)
     for start, stop in ((0, 1), (1, 1), (1, 60), (60, 200)):
         source.fill(samples[start:stop])
-    np.testing.assert_allclose(samples, level * (1.0 - np.exp(-np.arange(200) / rate / time)), atol=1e-12)
+    np.testing.assert_allclose(samples, level * (1.0 - np.exp(-np.arange(200) / rate / time_constant)), atol=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("corner", "rate", "tolerance", "at_the_end"),
+    ("corner", "rate", "tolerance", "tolerance_at_nyquist"),
     [
         (0.5, 5120.0, 3e-3, 3e-3),
         (50.0, 5120.0, 3e-3, 3e-3),
@@ -66,20 +69,20 @@ def test_settling_offset_is_exponential():
         (2e-3, 1e-3, 0.03, 0.06),
     ],
 )
-def test_shaped_noise_density_follows_the_corner(corner, rate, tolerance, at_the_end):
+def test_shaped_noise_density_follows_the_corner(corner, rate, tolerance, tolerance_at_nyquist):
     loss, weight, gain = flicker_filter(corner, rate)
     frequency = np.geomspace(10 * min(LOWEST, 0.1 * corner, 0.01 * rate), 0.5 * rate, 200)
     delay = np.exp(-2j * np.pi * frequency / rate)[:, None]
     density = gain * abs(1.0 + np.sum(weight * delay / (1.0 - (1.0 - loss) * delay), axis=1))
     error = abs(density / np.sqrt(1.0 + corner / frequency) - 1.0)
-    assert error[frequency < 0.45 * rate].max() < tolerance and error.max() < at_the_end
-    # Far above its corner noise is white, and states are stable.
+    assert error[frequency < 0.45 * rate].max() < tolerance and error.max() < tolerance_at_nyquist
+    # The states are stable.
     assert ((loss > 0.0) & (loss <= 1.0)).all()
-    # One state for every factor of four in frequency is enough.
+    # There is about one state for each factor of four in frequency.
     assert loss.size <= 2 + np.log(0.25 * rate / (0.1 * frequency[0])) / np.log(4.0)
 
 
-def test_shaping_states_follow_their_design():
+def test_shaped_noise_is_filtered_white_noise():
     corner, rate = 20.0, 5120.0
     loss, weight, gain = flicker_filter(corner, rate)
     samples = np.empty(500)
@@ -93,11 +96,11 @@ def test_shaping_states_follow_their_design():
 
 
 @pytest.mark.parametrize("degree", [1, 2])
-def test_polynomial_noise_has_its_share_of_power(degree):
+def test_noise_of_each_polynomial_has_its_power(degree):
     density, samples = 2e-6, np.empty(200_000)
-    for corner, rate, more in ((None, 1.0, 1.0), (100.0, 1000.0, 1.2)):
+    for corner, rate, power_ratio in ((None, 1.0, 1.0), (100.0, 1000.0, 1.2)):
         FastNoise(density, corner, rate, generator(5, "c", "fast"), degree).fill(samples)
         # White noise projected on P_d: a variance of 2 d + 1 times that of its average, density^2 rate / 2.
-        expected = density * np.sqrt(more * (2 * degree + 1) * 0.5 * rate)
+        expected = density * np.sqrt(power_ratio * (2 * degree + 1) * 0.5 * rate)
         assert samples.std() == pytest.approx(expected, rel=0.01)
         assert abs(samples.mean()) < 0.01 * expected

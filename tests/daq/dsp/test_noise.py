@@ -1,3 +1,5 @@
+"""Noise of sensors, integrators and converters: spectral densities as in the data sheet."""
+
 import numpy as np
 import pytest
 from scipy.signal import welch
@@ -7,7 +9,8 @@ from daq.signal_chain.decimation_filter import Decimation
 from tests.daq.dsp.analytic_motion import at_rest, chain_of, scene_of
 
 
-def density(samples, rate, segment):
+def spectral_density(samples, rate, segment):
+    """Return frequencies in Hz and the square root of the power spectral density, unit per sqrt(Hz)."""
     frequency, power = welch(samples, rate, nperseg=segment, detrend=False)
     return frequency, np.sqrt(power)
 
@@ -18,33 +21,34 @@ def draw_samples(source, count):
     return samples
 
 
-def band(frequency, value, low, high):
-    inside = (frequency >= low) & (frequency <= high)
-    return np.sqrt(np.mean(value[inside] ** 2))
+def mean_density(frequency, density, low, high):
+    """Return the root mean square of a density between two frequencies."""
+    in_band = (frequency >= low) & (frequency <= high)
+    return np.sqrt(np.mean(density[in_band] ** 2))
 
 
 def test_white_density_is_that_of_the_data_sheet():
     samples = draw_samples(Noise(3e-6, None, 5120.0, generator(1, "c", "noise")), 400_000)
-    frequency, value = density(samples, 5120.0, 512)
+    frequency, density = spectral_density(samples, 5120.0, 512)
     for low, high in ((20.0, 300.0), (300.0, 1500.0), (1500.0, 2540.0)):
-        assert band(frequency, value, low, high) == pytest.approx(3e-6, rel=0.02)
+        assert mean_density(frequency, density, low, high) == pytest.approx(3e-6, rel=0.02)
 
 
 @pytest.mark.parametrize(("corner", "rate"), [(10.0, 5120.0), (100.0, 5120.0), (300.0, 51200.0)])
 def test_density_rises_below_the_corner(corner, rate):
     samples = draw_samples(Noise(1.0, corner, rate, generator(2, "c", "noise")), 3_000_000)
-    frequency, value = density(samples, rate, int(rate / corner * 100))
+    frequency, density = spectral_density(samples, rate, int(rate / corner * 100))
     for low, high in ((0.08, 0.12), (0.3, 0.5), (0.9, 1.1), (3.0, 5.0), (10.0, 15.0)):
         inside = (frequency >= low * corner) & (frequency <= high * corner)
         expected = np.sqrt(np.mean(1.0 + corner / frequency[inside]))
-        assert band(frequency, value, low * corner, high * corner) == pytest.approx(expected, rel=0.05)
+        assert mean_density(frequency, density, low * corner, high * corner) == pytest.approx(expected, rel=0.05)
 
 
-def test_noise_in_blocks_is_the_same():
-    unsplit = draw_samples(Noise(1.0, 10.0, 5120.0, generator(5, "c", "noise")), 1000)
+def test_noise_does_not_depend_on_blocks():
+    expected = draw_samples(Noise(1.0, 10.0, 5120.0, generator(5, "c", "noise")), 1000)
     source = Noise(1.0, 10.0, 5120.0, generator(5, "c", "noise"))
-    parts = [draw_samples(source, count) for count in (1, 0, 7, 128, 864)]
-    assert np.array_equal(np.concatenate(parts), unsplit)
+    blocks = [draw_samples(source, count) for count in (1, 0, 7, 128, 864)]
+    assert np.array_equal(np.concatenate(blocks), expected)
 
 
 def test_noise_differs_by_seed_channel_and_stage():
@@ -62,15 +66,15 @@ def test_integrated_noise_has_density_of_each_stage(order):
         ", accelerometer: {sensitivity: 2, noise: 0.01}" + integrator + "}": True,
         integrator + ", noise: 1e-5}": False,
     }
-    for keys, before in cases.items():
+    for keys, is_before_integrator in cases.items():
         chain, _ = chain_of(scene_of(keys))
         volts = chain.measure(at_rest(1, rate, 600_000))[0]
-        frequency, value = density(volts, rate, 8192)
+        frequency, density = spectral_density(volts, rate, 8192)
         transfer = gain / np.abs(2j * np.pi * frequency + 2 * np.pi * corner) ** order
-        expected = 2 * 0.01 * transfer if before else np.full(frequency.size, 1e-5)
+        expected = 2 * 0.01 * transfer if is_before_integrator else np.full(frequency.size, 1e-5)
         for low, high in ((2.0, 6.0), (20.0, 60.0), (100.0, 400.0)):
-            result = band(frequency, value, low, high)
-            assert result == pytest.approx(band(frequency, expected, low, high), rel=0.05)
+            result = mean_density(frequency, density, low, high)
+            assert result == pytest.approx(mean_density(frequency, expected, low, high), rel=0.05)
 
 
 def test_converter_noise_density_is_read():
@@ -86,18 +90,18 @@ def test_noise_before_decimation_is_filtered(integrator, oversampling):
     chain, fine = chain_of(scene_of(keys, converter="{filter: delta_sigma}"), oversampling)
     rate = fine / oversampling
     volts = chain.measure(at_rest(1, fine, 300_000 * oversampling))[0][500:]
-    frequency, value = density(volts, rate, 512)
+    frequency, density = spectral_density(volts, rate, 512)
     low_pass = Decimation.standard(rate)
 
-    def through(f):
+    def filtered_density(f):
         transfer = 500.0 / abs(2j * np.pi * f + 2 * np.pi * 20.0) if integrator else 1.0
         return 0.02 * low_pass.magnitude(f) * transfer
 
-    # White noise beyond half the rate folds back, as far as the filter lets it through.
-    expected = np.hypot(through(frequency), through(rate - frequency))
+    # White noise above half the rate is aliased, attenuated by the filter.
+    expected = np.hypot(filtered_density(frequency), filtered_density(rate - frequency))
     for low, high in ((0.02, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, 0.4), (0.4, 0.45), (0.455, 0.475), (0.475, 0.495)):
-        result = band(frequency, value, low * rate, high * rate)
-        assert result == pytest.approx(band(frequency, expected, low * rate, high * rate), rel=0.02)
-    assert band(frequency, expected, 0.475 * rate, 0.495 * rate) < 0.9 * band(
+        result = mean_density(frequency, density, low * rate, high * rate)
+        assert result == pytest.approx(mean_density(frequency, expected, low * rate, high * rate), rel=0.02)
+    assert mean_density(frequency, expected, 0.475 * rate, 0.495 * rate) < 0.9 * band(
         frequency, expected, 0.4 * rate, 0.45 * rate
     )

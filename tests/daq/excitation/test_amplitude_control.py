@@ -1,4 +1,4 @@
-"""Control of the force amplitude: convergence, stability, and response to force jumps."""
+"""`AmplitudeControl` finds the drive of a force level: convergence, stability, and response to jumps of the force."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import pytest
 from daq.excitation.steady_tone import AmplitudeControl
 from rig.scene.excitation import FORCE_TOLERANCE
 
-LEVEL = 2.6
+LEVEL = 2.6  # N
 
 
-def approach(force: Callable[[float], float], drive: float, steps: int = 30) -> list[float]:
-    """Number of drives until the level is reached."""
+def control_drive(force: Callable[[float], float], drive: float, max_drives: int = 30) -> list[float]:
+    """Return the drives of the controller until the level is reached."""
     control = AmplitudeControl(LEVEL)
     drives = [drive]
-    while len(drives) < steps and not control.is_at_level(force(drives[-1])):
+    while len(drives) < max_drives and not control.is_at_level(force(drives[-1])):
         drives.append(control.next(drives[-1], force(drives[-1])))
     return drives
 
@@ -26,28 +26,28 @@ def approach(force: Callable[[float], float], drive: float, steps: int = 30) -> 
 @pytest.mark.parametrize("exponent", [0.4, 0.7, 1.0, 1.5, 3.0])
 @pytest.mark.parametrize("start", [1e-4, 0.3, 20.0])
 def test_power_law_reaches_level_quickly(exponent: float, start: float) -> None:
-    drives = approach(lambda drive: 5.0 * drive**exponent, start)
+    drives = control_drive(lambda drive: 5.0 * drive**exponent, start)
     assert 5.0 * drives[-1] ** exponent == pytest.approx(LEVEL, rel=FORCE_TOLERANCE)
     assert len(drives) <= 20
 
 
 @pytest.mark.parametrize("start", [1e-3, 50.0])
-def test_no_step_exceeds_longest(start: float) -> None:
-    drives = approach(lambda drive: 5.0 * drive, start)
+def test_drive_changes_by_factor_three_at_most(start: float) -> None:
+    drives = control_drive(lambda drive: 5.0 * drive, start)
     ratios = [after / before for before, after in itertools.pairwise(drives)]
     assert max(max(ratios), 1 / min(ratios)) <= 3.0 * (1 + 1e-12)
 
 
-def test_falling_force_range_is_crossed() -> None:
+def test_level_behind_decreasing_force_is_reached() -> None:
     def force(drive: float) -> float:
-        return drive if drive < 1.0 else 1.0 - 0.8 * (drive - 1.0) if drive < 1.5 else 0.6 + 2 * (drive - 1.5)
+        return float(np.interp(drive, [0.0, 1.0, 1.5, 101.5], [0.0, 1.0, 0.6, 200.6]))
 
-    drives = approach(force, 0.05)
+    drives = control_drive(force, 0.05)
     assert force(drives[-1]) == pytest.approx(LEVEL, rel=FORCE_TOLERANCE)
 
 
-def test_jump_over_level_holds_drive() -> None:
-    drives = approach(lambda drive: 2.0 * drive if drive < 1.0 else 4.0 * drive, 0.5, steps=40)
+def test_drive_is_stable_at_jump_over_level() -> None:
+    drives = control_drive(lambda drive: 2.0 * drive if drive < 1.0 else 4.0 * drive, 0.5, max_drives=40)
     assert len(drives) == 40
     assert np.all(np.abs(np.log(drives[15:])) < np.log(3.0))
 
@@ -65,7 +65,7 @@ def test_excessive_force_cuts_drive() -> None:
     assert control.next(1.0, LEVEL / 2) == pytest.approx(2.0)
 
 
-def test_scattering_force_holds_within_its_error() -> None:
+def test_tolerance_of_level_includes_standard_error() -> None:
     control = AmplitudeControl(100.0)
     assert not control.is_at_level(101.0)
     assert control.is_at_level(101.0, standard_error=0.006)
@@ -75,9 +75,9 @@ def test_scattering_force_holds_within_its_error() -> None:
 def test_unrelated_force_ends_control():
     control, drive = AmplitudeControl(LEVEL), 1.0
     for _ in range(1000):
-        less = control.cut(drive, 100 * LEVEL)
-        if less is None:
+        reduced_drive = control.cut(drive, 100 * LEVEL)
+        if reduced_drive is None:
             break
-        assert 0.0 < less < drive
-        drive = less
+        assert 0.0 < reduced_drive < drive
+        drive = reduced_drive
     assert 1e-5 < drive < 1e-4

@@ -20,7 +20,8 @@ shaker: {kind: electrodynamic, body: 1, spring: 6 kN/m}
 test: {kind: swept_sine, from: 26 Hz, to: 18 Hz, duration: 20 s, force: 2 N}
 channels: [{name: body1, at: body 1}, {name: table, at: table}]
 """
-BELOW_COUNT = """
+# The readings of both sensors are about one count of a converter with a range of 10 V.
+INSENSITIVE = """
 structure: {masses: [1 kg], springs: [100 kN/m], damping: {modal: 1 %}}
 shaker: {kind: table, body: 1, spring: 20 kN/m}
 test: {kind: swept_sine, from: 20 Hz, to: 100 Hz, duration: 1 s, force: 0.4 N}
@@ -30,26 +31,27 @@ channels:
 """
 
 
-def force_over_level(bench_run: BenchRun) -> Array:
-    """Force over level all along a logarithmic sweep, in windows of four periods under Hann's."""
-    first, stop, fields = bench_run.marked("measure")[0]
-    rate, stretch = bench_run.bench.rate, np.log(fields["to"] / fields["from"])
-    part = np.arange(stop - first) / (stop - first)
-    frequency = fields["from"] * np.exp(stretch * part)
-    turns = fields["duration"] * fields["from"] * np.expm1(stretch * part) / stretch
+def force_ratios(bench_run: BenchRun) -> Array:
+    """Return force amplitude over level along a logarithmic sweep, in overlapping Hann windows of four periods."""
+    first, stop, fields = bench_run.marks_of("measure")[0]
+    rate, log_ratio = bench_run.bench.rate, np.log(fields["to"] / fields["from"])
+    fraction = np.arange(stop - first) / (stop - first)
+    frequency = fields["from"] * np.exp(log_ratio * fraction)
+    phase = 2 * np.pi * fields["duration"] * fields["from"] * np.expm1(log_ratio * fraction) / log_ratio
     ratios, start = [], 0
-    while (size := round(4 * rate / frequency[start])) < part.size - start:
-        window = slice(start, start + size)
-        taper = np.hanning(size) * np.exp(-2j * np.pi * turns[window])
+    while (size := round(4 * rate / frequency[start])) < fraction.size - start:
+        demodulation = np.hanning(size) * np.exp(-1j * phase[start : start + size])
         samples = bench_run.readings[:, first + start : first + start + size]
         samples = samples - samples.mean(axis=1, keepdims=True)
-        amplitudes = 2 * (samples @ taper) / np.hanning(size).sum()
-        ratios.append(abs(amplitudes @ bench_run.weights(frequency[start + size // 2])) / fields["level"])
+        amplitudes = 2 * (samples @ demodulation) / np.hanning(size).sum()
+        force = amplitudes @ bench_run.force_weights(frequency[start + size // 2])
+        ratios.append(abs(force) / fields["level"])
         start += size // 2
     return np.array(ratios)
 
 
 def sweep(first: float, last: float, duration: float, force: float) -> dict[str, Any]:
+    """Return a swept-sine test; frequencies in Hz, duration in s, force in N."""
     return {"kind": "swept_sine", "from": first, "to": last, "duration": duration, "force": force}
 
 
@@ -57,73 +59,76 @@ def sweep(first: float, last: float, duration: float, force: float) -> dict[str,
 @pytest.mark.parametrize("scene", ["bare-structure", "fig8-no-damper", "fig8-three-dampers"])
 @pytest.mark.parametrize("band", [(11.0, 17.0), (17.0, 11.0)])
 def test_force_is_controlled_at_sharp_resonance(scene: str, band: tuple[float, float]) -> None:
-    completed = run(rig.load(scene).replace(test=sweep(*band, duration=30.0, force=2.6)))
-    ratios = force_over_level(completed)
+    bench_run = run(rig.load(scene).replace(test=sweep(*band, duration=30.0, force=2.6)))
+    ratios = force_ratios(bench_run)
     assert ratios.size > 100
     assert np.abs(ratios - 1.0).max() < 0.12
     assert np.mean(np.abs(ratios - 1.0) > 0.05) < 0.1
 
 
-def test_falling_sweep_holds_force() -> None:
-    assert np.abs(force_over_level(run(rig.loads(ONE_BODY))) - 1.0).max() < 0.1
+def test_downward_sweep_holds_force() -> None:
+    assert np.abs(force_ratios(run(rig.loads(ONE_BODY))) - 1.0).max() < 0.1
 
 
 @pytest.mark.thorough
-def test_current_mode_holds_force_at_own_resonance() -> None:
+def test_current_amplifier_holds_force_at_shaker_resonance() -> None:
     scene = rig.load("fig8-no-damper")
     shaker = scene.shaker.model_dump() | {"amplifier": {"mode": "current", "gain": "1 A/V"}}
-    completed = run(scene.replace(shaker=shaker, test=sweep(38.0, 50.0, duration=15.0, force=2.6)))
-    assert np.abs(force_over_level(completed) - 1.0).max() < 0.1
+    bench_run = run(scene.replace(shaker=shaker, test=sweep(38.0, 50.0, duration=15.0, force=2.6)))
+    assert np.abs(force_ratios(bench_run) - 1.0).max() < 0.1
 
 
-def test_weak_amplifier_marks_the_stretch() -> None:
+def test_force_below_level_is_marked() -> None:
     scene = rig.load("fig8-no-damper")
     shaker = scene.shaker.model_dump() | {"amplifier": {"limit": "2 V"}}
-    completed = run(scene.replace(shaker=shaker, test=sweep(11.0, 14.0, duration=15.0, force=2.6)))
-    first, stop, _ = completed.marked("measure")[0]
-    marked = completed.marked("level")
-    assert marked and all(first <= begin < end <= stop for begin, end, _ in marked)
-    assert min(fields["worst"] for _, _, fields in marked) < 0.8
-    assert completed.marked("measure")[0][2]["lowest"] < 0.8
-    assert np.abs(completed.drive).max() <= 2.0 * (1 + 1e-12)
-    assert len(completed.warnings) == 1 and "from its level of 2.6 N by more than 10%" in completed.warnings[0]
+    bench_run = run(scene.replace(shaker=shaker, test=sweep(11.0, 14.0, duration=15.0, force=2.6)))
+    first, stop, _ = bench_run.marks_of("measure")[0]
+    level_marks = bench_run.marks_of("level")
+    assert level_marks and all(first <= begin < end <= stop for begin, end, _ in level_marks)
+    assert min(fields["worst"] for _, _, fields in level_marks) < 0.8
+    assert bench_run.marks_of("measure")[0][2]["lowest"] < 0.8
+    assert np.abs(bench_run.drive).max() <= 2.0 * (1 + 1e-12)
+    assert len(bench_run.warnings) == 1 and "from its level of 2.6 N by more than 10%" in bench_run.warnings[0]
 
 
-def test_table_law_is_its_displacement() -> None:
+def test_pretest_estimates_response_of_table() -> None:
     scene = scene_with(sweep(10.0, 40.0, duration=20.0, force=2.6))
-    laws = []
+    drive_models = []
 
     def only_pretest(station: Station) -> Any:
-        laws.append((yield from pretest(station, 10.0, 40.0, 2.6)))
+        drive_models.append((yield from pretest(station, 10.0, 40.0, 2.6)))
 
-    run(scene, excite=only_pretest)
+    run(scene, make_excitation=only_pretest)
     for frequency in (10.0, 20.0, 40.0):
         s = 2j * np.pi * frequency
-        per_force, per_motion = laws[0].at(s)
+        per_force, per_motion = drive_models[0].at(s)
         # The servo of the table is critically damped with its corner at 400 Hz.
         servo = (1 + s / (2 * np.pi * 400.0)) ** 2
         assert per_motion == pytest.approx(servo, rel=3e-3)
         assert per_force * scene.shaker.spring == pytest.approx(per_motion, rel=1e-3)
 
 
-def test_next_mode_is_known_in_time() -> None:
-    mode, pole, gain, rest = NearestMode(), (-0.005 + 1j) * 2 * np.pi * 13.0, -9e-4j, 3e-5
-    envelope, step = 0j, 0.04
-    frequencies = np.arange(10.0, 12.0, 0.37 * step)
-    for look, frequency in enumerate(frequencies):
-        decay = pole - 2j * np.pi * frequency
-        envelope = np.exp(decay * step) * envelope + gain * np.expm1(decay * step) / decay * 2.6
-        turn = 2 * np.pi * (frequency + 0.37 * step / 2)
-        mode.add((look + 1) * step, turn, envelope + rest * 2.6, 2.6 + 0j, memory=0.8)
+def test_mode_is_identified_before_its_resonance() -> None:
+    # A sweep of 0.37 Hz/s from 10 to 12 Hz towards a mode at 13 Hz, observed each 0.04 s.
+    mode, pole, gain, residual_term = NearestMode(), (-0.005 + 1j) * 2 * np.pi * 13.0, -9e-4j, 3e-5
+    envelope, interval, sweep_rate, force = 0j, 0.04, 0.37, 2.6
+    frequencies = np.arange(10.0, 12.0, sweep_rate * interval)
+    for observation, frequency in enumerate(frequencies):
+        relative_pole = pole - 2j * np.pi * frequency
+        forced = gain * np.expm1(relative_pole * interval) / relative_pole * force
+        envelope = np.exp(relative_pole * interval) * envelope + forced
+        angular_frequency = 2 * np.pi * (frequency + sweep_rate * interval / 2)
+        motion = envelope + residual_term * force
+        mode.add((observation + 1) * interval, angular_frequency, motion, force + 0j, memory=0.8)
     assert mode.pole.imag / (2 * np.pi) == pytest.approx(13.0, rel=0.02)
     assert mode.gain == pytest.approx(gain, rel=0.1)
 
 
 @pytest.mark.parametrize(("volts", "reported"), [(10.0, "read nothing of the pretest"), (0.2, "less than one count")])
 def test_readings_below_a_count_end_sweep(volts: float, reported: str) -> None:
-    scene = rig.loads(BELOW_COUNT).replace(converter={"rate": 2048.0, "bits": 16, "range": volts})
-    completed = run(scene)
-    first, stop, _ = completed.marked("measure")[0]
+    scene = rig.loads(INSENSITIVE).replace(converter={"rate": 2048.0, "bits": 16, "range": volts})
+    bench_run = run(scene)
+    first, stop, _ = bench_run.marks_of("measure")[0]
     assert stop - first == 2048
-    assert np.isfinite(completed.drive).all()
-    assert reported in completed.warnings[-1]
+    assert np.isfinite(bench_run.drive).all()
+    assert reported in bench_run.warnings[-1]

@@ -1,4 +1,4 @@
-"""Prediction of a test: maxima against closed form and recordings, limits, suitable levels, flights, noise."""
+"""`daq.foresee` predicts a test: maxima against closed form and recordings, limits, suitable levels, flights, noise."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ from tests.gauntlet.predicted_maxima import KINDS, compare, with_long_test
 from tests.gauntlet.scenes import draw
 
 TONE = {"kind": "sine", "frequency": "30 Hz", "force": "2 N", "duration": "3 s"}
+VOLTS_PER_UNIT = 0.1 / 9.80665  # Sensitivity of the accelerometer, V per m/s^2.
 STEPS = {"kind": "stepped_sine", "from": "10 Hz", "to": "40 Hz", "points": 150, "force": "1 N"}
 
 
 def one_body(test: dict[str, Any], **changes: Any) -> rig.Scene:
-    """A body of 1 kg at 20 Hz with 2 % damping, pushed by a force; ideal sensors."""
+    """Return a body of 1 kg at 20 Hz with 2 % damping and ideal sensors, excited by a force."""
     scene = rig.loads(
         "structure: {masses: [1 kg], springs: [15.79 kN/m], damping: {modal: 2 %}}\n"
         "shaker: {kind: force, body: 1}\nconverter: {rate: 1024 Hz}"
@@ -30,20 +31,21 @@ def one_body(test: dict[str, Any], **changes: Any) -> rig.Scene:
 
 
 def accelerometer(**changes: Any) -> list[dict[str, Any]]:
+    """Return the channels of a scene with one accelerometer, a1 on body 1."""
     return [{"name": "a1", "at": "body 1", "accelerometer": {"sensitivity": "100 mV/g"}, **changes}]
 
 
-def steady(scene: rig.Scene, frequencies: np.ndarray) -> float:
-    """Largest steady acceleration of body 1 for 1 N, by the closed form."""
+def steady_acceleration(scene: rig.Scene, frequencies: np.ndarray) -> float:
+    """Return the largest steady acceleration of body 1 for 1 N in m/s^2, by the closed form."""
     return float(np.max((2 * np.pi * frequencies) ** 2 * abs(receptance(scene, frequencies)[0])))
 
 
 @pytest.mark.thorough
-def test_long_row_of_tones_reaches_its_steady_maximum() -> None:
+def test_long_stepped_test_has_steady_maximum() -> None:
     scene = one_body(STEPS, channels=accelerometer())
     foresight = daq.foresee(scene.replace(test={**STEPS, "points": 600, "measure": {"periods": 60}}))
     assert foresight.rehearsed
-    expected = steady(scene, np.linspace(10.0, 40.0, 600))
+    expected = steady_acceleration(scene, np.linspace(10.0, 40.0, 600))
     assert foresight["a1"].largest == pytest.approx(expected, rel=0.03)
     assert foresight["a1"].frequency == pytest.approx(20.0, abs=0.2)
 
@@ -65,50 +67,50 @@ def test_long_random_scene_confirms_prediction(number: int, tmp_path: Path) -> N
 
 
 def test_peaks_are_ranked_in_fixed_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    orders = []
+    has_dampers = []
 
-    def readings(scene: rig.Scene, channels: Any, rising: np.ndarray) -> np.ndarray:
-        orders.append(len(scene.dampers) > 0)
+    def constant_readings(scene: rig.Scene, channels: Any, rising: np.ndarray) -> np.ndarray:
+        has_dampers.append(len(scene.dampers) > 0)
         return np.ones((1, rising.size))
 
-    monkeypatch.setattr(rehearsal_plan, "channel_readings", readings)
+    monkeypatch.setattr(rehearsal_plan, "channel_readings", constant_readings)
     names = ("fig5-single-damper", "fig5-three-dampers", "fig8-two-dampers", "fig8-three-dampers", "fig9", "fig10a")
     for scene in map(rig.load, names):
         rehearsal_plan.plan_about_peaks(scene, scene.test, (), 10.0)
-    assert orders == [True, False] * len(names)
+    assert has_dampers == [True, False] * len(names)
 
 
-def test_largest_level_fits_and_a_larger_does_not() -> None:
+def test_largest_level_is_the_limit() -> None:
     scene = one_body(STEPS | {"points": 12}, channels=accelerometer(), converter={"rate": 1024, "range": "0.1 V"})
     level = daq.foresee(scene).largest_level
-    fitting, beyond = (
+    below, above = (
         daq.foresee(scene.replace(test={**STEPS, "points": 12, "force": factor * level})) for factor in (0.99, 1.01)
     )
-    assert fitting.fits
-    assert not beyond.fits
-    assert "input of 0.1 V" in beyond.summary()
+    assert below.fits
+    assert not above.fits
+    assert "input of 0.1 V" in above.summary()
 
 
 def test_overloaded_input_states_true_maximum() -> None:
     scene = one_body(TONE, channels=accelerometer())
-    free = daq.foresee(scene)["a1"].largest
-    clipped = daq.foresee(scene.replace(converter={"rate": 1024, "range": free * 0.1 / 9.80665 / 2}))["a1"]
+    maximum = daq.foresee(scene)["a1"].largest
+    clipped = daq.foresee(scene.replace(converter={"rate": 1024, "range": maximum * VOLTS_PER_UNIT / 2}))["a1"]
     assert clipped.overloaded
-    assert clipped.largest == pytest.approx(free, rel=1e-6)
-    assert clipped.recorded == pytest.approx(free / 2, rel=1e-6)
+    assert clipped.largest == pytest.approx(maximum, rel=1e-6)
+    assert clipped.recorded == pytest.approx(maximum / 2, rel=1e-6)
 
 
 def test_sensor_limit_is_compared_with_acceleration() -> None:
     scene = one_body(TONE)
-    shaken = daq.foresee(scene.replace(channels=accelerometer()))["a1"].largest
-    sensor = {"sensitivity": "100 mV/g", "saturation": 2 * shaken}
+    maximum = daq.foresee(scene.replace(channels=accelerometer()))["a1"].largest
+    sensor = {"sensitivity": "100 mV/g", "saturation": 2 * maximum}
     foresight = daq.foresee(
         scene.replace(channels=accelerometer(accelerometer=sensor, integrator={"order": 2, "corner": "1 Hz"}))
     )
     assert foresight["a1 sensor"].share == pytest.approx(0.5, rel=0.02)
 
 
-def test_weak_amplifier_states_the_drive_it_needs() -> None:
+def test_required_drive_exceeds_weak_amplifier() -> None:
     test = {"kind": "stepped_sine", "frequencies": [30.0, 34.7], "force": "2.6 N"}
     scene = rig.load("fig8-no-damper").replace(test=test)
     needed = daq.foresee(scene)["amplifier"].largest
@@ -123,43 +125,42 @@ def test_damper_flies_where_its_body_exceeds_gravity() -> None:
     scene = one_body(test, dampers=[damper])
     frequencies = np.array(scene.test.order)
     response = abs(receptance(scene, frequencies, riding=[1])[0])
-    above = frequencies[3.0 * (2 * np.pi * frequencies) ** 2 * response > scene.gravity]
+    above_gravity = frequencies[3.0 * (2 * np.pi * frequencies) ** 2 * response > scene.gravity]
     (line,) = daq.foresee(scene).flights
-    assert line == f"damper 1 (body 1) flies at {above[0]:g} to {above[-1]:g} Hz"
-    (still,) = daq.foresee(scene.replace(test={**test, "force": "0.2 N"})).flights
-    assert "stays on its floor" in still
+    assert line == f"damper 1 (body 1) flies at {above_gravity[0]:g} to {above_gravity[-1]:g} Hz"
+    (line,) = daq.foresee(scene.replace(test={**test, "force": "0.2 N"})).flights
+    assert "stays on its floor" in line
 
 
 @pytest.mark.thorough
-def test_level_that_fits_holds_with_a_flying_damper() -> None:
+def test_largest_level_is_right_with_flying_damper() -> None:
     damper = {"body": 1, "mass_ratio": "10 %", "clearance": ".inf"}
     test = {"kind": "stepped_sine", "frequencies": [18.5, 19.0, 19.5, 20.0], "force": "10 N"}
     scene = one_body(test, dampers=[damper], channels=accelerometer(integrator={"order": 1}))
-    free = daq.foresee(scene)["a1"]
-    limited = scene.replace(converter={"rate": 1024, "range": 0.6 * free.largest * 0.1 / 9.80665})
-    foresight = daq.foresee(limited)
+    input_range = 0.6 * daq.foresee(scene)["a1"].largest  # m/s^2
+    foresight = daq.foresee(scene.replace(converter={"rate": 1024, "range": input_range * VOLTS_PER_UNIT}))
     assert foresight.nonlinear
-    there = daq.foresee(scene.replace(test={**test, "force": foresight.largest_level}))["a1"].largest
-    assert there == pytest.approx(0.6 * free.largest, rel=0.1)
+    at_largest_level = daq.foresee(scene.replace(test={**test, "force": foresight.largest_level}))["a1"]
+    assert at_largest_level.largest == pytest.approx(input_range, rel=0.1)
 
 
-def test_least_signal_is_that_of_the_weakest_tone() -> None:
+def test_smallest_signal_is_that_of_weakest_tone() -> None:
     sensor = {"sensitivity": "100 mV/g", "noise": "1 mg/sqrt(Hz)"}
     test = {"kind": "stepped_sine", "frequencies": [5.0, 20.0], "force": "1 N", "measure": {"periods": 20}}
     scene = one_body(test, channels=accelerometer(accelerometer=sensor))
     signal = daq.foresee(scene).signals["a1"]
-    density = 1e-3 * 9.80665
-    noise = density * np.sqrt(2.0 / 4.0)  # of 20 periods at 5 Hz
+    density = 1e-3 * 9.80665  # m/s^2/sqrt(Hz)
+    noise = density * np.sqrt(2.0 / 4.0)  # Of an amplitude that is measured for 20 periods at 5 Hz, 4 s.
     assert signal.frequency == 5.0
-    assert signal.ratio == pytest.approx(steady(scene, np.array([5.0])) / noise, rel=0.02)
+    assert signal.ratio == pytest.approx(steady_acceleration(scene, np.array([5.0])) / noise, rel=0.02)
 
 
 def test_channel_below_two_counts_is_named() -> None:
     converter = {"rate": 1024, "bits": 8, "range": "10 V"}
     (line,) = daq.foresee(one_body(TONE, channels=accelerometer(), converter=converter)).unread
     assert line.startswith("a1 reads less than two counts")
-    fine = daq.foresee(one_body(TONE, channels=accelerometer(), converter=converter | {"bits": 24}))
-    assert fine.unread == ()
+    with_24_bits = daq.foresee(one_body(TONE, channels=accelerometer(), converter=converter | {"bits": 24}))
+    assert with_24_bits.unread == ()
 
 
 def test_modes_outside_the_band_are_listed() -> None:
@@ -169,12 +170,12 @@ def test_modes_outside_the_band_are_listed() -> None:
     assert "mode 1 at 13.04 Hz" in line
 
 
-def test_scene_without_test_is_refused() -> None:
+def test_scene_without_test_is_rejected() -> None:
     with pytest.raises(SceneError, match="names no test"):
         daq.foresee(rig.load("bare-structure").replace(test=None))
 
 
-def test_result_has_a_row_for_each_expectation() -> None:
+def test_table_has_a_row_for_each_maximum() -> None:
     foresight = daq.foresee(one_body(TONE, channels=accelerometer()))
     table = foresight.columns()
     assert table["name"].tolist() == ["a1", "ao0"]
@@ -184,7 +185,7 @@ def test_result_has_a_row_for_each_expectation() -> None:
 
 @pytest.mark.parametrize("truth", [False, True])
 @pytest.mark.parametrize("name", ["fig10b-three-dampers", "reference-B"])
-def test_size_of_recording_is_foreseen(name, truth, tmp_path):
+def test_size_of_recording_is_predicted(name, truth, tmp_path):
     scene = rig.load(name, {"recording.truth": truth})
     path = daq.record(scene, tmp_path / "a.mcap")
     assert daq.foresee(scene).disk == pytest.approx(path.stat().st_size, rel=0.2)

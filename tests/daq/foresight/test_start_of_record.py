@@ -15,32 +15,32 @@ from rig.cli import app as rig_app
 from rig.errors import RunError, SceneError
 
 HIT = ["record", "fig10b-no-damper", "--set", "test.repeats=1", "--set", "test.interval=0.5s"]
-ABORTS = [*HIT, "--set", "channels[1].abort=10 m/s^2"]
+ABORTING_HIT = [*HIT, "--set", "channels[1].abort=10 m/s^2"]
 
 
-def test_dry_run_states_maxima_and_records_nothing(tmp_path: Path) -> None:
+def test_dry_run_reports_maxima_and_records_nothing(tmp_path: Path) -> None:
     path = tmp_path / "hit.mcap"
-    ended = CliRunner().invoke(app, [*HIT, "--dry-run", "-o", str(path)])
-    assert ended.exit_code == 0, ended.output
-    assert "body1" in ended.stdout
-    assert "test.peak: at most" in ended.stdout
+    result = CliRunner().invoke(app, [*HIT, "--dry-run", "-o", str(path)])
+    assert result.exit_code == 0, result.output
+    assert "body1" in result.stdout
+    assert "test.peak: at most" in result.stdout
     assert not path.exists()
 
 
 def test_test_that_will_abort_does_not_start(tmp_path: Path) -> None:
     path = tmp_path / "hit.mcap"
-    ended = CliRunner().invoke(app, [*ABORTS, "-o", str(path)])
-    assert isinstance(ended.exception, SceneError)
-    assert "body1" in str(ended.exception)
-    assert "--anyway" in str(ended.exception)
+    result = CliRunner().invoke(app, [*ABORTING_HIT, "-o", str(path)])
+    assert isinstance(result.exception, SceneError)
+    assert "body1" in str(result.exception)
+    assert "--anyway" in str(result.exception)
     assert not path.exists()
 
 
 def test_anyway_starts_test_that_will_abort(tmp_path: Path) -> None:
     path = tmp_path / "hit.mcap"
-    ended = CliRunner().invoke(app, [*ABORTS, "--anyway", "-o", str(path)])
-    assert isinstance(ended.exception, RunError)
-    assert "aborted" in str(ended.exception)
+    result = CliRunner().invoke(app, [*ABORTING_HIT, "--anyway", "-o", str(path)])
+    assert isinstance(result.exception, RunError)
+    assert "aborted" in str(result.exception)
     assert path.exists()
 
 
@@ -52,12 +52,12 @@ def test_anyway_starts_test_that_will_abort(tmp_path: Path) -> None:
         ("reference-A", "force on body 1, 1 N/V"),
     ],
 )
-def test_explanation_and_server_state_effect_of_volt(name: str, effect: str) -> None:
+def test_explain_and_server_state_effect_of_volt(name: str, effect: str) -> None:
     assert f"ao0                      -  {effect}" in str(rig.explain(name)) or effect in str(rig.explain(name))
     chassis = connect_scene(name, "fast")
     assert f"ao0: {effect}" in announcement(chassis, "127.0.0.1", 1, False)
 
 
-def test_explain_ends_with_the_foresight_of_the_test() -> None:
-    ended = CliRunner().invoke(rig_app, ["explain", "fig10b-no-damper"])
-    assert "the test fits" in ended.stdout
+def test_explain_reports_prediction_of_the_test() -> None:
+    result = CliRunner().invoke(rig_app, ["explain", "fig10b-no-damper"])
+    assert "the test fits" in result.stdout

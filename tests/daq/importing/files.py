@@ -1,4 +1,7 @@
-"""The same time histories in every format, written by the usual packages."""
+"""Writers of foreign measurement files for tests: the same samples in every format, as other programs write them.
+
+A writer takes a path and an array of samples (channels, samples) in the units of the file.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +20,16 @@ from scipy.io import savemat, wavfile
 import rig
 from rig.scene.scene import Scene
 
-RATE = 2048.0
+RATE = 2048.0  # Hz
 NAMES = ("body1", "body2", "force")
 UNITS = ("g", "m/s^2", "N")
-IN_SI = np.array([[9.80665], [1.0], [1.0]])
+SI_PER_UNIT = np.array([[9.80665], [1.0], [1.0]])
 
 
-def bench(test: str = "{kind: random, from: 5 Hz, to: 400 Hz, duration: 4 s, force: 1 N}", more: str = "") -> Scene:
+def make_scene(
+    test: str = "{kind: random, from: 5 Hz, to: 400 Hz, duration: 4 s, force: 1 N}", converter: str = ""
+) -> Scene:
+    """Return the scene of the imported measurement: two bodies and three channels."""
     return rig.loads(f"""
 structure: {{masses: [1 kg, 2 kg], springs: [10 kN/m, 20 kN/m]}}
 shaker: {{kind: force, body: 1}}
@@ -32,15 +38,16 @@ channels:
   - {{name: body1, at: body 1, accelerometer: {{sensitivity: 10 mV/g}}}}
   - {{name: body2, at: body 2, accelerometer: {{sensitivity: 10 mV/g}}}}
   - {{name: force, at: {"hammer" if "impulse" in test else "shaker"}, hammer: {{sensitivity: 2 mV/N}}}}
-{more}
+{converter}
 """)
 
 
-def histories(samples: int = 5000, seed: int = 1) -> np.ndarray:
+def random_samples(samples: int = 5000, seed: int = 1) -> np.ndarray:
+    """Return white noise (3 channels, samples)."""
     return np.random.default_rng(seed).standard_normal((3, samples))
 
 
-def tdms(path: Path, rows: np.ndarray) -> None:
+def write_tdms(path: Path, rows: np.ndarray) -> None:
     with nptdms.TdmsWriter(str(path)) as writer:
         # Several segments, as drivers write while they acquire.
         for segment in np.array_split(np.arange(rows.shape[1]), 3):
@@ -57,7 +64,7 @@ def tdms(path: Path, rows: np.ndarray) -> None:
             )
 
 
-def tdms_with_times(path: Path, rows: np.ndarray) -> None:
+def write_tdms_with_times(path: Path, rows: np.ndarray) -> None:
     """Write columns without waveform properties, as programs without waveforms do."""
     columns = [("Time", "s", np.arange(rows.shape[1]) / RATE), *zip(NAMES, UNITS, rows, strict=True)]
     with nptdms.TdmsWriter(str(path)) as writer:
@@ -70,7 +77,7 @@ def tdms_with_times(path: Path, rows: np.ndarray) -> None:
             )
 
 
-def uff(path: Path, rows: np.ndarray, binary: int = 0) -> None:
+def write_uff(path: Path, rows: np.ndarray, binary: int = 0) -> None:
     file = pyuff.UFF(str(path))
     for number, (name, unit, row) in enumerate(zip(NAMES, UNITS, rows, strict=True), 1):
         file.write_sets(
@@ -84,12 +91,12 @@ def uff(path: Path, rows: np.ndarray, binary: int = 0) -> None:
         )  # fmt: skip
 
 
-def csv(path: Path, rows: np.ndarray) -> None:
+def write_csv(path: Path, rows: np.ndarray) -> None:
     heading = ",".join(["time [s]", *(f"{name} [{unit}]" for name, unit in zip(NAMES, UNITS, strict=True))])
     np.savetxt(path, np.vstack([np.arange(rows.shape[1]) / RATE, rows]).T, "%.9g", ",", header=heading, comments="")
 
 
-def german_csv(path: Path, rows: np.ndarray) -> None:
+def write_german_csv(path: Path, rows: np.ndarray) -> None:
     """Write semicolons, decimal commas, a line of units and Windows' characters."""
     lines = ["Messung für Müller;;;", "Zeit;" + ";".join(NAMES), "ms;" + ";".join(UNITS)]
     for k, row in enumerate(rows.T):
@@ -97,7 +104,7 @@ def german_csv(path: Path, rows: np.ndarray) -> None:
     path.write_text("\r\n".join(lines), encoding="cp1252")
 
 
-def csv_with_dates(path: Path, rows: np.ndarray) -> None:
+def write_csv_with_dates(path: Path, rows: np.ndarray) -> None:
     """Write dates and times of day, full seconds without a fraction, and a comma after the last number."""
     lines = [",".join(["Date/Time", *(f"{name} ({unit})" for name, unit in zip(NAMES, UNITS, strict=True))])]
     begin = datetime(2024, 2, 29, 23, 59, 59, tzinfo=UTC).replace(tzinfo=None)
@@ -106,17 +113,17 @@ def csv_with_dates(path: Path, rows: np.ndarray) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def npz(path: Path, rows: np.ndarray) -> None:
+def write_npz(path: Path, rows: np.ndarray) -> None:
     members = dict(zip(NAMES, rows, strict=True))
     np.savez(path, fs=RATE, channels=np.array(NAMES), units=np.array(UNITS), **members)
 
 
-def mat(path: Path, rows: np.ndarray) -> None:
+def write_mat(path: Path, rows: np.ndarray) -> None:
     units = {"channels": np.array(NAMES), "units": np.array(UNITS)}
     savemat(path, {**dict(zip(NAMES, rows, strict=True)), "t": np.arange(rows.shape[1]) / RATE, **units})
 
 
-def mat_hdf5(path: Path, rows: np.ndarray) -> None:
+def write_mat_hdf5(path: Path, rows: np.ndarray) -> None:
     """Write a structure as MATLAB's `save -v7.3` does: columns are rows, texts are numbers, cells are references."""
     with h5py.File(path, "w", userblock_size=512) as file:
         run = file.create_group("run")
@@ -134,11 +141,11 @@ def mat_hdf5(path: Path, rows: np.ndarray) -> None:
     path.write_bytes(header + path.read_bytes()[len(header) :])
 
 
-def wav(path: Path, rows: np.ndarray) -> None:
+def write_wav(path: Path, rows: np.ndarray) -> None:
     wavfile.write(path, int(RATE), (rows / 8.0).T.astype(np.float32))
 
 
-def mcap(path: Path, rows: np.ndarray) -> None:
+def write_mcap(path: Path, rows: np.ndarray) -> None:
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
@@ -151,17 +158,18 @@ def mcap(path: Path, rows: np.ndarray) -> None:
         writer.finish()
 
 
+# Extension, writer and relative error of each format.
 WRITERS: dict[str, tuple[str, Callable[[Path, np.ndarray], None], float]] = {
-    "tdms": (".tdms", tdms, 0.0),
-    "tdms with times": (".tdms", tdms_with_times, 0.0),
-    "uff text": (".uff", uff, 1e-11),
-    "uff binary": (".uff", lambda path, rows: uff(path, rows, 1), 0.0),
-    "csv": (".csv", csv, 1e-8),
-    "german": (".txt", german_csv, 1e-8),
-    "stamped": (".csv", csv_with_dates, 1e-8),
-    "npz": (".npz", npz, 0.0),
-    "mat": (".mat", mat, 0.0),
-    "mat 7.3": (".mat", mat_hdf5, 0.0),
-    "wav": (".wav", wav, 1e-6),
-    "mcap": (".mcap", mcap, 0.0),
+    "tdms": (".tdms", write_tdms, 0.0),
+    "tdms with times": (".tdms", write_tdms_with_times, 0.0),
+    "uff text": (".uff", write_uff, 1e-11),
+    "uff binary": (".uff", lambda path, rows: write_uff(path, rows, 1), 0.0),
+    "csv": (".csv", write_csv, 1e-8),
+    "csv from Germany": (".txt", write_german_csv, 1e-8),
+    "csv with dates": (".csv", write_csv_with_dates, 1e-8),
+    "npz": (".npz", write_npz, 0.0),
+    "mat": (".mat", write_mat, 0.0),
+    "mat 7.3": (".mat", write_mat_hdf5, 0.0),
+    "wav": (".wav", write_wav, 1e-6),
+    "mcap": (".mcap", write_mcap, 0.0),
 }

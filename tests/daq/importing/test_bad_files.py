@@ -1,4 +1,4 @@
-"""Damaged and unusual files of every format: an error message, no recording, no changed file."""
+"""Import of damaged and unusual files of every format: an error message, no recording, and no changed file."""
 
 from __future__ import annotations
 
@@ -23,19 +23,20 @@ import daq
 from daq.importing.channel_table import Column
 from daq.importing.files import signals_of
 from rig.errors import RecordingError, RunWarning, SceneError, ShotrigError
-from tests.daq.importing.files import NAMES, RATE, WRITERS, bench, histories, uff
-from tests.daq.recording.recordings import signal, write
+from tests.daq.importing.files import NAMES, RATE, WRITERS, make_scene, random_samples, write_uff
+from tests.daq.recording.recordings import random_volts, write_recording
 
 pytestmark = [
     # Readers of other packages leave damaged files open and warn.
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
     pytest.mark.filterwarnings("ignore"),
 ]
+# Channel tables refer to columns by number, as damaged files may have no names.
 TABLE = {name: Column(str(number), unit=unit) for number, (name, unit) in enumerate(zip(NAMES, "gVN", strict=True), 1)}
 TABLE["body2"] = Column("2", unit="m/s^2")
-ENDINGS = (".csv", ".tdms", ".uff", ".wav", ".npz", ".npy", ".mat", ".mcap")
+EXTENSIONS = (".csv", ".tdms", ".uff", ".wav", ".npz", ".npy", ".mat", ".mcap")
 CSV_LINE = b"0.0,1,2,3\n"
-WAV, DATA = b"RIFF\x40\0\0\0WAVEfmt \x10\0\0\0", b"data\4\0\0\0abcd"
+WAV_HEAD, WAV_DATA = b"RIFF\x40\0\0\0WAVEfmt \x10\0\0\0", b"data\4\0\0\0abcd"
 
 
 def npy_file(shape: str, descr: str = "'<f8'") -> bytes:
@@ -45,7 +46,7 @@ def npy_file(shape: str, descr: str = "'<f8'") -> bytes:
 
 
 def write_compressed_zeros(path: Path, numbers: int) -> None:
-    """Write an archive that holds a thousand times its size."""
+    """Write an npz file that is a thousand times as large when it is unpacked."""
     with (
         zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
         archive.open("body1.npy", "w", force_zip64=True) as file,
@@ -55,10 +56,11 @@ def write_compressed_zeros(path: Path, numbers: int) -> None:
             file.write(bytes(8_000_000))
 
 
-def refusal_message(path: Path, folder: Path) -> str:
+def rejection_message(path: Path, folder: Path) -> str:
+    """Return the error message of an import; check that no recording is written and the file is unchanged."""
     before = path.read_bytes() if path.is_file() else b""
     with pytest.raises((RecordingError, SceneError)) as error:
-        daq.import_files(path, bench(), folder / "r.mcap", table=TABLE)
+        daq.import_files(path, make_scene(), folder / "r.mcap", table=TABLE)
     gc.collect()
     assert not (folder / "r.mcap").exists() and not list(folder.glob(".*.mcap"))
     assert (path.read_bytes() if path.is_file() else b"") == before
@@ -70,16 +72,16 @@ BAD_FILES = {
     "a folder.csv": "folder",
     "unknown.xyz": b"1,2,3\n",
     "no ending": b"1,2,3\n",
-    **{f"empty{ending}": b"" for ending in ENDINGS},
-    **{f"noise{ending}": np.random.default_rng(1).bytes(4000) for ending in ENDINGS},
-    **{f"words{ending}": b"to whom it may concern\n" * 9 for ending in ENDINGS},
+    **{f"empty{ending}": b"" for ending in EXTENSIONS},
+    **{f"noise{ending}": np.random.default_rng(1).bytes(4000) for ending in EXTENSIONS},
+    **{f"text{ending}": b"to whom it may concern\n" * 9 for ending in EXTENSIONS},
     "heading only.csv": b"time [s],a,b,c\n",
     "one line.csv": b"time [s],a,b,c\n" + CSV_LINE,
     "ragged.csv": b"time [s],a,b,c\n" + CSV_LINE + b"0.1,1,2\n0.2,1,2,3\n",
     "word in it.csv": b"time [s],a,b,c\n" + CSV_LINE + b"0.1,1,two,3\n0.2,1,2,3\n",
     "backwards.csv": b"time [s],a,b,c\n0.2,1,2,3\n0.1,1,2,3\n0.0,1,2,3\n",
-    "standing.csv": b"time [s],a,b,c\n" + 5 * CSV_LINE,
-    "no such time.csv": b"time [kg],a,b,c\n0,1,2,3\n1,1,2,3\n",
+    "constant time.csv": b"time [s],a,b,c\n" + 5 * CSV_LINE,
+    "time in kg.csv": b"time [kg],a,b,c\n0,1,2,3\n1,1,2,3\n",
     "nan times.csv": b"time [s],a,b,c\nnan,1,2,3\nnan,1,2,3\n",
     "zeros inside.csv": b"time,a\n" + bytes(100),
     "two columns.csv": b"time [s],a,b\n0,1,2\n1,1,2\n2,1,2\n",
@@ -87,9 +89,9 @@ BAD_FILES = {
     "riff.wav": b"RIFF\x10\0\0\0WAVE",
     "avi.wav": b"RIFF\x10\0\0\0AVI LIST" + bytes(30),
     "no format.wav": b"RIFF\x24\0\0\0WAVEdata\x04\0\0\0\0\0\0\0",
-    "packed.wav": WAV + struct.pack("<HHIIHH", 17, 3, 8000, 4000, 3, 4) + DATA,
-    "no tracks.wav": WAV + struct.pack("<HHIIHH", 1, 0, 8000, 0, 0, 16) + DATA,
-    "standing.wav": WAV + struct.pack("<HHIIHH", 1, 1, 0, 0, 2, 16) + DATA,
+    "compressed.wav": WAV_HEAD + struct.pack("<HHIIHH", 17, 3, 8000, 4000, 3, 4) + WAV_DATA,
+    "no tracks.wav": WAV_HEAD + struct.pack("<HHIIHH", 1, 0, 8000, 0, 0, 16) + WAV_DATA,
+    "rate of zero.wav": WAV_HEAD + struct.pack("<HHIIHH", 1, 1, 0, 0, 2, 16) + WAV_DATA,
     "endless.npy": npy_file("(99999999999999999999999,)"),
     "no shape.npy": npy_file("(-5,)"),
     "open bracket.npy": npy_file("(100,)", "(" * 500),
@@ -105,20 +107,20 @@ def test_unusable_file_is_rejected_with_message(name, tmp_path):
         path.mkdir()
     elif BAD_FILES[name] is not None:
         path.write_bytes(BAD_FILES[name])
-    assert len(refusal_message(path, tmp_path)) > 20
+    assert len(rejection_message(path, tmp_path)) > 20
 
 
 @pytest.mark.parametrize("form", WRITERS)
 @pytest.mark.parametrize("fraction", [0.02, 0.5, 0.97])
 def test_cut_file_is_rejected_or_partly_imported(form, fraction, tmp_path):
     ending, write_file, _ = WRITERS[form]
-    rows = histories(600)
+    rows = random_samples(600)
     write_file(tmp_path / f"whole{ending}", rows)
     data = (tmp_path / f"whole{ending}").read_bytes()
     path = tmp_path / f"cut{ending}"
     path.write_bytes(data[: int(fraction * len(data))])
     try:
-        daq.import_files(path, bench(), tmp_path / "r.mcap", table=TABLE)
+        daq.import_files(path, make_scene(), tmp_path / "r.mcap", table=TABLE)
     except (RecordingError, SceneError) as error:
         assert "cut" in str(error) and not (tmp_path / "r.mcap").exists()
         return
@@ -133,7 +135,7 @@ def test_cut_file_is_rejected_or_partly_imported(form, fraction, tmp_path):
 @pytest.mark.parametrize("form", WRITERS)
 def test_wrong_bytes_give_message_or_samples(form, tmp_path):
     ending, write_file, _ = WRITERS[form]
-    write_file(tmp_path / f"whole{ending}", histories(300))
+    write_file(tmp_path / f"whole{ending}", random_samples(300))
     data = (tmp_path / f"whole{ending}").read_bytes()
     random = np.random.default_rng(len(form))
     for number in range(8):
@@ -145,7 +147,7 @@ def test_wrong_bytes_give_message_or_samples(form, tmp_path):
         path = tmp_path / f"wrong{ending}"
         path.write_bytes(damaged)
         try:
-            daq.import_files(path, bench(), tmp_path / "r.mcap", table=TABLE, overwrite=True)
+            daq.import_files(path, make_scene(), tmp_path / "r.mcap", table=TABLE, overwrite=True)
         except (RecordingError, SceneError):
             continue
         with daq.open(tmp_path / "r.mcap") as recording:
@@ -154,13 +156,13 @@ def test_wrong_bytes_give_message_or_samples(form, tmp_path):
 
 def test_file_without_samples_lists_its_content(tmp_path):
     savemat(tmp_path / "a.mat", {"text": "hello", "few": np.arange(3.0), "fs": 100.0})
-    assert "no array of samples; it contains text" in refusal_message(tmp_path / "a.mat", tmp_path)
+    assert "no array of samples; it contains text" in rejection_message(tmp_path / "a.mat", tmp_path)
     savemat(tmp_path / "b.mat", {"a": np.zeros(50) + 1j})
-    assert "no array of samples" in refusal_message(tmp_path / "b.mat", tmp_path)
+    assert "no array of samples" in rejection_message(tmp_path / "b.mat", tmp_path)
     savemat(tmp_path / "c.mat", {"a": np.zeros((50, 3)), "fs": -1.0})
-    assert "expected a sample rate" in refusal_message(tmp_path / "c.mat", tmp_path)
+    assert "expected a sample rate" in rejection_message(tmp_path / "c.mat", tmp_path)
     np.savez(tmp_path / "d.npz", a=np.array([{"x": 1}], dtype=object))
-    assert "d.npz" in refusal_message(tmp_path / "d.npz", tmp_path)
+    assert "d.npz" in rejection_message(tmp_path / "d.npz", tmp_path)
 
 
 def test_truncated_wav_is_rejected(tmp_path):
@@ -168,34 +170,34 @@ def test_truncated_wav_is_rejected(tmp_path):
     data = bytearray((tmp_path / "a.wav").read_bytes())
     data[40:44] = struct.pack("<I", 10**6)
     (tmp_path / "a.wav").write_bytes(data)
-    assert "cut off" in refusal_message(tmp_path / "a.wav", tmp_path)
+    assert "cut off" in rejection_message(tmp_path / "a.wav", tmp_path)
 
 
 def test_uff_without_time_responses_names_the_command(tmp_path):
-    uff(tmp_path / "a.uff", histories(50))
+    write_uff(tmp_path / "a.uff", random_samples(50))
     text = (tmp_path / "a.uff").read_text(encoding="utf-8")
     (tmp_path / "b.uff").write_text(text.replace("    58", "    82"))
-    assert "holds no data set 58" in refusal_message(tmp_path / "b.uff", tmp_path)
+    assert "holds no data set 58" in rejection_message(tmp_path / "b.uff", tmp_path)
     lines = text.splitlines(keepends=True)
     type_lines = [number + 6 for number, line in enumerate(lines) if line.startswith("    58")]
     for number in type_lines:
         lines[number] = "    4" + lines[number][5:]
     (tmp_path / "c.uff").write_text("".join(lines))
-    assert "to `analysis modes`" in refusal_message(tmp_path / "c.uff", tmp_path)
+    assert "to `analysis modes`" in rejection_message(tmp_path / "c.uff", tmp_path)
 
 
 def test_own_recording_is_not_imported(tmp_path):
-    path = write(tmp_path / "a.mcap", signal(600))
-    assert "is a recording already" in refusal_message(path, tmp_path)
+    path = write_recording(tmp_path / "a.mcap", random_volts(600))
+    assert "is a recording already" in rejection_message(path, tmp_path)
 
 
 def test_dead_and_implausible_channels_are_reported(tmp_path):
-    rows = histories(600)
+    rows = random_samples(600)
     rows[0], rows[2] = 3.0, 1e9 * rows[2]
     WRITERS["tdms"][1](tmp_path / "a.tdms", rows)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        daq.import_files(tmp_path / "a.tdms", bench(), tmp_path / "r.mcap")
+        daq.import_files(tmp_path / "a.tdms", make_scene(), tmp_path / "r.mcap")
     message = "\n".join(str(warning.message) for warning in caught)
     assert "body1 ('body1' of a.tdms) reads 29.4199 m/s^2 throughout" in message
     assert "force ('force' of a.tdms) reads up to" in message and "wrong unit or sensitivity" in message
@@ -214,7 +216,7 @@ def write_json_topic(path: Path, messages: list[bytes]) -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="not every system can limit a process")
 @pytest.mark.parametrize("form", ["npz", "mat", "chunk", "message", "fields", "uff", "csv"])
-def test_file_that_needs_too_much_memory_is_refused(form, tmp_path, monkeypatch):
+def test_file_that_exceeds_memory_is_rejected(form, tmp_path, monkeypatch):
     monkeypatch.setenv("SHOTRIG_MEMORY", "200 MB" if form != "csv" else "202 MB")
     path = tmp_path / f"zeros.{form}"
     match form:
@@ -223,7 +225,7 @@ def test_file_that_needs_too_much_memory_is_refused(form, tmp_path, monkeypatch)
         case "mat":
             savemat(path, {"body1": np.zeros(40_000_000)}, do_compression=True)
         case "uff" | "csv":
-            WRITERS["csv" if form == "csv" else "uff text"][1](path, histories(20_000))
+            WRITERS["csv" if form == "csv" else "uff text"][1](path, random_samples(20_000))
         case _:
             path = path.with_suffix(".mcap")
             contents = {
@@ -234,12 +236,12 @@ def test_file_that_needs_too_much_memory_is_refused(form, tmp_path, monkeypatch)
             write_json_topic(path, contents[form])
             assert path.stat().st_size < 200_000
     with pytest.raises(ShotrigError, match=rf"{path.name}.* 0\.2(02)? GB.*SHOTRIG_MEMORY"):
-        daq.import_files(path, bench(), tmp_path / "r.mcap", table=TABLE)
+        daq.import_files(path, make_scene(), tmp_path / "r.mcap", table=TABLE)
     assert not (tmp_path / "r.mcap").exists()
 
 
 @pytest.mark.parametrize("ending", ["npz", "npy"])
-def test_short_numbers_take_little_memory(ending, tmp_path):
+def test_one_byte_numbers_take_little_memory(ending, tmp_path):
     numbers, path = np.zeros(3_000_000, np.int8), tmp_path / f"a.{ending}"
     if ending == "npz":
         np.savez(path, body1=numbers, fs=RATE)
@@ -258,14 +260,14 @@ def test_short_numbers_take_little_memory(ending, tmp_path):
 def test_tdms_scaling_without_input_is_rejected(tmp_path):
     scales = {"NI_Number_Of_Scales": 2, "NI_Scale[1]_Scale_Type": "Linear", "wf_increment": 1e-3}
     with nptdms.TdmsWriter(tmp_path / "a.tdms") as file:
-        rows = histories(100).astype(np.int16)
+        rows = random_samples(100).astype(np.int16)
         file.write_segment(
             [nptdms.ChannelObject("group", name, row, scales) for name, row in zip(NAMES, rows, strict=True)]
         )
-    assert "is damaged" in refusal_message(tmp_path / "a.tdms", tmp_path)
+    assert "is damaged" in rejection_message(tmp_path / "a.tdms", tmp_path)
 
 
-def test_self_referring_matlab_cells_are_rejected(tmp_path):
+def test_recursive_matlab_cells_are_rejected(tmp_path):
     with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
         cell = file.create_dataset("a", (1, 100), h5py.ref_dtype)
         for index in range(100):
@@ -273,25 +275,25 @@ def test_self_referring_matlab_cells_are_rejected(tmp_path):
     header = b"MATLAB 7.3 MAT-file, Platform: PCWIN64".ljust(124) + b"\0\2IM"
     data = (tmp_path / "a.mat").read_bytes()
     (tmp_path / "a.mat").write_bytes(header + data[len(header) :])
-    assert "hold more than 100000 values" in refusal_message(tmp_path / "a.mat", tmp_path)
+    assert "hold more than 100000 values" in rejection_message(tmp_path / "a.mat", tmp_path)
 
 
-def test_modules_of_the_user_are_not_run(tmp_path, monkeypatch):
+def test_modules_in_current_folder_are_not_imported(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    WRITERS["mat"][1](tmp_path / "a.mat", histories(600))
+    WRITERS["mat"][1](tmp_path / "a.mat", random_samples(600))
     for name in ("random", "struct", "scipy", "numpy"):
         (tmp_path / f"{name}.py").write_text("import sys\n\nsys.exit(3)\n")
-    daq.import_files(tmp_path / "a.mat", bench(), tmp_path / "r.mcap", table=TABLE)
+    daq.import_files(tmp_path / "a.mat", make_scene(), tmp_path / "r.mcap", table=TABLE)
     with daq.open(tmp_path / "r.mcap") as recording:
         assert recording.samples == 600
 
 
 def test_cut_tdms_file_gives_one_warning(tmp_path, caplog):
-    WRITERS["tdms"][1](tmp_path / "whole.tdms", histories(600))
+    WRITERS["tdms"][1](tmp_path / "whole.tdms", random_samples(600))
     data = (tmp_path / "whole.tdms").read_bytes()
     (tmp_path / "cut.tdms").write_bytes(data[: len(data) - 1000])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RunWarning)
-        daq.import_files(tmp_path / "cut.tdms", bench(), tmp_path / "r.mcap")
+        daq.import_files(tmp_path / "cut.tdms", make_scene(), tmp_path / "r.mcap")
     assert [str(warning.message) for warning in caught if "cut.tdms is cut off or damaged" in str(warning.message)]
     assert not caplog.records

@@ -1,4 +1,4 @@
-"""Import of foreign files: samples, rate, units, clock, overloads and gaps."""
+"""Import of foreign files: samples, rate, units, clock, overloads, gaps, channel tables and `daq import`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,16 @@ import daq
 from daq.cli import app
 from daq.importing.channel_table import Column
 from rig.errors import RecordingError, SceneError, ShotrigError
-from tests.daq.importing.files import IN_SI, NAMES, RATE, WRITERS, bench, csv, histories, tdms
+from tests.daq.importing.files import (
+    NAMES,
+    RATE,
+    SI_PER_UNIT,
+    WRITERS,
+    make_scene,
+    random_samples,
+    write_csv,
+    write_tdms,
+)
 
 # pyuff leaves a binary file open that it wrote.
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
@@ -26,6 +35,7 @@ WAV_TABLE = {
 
 
 def import_recording(files, scene, path, **options) -> tuple[daq.Recording, list[str]]:
+    """Import files; return the opened recording and the warnings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         recording = daq.open(daq.import_files(files, scene, path, **options))
@@ -35,19 +45,20 @@ def import_recording(files, scene, path, **options) -> tuple[daq.Recording, list
 @pytest.mark.parametrize("form", WRITERS)
 def test_foreign_file_gives_its_samples_and_rate(form, tmp_path):
     ending, write, error = WRITERS[form]
-    rows = histories()
+    rows = random_samples()
     write(tmp_path / f"a{ending}", rows)
     table = WAV_TABLE if form == "wav" else None
-    recording, messages = import_recording(tmp_path / f"a{ending}", bench(), tmp_path / "r.mcap", table=table)
+    recording, messages = import_recording(tmp_path / f"a{ending}", make_scene(), tmp_path / "r.mcap", table=table)
     with recording:
         assert recording.rate == RATE and not messages
         samples = np.array([recording.read(name) for name in NAMES])
-        np.testing.assert_allclose(samples, rows * IN_SI, rtol=0, atol=max(error, 1e-15) * abs(rows * IN_SI).max())
+        expected = rows * SI_PER_UNIT
+        np.testing.assert_allclose(samples, expected, rtol=0, atol=max(error, 1e-15) * abs(expected).max())
         assert [marker.kind for marker in recording.markers] == ["measure"]
         # The source shows that drive and converter are not those of the virtual rig.
         assert recording.source == f"a{ending}"
         assert recording.markers[0].fields == {"from": 5.0, "to": 400.0}
-        assert recording.scene.channels == bench().channels and recording.scene.converter.rate == RATE
+        assert recording.scene.channels == make_scene().channels and recording.scene.converter.rate == RATE
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.int16, "int24", np.int32, np.float32, np.float64])
@@ -61,20 +72,20 @@ def test_wav_full_scale_is_the_converter_range(kind, tmp_path):
     else:
         full_scale = 2.0 ** (8 * np.dtype(kind).itemsize - 1)
         wavfile.write(path, 2048, np.rint(rows.T * full_scale + (128 if kind is np.uint8 else 0)).astype(kind))
-    scene = bench(more="converter: {range: 5 V}")
+    scene = make_scene(converter="converter: {range: 5 V}")
     table = {"body1": Column("1", sensitivity="100 mV/g"), "body2": Column("2", unit="2 V", sign=-1)}
     if np.dtype(kind if kind != "int24" else "i4").kind == "f":
         table["body1"] = Column("1", unit="5 V", sensitivity="100 mV/g")
     recording, _ = import_recording(path, scene, tmp_path / "r.mcap", table=table)
     with recording:
         step = 2.0 ** (-7 if kind is np.uint8 else -15 if kind is np.int16 else -22)
-        volts = recording.read("body1") * 0.1 / 9.80665, recording.read("body2") * 0.01 / 9.80665
-        assert np.abs(volts[0] / 5.0 - rows[0]).max() <= step
-        assert np.abs(volts[1] / -2.0 - rows[1]).max() <= step
+        volts1, volts2 = recording.read("body1") * 0.1 / 9.80665, recording.read("body2") * 0.01 / 9.80665
+        assert np.abs(volts1 / 5.0 - rows[0]).max() <= step
+        assert np.abs(volts2 / -2.0 - rows[1]).max() <= step
 
 
 def _write_24_bits(path, rows):
-    """Write the extensible form with three bytes a sample, as measurement cards do."""
+    """Write the format WAVE_FORMAT_EXTENSIBLE with three bytes a sample, as measurement cards do."""
     integers = np.ascontiguousarray(np.rint(rows.T * 2**23).astype("<i4"))
     data = integers.view(np.uint8).reshape(*integers.shape, 4)[..., :3].tobytes()
     guid = bytes.fromhex("0100000000001000800000aa00389b71")
@@ -87,12 +98,12 @@ def _write_24_bits(path, rows):
 
 
 def test_unmarked_hits_are_detected(tmp_path):
-    rows = 1e-3 * histories(12000)
+    rows = 1e-3 * random_samples(12000)
     pulse = np.sin(np.pi * np.arange(1, 9) / 9)
     for index, amplitude in ((1000, 80.0), (1060, 20.0), (5000, 50.0), (9000, 30.0)):
         rows[2, index : index + 8] -= amplitude * pulse
-    csv(tmp_path / "a.csv", rows)
-    scene = bench("{kind: impulse, body: 2, peak: 50 N, width: 4 ms}")
+    write_csv(tmp_path / "a.csv", rows)
+    scene = make_scene("{kind: impulse, body: 2, peak: 50 N, width: 4 ms}")
     recording, messages = import_recording(tmp_path / "a.csv", scene, tmp_path / "r.mcap")
     with recording:
         hits = [marker for marker in recording.markers if marker.kind == "hit"]
@@ -106,11 +117,11 @@ def test_unmarked_hits_are_detected(tmp_path):
 
 def test_clipped_and_lost_samples_are_marked(tmp_path):
     rows = 20.0 * np.sin(0.05 * np.arange(4000)) + np.zeros((3, 1))
-    rows += 0.1 * histories(4000)
+    rows += 0.1 * random_samples(4000)
     rows[1] = np.clip(rows[1], -15.0, 15.0)
     rows[0, 700:720] = np.nan
-    csv(tmp_path / "a.csv", rows)
-    recording, messages = import_recording(tmp_path / "a.csv", bench(), tmp_path / "r.mcap")
+    write_csv(tmp_path / "a.csv", rows)
+    recording, messages = import_recording(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap")
     with recording:
         clipped = np.zeros(4000, bool)
         for marker in recording.overloads:
@@ -124,33 +135,33 @@ def test_clipped_and_lost_samples_are_marked(tmp_path):
     assert any("clipped" in note for note in messages) and any("lost" in note for note in messages)
 
 
-def test_rounded_tops_are_not_overloads(tmp_path):
+def test_equal_peaks_of_counts_are_not_overloads(tmp_path):
     rows = np.round(40.0 * np.sin(0.003 * np.arange(20000))) + np.zeros((3, 1))
-    csv(tmp_path / "a.csv", rows)
-    recording, _ = import_recording(tmp_path / "a.csv", bench(), tmp_path / "r.mcap")
+    write_csv(tmp_path / "a.csv", rows)
+    recording, _ = import_recording(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap")
     with recording:
         assert not recording.overloads
 
 
 def test_long_file_is_imported_without_gap(tmp_path):
-    rows = histories(200_000)
-    tdms(tmp_path / "a.tdms", rows)
-    recording, _ = import_recording(tmp_path / "a.tdms", bench(), tmp_path / "r.mcap")
+    rows = random_samples(200_000)
+    write_tdms(tmp_path / "a.tdms", rows)
+    recording, _ = import_recording(tmp_path / "a.tdms", make_scene(), tmp_path / "r.mcap")
     with recording:
         np.testing.assert_allclose(recording.read("force"), rows[2], rtol=1e-15)
 
 
-def test_two_files_give_channels_of_one_test(tmp_path):
-    rows = histories()
-    tdms(tmp_path / "a.tdms", rows)
-    csv(tmp_path / "b.csv", rows[:, :4000])
+def test_two_files_become_one_recording(tmp_path):
+    rows = random_samples()
+    write_tdms(tmp_path / "a.tdms", rows)
+    write_csv(tmp_path / "b.csv", rows[:, :4000])
     table = {"body1": Column("body1"), "force": Column("force", file="b.csv")}
     with pytest.raises(SceneError, match=r"several signals are called 'body1': a.tdms .* b.csv"):
-        import_recording([tmp_path / "a.tdms", tmp_path / "b.csv"], bench(), tmp_path / "r.mcap", table=table)
+        import_recording([tmp_path / "a.tdms", tmp_path / "b.csv"], make_scene(), tmp_path / "r.mcap", table=table)
     table["body1"] = Column("body1", file="a")
     table["body2"] = Column("body2", file="a")
     recording, messages = import_recording(
-        [tmp_path / "a.tdms", tmp_path / "b.csv"], bench(), tmp_path / "r.mcap", table=table
+        [tmp_path / "a.tdms", tmp_path / "b.csv"], make_scene(), tmp_path / "r.mcap", table=table
     )
     with recording:
         assert recording.samples == 5000 and recording.gaps[0].first_sample == 4000
@@ -160,11 +171,11 @@ def test_two_files_give_channels_of_one_test(tmp_path):
 @pytest.mark.parametrize("form", ["csv", "tdms"])
 def test_late_release_is_reported_and_can_be_cut(form, tmp_path):
     time = np.arange(6000) / RATE - 1.5
-    rows = np.where(time < 0, 0.0, np.exp(-time) * np.cos(60.0 * time)) + 1e-4 * histories(6000)
+    rows = np.where(time < 0, 0.0, np.exp(-time) * np.cos(60.0 * time)) + 1e-4 * random_samples(6000)
     ending, write, _ = WRITERS[form]
     write(tmp_path / f"a{ending}", rows)
-    scene = bench().replace(
-        test={"kind": "free", "mode": 1, "amplitude": 1e-3}, shaker=None, channels=bench().channels[:2]
+    scene = make_scene().replace(
+        test={"kind": "free", "mode": 1, "amplitude": 1e-3}, shaker=None, channels=make_scene().channels[:2]
     )
     recording, messages = import_recording(tmp_path / f"a{ending}", scene, tmp_path / "r.mcap")
     recording.close()
@@ -178,13 +189,13 @@ def test_late_release_is_reported_and_can_be_cut(form, tmp_path):
 
 
 def test_reversed_times_are_rejected(tmp_path):
-    csv(tmp_path / "a.csv", histories(600))
+    write_csv(tmp_path / "a.csv", random_samples(600))
     with pytest.raises(SceneError, match=r"--from 0\.2 s is after --to 0\.1 s"):
-        daq.import_files(tmp_path / "a.csv", bench(), tmp_path / "r.mcap", from_s=0.2, to_s=0.1)
+        daq.import_files(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap", from_s=0.2, to_s=0.1)
 
 
 def test_yaml_and_csv_tables_agree(tmp_path):
-    csv(tmp_path / "a.csv", histories(600))
+    write_csv(tmp_path / "a.csv", random_samples(600))
     (tmp_path / "t.yaml").write_text(
         "body1: 2\nbody2: {column: body1, unit: 2 m/s^2, sign: -1, offset: 0.5, delay: 1 ms}\n"
     )
@@ -192,16 +203,16 @@ def test_yaml_and_csv_tables_agree(tmp_path):
     samples = []
     for name in ("t.yaml", "t.csv"):
         recording, _ = import_recording(
-            tmp_path / "a.csv", bench(), tmp_path / "r.mcap", table=tmp_path / name, overwrite=True
+            tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap", table=tmp_path / name, overwrite=True
         )
         with recording:
             assert recording.channels["body2"].delay == 1e-3
             samples.append([recording.read(channel) for channel in NAMES])
     np.testing.assert_array_equal(*samples)
-    np.testing.assert_allclose(samples[0][1], -2.0 * (histories(600)[0] - 0.5), rtol=0, atol=1e-7)
+    np.testing.assert_allclose(samples[0][1], -2.0 * (random_samples(600)[0] - 0.5), rtol=0, atol=1e-7)
 
 
-LABVIEW = (
+LABVIEW_HEAD = (
     "LabVIEW Measurement\t\nWriter_Version\t2\nSeparator\t{name}\nDecimal_Separator\t{point}\n"
     "X_Columns\t{columns}\n***End_of_Header***\t\n"
 )
@@ -211,7 +222,7 @@ END_OF_HEADER = "***End_of_Header***\t\n"
 @pytest.mark.parametrize("columns", ["No", "One", "Multi"])
 @pytest.mark.parametrize(("separator", "point"), [("\t", "."), ("\t", ","), (",", ".")])
 def test_labview_text_has_names_units_and_clock(columns, separator, point, tmp_path):
-    rows = histories(400)
+    rows = random_samples(400)
     name = "Tab" if separator == "\t" else "Comma"
 
     def line(cells):
@@ -224,7 +235,7 @@ def test_labview_text_has_names_units_and_clock(columns, separator, point, tmp_p
         """Return the cells of the channels, with an empty time cell after each if every channel has its own times."""
         return [cell_or_time for cell in cells for cell_or_time in (cell, "")] if columns == "Multi" else list(cells)
 
-    heading = LABVIEW.format(name=name, point=point, columns=columns).replace("\t", separator)
+    heading = LABVIEW_HEAD.format(name=name, point=point, columns=columns).replace("\t", separator)
     heading += line(["Channels", "3"])
     interval = f"{1 / RATE:.6E}".replace(".", point)
     for key, *cells in (
@@ -249,7 +260,7 @@ def test_labview_text_has_names_units_and_clock(columns, separator, point, tmp_p
         )
         lines.append(line([*cells, "lost contact"] if k % 7 == 0 else cells))
     (tmp_path / "a.lvm").write_text(heading + "".join(lines))
-    recording, messages = import_recording(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap")
+    recording, messages = import_recording(tmp_path / "a.lvm", make_scene(), tmp_path / "r.mcap")
     with recording:
         assert recording.rate == RATE and not messages
         np.testing.assert_allclose(recording.read("force"), rows[2], rtol=0, atol=1e-6)
@@ -257,42 +268,42 @@ def test_labview_text_has_names_units_and_clock(columns, separator, point, tmp_p
 
 
 @pytest.mark.parametrize("form", ["text", "array"])
-def test_unnamed_even_column_is_the_clock(form, tmp_path):
-    rows = np.vstack([np.arange(400) / RATE - 0.01, histories(400)])
+def test_unnamed_evenly_rising_column_is_time(form, tmp_path):
+    rows = np.vstack([np.arange(400) / RATE - 0.01, random_samples(400)])
     if form == "text":
         np.savetxt(tmp_path / "a.txt", rows.T, fmt="%.9e")
     else:
         np.savez(tmp_path / "a.npz", measured=rows.T)
     file = next(tmp_path.glob("a.*"))
     table = {name: Column(str(k), unit="m/s^2" if name != "force" else "N") for k, name in enumerate(NAMES, 1)}
-    recording, messages = import_recording(file, bench(), tmp_path / "r.mcap", table=table)
+    recording, messages = import_recording(file, make_scene(), tmp_path / "r.mcap", table=table)
     with recording:
         assert recording.rate == RATE
         np.testing.assert_allclose(recording.read("body1"), rows[1], rtol=1e-6)
     assert any("rises evenly" in text and "taken for times" in text for text in messages)
 
 
-def test_line_numbers_are_not_a_clock(tmp_path):
-    np.savetxt(tmp_path / "a.txt", np.vstack([np.arange(1, 401), histories(400)]).T)
+def test_line_numbers_are_not_times(tmp_path):
+    np.savetxt(tmp_path / "a.txt", np.vstack([np.arange(1, 401), random_samples(400)]).T)
     table = {"body1": Column("2", unit="m/s^2")}
     with pytest.raises(SceneError, match="sample rate is not stated"):
-        import_recording(tmp_path / "a.txt", bench(), tmp_path / "r.mcap", table=table)
+        import_recording(tmp_path / "a.txt", make_scene(), tmp_path / "r.mcap", table=table)
 
 
 def test_uneven_times_are_reported(tmp_path):
-    rows = histories(400)
+    rows = random_samples(400)
     jitter = np.random.default_rng(2).uniform(-0.2, 0.2, 400)
     for name, times in {"even": np.arange(400.0), "uneven": np.arange(400) + jitter}.items():
         np.savez(tmp_path / f"{name}.npz", time=times / RATE, body1=rows[0])
         table = {"body1": Column("body1", unit="g")}
-        _, messages = import_recording(tmp_path / f"{name}.npz", bench(), tmp_path / f"{name}.mcap", table=table)
+        _, messages = import_recording(tmp_path / f"{name}.npz", make_scene(), tmp_path / f"{name}.mcap", table=table)
         assert any("from an even grid by up to" in text for text in messages) == (name == "uneven")
 
 
 def test_missing_value_in_first_line_keeps_its_column(tmp_path):
     lines = [f"{k / RATE:.9g},{k % 7},{'' if k == 0 else k % 5}" for k in range(400)]
     (tmp_path / "a.csv").write_text("\n".join(["time [s],body1 [g],body2 [g]", *lines]))
-    recording, _ = import_recording(tmp_path / "a.csv", bench(), tmp_path / "r.mcap")
+    recording, _ = import_recording(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap")
     with recording:
         assert np.isnan(recording.read("body2")[0])
         np.testing.assert_allclose(recording.read("body2")[1:], 9.80665 * (np.arange(1, 400) % 5), rtol=1e-12)
@@ -300,16 +311,16 @@ def test_missing_value_in_first_line_keeps_its_column(tmp_path):
 
 @pytest.mark.parametrize("name", ["Fs", "sampling_frequency", "samplerate", "sr", "f_s", "sampling_rate_Hz"])
 def test_sample_rate_is_known_by_any_name(name, tmp_path):
-    np.savez(tmp_path / "a.npz", **{name: RATE}, body1=histories(400)[0])
+    np.savez(tmp_path / "a.npz", **{name: RATE}, body1=random_samples(400)[0])
     recording, _ = import_recording(
-        tmp_path / "a.npz", bench(), tmp_path / "r.mcap", table={"body1": Column("body1", unit="g")}
+        tmp_path / "a.npz", make_scene(), tmp_path / "r.mcap", table={"body1": Column("body1", unit="g")}
     )
     with recording:
         assert recording.rate == RATE
 
 
 def test_second_labview_segment_is_located(tmp_path):
-    heading = LABVIEW.format(name="Tab", point=".", columns="No")
+    heading = LABVIEW_HEAD.format(name="Tab", point=".", columns="No")
     segment = (
         "Channels\t1\nY_Unit_Label\tg\nX0\t0\nDelta_X\t0.001\n"
         + END_OF_HEADER
@@ -317,16 +328,16 @@ def test_second_labview_segment_is_located(tmp_path):
     )
     (tmp_path / "a.lvm").write_text(heading + 2 * segment)
     with pytest.raises(RecordingError, match=r"a.lvm, line 16: a second segment"):
-        import_recording(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap")
+        import_recording(tmp_path / "a.lvm", make_scene(), tmp_path / "r.mcap")
 
 
 def test_uncertain_labview_clock_is_reported(tmp_path):
-    heading = LABVIEW.format(name="Tab", point=".", columns="No")
+    heading = LABVIEW_HEAD.format(name="Tab", point=".", columns="No")
     heading += (
         "Channels\t1\nSamples\t9\nY_Unit_Label\tg\nX0\t0\nDelta_X\t0.000977\n" + END_OF_HEADER + "X_Value\tbody1\n"
     )
     (tmp_path / "a.lvm").write_text(heading + "".join(f"\t{value}\n" for value in (0.1, -0.1, 0.2)))
-    recording, messages = import_recording(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap")
+    recording, messages = import_recording(tmp_path / "a.lvm", make_scene(), tmp_path / "r.mcap")
     recording.close()
     assert any("9 samples, the table has 3" in text for text in messages)
     assert any("1023.02 to 1024.07 Hz" in text for text in messages)
@@ -356,42 +367,42 @@ TABLES = {
 
 @pytest.mark.parametrize("text", TABLES)
 def test_wrong_table_is_rejected_with_message(text, tmp_path):
-    csv(tmp_path / "a.csv", histories(100))
+    write_csv(tmp_path / "a.csv", random_samples(100))
     (tmp_path / "t.yaml").write_text(text)
     with pytest.raises(SceneError, match=TABLES[text]):
-        import_recording(tmp_path / "a.csv", bench(), tmp_path / "r.mcap", table=tmp_path / "t.yaml")
+        import_recording(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap", table=tmp_path / "t.yaml")
     assert not (tmp_path / "r.mcap").exists()
 
 
 def test_contradicting_rates_name_the_remedy(tmp_path):
-    csv(tmp_path / "a.csv", histories(100))
+    write_csv(tmp_path / "a.csv", random_samples(100))
     with pytest.raises(SceneError, match=r"files state 2048 Hz.*5120 Hz. Correct.*converter.rate=2048Hz"):
-        import_recording(tmp_path / "a.csv", bench(more="converter: {rate: 5120 Hz}"), tmp_path / "r.mcap")
+        import_recording(tmp_path / "a.csv", make_scene(converter="converter: {rate: 5120 Hz}"), tmp_path / "r.mcap")
     table = {name: Column(name, rate=5120.0) for name in NAMES}
     recording, _ = import_recording(
-        tmp_path / "a.csv", bench(more="converter: {rate: 5120 Hz}"), tmp_path / "r.mcap", table=table
+        tmp_path / "a.csv", make_scene(converter="converter: {rate: 5120 Hz}"), tmp_path / "r.mcap", table=table
     )
     with recording:
         assert recording.rate == 5120.0
 
 
-def test_import_command_lists_imports_and_never_overwrites(tmp_path, monkeypatch):
+def test_import_command_lists_signals_without_overwriting(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    csv(tmp_path / "a.csv", histories(3000))
-    (tmp_path / "bench.yaml").write_text(bench().to_si_yaml().replace("rate: 5120.0 Hz", "rate: 2048 Hz"))
-    listed = CliRunner().invoke(app, ["import", "a.csv"])
-    assert 'signal1: {column: "body1", unit: "g"}  # 3000 samples at 2048 Hz' in listed.output
-    words = ["import", "a.csv", "--scene", "bench.yaml"]
-    completed = CliRunner().invoke(app, words)
+    write_csv(tmp_path / "a.csv", random_samples(3000))
+    (tmp_path / "bench.yaml").write_text(make_scene().to_si_yaml().replace("rate: 5120.0 Hz", "rate: 2048 Hz"))
+    signal_list = CliRunner().invoke(app, ["import", "a.csv"])
+    assert 'signal1: {column: "body1", unit: "g"}  # 3000 samples at 2048 Hz' in signal_list.output
+    arguments = ["import", "a.csv", "--scene", "bench.yaml"]
+    completed = CliRunner().invoke(app, arguments)
     assert completed.exit_code == 0 and "3000 samples of 3 channels" in completed.output, completed.output
     content = Path("a.mcap").read_bytes()
-    assert CliRunner().invoke(app, words).exit_code == 0
-    repeated = CliRunner().invoke(app, [*words, "--to", "1"])
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    repeated = CliRunner().invoke(app, [*arguments, "--to", "1"])
     assert isinstance(repeated.exception, ShotrigError) and "exists" in str(repeated.exception)
     assert Path("a.mcap").read_bytes() == content
     Path("user.mcap").write_bytes(b"mine")
-    refused = CliRunner().invoke(app, [*words, "-o", "user.mcap"])
-    assert isinstance(refused.exception, RecordingError) and "exists" in str(refused.exception)
+    rejected = CliRunner().invoke(app, [*arguments, "-o", "user.mcap"])
+    assert isinstance(rejected.exception, RecordingError) and "exists" in str(rejected.exception)
     # Missing data is reported first.
     no_scene = CliRunner().invoke(app, ["import", "a.csv", "--scene", "nope.yaml"])
     assert "nope.yaml" in str(no_scene.exception) and "exists" not in str(no_scene.exception)
@@ -400,28 +411,22 @@ def test_import_command_lists_imports_and_never_overwrites(tmp_path, monkeypatch
 
 
 def test_unit_that_contradicts_file_is_reported(tmp_path):
-    csv(tmp_path / "a.csv", histories(3000))
+    write_csv(tmp_path / "a.csv", random_samples(3000))
     for unit, expected_message in (("m/s^2", "0.102 times"), ("mm", "displacement instead of acceleration"), ("g", "")):
-        channels = bench()
+        scene = make_scene()
         if unit == "mm":
-            channels = bench(more="").replace(
-                channels=[
-                    channel.replace(accelerometer=None) if channel.name == "body1" else channel
-                    for channel in bench().channels
-                ]
-            )
+            body1, *others = scene.channels
+            scene = scene.replace(channels=[body1.replace(accelerometer=None), *others])
+        table = {"body1": Column("body1", unit=unit)}
         recording, messages = import_recording(
-            tmp_path / "a.csv",
-            channels,
-            tmp_path / f"{expected_message}.mcap",
-            table={"body1": Column("body1", unit=unit)},
+            tmp_path / "a.csv", scene, tmp_path / f"{expected_message}.mcap", table=table
         )
         recording.close()
         assert any(expected_message in message for message in messages) if expected_message else not messages
 
 
 def test_duplicate_file_is_rejected(tmp_path):
-    csv(tmp_path / "a.csv", histories(3000))
+    write_csv(tmp_path / "a.csv", random_samples(3000))
     (tmp_path / "b.csv").write_bytes((tmp_path / "a.csv").read_bytes())
     with pytest.raises(RecordingError, match=r"b\.csv: the same content as .*a\.csv"):
-        daq.import_files([tmp_path / "a.csv", tmp_path / "b.csv"], bench(), tmp_path / "r.mcap")
+        daq.import_files([tmp_path / "a.csv", tmp_path / "b.csv"], make_scene(), tmp_path / "r.mcap")

@@ -1,3 +1,5 @@
+"""Frequency steps of imported stepped_sine_samples-sine files are detected in the force, and only steps are."""
+
 from __future__ import annotations
 
 import numpy as np
@@ -9,35 +11,36 @@ import analysis
 import daq
 from daq.cli import app
 from rig.errors import RecordingError
-from tests.daq.importing.files import RATE, bench, npz
+from tests.daq.importing.files import RATE, make_scene, write_npz
 from tests.daq.importing.test_import_files import import_recording
 
-# A resonance that rings for half a second, in the units of the file: g and m/s^2 per N.
-MODE = 40.0
-FILTER = signal.bilinear([1.0, 0.0, 0.0], [1.0, 2 * 0.03 * 2 * np.pi * MODE, (2 * np.pi * MODE) ** 2], RATE)
+# A mode at 40 Hz with 3 % damping: acceleration of 1 kg in m/s^2 per N.
+OMEGA = 2 * np.pi * 40.0
+MODE_FILTER = signal.bilinear([1.0, 0.0, 0.0], [1.0, 2 * 0.03 * OMEGA, OMEGA**2], RATE)
 
 
-def stepped(frequencies, levels=(1.0,), dwell=3.0, glide=0.1) -> np.ndarray:
-    """Force that dwells at frequencies and glides between them, and what a resonance makes of it."""
-    settings = [(f, level) for level in levels for f in frequencies]
+def stepped_sine_samples(frequencies, levels=(1.0,), hold_s=3.0, transition_s=0.1) -> np.ndarray:
+    """Return the samples of a file: a force that is held at each frequency, and the response of both bodies."""
+    hold_samples, transition_samples = round(hold_s * RATE), round(transition_s * RATE)
+    steps = [(frequency, level) for level in levels for frequency in frequencies]
     frequency, amplitude = [], []
-    for (f, level), (after, _) in zip(settings, [*settings[1:], settings[-1]], strict=True):
-        count = round(dwell * RATE)
-        frequency += [np.full(count, f), np.linspace(f, after, round(glide * RATE))]
-        amplitude.append(np.full(count + round(glide * RATE), level))
+    for (step_frequency, level), (next_frequency, _) in zip(steps, [*steps[1:], steps[-1]], strict=True):
+        frequency.append(np.full(hold_samples, step_frequency))
+        frequency.append(np.linspace(step_frequency, next_frequency, transition_samples))
+        amplitude.append(np.full(hold_samples + transition_samples, level))
     phase = 2 * np.pi * np.cumsum(np.concatenate(frequency)) / RATE
     force = np.concatenate(amplitude) * np.sin(phase)
-    return responded(force[: force.size - round(glide * RATE)])
+    return samples_of(force[: force.size - transition_samples])
 
 
-def responded(force: np.ndarray) -> np.ndarray:
-    """Both bodies as the file has them, and the force."""
+def samples_of(force: np.ndarray) -> np.ndarray:
+    """Return the samples of a file with noise: body 1 in g, body 2 in m/s^2, force in N."""
     noise = np.random.default_rng(1).standard_normal((3, force.size))
-    acceleration = signal.lfilter(*FILTER, force)
+    acceleration = signal.lfilter(*MODE_FILTER, force)
     return np.array([acceleration / 9.80665, 2.0 * acceleration, force]) + 1e-4 * noise
 
 
-def marks(recording: daq.Recording) -> list:
+def step_marks(recording: daq.Recording) -> list:
     return [marker for marker in recording.markers if marker.kind == "measure"]
 
 
@@ -45,11 +48,11 @@ def marks(recording: daq.Recording) -> list:
 def test_unmarked_steps_are_detected_with_right_response(level, tmp_path):
     frequencies = np.linspace(36.0, 44.0, 5)
     levels = (1.0,) if level == "1 N" else (0.5, 2.0)
-    npz(tmp_path / "a.npz", stepped(frequencies, levels))
-    scene = bench(f"{{kind: stepped_sine, from: 30 Hz, to: 50 Hz, points: 5, force: {level}}}")
+    write_npz(tmp_path / "a.npz", stepped_sine_samples(frequencies, levels))
+    scene = make_scene(f"{{kind: stepped_sine, from: 30 Hz, to: 50 Hz, points: 5, force: {level}}}")
     recording, messages = import_recording(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
     with recording:
-        steps = marks(recording)
+        steps = step_marks(recording)
         np.testing.assert_allclose(
             [mark.fields["frequency"] for mark in steps], np.tile(frequencies, len(levels)), rtol=1e-6
         )
@@ -62,19 +65,19 @@ def test_unmarked_steps_are_detected_with_right_response(level, tmp_path):
         groups = analysis.frequency_responses(recording, motion="acceleration")
         assert len(groups) == len(levels)
         for curve in [curve for group in groups for curve in group]:
-            size = 1.0 if curve.response == "body1" else 2.0
-            truth = size * signal.freqz(*FILTER, curve.frequency, fs=RATE)[1]
+            factor = 1.0 if curve.response == "body1" else 2.0
+            truth = factor * signal.freqz(*MODE_FILTER, curve.frequency, fs=RATE)[1]
             assert np.all(abs(curve.value - truth) < curve.bound()) and np.all(curve.bound() < 0.02 * abs(truth))
     assert not messages
 
 
 def test_steps_up_and_down_are_two_sweeps(tmp_path):
     rising = [20.0, 25.0, 31.0]
-    npz(tmp_path / "a.npz", stepped([*rising, *rising[::-1]], dwell=2.0))
-    scene = bench("{kind: stepped_sine, from: 20 Hz, to: 31 Hz, points: 3, force: 1 N, direction: both}")
+    write_npz(tmp_path / "a.npz", stepped_sine_samples([*rising, *rising[::-1]], hold_s=2.0))
+    scene = make_scene("{kind: stepped_sine, from: 20 Hz, to: 31 Hz, points: 3, force: 1 N, direction: both}")
     recording, _ = import_recording(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
     with recording:
-        steps = [(round(mark.fields["frequency"], 3), mark.fields["direction"]) for mark in marks(recording)]
+        steps = [(round(mark.fields["frequency"], 3), mark.fields["direction"]) for mark in step_marks(recording)]
     # The highest frequency is held longer, so that it is a single step.
     assert steps == [(20.0, "up"), (25.0, "up"), (31.0, "up"), (25.0, "down"), (20.0, "down")]
 
@@ -82,18 +85,20 @@ def test_steps_up_and_down_are_two_sweeps(tmp_path):
 def test_tone_after_silence_is_one_step(tmp_path):
     tone = np.zeros(round(20 * RATE))
     tone[round(6 * RATE) :] = np.sin(2 * np.pi * 17.3 * np.arange(round(14 * RATE)) / RATE)
-    npz(tmp_path / "a.npz", responded(tone))
-    scene = bench("{kind: sine, frequency: 17 Hz, force: 1 N}")
+    write_npz(tmp_path / "a.npz", samples_of(tone))
+    scene = make_scene("{kind: sine, frequency: 17 Hz, force: 1 N}")
     recording, messages = import_recording(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
     with recording:
-        [mark] = marks(recording)
+        [mark] = step_marks(recording)
         assert abs(mark.fields["frequency"] - 17.3) < 1e-5 and mark.first_sample > 6 * RATE
     assert not messages
 
 
-def _forces() -> dict[str, np.ndarray]:
+def forces_without_steps() -> dict[str, np.ndarray]:
+    """Return force histories of other tests, each of 40 s."""
     random, t = np.random.default_rng(4), np.arange(round(40 * RATE)) / RATE
     band = signal.butter(4, [10.0, 60.0], "bandpass", fs=RATE, output="sos")
+    narrow_band = signal.butter(2, [30.0, 31.0], "bandpass", fs=RATE, output="sos")
     noise = signal.sosfilt(band, random.standard_normal(t.size))
     period = round(4 * RATE)
     lines = np.zeros(period // 2 + 1, dtype=complex)
@@ -102,9 +107,7 @@ def _forces() -> dict[str, np.ndarray]:
     hits[1000 :: round(5 * RATE)] = 100.0
     return {
         "random": noise,
-        "narrow": signal.sosfilt(
-            signal.butter(2, [30.0, 31.0], "bandpass", fs=RATE, output="sos"), random.standard_normal(t.size)
-        ),
+        "narrow": signal.sosfilt(narrow_band, random.standard_normal(t.size)),
         "bursts": noise * (t % 4 < 2),
         "multisine": np.tile(np.fft.irfft(lines), 10),
         "sweep": signal.chirp(t, 10.0, 40.0, 60.0),
@@ -115,13 +118,13 @@ def _forces() -> dict[str, np.ndarray]:
     }
 
 
-@pytest.mark.parametrize("kind", _forces())
-def test_signal_without_steps_has_none_detected(kind, tmp_path):
-    npz(tmp_path / "a.npz", responded(_forces()[kind]))
-    scene = bench("{kind: stepped_sine, from: 10 Hz, to: 60 Hz, points: 5, force: 1 N}")
+@pytest.mark.parametrize("kind", forces_without_steps())
+def test_no_steps_are_detected_in_other_tests(kind, tmp_path):
+    write_npz(tmp_path / "a.npz", samples_of(forces_without_steps()[kind]))
+    scene = make_scene("{kind: stepped_sine, from: 10 Hz, to: 60 Hz, points: 5, force: 1 N}")
     recording, messages = import_recording(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
     with recording:
-        assert not marks(recording)
+        assert not step_marks(recording)
         with pytest.raises(RecordingError, match="no step was detected"):
             analysis.frequency_responses(recording)
     assert any("no step was detected" in each for each in messages)
@@ -129,8 +132,8 @@ def test_signal_without_steps_has_none_detected(kind, tmp_path):
 
 def test_import_command_reports_steps(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    npz(tmp_path / "a.npz", stepped([20.0, 25.0], dwell=2.0))
-    scene = bench("{kind: stepped_sine, from: 20 Hz, to: 25 Hz, points: 2, force: 1 N}")
+    write_npz(tmp_path / "a.npz", stepped_sine_samples([20.0, 25.0], hold_s=2.0))
+    scene = make_scene("{kind: stepped_sine, from: 20 Hz, to: 25 Hz, points: 2, force: 1 N}")
     (tmp_path / "bench.yaml").write_text(scene.to_si_yaml().replace("rate: 5120.0 Hz", "rate: 2048 Hz"))
     completed = CliRunner().invoke(app, ["import", "a.npz", "--scene", "bench.yaml"])
     assert completed.exit_code == 0, completed.output

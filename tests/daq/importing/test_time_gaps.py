@@ -15,24 +15,24 @@ from daq.importing.channel_table import Column
 from daq.importing.clock import missing_rows
 from daq.importing.text_table import PIECE
 from rig.errors import RecordingError
-from tests.daq.importing.files import IN_SI, NAMES, UNITS, bench, histories
+from tests.daq.importing.files import NAMES, SI_PER_UNIT, UNITS, make_scene, random_samples
 
-RATE = 2560.0
-ROWS = histories(4000)
-# Samples that were never written.
-LOST = [(700, 701), (2000, 2003), (2500, 3500)]
-KEPT = np.ones(4000, bool)
-for first, stop in LOST:
-    KEPT[first:stop] = False
+RATE = 2560.0  # Hz
+ROWS = random_samples(4000)
+# Ranges of samples that are missing in the file.
+MISSING = [(700, 701), (2000, 2003), (2500, 3500)]
+PRESENT = np.ones(4000, bool)
+for first, stop in MISSING:
+    PRESENT[first:stop] = False
 TABLE = {name: Column(name, unit=unit) for name, unit in zip(NAMES, UNITS, strict=True)}
 
 
-def text(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
+def write_text(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
     heading = ",".join(["time [s]", *NAMES])
     np.savetxt(path, np.vstack([times, rows]).T, ["%.6f", *3 * ["%.9e"]], ",", header=heading, comments="")
 
 
-def labview(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
+def write_labview(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
     heading = (
         "LabVIEW Measurement\t\nSeparator\tTab\nDecimal_Separator\t.\nX_Columns\tOne\n***End_of_Header***\t\n"
         "Channels\t3\nDelta_X\t0\t0\t0\n***End_of_Header***\t\nX_Value\t" + "\t".join(NAMES) + "\n"
@@ -41,13 +41,13 @@ def labview(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
     path.write_text(heading + "\n".join(lines) + "\n")
 
 
-def tdms(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
+def write_tdms(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
     with nptdms.TdmsWriter(str(path)) as writer:
         columns = zip(("Time", *NAMES), np.vstack([times, rows]), strict=True)
         writer.write_segment([nptdms.ChannelObject("a", name, column) for name, column in columns])
 
 
-def uff(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
+def write_uff(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
     for number, (name, row) in enumerate(zip(NAMES, rows, strict=True), 1):
         pyuff.UFF(str(path)).write_sets(
             {
@@ -59,39 +59,39 @@ def uff(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
         )  # fmt: skip
 
 
-def npz(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
+def write_npz(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
     np.savez(path, time=times, **dict(zip(NAMES, rows, strict=True)))
 
 
-def imported(path: Path, target: Path) -> tuple[daq.Recording, list[str]]:
+def import_recording(path: Path, target: Path) -> tuple[daq.Recording, list[str]]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        recording = daq.open(daq.import_files(path, bench(), target, table=TABLE))
+        recording = daq.open(daq.import_files(path, make_scene(), target, table=TABLE))
     return recording, [str(each.message) for each in caught]
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize(
-    ("ending", "make"), [("csv", text), ("lvm", labview), ("tdms", tdms), ("uff", uff), ("npz", npz)]
+    ("ending", "write_file"),
+    [("csv", write_text), ("lvm", write_labview), ("tdms", write_tdms), ("uff", write_uff), ("npz", write_npz)],
 )
-def test_missing_rows_are_imported_as_lost_samples(ending, make, tmp_path):
+def test_missing_rows_are_imported_as_lost_samples(ending, write_file, tmp_path):
     path = tmp_path / f"a.{ending}"
-    make(path, np.arange(4000)[KEPT] / RATE, ROWS[:, KEPT])
-    recording, messages = imported(path, tmp_path / "r.mcap")
+    write_file(path, np.arange(4000)[PRESENT] / RATE, ROWS[:, PRESENT])
+    recording, messages = import_recording(path, tmp_path / "r.mcap")
     with recording:
         assert recording.rate == RATE and recording.samples == 4000
-        for name, row in zip(NAMES, ROWS * IN_SI, strict=True):
+        for name, row in zip(NAMES, ROWS * SI_PER_UNIT, strict=True):
             read = recording.read(name)
-            assert np.array_equal(np.isfinite(read), KEPT)
-            np.testing.assert_allclose(read[KEPT], row[KEPT], rtol=1e-6)
+            assert np.array_equal(np.isfinite(read), PRESENT)
+            np.testing.assert_allclose(read[PRESENT], row[PRESENT], rtol=1e-6)
             gaps = [gap for gap in recording.gaps if name in gap.channels]
-            assert [(gap.first_sample, gap.last_sample + 1) for gap in gaps] == LOST
+            assert [(gap.first_sample, gap.last_sample + 1) for gap in gaps] == MISSING
     assert any("gaps in 3 places" in each and "1004 samples are missing" in each for each in messages)
 
 
 def test_gaps_are_detected_across_pieces():
-    number = np.arange(3 * PIECE)
-    present = np.delete(number, [PIECE, PIECE + 1, 2 * PIECE + 5])
+    present = np.delete(np.arange(3 * PIECE), [PIECE, PIECE + 1, 2 * PIECE + 5])
     pieces = np.split(present / RATE, [PIECE, 2 * PIECE - 1])
     assert missing_rows(pieces, 0.0) == [(PIECE, 2), (2 * PIECE + 3, 1)]
 
@@ -113,10 +113,10 @@ def test_times_without_even_steps_have_no_gaps(times):
 @pytest.mark.parametrize("cut", [1, 4, 10, 20, 40, 48])
 def test_truncated_last_line_is_omitted(cut, tmp_path):
     path = tmp_path / "a.csv"
-    text(path, np.arange(4000) / RATE, ROWS)
+    write_text(path, np.arange(4000) / RATE, ROWS)
     data = path.read_bytes()
     path.write_bytes(data[: -1 - cut])
-    recording, messages = imported(path, tmp_path / "r.mcap")
+    recording, messages = import_recording(path, tmp_path / "r.mcap")
     with recording:
         assert recording.samples == 3999
         np.testing.assert_allclose(recording.read("force"), ROWS[2, :3999], rtol=1e-9)
@@ -125,8 +125,8 @@ def test_truncated_last_line_is_omitted(cut, tmp_path):
 
 def test_truncated_inner_line_is_rejected(tmp_path):
     path = tmp_path / "a.csv"
-    text(path, np.arange(4000) / RATE, ROWS)
+    write_text(path, np.arange(4000) / RATE, ROWS)
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join([*lines[:2000], lines[2000][:9] + "\n", *lines[2001:]]))
     with pytest.raises(RecordingError, match="line 2001: 2 columns"):
-        imported(path, tmp_path / "r.mcap")
+        import_recording(path, tmp_path / "r.mcap")

@@ -1,3 +1,5 @@
+"""Clocks of the instrument: how real, fast and manual time advance the bench, and how waiting clients are woken."""
+
 import threading
 
 import numpy as np
@@ -10,8 +12,8 @@ from rig.errors import SceneError
 from tests.daq.client import Task, connect, inputs, raises_code
 
 
-class Counter:
-    """A bench that only counts samples."""
+class CountingBench:
+    """A bench that only counts samples, at 1000 Hz."""
 
     rate = 1000.0
 
@@ -20,7 +22,7 @@ class Counter:
         lock = threading.RLock()
         self.changed, self.sleepers = threading.Condition(lock), Sleepers(lock)
         self.live = True
-        self.late = []
+        self.delays = []
 
     def advance(self, samples):
         with self.changed:
@@ -35,24 +37,24 @@ class Counter:
         self.failure = error
 
     def report_delay(self, seconds):
-        self.late.append(seconds)
+        self.delays.append(seconds)
         return False
 
 
-def test_fast_clock_passes_exact_time():
-    bench = Counter()
+def test_fast_clock_advances_by_exact_time():
+    bench = CountingBench()
     assert FastClock().wait(bench, lambda: bench.position >= 300, lambda: 300 - bench.position, 10.0)
     assert bench.position == 300
 
 
 def test_fast_clock_times_out_in_bench_time():
-    bench = Counter()
+    bench = CountingBench()
     assert not FastClock().wait(bench, lambda: False, lambda: 7, 0.25)
     assert bench.position == 250
 
 
-def test_manual_clock_passes_no_time():
-    bench, manual = Counter(), ManualClock()
+def test_manual_clock_advances_only_on_request():
+    bench, manual = CountingBench(), ManualClock()
     manual.start(bench)
     assert not manual.wait(bench, lambda: False, lambda: 1, -1.0)
     assert bench.position == 0
@@ -61,26 +63,26 @@ def test_manual_clock_passes_no_time():
 
 
 def test_real_clock_runs_while_needed():
-    bench, real = Counter(), RealClock()
+    bench, real = CountingBench(), RealClock()
     with bench.changed:
         assert real.wait(bench, lambda: bench.position >= 20, lambda: 20, 30.0)
     bench.live = False
     for thread in threading.enumerate():
         if thread.name == "bench":
             thread.join(10.0)
-    stopped = bench.position
+    final_position = bench.position
     assert not any(thread.name == "bench" for thread in threading.enumerate())
-    assert bench.position == stopped
+    assert bench.position == final_position
 
 
-def test_every_waiter_wakes_at_its_position():
+def test_each_thread_wakes_at_its_position():
     lock, woken = threading.RLock(), []
     sleepers = Sleepers(lock)
-    asleep = threading.Semaphore(0)
+    n_waiting = threading.Semaphore(0)
 
     def wait(until):
         with lock:
-            asleep.release()
+            n_waiting.release()
             sleepers.sleep(until)
             woken.append(until)
 
@@ -88,7 +90,7 @@ def test_every_waiter_wakes_at_its_position():
     for thread in threads:
         thread.start()
     for _ in threads:
-        asleep.acquire()
+        n_waiting.acquire()
     for position, thread in ((15, threads[0]), (25, threads[1]), (None, threads[2])):
         with lock:
             sleepers.wake(position)
@@ -96,7 +98,7 @@ def test_every_waiter_wakes_at_its_position():
     assert woken == [10, 20, 30]
 
 
-def test_bench_failure_reaches_waiters(monkeypatch, capsys):
+def test_bench_failure_is_reported_to_reader(monkeypatch, capsys):
     chassis = connect("bare-structure", "real")
     with Task() as task:
         inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
@@ -114,7 +116,7 @@ def test_clock_is_chosen_by_name():
         clock("sundial")
 
 
-def test_early_reader_gets_partial_count():
+def test_timeout_reports_number_of_samples_read():
     manual = ManualClock()
     connect("bare-structure", manual)
     with Task() as task:
@@ -139,8 +141,8 @@ def test_real_and_fast_clock_give_same_samples():
     assert np.array_equal(*read)
 
 
-def test_bench_catches_up_at_limited_rate():
-    # After a second's delay, steps every 5 ms: clients that read at twice real time are not overrun.
+def test_delayed_bench_advances_at_limited_rate():
+    # After a delay of one second, the bench advances at twice real time, in steps of 5 ms.
     steps = [longest_step(1.0)] + [longest_step(0.005) for _ in range(20)]
     assert steps[0] == RealClock.MAX_STEP_S
     assert sum(steps[1:]) == pytest.approx(2.0 * 20 * 0.005)

@@ -1,3 +1,5 @@
+"""A full input buffer: overwritten samples are counted and reported once, or acquisition stops."""
+
 import re
 
 import pytest
@@ -13,8 +15,8 @@ def chassis():
     return connect("bare-structure", ManualClock())
 
 
-def acquiring(task):
-    """Let a task acquire continuously into a buffer of 1000 samples."""
+def start_acquisition(task):
+    """Start continuous acquisition into a buffer of 1000 samples."""
     inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
     task.in_stream.input_buf_size = 1000
     task.start()
@@ -22,7 +24,7 @@ def acquiring(task):
 
 def test_overrun_is_counted_and_reading_continues(chassis):
     with Task() as task:
-        acquiring(task)
+        start_acquisition(task)
         pass_samples(chassis, 1300)
         with raises_code(-200279, "300 samples", kind=DaqReadError):
             task.read(100)
@@ -33,22 +35,22 @@ def test_overrun_is_counted_and_reading_continues(chassis):
         assert not task.is_task_done()
 
 
-@pytest.mark.parametrize("pause", [1, 51, 512, 999])
-def test_single_delay_is_reported_once(chassis, pause):
+@pytest.mark.parametrize("block", [1, 51, 512, 999])
+def test_single_delay_is_reported_once(chassis, block):
     with Task() as task:
-        acquiring(task)
+        start_acquisition(task)
         pass_samples(chassis, 2600)
         with raises_code(-200279, "1600 samples", kind=DaqReadError):
-            task.read(pause)
+            task.read(block)
         for number in range(20):
-            assert task.in_stream.curr_read_pos == 1600 + number * pause
-            pass_samples(chassis, pause)
-            assert len(task.read(pause)) == pause
+            assert task.in_stream.curr_read_pos == 1600 + number * block
+            pass_samples(chassis, block)
+            assert len(task.read(block)) == block
 
 
 def test_every_loss_is_counted_once(chassis):
     with Task() as task:
-        acquiring(task)
+        start_acquisition(task)
         read = lost = 0
         for _ in range(40):
             pass_samples(chassis, 400)
@@ -60,10 +62,10 @@ def test_every_loss_is_counted_once(chassis):
         assert lost > 0
 
 
-def test_full_buffer_of_kept_samples_stops(chassis):
+def test_full_buffer_without_overwriting_stops(chassis):
     with Task() as task:
         task.in_stream.overwrite = OverwriteMode.DO_NOT_OVERWRITE_UNREAD_SAMPLES
-        acquiring(task)
+        start_acquisition(task)
         pass_samples(chassis, 1400)
         assert len(task.read(1000)) == 1000
         with raises_code(-200222, kind=DaqReadError):

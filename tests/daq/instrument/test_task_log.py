@@ -1,3 +1,5 @@
+"""The log of a task: files with all samples, gaps, triggers and failures."""
+
 import numpy as np
 import pytest
 from nidaqmx.constants import READ_ALL_AVAILABLE, AcquisitionType, LoggingMode, LoggingOperation, OverwriteMode, Slope
@@ -14,7 +16,7 @@ def chassis():
     return connect("fig8-three-dampers", ManualClock())
 
 
-def logging(task, path, mode=LoggingMode.LOG_AND_READ, operation=LoggingOperation.CREATE, **timing):
+def configure_logging_task(task, path, mode=LoggingMode.LOG_AND_READ, operation=LoggingOperation.CREATE, **timing):
     task.ai_channels.add_ai_voltage_chan("Dev1/ai0:1")
     task.timing.cfg_samp_clk_timing(RATE, **(timing or {"sample_mode": AcquisitionType.CONTINUOUS}))
     task.in_stream.configure_logging(path, mode, operation=operation)
@@ -24,7 +26,7 @@ def logging(task, path, mode=LoggingMode.LOG_AND_READ, operation=LoggingOperatio
 def test_log_holds_all_samples(chassis, tmp_path):
     path = tmp_path / "task.mcap"
     with Task() as task:
-        logging(task, path)
+        configure_logging_task(task, path)
         task.start()
         pass_samples(chassis, 700)
         read = np.array(task.read(300))
@@ -40,7 +42,7 @@ def test_log_holds_all_samples(chassis, tmp_path):
 def test_log_marks_overrun_as_gap(chassis, tmp_path):
     path = tmp_path / "overrun.mcap"
     with Task() as task:
-        logging(task, path)
+        configure_logging_task(task, path)
         task.in_stream.input_buf_size = 500
         task.start()
         pass_samples(chassis, 200)
@@ -58,10 +60,10 @@ def test_log_marks_overrun_as_gap(chassis, tmp_path):
         np.testing.assert_allclose(volts[500:1000], later[0], rtol=1e-12)
 
 
-def test_pause_after_overrun_loses_nothing(chassis, tmp_path):
+def test_log_after_overrun_is_complete(chassis, tmp_path):
     path = tmp_path / "paused.mcap"
     with Task() as task:
-        logging(task, path)
+        configure_logging_task(task, path)
         task.in_stream.input_buf_size = 500
         task.start()
         pass_samples(chassis, 900)
@@ -101,7 +103,7 @@ def test_log_holds_modules_with_shared_sensors(tmp_path):
 def test_pure_log_rejects_reading(chassis, tmp_path):
     path = tmp_path / "alone.mcap"
     with Task() as task:
-        logging(task, path, LoggingMode.LOG)
+        configure_logging_task(task, path, LoggingMode.LOG)
         task.in_stream.input_buf_size = 500
         task.start()
         for _ in range(20):
@@ -115,10 +117,10 @@ def test_pure_log_rejects_reading(chassis, tmp_path):
 
 
 @pytest.mark.parametrize("overwrite", OverwriteMode)
-def test_pure_log_survives_large_blocks(chassis, tmp_path, overwrite):
+def test_pure_log_keeps_blocks_larger_than_buffer(chassis, tmp_path, overwrite):
     path = tmp_path / "at_once.mcap"
     with Task() as task:
-        logging(task, path, LoggingMode.LOG, samps_per_chan=3000)
+        configure_logging_task(task, path, LoggingMode.LOG, samps_per_chan=3000)
         task.in_stream.input_buf_size = 500
         task.in_stream.overwrite = overwrite
         task.start()
@@ -145,14 +147,14 @@ def test_log_holds_reference_trigger_record(tmp_path):
 
 @pytest.mark.parametrize("mode", [LoggingMode.LOG, LoggingMode.LOG_AND_READ])
 @pytest.mark.parametrize("name", ["dropped.mcap", "dropped.tdms"])
-def test_log_states_where_it_broke(tmp_path, mode, name):
+def test_log_states_where_samples_were_lost(tmp_path, mode, name):
     scene = rig.load("fig8-three-dampers")
     dropped = {"at": "0.1 s", "samples": 256}
     scene = scene.replace(converter=scene.converter.replace(dropped_blocks=[dropped]))
     chassis = connect(scene, ManualClock())
     path = tmp_path / name
     with Task("broken") as task:
-        logging(task, path, mode)
+        configure_logging_task(task, path, mode)
         task.start()
         pass_samples(chassis, 1000)
         with pytest.raises(DaqError, match="lost after the converter"):
@@ -184,7 +186,7 @@ def test_log_states_where_it_broke(tmp_path, mode, name):
 def test_impossible_log_file_is_explained(chassis, tmp_path, name, operation, hint):
     (tmp_path / "old.mcap").write_bytes(b"something")
     with Task() as task:
-        logging(task, tmp_path / name, operation=operation)
+        configure_logging_task(task, tmp_path / name, operation=operation)
         with pytest.raises(DaqError, match=hint):
             task.start()
         assert (tmp_path / "old.mcap").read_bytes() == b"something"
@@ -196,7 +198,7 @@ def test_tdms_log_holds_readings(chassis, tmp_path):
     path = tmp_path / "task.tdms"
     for _ in range(2):
         with Task("logged") as task:
-            logging(task, path, operation=LoggingOperation.OPEN_OR_CREATE, samps_per_chan=50)
+            configure_logging_task(task, path, operation=LoggingOperation.OPEN_OR_CREATE, samps_per_chan=50)
             task.start()
             pass_samples(chassis, 50)
             read = np.array(task.read(READ_ALL_AVAILABLE))

@@ -1,3 +1,8 @@
+"""Start and reference triggers of a task, on signals of the bench.
+
+The table moves a single pulse of 1 mm, read as 1 V or more; triggers on its channel have a level of 0.5.
+"""
+
 import numpy as np
 import pytest
 from nidaqmx.constants import READ_ALL_AVAILABLE, AcquisitionType, Slope
@@ -12,37 +17,37 @@ def chassis():
 
 
 def start_s(waveform):
-    """Time of a waveform's first sample on the bench, s."""
+    """Return the time of a waveform's first sample since the start of the bench, s."""
     start = waveform.timing.start_time
     return (start - type(start)(1970, 1, 1, tzinfo=start.tzinfo)).total_seconds()
 
 
-def bump(at, length=4000):
-    """A displacement of 1 mm for 10 ms."""
-    wave = np.zeros(length)
-    wave[at : at + 51] = np.hanning(51)
-    return wave
+def pulse(first, length=4000):
+    """Return the volts of a table displacement of 1 mm for 10 ms that begins at a sample."""
+    volts = np.zeros(length)
+    volts[first : first + 51] = np.hanning(51)
+    return volts
 
 
-@pytest.mark.parametrize("before", [0, 1, 100, 399])
-def test_reference_trigger_sits_after_pretrigger(chassis, before):
+@pytest.mark.parametrize("pretrigger", [0, 1, 100, 399])
+def test_reference_trigger_follows_pretrigger_samples(chassis, pretrigger):
     with Task() as reading, Task() as driving:
         inputs(reading, "Dev1/ai0:3", samps_per_chan=400)
-        reading.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai3", before, Slope.RISING, 0.5)
-        output(driving, bump(1000), samps_per_chan=4000)
+        reading.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai3", pretrigger, Slope.RISING, 0.5)
+        output(driving, pulse(1000), samps_per_chan=4000)
         driving.start()
         table = np.array(reading.read(READ_ALL_AVAILABLE))[3]
     assert len(table) == 400
-    assert table[before] > 0.5
-    if before:
-        assert (table[:before] <= 0.5).all()
+    assert table[pretrigger] > 0.5
+    if pretrigger:
+        assert (table[:pretrigger] <= 0.5).all()
 
 
 def test_edge_before_pretrigger_is_ignored(chassis):
     with Task() as reading, Task() as driving:
         inputs(reading, "Dev1/ai0:3", samps_per_chan=1000)
         reading.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai3", 500, Slope.RISING, 0.5)
-        output(driving, bump(100) + bump(2000), samps_per_chan=4000)
+        output(driving, pulse(100) + pulse(2000), samps_per_chan=4000)
         driving.start()
         table = np.array(reading.read(READ_ALL_AVAILABLE))[3]
         assert reading.in_stream.total_samp_per_chan_acquired > 2000
@@ -51,12 +56,12 @@ def test_edge_before_pretrigger_is_ignored(chassis):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("size", [1, 7, 128, 600])
-def test_triggered_record_reads_in_pieces(size):
+def test_triggered_record_does_not_depend_on_reads(size):
     connect("bare-structure", "fast")
     with Task() as reading, Task() as driving:
         inputs(reading, "Dev1/ai3", samps_per_chan=600)
         reading.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai3", 200, Slope.RISING, 0.5)
-        output(driving, bump(1000), samps_per_chan=4000)
+        output(driving, pulse(1000), samps_per_chan=4000)
         driving.start()
         reading.start()
         pieces = [reading.read(min(size, 600 - start)) for start in range(0, 600, size)]
@@ -64,19 +69,19 @@ def test_triggered_record_reads_in_pieces(size):
     connect("bare-structure", "fast")
     with Task() as reading, Task() as driving:
         inputs(reading, "Dev1/ai3", samps_per_chan=3000)
-        output(driving, bump(1000), samps_per_chan=4000)
+        output(driving, pulse(1000), samps_per_chan=4000)
         driving.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger")
         driving.start()
         untriggered = np.array(reading.read(READ_ALL_AVAILABLE))
-    at = int(np.argmax(untriggered > 0.5))
-    assert np.array_equal(table, untriggered[at - 200 : at + 400])
+    trigger = int(np.argmax(untriggered > 0.5))
+    assert np.array_equal(table, untriggered[trigger - 200 : trigger + 400])
 
 
 def test_analog_start_begins_above_level(chassis):
     with Task() as reading, Task() as driving:
         inputs(reading, "Dev1/ai0:3", samps_per_chan=100)
         reading.triggers.start_trigger.cfg_anlg_edge_start_trig("Dev1/ai3", Slope.RISING, 0.5)
-        output(driving, bump(700), samps_per_chan=4000)
+        output(driving, pulse(700), samps_per_chan=4000)
         driving.start()
         table = np.array(reading.read(READ_ALL_AVAILABLE))[3]
     assert table[0] > 0.5
@@ -113,11 +118,12 @@ def test_retriggerable_task_records_every_pulse(chassis):
     assert starts == [1.0, 2.0, 3.0]
 
 
-def test_output_follows_analog_start(chassis):
-    with Task() as shaking:
-        output(shaking, bump(500, 1000), samps_per_chan=1000)
-        shaking.start()
-        shaking.wait_until_done()
+def test_output_starts_with_triggered_input(chassis):
+    # The decaying response to a pulse triggers the input, and the input starts another output.
+    with Task() as pulse_output:
+        output(pulse_output, pulse(500, 1000), samps_per_chan=1000)
+        pulse_output.start()
+        pulse_output.wait_until_done()
     with Task() as reading, Task() as driving:
         inputs(reading, "Dev1/ai0", samps_per_chan=200)
         reading.triggers.start_trigger.cfg_anlg_edge_start_trig("Dev1/ai0", Slope.RISING, 0.05)
@@ -138,7 +144,7 @@ def test_output_follows_analog_start(chassis):
         (lambda task: task.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai0", 100), -200213, "0 to 99"),
     ],
 )
-def test_impossible_trigger_is_explained(chassis, configure, code, hint):
+def test_error_of_impossible_trigger_names_remedy(chassis, configure, code, hint):
     with Task() as reading:
         inputs(reading, "Dev1/ai0:3", samps_per_chan=100)
         with raises_code(code, hint):

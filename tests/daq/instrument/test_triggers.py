@@ -1,4 +1,4 @@
-"""Triggers against their specification, sample by sample."""
+"""Detection of triggers in a signal, against their specification applied sample by sample."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from daq.instrument.engines.triggers import AnalogSource, AtTime, OtherTask, Syn
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.values import Slope, WindowCondition
 
-# Few values, so that samples lie on levels and limits.
+# Few values, so that samples are often equal to levels and limits.
 LEVELS = st.integers(-4, 4).map(float)
 
 
-def first_crossing(samples, skip, fires, arms):
-    """Return the first sample that meets the condition after an arming sample, sample by sample."""
-    armed = False
-    for i, x in enumerate(samples):
-        if fires(x):
-            if armed and i >= skip:
-                return i
-            armed = False
-        elif arms(x):
-            armed = True
+def first_trigger(samples, skip, is_trigger, is_arming):
+    """Return the index of the first triggering sample after an arming sample; `skip` samples cannot trigger."""
+    is_armed = False
+    for index, sample in enumerate(samples):
+        if is_trigger(sample):
+            if is_armed and index >= skip:
+                return index
+            is_armed = False
+        elif is_arming(sample):
+            is_armed = True
     return None
 
 
-def find_in_pieces(condition, samples, skip, cuts):
-    """Index in the whole signal of the trigger that is detected in its parts."""
+def find_in_blocks(condition, samples, skip, cuts):
+    """Return the index of the trigger that is detected in the blocks of a signal."""
     ((_, finder),) = AnalogSource(((0, condition),)).finders()
-    start = 0
-    for part in np.split(np.array(samples), cuts):
-        at = finder.find(part, min(skip - start, part.size)) if start < skip else finder.find(part)
-        if at is not None:
-            return start + at
-        start += part.size
+    first = 0
+    for block in np.split(np.array(samples), cuts):
+        index = finder.find(block, min(skip - first, block.size)) if first < skip else finder.find(block)
+        if index is not None:
+            return first + index
+        first += block.size
     return None
 
 
@@ -55,22 +55,22 @@ def find_in_pieces(condition, samples, skip, cuts):
 )
 def test_blocks_do_not_change_triggers(samples, skip, cuts, level, hysteresis, low, width):
     def rising(signal, level):
-        return first_crossing(signal, skip, lambda x: x > level, lambda x: x <= level - hysteresis)
+        return first_trigger(signal, skip, lambda x: x > level, lambda x: x <= level - hysteresis)
 
-    assert find_in_pieces(edge(Slope.RISING, level, hysteresis), samples, skip, cuts) == rising(samples, level)
+    assert find_in_blocks(edge(Slope.RISING, level, hysteresis), samples, skip, cuts) == rising(samples, level)
     mirrored = rising([-x for x in samples], -level)
-    assert find_in_pieces(edge(Slope.FALLING, level, hysteresis), samples, skip, cuts) == mirrored
+    assert find_in_blocks(edge(Slope.FALLING, level, hysteresis), samples, skip, cuts) == mirrored
     top = low + width
-    entering = first_crossing(samples, skip, lambda x: low <= x <= top, lambda x: not low <= x <= top)
-    assert find_in_pieces(window(WindowCondition.ENTERING, low, top), samples, skip, cuts) == entering
-    leaving = first_crossing(samples, skip, lambda x: not low <= x <= top, lambda x: low <= x <= top)
-    assert find_in_pieces(window(WindowCondition.LEAVING, low, top), samples, skip, cuts) == leaving
+    entering = first_trigger(samples, skip, lambda x: low <= x <= top, lambda x: not low <= x <= top)
+    assert find_in_blocks(window(WindowCondition.ENTERING, low, top), samples, skip, cuts) == entering
+    leaving = first_trigger(samples, skip, lambda x: not low <= x <= top, lambda x: low <= x <= top)
+    assert find_in_blocks(window(WindowCondition.LEAVING, low, top), samples, skip, cuts) == leaving
 
 
 @pytest.mark.parametrize("cuts", [cuts for n in range(5) for cuts in combinations(range(1, 5), n)])
-def test_uncounted_crossing_disarms(cuts):
-    assert find_in_pieces(edge(Slope.RISING, 0.0, 0.0), [-1.0, 1.0, 1.0, -1.0, 1.0], 2, cuts) == 4
-    assert find_in_pieces(edge(Slope.RISING, 0.0, 0.0), [-1.0, 1.0, 1.0, 1.0, 1.0], 2, cuts) is None
+def test_skipped_trigger_disarms(cuts):
+    assert find_in_blocks(edge(Slope.RISING, 0.0, 0.0), [-1.0, 1.0, 1.0, -1.0, 1.0], 2, cuts) == 4
+    assert find_in_blocks(edge(Slope.RISING, 0.0, 0.0), [-1.0, 1.0, 1.0, 1.0, 1.0], 2, cuts) is None
 
 
 @given(
@@ -86,7 +86,7 @@ def test_next_pulse_is_first_from_sample(rate, second, offset):
         assert SyncPulse(slope).next_tick(tick, float(rate)) == expected
 
 
-def test_wall_time_maps_to_its_sample():
+def test_time_trigger_is_at_next_sample():
     start = AtTime(0.3)
     assert [start.next_tick(tick, 1000.0) for tick in (0, 300, 301)] == [300, 300, 301]
     assert AtTime(0.30001).next_tick(0, 1000.0) == 301
@@ -102,12 +102,12 @@ def test_wall_time_maps_to_its_sample():
         ("ai/referencetrigger", OtherTask("", "ai", True)),
     ],
 )
-def test_terminal_carries_pulse_or_task_event(terminal, source):
+def test_terminal_is_pulse_or_task_event(terminal, source):
     assert digital_source(terminal, Slope.FALLING) == source
 
 
 @pytest.mark.parametrize("terminal", ["", "/Dev1/PFI", "/Dev1/ai/SampleClock", "PFI0x", "/Dev1/ci/StartTrigger"])
-def test_silent_terminal_names_others(terminal):
+def test_error_of_unusable_terminal_names_others(terminal):
     with pytest.raises(DaqError, match="PFI0") as caught:
         digital_source(terminal, Slope.RISING)
     assert caught.value.code == Code.ROUTE_NOT_SUPPORTED_BY_HW_ROUTING == -89136

@@ -1,4 +1,4 @@
-"""Input settings of a task reach the bench: supply, coupling, data sheets; devices are those of the scene."""
+"""Settings of a task have their effect on the bench: sensor supply, coupling, data sheets; devices are the scene's."""
 
 import numpy as np
 import pytest
@@ -21,18 +21,22 @@ converter: {preset: MODULE, rate: 5120 Hz}
 """
 
 
-def connected(module="NI 9234", text=SCENE):
+def connect_module(module="NI 9234", text=SCENE):
+    """Connect to the scene with this converter."""
     scene = rig.loads(text.replace("MODULE", module))
     return connect(scene, "fast")
 
 
 def standard_deviations(task, samples=4000):
-    """Standard deviation of the settled input readings, V."""
+    """Return the standard deviation of each input after the first half of the samples."""
     return np.std(np.atleast_2d(task.read(samples))[:, samples // 2 :], axis=1)
 
 
-def driven(source, **timing):
-    """Read all inputs while the shaker is driven; `source` supplies the first sensor, the module the second."""
+def vibration_levels(source):
+    """Return the standard deviations of all inputs, g, while the shaker vibrates.
+
+    `source` supplies the first sensor, the module the second; the third is ideal.
+    """
     with Task() as driving, Task() as task:
         driving.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
         driving.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
@@ -52,17 +56,17 @@ def driven(source, **timing):
 
 
 def test_sensor_without_supply_has_no_signal():
-    connected()
-    supplied = driven(ExcitationSource.INTERNAL)
-    connected()
-    unsupplied = driven(ExcitationSource.NONE)
+    connect_module()
+    supplied = vibration_levels(ExcitationSource.INTERNAL)
+    connect_module()
+    unsupplied = vibration_levels(ExcitationSource.NONE)
     assert supplied[0] > 1e-2 and unsupplied[0] < 1e-3 * supplied[0]
     # The other inputs are unaffected; the sensor without an internal amplifier works even without supply.
     np.testing.assert_allclose(unsupplied[1:], supplied[1:], rtol=1e-3)
 
 
 def test_dc_coupling_shows_bias():
-    connected("USB-4431")
+    connect_module("USB-4431")
     with Task() as task:
         channel = task.ai_channels.add_ai_voltage_chan("Dev1/ai0", min_val=-10, max_val=10)
         channel.ai_excit_src, channel.ai_excit_val = ExcitationSource.INTERNAL, 0.0021
@@ -74,7 +78,7 @@ def test_dc_coupling_shows_bias():
 
 
 def test_ac_only_module_rejects_dc():
-    connected()
+    connect_module()
     with Task() as task:
         channel = task.ai_channels.add_ai_accel_chan("cDAQ1Mod1/ai0", current_excit_val=0.002)
         channel.ai_coupling = Coupling.DC
@@ -83,8 +87,8 @@ def test_ac_only_module_rejects_dc():
             task.start()
 
 
-def test_used_input_names_its_task():
-    connected()
+def test_different_coupling_of_used_input_is_rejected():
+    connect_module()
     with Task() as first, Task() as second:
         first.ai_channels.add_ai_accel_chan("Dev1/ai0", current_excit_val=0.002)
         second.ai_channels.add_ai_voltage_chan("Dev2/ai0")
@@ -96,7 +100,7 @@ def test_used_input_names_its_task():
 
 
 def test_data_sheet_sets_sensitivity():
-    connected()
+    connect_module()
     terminals = System.remote(options()).devices["cDAQ1Mod1"].ai_physical_chans
     sensor = terminals["ai0"]
     assert (sensor.teds_mfg_id, sensor.teds_model_num, sensor.teds_template_ids) == (25, 352, [25])
@@ -111,7 +115,7 @@ def test_data_sheet_sets_sensitivity():
 
 def test_named_device_is_outside_chassis():
     text = SCENE.replace("6.6 kN/m}", "6.6 kN/m, output: {preset: USB-4431}}")
-    connected("USB-4431", text)
+    connect_module("USB-4431", text)
     (device,) = System.remote(options()).devices
     assert (device.name, device.product_type) == ("Dev1", "USB-4431")
     assert [len(device.ai_physical_chans), len(device.ao_physical_chans)] == [3, 1]
@@ -126,32 +130,32 @@ def test_named_device_is_outside_chassis():
 
 def test_shakers_follow_their_own_outputs():
     shaker = "shaker: {kind: electrodynamic, body: 1, spring: 6.6 kN/m}"
-    both = (
+    two_shakers = (
         "shaker:\n  - {kind: electrodynamic, body: 1, spring: 6.6 kN/m, output: {preset: NI 9260}}\n"
         "  - {kind: electrodynamic, body: 2, spring: 6.6 kN/m, output: {preset: NI 9260}}"
     )
-    text = SCENE.replace(shaker, both).replace(
+    text = SCENE.replace(shaker, two_shakers).replace(
         "converter", "  - {name: first, at: drive 1}\n  - {name: second, at: drive 2}\nconverter"
     )
-    connected(text=text)
+    connect_module(text=text)
     devices = System.remote(options()).devices
-    # By these, controllers start their outputs with the inputs.
+    # Vibration controllers start their outputs with the inputs by this terminal.
     assert "/cDAQ1/ai/StartTrigger" in devices["cDAQ1Mod3"].compact_daq_chassis_device.terminals
     assert [each.product_type for each in devices] == ["cDAQ-9178", "NI 9234", "NI 9234", "NI 9260 (BNC)"]
-    waves = np.stack([np.sin(2 * np.pi * n * np.arange(512) / 512) for n in (4, 11)])
+    output_volts = np.stack([np.sin(2 * np.pi * n * np.arange(512) / 512) for n in (4, 11)])
     with Task() as driving, Task() as task:
         driving.ao_channels.add_ao_voltage_chan("cDAQ1Mod3/ao0:1", min_val=-4, max_val=4)
         task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai3,cDAQ1Mod2/ai0", min_val=-5, max_val=5)
         driving.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
         task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=8192)
-        driving.write(waves, auto_start=True)
+        driving.write(output_volts, auto_start=True)
         spectra = np.abs(np.fft.rfft(np.array(task.read(8192))[:, -512:], axis=1)) / 256
     assert np.argmax(spectra, axis=1).tolist() == [4, 11]
     assert spectra[0, 11] < 1e-3 > spectra[1, 4]
 
 
 def test_changed_input_starts_new_file(tmp_path):
-    chassis = connected()
+    chassis = connect_module()
     recording = LiveRecording(chassis, tmp_path / "run.mcap")
     with Task() as task:
         channel = task.ai_channels.add_ai_accel_chan("cDAQ1Mod1/ai0", current_excit_val=0.002)

@@ -1,4 +1,7 @@
-"""The live scope: settings of the operator take effect in output, display and recording."""
+"""The live scope: frequency and force that the operator enters take effect in output, display and recording.
+
+The operator types lines such as `f 12` (Hz), `F 1.5` (N) and `q` (quit).
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ from daq.viewing.outputs import recording_stream
 from rig.errors import SceneError
 from rig.system.structural_model import receptance
 
-# Well damped, so that it settles within seconds.
+# High damping, so that the steady state is reached within seconds.
 SCENE = rig.loads("""
 name: scoped
 structure: {masses: [1 kg, 1 kg], springs: [20 kN/m, 20 kN/m], damping: {modal: 5 %}}
@@ -34,66 +37,68 @@ shaker: {kind: table, body: 1, spring: 5 kN/m}
 
 
 def run_scope(scene, folder, plan, **options):
-    """Run a scope as fast as it goes and turn its knobs as planned: {seconds: line}."""
-    knobs, reported, due = knobs_for(scene, None, 0.0), [], sorted(plan.items())
+    """Run a scope faster than real time; enter the lines of the plan at their times in s.
+
+    Returns the path of the recording and the reported lines.
+    """
+    knobs, reported, remaining_lines = knobs_for(scene, None, 0.0), [], sorted(plan.items())
     rate = float(scene.converter.rate)
 
-    def keep(position):
-        while due and position >= due[0][0] * rate:
-            knobs.execute(due.pop(0)[1])
+    def enter_lines(position):
+        while remaining_lines and position >= remaining_lines[0][0] * rate:
+            knobs.execute(remaining_lines.pop(0)[1])
 
     with recording_stream() as stream:
         stream.save(folder / "scope.rrd")
-        path = record_live(scene, folder / "scope.mcap", stream, knobs, reported.append, keep, **options)
+        path = record_live(scene, folder / "scope.mcap", stream, knobs, reported.append, enter_lines, **options)
         stream.flush()
     return path, reported
 
 
 @pytest.fixture(scope="module")
-def turned(tmp_path_factory):
+def scope_run(tmp_path_factory):
+    """Return folder, recording and reported lines of a run with three settings."""
     folder = tmp_path_factory.mktemp("scope")
     plan = {0.3: "f 12", 0.5: "F 1.5", 12.0: "F 3", 18.0: "f 20.5", 25.0: "q"}
     path, reported = run_scope(SCENE, folder, plan)
     return folder, path, reported
 
 
-def test_turned_knobs_are_reached_held_and_marked(turned):
-    _, path, reported = turned
-    k0 = SCENE.shaker.spring
+def test_entered_settings_are_reached_and_marked(scope_run):
+    _, path, reported = scope_run
     with daq.open(path) as recording:
         steady_marks = [mark for mark in recording.markers if mark.kind == "measure" and mark.fields["settled"]]
         settings = [(mark.fields["frequency"], mark.fields["level"]) for mark in steady_marks]
         assert settings == [(12.0, 1.5), (12.0, 3.0), (20.5, 3.0)]
         for mark, (frequency, level) in zip(steady_marks, settings, strict=True):
-            samples = slice(mark.first_sample, mark.last_sample + 1)
-            volts = [recording.read(name, samples.start, samples.stop) for name in ("table", "body1")]
-            time = np.arange(samples.start, samples.stop) / recording.rate
-            tone = np.exp(-2j * np.pi * frequency * time)
-            n_samples = int(len(time) * frequency / recording.rate) * recording.rate / frequency
-            whole_periods = slice(0, round(n_samples))
-            table, body = (2 * np.mean(v[whole_periods] * tone[whole_periods]) for v in volts)
-            force = k0 * (table - body) / (2j * np.pi * frequency) ** 2
+            n_periods = int((mark.last_sample + 1 - mark.first_sample) * frequency / recording.rate)
+            stop = mark.first_sample + round(n_periods * recording.rate / frequency)
+            demodulation = np.exp(-2j * np.pi * frequency * np.arange(mark.first_sample, stop) / recording.rate)
+            table, body = (
+                2 * np.mean(recording.read(name, mark.first_sample, stop) * demodulation) for name in ("table", "body1")
+            )
+            force = SCENE.shaker.spring * (table - body) / (2j * np.pi * frequency) ** 2
             assert abs(force) == pytest.approx(level, rel=0.03)
     assert [line.split(" held")[0].split(" Hz")[0] for line in reported] == ["12", "12", "20.5"]
 
 
-def test_shown_curves_and_rig_match_the_recording(turned):
-    folder, path, _ = turned
-    values, frames, pages = [], 0, []
+def test_displayed_curves_and_rig_match_recording(scope_run):
+    folder, path, _ = scope_run
+    curve_blocks, n_frames, pages = [], 0, []
     for chunk in RrdReader(folder / "scope.rrd").stream():
         batch = chunk.to_record_batch()
         if chunk.entity_path == "/channels/acceleration/body2" and not chunk.is_static:
-            values.append(batch.column("Scalars:scalars").flatten().to_numpy())
+            curve_blocks.append(batch.column("Scalars:scalars").flatten().to_numpy())
         if chunk.entity_path == "/rig/body_2" and not chunk.is_static:
-            frames += batch.num_rows
+            n_frames += batch.num_rows
         if chunk.entity_path == "/reading":
             pages += [text for (text,) in batch.column("TextDocument:text").to_pylist()]
     with daq.open(path) as recording:
         read = recording.read("body2")
-        displayed = np.concatenate(values)
+        displayed = np.concatenate(curve_blocks)
         assert displayed.size == read.size == recording.samples
         np.testing.assert_allclose(np.sort(displayed), np.sort(read), rtol=0, atol=1e-12)
-        assert frames == pytest.approx(recording.samples / recording.rate * 200, rel=0.05)
+        assert n_frames == pytest.approx(recording.samples / recording.rate * 200, rel=0.05)
     assert any("20.50 Hz, 3 N: held" in page for page in pages)
     assert any("silent" in page for page in pages)
 
@@ -125,7 +130,7 @@ def test_interrupted_tone_is_marked_up_to_the_ramp(tmp_path, monkeypatch):
         assert curve.frequency.tolist() == [12.0]
 
 
-def test_scope_rejects_existing_file_before_the_force(tmp_path, monkeypatch):
+def test_existing_file_is_rejected_before_output(tmp_path, monkeypatch):
     unraisable = []
     monkeypatch.setattr(sys, "unraisablehook", unraisable.append)
     (tmp_path / "scope.mcap").write_bytes(b"precious")
@@ -137,7 +142,7 @@ def test_scope_rejects_existing_file_before_the_force(tmp_path, monkeypatch):
     assert (tmp_path / "scope.mcap").read_bytes() == b"precious"
 
 
-def test_force_shaker_sets_the_force_itself(tmp_path):
+def test_drive_of_force_shaker_is_force(tmp_path):
     scene = SCENE.replace(shaker={"kind": "force", "body": 1})
     path, _ = run_scope(scene, tmp_path, {0.1: "F 2", 4.0: "q"})
     with daq.open(path) as recording:
@@ -145,26 +150,26 @@ def test_force_shaker_sets_the_force_itself(tmp_path):
         assert steady_mark.fields["level"] == steady_mark.fields["drive"] == 2.0
 
 
-def test_scope_without_shaker_leaves_nothing_behind(tmp_path):
+def test_scope_without_shaker_writes_no_file(tmp_path):
     with pytest.raises(SceneError, match="no drive input"):
         run_scope(SCENE.replace(shaker=None), tmp_path, {0.1: "q"})
     assert not (tmp_path / "scope.mcap").exists()
 
 
-def test_scope_command_names_overwrite_before_the_viewer(tmp_path, monkeypatch, capsys):
+def test_scope_command_rejects_existing_file_before_viewer(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(daq.viewing.outputs, "viewer", lambda *options: pytest.fail("the viewer was started"))
     (tmp_path / "scope.mcap").write_bytes(b"precious")
-    words = ["daq", "scope", "bare-structure", "--web", "-o", str(tmp_path / "scope.mcap")]
-    monkeypatch.setattr(sys, "argv", words)
-    with pytest.raises(SystemExit) as ended:
+    arguments = ["daq", "scope", "bare-structure", "--web", "-o", str(tmp_path / "scope.mcap")]
+    monkeypatch.setattr(sys, "argv", arguments)
+    with pytest.raises(SystemExit) as exit_request:
         main()
-    assert ended.value.code == 2
+    assert exit_request.value.code == 2
     assert "exists. Give another name with -o, or replace the file with --overwrite" in capsys.readouterr().err
     assert (tmp_path / "scope.mcap").read_bytes() == b"precious"
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ("f", "not a number"),
         ("f twelve", "not a number"),
@@ -176,9 +181,9 @@ def test_scope_command_names_overwrite_before_the_viewer(tmp_path, monkeypatch, 
         ("q now", "unknown command"),
     ],
 )
-def test_nonsense_line_keeps_the_setting(line, said):
+def test_invalid_line_keeps_the_setting(line, message):
     knobs = Knobs(10.0, 1.0, highest=100.0)
-    with pytest.raises(SceneError, match=said):
+    with pytest.raises(SceneError, match=message):
         knobs.execute(line)
     assert knobs.settings == (10.0, 1.0)
     assert not knobs.quit
@@ -196,13 +201,13 @@ def test_end_of_input_closes_the_scope_recording(tmp_path):
     code = "from daq.cli import main; main()"
     command = [sys.executable, "-c", code, "scope", "mine.yaml", "--web", "-o", "live.mcap"]
     environment = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    ended = subprocess.run(
+    result = subprocess.run(
         command, input="F 1\nwhat\n", capture_output=True, text=True, timeout=120, cwd=tmp_path, env=environment
     )
-    assert ended.returncode == 0, ended.stderr
-    assert "http://127.0.0.1:" in ended.stderr
-    assert "'what'" in ended.stderr
-    assert "live.mcap:" in ended.stdout
+    assert result.returncode == 0, result.stderr
+    assert "http://127.0.0.1:" in result.stderr
+    assert "'what'" in result.stderr
+    assert "live.mcap:" in result.stdout
     with daq.open(tmp_path / "live.mcap") as recording:
         assert recording.samples > 0
 
@@ -213,5 +218,5 @@ def test_force_behind_a_filter_has_receptance_phases(tmp_path, remove_delay):
     scene = SCENE.replace(shaker={"kind": "force", "body": 1}, dampers=[], converter=converter)
     _, reported = run_scope(scene, tmp_path, {0.3: "f 20", 0.5: "F 1.5", 12.0: "q"})
     exact = np.degrees(np.angle(receptance(scene, [20.0])[:, 0]))
-    phases = [float(part) for part in re.findall(r"\((-?\d+)°\)", reported[-1])]
+    phases = [float(degrees) for degrees in re.findall(r"\((-?\d+)°\)", reported[-1])]
     np.testing.assert_allclose(phases, exact, atol=1.0)

@@ -17,22 +17,22 @@ CHUNKS = [
 ]
 
 
-def ours(compression):
+def file_by_chunked_file(compression):
     stream = BytesIO()
     file = ChunkedFile(stream, "test 1", compression)
     schema = file.add_schema("pkg.Thing", "protobuf", b"\x01\x02")
     for topic in ("/a", "/b"):
         file.add_channel(topic, "protobuf", schema, {"unit": "m", "name": topic})
-    wrote = [file.add_chunk(chunk) for chunk in CHUNKS[:2]]
+    is_written = [file.add_chunk(chunk) for chunk in CHUNKS[:2]]
     file.add_metadata("run", {"seed": "1"})
     file.add_attachment(1, 2, "scene.yaml", "application/yaml", b"name: x")
-    wrote.append(file.add_chunk(CHUNKS[2]))
+    is_written.append(file.add_chunk(CHUNKS[2]))
     file.finish()
-    assert wrote == [True, False, True]
+    assert is_written == [True, False, True]
     return stream.getvalue()
 
 
-def theirs(compression):
+def file_by_mcap_package(compression):
     stream = BytesIO()
     writer = Writer(stream, chunk_size=2**62, compression=CompressionType[compression.upper()])
     writer.start(profile="", library="test 1")
@@ -57,7 +57,7 @@ def theirs(compression):
 def test_writer_equals_the_package_writer(compression, monkeypatch):
     compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
     monkeypatch.setattr("zstandard.compress", compressor.compress)
-    assert ours(compression) == theirs(compression)
+    assert file_by_chunked_file(compression) == file_by_mcap_package(compression)
 
 
 @pytest.mark.parametrize("channels_first", [True, False])
@@ -70,13 +70,13 @@ def test_batched_messages_equal_single_ones(channels_first):
     else:
         batch = Messages(channels, times[:, None], times[:, None], data.transpose(1, 0, 2), sequence[:, None])
         order = [(row, column) for column in range(3) for row in range(2)]
-    alone = [
+    single_messages = [
         Message(int(channels[row]), int(times[column]), int(times[column]), data[row, column].tobytes(), column)
         for row, column in order
     ]
     before, after = Message(1, 2**63 + 5, 1, b"before", 0), Messages(3, 5, 5, data[0, :1], 4)
     written = []
-    for chunk in ([before, batch, after], [before, *alone, Message(3, 5, 5, data[0, 0].tobytes(), 4)]):
+    for chunk in ([before, batch, after], [before, *single_messages, Message(3, 5, 5, data[0, 0].tobytes(), 4)]):
         stream = BytesIO()
         file = ChunkedFile(stream, "test 1", "zstd")
         assert file.add_chunk(chunk)

@@ -1,4 +1,4 @@
-"""Run of an excitation on a real bench without a recorder, with a log of the events."""
+"""Run of a test on the virtual bench without a recorder, and an independent estimate of its spring force."""
 
 from __future__ import annotations
 
@@ -13,52 +13,50 @@ from daq.excitation import Excitation, Station, excitation
 from daq.virtual_bench.bench import Bench
 from rig.arrays import Array, ComplexArray
 
-BODIES = (0.74, 0.71, 0.64), (24.3e3, 21.8e3, 19.8e3)
-
 
 def scene_with(test: dict[str, Any], **changes: Any) -> rig.Scene:
-    """The bare structure on an ideal table with ideal sensors, and a test."""
+    """Return the bare structure on an ideal table with ideal sensors, with this test and these other changes."""
     return rig.load("bare-structure").replace(test=test, **changes)
 
 
 @dataclass
 class BenchRun:
-    """Results of a run: drive (inputs, samples), readings (channels, samples), marks, warnings, reports."""
+    """Results of a run: drive (inputs, samples), readings (channels, samples) in their units, and messages."""
 
     bench: Bench
     drive: Array = field(default_factory=lambda: np.zeros((0, 0)))
     readings: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    marks: list[tuple[str, int, int, dict[str, Any]]] = field(default_factory=list)
+    marks: list[tuple[str, int, int, dict[str, Any]]] = field(default_factory=list)  # Kind, first, stop, fields.
     warnings: list[str] = field(default_factory=list)
-    reports: list[tuple[float, str]] = field(default_factory=list)
+    reports: list[tuple[float, str]] = field(default_factory=list)  # Completed fraction, message.
 
-    def marked(self, kind: str) -> list[tuple[int, int, dict[str, Any]]]:
-        """Marks of a kind as (first, stop, fields)."""
+    def marks_of(self, kind: str) -> list[tuple[int, int, dict[str, Any]]]:
+        """Return the marks of a kind as (first, stop, fields)."""
         return [(first, stop, fields) for name, first, stop, fields in self.marks if name == kind]
 
     def spring_force(self, first: int, stop: int, frequency: float) -> complex:
-        """Amplitude of the spring force in a window of a steady tone, and its phase from the first sample."""
-        return complex(self.amplitudes(first, stop, frequency) @ self.weights(frequency))
+        """Return the complex amplitude of the spring force in N in a window of a steady tone."""
+        return complex(self.amplitudes(first, stop, frequency) @ self.force_weights(frequency))
 
-    def weights(self, frequency: float) -> ComplexArray:
-        """Weights of the channels in the spring force, computed independently of the product."""
+    def force_weights(self, frequency: float) -> ComplexArray:
+        """Return the spring force in N for a unit amplitude of each channel (channels,)."""
         shaker = self.bench.scene.shaker
         assert shaker is not None and shaker.spring is not None
         places = [channel.at for channel in self.bench.channels]
         weights = np.zeros(len(places), dtype=complex)
         for place, sign in (("table", 1.0), (f"body {shaker.body}", -1.0)):
             row = places.index(place)
-            weights[row] = sign * shaker.spring * self.to_displacement(row, frequency)
+            weights[row] = sign * shaker.spring * self.displacement_factor(row, frequency)
         return weights
 
-    def to_displacement(self, row: int, frequency: float) -> complex:
-        """Factor from a channel's amplitude to the displacement."""
+    def displacement_factor(self, row: int, frequency: float) -> complex:
+        """Return the displacement in m for a unit amplitude of a channel."""
         channel = self.bench.channels[row]
         order = ["displacement", "velocity", "acceleration"].index(channel.quantity)
         return complex(1.0 / channel.response(frequency) / (2j * np.pi * frequency) ** order)
 
     def amplitudes(self, first: int, stop: int, frequency: float) -> ComplexArray:
-        """Complex amplitudes of all channels in a window, by a plain least-squares fit."""
+        """Return the complex amplitudes of all channels in a window, by a least-squares fit of a sine and an offset."""
         time = np.arange(stop - first) / self.bench.rate
         angle = 2 * np.pi * frequency * time
         model = np.stack([np.cos(angle), np.sin(angle), np.ones_like(time)], axis=1)
@@ -66,8 +64,12 @@ class BenchRun:
         return np.asarray(cosine - 1j * sine)
 
 
-def run(scene: rig.Scene, split: int | None = None, excite: Callable[[Station], Excitation] = excitation) -> BenchRun:
-    """Run a scene's test on its bench, or another one, acquiring at most `split` samples at a time."""
+def run(
+    scene: rig.Scene,
+    max_block: int | None = None,
+    make_excitation: Callable[[Station], Excitation] = excitation,
+) -> BenchRun:
+    """Run a scene's test, or another excitation, on its bench; acquire at most `max_block` samples at a time."""
     bench = Bench(scene)
     result = BenchRun(bench)
     station = Station(
@@ -80,17 +82,17 @@ def run(scene: rig.Scene, split: int | None = None, excite: Callable[[Station], 
         warn=result.warnings.append,
     )
     drives, readings = [], []
-    test = excite(station)
+    test = make_excitation(station)
     drive = next(test)
     while True:
-        size = drive.shape[1] if split is None else split
-        parts = [
+        size = drive.shape[1] if max_block is None else max_block
+        blocks = [
             bench.physical(bench.acquire(drive[:, start : start + size]).samples)
             for start in range(0, drive.shape[1], size)
         ]
         station.now += drive.shape[1]
         drives.append(drive)
-        readings.append(np.concatenate(parts, axis=1))
+        readings.append(np.concatenate(blocks, axis=1))
         try:
             drive = test.send(readings[-1])
         except StopIteration:

@@ -1,4 +1,4 @@
-"""The duration and size of a test are known before it begins, and are correct."""
+"""The memory and disk space of a test, estimated before it begins, against those that are used."""
 
 import tracemalloc
 from pathlib import Path
@@ -13,18 +13,16 @@ from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RunError
 
-RATE = 5120.0
+RATE = 5120.0  # Hz
 
 
-def scene_with(channels: int) -> rig.Scene:
-    scene = rig.load("bare-structure")
-    return scene.replace(
-        converter={"rate": RATE}, channels=[{"name": f"c{i}", "at": "body 1"} for i in range(channels)]
-    )
+def scene_with_channels(n_channels: int) -> rig.Scene:
+    channels = [{"name": f"c{i}", "at": "body 1"} for i in range(n_channels)]
+    return rig.load("bare-structure").replace(converter={"rate": RATE}, channels=channels)
 
 
 def test_memory_grows_with_channels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    few, many, too_many = (estimate(scene_with(count)) for count in (10, 2000, 4000))
+    few, many, too_many = (estimate(scene_with_channels(count)) for count in (10, 2000, 4000))
     assert few.memory < 0.4e9
     assert 0.25e6 < (many.memory - few.memory) / 1990 < 0.35e6
     check_resources(many, tmp_path / "a.mcap")
@@ -35,10 +33,10 @@ def test_memory_grows_with_channels(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_recorder_uses_estimated_memory(tmp_path: Path) -> None:
-    count, group = 300, flush_length(RATE)
-    infos = [ChannelInfo(f"c{i}", "body 1", "acceleration", 0.01, RATE) for i in range(count)]
+    n_channels, n_samples = 300, flush_length(RATE)
+    infos = [ChannelInfo(f"c{i}", "body 1", "acceleration", 0.01, RATE) for i in range(n_channels)]
     scene = rig.load("bare-structure").replace(recording={"display": True, "truth": False})
-    samples = np.random.default_rng(0).standard_normal((count, group))
+    samples = np.random.default_rng(0).standard_normal((n_channels, n_samples))
     with Recorder(tmp_path / "a.mcap", scene, infos, RATE) as recorder:
         recorder.write(samples)
         tracemalloc.start()
@@ -48,12 +46,14 @@ def test_recorder_uses_estimated_memory(tmp_path: Path) -> None:
             peak = tracemalloc.get_traced_memory()[1]
         finally:
             tracemalloc.stop()
-    # The groups that begin, of the file and of the display, have room but take no memory yet.
-    begun = 2 * samples.nbytes
-    assert peak - begun < CHANNEL_COPIES * 8.0 * (group + 2 * block_length(RATE)) * count
+    # The next buffers of the file and of the display are allocated, but not used: they take no memory yet.
+    unused_buffers = 2 * samples.nbytes
+    assert peak - unused_buffers < CHANNEL_COPIES * 8.0 * (n_samples + 2 * block_length(RATE)) * n_channels
 
 
 def test_truth_is_part_of_the_estimated_size() -> None:
     scene = rig.load("fig8-three-dampers")
-    sizes = [estimate(scene.replace(recording=scene.recording.replace(truth=truth))).disk for truth in (False, True)]
-    assert sizes[1] > 2.0 * sizes[0]
+    size_without, size_with = (
+        estimate(scene.replace(recording=scene.recording.replace(truth=truth))).disk for truth in (False, True)
+    )
+    assert size_with > 2.0 * size_without

@@ -1,4 +1,4 @@
-"""Limits that end a test if the controller receives no valid signal."""
+"""A test ends if the force controller's inputs are overloaded; the error names a sensor's bias as the cause."""
 
 import pytest
 
@@ -21,7 +21,8 @@ def test_clipped_control_channel_ends_test(tmp_path) -> None:
         assert any(marker.kind == "abort" for marker in recording.markers)
 
 
-HELD = """
+# The bias of these sensors, 9 V, exceeds the range of the converter.
+BIASED = """
 structure: {masses: [0.74 kg, 0.71 kg], springs: [24.3 kN/m, 21.8 kN/m], damping: {modal: 2 %}}
 shaker: {kind: table, body: 1, spring: 6.6 kN/m}
 test: {kind: stepped_sine, frequencies: [45 Hz], force: 3.3 N}
@@ -30,37 +31,37 @@ channels:
   - {name: table, at: table, accelerometer: {preset: PCB 352C33}}
 converter: {rate: 5120 Hz, bits: 24, range: 5 V}
 """
-INTEGRATED = ", integrator: {order: 2, corner: 1 Hz, gain: 1000"
+INTEGRATOR = ", integrator: {order: 2, corner: 1 Hz, gain: 1000"
 
 
 @pytest.mark.parametrize(
-    ("more", "cause"),
+    ("integrator", "cause"),
     [
-        (f"{INTEGRATED}}}", r"overloads it behind its integrator as well. Set bias: 0 V .* low_cutoff of"),
+        (f"{INTEGRATOR}}}", r"overloads it behind its integrator as well. Set bias: 0 V .* low_cutoff of"),
         ("", r"overloads it as well. Set bias: 0 V .* coupling: AC in the converter, or a larger"),
     ],
 )
-def test_bias_overload_is_named_with_remedies(more, cause, tmp_path) -> None:
-    scene = rig.loads(HELD.replace("PCB 352C33}", "PCB 352C33}" + more))
+def test_error_names_bias_and_remedies(integrator, cause, tmp_path) -> None:
+    scene = rig.loads(BIASED.replace("PCB 352C33}", "PCB 352C33}" + integrator))
     with pytest.raises(RunError, match=rf"bias of its sensor, 9 V \(time constant 2 s\), {cause}"):
         daq.record(scene, tmp_path / "biased.mcap")
 
 
 @pytest.mark.parametrize(
-    "cured",
+    "corrected",
     [
-        HELD.replace("PCB 352C33}", "PCB 352C33, bias: 0 V}" + INTEGRATED + "}"),
-        HELD.replace("PCB 352C33}", "PCB 352C33}" + INTEGRATED + ", low_cutoff: 5 Hz}"),
-        HELD.replace("5120 Hz", "5120 Hz, coupling: AC"),
+        BIASED.replace("PCB 352C33}", "PCB 352C33, bias: 0 V}" + INTEGRATOR + "}"),
+        BIASED.replace("PCB 352C33}", "PCB 352C33}" + INTEGRATOR + ", low_cutoff: 5 Hz}"),
+        BIASED.replace("5120 Hz", "5120 Hz, coupling: AC"),
     ],
     ids=["no bias", "low cut-off", "AC coupling"],
 )
-def test_named_remedy_works(cured, tmp_path) -> None:
-    with daq.open(daq.record(rig.loads(cured), tmp_path / "cured.mcap")) as recording:
+def test_named_remedy_works(corrected, tmp_path) -> None:
+    with daq.open(daq.record(rig.loads(corrected), tmp_path / "corrected.mcap")) as recording:
         assert [marker.fields["settled"] for marker in recording.markers if marker.kind == "measure"] == [True]
 
 
-def test_innocent_bias_is_not_named(tmp_path) -> None:
-    scene = rig.loads(HELD.replace("range: 5 V", "range: 5 mV").replace("PCB 352C33}", "PCB 352C33, bias: 1 mV}"))
+def test_error_does_not_name_small_bias(tmp_path) -> None:
+    scene = rig.loads(BIASED.replace("range: 5 V", "range: 5 mV").replace("PCB 352C33}", "PCB 352C33, bias: 1 mV}"))
     with pytest.raises(RunError, match="Choose a lower force, a larger converter range"):
         daq.record(scene, tmp_path / "clipped.mcap")

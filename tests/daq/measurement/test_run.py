@@ -1,4 +1,4 @@
-"""Recording of a whole test: bytes, interruptions, limits, invalid scenes, and the command line."""
+"""Recording of a complete test with `daq.record` and `daq record`: files, limits, interruptions and errors."""
 
 from __future__ import annotations
 
@@ -27,22 +27,26 @@ STEPS = {
 }  # fmt: skip
 
 
-def hit(**changes: Any) -> rig.Scene:
+def hit_scene(**changes: Any) -> rig.Scene:
     return rig.load("fig10b-three-dampers").replace(test=HIT, **changes)
 
 
-def steps(**changes: Any) -> rig.Scene:
+def steps_scene(**changes: Any) -> rig.Scene:
     return rig.load("fig8-three-dampers").replace(test=STEPS, **changes)
 
 
-def limited(**limits: str) -> rig.Scene:
-    """A hit whose channel on body 1 has limits."""
-    return hit(channels=[{"name": "b1", "at": "body 1", **limits}], converter={"rate": "5120 Hz"})
+def limited_scene(**limits: str) -> rig.Scene:
+    """Return a hit on a structure with one channel, on body 1, which has alarm or abort limits."""
+    return hit_scene(channels=[{"name": "b1", "at": "body 1", **limits}], converter={"rate": "5120 Hz"})
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("scene", [hit(), steps(), hit(recording={"truth": True})], ids=["hit", "steps", "truth"])
-def test_block_size_does_not_change_bytes(scene: rig.Scene, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "scene",
+    [hit_scene(), steps_scene(), hit_scene(recording={"truth": True})],
+    ids=["hit", "steps", "truth"],
+)
+def test_block_size_does_not_change_file(scene: rig.Scene, tmp_path: Path) -> None:
     files = [
         daq.record(scene, tmp_path / f"{number}.mcap", block=block).read_bytes()
         for number, block in enumerate((None, 101, None))
@@ -50,8 +54,8 @@ def test_block_size_does_not_change_bytes(scene: rig.Scene, tmp_path: Path) -> N
     assert files[0] == files[1] == files[2]
 
 
-def test_delayed_recording_starts_at_zero(tmp_path: Path) -> None:
-    scene = hit(converter={"rate": "250 Hz", "filter": "delta_sigma", "remove_delay": True})
+def test_recording_with_removed_delay_starts_at_zero(tmp_path: Path) -> None:
+    scene = hit_scene(converter={"rate": "250 Hz", "filter": "delta_sigma", "remove_delay": True})
     scene = scene.replace(test=scene.test.replace(width=0.02))
     with daq.open(daq.record(scene, tmp_path / "slow.mcap")) as recording:
         assert recording.samples > 0 and not recording.gaps
@@ -59,14 +63,14 @@ def test_delayed_recording_starts_at_zero(tmp_path: Path) -> None:
 
 
 def test_other_seed_gives_other_noise(tmp_path: Path) -> None:
-    one, two = (daq.record(hit(seed=seed), tmp_path / f"{seed}.mcap") for seed in (1, 2))
-    with daq.open(one) as first, daq.open(two) as second:
+    paths = [daq.record(hit_scene(seed=seed), tmp_path / f"{seed}.mcap") for seed in (1, 2)]
+    with daq.open(paths[0]) as first, daq.open(paths[1]) as second:
         assert not np.array_equal(first.read("body1"), second.read("body1"))
 
 
 def test_markers_state_every_point(tmp_path: Path) -> None:
-    reported: list[tuple[float, str]] = []
-    path = daq.record(steps(), tmp_path / "new" / "s.mcap", progress=lambda part, text: reported.append((part, text)))
+    reports: list[tuple[float, str]] = []
+    path = daq.record(steps_scene(), tmp_path / "new" / "s.mcap", progress=lambda *report: reports.append(report))
     with daq.open(path) as rec:
         points = [mark for mark in rec.markers if mark.kind == "measure"]
         assert [mark.fields["frequency"] for mark in points] == [48.0, 49.6]
@@ -76,17 +80,17 @@ def test_markers_state_every_point(tmp_path: Path) -> None:
             assert mark.fields["settled"] and mark.fields["force"] == pytest.approx(2.6, rel=0.02)
             assert mark.fields["drive"] > 0
         assert rec.samples > points[-1].last_sample
-        assert rec.scene == steps()
-    assert [part for part, _ in reported] == [0.0, 0.5, 1.0]
+        assert rec.scene == steps_scene()
+    assert [fraction for fraction, _ in reports] == [0.0, 0.5, 1.0]
 
 
 def test_existing_file_needs_overwrite(tmp_path: Path) -> None:
-    path = daq.record(hit(), tmp_path / "a.mcap")
+    path = daq.record(hit_scene(), tmp_path / "a.mcap")
     before = path.read_bytes()
     with pytest.raises(RecordingError, match="exists"):
-        daq.record(steps(), path)
+        daq.record(steps_scene(), path)
     assert path.read_bytes() == before
-    daq.record(steps(), path, overwrite=True)
+    daq.record(steps_scene(), path, overwrite=True)
     assert path.read_bytes() != before
 
 
@@ -106,13 +110,13 @@ def test_impossible_test_leaves_no_file(name: str, changes: dict[str, Any], mess
 
 def test_empty_block_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="block: got 0 "):
-        daq.record(hit(), tmp_path / "a.mcap", block=0)
+        daq.record(hit_scene(), tmp_path / "a.mcap", block=0)
 
 
 def test_exceeded_abort_limit_closes_recording(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with pytest.raises(RunError, match=r"channel b1: .* exceeds its abort limit of 20 m/s\^2\. .* contains the"):
-        daq.record(limited(abort="20 m/s^2"), path)
+        daq.record(limited_scene(abort="20 m/s^2"), path)
     with daq.open(path) as rec:
         # The hit is after 0.25 s; the running block of 0.1 s is completed.
         assert 0.25 * rec.rate < rec.samples < 0.45 * rec.rate
@@ -120,9 +124,9 @@ def test_exceeded_abort_limit_closes_recording(tmp_path: Path) -> None:
         abort = rec.markers[-1]
         assert abort.kind == "abort"
         assert "abort limit" in abort.fields["reason"]
-        # The marker is at the sample that broke the limit, as an alarm's is.
-        beyond = np.flatnonzero(np.abs(rec.read("b1")) > 20.0)
-        assert (abort.first_sample, abort.last_sample) == (beyond[0], beyond[0])
+        # The marker is at the first sample above the limit.
+        exceeding = np.flatnonzero(np.abs(rec.read("b1")) > 20.0)
+        assert (abort.first_sample, abort.last_sample) == (exceeding[0], exceeding[0])
 
 
 def test_abort_ramps_shaker_down(tmp_path: Path) -> None:
@@ -136,7 +140,7 @@ def test_abort_ramps_shaker_down(tmp_path: Path) -> None:
         table = rec.read("t")
         abort = rec.markers[-1]
         assert abort.first_sample == np.flatnonzero(np.abs(rec.read("b1")) > 5.0)[0]
-        # A table that stopped at once would give hundreds of m/s^2.
+        # A table that stopped at once would have an acceleration of hundreds of m/s^2.
         assert np.abs(table[-512:]).max() < 20.0
 
 
@@ -144,70 +148,68 @@ def test_block_size_does_not_change_abort(tmp_path: Path) -> None:
     files = []
     for block in (None, 61):
         with pytest.raises(RunError):
-            daq.record(limited(abort="20 m/s^2"), tmp_path / "a.mcap", block=block, overwrite=True)
+            daq.record(limited_scene(abort="20 m/s^2"), tmp_path / "a.mcap", block=block, overwrite=True)
         files.append((tmp_path / "a.mcap").read_bytes())
     assert files[0] == files[1]
 
 
 def test_alarm_limit_marks_and_continues(tmp_path: Path) -> None:
-    path = daq.record(limited(alarm="20 m/s^2"), tmp_path / "a.mcap")
+    path = daq.record(limited_scene(alarm="20 m/s^2"), tmp_path / "a.mcap")
     with daq.open(path) as rec:
         alarms = [mark for mark in rec.markers if mark.kind == "alarm"]
-        beyond = np.flatnonzero(np.abs(rec.read("b1")) > 20.0)
+        exceeding = np.flatnonzero(np.abs(rec.read("b1")) > 20.0)
         assert len(alarms) == 1
-        assert (alarms[0].first_sample, alarms[0].last_sample) == (beyond[0], beyond[-1])
+        assert (alarms[0].first_sample, alarms[0].last_sample) == (exceeding[0], exceeding[-1])
         assert alarms[0].fields["channel"] == "b1"
 
 
-def test_overload_stretch_is_marked(tmp_path: Path) -> None:
-    scene = limited().replace(converter={"rate": "5120 Hz", "bits": 16, "range": "10 V"})
+def test_overloaded_samples_are_marked(tmp_path: Path) -> None:
+    scene = limited_scene().replace(converter={"rate": "5120 Hz", "bits": 16, "range": "10 V"})
     path = daq.record(scene, tmp_path / "a.mcap")
     with daq.open(path) as rec:
         marks = [mark for mark in rec.markers if mark.kind == "overload"]
-        full = np.flatnonzero(np.abs(rec.read("b1")) >= 10.0 - 20.0 / 2**16)
-        assert marks[0].first_sample == full[0]
-        assert marks[-1].last_sample == full[-1]
+        at_full_scale = np.flatnonzero(np.abs(rec.read("b1")) >= 10.0 - 20.0 / 2**16)
+        assert marks[0].first_sample == at_full_scale[0]
+        assert marks[-1].last_sample == at_full_scale[-1]
 
 
-def test_lost_blocks_leave_gap(tmp_path: Path) -> None:
+def test_lost_blocks_leave_gaps(tmp_path: Path) -> None:
     lost = [{"at": "0.1 s", "samples": 300}, {"at": "0.7 s", "samples": 10_000}]
     converter = {"rate": "5120 Hz", "bits": 24, "range": "5 V"}
-    whole = daq.record(hit(converter=converter), tmp_path / "whole.mcap")
+    whole = daq.record(hit_scene(converter=converter), tmp_path / "whole.mcap")
     files = [
-        daq.record(hit(converter=converter | {"dropped_blocks": lost}), tmp_path / f"{block}.mcap", block=block)
+        daq.record(hit_scene(converter=converter | {"dropped_blocks": lost}), tmp_path / f"{block}.mcap", block=block)
         for block in (None, 100)
     ]
     assert files[0].read_bytes() == files[1].read_bytes()
     with daq.open(whole) as expected, daq.open(files[0]) as rec:
         readings = rec.read("body2")
         assert np.all(np.isnan(readings[512:812]))
-        kept = np.r_[0:512, 812:3584]
-        np.testing.assert_array_equal(readings[kept], expected.read("body2")[kept])
+        acquired = np.r_[0:512, 812:3584]
+        np.testing.assert_array_equal(readings[acquired], expected.read("body2")[acquired])
         assert (rec.gaps[0].first_sample, rec.gaps[0].last_sample) == (512, 811)
         assert rec.gaps[1].first_sample == 3584
 
 
 def test_removed_delay_keeps_times(tmp_path: Path) -> None:
-    plain = {"rate": "5120 Hz"}
     channels = [{"name": "b1", "at": "body 1", "integrator": {"order": 2}}]
-    shape = {"test": {**HIT, "width": "8 ms"}, "channels": channels}
-    scenes = [
-        rig.load("fig10b-no-damper").replace(**shape, converter=plain | more)
-        for more in ({}, {"filter": "delta_sigma", "remove_delay": True})
-    ]
-    paths = [daq.record(scene, tmp_path / f"{number}.mcap") for number, scene in enumerate(scenes)]
-    with daq.open(paths[0]) as direct, daq.open(paths[1]) as filtered:
-        assert direct.samples == filtered.samples
-        one, two = direct.read("b1"), filtered.read("b1")
-        assert np.abs(one - two).max() < 1e-3 * np.abs(one).max()
+    scene = rig.load("fig10b-no-damper").replace(test={**HIT, "width": "8 ms"}, channels=channels)
+    delta_sigma = {"rate": "5120 Hz", "filter": "delta_sigma", "remove_delay": True}
+    with (
+        daq.open(daq.record(scene.replace(converter={"rate": "5120 Hz"}), tmp_path / "ideal.mcap")) as ideal,
+        daq.open(daq.record(scene.replace(converter=delta_sigma), tmp_path / "filtered.mcap")) as filtered,
+    ):
+        assert ideal.samples == filtered.samples
+        expected = ideal.read("b1")
+        assert np.abs(filtered.read("b1") - expected).max() < 1e-3 * np.abs(expected).max()
 
 
 def interrupt_after(calls: int) -> Any:
-    """A progress callback that presses Ctrl-C."""
-    count = iter(range(calls))
+    """Return a progress callback that presses Ctrl-C after this number of calls."""
+    remaining_calls = iter(range(calls))
 
     def progress(fraction: float, message: str) -> None:
-        if next(count, None) is None:
+        if next(remaining_calls, None) is None:
             os.kill(os.getpid(), signal.SIGINT)
 
     return progress
@@ -216,7 +218,7 @@ def interrupt_after(calls: int) -> Any:
 def test_ctrl_c_leaves_readable_recording(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with pytest.raises(KeyboardInterrupt, match=r"a\.mcap contains the \d\.\d\d s until then"):
-        daq.record(hit(), path, progress=interrupt_after(2))
+        daq.record(hit_scene(), path, progress=interrupt_after(2))
     with daq.open(path) as rec:
         assert 0.3 * rec.rate < rec.samples < 0.75 * rec.rate
         assert [mark.kind for mark in rec.markers][-1] == "abort"
@@ -228,33 +230,33 @@ def test_ctrl_c_leaves_readable_recording(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("moment", "status"), [("__enter__", "interrupted"), ("close", "complete")])
-def test_ctrl_c_during_opening_keeps_file_whole(
+def test_ctrl_c_at_start_or_end_keeps_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str, status: str
 ) -> None:
     original = getattr(Recorder, moment)
 
-    def interrupted(*given: Any) -> Any:
+    def interrupt(*arguments: Any) -> Any:
         signal.raise_signal(signal.SIGINT)
-        return original(*given)
+        return original(*arguments)
 
-    monkeypatch.setattr(Recorder, moment, interrupted)
+    monkeypatch.setattr(Recorder, moment, interrupt)
     path = tmp_path / "a.mcap"
     with pytest.raises(KeyboardInterrupt, match=r"a\.mcap contains the \d\.\d\d s until then"):
-        daq.record(hit(), path)
+        daq.record(hit_scene(), path)
     with daq.open(path) as rec:
         rec.check()
         assert rec.status == status
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_forbidden_folder_is_named_in_a_line(
+def test_error_names_write_protected_folder(
     scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def refuse(*ignored: Any, **ignored_too: Any) -> None:
+    def fail(*_: Any, **__: Any) -> None:
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.chdir(scene_file.parent)
-    monkeypatch.setattr(Path, "mkdir", refuse)
+    monkeypatch.setattr(Path, "mkdir", fail)
     assert run_command(monkeypatch, "record", "hit.yaml") == 2
     *_, message = capsys.readouterr().err.splitlines()
     folder = scene_file.parent / "recordings"
@@ -264,62 +266,62 @@ def test_forbidden_folder_is_named_in_a_line(
 def test_file_instead_of_folder_is_reported(tmp_path: Path) -> None:
     (tmp_path / "new").write_text("a file")
     with pytest.raises(RecordingError, match=r"cannot make the folder .*new"):
-        daq.record(hit(), tmp_path / "new" / "a.mcap")
+        daq.record(hit_scene(), tmp_path / "new" / "a.mcap")
 
 
-def test_read_only_folder_is_not_called_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Content of /proc.
-    def refuse(*ignored: Any, **ignored_too: Any) -> None:
+def test_folder_without_new_files_is_not_reported_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # As in /proc.
+    def fail(*_: Any, **__: Any) -> None:
         raise FileNotFoundError(2, "No such file or directory")
 
-    scene = hit()
-    monkeypatch.setattr(Path, "open", refuse)
+    scene = hit_scene()
+    monkeypatch.setattr(Path, "open", fail)
     with pytest.raises(RecordingError, match=f"the folder {tmp_path} accepts no new files"):
         daq.record(scene, tmp_path / "a.mcap")
 
 
 def test_full_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usage = shutil.disk_usage(tmp_path)
-    free = iter([usage.free])
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=next(free, 1 << 20)))
-    with pytest.raises(RunError, match="disk is full") as full:
-        daq.record(hit().replace(test={**HIT, "interval": "2 s"}), tmp_path / "a.mcap")
+    free_before_test = iter([usage.free])
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=next(free_before_test, 1 << 20)))
+    with pytest.raises(RunError, match="disk is full") as error:
+        daq.record(hit_scene().replace(test={**HIT, "interval": "2 s"}), tmp_path / "a.mcap")
     with daq.open(tmp_path / "a.mcap") as rec:
-        assert str(full.value).count("contains") == 1
-        assert f"contains the first {rec.samples / rec.rate:.2f} s" in str(full.value)
+        assert str(error.value).count("contains") == 1
+        assert f"contains the first {rec.samples / rec.rate:.2f} s" in str(error.value)
         assert rec.status == "failed"
         assert "disk is full" in rec.metadata["outcome"]["reason"]
 
 
 def test_progress_warns_of_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    usage, expected_text = shutil.disk_usage(tmp_path), []
+    usage, messages = shutil.disk_usage(tmp_path), []
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=(1 << 20) + 60_000))
-    scene = hit().replace(test={**HIT, "repeats": 20})
+    scene = hit_scene().replace(test={**HIT, "repeats": 20})
     with pytest.raises(RunError, match="disk is full"):
-        daq.record(scene, tmp_path / "a.mcap", progress=lambda _, message: expected_text.append(message))
-    assert any("the disk will be full before the end" in message for message in expected_text)
+        daq.record(scene, tmp_path / "a.mcap", progress=lambda _, message: messages.append(message))
+    assert any("the disk will be full before the end" in message for message in messages)
 
 
-def test_nothing_begins_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_test_is_not_started_on_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1 << 19))
     with pytest.raises(SceneError, match=r"has 0\.5 MB left"):
-        daq.record(hit(), tmp_path / "a.mcap")
+        daq.record(hit_scene(), tmp_path / "a.mcap")
     assert not list(tmp_path.iterdir())
 
 
 def run_command(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    """Exit code of the daq command."""
+    """Run the daq command; return its exit code."""
     monkeypatch.setattr(sys, "argv", ["daq", *arguments])
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit) as exit_request:
         main()
-    return int(ended.value.code or 0)
+    return int(exit_request.value.code or 0)
 
 
 @pytest.fixture
 def scene_file(tmp_path: Path) -> Path:
     path = tmp_path / "hit.yaml"
-    path.write_text(hit().to_yaml())
+    path.write_text(hit_scene().to_yaml())
     return path
 
 
@@ -342,25 +344,23 @@ def test_several_scenes_have_own_files(
     scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = scene_file.parent
-    (folder / "other.yaml").write_text(steps().to_yaml())
-    scenes, to = [str(scene_file), str(folder / "other.yaml")], ["-o", str(folder)]
-    assert run_command(monkeypatch, "record", *scenes, *to, "--set", "seed=7") == 0
+    (folder / "other.yaml").write_text(steps_scene().to_yaml())
+    scenes, output = [str(scene_file), str(folder / "other.yaml")], ["-o", str(folder)]
+    assert run_command(monkeypatch, "record", *scenes, *output, "--set", "seed=7") == 0
     for name, commands in (("hit", ["decay", "frf", "modes"]), ("other", ["frf", "modes", "dampers"])):
         path = folder / f"{name}.mcap"
         with daq.open(path) as recording:
             assert recording.scene.seed == 7
         capsys.readouterr()
         assert run_command(monkeypatch, "info", str(path)) == 0
-        message = capsys.readouterr().out.splitlines()[-len(commands) - 1 :]
-        assert [line.split()[-3:] for line in message[:-1]] == [
-            ["analysis", command, str(path)] for command in commands
-        ]
-    assert run_command(monkeypatch, "record", *scenes, *to) == 2
-    assert run_command(monkeypatch, "record", scenes[0], scenes[0], *to, "--overwrite") == 2
+        next_steps = capsys.readouterr().out.splitlines()[-len(commands) - 1 : -1]
+        assert [line.split()[-3:] for line in next_steps] == [["analysis", command, str(path)] for command in commands]
+    assert run_command(monkeypatch, "record", *scenes, *output) == 2
+    assert run_command(monkeypatch, "record", scenes[0], scenes[0], *output, "--overwrite") == 2
 
 
 @pytest.mark.parametrize("command", ["record", "scope"])
-def test_impossible_name_is_reported_in_a_line(
+def test_too_long_name_is_reported(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name = tmp_path / f"{'a' * 300}.mcap"
@@ -382,9 +382,9 @@ def test_missing_scene_exits_with_2(
 def test_abort_exits_with_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "a.yaml").write_text(limited(abort="20 m/s^2").to_yaml())
-    words = ["record", "--anyway", str(tmp_path / "a.yaml"), "-o", str(tmp_path / "a.mcap")]
-    assert run_command(monkeypatch, *words) == 1
+    (tmp_path / "a.yaml").write_text(limited_scene(abort="20 m/s^2").to_yaml())
+    arguments = ["record", "--anyway", str(tmp_path / "a.yaml"), "-o", str(tmp_path / "a.mcap")]
+    assert run_command(monkeypatch, *arguments) == 1
     assert "a.mcap contains the" in capsys.readouterr().err
 
 
@@ -396,15 +396,15 @@ def test_ctrl_c_exits_with_130(
     import daq.measurement.run_report
 
     @contextmanager
-    def pressing(title: str) -> Any:
+    def progress_with_interrupt(title: str) -> Any:
         yield interrupt_after(2)
 
-    monkeypatch.setattr(daq.measurement.run_report, "progress", pressing)
+    monkeypatch.setattr(daq.measurement.run_report, "progress", progress_with_interrupt)
     output = scene_file.with_suffix(".mcap")
     assert run_command(monkeypatch, "record", str(scene_file), "-o", str(output)) == 130
-    reported = capsys.readouterr()
-    assert "interrupted" in reported.err
-    assert f"{output}: " in reported.out and "aborted: interrupted" in reported.out
+    printed = capsys.readouterr()
+    assert "interrupted" in printed.err
+    assert f"{output}: " in printed.out and "aborted: interrupted" in printed.out
 
 
 def test_unsettled_steps_are_counted(
@@ -415,29 +415,29 @@ def test_unsettled_steps_are_counted(
     )
     (tmp_path / "a.yaml").write_text(scene.to_yaml())
     assert run_command(monkeypatch, "record", str(tmp_path / "a.yaml"), "-o", str(tmp_path / "a.mcap")) == 0
-    reported = capsys.readouterr()
-    assert "warning: 1 of 1 steps did not reach the steady state" in reported.err
-    assert "not settled: 1 of 1 measurements" in reported.out
+    printed = capsys.readouterr()
+    assert "warning: 1 of 1 steps did not reach the steady state" in printed.err
+    assert "not settled: 1 of 1 measurements" in printed.out
 
 
 @pytest.mark.parametrize("size", [1, 3, 50])
-def test_block_size_does_not_change_stretches(size: int) -> None:
+def test_block_size_does_not_change_flagged_intervals(size: int) -> None:
     info = [ChannelInfo(name, "body 1", "acceleration", sensitivity=1.0, rate=10.0) for name in ("a", "b")]
     flags = np.zeros((2, 50), dtype=bool)
     flags[0, [3, 5, 9, 20, 21]] = True
     flags[1, 48] = True
-    noted: list[tuple[Any, ...]] = []
-    intervals = FlaggedIntervals("overload", info, lambda *args, **fields: noted.append((*args, fields["channel"])))
+    marks: list[tuple[Any, ...]] = []
+    intervals = FlaggedIntervals("overload", info, lambda *mark, **fields: marks.append((*mark, fields["channel"])))
     for start in range(0, 50, size):
         intervals.add(start, flags[:, start : start + size])
     intervals.close()
     expected = [("overload", 3, 10, "a"), ("overload", 20, 22, "a"), ("overload", 48, 49, "b")]
-    assert sorted(noted, key=lambda note: note[1]) == expected
+    assert sorted(marks, key=lambda mark: mark[1]) == expected
 
 
 @pytest.mark.filterwarnings("ignore::daq.RunWarning")
-@pytest.mark.parametrize(("contact", "reported"), [("", True), (", contact: {duration: 2 ms}", False)])
-def test_instant_contact_overload_names_remedy(contact: str, reported: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("contact", "is_reported"), [("", True), (", contact: {duration: 2 ms}", False)])
+def test_overload_of_instant_contacts_names_remedy(contact: str, is_reported: bool, tmp_path: Path) -> None:
     scene = rig.loads(f"""
 structure: {{masses: [1 kg], springs: [40 kN/m], damping: {{modal: 1 %}}}}
 dampers: [{{body: 1, mass_ratio: 10 %, clearance: 1 mm{contact}}}]
@@ -448,4 +448,4 @@ channels:
   - {{name: force, at: shaker, hammer: {{sensitivity: 10 mV/N}}}}
 """)
     daq.record(scene, tmp_path / "r.mcap")
-    assert ("zero duration" in summary(tmp_path / "r.mcap")) is reported
+    assert ("zero duration" in summary(tmp_path / "r.mcap")) is is_reported

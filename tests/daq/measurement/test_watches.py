@@ -1,4 +1,7 @@
-"""Overload and alarm markers, and the abort that they cause, against a check of every sample."""
+"""Overload and alarm markers, aborts, and the end of a test without valid inputs, against a check of every sample.
+
+In the scene, channels t and a have abort limits of 5 and 4 m/s^2, and channels t and b alarm limits of 3 and 2 m/s^2.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ import rig
 from daq.measurement.limits import ControlLoss, FlaggedIntervals, Limits
 from daq.signal_chain.channel import ChannelInfo
 
-RATE = 8.0
+RATE = 8.0  # Hz
 INFOS = [
     ChannelInfo(name, at, "acceleration", 1.0, RATE) for name, at in (("t", "table"), ("a", "body 1"), ("b", "body 2"))
 ]
@@ -26,7 +29,7 @@ channels:
 """
 
 
-def scene(shaker="table, body: 1, spring: 6 kN/m", level="force: 1 N"):
+def make_scene(shaker="table, body: 1, spring: 6 kN/m", level="force: 1 N"):
     return rig.loads(SCENE.format(shaker=shaker, level=level), where="a test")
 
 
@@ -37,35 +40,35 @@ def in_blocks(cuts, values):
         first += block.shape[1]
 
 
-def stretches_of(flags):
-    """FlaggedIntervals of flagged samples less than half a second apart, as (first, stop)."""
-    result = []
+def flagged_intervals_of(flags):
+    """Return the intervals (first, stop) of flagged samples; gaps shorter than half a second do not divide them."""
+    intervals = []
     for sample in np.flatnonzero(flags).tolist():
-        if result and sample - result[-1][1] < 0.5 * RATE:
-            result[-1] = (result[-1][0], sample + 1)
+        if intervals and sample - intervals[-1][1] < 0.5 * RATE:
+            intervals[-1] = (intervals[-1][0], sample + 1)
         else:
-            result.append((sample, sample + 1))
-    return result
+            intervals.append((sample, sample + 1))
+    return intervals
 
 
 @given(
     flags=st.lists(st.lists(st.booleans(), min_size=40, max_size=40), min_size=3, max_size=3),
-    thin=st.integers(1, 7),
+    flag_spacing=st.integers(1, 7),
     cuts=st.lists(st.integers(0, 40), max_size=5).map(sorted),
 )
-def test_overload_stretch_is_marked_once(flags, thin, cuts):
-    flags = np.array(flags) & (np.arange(40) % thin == 0)
+def test_interval_of_overloads_is_marked_once(flags, flag_spacing, cuts):
+    flags = np.array(flags) & (np.arange(40) % flag_spacing == 0)
     marked = {info.name: [] for info in INFOS}
     intervals = FlaggedIntervals("overload", INFOS, lambda kind, *span, channel: marked[channel].append(span))
     for first, block in in_blocks(cuts, flags):
         intervals.add(first, block)
     intervals.close()
-    assert marked == {info.name: stretches_of(row) for info, row in zip(INFOS, flags, strict=True)}
+    assert marked == {info.name: flagged_intervals_of(row) for info, row in zip(INFOS, flags, strict=True)}
 
 
-def test_finished_stretch_is_marked_early():
+def test_interval_is_marked_half_a_second_later():
     marked = []
-    intervals = FlaggedIntervals("alarm", INFOS[:1], lambda *what, channel: marked.append((*what, channel)))
+    intervals = FlaggedIntervals("alarm", INFOS[:1], lambda *mark, channel: marked.append((*mark, channel)))
     intervals.add(100, np.array([[False, True, True]]))
     intervals.add(103, np.zeros((1, 3), dtype=bool))
     assert not marked
@@ -75,23 +78,23 @@ def test_finished_stretch_is_marked_early():
     assert len(marked) == 1
 
 
-def test_adjacent_samples_form_an_interval():
-    slow, marked = ChannelInfo("s", "body 1", "acceleration", 1.0, 0.5), []
-    intervals = FlaggedIntervals("overload", [slow], lambda kind, *span, channel: marked.append(span))
+def test_gap_at_slow_rate_divides_intervals():
+    slow_channel, marked = ChannelInfo("s", "body 1", "acceleration", 1.0, 0.5), []
+    intervals = FlaggedIntervals("overload", [slow_channel], lambda kind, *span, channel: marked.append(span))
     intervals.add(0, np.array([[True, True, False, True]]))
     intervals.add(4, np.array([[True, False]]))
     assert marked == [(0, 2), (3, 5)]
 
 
 @given(st.lists(st.lists(st.integers(-6, 6).map(float), min_size=12, max_size=12), min_size=3, max_size=3))
-def test_first_reading_over_limit_trips(readings):
+def test_first_reading_above_limit_aborts(readings):
     readings, marked = np.array(readings), []
-    limits = Limits(scene(), INFOS, lambda kind, *span, channel: marked.append((kind, channel, *span)))
+    limits = Limits(make_scene(), INFOS, lambda kind, *span, channel: marked.append((kind, channel, *span)))
     trip = limits.watch(1000, readings)
     limits.close()
-    beyond = [(k, row) for k in range(12) for row in (0, 1) if abs(readings[row, k]) > (5.0, 4.0)[row]]
-    if beyond:
-        sample, row = beyond[0]
+    exceeding = [(k, row) for k in range(12) for row in (0, 1) if abs(readings[row, k]) > (5.0, 4.0)[row]]
+    if exceeding:
+        sample, row = exceeding[0]
         assert (trip.sample, trip.channel, trip.value) == (1000 + sample, INFOS[row], readings[row, sample])
         assert trip.limit == (5.0, 4.0)[row]
         assert f"channel {'ta'[row]}: {readings[row, sample]:.4g} m/s^2 at {125 + sample / 8:.3f} s" in str(trip)
@@ -100,14 +103,13 @@ def test_first_reading_over_limit_trips(readings):
     expected = [
         ("alarm", INFOS[row].name, 1000 + first, 1000 + stop)
         for row, limit in ((0, 3.0), (2, 2.0))
-        for first, stop in stretches_of(abs(readings[row]) > limit)
+        for first, stop in flagged_intervals_of(abs(readings[row]) > limit)
     ]
     assert sorted(marked) == sorted(expected)
 
 
-def test_missing_limits_watch_nothing():
-    without = scene().replace(channels=None)
-    limits = Limits(without, INFOS, lambda *_, **__: pytest.fail("a mark"))
+def test_channels_without_limits_are_not_monitored():
+    limits = Limits(make_scene().replace(channels=None), INFOS, lambda *_, **__: pytest.fail("a mark"))
     assert not limits.has_limits
     assert limits.watch(0, np.full((3, 4), 1e9)) is None
 
@@ -121,35 +123,35 @@ def test_missing_limits_watch_nothing():
     ],
 )
 def test_long_overload_ends_controlled_test(changes, rows, monkeypatch):
-    held, asked = scene(**changes), []
-    monkeypatch.setattr("daq.measurement.limits.bias_overload", lambda *question: asked.append(question))
+    scene, calls = make_scene(**changes), []
+    monkeypatch.setattr("daq.measurement.limits.bias_overload", lambda *arguments: calls.append(arguments))
     for row, info in enumerate(INFOS):
         clipped, clean = np.zeros((2, 3, 4), dtype=bool)
         clipped[row, 2] = True
-        loss = ControlLoss(held, INFOS)
-        # More than a second without a pause: after 4 + 4 samples it is just one.
-        message = [loss.watch(first, clipped) for first in (16, 20, 24)]
-        assert message[:2] == [None, None]
-        assert (message[2] is not None) == (row in rows)
+        loss = ControlLoss(scene, INFOS)
+        # The limit is more than one second; two blocks of 4 samples are exactly one second.
+        messages = [loss.watch(first, clipped) for first in (16, 20, 24)]
+        assert messages[:2] == [None, None]
+        assert (messages[2] is not None) == (row in rows)
         if row in rows:
-            assert f"input {info.name}: overloaded since 2.00 s" in message[2]
-            assert asked.pop() == (held, row, 3.5)
+            assert f"input {info.name}: overloaded since 2.00 s" in messages[2]
+            assert calls.pop() == (scene, row, 3.5)
             # If several channels are clipped, the first is reported.
             clipped[sorted(rows)] = True
             loss.watch(40, clean)
-            message = [loss.watch(first, clipped) for first in (44, 52, 60)]
-            assert INFOS[min(rows)].name in message[2] and asked.pop()[1] == min(rows)
+            messages = [loss.watch(first, clipped) for first in (44, 52, 60)]
+            assert INFOS[min(rows)].name in messages[2] and calls.pop()[1] == min(rows)
             assert loss.watch(28, clean) is None
             assert [loss.watch(first, clipped) for first in (32, 36)] == [None, None]
 
 
 @pytest.mark.parametrize(("limits", "expected"), [("", False), (", alarm: 3", True), (", abort: 3", True)])
-def test_alarms_and_aborts_work_alone(limits, expected):
+def test_alarm_and_abort_limits_are_independent(limits, expected):
     text = f"structure: {{masses: [1 kg], springs: [4 kN/m]}}\nchannels: [{{name: a, at: body 1{limits}}}]\n"
     marks = []
-    watch = Limits(rig.loads(text), INFOS[1:2], lambda *mark, **fields: marks.append(mark))
-    assert watch.has_limits == expected
-    trip = watch.watch(0, np.array([[1.0, 4.0, 1.0]]))
-    watch.close()
+    monitor = Limits(rig.loads(text), INFOS[1:2], lambda *mark, **fields: marks.append(mark))
+    assert monitor.has_limits == expected
+    trip = monitor.watch(0, np.array([[1.0, 4.0, 1.0]]))
+    monitor.close()
     assert (trip is not None) == ("abort" in limits)
     assert marks == ([("alarm", 1, 2)] if "alarm" in limits else [])

@@ -13,14 +13,15 @@ from daq.recording import committed_file
 from daq.recording.recorder import Recorder
 from daq.recording.recovery import recover
 from rig.errors import RecordingError, RunError
-from tests.daq.recording.recordings import GROUP, RATE, channels, scene, signal, write
+from tests.daq.recording.recordings import FLUSH_LENGTH, RATE, make_scene, random_volts, two_channels, write_recording
 
-OLD, NEW = signal(GROUP, seed=1), signal(2 * GROUP, seed=2)
+# Volts of two channels.
+OLD, NEW = random_volts(FLUSH_LENGTH, seed=1), random_volts(2 * FLUSH_LENGTH, seed=2)
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    return write(tmp_path / "run.mcap", OLD)
+    return write_recording(tmp_path / "run.mcap", OLD)
 
 
 def volts(path: Path) -> np.ndarray:
@@ -34,21 +35,21 @@ def names(path: Path) -> list[str]:
 
 
 def recorder(path: Path, overwrite: bool = True) -> Recorder:
-    return Recorder(path, scene(), channels(), RATE, overwrite=overwrite)
+    return Recorder(path, make_scene(), two_channels(), RATE, overwrite=overwrite)
 
 
 def test_killed_replacement_leaves_both_recordings(path: Path) -> None:
-    # A process that is killed closes nothing; here nothing is closed either.
-    cut_off = recorder(path)
-    cut_off.write(NEW)
+    # Never closed, as by a process that is killed.
+    killed_recorder = recorder(path)
+    killed_recorder.write(NEW)
     assert np.allclose(volts(path), OLD, rtol=1e-15)
     fixed = path.with_name("fixed.mcap")
     recover(path.with_name("run.mcap.part"), fixed)
     assert np.allclose(volts(fixed), NEW, rtol=1e-15)
-    cut_off._disk.close()
+    killed_recorder._disk.close()
     with recorder(path) as another:
-        another.write(NEW[:, :GROUP])
-    assert np.allclose(volts(path), NEW[:, :GROUP], rtol=1e-15)
+        another.write(NEW[:, :FLUSH_LENGTH])
+    assert np.allclose(volts(path), NEW[:, :FLUSH_LENGTH], rtol=1e-15)
     assert path.with_name("run.mcap.part").exists() and not path.with_name("run.mcap.part2").exists()
 
 
@@ -93,13 +94,13 @@ def test_device_is_rejected_as_target(path: Path) -> None:
     assert Path(os.devnull).is_char_device()
 
 
-def test_recovered_file_survives_a_taken_name(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    target = write(path.with_name("fixed.mcap"), OLD)
+def test_recovered_file_is_kept_if_renaming_fails(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    target = write_recording(path.with_name("fixed.mcap"), OLD)
 
-    def taken(self: Path, other: Path) -> Path:
+    def fail(self: Path, other: Path) -> Path:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(Path, "replace", taken)
+    monkeypatch.setattr(Path, "replace", fail)
     with pytest.raises(RunError, match=r"Use the new recording .*fixed\.mcap\.part"):
         recover(path, target, overwrite=True)
     assert np.allclose(volts(path.with_name("fixed.mcap.part")), OLD, rtol=1e-15)

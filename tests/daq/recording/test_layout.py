@@ -1,3 +1,5 @@
+"""Encoding of a recording: times, sample blocks, display messages, markers and events."""
+
 import json
 import struct
 
@@ -26,7 +28,7 @@ def test_blocks_have_about_a_tenth_of_a_second(rate):
 
 
 @given(sample=st.integers(0, 2**50), rate=st.sampled_from([5120.0, 51200.0 / 31, 51200.0, 44100.0]))
-def test_time_of_a_sample_leads_back_to_it(sample, rate):
+def test_sample_number_follows_from_its_time(sample, rate):
     clock = Timebase(rate, start_ns=1_700_000_000_000_000_000)
     time = clock.time_ns(sample)
     if time < 2**64:
@@ -67,7 +69,7 @@ def test_blocks_agree_with_protobuf(schema, first, count):
 
 
 @pytest.mark.parametrize("schema", SAMPLE_TYPE)
-def test_block_with_zero_fields_left_out_is_decoded(schema):
+def test_block_with_omitted_zero_fields_is_decoded(schema):
     message = message_class(block_schema(schema).data, schema)(sample_rate_hz=100.0, samples=[1, 2, 3])
     block = decode(memoryview(message.SerializeToString()), schema)
     assert (block.t0_ns, block.first_sample, block.rate, block.stop) == (0, 0, 100.0, 3)
@@ -118,7 +120,7 @@ def test_protobuf_schema_describes_its_message(schema):
     assert all(f.name != "timestamp" for file in files for m in file.message_type if "Block" in m.name for f in m.field)
 
 
-def test_number_is_encoded_for_ros_readers():
+def test_number_is_encoded_as_ros_expects():
     data = encode_floats(np.array([[0.0, 1.0], [-2.5, 3.0]]))[1, 0].tobytes()
     assert data[:4] == b"\x00\x01\x00\x00"
     assert struct.unpack_from("<III", data, 4) == (0, 0, 1)

@@ -1,4 +1,4 @@
-"""The kind of a recorded test, stated or deduced from the markers, and facts of its scene without loading it."""
+"""The kind of a recorded test, stated in its metadata or deduced from its markers, and the outline of its scene."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from daq.recording.recorder import Recorder
 from tests.analysis.responses import synthetic
 
 RECORDINGS = Path(__file__).parents[3] / "recordings"
-SHORT = {
+SHORT_TESTS = {
     TestKind.TONES: "{kind: sine, frequency: 20 Hz, duration: 0.2 s, force: 1 N}",
     TestKind.SWEEP: "{kind: swept_sine, from: 20 Hz, to: 40 Hz, duration: 0.2 s, drive: 0.1 mm}",
     TestKind.HITS: "{kind: impulse, body: 1, peak: 50 N, width: 4 ms, interval: 0.2 s}",
@@ -25,9 +25,9 @@ SHORT = {
 
 
 @pytest.mark.filterwarnings("ignore::daq.RunWarning")
-@pytest.mark.parametrize("kind", SHORT)
+@pytest.mark.parametrize("kind", SHORT_TESTS)
 def test_recording_states_the_kind_of_its_test(kind, tmp_path):
-    scene = rig.load("bare-structure", {"test": yaml.safe_load(SHORT[kind])})
+    scene = rig.load("bare-structure", {"test": yaml.safe_load(SHORT_TESTS[kind])})
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as recording:
         assert recording.metadata["run"]["kind"] == kind == recording.test.kind
         assert recording.test.settings == scene.test
@@ -76,7 +76,7 @@ def test_outline_names_bodies() -> None:
     assert [outline.label(place) for place in ("body 1", "body 2", "table")] == ["base", "arm", "table"]
 
 
-def test_recording_without_facts_takes_scene_outline(tmp_path: Path) -> None:
+def test_recording_without_outline_computes_it_from_scene(tmp_path: Path) -> None:
     scene = rig.load("fig10b-no-damper", {"test.repeats": 1, "test.interval": "0.3s"})
     with daq.open(daq.record(scene, tmp_path / "hit.mcap")) as recording:
         assert recording.outline == SceneOutline.of(scene)
@@ -91,6 +91,6 @@ def test_info_loads_no_scene(tmp_path: Path) -> None:
         "import sys\nfrom daq.cli import app\napp(sys.argv[1:], standalone_mode=False)\n"
         "assert not {'rig.scene.scene', 'numba', 'scipy.linalg'} & set(sys.modules)"
     )
-    ended = subprocess.run([sys.executable, "-c", code, "info", str(path)], capture_output=True, text=True)
-    assert ended.returncode == 0, ended.stderr
-    assert "analysis decay" in ended.stdout
+    result = subprocess.run([sys.executable, "-c", code, "info", str(path)], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    assert "analysis decay" in result.stdout

@@ -1,6 +1,7 @@
+"""The files that `Recorder` writes, and what is left of a recording when writing or acquisition fails."""
+
 import json
 import os
-import resource
 import shutil
 import signal
 from contextlib import ExitStack
@@ -19,19 +20,21 @@ from daq.signal_chain.channel import ChannelInfo
 from rig.ending_signals import delayed_interrupt
 from rig.errors import RecordingError, RunError
 from tests.daq.recording.recordings import (
-    ALL,
-    BITS,
-    DAMPERS,
-    GROUP,
+    CONVERTER_24_BIT,
+    DISPLAY_AND_TRUTH,
+    FLUSH_LENGTH,
+    ONE_DAMPER,
     RATE,
-    channels,
     file_size_limit,
-    messages,
-    motion,
-    scene,
-    write,
+    make_scene,
+    messages_of,
+    random_volts,
+    true_motion,
+    two_channels,
+    write_recording,
 )
-from tests.daq.recording.recordings import signal as noise
+
+DAMPER_SCENE = make_scene(recording=DISPLAY_AND_TRUTH, **ONE_DAMPER)
 
 
 def summary_of(path):
@@ -42,37 +45,37 @@ def summary_of(path):
 @pytest.fixture(scope="module")
 def unsplit_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("whole") / "whole.mcap"
-    return write(path, noise(4000), scene(recording=ALL, **DAMPERS)).read_bytes()
+    return write_recording(path, random_volts(4000), DAMPER_SCENE).read_bytes()
 
 
 @settings(max_examples=12)
-@given(pieces=st.lists(st.integers(1, 3000), min_size=1, max_size=5))
-def test_bytes_do_not_depend_on_the_split(unsplit_file, tmp_path_factory, pieces):
+@given(piece_lengths=st.lists(st.integers(1, 3000), min_size=1, max_size=5))
+def test_file_does_not_depend_on_piece_lengths(unsplit_file, tmp_path_factory, piece_lengths):
     path = tmp_path_factory.mktemp("split") / "split.mcap"
-    write(path, noise(4000), scene(recording=ALL, **DAMPERS), pieces=pieces)
+    write_recording(path, random_volts(4000), DAMPER_SCENE, piece_lengths)
     assert path.read_bytes() == unsplit_file
 
 
-def test_marks_and_gaps_do_not_depend_on_split(tmp_path):
-    samples = noise(3 * GROUP)
-    for name, step in (("a", 3 * GROUP), ("b", 64)):
-        with Recorder(tmp_path / name, scene(recording={"display": True}), channels(), RATE) as recorder:
-            for window in (slice(0, 1500), slice(1500, 3 * GROUP)):
+def test_markers_do_not_depend_on_piece_lengths(tmp_path):
+    samples = random_volts(3 * FLUSH_LENGTH)
+    for name, piece_length in (("a", 3 * FLUSH_LENGTH), ("b", 64)):
+        with Recorder(tmp_path / name, make_scene(recording={"display": True}), two_channels(), RATE) as recorder:
+            for window in (slice(0, 1500), slice(1500, 3 * FLUSH_LENGTH)):
                 part = samples[:, window]
-                for place in range(0, part.shape[1], step):
-                    recorder.write(part[:, place : place + step])
+                for first in range(0, part.shape[1], piece_length):
+                    recorder.write(part[:, first : first + piece_length])
                 recorder.mark("measure", recorder.position - 900, recorder.position - 1)
                 recorder.mark("settle", recorder.position - 1000, recorder.position - 901)
                 recorder.gap(777)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
-def test_reference_reader_finds_the_layout(tmp_path):
-    path = write(tmp_path / "a.mcap", noise(1500))
-    result = messages(path, "/raw/body1")
-    step = [round(256 * n * 1e9 / RATE) for n in range(6)]
-    assert [message.publish_time for message in result] == step
-    assert [message.log_time for message in result] == [*step[1:], round(1500 * 1e9 / RATE)]
+def test_reference_reader_reads_blocks_and_topics(tmp_path):
+    path = write_recording(tmp_path / "a.mcap", random_volts(1500))
+    result = messages_of(path, "/raw/body1")
+    block_starts_ns = [round(256 * block * 1e9 / RATE) for block in range(6)]
+    assert [message.publish_time for message in result] == block_starts_ns
+    assert [message.log_time for message in result] == [*block_starts_ns[1:], round(1500 * 1e9 / RATE)]
     assert [message.sequence for message in result] == list(range(6))
     summary = summary_of(path)
     assert {channel.topic for channel in summary.channels.values()} == {"/markers", "/raw/body1", "/raw/body2"}
@@ -80,7 +83,7 @@ def test_reference_reader_finds_the_layout(tmp_path):
 
 
 def test_no_chunk_holds_two_raw_topics(tmp_path):
-    path = write(tmp_path / "a.mcap", noise(4000), scene(recording=ALL))
+    path = write_recording(tmp_path / "a.mcap", random_volts(4000), make_scene(recording=DISPLAY_AND_TRUTH))
     summary = summary_of(path)
     raw = {number for number, channel in summary.channels.items() if channel.topic.startswith("/raw/")}
     for chunk in summary.chunk_indexes:
@@ -89,82 +92,81 @@ def test_no_chunk_holds_two_raw_topics(tmp_path):
 
 
 def test_recording_without_display_has_no_display_topics(tmp_path):
-    path = write(tmp_path / "a.mcap", noise(3000))
+    path = write_recording(tmp_path / "a.mcap", random_volts(3000))
     topics = {channel.topic for channel in summary_of(path).channels.values()}
     assert not [topic for topic in topics if topic.startswith(("/display", "/tf", "/robot", "/truth"))]
     with daq.open(path) as recording:
         assert "display" not in recording.metadata
 
 
-# -- what can go wrong -----------------------------------------------------------------------------------
+# -- failures --------------------------------------------------------------------------------------------
 
 
 def test_existing_file_needs_overwrite(tmp_path):
     path = tmp_path / "a.mcap"
     path.write_bytes(b"precious")
     with pytest.raises(RecordingError, match=r"a\.mcap exists"):
-        Recorder(path, scene(), channels(), RATE)
+        Recorder(path, make_scene(), two_channels(), RATE)
     assert path.read_bytes() == b"precious"
-    with Recorder(path, scene(), channels(), RATE, overwrite=True) as recorder:
-        recorder.write(noise(10))
+    with Recorder(path, make_scene(), two_channels(), RATE, overwrite=True) as recorder:
+        recorder.write(random_volts(10))
     with daq.open(path) as recording:
         assert recording.samples == 10
 
 
 def test_missing_folder_is_named_by_the_recorder(tmp_path):
     with pytest.raises(RecordingError, match=r"folder .*missing does not exist"):
-        Recorder(tmp_path / "missing" / "a.mcap", scene(), channels(), RATE)
+        Recorder(tmp_path / "missing" / "a.mcap", make_scene(), two_channels(), RATE)
 
 
 def test_file_as_folder_is_rejected(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(RecordingError, match=r"cannot create .*folder"):
-        Recorder(tmp_path / "file" / "a.mcap", scene(), channels(), RATE)
+        Recorder(tmp_path / "file" / "a.mcap", make_scene(), two_channels(), RATE)
 
 
 def test_write_protected_folder_is_rejected(tmp_path):
-    # Made before, as nobody may read a checkout that lies in a private folder.
-    bench = scene(), channels()
+    # Loaded before the change of user: the new user may have no right to read the repository.
+    scene = make_scene()
     tmp_path.chmod(0o500)
-    mighty = os.geteuid() == 0
-    if mighty:
-        os.seteuid(65534)
+    is_root = os.geteuid() == 0
+    if is_root:
+        os.seteuid(65534)  # The user nobody: root may write to any folder.
     try:
         with pytest.raises(RecordingError, match=r"cannot create .*ermission denied"):
-            Recorder(tmp_path / "a.mcap", *bench, RATE)
+            Recorder(tmp_path / "a.mcap", scene, two_channels(), RATE)
     finally:
-        if mighty:
+        if is_root:
             os.seteuid(0)
         tmp_path.chmod(0o700)
 
 
 def test_failing_disk_leaves_flushed_samples(tmp_path):
-    samples, path = noise(20 * GROUP), tmp_path / "a.mcap"
-    with pytest.raises(RunError, match="daq recover"), Recorder(path, scene(), channels(), RATE) as recorder:
-        for group in range(20):
-            if group == 7:
-                limit = path.stat().st_size + 1000
-            with file_size_limit(limit if group >= 7 else resource.RLIM_INFINITY):
-                recorder.write(samples[:, group * GROUP : (group + 1) * GROUP])
-    assert path.stat().st_size == limit - 1000
+    samples, path = random_volts(20 * FLUSH_LENGTH), tmp_path / "a.mcap"
+    with pytest.raises(RunError, match="daq recover"), Recorder(path, make_scene(), two_channels(), RATE) as recorder:
+        recorder.write(samples[:, : 7 * FLUSH_LENGTH])
+        size_before_failure = path.stat().st_size
+        with file_size_limit(size_before_failure + 1000):
+            recorder.write(samples[:, 7 * FLUSH_LENGTH :])
+    assert path.stat().st_size == size_before_failure
     with pytest.raises(RecordingError, match="daq recover"):
         daq.open(path)
     daq.recover(path, tmp_path / "fixed.mcap")
     with daq.open(tmp_path / "fixed.mcap") as recording:
-        assert recording.samples == 7 * GROUP
-        assert recording.read("body1") == pytest.approx(samples[0, : 7 * GROUP] / 500.0, rel=1e-15)
+        assert recording.samples == 7 * FLUSH_LENGTH
+        assert recording.read("body1") == pytest.approx(samples[0, : 7 * FLUSH_LENGTH] / 500.0, rel=1e-15)
 
 
-def test_full_disk_ends_the_recording_in_time(tmp_path, monkeypatch):
-    samples, path = noise(5 * GROUP), tmp_path / "a.mcap"
+def test_almost_full_disk_closes_the_recording(tmp_path, monkeypatch):
+    samples, path = random_volts(5 * FLUSH_LENGTH), tmp_path / "a.mcap"
     usage = shutil.disk_usage(tmp_path)
-    message = pytest.raises(RunError, match=r"disk is full.*first 1\.50 s")
-    with message, Recorder(path, scene(recording={"display": True}), channels(), RATE) as recorder:
-        recorder.write(samples[:, : 3 * GROUP])
+    expected_error = pytest.raises(RunError, match=r"disk is full.*first 1\.50 s")
+    with expected_error, Recorder(path, make_scene(recording={"display": True}), two_channels(), RATE) as recorder:
+        recorder.write(samples[:, : 3 * FLUSH_LENGTH])
         monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1 << 20))
-        recorder.write(samples[:, 3 * GROUP :])
+        recorder.write(samples[:, 3 * FLUSH_LENGTH :])
     with daq.open(path) as recording:
-        assert recording.samples == 3 * GROUP
+        assert recording.samples == 3 * FLUSH_LENGTH
         assert recording.status == "failed"
         assert "disk is full" in recording.metadata["outcome"]["reason"]
         recording.check()
@@ -172,13 +174,17 @@ def test_full_disk_ends_the_recording_in_time(tmp_path, monkeypatch):
 
 def test_full_disk_is_reported_once(tmp_path, monkeypatch):
     path, usage = tmp_path / "a.mcap", shutil.disk_usage(tmp_path)
-    message = pytest.raises(RunError, match=r"first 0\.50 s, without an end.*daq recover")
-    with ExitStack() as limited, message as failure, Recorder(path, scene(), channels(), RATE) as recorder:
-        recorder.write(noise(GROUP))
+    expected_error = pytest.raises(RunError, match=r"first 0\.50 s, without an end.*daq recover")
+    with (
+        ExitStack() as file_limit,
+        expected_error as failure,
+        Recorder(path, make_scene(), two_channels(), RATE) as recorder,
+    ):
+        recorder.write(random_volts(FLUSH_LENGTH))
         monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1 << 20))
-        # Not even the end of the file fits.
-        limited.enter_context(file_size_limit(path.stat().st_size))
-        recorder.write(noise(GROUP))
+        # The records that close the file do not fit either.
+        file_limit.enter_context(file_size_limit(path.stat().st_size))
+        recorder.write(random_volts(FLUSH_LENGTH))
     assert not hasattr(failure.value, "__notes__")
 
 
@@ -186,8 +192,8 @@ def test_full_disk_is_reported_once(tmp_path, monkeypatch):
     ("error", "status"), [(KeyboardInterrupt("stopped by hand"), "interrupted"), (RuntimeError("odd"), "failed")]
 )
 def test_exception_closes_the_file_with_its_reason(tmp_path, error, status):
-    with pytest.raises(type(error)), Recorder(tmp_path / "a.mcap", scene(), channels(), RATE) as recorder:
-        recorder.write(noise(1000))
+    with pytest.raises(type(error)), Recorder(tmp_path / "a.mcap", make_scene(), two_channels(), RATE) as recorder:
+        recorder.write(random_volts(1000))
         raise error
     with daq.open(tmp_path / "a.mcap") as recording:
         assert recording.samples == 1000
@@ -195,53 +201,53 @@ def test_exception_closes_the_file_with_its_reason(tmp_path, error, status):
 
 
 def test_unwritable_scene_leaves_no_file(tmp_path):
-    class Unwritable:
-        recording = scene().recording
-        converter = scene().converter
+    class UnwritableScene:
+        recording = make_scene().recording
+        converter = make_scene().converter
 
         def __getattr__(self, name):
             raise RuntimeError(name)
 
     with pytest.raises(RuntimeError):
-        Recorder(tmp_path / "a.mcap", Unwritable(), channels(), RATE)
+        Recorder(tmp_path / "a.mcap", UnwritableScene(), two_channels(), RATE)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_interrupt_waits_for_the_end_of_a_group():
-    reached = []
+def test_interrupt_waits_for_the_end_of_writing():
+    is_end_reached = False
     with pytest.raises(KeyboardInterrupt), delayed_interrupt():
         signal.raise_signal(signal.SIGINT)
-        reached.append("end")
-    assert reached == ["end"]
+        is_end_reached = True
+    assert is_end_reached
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_wrong_recorder_calls_are_rejected(tmp_path):
-    recorder = Recorder(tmp_path / "a.mcap", scene(), channels(), RATE)
+    recorder = Recorder(tmp_path / "a.mcap", make_scene(), two_channels(), RATE)
     with pytest.raises(ValueError, match=r"\(2, n\)"):
         recorder.write(np.zeros((3, 10)))
     with pytest.raises(ValueError, match="truth"):
-        recorder.write_truth(motion(0, 10))
+        recorder.write_truth(true_motion(0, 10))
     with pytest.raises(ValueError, match="at least 1"):
         recorder.gap(0)
     recorder.close()
     recorder.close()
     with pytest.raises(RunError, match="has ended"):
-        recorder.write(noise(10))
+        recorder.write(random_volts(10))
 
 
-def test_samples_without_their_truth_are_refused(tmp_path):
-    truth_scene = scene(recording={"truth": True})
+def test_samples_without_their_truth_are_rejected(tmp_path):
+    truth_scene = make_scene(recording={"truth": True})
     with (
         pytest.raises(RunError, match="truth: the true motion of these samples is missing"),
-        Recorder(tmp_path / "a.mcap", truth_scene, channels(), RATE) as recorder,
+        Recorder(tmp_path / "a.mcap", truth_scene, two_channels(), RATE) as recorder,
     ):
-        recorder.write(noise(10))
+        recorder.write(random_volts(10))
 
 
 @pytest.mark.parametrize("truth", [False, True])
-def test_each_group_is_on_disk_once_complete(tmp_path, truth, monkeypatch):
-    path, truth_scene, flushed = tmp_path / "a.mcap", scene(recording={"truth": truth}), []
+def test_samples_are_flushed_each_half_second(tmp_path, truth, monkeypatch):
+    path, scene, flushed = tmp_path / "a.mcap", make_scene(recording={"truth": truth}), []
 
     class WatchedDisk(Disk):
         def commit(self):
@@ -251,36 +257,37 @@ def test_each_group_is_on_disk_once_complete(tmp_path, truth, monkeypatch):
 
     monkeypatch.setattr("daq.recording.recorder.Disk", WatchedDisk)
     recorders = []
-    recorders.append(Recorder(path, truth_scene, channels(), RATE))
-    samples, first = noise(6 * GROUP), 0
-    for size in (1000, 3 * GROUP, 100):
+    recorders.append(Recorder(path, scene, two_channels(), RATE))
+    samples, first = random_volts(6 * FLUSH_LENGTH), 0
+    for size in (1000, 3 * FLUSH_LENGTH, 100):
         part = samples[:, first : first + size]
         if truth:
-            recorders[0].write_truth(motion(first, size))
+            recorders[0].write_truth(true_motion(first, size))
         recorders[0].write(part)
         first += size
-    assert flushed == [GROUP, 2 * GROUP, 3 * GROUP]
-    # A killed process closes nothing: recover what is on the disk now.
+    assert flushed == [FLUSH_LENGTH, 2 * FLUSH_LENGTH, 3 * FLUSH_LENGTH]
+    # The file is not closed yet, as that of a killed process.
     recovered = recover(path, tmp_path / "fixed.mcap").kept
-    assert set(recovered.values()) == {3 * GROUP}
+    assert set(recovered.values()) == {3 * FLUSH_LENGTH}
     recorders[0].close()
 
 
 def test_truth_out_of_order_is_rejected(tmp_path):
-    with Recorder(tmp_path / "a.mcap", scene(recording={"truth": True}), channels(), RATE) as recorder:
-        recorder.write_truth(motion(0, 100))
+    with Recorder(tmp_path / "a.mcap", make_scene(recording={"truth": True}), two_channels(), RATE) as recorder:
+        recorder.write_truth(true_motion(0, 100))
         with pytest.raises(ValueError, match="got sample 50 first; expected 100"):
-            recorder.write_truth(motion(50, 100))
+            recorder.write_truth(true_motion(50, 100))
 
 
-def test_volts_for_counts_name_the_remedy(tmp_path):
+def test_error_of_volts_for_counts_names_remedy(tmp_path):
+    scene = make_scene(recording={"samples": "counts"}, **CONVERTER_24_BIT)
     with pytest.raises(RunError, match="bits"):
-        write(tmp_path / "a.mcap", noise(10), scene(recording={"samples": "counts"}, **BITS))
+        write_recording(tmp_path / "a.mcap", random_volts(10), scene)
 
 
-def test_converter_and_sensors_are_described(tmp_path):
+def test_metadata_describes_converter_and_sensors(tmp_path):
     info = [ChannelInfo("a", "body 1", "force", 2.0, RATE, volts_per_count=0.5, sensor={"model": "X"})]
-    with Recorder(tmp_path / "a.mcap", scene(**BITS), info, RATE) as recorder:
+    with Recorder(tmp_path / "a.mcap", make_scene(**CONVERTER_24_BIT), info, RATE) as recorder:
         recorder.write(np.array([[1, 2, -3]], np.int32))
     with daq.open(tmp_path / "a.mcap") as recording:
         assert recording.read("a").tolist() == [0.25, 0.5, -0.75]

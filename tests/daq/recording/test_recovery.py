@@ -1,7 +1,9 @@
+"""`daq recover` saves all intact samples of a damaged file, and lists all others as lost."""
+
 import os
 import random
 import shutil
-import signal as signals
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -16,20 +18,32 @@ import daq
 from daq.cli import app
 from daq.recording.recorder import Recorder
 from rig.errors import RecordingError, RunError, ShotrigError
-from tests.daq.recording.recordings import DAMPERS, GROUP, RATE, channels, file_size_limit, motion, scene, signal, write
+from tests.daq.recording.recordings import (
+    FLUSH_LENGTH,
+    ONE_DAMPER,
+    RATE,
+    file_size_limit,
+    make_scene,
+    random_volts,
+    true_motion,
+    two_channels,
+    write_recording,
+)
 
-SAMPLES = 4 * GROUP + 300
-TRUE = signal(SAMPLES) * np.array([[1 / 500.0], [1 / 0.01]])
+SAMPLES = 4 * FLUSH_LENGTH + 300
+UNIT_PER_VOLT = np.array([[1 / 500.0], [1 / 0.01]])  # m/V of body 1, m/s^2/V of body 2
+TRUE = random_volts(SAMPLES) * UNIT_PER_VOLT
+TRUTH_SCENE = make_scene(recording={"truth": True}, **ONE_DAMPER)
 
 
 @pytest.fixture(scope="module")
 def intact_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("whole") / "a.mcap"
-    return write(path, signal(SAMPLES), scene(recording={"display": True}))
+    return write_recording(path, random_volts(SAMPLES), make_scene(recording={"display": True}))
 
 
 def chunks_of(path):
-    """(begin, end, {topic}) of each chunk with samples in it, from the reference reader."""
+    """Return begin and end in bytes and the topics of each chunk, from the reference reader."""
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
     return [
@@ -43,59 +57,59 @@ def chunks_of(path):
 
 
 def check_readable(path, true=TRUE):
-    """Samples of both channels; NaN is lost, and everything else must be the truth in its place."""
+    """Check that each sample is true, or lost and listed as lost; return which samples are there (2, samples)."""
     with daq.open(path) as recording:
         recording.check()
         samples = np.full(true.shape, np.nan)
         for row, name in enumerate(recording.channels):
             samples[row, : recording.samples] = recording.read(name)
-        listed = np.zeros(true.shape, bool)
+        is_listed_as_lost = np.zeros(true.shape, bool)
         for gap in recording.gaps:
             for row, name in enumerate(recording.channels):
-                listed[row, gap.first_sample : gap.last_sample + 1] |= name in gap.channels
+                is_listed_as_lost[row, gap.first_sample : gap.last_sample + 1] |= name in gap.channels
         is_readable = ~np.isnan(samples)
         assert np.array_equal(samples[is_readable], true[is_readable])
-        # Only data that is missing before the end is listed.
-        assert np.array_equal(listed[:, : recording.samples], ~is_readable[:, : recording.samples])
+        # Samples after the end of the recovered file are not listed.
+        assert np.array_equal(is_listed_as_lost[:, : recording.samples], ~is_readable[:, : recording.samples])
     return is_readable
 
 
-def expected_of(chunks, broken):
-    """Which samples must be there when some chunks are broken."""
+def samples_outside(chunks, is_damaged):
+    """Return which samples (2, samples) are in undamaged chunks; `is_damaged` gets begin and end of a chunk."""
     is_readable = np.zeros(TRUE.shape, bool)
-    n_groups = {"/raw/body1": 0, "/raw/body2": 0}
+    first_samples = {"/raw/body1": 0, "/raw/body2": 0}
     for begin, end, topics in chunks:
-        for row, topic in enumerate(n_groups):
+        for row, topic in enumerate(first_samples):
             if topic in topics:
-                first = n_groups[topic] * GROUP
-                is_readable[row, first : first + GROUP] = not broken(begin, end)
-                n_groups[topic] += 1
+                first = first_samples[topic]
+                is_readable[row, first : first + FLUSH_LENGTH] = not is_damaged(begin, end)
+                first_samples[topic] += FLUSH_LENGTH
     return is_readable
 
 
 def test_truncated_file_keeps_every_whole_chunk(intact_file, tmp_path):
     data, chunks, rng = intact_file.read_bytes(), chunks_of(intact_file), random.Random(5)
     torn, fixed = tmp_path / os.fsdecode(b"torn\xff.mcap"), tmp_path / "fixed.mcap"
-    first = min(begin for begin, _, topics in chunks if "/raw/body1" in topics)
-    # After the last record before the summary, a file contains no data.
-    ends = data.rindex(b"crc32") + len("crc32") + 4 + 8
-    refused = 0
+    first_chunk = min(begin for begin, _, topics in chunks if "/raw/body1" in topics)
+    # The last metadata record ends with its checksum: the length of the value, and eight digits.
+    end_of_data = data.rindex(b"crc32") + len("crc32") + 4 + 8
+    n_rejected = 0
     for _ in range(100):
         cut = rng.randrange(len(data))
         torn.write_bytes(data[:cut])
-        expected = expected_of(chunks, lambda begin, end, cut=cut: end > cut)
+        expected = samples_outside(chunks, lambda begin, end, cut=cut: end > cut)
         if not expected.any():
             with pytest.raises(RecordingError, match="nothing can be recovered"):
                 daq.recover(torn, fixed)
             assert not fixed.exists()
-            refused += 1
+            n_rejected += 1
             continue
         salvage = daq.recover(torn, fixed, overwrite=True)
         assert np.array_equal(check_readable(fixed), expected)
-        assert salvage.whole == (cut > ends)
+        assert salvage.whole == (cut > end_of_data)
         assert sum(salvage.kept.values()) == expected.sum()
         fixed.unlink()
-    assert refused < 100 * (first + 20_000) / len(data)
+    assert n_rejected < 100 * (first_chunk + 20_000) / len(data)
 
 
 @pytest.mark.thorough
@@ -103,15 +117,14 @@ def test_bit_flips_lose_a_chunk_at_most(intact_file, tmp_path):
     data, chunks, rng = intact_file.read_bytes(), chunks_of(intact_file), random.Random(6)
     flipped, fixed = tmp_path / "flipped.mcap", tmp_path / "fixed.mcap"
     for _ in range(100):
-        place = rng.randrange(len(data))
+        position = rng.randrange(len(data))
         damaged = bytearray(data)
-        damaged[place] ^= 1 << rng.randrange(8)
+        damaged[position] ^= 1 << rng.randrange(8)
         flipped.write_bytes(damaged)
         salvage = daq.recover(flipped, fixed, overwrite=True)
         is_readable = check_readable(fixed)
-        hit = expected_of(chunks, lambda begin, end, place=place: begin <= place < end)
-        # Undamaged data is recovered; a chunk with a damaged head may be recovered too.
-        assert is_readable[hit].all()
+        # A chunk with a damaged head may be recovered in addition.
+        assert is_readable[samples_outside(chunks, lambda begin, end, at=position: begin <= at < end)].all()
         lost = sum(stop - first for spans in salvage.lost.values() for first, stop in spans)
         assert lost == (~is_readable).sum()
         if lost:
@@ -119,33 +132,33 @@ def test_bit_flips_lose_a_chunk_at_most(intact_file, tmp_path):
 
 
 @pytest.mark.parametrize("length", [1, 40, 5000, 60_000])
-def test_overwritten_stretches_lose_only_themselves(intact_file, tmp_path, length):
+def test_overwritten_bytes_affect_only_their_chunks(intact_file, tmp_path, length):
     data, chunks, rng = intact_file.read_bytes(), chunks_of(intact_file), random.Random(length)
     for filler in (b"\0" * length, b"\xff" * length, rng.randbytes(length), data[:length]):
-        place = rng.randrange(len(data) - length)
+        position = rng.randrange(len(data) - length)
         damaged = tmp_path / "damaged.mcap"
-        damaged.write_bytes(data[:place] + filler + data[place + length :])
+        damaged.write_bytes(data[:position] + filler + data[position + length :])
         daq.recover(damaged, tmp_path / "fixed.mcap", overwrite=True)
-        untouched = expected_of(chunks, lambda begin, end, at=place: begin < at + length and at < end)
+        untouched = samples_outside(chunks, lambda begin, end, at=position: begin < at + length and at < end)
         assert check_readable(tmp_path / "fixed.mcap")[untouched].all()
 
 
-def test_samples_behind_a_cut_keep_their_places(intact_file, tmp_path):
+def test_samples_behind_removed_bytes_keep_their_numbers(intact_file, tmp_path):
     data, chunks = intact_file.read_bytes(), chunks_of(intact_file)
-    raw = [chunk for chunk in chunks if "/raw/body1" in chunk[2]]
-    begin, end = raw[1][0] + 100, raw[2][0] + 100
+    raw_chunks = [chunk for chunk in chunks if "/raw/body1" in chunk[2]]
+    begin, end = raw_chunks[1][0] + 100, raw_chunks[2][0] + 100
     (tmp_path / "cut.mcap").write_bytes(data[:begin] + data[end:])
     daq.recover(tmp_path / "cut.mcap", tmp_path / "fixed.mcap")
     is_readable = check_readable(tmp_path / "fixed.mcap")
-    assert not is_readable[0, GROUP : 2 * GROUP].any()
-    assert is_readable[0, 3 * GROUP :].all()
+    assert not is_readable[0, FLUSH_LENGTH : 2 * FLUSH_LENGTH].any()
+    assert is_readable[0, 3 * FLUSH_LENGTH :].all()
 
 
-@pytest.mark.parametrize("place", range(9))
-def test_chunk_with_damaged_length_is_recovered(intact_file, tmp_path, place):
+@pytest.mark.parametrize("byte", range(9))
+def test_chunk_with_damaged_length_is_recovered(intact_file, tmp_path, byte):
     chunks = [chunk for chunk in chunks_of(intact_file) if "/raw/body2" in chunk[2]]
     damaged = bytearray(intact_file.read_bytes())
-    damaged[chunks[2][0] + place] ^= 0x41
+    damaged[chunks[2][0] + byte] ^= 0x41
     (tmp_path / "a.mcap").write_bytes(damaged)
     salvage = daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
     assert check_readable(tmp_path / "fixed.mcap").all()
@@ -177,23 +190,23 @@ def test_lost_markers_and_display_are_counted(intact_file, tmp_path):
 
 
 def test_lost_truth_is_listed_by_topic(tmp_path):
-    path = write(tmp_path / "a.mcap", signal(3 * GROUP), scene(recording={"truth": True}, **DAMPERS))
+    path = write_recording(tmp_path / "a.mcap", random_volts(3 * FLUSH_LENGTH), TRUTH_SCENE)
     begin, end, _ = [chunk for chunk in chunks_of(path) if "/truth/damper_1/gap" in chunk[2]][1]
     data = bytearray(path.read_bytes())
     data[(begin + end) // 2] ^= 1
     path.write_bytes(data)
     salvage = daq.recover(path, tmp_path / "fixed.mcap")
-    span = (GROUP, 2 * GROUP)
+    span = (FLUSH_LENGTH, 2 * FLUSH_LENGTH)
     assert salvage.lost == {"/truth/damper_1/gap": [span], "/truth/damper_1/contact": [span]}
     with daq.open(tmp_path / "fixed.mcap") as recording:
         gap = recording.truth("gap")[0]
         assert np.isnan(gap[slice(*span)]).all()
-        assert np.array_equal(gap[2 * GROUP :], motion(0, 3 * GROUP, 1).gap[0, 2 * GROUP :])
+        assert np.array_equal(gap[2 * FLUSH_LENGTH :], true_motion(0, 3 * FLUSH_LENGTH, 1).gap[0, 2 * FLUSH_LENGTH :])
         assert recording.gaps[0].channels == ("/truth/damper_1/gap", "/truth/damper_1/contact")
 
 
 def test_lost_truth_of_dampers_reads_as_nan(tmp_path):
-    path = write(tmp_path / "a.mcap", signal(3 * GROUP), scene(recording={"truth": True}, **DAMPERS))
+    path = write_recording(tmp_path / "a.mcap", random_volts(3 * FLUSH_LENGTH), TRUTH_SCENE)
     data = bytearray(path.read_bytes())
     for begin, end, topics in chunks_of(path):
         if "/truth/damper_1/gap" in topics:
@@ -206,11 +219,11 @@ def test_lost_truth_of_dampers_reads_as_nan(tmp_path):
         assert np.isfinite(recording.read("body1")).all()
 
 
-def test_unacquired_samples_are_not_called_lost(tmp_path):
-    with Recorder(tmp_path / "a.mcap", scene(), channels(), RATE) as recorder:
-        recorder.write(signal(2000))
-        recorder.gap(GROUP)
-        recorder.write(signal(2000))
+def test_unacquired_samples_are_not_reported_as_lost(tmp_path):
+    with Recorder(tmp_path / "a.mcap", make_scene(), two_channels(), RATE) as recorder:
+        recorder.write(random_volts(2000))
+        recorder.gap(FLUSH_LENGTH)
+        recorder.write(random_volts(2000))
     data = (tmp_path / "a.mcap").read_bytes()
     (tmp_path / "b.mcap").write_bytes(data[:-3])
     assert daq.recover(tmp_path / "b.mcap", tmp_path / "fixed.mcap").lost == {}
@@ -223,42 +236,43 @@ def test_unacquired_samples_are_not_called_lost(tmp_path):
 WRITER = """
 import os, sys
 from pathlib import Path
-from tests.daq.recording.recordings import GROUP, RATE, channels, scene, signal
+from tests.daq.recording.recordings import FLUSH_LENGTH, RATE, two_channels, make_scene, random_volts
 from daq.recording.recorder import Recorder
-samples = signal(400 * GROUP)
-with Recorder(sys.argv[1], scene(), channels(), RATE) as recorder:
-    for place in range(0, samples.shape[1], 100):
-        recorder.write(samples[:, place : place + 100])
-        # Long lines fill the pipe, so that the writer cannot run away to its end before it is killed.
+samples = random_volts(400 * FLUSH_LENGTH)
+with Recorder(sys.argv[1], make_scene(), two_channels(), RATE) as recorder:
+    for first in range(0, samples.shape[1], 100):
+        recorder.write(samples[:, first : first + 100])
+        # Long lines fill the pipe, so that the writer waits and cannot finish before it is killed.
         os.write(1, f"{recorder.position:100}\\n".encode())
 """
 
 
 def test_killed_recorder_keeps_all_flushed_samples(tmp_path):
-    rng, true = random.Random(3), signal(400 * GROUP) * np.array([[1 / 500.0], [1 / 0.01]])
+    rng, true = random.Random(3), random_volts(400 * FLUSH_LENGTH) * UNIT_PER_VOLT
     paths = [tmp_path / f"{number}.mcap" for number in range(3)]
-    running = [
+    processes = [
         subprocess.Popen(
             [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, cwd=Path(__file__).parents[3]
         )
         for path in paths
     ]
-    for path, process in zip(paths, running, strict=True):
+    for path, process in zip(paths, processes, strict=True):
         assert process.stdout is not None
         for _ in range(rng.randrange(30, 600)):
             line = process.stdout.readline()
         process.kill()
-        rest = process.communicate()[0].splitlines()
-        assert process.returncode == -signals.SIGKILL
-        written = int([line, *rest][-1] if len(rest) < 2 else rest[-2])
+        last_lines = [line, *process.communicate()[0].splitlines()]
+        assert process.returncode == -signal.SIGKILL
+        # The very last line may be incomplete.
+        written = int(last_lines[-1] if len(last_lines) < 3 else last_lines[-2])
         fixed = path.with_suffix(".fixed")
         salvage = daq.recover(path, fixed)
         is_readable = check_readable(fixed, true)
-        assert is_readable[:, : written // GROUP * GROUP].all()
+        assert is_readable[:, : written // FLUSH_LENGTH * FLUSH_LENGTH].all()
         assert any("has no end" in note for note in salvage.notes)
 
 
-# -- refusals --------------------------------------------------------------------------------------------
+# -- recovery that is impossible -------------------------------------------------------------------------
 
 
 def test_wrong_recovery_targets_change_nothing(intact_file, tmp_path):
@@ -277,7 +291,7 @@ def test_wrong_recovery_targets_change_nothing(intact_file, tmp_path):
         daq.recover(tmp_path, tmp_path / "c.mcap")
 
 
-def test_recovery_needs_room_before_it_begins(intact_file, tmp_path, monkeypatch):
+def test_recovery_without_disk_space_is_rejected(intact_file, tmp_path, monkeypatch):
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=intact_file.stat().st_size - 1))
     with pytest.raises(RunError, match=r"its disk has 0\.\d MB left.*another disk with -o"):

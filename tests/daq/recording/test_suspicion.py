@@ -1,4 +1,4 @@
-"""Metadata of a file is validated when it is read: a malicious file causes an error message at once."""
+"""Metadata, markers and events are validated when a file is read: wrong values cause an error message at once."""
 
 from __future__ import annotations
 
@@ -22,32 +22,34 @@ from daq.signal_chain.channel import ChannelInfo
 from daq.viewing.description import describe
 from rig.errors import RecordingError, add_path
 from rig.escaping import is_single_line
-from tests.daq.recording.recordings import GROUP, signal, write
+from tests.daq.mcap_file.mcap_records import message, packed_chunk, record
+from tests.daq.recording.recordings import FLUSH_LENGTH, random_volts, write_recording
 
-ODD = st.recursive(
+ANY_JSON = st.recursive(
     st.none() | st.booleans() | st.floats() | st.integers() | st.just(10**300) | st.text() | st.just("x" * 60_000),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
     max_leaves=5,
 )
-SOUND = ChannelInfo("body1", "body 1", "acceleration", 0.01, 5120.0, poles=(-1 + 2j,), delay=1e-3).to_metadata()
+CHANNEL = ChannelInfo("body1", "body 1", "acceleration", 0.01, 5120.0, poles=(-1 + 2j,), delay=1e-3)
+VALID_METADATA = CHANNEL.to_metadata()
 
 
-@given(st.sampled_from(sorted(SOUND)), ODD)
-def test_odd_channel_metadata_is_sound_or_rejected(key: str, odd: Any) -> None:
+@given(st.sampled_from(sorted(VALID_METADATA)), ANY_JSON)
+def test_any_channel_metadata_is_valid_or_rejected(key: str, value: Any) -> None:
     try:
-        info = ChannelInfo.from_metadata(SOUND | {key: json.dumps(odd)})
+        info = ChannelInfo.from_metadata(VALID_METADATA | {key: json.dumps(value)})
     except RecordingError as error:
         assert len(str(error)) < 400
         return
-    answer = info.response(np.array([0.0, 1.0, 1e3]))
-    assert answer.shape == (3,) and info.unit_per_count != 0.0 and is_single_line(info.name)
+    response = info.response(np.array([0.0, 1.0, 1e3]))
+    assert response.shape == (3,) and info.unit_per_count != 0.0 and is_single_line(info.name)
 
 
-@given(st.sampled_from(["kind", "first_sample", "last_sample", "frequency", "settled", "channels", "lines"]), ODD)
-def test_odd_marker_is_sound_or_rejected(key: str, odd: Any) -> None:
-    sound = {"kind": "measure", "first_sample": 1, "last_sample": 2, "frequency": 20.0, "settled": True}
+@given(st.sampled_from(["kind", "first_sample", "last_sample", "frequency", "settled", "channels", "lines"]), ANY_JSON)
+def test_any_marker_is_valid_or_rejected(key: str, value: Any) -> None:
+    valid = {"kind": "measure", "first_sample": 1, "last_sample": 2, "frequency": 20.0, "settled": True}
     try:
-        marker = Marker.from_json(memoryview(json.dumps(sound | {key: odd}).encode()))
+        marker = Marker.from_json(memoryview(json.dumps(valid | {key: value}).encode()))
     except RecordingError as error:
         assert len(str(error)) < 400
         return
@@ -57,9 +59,9 @@ def test_odd_marker_is_sound_or_rejected(key: str, odd: Any) -> None:
         marker.fields["duration"]
 
 
-@given(st.sampled_from(["time", "damper", "kind", "speed"]), ODD)
-def test_odd_change_of_contact_is_sound_or_rejected(key: str, odd: Any) -> None:
-    event = {"time": 0.1, "damper": 1, "kind": "floor", "speed": 0.2} | {key: odd}
+@given(st.sampled_from(["time", "damper", "kind", "speed"]), ANY_JSON)
+def test_any_contact_event_is_valid_or_rejected(key: str, value: Any) -> None:
+    event = {"time": 0.1, "damper": 1, "kind": "floor", "speed": 0.2} | {key: value}
     try:
         time, damper, kind, speed = event_from_json(memoryview(json.dumps(event).encode()))
     except RecordingError:
@@ -67,9 +69,9 @@ def test_odd_change_of_contact_is_sound_or_rejected(key: str, odd: Any) -> None:
     assert np.isfinite([time, speed]).all() and damper >= 1 and kind in ("separation", "floor", "ceiling")
 
 
-def rewritten(path: Path, checksums: bool = True, shift: int = 0) -> Path:
-    """Copy a recording; without checksums of its chunks, or with its last half moved by `shift` samples."""
-    target = path.with_name("rewritten.mcap")
+def rewrite(path: Path, checksums: bool = True, shift: int = 0) -> Path:
+    """Copy a recording without the checksums of its chunks, or with its last two chunks `shift` samples later."""
+    target = path.with_name("rewrite.mcap")
     with Container(path) as container, target.open("wb") as file:
         copy, summary = ChunkedFile(file, "test", "zstd"), container.summary
         schemas = {
@@ -95,60 +97,59 @@ def rewritten(path: Path, checksums: bool = True, shift: int = 0) -> Path:
         content = bytearray(target.read_bytes())
         with Container(target) as container:
             for offset in container.summary.offsets:
-                # Opcode, length, two times and the size stand before it.
+                # The checksum is behind opcode, length, two times and the unpacked size.
                 content[int(offset) + 33 : int(offset) + 37] = bytes(4)
         target.write_bytes(content)
     return target
 
 
 @pytest.fixture(scope="module")
-def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write(tmp_path_factory.mktemp("sound") / "a.mcap", signal(4 * GROUP))
+def intact_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_recording(tmp_path_factory.mktemp("intact_file") / "a.mcap", random_volts(4 * FLUSH_LENGTH))
 
 
-def test_our_layout_requires_checksums(sound: Path) -> None:
-    with daq.open(rewritten(sound)) as recording:
+def test_our_layout_requires_checksums(intact_file: Path) -> None:
+    with daq.open(rewrite(intact_file)) as recording:
         assert np.isfinite(recording.read("body1")).all()
-    with pytest.raises(RecordingError, match="no checksum"), daq.open(rewritten(sound, checksums=False)) as recording:
+    path = rewrite(intact_file, checksums=False)
+    with pytest.raises(RecordingError, match="no checksum"), daq.open(path) as recording:
         recording.read("body1")
 
 
 @pytest.mark.parametrize("shift", [2**27, 2**40])
-def test_void_is_reported_at_once(sound: Path, shift: int) -> None:
-    with daq.open(rewritten(sound, shift=shift)) as recording:
-        assert np.isfinite(recording.read("body1", 0, GROUP)).all()
-        for act in (lambda: recording.read("body1"), lambda: list(recording.blocks())):
+def test_huge_gap_is_reported_at_once(intact_file: Path, shift: int) -> None:
+    with daq.open(rewrite(intact_file, shift=shift)) as recording:
+        assert np.isfinite(recording.read("body1", 0, FLUSH_LENGTH)).all()
+        for read in (lambda: recording.read("body1"), lambda: list(recording.blocks())):
             with pytest.raises(RecordingError, match="of them are in the file"):
-                act()
+                read()
         assert any("lost" in line and "of them are in the file" in line for line in describe(recording))
 
 
 @pytest.mark.parametrize("shift", [1, 2**27, 2**40])
-def test_unmarked_missing_samples_are_reported(sound: Path, shift: int) -> None:
-    with daq.open(rewritten(sound, shift=shift)) as recording:
-        first, stop = 3 * GROUP, 3 * GROUP + shift
+def test_unmarked_missing_samples_are_reported(intact_file: Path, shift: int) -> None:
+    with daq.open(rewrite(intact_file, shift=shift)) as recording:
+        first, stop = 3 * FLUSH_LENGTH, 3 * FLUSH_LENGTH + shift
         with pytest.raises(
             RecordingError, match=f"samples {first} to {stop - 1} of body1 are missing without a marker"
         ):
             recording.check()
 
 
-def test_chunk_that_packs_too_well_is_rejected() -> None:
-    import struct
-
-    records = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0) * 2000
+def test_excessively_compressed_chunk_is_rejected() -> None:
+    records = message(1, b"") * 2000
     with pytest.raises(Damage, match="more than"):
         messages_in(memoryview(records), stored=100)
     with pytest.raises(Damage, match="does not belong in a chunk"):
-        messages_in(memoryview(struct.pack("<BQ", 0xEE, 0)), stored=100)
-    huge = struct.pack("<QQQII", 0, 0, 1 << 25, 0, 4) + b"zstd" + struct.pack("<Q", 8) + bytes(8)
+        messages_in(memoryview(record(0xEE, b"")), stored=100)
+    content = packed_chunk(b"zstd", bytes(8), size=1 << 25, checksum=0)
     with pytest.raises(Damage, match="claims to unpack"):
-        unpack_chunk(memoryview(huge))
+        unpack_chunk(memoryview(content))
 
 
-@pytest.mark.parametrize("said", ["a message is no marker", "r.mcap is damaged"])
-def test_nested_error_names_the_file_once(said: str) -> None:
+@pytest.mark.parametrize("reason", ["a message is no marker", "r.mcap is damaged"])
+def test_nested_error_names_the_file_once(reason: str) -> None:
     path = Path("r.mcap")
     with pytest.raises(RecordingError) as reported, add_path(path), add_path(path):
-        raise RecordingError(said)
-    assert str(reported.value).count("r.mcap") == 1 and str(reported.value).endswith(said)
+        raise RecordingError(reason)
+    assert str(reported.value).count("r.mcap") == 1 and str(reported.value).endswith(reason)

@@ -1,9 +1,12 @@
+"""The true motion of dampers in recordings of simulated tests."""
+
 import numpy as np
 
 import daq
 import rig
 
-BENCH = """
+# Two bodies and the dampers of a test, which a hammer hit sets in motion.
+SCENE = """
 structure: {{masses: [1 kg, 1 kg], springs: [20 kN/m, 20 kN/m], damping: {{modal: 1 %}}}}
 dampers: [{dampers}]
 test: {{kind: impulse, body: 2, peak: 100 N, width: 2 ms, interval: 0.2 s}}
@@ -11,8 +14,9 @@ recording: {{truth: true}}
 """
 
 
-def recorded(tmp_path, *dampers):
-    scene = rig.loads(BENCH.format(dampers=", ".join(dampers)))
+def record_hit(tmp_path, *dampers):
+    """Return the opened recording of a hit on the structure with these dampers."""
+    scene = rig.loads(SCENE.format(dampers=", ".join(dampers)))
     return daq.open(daq.record(scene, tmp_path / "a.mcap"))
 
 
@@ -20,7 +24,7 @@ def test_locked_dampers_have_truth_on_floors(tmp_path):
     locked = "{body: 1, mass: 50 g, clearance: 1 mm, locked: true}"
     moving = "{body: 2, mass: 50 g, clearance: 1 mm}"
     filled = "{body: 2, mass: 50 g, clearance: 0}"
-    with recorded(tmp_path, locked, moving, filled) as rec:
+    with record_hit(tmp_path, locked, moving, filled) as rec:
         gap, contact = rec.truth("gap"), rec.truth("contact")
         assert gap.shape == contact.shape == (3, rec.samples)
         assert np.all(gap[[0, 2]] == 0.0)
@@ -30,6 +34,6 @@ def test_locked_dampers_have_truth_on_floors(tmp_path):
 
 
 def test_finite_contacts_record_touch_and_release(tmp_path):
-    with recorded(tmp_path, "{body: 2, mass: 50 g, clearance: 1 mm, contact: {duration: 2 ms}}") as rec:
+    with record_hit(tmp_path, "{body: 2, mass: 50 g, clearance: 1 mm, contact: {duration: 2 ms}}") as rec:
         rec.check()
         assert {"touch", "release"} <= set(rec.events["kind"])

@@ -1,4 +1,4 @@
-"""Clients that know only the server's own description."""
+"""Clients without generated code can use the server: they obtain its description by gRPC reflection."""
 
 import grpc
 import nidaqmx
@@ -12,7 +12,7 @@ from daq.server.discovery import SERVICES, write_proto_files
 from daq.server.proto_text import proto_text
 from rig.errors import SceneError
 
-RATE = 5120.0
+RATE = 5120.0  # Hz
 
 
 class ReflectedClient:
@@ -29,15 +29,15 @@ class ReflectedClient:
         return set(self.database.get_services())
 
     def call(self, service, method, /, **fields):
-        result = self.pool.FindServiceByName(service).FindMethodByName(method)
-        request = message_factory.GetMessageClass(result.input_type)
-        response = message_factory.GetMessageClass(result.output_type)
-        ask = self.channel.unary_unary(
+        description = self.pool.FindServiceByName(service).FindMethodByName(method)
+        request = message_factory.GetMessageClass(description.input_type)
+        response = message_factory.GetMessageClass(description.output_type)
+        send = self.channel.unary_unary(
             f"/{service}/{method}",
             request_serializer=request.SerializeToString,
             response_deserializer=response.FromString,
         )
-        return ask(request(**fields))
+        return send(request(**fields))
 
     def daqmx(self, method, **fields):
         return self.call("nidaqmx_grpc.NiDAQmx", method, **fields)
@@ -59,10 +59,7 @@ def test_reflection_lists_all_services(client):
 
 
 def test_client_of_reflection_writes_and_reads(client):
-    written_task, read_task = (
-        client.daqmx("CreateTask", session_name="out").task,
-        client.daqmx("CreateTask", session_name="in").task,
-    )
+    written_task, read_task = (client.daqmx("CreateTask", session_name=name).task for name in ("out", "in"))
     timing = {"rate": RATE, "active_edge": "EDGE1_RISING", "sample_mode": "ACQUISITION_TYPE_FINITE_SAMPS"}
     client.daqmx(
         "CreateAOVoltageChan",
@@ -128,13 +125,13 @@ def test_reset_of_server_ends_tasks():
 
 
 @pytest.mark.parametrize("method", ["grpc.health.v1.Health/Check", "grpc.reflection.v1alpha.ServerReflection/X"])
-def test_unreadable_request_leaves_terminal_clean(rig, method, caplog):
+def test_unreadable_request_is_not_logged(rig, method, caplog):
     with pytest.raises(grpc.RpcError):
         open_channel(rig.address).unary_unary(f"/{method}")(b"\xff\xff\xff")
     assert not caplog.records
 
 
-def test_proto_files_describe_the_same_bytes(tmp_path):
+def test_proto_files_are_written_once(tmp_path):
     paths = write_proto_files(tmp_path)
     assert {f"{path.relative_to(tmp_path)}" for path in paths} >= {"nidaqmx.proto", "session.proto"}
     assert write_proto_files(tmp_path) == paths
@@ -143,7 +140,7 @@ def test_proto_files_describe_the_same_bytes(tmp_path):
         write_proto_files(tmp_path)
 
 
-def test_proto_text_keeps_choices_maps_and_aliases():
+def test_proto_text_has_choices_maps_and_aliases():
     file = descriptor_pb2.FileDescriptorProto(name="a.proto", package="a", syntax="proto3")
     enum = file.enum_type.add(name="E")
     enum.options.allow_alias = True

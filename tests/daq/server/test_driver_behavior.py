@@ -1,4 +1,4 @@
-"""Driver behavior that scripts for hardware rely on, in addition to reads and writes."""
+"""Behavior of NI's driver on which scripts for hardware rely: times, triggers, scales, saved tasks and logs."""
 
 import numpy as np
 import pytest
@@ -38,11 +38,11 @@ def inputs(task, channels="cDAQ1Mod1/ai0", samples=100, **timing):
 
 
 @reads_waveforms
-def test_idle_bench_gives_wall_time(monkeypatch):
+def test_waveform_starts_at_wall_clock_time(monkeypatch):
     clock, now = WallClock(), [1_700_000_000 * 10**9]
     monkeypatch.setattr("daq.instrument.chassis.time.time_ns", lambda: now[0])
     connect("bare-structure", clock)
-    begun = []
+    start_times = []
     for idle in (0, 3, 100):
         now[0] += idle * 10**9
         with Task() as task:
@@ -50,14 +50,14 @@ def test_idle_bench_gives_wall_time(monkeypatch):
             task.start()
             clock.advance(100 / RATE)
             waveform = task.read_waveform(100)
-        begun.append(waveform.timing.start_time)
+        start_times.append(waveform.timing.start_time)
         assert waveform.timing.sample_interval.total_seconds() == pytest.approx(1 / RATE, abs=1e-9)
-    intervals = [(each - begun[0]).total_seconds() for each in begun]
+    intervals = [(each - start_times[0]).total_seconds() for each in start_times]
     assert intervals == pytest.approx([0.0, 3.0, 103.0], abs=1e-6)
-    assert begun[0].year == 2023
+    assert start_times[0].year == 2023
 
 
-def test_on_demand_task_joins_other_rate():
+def test_on_demand_output_allows_any_input_rate():
     connect("bare-structure", "fast")
     with Task() as steady, Task() as reading:
         steady.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
@@ -96,7 +96,7 @@ def test_custom_scale_scales_readings(chassis):
     np.testing.assert_allclose(scaled, 2.0 * plain + 1.0, rtol=1e-12)
 
 
-def test_window_trigger_starts_inside(chassis):
+def test_window_trigger_starts_within_window(chassis):
     with Task() as task:
         inputs(task, "cDAQ1Mod1/ai3", sample_mode=AcquisitionType.FINITE)
         pass_samples(chassis, 2000)
@@ -113,20 +113,20 @@ def test_saved_task_loads_equal(chassis):
         assert np.shape(task.read(READ_ALL_AVAILABLE)) == (100,)
 
 
-def test_paused_log_continues_in_other_file(chassis, tmp_path):
+def test_paused_log_continues_in_another_file(chassis, tmp_path):
     first, second = tmp_path / "first.mcap", tmp_path / "second.mcap"
     with Task() as task:
         inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
         task.in_stream.configure_logging(str(first), LoggingMode.LOG_AND_READ, operation=LoggingOperation.CREATE)
         task.start()
-        begun = task.read(100)
+        first_samples = task.read(100)
         task.in_stream.logging_pause = True
         task.read(50)
         task.in_stream.logging_pause = False
         task.in_stream.start_new_file(str(second))
-        went_on = task.read(70)
+        second_samples = task.read(70)
         task.stop()
-    for path, expected in ((first, begun), (second, went_on)):
+    for path, expected in ((first, first_samples), (second, second_samples)):
         rec = daq.open(path)
         (channel,) = rec.channels.values()
         np.testing.assert_allclose(rec.read(channel.name) * channel.sensitivity, expected, rtol=1e-9)

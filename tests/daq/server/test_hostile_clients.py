@@ -1,3 +1,8 @@
+"""Calls with wrong, malicious or excessive values harm only the client that sends them.
+
+The *witness* is an undisturbed task of another client: its samples must not depend on the calls.
+"""
+
 import random
 import threading
 
@@ -17,8 +22,8 @@ from daq.server.client_defaults import open_channel
 from daq.server.protocol import SERVICE, _is_list, methods
 from daq.server.served_instrument import Limits
 
-RATE = 5120.0
-CALLS = 300
+RATE = 5120.0  # Hz
+N_CALLS = 300
 TEXTS = (
     "",
     "cDAQ1Mod2/ai0",
@@ -32,12 +37,12 @@ TEXTS = (
     "x" * 70_000,
 )
 NUMBERS = (0.0, 1.0, -1.0, 5.0, -5.0, 100.0, 5120.0, 1e300, 1e-320, float("nan"), float("inf"))
-WHOLE = (0, 1, 2, 3, 10, 100, 10_178, 10_280, 10_348, 2**31 - 1)
-FIELDS = {
-    "string": lambda chance: chance.choice(TEXTS),
-    "bytes": lambda chance: chance.choice((b"", b"\0" * 7, b"\xff" * 1000)),
-    "double": lambda chance: chance.choice(NUMBERS),
-    "bool": lambda chance: chance.random() < 0.5,
+INTEGERS = (0, 1, 2, 3, 10, 100, 10_178, 10_280, 10_348, 2**31 - 1)
+VALUES_BY_TYPE = {
+    "string": lambda rng: rng.choice(TEXTS),
+    "bytes": lambda rng: rng.choice((b"", b"\0" * 7, b"\xff" * 1000)),
+    "double": lambda rng: rng.choice(NUMBERS),
+    "bool": lambda rng: rng.random() < 0.5,
 }
 
 
@@ -62,30 +67,30 @@ def inputs(options, channels="cDAQ1Mod1/ai0:3", **timing):
     return task
 
 
-def fill(message, chance, sessions, depth=0):
-    """Fill a message with what somebody may send by mistake or in malice."""
+def fill(message, rng, sessions, depth=0):
+    """Fill the fields of a message with random values; sessions are those of `sessions` or do not exist."""
     for field in message.DESCRIPTOR.fields:
-        if chance.random() < (0.1 if field.containing_oneof is None else 0.5):
+        if rng.random() < (0.1 if field.containing_oneof is None else 0.5):
             continue
-        listed, value_or_list = _is_list(field), getattr(message, field.name)
-        for _ in range(chance.choice((0, 1, 3)) if listed else 1):
+        is_list, value_or_list = _is_list(field), getattr(message, field.name)
+        for _ in range(rng.choice((0, 1, 3)) if is_list else 1):
             if field.message_type is not None:
                 submessage = message_factory.GetMessageClass(field.message_type)()
                 if field.message_type.full_name == "nidevice_grpc.Session":
-                    submessage.name = chance.choice((*sessions, *sessions, "nobody", *TEXTS[-3:]))
+                    submessage.name = rng.choice((*sessions, *sessions, "nobody", *TEXTS[-3:]))
                 elif depth < 3 and not field.message_type.GetOptions().map_entry:
-                    fill(submessage, chance, sessions, depth + 1)
+                    fill(submessage, rng, sessions, depth + 1)
                 else:
                     continue
-                value_or_list.add().CopyFrom(submessage) if listed else value_or_list.CopyFrom(submessage)
+                (value_or_list.add() if is_list else value_or_list).CopyFrom(submessage)
                 continue
-            kind = next((name for name in FIELDS if field.type == getattr(field, f"TYPE_{name.upper()}")), "")
-            value = FIELDS[kind](chance) if kind else chance.choice(WHOLE)
+            kind = next((name for name in VALUES_BY_TYPE if field.type == getattr(field, f"TYPE_{name.upper()}")), "")
+            value = VALUES_BY_TYPE[kind](rng) if kind else rng.choice(INTEGERS)
             if field.name in ("timeout", "time_to_wait"):
-                value = chance.choice((0.0, 0.01, float("nan")))
-            if listed and kind != "string":
+                value = rng.choice((0.0, 0.01, float("nan")))
+            if is_list and kind != "string":
                 value_or_list.append(value)
-            elif not listed:
+            elif not is_list:
                 setattr(message, field.name, value)
 
 
@@ -103,18 +108,18 @@ def open_stream(options, task, name):
     if name == "RegisterSignalEvent":
         request.signal_id_raw = 12_491
     stream = options.grpc_channel.unary_stream(f"/{SERVICE.full_name}/{name}")(request.SerializeToString())
-    # It is registered once the server says so.
+    # The server sends the metadata once the event is registered.
     stream.initial_metadata()
     return stream
 
 
-def ask(channel, method, chance, sessions):
-    """Send one of the calls and return the error of the server."""
+def send_random_call(channel, method, rng, sessions):
+    """Send a call with random fields, sometimes with damaged bytes; return the server's error, or an empty text."""
     request = method.request()
-    fill(request, chance, sessions)
+    fill(request, rng, sessions)
     data = bytearray(request.SerializeToString())
-    for _ in range(chance.choice((0,) * 20 + (3,)) if data else 0):
-        data[chance.randrange(len(data))] = chance.randrange(256)
+    for _ in range(rng.choice((0,) * 20 + (3,)) if data else 0):
+        data[rng.randrange(len(data))] = rng.randrange(256)
     try:
         answer = send(channel, method.name, bytes(data))
     except grpc.RpcError as error:
@@ -124,8 +129,8 @@ def ask(channel, method, chance, sessions):
     return ""
 
 
-def declare(channel, sessions):
-    """Make a task that can run."""
+def create_valid_task(channel, sessions):
+    """Create a task that can run, and add it to the sessions."""
     methods_by_name = {each.name: each for each in methods()}
     sessions.append(methods_by_name["CreateTask"].response.FromString(send(channel, "CreateTask", b"")).task.name)
     request = methods_by_name["CreateAIVoltageChan"].request(
@@ -135,37 +140,37 @@ def declare(channel, sessions):
     send(channel, "CreateAIVoltageChan", request.SerializeToString())
 
 
-def read_beside(actions):
-    """Read a task to its end during other calls to the server; return the samples."""
+def read_witness_during(actions):
+    """Read the witness's task to its end during other calls to the server; return its samples (4, 2000)."""
     with daq.connect(two_modules(), clock=ManualClock()) as rig, inputs(client(rig), samps_per_chan=2000) as witness:
         witness.start()
         for action in actions(open_channel(rig.address)):
-            rig.chassis.advance(round(2000 / CALLS * rig.chassis.rate / RATE))
+            rig.chassis.advance(round(2000 / N_CALLS * rig.chassis.rate / RATE))
             action()
         rig.chassis.advance(round(0.1 * rig.chassis.rate))
         return np.array(witness.read(2000, timeout=0.0))
 
 
 def test_random_calls_harm_only_their_client(capfd):
-    chance, sessions, answers = random.Random(20), ["nobody"], []
+    rng, sessions, errors = random.Random(20), ["nobody"], []
     supported = [each for each in methods() if not each.streams and answer_to(each.name)]
-    # The drive of the shaker is visible to all clients by design.
-    quiet = [each for each in supported if "AO" not in each.name and "Write" not in each.name]
+    # Outputs drive the shaker, and change the readings of all clients by design.
+    without_outputs = [each for each in supported if "AO" not in each.name and "Write" not in each.name]
 
     def calls(channel):
-        for number in range(CALLS):
+        for number in range(N_CALLS):
             if number % 20 == 0:
-                declare(channel, sessions)
-            yield lambda: answers.append(ask(channel, chance.choice(quiet), chance, sessions[-4:]))
+                create_valid_task(channel, sessions)
+            yield lambda: errors.append(send_random_call(channel, rng.choice(without_outputs), rng, sessions[-4:]))
 
-    disturbed = read_beside(calls)
-    assert not [text for text in answers if "fault" in text or "Exception" in text or "Stream removed" in text]
+    disturbed = read_witness_during(calls)
+    assert not [text for text in errors if "fault" in text or "Exception" in text or "Stream removed" in text]
     assert "Traceback" not in capfd.readouterr().err
-    np.testing.assert_array_equal(disturbed, read_beside(lambda channel: [lambda: None] * CALLS))
+    np.testing.assert_array_equal(disturbed, read_witness_during(lambda channel: [lambda: None] * N_CALLS))
 
 
 @pytest.mark.parametrize(
-    "act, hint",
+    "call, hint",
     [
         (lambda rig: nidaqmx.Task("x" * 1_000_000, grpc_options=rig), "1000000 characters"),
         (lambda rig: nidaqmx.Task("a\0b", grpc_options=rig), "null character"),
@@ -175,13 +180,13 @@ def test_random_calls_harm_only_their_client(capfd):
         (lambda rig: Scale.create_polynomial_scale("s", [1.0] * 10_001, [1.0], grpc_options=rig), "entries"),
     ],
 )
-def test_invalid_values_name_valid_ones(act, hint):
+def test_error_of_invalid_value_names_problem(call, hint):
     with daq.connect("bare-structure", clock=ManualClock()) as rig, pytest.raises(DaqError, match=hint):
-        act(rig)
+        call(rig)
 
 
 @pytest.mark.parametrize("points, order, forward", [(10**9, 3, 1.0), (1000, 999, 1.0), (5, 7, 1.0), (100, 3, 1e300)])
-def test_endless_polynomial_reversal_is_rejected(points, order, forward):
+def test_impossible_polynomial_reversal_is_rejected(points, order, forward):
     from daq.instrument.settings.scales import reverse_polynomial
 
     with pytest.raises(daq.instrument.errors.DaqError, match="polynomial"):
@@ -220,12 +225,12 @@ def test_endless_wait_does_not_block_others():
     assert len(answers) == 1
 
 
-def test_silent_listener_does_not_stop_time():
+def test_unresponsive_client_does_not_stop_clock():
     with daq.connect(two_modules(), clock="fast") as rig:
         timing = {"sample_mode": AcquisitionType.CONTINUOUS, "samps_per_chan": 100}
-        with inputs(client(rig), **timing) as deaf, inputs(client(rig), "cDAQ1Mod2/ai0:2", **timing) as other:
-            deaf.register_every_n_samples_acquired_into_buffer_event(1, lambda *_: 0)
-            deaf.start()
+        with inputs(client(rig), **timing) as unresponsive, inputs(client(rig), "cDAQ1Mod2/ai0:2", **timing) as other:
+            unresponsive.register_every_n_samples_acquired_into_buffer_event(1, lambda *_: 0)
+            unresponsive.start()
             assert np.shape(other.read(500)) == (3, 500)
 
 
@@ -237,10 +242,10 @@ def test_invalid_time_is_rejected(seconds):
 
 def test_too_many_calls_are_rejected():
     with daq.connect("bare-structure", clock="fast", limits=Limits(calls=3)) as rig:
-        greedy = client(rig)
-        with inputs(greedy, "cDAQ1Mod1/ai0") as task:
+        excessive_client = client(rig)
+        with inputs(excessive_client, "cDAQ1Mod1/ai0") as task:
             streams = [
-                open_stream(greedy, task, name)
+                open_stream(excessive_client, task, name)
                 for name in ("RegisterDoneEvent", "RegisterEveryNSamplesEvent", "RegisterSignalEvent")
             ]
             with pytest.raises(DaqError, match="3 unfinished calls"):

@@ -1,3 +1,5 @@
+"""`daq run` executes a client script on a virtual rig: arguments, clock, exit codes, examples and child processes."""
+
 import math
 import runpy
 import subprocess
@@ -16,6 +18,8 @@ EXAMPLES = ["finite_read", "continuous_read", "impulse_capture", "log_to_recordi
 
 @pytest.fixture
 def script(tmp_path):
+    """Return a function that writes the text of a script and returns its path."""
+
     def write(text):
         path = tmp_path / "script.py"
         path.write_text(text)
@@ -24,6 +28,7 @@ def script(tmp_path):
     return write
 
 
+# The beginning of a script; the rest of the test's script is indented as part of the task.
 READ = """
 import sys, nidaqmx
 from nidaqmx.constants import AcquisitionType
@@ -41,19 +46,19 @@ def test_script_gets_rig_and_arguments(script, capfd):
 
 
 @pytest.mark.parametrize(
-    ("scene", "written", "noted"),
+    ("changes", "is_driven_by_script", "is_reported"),
     [({"test": None}, False, True), ({"test": None}, True, False), ({}, False, False)],
     ids=["nothing drives", "the script drives", "the test drives"],
 )
-def test_undriven_bench_is_reported_at_end(scene, written, noted, script, capfd):
+def test_undriven_bench_is_reported_at_end(changes, is_driven_by_script, is_reported, script, capfd):
     drive = """
     with nidaqmx.Task() as out:
         out.ao_channels.add_ao_voltage_chan(nidaqmx.system.System.local().devices[-1].ao_physical_chans[0].name)
         out.write(0.1)
 """
-    path = script(READ + "    task.read(10)\n" + (drive if written else ""))
-    assert run_script(path, scene=rig.load("bare-structure", scene), clock="fast") == 0
-    assert ("nothing drove the bench" in capfd.readouterr().err) is noted
+    path = script(READ + "    task.read(10)\n" + (drive if is_driven_by_script else ""))
+    assert run_script(path, scene=rig.load("bare-structure", changes), clock="fast") == 0
+    assert ("nothing drove the bench" in capfd.readouterr().err) is is_reported
 
 
 def test_time_limit_sends_ctrl_c(script, capfd):
@@ -73,15 +78,15 @@ def test_time_limit_sends_ctrl_c(script, capfd):
 
 
 @pytest.mark.thorough
-def test_waiting_for_enter_passes_bench_time(script, capfd):
+def test_clock_advances_while_script_waits_for_enter(script, capfd):
     path = script(
         READ
         + """
-    def look(handle, kind, samples, data):
+    def count_samples(handle, kind, samples, data):
         global total
         total += len(task.read(samples))
         return 0
-    task.register_every_n_samples_acquired_into_buffer_event(512, look)
+    task.register_every_n_samples_acquired_into_buffer_event(512, count_samples)
     task.start()
     input("Press Enter to stop. ")
     import time
@@ -103,7 +108,7 @@ def test_exit_code_of_script_is_kept(script, capfd, end, code):
 
 
 @pytest.mark.parametrize("source", ["x = (", "x = 1\0", "if True:\npass"])
-def test_broken_script_shows_only_itself(script, capfd, source):
+def test_syntax_error_shows_only_the_script(script, capfd, source):
     path = script(source)
     assert run_script(path, scene="bare-structure", clock="fast") == 1
     stderr = capfd.readouterr().err
@@ -113,7 +118,7 @@ def test_broken_script_shows_only_itself(script, capfd, source):
 
 
 @pytest.mark.parametrize("seconds", [-1.0, 0.0, float("nan"), float("inf")])
-def test_invalid_seconds_are_rejected_first(script, capfd, seconds):
+def test_invalid_time_limit_is_rejected_first(script, capfd, seconds):
     with pytest.raises(SceneError, match="seconds") as caught:
         run_script(script("print('ran')"), scene="bare-structure", clock="fast", seconds=seconds)
     assert caught.value.exit_code == 2
@@ -133,9 +138,9 @@ task.start()
 print(len(task.read(100)))
 """
     command = [sys.executable, "-W", "ignore::ResourceWarning", "-c", source]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert (ended.returncode, ended.stdout.strip()) == (0, "100")
-    assert "Traceback" not in ended.stderr
+    result = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert (result.returncode, result.stdout.strip()) == (0, "100")
+    assert "Traceback" not in result.stderr
 
 
 def test_missing_script_is_named(tmp_path):
@@ -155,14 +160,14 @@ def test_example_shows_its_result(name, capfd, monkeypatch):
     monkeypatch.delitem(sys.modules, f"daq.examples.{name}", raising=False)
     runpy.run_module(f"daq.examples.{name}", run_name="__main__")
     stdout = capfd.readouterr().out
-    promised = {
+    expected_line = {
         "finite_read": "5120 samples per channel at 5120 S/s",
         "continuous_read": "5120 samples per channel",
         "impulse_capture": "first sample above 10 N: index 256",
         "log_to_recording": "table: 2560 samples in m, as read",
         "live_control": "5.0 s: 0.4942 m/s^2",
     }
-    assert promised[name] in stdout
+    assert expected_line[name] in stdout
     assert "NOT" not in stdout
 
 
@@ -179,12 +184,13 @@ def test_source_recipe_gives_all_samples():
     assert sum(len(block) for block in blocks) == n_samples
 
 
-CHILDREN = """
+# The child process drives the shaker; the parent process reads all inputs on the same clock.
+TWO_PROCESSES = """
 import multiprocessing, sys
 import nidaqmx, numpy as np
 from nidaqmx.constants import AcquisitionType
 
-def drive(ready, over):
+def drive(ready, finished):
     with nidaqmx.Task() as task:
         task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
         task.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.FINITE, samps_per_chan=512)
@@ -192,19 +198,19 @@ def drive(ready, over):
         task.write(np.arange(512) / 512)
         task.start()
         ready.set()
-        over.wait(60)
+        finished.wait(60)
 
 if __name__ == "__main__":
     context = multiprocessing.get_context(sys.argv[1])
-    ready, over = context.Event(), context.Event()
-    child = context.Process(target=drive, args=(ready, over))
+    ready, finished = context.Event(), context.Event()
+    child = context.Process(target=drive, args=(ready, finished))
     child.start()
     ready.wait(60)
     with nidaqmx.Task() as task:
         task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:3", min_val=-500, max_val=500)
         task.timing.cfg_samp_clk_timing(5120.0, samps_per_chan=512)
         read = np.array(task.read(512))
-    over.set()
+    finished.set()
     child.join()
     np.save(sys.argv[2], read)
 """
@@ -212,12 +218,12 @@ if __name__ == "__main__":
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("method", ["spawn", "fork"])
-def test_processes_share_rig_to_the_sample(script, tmp_path, method):
+def test_processes_share_rig_and_clock(script, tmp_path, method):
     path = tmp_path / "read.npy"
-    assert run_script(script(CHILDREN), [method, str(path)], "bare-structure", "fast") == 0
+    assert run_script(script(TWO_PROCESSES), [method, str(path)], "bare-structure", "fast") == 0
     drive = 1e-3 * np.arange(512) / 512
     expected = Bench(rig.load("bare-structure")).acquire(drive[None]).samples
-    # The bench evaluates the rig more often than the other bench, so that rounding differs.
+    # The bench of the script simulates more samples than the expected bench, so that rounding differs.
     np.testing.assert_allclose(np.load(path), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 

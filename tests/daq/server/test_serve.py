@@ -1,4 +1,4 @@
-"""A served rig: live display in the viewer, and access only with certificates."""
+"""A served rig: live display, live recording, network addresses, and access only with certificates."""
 
 import contextlib
 import socket
@@ -37,24 +37,24 @@ def test_viewer_shows_channels(tmp_path):
         infos, rate = rig.sensors, rig.chassis.bench.rate
     assert rate == 5120.0
     values_by_channel = {info.name: [] for info in infos}
-    moving = 0
+    n_motion_chunks = 0
     for chunk in RrdReader(tmp_path / "live.rrd").stream():
         place, name = chunk.entity_path.rpartition("/")[::2]
         if place.startswith("/channels/") and not chunk.is_static:
             values_by_channel[name].append(chunk.to_record_batch().column("Scalars:scalars").flatten().to_numpy())
-        moving += chunk.entity_path == "/rig/body_2" and not chunk.is_static
-    assert moving
+        n_motion_chunks += chunk.entity_path == "/rig/body_2" and not chunk.is_static
+    assert n_motion_chunks
     for info, volts in zip(infos, read, strict=True):
         displayed = np.concatenate(values_by_channel[info.name])
         assert displayed.size == 1000
-        # The viewer's unit is another one, by a power of ten.
+        # The viewer displays the quantity in a unit that differs by a power of ten.
         scale = np.ptp(displayed) / np.ptp(np.array(volts) / info.sensitivity)
         np.testing.assert_allclose(np.sort(displayed), scale * np.sort(volts) / info.sensitivity, rtol=1e-9, atol=1e-12)
 
 
 @pytest.fixture
 def certificate(tmp_path):
-    """Make pairs of certificate and key, each signed by itself."""
+    """Return a function that makes a self-signed certificate and its key, and returns their paths."""
 
     def make(name):
         key, path = tmp_path / f"{name}.key", tmp_path / f"{name}.pem"
@@ -71,30 +71,28 @@ def certificate(tmp_path):
 
 @pytest.mark.thorough
 def test_certificates_admit_only_their_clients(certificate):
-    server, friend, stranger = (certificate(name) for name in ("server", "friend", "stranger"))
+    server_pair, known_pair, unknown_pair = (certificate(name) for name in ("server", "known", "unknown"))
     chassis = connect_scene("bare-structure", "fast")
-    credentials = Certificates(*server, clients=friend[0]).credentials()
+    server = Server(chassis, "localhost:0", Certificates(*server_pair, clients=known_pair[0]).credentials())
 
-    def devices(*pair, root=server[0]):
-        with contextlib.ExitStack() as stack:
-            pem_contents = [each.read_bytes() for each in reversed(pair)] or [None, None]
-            secure = grpc.ssl_channel_credentials(root.read_bytes(), *pem_contents)
-            channel = stack.enter_context(grpc.secure_channel(f"localhost:{running.port}", secure))
+    def devices(*client_pair, expected_server=server_pair[0]):
+        pem_contents = [each.read_bytes() for each in reversed(client_pair)] or [None, None]
+        credentials = grpc.ssl_channel_credentials(expected_server.read_bytes(), *pem_contents)
+        with grpc.secure_channel(f"localhost:{server.port}", credentials) as channel:
             return System.remote(nidaqmx.GrpcSessionOptions(channel, "")).devices.device_names
 
-    running = Server(chassis, "localhost:0", credentials)
-    with contextlib.closing(running):
-        assert "cDAQ1Mod1" in devices(*friend)
-        for refused in ((), stranger):
+    with contextlib.closing(server):
+        assert "cDAQ1Mod1" in devices(*known_pair)
+        for rejected_pair in ((), unknown_pair):
             with pytest.raises(Exception, match=r"(?i)unavailable|handshake|connect"):
-                devices(*refused)
+                devices(*rejected_pair)
         with pytest.raises(Exception, match=r"(?i)unavailable|certificate|connect"):
-            devices(*friend, root=stranger[0])
-        assert "cDAQ1Mod1" in devices(*friend)
+            devices(*known_pair, expected_server=unknown_pair[0])
+        assert "cDAQ1Mod1" in devices(*known_pair)
 
 
 @pytest.mark.parametrize("address", ["::1", "[::1]", "[::1]:0", "localhost:0"])
-def test_ipv6_and_names_can_be_listened_at(address):
+def test_server_listens_at_ipv6_and_names(address):
     host, port = parse_address(address, 0)
     try:
         socket.getaddrinfo(host, 0)

@@ -64,7 +64,7 @@ def test_named_module_rejects_on_demand_reading():
 
 
 @pytest.mark.parametrize("name", ["cDAQ9189-1D91958Mod1", "Dev12", "PXI1Slot4"])
-def test_drivers_name_selects_all_inputs(shared, name):
+def test_device_name_of_real_hardware_is_accepted(shared, name):
     with inputs(shared, f"{name}/ai0:3", samps_per_chan=10) as task:
         assert task.number_of_channels == 4
         assert task.devices[0].name == name
@@ -102,7 +102,7 @@ def test_terminal_may_be_used_twice():
     assert first == second
 
 
-def test_inputs_and_output_keep_rates():
+def test_inputs_and_output_have_own_rates():
     with (
         daq.connect("bare-structure", clock="fast") as rig,
         inputs(rig, "cDAQ1Mod1/ai3") as reading,
@@ -136,7 +136,7 @@ def test_slow_module_averages_fast_one():
     np.testing.assert_allclose(slow_samples[1:], fast_samples[1:].reshape(100, 4).mean(axis=1), rtol=1e-12, atol=1e-15)
 
 
-def test_on_demand_samples_play_in_order():
+def test_on_demand_samples_are_generated_in_order():
     with daq.connect("bare-structure", clock="fast") as rig, nidaqmx.Task(grpc_options=rig) as task:
         task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
         assert task.write([0.1, 0.2, 0.3], auto_start=True) == 3
@@ -170,7 +170,7 @@ def test_used_device_is_not_reset(shared):
         assert not task.is_task_done()
 
 
-def test_vanished_client_frees_modules():
+def test_modules_of_lost_client_are_released():
     limits = Limits(patience=0.2)
     with daq.connect("bare-structure", clock=ManualClock(), limits=limits) as rig:
         lost_client = client(rig)

@@ -1,4 +1,4 @@
-"""Ending `daq run` ends its script: no process remains, and the log is readable."""
+"""A signal that ends `daq run` ends its script, too: no process remains, and the log is readable."""
 
 import contextlib
 import os
@@ -30,30 +30,30 @@ with nidaqmx.Task() as task:
     while True:
         task.read(512)
 """
-IGNORE = "signal.signal(signal.SIGTERM, signal.SIG_IGN)"
-IN_ORDER = "signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))"
+IGNORE_SIGTERM = "signal.signal(signal.SIGTERM, signal.SIG_IGN)"
+EXIT_ON_SIGTERM = "signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))"
 
 
 @pytest.fixture
-def running(tmp_path):
-    """Start `daq run` of a script that logs and never ends; give its process, that of the script, and the log."""
-    started = []
+def start_run(tmp_path):
+    """Return a function that starts `daq run` with an endless logging script; it returns process, script's pid, log."""
+    processes = []
 
     def start(before=""):
         script, log = tmp_path / "script.py", tmp_path / "log.mcap"
         script.write_text(SCRIPT.replace("BEFORE", before))
-        words = ["run", "--scene", "bare-structure", "--clock", "fast", str(script), str(log)]
+        arguments = ["run", "--scene", "bare-structure", "--clock", "fast", str(script), str(log)]
         process = subprocess.Popen(
-            [sys.executable, "-m", "daq", *words],
+            [sys.executable, "-m", "daq", *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
         )
-        started.append(process)
+        processes.append(process)
         return process, int(process.stdout.readline()), log
 
     yield start
-    for process in started:
+    for process in processes:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
@@ -61,24 +61,24 @@ def running(tmp_path):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    ("before", "how", "send", "code"),
+    ("before", "signal_number", "send", "code"),
     [
         ("", signal.SIGTERM, os.kill, 128 + signal.SIGTERM),
         ("", signal.SIGHUP, os.kill, 128 + signal.SIGHUP),
         ("", signal.SIGINT, os.kill, 128 + signal.SIGINT),
         ("", signal.SIGINT, os.killpg, 128 + signal.SIGINT),
         ("", signal.SIGTERM, os.killpg, 128 + signal.SIGTERM),
-        (IN_ORDER, signal.SIGTERM, os.kill, 7),
-        (IGNORE, signal.SIGTERM, os.kill, 128 + signal.SIGKILL),
+        (EXIT_ON_SIGTERM, signal.SIGTERM, os.kill, 7),
+        (IGNORE_SIGTERM, signal.SIGTERM, os.kill, 128 + signal.SIGKILL),
     ],
-    ids=["terminated", "hung up", "interrupted", "Ctrl-C", "all terminated", "ends in order", "does not listen"],
+    ids=["terminated", "hung up", "interrupted", "Ctrl-C", "group terminated", "script exits", "script ignores signal"],
 )
-def test_ended_command_ends_logging_script(running, before, how, send, code):
-    process, script, log = running(before)
-    send(process.pid, how)
+def test_ended_command_ends_logging_script(start_run, before, signal_number, send, code):
+    process, script_pid, log = start_run(before)
+    send(process.pid, signal_number)
     assert process.wait(60) == code
     with pytest.raises(ProcessLookupError):
-        os.kill(script, 0)
+        os.kill(script_pid, 0)
     with daq.open(log) as recording:
         recording.check()
         assert recording.samples >= 5120

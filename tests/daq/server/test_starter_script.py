@@ -1,4 +1,4 @@
-"""The script that `daq serve` prints reads the sensors and reports a sensor without supply current."""
+"""The script that `daq serve` prints reads all sensors; a task that leaves a sensor without supply is reported."""
 
 import nidaqmx
 import numpy as np
@@ -19,14 +19,15 @@ channels: [CHANNELS]
 converter: {CONVERTER, rate: 5120 Hz}
 """
 IEPE = "accelerometer: {preset: PCB 352C33}"
-SUPPLIED = """{name: one, at: body 1, IEPE}, {name: two, at: body 2, IEPE},
+# Sensors that need a supply current, and sensors that do not.
+SENSORS = """{name: one, at: body 1, IEPE}, {name: two, at: body 2, IEPE},
   {name: rough, at: body 2, accelerometer: {sensitivity: 13.7 mV/g, iepe: true}},
   {name: plain, at: body 2, accelerometer: {sensitivity: 10 mV/g}},
   {name: speed, at: body 2, IEPE, integrator: {order: 1, gain: 10}},
   {name: force, at: shaker, hammer: {preset: PCB 208C02}}""".replace("IEPE", IEPE)
 
 
-def scene(channels, converter):
+def make_scene(channels, converter):
     return rig.loads(SCENE.replace("CHANNELS", channels).replace("CONVERTER", converter))
 
 
@@ -39,10 +40,10 @@ def starter(connection):
 @pytest.mark.parametrize(
     ("channels", "converter", "n_channels"),
     [
-        (SUPPLIED, "preset: NI 9234", 6),
-        (SUPPLIED, "preset: NI 9234, coupling: DC", 6),
+        (SENSORS, "preset: NI 9234", 6),
+        (SENSORS, "preset: NI 9234, coupling: DC", 6),
         # Channels of separate devices cannot be in one task.
-        (SUPPLIED, "preset: USB-4431", 4),
+        (SENSORS, "preset: USB-4431", 4),
         ("{name: one, at: body 1}, {name: two, at: body 2}", "bits: 24, range: 500 V", 2),
         ("{name: one, at: body 1}", "sampling: point", 1),
     ],
@@ -50,7 +51,7 @@ def starter(connection):
 )
 def test_starter_script_reads_sensors(channels, converter, n_channels, capsys):
     blocks = []
-    with daq.connect(scene(channels, converter), clock="fast") as connection:
+    with daq.connect(make_scene(channels, converter), clock="fast") as connection:
         chassis = connection.chassis
         chassis.listeners.append(lambda source, block: blocks.append(source.physical(block.samples)))
         report_missing_excitation(chassis)
@@ -71,7 +72,7 @@ def test_starter_script_reads_sensors(channels, converter, n_channels, capsys):
 
 
 def test_sensors_without_excitation_are_reported_once(capsys):
-    with daq.connect(scene(SUPPLIED, "preset: NI 9234"), clock="fast") as connection:
+    with daq.connect(make_scene(SENSORS, "preset: NI 9234"), clock="fast") as connection:
         report_missing_excitation(connection.chassis)
 
         def read(terminals, source):
@@ -98,7 +99,7 @@ with nidaqmx.Task() as task:
     task.timing.cfg_samp_clk_timing(5120.0, samps_per_chan=10)
     print(len(task.read(10)))
 """)
-    assert run_script(script, scene=scene(SUPPLIED, "preset: NI 9234"), clock="fast") == 0
+    assert run_script(script, scene=make_scene(SENSORS, "preset: NI 9234"), clock="fast") == 0
     out, err = capfd.readouterr()
     assert out == "4\n"
     assert "no excitation for cDAQ1Mod1/ai0 (one), cDAQ1Mod1/ai1 (two), cDAQ1Mod1/ai2 (rough): " in err

@@ -17,6 +17,7 @@ from nidaqmx.constants import (
 from nidaqmx.errors import DaqError
 
 import rig
+from daq.virtual_bench.bench import Bench
 from tests.daq.client import RATE, Task, connect, inputs, output, pass_samples, raises_code, reads_waveforms
 
 
@@ -26,11 +27,12 @@ def chassis():
 
 
 def tone(samples, frequency=20.0, amplitude=0.1):
+    """Return the volts of a tone; frequency in Hz, amplitude in V."""
     return amplitude * np.sin(2 * np.pi * frequency * np.arange(samples) / RATE)
 
 
 def read_in_pieces(size, total=512):
-    """Drive and read on one clock, `size` samples at a time."""
+    """Drive the shaker and read all inputs on the same clock, `size` samples at a time; return (4, `total`) volts."""
     connect("bare-structure", "fast")
     with Task() as reading, Task() as driving:
         inputs(reading, "Dev1/ai0:3", sample_mode=AcquisitionType.CONTINUOUS)
@@ -44,17 +46,14 @@ def read_in_pieces(size, total=512):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("size", [1, 7, 128])
-def test_read_size_does_not_change_bits(size):
+def test_read_size_does_not_change_samples(size):
     assert np.array_equal(read_in_pieces(size), read_in_pieces(512))
 
 
 def test_inputs_show_response_to_drive():
     measured = read_in_pieces(512)
-    scene = rig.load("bare-structure")
-    from daq.virtual_bench.bench import Bench
-
-    drive = 1e-3 * tone(512)
-    expected = Bench(scene).acquire(drive[None]).samples
+    drive = 1e-3 * tone(512)  # The table moves 1 mm per V.
+    expected = Bench(rig.load("bare-structure")).acquire(drive[None]).samples
     np.testing.assert_allclose(measured, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
@@ -77,7 +76,7 @@ def test_task_sets_sampling_rate(chassis):
     assert waveform.timing.sample_interval.total_seconds() == pytest.approx(1 / 10240, rel=1e-9)
 
 
-def test_low_rate_still_plays_test():
+def test_scene_test_runs_at_low_rate():
     scene = rig.load("bare-structure").replace(
         test={"kind": "sine", "frequency": 2000.0, "drive": 1e-6}, converter={"rate": 10240.0}
     )
@@ -94,6 +93,7 @@ def test_unstarted_finite_task_reads_all(chassis):
         assert np.shape(task.read(READ_ALL_AVAILABLE)) == (4, 64)
         assert task.is_task_done()
         assert np.shape(task.read(READ_ALL_AVAILABLE)) == (4, 64)
+    # 64 + 64 samples, of 10 bench samples each.
     assert chassis.position == 127 * 10 + 1
 
 
@@ -129,9 +129,8 @@ def test_sensitivity_converts_volts(chassis):
     with Task() as volt_task, Task() as g_task, Task() as metric_task:
         inputs(volt_task, "Dev1/ai3", samps_per_chan=500)
         for task, device, units in ((g_task, 2, AccelUnits.G), (metric_task, 3, AccelUnits.METERS_PER_SECOND_SQUARED)):
-            limit = 50.0
             task.ai_channels.add_ai_accel_chan(
-                f"Dev{device}/ai3", min_val=-limit, max_val=limit, units=units, sensitivity=250.0
+                f"Dev{device}/ai3", min_val=-50.0, max_val=50.0, units=units, sensitivity=250.0
             )
             task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=500)
         for task in (g_task, metric_task, volt_task):
@@ -178,7 +177,7 @@ def test_regeneration_repeats_buffer(chassis):
     assert chassis.last_volts[0] == 0.9
 
 
-def test_short_buffer_repeats_until_number(chassis):
+def test_short_buffer_repeats_until_number_is_generated(chassis):
     with Task() as driving:
         output(driving, [0.1, 0.2, 0.3], samps_per_chan=7)
         driving.start()
@@ -187,7 +186,7 @@ def test_short_buffer_repeats_until_number(chassis):
         assert chassis.last_volts[0] == 0.1
 
 
-def test_unregenerated_samples_play_once(chassis):
+def test_samples_without_regeneration_are_generated_once(chassis):
     with Task() as driving:
         driving.ao_channels.add_ao_voltage_chan("Dev1/ao0")
         driving.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
@@ -220,7 +219,7 @@ def test_output_starts_with_input_clock(chassis):
         assert driving.out_stream.total_samp_per_chan_generated == 5
 
 
-def test_callback_runs_at_each_multiple(chassis):
+def test_callback_runs_every_100_samples(chassis):
     calls = queue.Queue()
     with Task() as task:
         inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
@@ -252,8 +251,8 @@ def test_output_callbacks_run(chassis):
     assert calls.empty() and completed.empty()
 
 
-def test_real_clock_calls_on_other_thread(monkeypatch):
-    # A busy test machine must not make the bench report that it has fallen behind.
+def test_callbacks_run_on_another_thread(monkeypatch):
+    # On a busy machine the bench would report that it is slower than real time.
     monkeypatch.setattr("daq.instrument.chassis._MAX_DELAY_S", float("inf"))
     connect("bare-structure", "real")
     three_calls, threads = threading.Event(), []
@@ -286,7 +285,7 @@ def test_committed_task_keeps_modules(chassis):
         assert np.shape(second.read(READ_ALL_AVAILABLE)) == (4, 10)
 
 
-def test_undriven_output_plays_scene_test():
+def test_scene_test_runs_while_output_is_unused():
     connect("fig10b-no-damper", "fast")
     with Task() as task:
         task.ai_channels.add_ai_force_iepe_chan("Dev1/ai3")
@@ -308,10 +307,9 @@ def test_removed_delay_keeps_sample_times():
             driving.start()
             responses.append(np.array(reading.read(READ_ALL_AVAILABLE)))
     reference, filtered = responses
-    lag_samples = np.argmax(np.correlate(filtered - filtered.mean(), reference - reference.mean(), "full")) - (
-        len(reference) - 1
-    )
-    assert abs(lag_samples) <= 1
+    correlation = np.correlate(filtered - filtered.mean(), reference - reference.mean(), "full")
+    delay_samples = np.argmax(correlation) - (len(reference) - 1)
+    assert abs(delay_samples) <= 1
 
 
 def count_queries(condition, task):
@@ -330,14 +328,14 @@ def count_queries(condition, task):
         lambda task: task.is_task_done(),
     ],
 )
-def test_polling_passes_fast_time(chassis, condition):
+def test_polling_advances_fast_clock(chassis, condition):
     with inputs(Task(), "Dev1/ai0:3", sample_mode=AcquisitionType.FINITE, samps_per_chan=1000) as task:
         task.start()
         assert count_queries(condition, task) > 1
         assert np.array(task.read(READ_ALL_AVAILABLE)).shape == (4, 1000)
 
 
-def test_polling_output_passes_fast_time(chassis):
+def test_polling_output_advances_fast_clock(chassis):
     with output(Task(), tone(1000), sample_mode=AcquisitionType.FINITE, samps_per_chan=1000) as task:
         task.start()
         count_queries(lambda task: task.out_stream.total_samp_per_chan_generated == 1000, task)
@@ -357,7 +355,7 @@ def test_repeated_reads_without_timeout_succeed(chassis):
         count_queries(condition, task)
 
 
-def test_single_queries_pass_no_time(chassis):
+def test_single_queries_do_not_advance_clock(chassis):
     with inputs(Task(), "Dev1/ai0:3", sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.start()
         task.read(100)

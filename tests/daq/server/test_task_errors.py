@@ -1,4 +1,4 @@
-"""Errors of the remote API: codes and texts of the driver, with the remedy."""
+"""Errors of the remote API have the codes and texts of NI's driver, and name the remedy."""
 
 import importlib
 import re
@@ -68,7 +68,7 @@ def test_slow_machine_overflows_inputs(chassis):
 
 
 def start_output(task):
-    """Start an output that ends with its 100 samples unless more are written."""
+    """Start an output of 0.5 V that fails after 100 samples unless more are written."""
     task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
     task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
     task.out_stream.regen_mode = RegenerationMode.DONT_ALLOW_REGENERATION
@@ -135,7 +135,7 @@ def test_missing_channel_names_existing_ones(chassis, name, code, hint):
         task.ai_channels.add_ai_voltage_chan(name, min_val=-1.0, max_val=1.0)
 
 
-def test_excessive_limits_are_rejected_others_coerced():
+def test_channel_limits_are_rejected_or_coerced():
     connect("fig8-three-dampers", ManualClock())
     with Task() as task:
         with raises_code(-200077, "-50 to 50 g"):
@@ -231,9 +231,9 @@ def test_used_module_names_its_task(chassis):
 
 
 def test_wrong_use_has_its_code(chassis):
-    def code(call, *arguments, **keywords):
+    def code(call, *arguments):
         with pytest.raises(DaqError) as caught:
-            call(*arguments, **keywords)
+            call(*arguments)
         return caught.value.error_code
 
     with Task() as without_channels, Task() as reading, Task() as driving:
@@ -269,7 +269,7 @@ def test_offset_before_first_sample_is_rejected(chassis):
         assert task.in_stream.curr_read_pos == 20
 
 
-def test_unsupported_call_names_function_of_script(chassis):
+def test_unsupported_call_names_client_function(chassis):
     with Task() as task:
         inputs(task)
         for call, name, code in (
@@ -288,14 +288,14 @@ def test_unsupported_call_names_function_of_script(chassis):
 
 
 def test_unsupported_channel_calls_exist_in_client():
-    channels = [method.name for method in methods() if re.fullmatch(r"Create(TEDS)?[ACD][IO]\w*Chan\w*", method.name)]
-    collections = ("AI", "AO", "CI", "CO", "DI", "DO")
+    calls = [method.name for method in methods() if re.fullmatch(r"Create(TEDS)?[ACD][IO]\w*Chan\w*", method.name)]
+    collections = importlib.import_module("nidaqmx.task.collections")
     client_functions = {
         name
-        for kind in collections
-        for name in dir(getattr(importlib.import_module("nidaqmx.task.collections"), f"{kind}ChannelCollection"))
+        for kind in ("AI", "AO", "CI", "CO", "DI", "DO")
+        for name in dir(getattr(collections, f"{kind}ChannelCollection"))
     }
-    unsupported = {script_function(method) for method in channels if answer_to(method) is None}
+    unsupported = {script_function(call) for call in calls if answer_to(call) is None}
     assert unsupported and unsupported <= client_functions
 
 
@@ -306,7 +306,7 @@ def test_timeout_has_text_of_driver(chassis):
         task.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/PFI0")
         with pytest.raises(DaqReadError) as caught:
             task.read(100, timeout=0.01)
-    # The client has the driver's text of this error alone.
+    # For this error alone, the client package contains the driver's text.
     assert str(caught.value).startswith(_ERROR_MESSAGES[-200284])
     assert "Task Name: waiting" in str(caught.value)
 

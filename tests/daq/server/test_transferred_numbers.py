@@ -1,4 +1,4 @@
-"""Any value of a numeric field in a read or a write yields the specified value or the driver's error."""
+"""Read and write calls with any value of any field: the answer is right, or an error of the driver."""
 
 import grpc
 import nidaqmx
@@ -15,9 +15,9 @@ import rig
 from daq.server.client_defaults import open_channel
 from daq.server.protocol import SERVICE, methods
 
-COUNTS = {"I16": np.int16, "I32": np.int32, "U16": np.uint16, "U32": np.uint32}
+COUNT_TYPES = {"I16": np.int16, "I32": np.int32, "U16": np.uint16, "U32": np.uint32}
 TRANSFERS = [each for each in methods() if each.name.startswith(("Read", "Write"))]
-QUICK = settings(
+FEW_EXAMPLES = settings(
     max_examples=10, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 
@@ -34,8 +34,8 @@ def bench(request):
         yield connection, request.param, open_channel(connection.address)
 
 
-def sent(channel, method, **fields):
-    """Send a request of any fields; give the answer, or the error."""
+def send(channel, method, **fields):
+    """Send a request with these fields; return the answer."""
     message = message_factory.GetMessageClass(SERVICE.methods_by_name[method].input_type)(**fields)
     answer = message_factory.GetMessageClass(SERVICE.methods_by_name[method].output_type)
     call = channel.unary_unary(
@@ -54,9 +54,9 @@ def code_of(error):
     return codes[0]
 
 
-def numbers(field):
-    """Draw any value of a field's type."""
-    kinds = {
+def values_of(field):
+    """Return a strategy for all values of a field's type."""
+    strategies = {
         field.CPPTYPE_INT32: st.integers(-(2**31), 2**31 - 1),
         field.CPPTYPE_UINT32: st.integers(0, 2**32 - 1),
         field.CPPTYPE_INT64: st.integers(-(2**63), 2**63 - 1),
@@ -68,20 +68,20 @@ def numbers(field):
         if field.type == field.TYPE_BYTES
         else st.text(st.characters(exclude_categories=["Cs"]), max_size=40),
     }
-    return kinds[field.cpp_type]
+    return strategies[field.cpp_type]
 
 
 @st.composite
 def requests(draw, method, task):
-    """Draw a request of a call with any fields, about a task."""
-    of_request = SERVICE.methods_by_name[method].input_type.fields
+    """Draw the fields of a request that names this task."""
+    request_fields = SERVICE.methods_by_name[method].input_type.fields
     empty = message_factory.GetMessageClass(SERVICE.methods_by_name[method].input_type)()
-    fields = {"task": {"name": task}} if "task" in [each.name for each in of_request] else {}
-    for field in of_request:
+    fields = {"task": {"name": task}} if "task" in [each.name for each in request_fields] else {}
+    for field in request_fields:
         if field.name == "waveforms" and "Analog" in method:
             fields[field.name] = [{"y_data": draw(st.lists(st.floats(), max_size=4))}]
         if field.message_type is None and draw(st.integers(0, 4)):
-            value = numbers(field)
+            value = values_of(field)
             if field.name == "timeout":
                 value = st.sampled_from([0.0, 0.01, float("nan")])
             if field.name.startswith(("num_samps", "array_size")):
@@ -101,54 +101,54 @@ def test_any_request_gives_answer_or_driver_error(bench, method):
         outputs.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
         inputs.start()
 
-        @QUICK
+        @FEW_EXAMPLES
         @given(st.data())
         def try_any(data):
             fields = data.draw(requests(method, data.draw(st.sampled_from(["in", "out", ""]))))
             try:
-                sent(channel, method, **fields)
+                send(channel, method, **fields)
             except grpc.RpcError as error:
                 code_of(error)
 
         try_any()
 
 
-@pytest.mark.parametrize("kind", COUNTS)
+@pytest.mark.parametrize("kind", COUNT_TYPES)
 def test_counts_read_are_twos_complement(bench, kind):
     connection, bits, channel = bench
     with nidaqmx.Task("signed", grpc_options=connection) as task:
         task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:3")
         task.timing.cfg_samp_clk_timing(5120.0, samps_per_chan=200)
-        wanted = {"task": {"name": "signed"}, "num_samps_per_chan": 200, "timeout": 10.0, "array_size_in_samps": 800}
+        request = {"task": {"name": "signed"}, "num_samps_per_chan": 200, "timeout": 10.0, "array_size_in_samps": 800}
         task.start()
-        signed = np.array(sent(channel, "ReadBinaryI32", **wanted).read_array)
+        signed = np.array(send(channel, "ReadBinaryI32", **request).read_array)
         task.in_stream.relative_to, task.in_stream.offset = ReadRelativeTo.FIRST_SAMPLE, 0
-        if bits > np.iinfo(COUNTS[kind]).bits:
+        if bits > np.iinfo(COUNT_TYPES[kind]).bits:
             with pytest.raises(grpc.RpcError) as caught:
-                sent(channel, f"ReadBinary{kind}", **wanted)
+                send(channel, f"ReadBinary{kind}", **request)
             assert code_of(caught.value) == DAQmxErrors.READ_DATA_TYPE_TOO_SMALL
             return
-        response = sent(channel, f"ReadBinary{kind}", **wanted)
+        response = send(channel, f"ReadBinary{kind}", **request)
     assert signed.min() < 0 < signed.max()
-    assert np.array_equal(response.read_array, signed.astype(COUNTS[kind]))
+    assert np.array_equal(response.read_array, signed.astype(COUNT_TYPES[kind]))
 
 
-@pytest.mark.parametrize("kind", COUNTS)
+@pytest.mark.parametrize("kind", COUNT_TYPES)
 def test_counts_written_are_twos_complement(bench, kind):
     connection, bits, channel = bench
-    width = np.iinfo(COUNTS[kind]).bits
+    width = np.iinfo(COUNT_TYPES[kind]).bits
     with nidaqmx.Task("counts", grpc_options=connection) as task:
         task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
-        row = connection.chassis.last_volts
+        output_volts = connection.chassis.last_volts
 
-        @settings(QUICK, max_examples=40)
+        @settings(FEW_EXAMPLES, max_examples=40)
         @given(st.integers(-(2 ** (bits - 1)), 2 ** (bits - 1) - 1))
         @example(-1)
         def write(count):
-            number = int(np.int64(count).astype(COUNTS[kind]))
-            wanted = {"num_samps_per_chan": 1, "write_array": [number], "auto_start": True}
-            sent(channel, f"WriteBinary{kind}", task={"name": "counts"}, **wanted)
-            assert row[0] == count * 10.0 / 2 ** (bits - 1)
+            number = int(np.int64(count).astype(COUNT_TYPES[kind]))
+            samples = {"num_samps_per_chan": 1, "write_array": [number], "auto_start": True}
+            send(channel, f"WriteBinary{kind}", task={"name": "counts"}, **samples)
+            assert output_volts[0] == count * 10.0 / 2 ** (bits - 1)
 
         if bits <= width:
             write()

@@ -1,4 +1,4 @@
-"""A replay contains the data of the recording, read from the .rrd file by rerun's own reader."""
+"""A replay for the rerun viewer contains the data of the recording: .rrd files, read by rerun's own reader."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from daq.viewing.viewer_stream import entity
 from rig.errors import RunError, SceneError
 from rig.provenance import allow_overwriting
 
-FREQUENCY = 49.7
+FREQUENCY = 49.7  # Hz
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    """One second of a damper at work, the truth beside it."""
+def recording_path(tmp_path_factory):
+    """Record one second of a moving damper, with the truth."""
     scene = rig.load("fig9").replace(
         test={"kind": "sine", "frequency": f"{FREQUENCY} Hz", "drive": "3 V", "duration": "1 s"},
         recording={"truth": True, "display": False},
@@ -36,13 +36,13 @@ def recorded(tmp_path_factory):
 
 
 @pytest.fixture
-def recording(recorded):
-    with daq.open(recorded) as opened:
+def recording(recording_path):
+    with daq.open(recording_path) as opened:
         yield opened
 
 
-class Read:
-    """An .rrd file as rerun reads it: times in seconds and values of each entity's components."""
+class RrdFile:
+    """The contents of an .rrd file."""
 
     def __init__(self, path):
         self.columns, self.static = {}, {}
@@ -59,64 +59,65 @@ class Read:
                     self.columns.setdefault(key, []).append((batch.column("time"), values))
 
     def series(self, entity, component, width=1):
-        parts = [(t, v) for t, v in self.columns[entity, component] if v.null_count == 0]
-        time = np.concatenate([t.cast(pa.int64()).to_numpy() for t, _ in parts]) * 1e-9
-        values = [v.flatten() for _, v in parts]
+        """Return times in s and values of a component, in the order of time; `width` is the length of a vector."""
+        chunks = [(times, values) for times, values in self.columns[entity, component] if values.null_count == 0]
+        time = np.concatenate([times.cast(pa.int64()).to_numpy() for times, _ in chunks]) * 1e-9
+        arrays = [values.flatten() for _, values in chunks]
         if width > 1:
-            values = [v.flatten() for v in values]
-        flat = np.concatenate([v.to_numpy(zero_copy_only=False) for v in values])
+            arrays = [array.flatten() for array in arrays]
+        flat = np.concatenate([array.to_numpy(zero_copy_only=False) for array in arrays])
         order = np.argsort(time, kind="stable")
         return time[order], (flat.reshape(-1, width) if width > 1 else flat)[order]
 
 
 @pytest.fixture(scope="module")
-def written(recorded, tmp_path_factory):
+def saved_replay(recording_path, tmp_path_factory):
     path = tmp_path_factory.mktemp("rrd") / "replay.rrd"
-    with daq.open(recorded) as opened:
+    with daq.open(recording_path) as opened:
         save(Replay(opened), path)
-    return Read(path)
+    return RrdFile(path)
 
 
-def test_saved_channels_have_every_sample(recording, written):
+def test_saved_channels_have_every_sample(recording, saved_replay):
     for name in recording.channels:
-        time, shown_mm = written.series(f"/channels/displacement/{name}", "scalars")
+        time, shown_mm = saved_replay.series(f"/channels/displacement/{name}", "scalars")
         np.testing.assert_allclose(time, np.arange(recording.samples) / recording.rate, atol=1e-9)
         np.testing.assert_array_equal(shown_mm, 1e3 * recording.read(name))
 
 
-def test_saved_gaps_and_contacts_match_truth(recording, written):
-    time, gap_mm = written.series("/dampers/gap_mm/damper_1", "scalars")
+def test_saved_gaps_and_contacts_match_truth(recording, saved_replay):
+    time, gap_mm = saved_replay.series("/dampers/gap_mm/damper_1", "scalars")
     np.testing.assert_array_equal(gap_mm, 1e3 * recording.truth("gap")[0])
     assert gap_mm.max() == pytest.approx(0.98, rel=1e-6), "the damper should have reached its ceiling"
-    changed, states = written.series("/dampers/contact/damper_1", "state")
+    changed, states = saved_replay.series("/dampers/contact/damper_1", "state")
     displayed = states[np.searchsorted(changed, time + 1e-9, side="right") - 1]
     true = np.array(["flight", "floor", "ceiling"])[recording.truth("contact")[0].astype(int)]
     assert (displayed == true).all()
     assert set(states) == {"flight", "floor", "ceiling"}
 
 
-def test_drawn_rig_follows_displacement_channels(recording, written):
+def test_drawn_rig_follows_displacement_channels(recording, saved_replay):
     replay = Replay(recording)
     frames = np.arange(0, recording.samples, replay.step)
     assert 500 <= recording.rate / replay.step <= 1100
     for body in (1, 2, 3):
-        time, place = written.series(f"/rig/body_{body}", "translation", width=3)
+        time, position = saved_replay.series(f"/rig/body_{body}", "translation", width=3)
         np.testing.assert_allclose(time, frames / recording.rate, atol=1e-9)
-        deviation = place[:, 2] - place[:, 2].mean()
-        read = recording.read(f"body{body}")[frames] * replay.view.magnification
-        np.testing.assert_allclose(deviation, read - read.mean(), atol=1e-6)
-    _, gap = written.series("/rig/body_2/damper", "translation", width=3)
+        height = position[:, 2] - position[:, 2].mean()
+        displacement = recording.read(f"body{body}")[frames] * replay.view.magnification
+        np.testing.assert_allclose(height, displacement - displacement.mean(), atol=1e-6)
+    _, gap = saved_replay.series("/rig/body_2/damper", "translation", width=3)
     true = recording.truth("gap")[0][frames] * replay.view.magnification
     np.testing.assert_allclose(gap[:, 2], true, atol=1e-6)
 
 
-def test_saved_replay_has_markers_and_description(recording, written):
+def test_saved_replay_has_markers_and_description(recording, saved_replay):
     (mark,) = (mark for mark in recording.markers if mark.kind == "measure")
-    times, texts = written.series("/test/marks", "text")
-    (at,) = (place for place, text in enumerate(texts) if text.startswith("measure"))
-    assert times[at] == pytest.approx(mark.first_sample / recording.rate)
-    assert f"frequency {FREQUENCY:g} Hz" in texts[at]
-    (page,) = written.static["/about", "text"].to_pylist()[0]
+    times, texts = saved_replay.series("/test/marks", "text")
+    (index,) = (index for index, text in enumerate(texts) if text.startswith("measure"))
+    assert times[index] == pytest.approx(mark.first_sample / recording.rate)
+    assert f"frequency {FREQUENCY:g} Hz" in texts[index]
+    (page,) = saved_replay.static["/about", "text"].to_pylist()[0]
     factor = Replay(recording).view.magnification
     assert f"motion is {factor:g} times as large" in page
     assert "body 1: channel body1" in page
@@ -126,12 +127,12 @@ def test_saved_replay_has_markers_and_description(recording, written):
 
 def test_only_the_chosen_part_is_saved(recording, tmp_path):
     save(Replay(recording, 0.5, 0.6), tmp_path / "part.rrd")
-    time, _ = Read(tmp_path / "part.rrd").series("/channels/displacement/body1", "scalars")
+    time, _ = RrdFile(tmp_path / "part.rrd").series("/channels/displacement/body1", "scalars")
     assert time[0] == pytest.approx(0.5)
     assert time[-1] == pytest.approx(0.6)
 
 
-def test_lost_samples_leave_a_hole_in_curves(recording, tmp_path):
+def test_lost_samples_are_gaps_in_curves(recording, tmp_path):
     path, lost = tmp_path / "gap.mcap", range(1000, 1600)
     scene = recording.scene.replace(dampers=(), recording={"truth": False, "display": False})
     infos = list(recording.channels.values())
@@ -141,16 +142,16 @@ def test_lost_samples_leave_a_hole_in_curves(recording, tmp_path):
         recorder.write(volts[:, : lost.start])
         recorder.gap(len(lost))
         recorder.write(volts[:, lost.stop :])
-    with daq.open(path) as torn:
-        save(Replay(torn), tmp_path / "gap.rrd")
-        rows = Read(tmp_path / "gap.rrd")
-        _, displayed = rows.series("/channels/displacement/body1", "scalars")
+    with daq.open(path) as with_gap:
+        save(Replay(with_gap), tmp_path / "gap.rrd")
+        replay_file = RrdFile(tmp_path / "gap.rrd")
+        _, displayed = replay_file.series("/channels/displacement/body1", "scalars")
         assert np.isnan(displayed[lost.start : lost.stop]).all()
         assert np.isfinite(np.delete(displayed, np.arange(lost.start, lost.stop))).all()
-        time, _ = rows.series("/rig/body_1", "translation", width=3)
-        within = (time > (lost.start - 0.5) / torn.rate) & (time < (lost.stop - 0.5) / torn.rate)
-        assert not within.any()
-        assert any("gap" in text for text in rows.series("/test/marks", "text")[1])
+        time, _ = replay_file.series("/rig/body_1", "translation", width=3)
+        is_lost = (time > (lost.start - 0.5) / with_gap.rate) & (time < (lost.stop - 0.5) / with_gap.rate)
+        assert not is_lost.any()
+        assert any("gap" in text for text in replay_file.series("/test/marks", "text")[1])
 
 
 def test_accelerations_are_integrated_and_described(tmp_path):
@@ -165,17 +166,17 @@ def test_accelerations_are_integrated_and_described(tmp_path):
         motion = RecordedMotion(opened)
         assert {source.quantity for source in motion.sources} == {"truth"}
         true = opened.truth("displacement")
-    untold = scene.replace(recording={"truth": False, "display": False})
-    path = daq.record(untold, tmp_path / "untold.mcap")
+    without_truth = scene.replace(recording={"truth": False, "display": False})
+    path = daq.record(without_truth, tmp_path / "without_truth.mcap")
     with daq.open(path) as opened:
         motion = RecordedMotion(opened)
         assert all(f"high-passed at {HIGH_PASS_HZ:g} Hz" in source.sentence for source in motion.sources)
         parts = [part for _, part in motion.segments(0, opened.samples, 1)]
         result = np.concatenate([np.vstack([part.displacement, part.tables]) for part in parts], axis=1)
-    late = slice(result.shape[1] // 2, None)
-    error = np.abs(result[:, late] - true[:, late]).max(axis=1)
-    # The high-pass turns a 30 Hz tone by about 5 degrees; what is left of the start-up drift adds to that.
-    assert (error < 0.15 * np.abs(true[:, late]).max(axis=1)).all(), error
+    second_half = slice(result.shape[1] // 2, None)
+    error = np.abs(result[:, second_half] - true[:, second_half]).max(axis=1)
+    # The high-pass filter shifts the phase of a 30 Hz tone by about 5 degrees; its transient adds to the error.
+    assert (error < 0.15 * np.abs(true[:, second_half]).max(axis=1)).all(), error
 
 
 @pytest.mark.parametrize(
@@ -187,31 +188,31 @@ def test_impossible_part_or_speed_is_rejected(recording, begin, end, speed, mess
         Replay(recording, begin, end, speed)
 
 
-def test_wrong_ending_overwrites_nothing(recording, recorded):
-    before = recorded.read_bytes()
+def test_wrong_extension_overwrites_nothing(recording, recording_path):
+    before = recording_path.read_bytes()
     with pytest.raises(SceneError, match=r"ends in \.rrd"):
-        save(Replay(recording), recorded)
-    assert recorded.read_bytes() == before
+        save(Replay(recording), recording_path)
+    assert recording_path.read_bytes() == before
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limits to the size of a file")
-@pytest.mark.parametrize("most", [10, 30_000])
-def test_full_disk_keeps_the_old_replay_file(recording, tmp_path, most, capfd):
+@pytest.mark.parametrize("size_limit", [10, 30_000])
+def test_full_disk_keeps_the_old_replay_file(recording, tmp_path, size_limit, capfd):
     import resource
 
     (tmp_path / "x.rrd").write_text("before")
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (most, before[1]))
+    previous_limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size_limit, previous_limits[1]))
     try:
         with allow_overwriting(True), pytest.raises(RunError, match=r"cannot write .*x\.rrd: File too large"):
             save(Replay(recording), tmp_path / "x.rrd")
     finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        resource.setrlimit(resource.RLIMIT_FSIZE, previous_limits)
     assert [(each.name, each.read_text()) for each in tmp_path.iterdir()] == [("x.rrd", "before")]
     assert capfd.readouterr().err == ""
 
 
-def test_a_file_that_exists_is_not_replaced(recording, tmp_path):
+def test_existing_file_is_not_replaced(recording, tmp_path):
     (tmp_path / "x.rrd").write_text("before")
     with pytest.raises(SceneError, match=r"x\.rrd exists"):
         save(Replay(recording), tmp_path / "x.rrd")
@@ -246,12 +247,12 @@ def test_overloaded_channel_has_a_lane(tmp_path):
         recorder.mark("overload", 4096, 5000, channel="body1")
     with daq.open(tmp_path / "overload.mcap") as opened:
         save(Replay(opened, end_s=0.85), tmp_path / "overload.rrd")
-    changed, states = Read(tmp_path / "overload.rrd").series("/test/overload/body1", "state")
+    changed, states = RrdFile(tmp_path / "overload.rrd").series("/test/overload/body1", "state")
     displayed = dict(zip(changed.round(6).tolist(), states, strict=True))
     assert displayed == {0.1: "0", 0.2: "none", 0.8: "1", 0.850195: "none"}
 
 
-def test_entity_of_odd_name_is_one_path_part():
+def test_channel_name_with_slash_is_escaped():
     assert entity("acceleration", "top left/2") == r"/channels/acceleration/top\ left\/2"
 
 

@@ -1,8 +1,9 @@
-"""The real viewer: headless with a graphics device, a clear message without."""
+"""The rerun viewer itself: pictures with a graphics device, a clear message without; sessions in the browser."""
 
 from __future__ import annotations
 
 import ctypes.util
+import os
 import signal
 import socket
 import struct
@@ -20,17 +21,17 @@ from daq.viewing.replay import Replay
 from daq.viewing.rerun_viewer import LOOPBACK, free_port, picture, viewer
 from rig.errors import RunError, SceneError
 
-DRIVERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
-NAMED = "mesa-vulkan-drivers libvulkan1"
+DRIVER_FOLDERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
+PACKAGES = "mesa-vulkan-drivers libvulkan1"
 
 
 def has_vulkan():
-    drivers = [driver for folder in DRIVERS for driver in Path(folder).glob("*.json")]
+    drivers = [driver for folder in DRIVER_FOLDERS for driver in Path(folder).glob("*.json")]
     return ctypes.util.find_library("vulkan") is not None and bool(drivers)
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
+def recording_path(tmp_path_factory):
     scene = rig.load("fig9").replace(
         test={"kind": "sine", "frequency": "49.7 Hz", "drive": "3 V", "duration": "0.5 s"},
         recording={"truth": True, "display": True},
@@ -40,13 +41,11 @@ def recorded(tmp_path_factory):
 
 def run_daq(*arguments, **environment):
     command = [sys.executable, "-c", "from daq.cli import main; main()", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, env=clean(environment), timeout=120)
+    return subprocess.run(command, capture_output=True, text=True, env=without_display(environment), timeout=120)
 
 
-def clean(environment):
-    """Return the environment without a display, so that no test opens a window."""
-    import os
-
+def without_display(environment):
+    """Return the environment with these variables, but without a display, so that no test opens a window."""
     displays = ("DISPLAY", "WAYLAND_DISPLAY")
     return {key: value for key, value in os.environ.items() if key not in displays} | environment
 
@@ -57,12 +56,12 @@ def png_size(png):
 
 
 @pytest.mark.thorough
-def test_picture_draws_every_view(recorded, tmp_path):
+def test_picture_draws_every_view(recording_path, tmp_path):
     file = tmp_path / "replay.png"
-    with daq.open(recorded) as recording:
+    with daq.open(recording_path) as recording:
         replay = Replay(recording)
         if not has_vulkan():
-            with pytest.raises(RunError, match=NAMED):
+            with pytest.raises(RunError, match=PACKAGES):
                 draw_picture(replay, file, size=(1200, 800))
             return
         draw_picture(replay, file, size=(1200, 800))
@@ -70,12 +69,12 @@ def test_picture_draws_every_view(recorded, tmp_path):
 
 
 @pytest.mark.thorough
-def test_rerun_opens_a_recording_with_plots_and_rig(recorded):
+def test_rerun_shows_plots_and_rig_of_recording(recording_path):
     if not has_vulkan():
-        with pytest.raises(RunError, match=NAMED):
-            picture(recorded, 0.3, (1000, 700))
+        with pytest.raises(RunError, match=PACKAGES):
+            picture(recording_path, 0.3, (1000, 700))
         return
-    png, views = picture(recorded, 0.3, (1000, 700))
+    png, views = picture(recording_path, 0.3, (1000, 700))
     assert png_size(png) == (1000, 700)
     assert [report for view in views for report in view.reports] == []
     kinds = [view.view_class for view in views]
@@ -83,36 +82,40 @@ def test_rerun_opens_a_recording_with_plots_and_rig(recorded):
     assert kinds.count("TimeSeries") >= 4
 
 
-def test_missing_graphics_device_names_the_packages(recorded, tmp_path, monkeypatch):
+def test_missing_graphics_device_names_the_packages(recording_path, tmp_path, monkeypatch):
     for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
         monkeypatch.setenv(name, str(tmp_path / "none.json"))
-    with pytest.raises(RunError, match=NAMED):
-        picture(recorded, None, (400, 300))
+    with pytest.raises(RunError, match=PACKAGES):
+        picture(recording_path, None, (400, 300))
 
 
 def test_viewer_listens_on_loopback_and_ends():
-    page = free_port()
-    with viewer("--serve-web", "--web-viewer-port", str(page)) as running:
-        for port in (running.port, page):
-            with socket.socket() as other:
-                # An address of this machine that a listener on all interfaces would answer.
-                assert other.connect_ex(("127.0.0.2", port)) != 0
-        with urllib.request.urlopen(f"http://{LOOPBACK}:{page}/", timeout=10) as answer:
+    page_port = free_port()
+    with viewer("--serve-web", "--web-viewer-port", str(page_port)) as session:
+        for port in (session.port, page_port):
+            with socket.socket() as client:
+                # A viewer that listens on all interfaces would answer at this address of the machine.
+                assert client.connect_ex(("127.0.0.2", port)) != 0
+        with urllib.request.urlopen(f"http://{LOOPBACK}:{page_port}/", timeout=10) as answer:
             assert b"<html" in answer.read().lower()
-    assert running.process.returncode is not None
-    with socket.socket() as gone:
-        assert gone.connect_ex((LOOPBACK, running.port)) != 0
+    assert session.process.returncode is not None
+    with socket.socket() as client:
+        assert client.connect_ex((LOOPBACK, session.port)) != 0
 
 
-def test_viewer_error_is_passed_on():
+def test_viewer_error_is_reported():
     with pytest.raises(RunError, match="--no-such-option"), viewer("--no-such-option"):
         pass
 
 
-def test_browser_session_ends_quietly_on_interrupt(recorded):
-    command = [sys.executable, "-c", "from daq.cli import main; main()", "replay", str(recorded), "--web"]
+def test_browser_session_ends_quietly_on_interrupt(recording_path):
+    command = [sys.executable, "-c", "from daq.cli import main; main()", "replay", str(recording_path), "--web"]
     with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=clean({"PYTHONUNBUFFERED": "1"})
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=without_display({"PYTHONUNBUFFERED": "1"}),
     ) as session:
         assert session.stdout is not None and session.stderr is not None
         address = session.stdout.readline().strip()
@@ -125,32 +128,32 @@ def test_browser_session_ends_quietly_on_interrupt(recorded):
 
 
 @pytest.mark.parametrize(
-    ("content", "said"), [(None, "cannot open"), (b"", "is empty"), (bytes(range(256)) * 8, "MCAP")]
+    ("content", "message"), [(None, "cannot open"), (b"", "is empty"), (bytes(range(256)) * 8, "MCAP")]
 )
-def test_missing_recording_ends_with_one_line(tmp_path, content, said):
+def test_missing_recording_ends_with_one_line(tmp_path, content, message):
     file = tmp_path / "what.mcap"
     if content is not None:
         file.write_bytes(content)
-    ended = run_daq("replay", file, "--save", tmp_path / "x.rrd")
-    assert ended.returncode == 2
-    assert "error:" in ended.stderr and said in ended.stderr
-    assert "Traceback" not in ended.stderr
+    result = run_daq("replay", file, "--save", tmp_path / "x.rrd")
+    assert result.returncode == 2
+    assert "error:" in result.stderr and message in result.stderr
+    assert "Traceback" not in result.stderr
     assert not (tmp_path / "x.rrd").exists()
 
 
-def test_missing_display_names_other_outputs(recorded):
-    ended = run_daq("replay", recorded)
-    assert ended.returncode == 1
+def test_missing_display_names_other_outputs(recording_path):
+    result = run_daq("replay", recording_path)
+    assert result.returncode == 1
     for option in ("--web", "--screenshot", "--save"):
-        assert option in ended.stderr
+        assert option in result.stderr
 
 
-def test_two_outputs_at_once_are_rejected(recorded, tmp_path):
-    ended = run_daq("replay", recorded, "--web", "--save", tmp_path / "x.rrd")
-    assert ended.returncode == 2
-    assert "choose one" in ended.stderr
+def test_two_outputs_at_once_are_rejected(recording_path, tmp_path):
+    result = run_daq("replay", recording_path, "--web", "--save", tmp_path / "x.rrd")
+    assert result.returncode == 2
+    assert "choose one" in result.stderr
 
 
-def test_instant_outside_the_recording_is_rejected(recorded, tmp_path):
-    with daq.open(recorded) as recording, pytest.raises(SceneError, match=r"outside the replay.*0\.5 s"):
+def test_instant_outside_the_recording_is_rejected(recording_path, tmp_path):
+    with daq.open(recording_path) as recording, pytest.raises(SceneError, match=r"outside the replay.*0\.5 s"):
         draw_picture(Replay(recording), tmp_path / "x.png", at_s=9.0)

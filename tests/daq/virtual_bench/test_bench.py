@@ -1,4 +1,4 @@
-"""The bench: one sample clock, and samples that do not depend on the order of requests."""
+"""The virtual bench converts drive into samples: blocks, counts, overloads and the sample clock."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from rig.errors import RunError
 
 
 def drive_of(samples: int, level: float, rate: float = 5120.0) -> np.ndarray:
+    """Return a frequency-modulated tone at 34.8 Hz (1 input, samples)."""
     time = np.arange(samples) / rate
     return level * np.sin(2 * np.pi * 34.8 * time + 3 * np.sin(2 * np.pi * 2 * time))[None]
 
@@ -50,14 +51,13 @@ def test_summed_acceleration_is_velocity() -> None:
     np.testing.assert_allclose(velocity, block.motion.velocity[:3], rtol=0, atol=1e-9)
 
 
-def test_overload_is_flagged_where_it_is() -> None:
+def test_overload_flags_are_at_full_scale() -> None:
     scene = rig.load("fig8-no-damper")
     scene = scene.replace(converter={"rate": "5120 Hz", "bits": 16, "range": "5 mV"})
     block = Bench(scene).acquire(drive_of(3000, 5.0))
-    full = 2**15
-    at_the_rails = (block.samples == full - 1) | (block.samples == -full)
+    at_full_scale = (block.samples == 2**15 - 1) | (block.samples == -(2**15))
     assert block.overload.any()
-    assert np.all(at_the_rails[block.overload])
+    assert np.all(at_full_scale[block.overload])
 
 
 @pytest.mark.parametrize("shape", [(2, 10), (0, 10), (10,)])

@@ -1,4 +1,7 @@
-"""Several sample rates on one bench: each task reads the same samples as it would alone."""
+"""Several sample rates on a bench: each task reads the same samples as if it were the only one.
+
+The bench simulates at its tick rate, and derives from it the samples of each rate.
+"""
 
 import nidaqmx
 import numpy as np
@@ -27,23 +30,23 @@ CONVERTERS = ["{rate: 5120 Hz}", "{preset: NI 9234, rate: 5120 Hz}", "{preset: U
 RATES = [51200.0, 12800.0, 51200.0 / 7, 2048.0]
 
 
-def bench(converter, scene=SCENE):
+def terminals_of(converter, scene=SCENE):
     return Terminals(rig.loads(scene.replace("CONVERTER", converter)))
 
 
 def drive(source, tick, ticks):
-    """Volts that make the damper hit floor and ceiling; they are straight lines between ticks."""
+    """Return the volts at ticks, linear in between, that make the damper hit floor and ceiling."""
     return 60.0 * np.sin(2 * np.pi * 25.0 * (tick + np.arange(ticks)) / source.bench.tick_rate)[None]
 
 
-def samples(source, blocks, rate):
-    """Samples at a rate while blocks of so many ticks pass, each with the other rates sampled meanwhile."""
+def acquire(source, blocks, rate):
+    """Return the samples at a rate; a block is a number of ticks and the other rates that are sampled meanwhile."""
     source.release_outputs()
-    tick, result = 0, []
-    for ticks, others in blocks:
-        result.append(source.advance(drive(source, tick, ticks), ticks, {rate, *others})[rate].samples)
+    tick, samples = 0, []
+    for ticks, other_rates in blocks:
+        samples.append(source.advance(drive(source, tick, ticks), ticks, {rate, *other_rates})[rate].samples)
         tick += ticks
-    return np.concatenate(result, axis=1)
+    return np.concatenate(samples, axis=1)
 
 
 @pytest.mark.thorough
@@ -53,46 +56,43 @@ def samples(source, blocks, rate):
     rate=st.sampled_from(RATES),
     blocks=st.lists(st.tuples(st.integers(1, 3000), st.sets(st.sampled_from(RATES))), min_size=1, max_size=8),
 )
-def test_parallel_rates_do_not_change_bits(converter, rate, blocks):
-    alone = samples(bench(converter), [(sum(ticks for ticks, _ in blocks), ())], rate)
-    assert np.array_equal(samples(bench(converter), blocks, rate), alone)
+def test_other_rates_do_not_change_samples(converter, rate, blocks):
+    alone = acquire(terminals_of(converter), [(sum(ticks for ticks, _ in blocks), ())], rate)
+    assert np.array_equal(acquire(terminals_of(converter), blocks, rate), alone)
 
 
 @pytest.mark.parametrize("converter", CONVERTERS)
 @pytest.mark.parametrize("rate", [51200.0, 51200.0 / 7])
-def test_rate_is_as_if_alone(converter, rate):
-    # Noise is drawn for each interval; at rates that do not divide the ticks a bench alone has fewer of them.
-    source = bench(converter, SCENE.replace("noise: 20 ug/sqrt(Hz), ", "") if "USB" in converter else SCENE)
+def test_samples_equal_those_of_slower_bench(converter, rate):
+    # Noise is drawn for each interval between ticks and samples, of which the slower bench has fewer.
+    source = terminals_of(converter, SCENE.replace("noise: 20 ug/sqrt(Hz), ", "") if "USB" in converter else SCENE)
     ticks = round(0.2 * source.bench.tick_rate)
-    result = samples(source, [(ticks, ())], rate)
-    setup = source.bench.scene.converter.replace(rate=rate)
-    # The same straight lines, cut at the samples of that bench only where they are straight anyway.
-    alone = Bench(source.bench.scene.replace(converter=setup))
-    count = result.shape[1]
-    at = np.arange(count) / rate * source.bench.tick_rate
-    line = np.interp(at, np.arange(ticks), drive(source, 0, ticks)[0])
-    expected = alone.acquire(line[None]).samples
+    result = acquire(source, [(ticks, ())], rate)
+    slower_bench = Bench(source.bench.scene.replace(converter=source.bench.scene.converter.replace(rate=rate)))
+    ticks_of_samples = np.arange(result.shape[1]) / rate * source.bench.tick_rate
+    slower_drive = np.interp(ticks_of_samples, np.arange(ticks), drive(source, 0, ticks)[0])
+    expected = slower_bench.acquire(slower_drive[None]).samples
     scale = np.abs(expected).max(axis=1, keepdims=True).astype(float)
-    # The drive between samples differs by (pi f / rate)^2 / 2.
+    # Between samples, the drive of the slower bench differs by (pi f / rate)^2 / 2.
     np.testing.assert_allclose(result / scale, expected / scale, rtol=0, atol=3e-3 if rate < 1e4 else 3e-4)
 
 
-def test_late_rate_has_settled_filters():
+def test_filters_of_later_rate_are_settled():
     source = bench("{rate: 5120 Hz}")
     ticks = round(2.5 * source.bench.tick_rate)
     source.release_outputs()
-    late = None
+    last_block = None
     for first in range(0, ticks + 8192, 8192):
         rates = {51200.0} if first >= ticks - 8192 else set()
-        late = source.advance(drive(source, first, 8192), 8192, rates).get(51200.0)
+        last_block = source.advance(drive(source, first, 8192), 8192, rates).get(51200.0)
     # Each sample is the average of the drive over the interval that ends there.
-    line = drive(source, late.first - 1, late.samples.shape[1] + 1)[0]
-    np.testing.assert_allclose(late.samples[2], (line[1:] + line[:-1]) / 2, rtol=0, atol=1e-9)
+    volts = drive(source, last_block.first - 1, last_block.samples.shape[1] + 1)[0]
+    np.testing.assert_allclose(last_block.samples[2], (volts[1:] + volts[:-1]) / 2, rtol=0, atol=1e-9)
     # The offset of an integrator that was just switched on would be much larger than its vibration.
-    assert abs(late.samples[1].mean()) < 0.2 * np.ptp(late.samples[1])
+    assert abs(last_block.samples[1].mean()) < 0.2 * np.ptp(last_block.samples[1])
 
 
-def reading(connection, device, rate):
+def input_task(connection, device, rate):
     task = nidaqmx.Task(grpc_options=connection)
     task.ai_channels.add_ai_voltage_chan(f"{device}/ai0:1", min_val=-500.0, max_val=500.0)
     task.timing.cfg_samp_clk_timing(rate, sample_mode=AcquisitionType.CONTINUOUS)
@@ -100,12 +100,12 @@ def reading(connection, device, rate):
 
 
 def test_parallel_tasks_keep_their_rates():
-    with daq.connect("bare-structure", clock="fast") as alone, reading(alone, "Dev1", 5120.0) as slow:
+    with daq.connect("bare-structure", clock="fast") as single, input_task(single, "Dev1", 5120.0) as slow:
         expected = np.array(slow.read(300))
     with (
         daq.connect("bare-structure", clock="fast") as both,
-        reading(both, "Dev1", 5120.0) as slow,
-        reading(both, "Dev2", 51200.0) as fast,
+        input_task(both, "Dev1", 5120.0) as slow,
+        input_task(both, "Dev2", 51200.0) as fast,
     ):
         first = slow.read(100)
         fast.start()
@@ -115,7 +115,7 @@ def test_parallel_tasks_keep_their_rates():
 
 @pytest.mark.parametrize("at", ["shaker", "drive"])
 @pytest.mark.parametrize("ratio", [1.0, 10.0, 9.5])
-def test_force_read_at_slower_rate_is_as_stated(at, ratio):
+def test_force_at_slower_rate_has_stated_response(at, ratio):
     scene = rig.loads(
         "{structure: {masses: [1 kg], springs: [40 kN/m], damping: {modal: 1 %}}, shaker: {kind: force, body: 1}, "
         f"channels: [{{name: drive, at: {at}}}], converter: {{rate: 10240 Hz}}}}"
@@ -124,10 +124,10 @@ def test_force_read_at_slower_rate_is_as_stated(at, ratio):
     time = np.arange(10240) / bench.tick_rate
     block = bench.advance(3.0 * np.cos(2 * np.pi * frequency * time)[None], [rate])[rate]
     instants = (block.first + np.arange(block.samples.shape[1])) / rate
-    wave = np.exp(2j * np.pi * frequency * instants)[200:]
-    tones = np.column_stack([wave.real, -wave.imag, np.ones(wave.size)])
-    cos, sin, _ = np.linalg.lstsq(tones, block.samples[0, 200:], rcond=None)[0]
-    alone = Bench(scene.replace(converter=scene.converter.replace(rate=rate)))
-    stated = 3.0 * alone.channels[0].response(frequency)
-    # The straight lines between ticks attenuate the tone by (pi f / tick rate)^2 / 3.
-    assert complex(cos, sin) == pytest.approx(complex(stated), rel=3e-3)
+    phasor = np.exp(2j * np.pi * frequency * instants)[200:]
+    basis = np.column_stack([phasor.real, -phasor.imag, np.ones(phasor.size)])
+    real, imaginary, _ = np.linalg.lstsq(basis, block.samples[0, 200:], rcond=None)[0]
+    slower_bench = Bench(scene.replace(converter=scene.converter.replace(rate=rate)))
+    stated = 3.0 * slower_bench.channels[0].response(frequency)
+    # Linear interpolation between ticks attenuates the tone by (pi f / tick rate)^2 / 3.
+    assert complex(real, imaginary) == pytest.approx(complex(stated), rel=3e-3)

@@ -1,4 +1,4 @@
-"""Cost of the measurement chain: each variant changes only one effect, and the errors agree with theory."""
+"""The study of the measurement chain: error and computing time of variants, each of which changes a single effect."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import rig
 from analysis.chain_cost.figure import table, write
 from analysis.chain_cost.study import ChainStudy, chain_study, steady_frequencies
 from analysis.chain_cost.variants import GROUPS, expand_chain, scene_setting, variants, without_noise
+from daq.virtual_bench.bench import Bench
 from rig.errors import RunError, SceneError
 
 ONE_BODY = """
@@ -41,26 +42,26 @@ def study() -> ChainStudy:
     return chain_study(rig.loads(ONE_BODY), [24.0])
 
 
-def error(study: ChainStudy, group: str, setting: str) -> float:
-    return next(p.error for p in study.points if (p.group, p.setting) == (group, setting))
+def error_of(study: ChainStudy, group: str, setting: str) -> float:
+    return next(point.error for point in study.points if (point.group, point.setting) == (group, setting))
 
 
 def test_quiet_chain_approaches_exact_solution(study: ChainStudy) -> None:
     assert study.without_noise.error < 1e-4
-    assert error(study, "sample rate", "8000 Hz") < 1e-6
+    assert error_of(study, "sample rate", "8000 Hz") < 1e-6
     assert "linear equations" in study.reference
 
 
 def test_noise_error_grows_with_quantization(study: ChainStudy) -> None:
-    ratio = error(study, "noise", "ten times") / error(study, "noise", "the scene's")
+    ratio = error_of(study, "noise", "ten times") / error_of(study, "noise", "the scene's")
     assert 3.0 < ratio < 30.0
-    assert error(study, "bits", "12") > 10.0 * error(study, "bits", "24")
+    assert error_of(study, "bits", "12") > 10.0 * error_of(study, "bits", "24")
 
 
 def test_filtered_drive_samples_exclude_images(study: ChainStudy) -> None:
     # The table is driven by linearly interpolated samples, whose image near the sample rate aliases to the tone.
-    assert error(study, "anti-alias filter", "off") > 100.0 * study.without_noise.error
-    assert error(study, "sample rate", "250 Hz") < 1e-5
+    assert error_of(study, "anti-alias filter", "off") > 100.0 * study.without_noise.error
+    assert error_of(study, "sample rate", "250 Hz") < 1e-5
 
 
 def test_every_group_has_timed_points(study: ChainStudy) -> None:
@@ -69,7 +70,7 @@ def test_every_group_has_timed_points(study: ChainStudy) -> None:
 
 
 def test_low_sensor_resonance_distorts_displacement(study: ChainStudy) -> None:
-    low_resonance = next(p for p in study.points if p.setting == "resonance 200 Hz")
+    low_resonance = next(point for point in study.points if point.setting == "resonance 200 Hz")
     # 1 / (1 - (24/200)^2) is 1.5 % above 1; averaging over the sample interval adds a delay of half a sample.
     assert low_resonance.correction > 0.014
     assert low_resonance.error < 1e-3
@@ -110,9 +111,7 @@ def test_only_tolerance_point_has_sensor_tolerances() -> None:
     assert settings_with_tolerance == ["tolerances, bias"]
 
 
-def test_named_parts_give_the_same_chain() -> None:
-    from daq.virtual_bench.bench import Bench
-
+def test_presets_equal_their_expanded_values() -> None:
     scene = rig.load("fig9")
     channels = [c.replace(accelerometer={"preset": "PCB 352C33"}) for c in scene.channels]
     scene = scene.replace(channels=channels, converter={"preset": "NI 9234", "rate": 5000.0})
@@ -123,7 +122,7 @@ def test_named_parts_give_the_same_chain() -> None:
     assert scene_setting(expand_chain(scene), "anti-alias filter") == "on"
 
 
-def test_chosen_frequencies_give_period_one_motion() -> None:
+def test_steady_frequencies_lie_in_resonance_band() -> None:
     scene = rig.load("fig9")
     frequencies = steady_frequencies(scene)
     assert list(frequencies) == sorted(frequencies)

@@ -1,4 +1,4 @@
-"""Interpolated resonance peaks, and their changes between recordings."""
+"""Interpolated resonance peaks with their error bounds, and their changes between two recordings."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from tests.analysis.responses import synthetic
 
 
 def measured_curve(frequency: np.ndarray, value: np.ndarray, error: float = 0.0) -> Response:
-    """Curve as measured by a sweep, with a bounded relative error at each point."""
+    """Return a curve with an error of this relative size at each point, which the curve also states as its bound."""
     magnitude, ones = abs(value), np.ones(frequency.size)
     deviation = error * magnitude * np.exp(2j * np.pi * np.arange(frequency.size) * 0.38)
     return Response.curve(
@@ -39,7 +39,7 @@ def measured_curve(frequency: np.ndarray, value: np.ndarray, error: float = 0.0)
 
 
 def two_modes(f: np.ndarray, natural: float, ratio: float) -> np.ndarray:
-    """Receptance with a second mode an octave above."""
+    """Return a receptance with modes at the natural frequency and an octave above, m/N."""
     return sum(1e-4 / (1.0 - (f / f0) ** 2 + 2j * ratio * f / f0) for f0 in (natural, 2.0 * natural))  # type: ignore[return-value]
 
 
@@ -48,11 +48,11 @@ def two_modes(f: np.ndarray, natural: float, ratio: float) -> np.ndarray:
     natural=st.floats(10.0, 100.0),
     ratio=st.floats(0.002, 0.04),
     offset=st.floats(0.0, 1.0),
-    per_width=st.floats(1.5, 6.0),
+    points_per_bandwidth=st.floats(1.5, 6.0),
     error=st.sampled_from([0.0, 1e-3, 2e-2]),
 )
-def test_measured_peak_lies_within_bounds(natural, ratio, offset, per_width, error) -> None:
-    step = 2.0 * ratio * natural / per_width
+def test_measured_peak_lies_within_bounds(natural, ratio, offset, points_per_bandwidth, error) -> None:
+    step = 2.0 * ratio * natural / points_per_bandwidth
     f = natural + step * (np.arange(-4, 4) + offset)
     estimate = peak(measured_curve(f, two_modes(f, natural, ratio), error), f[0], f[-1])
     dense = np.linspace(natural - step, natural + step, 4001)
@@ -84,7 +84,7 @@ def test_omitted_points_near_peak_remove_upper_bound() -> None:
 
 
 def amplitude_dependent_receptance(f: np.ndarray) -> np.ndarray:
-    """Receptance with amplitude-dependent damping that decreases near the peak, solved at each point."""
+    """Return a receptance whose damping depends on the amplitude and is lowest at the peak, by iteration."""
     stiffness, damping = 1.0 - (f / 18.6) ** 2, np.full(f.size, 0.1)
     for _ in range(200):
         amplitude = 1.0 / np.hypot(stiffness, damping)
@@ -105,9 +105,9 @@ def test_narrow_peak_lies_within_bound(step, offset) -> None:
 
 def test_coarse_points_name_the_needed_spacing() -> None:
     resolved, coarse = (Peak(1e-3, 1e-4, 18.5, 18.4, 18.6, 0.0, ratio * 1e-3, 0.33) for ratio in (0.005, 0.09))
-    [reported] = coarse_step_warnings([(19.0, "a3", resolved), (19.0, "a4", coarse), (44.0, "a4", resolved)])
-    assert reported.startswith("a4, near 18.50 Hz: the points are 0.33 Hz apart")
-    assert "by up to 9 %" in reported and reported.endswith("Measure every 0.1 Hz there.")
+    [warning] = coarse_step_warnings([(19.0, "a3", resolved), (19.0, "a4", coarse), (44.0, "a4", resolved)])
+    assert warning.startswith("a4, near 18.50 Hz: the points are 0.33 Hz apart")
+    assert "by up to 9 %" in warning and warning.endswith("Measure every 0.1 Hz there.")
     coarse_points = np.linspace(17.0, 20.0, 3)
     estimate = peak(measured_curve(coarse_points, amplitude_dependent_receptance(coarse_points)), 17.0, 20.0)
     assert estimate is not None and math.isinf(estimate.bound)

@@ -23,11 +23,12 @@ RATE = synthetic.RATE
 
 
 def record_jumps(path, quantity="displacement", noise=2e-8, count=300, seed=1):
-    """Recording of a body that vibrates at 40 Hz, with known velocity jumps at known times."""
+    """Record a body that vibrates at 40 Hz, with velocity jumps of 3 to 20 mm/s at random times.
+
+    Returns the path, the times in s and the jumps in m/s. The acceleration is averaged over each sample interval.
+    """
     random = np.random.default_rng(seed)
-    samples = int(30 * RATE)
-    # The converter takes the mean over the interval that ends at the sample: fine steps, then averages.
-    t = np.arange(samples) / RATE
+    t = np.arange(int(30 * RATE)) / RATE
     times = 0.05 + np.cumsum(random.uniform(0.02, 0.15, count))
     times = times[times < 29.9]
     jumps = random.choice([-1.0, 1.0], times.size) * random.uniform(3e-3, 2e-2, times.size)
@@ -36,11 +37,11 @@ def record_jumps(path, quantity="displacement", noise=2e-8, count=300, seed=1):
     for time, jump in zip(times, jumps, strict=True):
         displacement += jump * np.maximum(t - time, 0.0)
         velocity += jump * (t >= time)
-    row = displacement if quantity == "displacement" else np.diff(velocity, prepend=velocity[0]) * RATE
+    samples = displacement if quantity == "displacement" else np.diff(velocity, prepend=velocity[0]) * RATE
     infos = [ChannelInfo("body1", "body 1", quantity, 1.0, RATE, average=quantity == "acceleration")]
-    scale = noise if quantity == "displacement" else noise * RATE**2
-    row = row + scale * random.standard_normal(row.size)
-    return synthetic.write(path, synthetic.scene(), infos, row[None], []), times, jumps
+    noise_level = noise if quantity == "displacement" else noise * RATE**2
+    samples = samples + noise_level * random.standard_normal(samples.size)
+    return synthetic.write(path, synthetic.scene(), infos, samples[None], []), times, jumps
 
 
 @pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
@@ -54,11 +55,11 @@ def test_known_impacts_have_right_times_and_sizes(tmp_path, quantity):
     nearest = np.array([np.argmin(abs(times - time)) for time in detected.time])
     matched_times = abs(detected.time - times[nearest]) < 2.0 / RATE
     assert np.median(abs(detected.jump - jumps[nearest])[matched_times]) < 5e-4
-    floor = np.where(jumps[nearest] < 0, "floor", "ceiling")
-    assert np.mean((detected.kind == floor)[matched_times]) > 0.98
+    kinds = np.where(jumps[nearest] < 0, "floor", "ceiling")
+    assert np.mean((detected.kind == kinds)[matched_times]) > 0.98
 
 
-def test_point_sampling_hides_impacts(tmp_path):
+def test_point_samples_of_acceleration_are_rejected(tmp_path):
     infos = [ChannelInfo("body1", "body 1", "acceleration", 1.0, RATE)]
     path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, np.zeros((1, 4000)), [])
     with daq.open(path) as rec, pytest.raises(RecordingError, match="at instants"):
@@ -74,10 +75,16 @@ INTEGRATORS = {
 
 
 def true_impacts(rec, damper):
-    """True times and velocity jumps of a damper with a tenth of the mass of its body."""
+    """Return the true times in s and velocity jumps in m/s of a damper with a tenth of the mass of its body."""
     events = rec.events
     hits = events[(events["kind"] != "separation") & (events["damper"] == damper)]
     return hits["time"], 0.1 / 1.1 * hits["speed"]
+
+
+def f1_score(matched, true_matched, expected):
+    """Return the F1 score of detected impacts, if only the expected true impacts count as missed."""
+    matches, missed = np.sum(true_matched & expected), np.sum(~true_matched & expected)
+    return 2 * matches / (2 * matches + missed + np.sum(~matched))
 
 
 @pytest.mark.thorough
@@ -103,12 +110,7 @@ def test_three_dampers_at_resonance_are_detected(tmp_path, quantity, frequency):
             inner = (times > start / rec.rate + 0.05) & (times < rec.samples / rec.rate - 0.05)
             expected = inner & (jumps > detected.threshold)
             _, matched, true_matched = score(detected.time, times, 2.0 / rec.rate)
-            matches, missed, false_positives = (
-                np.sum(true_matched & expected),
-                np.sum(~true_matched & expected),
-                np.sum(~matched),
-            )
-            assert 2 * matches >= 0.98 * (2 * matches + missed + false_positives)
+            assert f1_score(matched, true_matched, expected) >= 0.98
             assert detected.threshold < 3.5e-3
 
 
@@ -129,12 +131,7 @@ def test_delta_sigma_filter_keeps_times_and_sizes(tmp_path, quantity):
         inner = (times > start / rec.rate + 0.05) & (times < rec.samples / rec.rate - 0.05)
         expected = inner & (jumps > detected.threshold)
         _, matched, true_matched = score(detected.time, times, 2.0 / rec.rate)
-    matches, missed, false_positives = (
-        np.sum(true_matched & expected),
-        np.sum(~true_matched & expected),
-        np.sum(~matched),
-    )
-    assert matches > 25 and 2 * matches >= 0.98 * (2 * matches + missed + false_positives)
+    assert np.sum(true_matched & expected) > 25 and f1_score(matched, true_matched, expected) >= 0.98
     nearest = np.array([np.argmin(abs(detected.time - time)) for time in times[true_matched & expected]])
     assert np.median(-detected.jump[nearest] / jumps[true_matched & expected]) == pytest.approx(1.0, abs=0.005)
     assert np.mean(abs(-detected.jump[nearest] / jumps[true_matched & expected] - 1.0) < 0.02) > 0.95
@@ -146,17 +143,17 @@ def test_integrated_channels_give_body_acceleration(tmp_path):
         shaker={"kind": "force", "body": 1},
         test={"kind": "sine", "frequency": 34.7, "force": 2.6, "duration": 1.0},
         channels=[
-            {"name": "bare", "at": "body 3", "accelerometer": SENSOR},
+            {"name": "direct", "at": "body 3", "accelerometer": SENSOR},
             {"name": "integrated", "at": "body 3", "accelerometer": SENSOR, **high_pass},
             {"name": "force", "at": "shaker"},
         ],
         recording={"display": False},
     )
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
-        direct, integrated = (impacts(rec, name, rec.samples // 2) for name in ("bare", "integrated"))
-    _, bare_matched, integrated_matched = score(direct.time, integrated.time, 1.0 / RATE)
-    assert bare_matched.sum() > 10
-    difference = direct.acceleration[bare_matched] - integrated.acceleration[integrated_matched]
+        direct, integrated = (impacts(rec, name, rec.samples // 2) for name in ("direct", "integrated"))
+    _, direct_matched, integrated_matched = score(direct.time, integrated.time, 1.0 / RATE)
+    assert direct_matched.sum() > 10
+    difference = direct.acceleration[direct_matched] - integrated.acceleration[integrated_matched]
     assert np.nanmedian(abs(difference)) < 0.03 * np.nanmax(abs(direct.acceleration))
 
 
@@ -190,22 +187,22 @@ def test_noise_alone_gives_no_impact(tmp_path):
 
 
 def test_slow_motion_gives_no_impact(tmp_path):
-    # Within the ringing of the filter, the curvature of the motion is about twenty times the noise.
+    # Within the length of the filter, the curvature of the motion is about twenty times the noise.
     t = np.arange(int(5 * RATE)) / RATE
-    row = 7.0 * np.sin(2 * np.pi * 0.003 * RATE * t) + 1e-3 * np.random.default_rng(3).standard_normal(t.size)
+    samples = 7.0 * np.sin(2 * np.pi * 0.003 * RATE * t) + 1e-3 * np.random.default_rng(3).standard_normal(t.size)
     delta_sigma = {"rate": RATE, "delay": 38.0, "cutoff": 0.5, "beta": 11.0}
     infos = [ChannelInfo("body1", "body 1", "acceleration", 1.0, RATE, filter=delta_sigma)]
-    with daq.open(synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, row[None], [])) as rec:
+    with daq.open(synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, samples[None], [])) as rec:
         detected = impacts(rec, "body1")
     assert detected.time.size == 0 and not len(detected.left_out)
 
 
 def record_zeros(path, quantity, count):
-    """Readings that are zero except for a few samples."""
-    row = np.zeros(int(RATE))
-    row[1 : count + 1] = 1e-6
+    """Record samples that are zero except for `count` samples."""
+    samples = np.zeros(int(RATE))
+    samples[1 : count + 1] = 1e-6
     infos = [ChannelInfo("body1", "body 1", quantity, 1.0, RATE, average=quantity == "acceleration")]
-    return synthetic.write(path, synthetic.scene(), infos, row[None], [])
+    return synthetic.write(path, synthetic.scene(), infos, samples[None], [])
 
 
 @pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
@@ -230,7 +227,7 @@ def test_too_few_samples_are_reported(tmp_path):
 
 
 def record_tone(path, chain, converter, dampers, frequency=49.0, force=3.3):
-    """A tone with dampers in body 2 with finite-duration contact, and the recorded truth."""
+    """Record a tone, in Hz and N, with these dampers in body 2, and the truth."""
     scene = rig.load("fig8-no-damper").replace(
         dampers=[{"body": 2, "mass_ratio": 0.06, **damper} for damper in dampers],
         shaker={"kind": "force", "body": 1},
@@ -257,7 +254,7 @@ INTEGRATED_CHAIN = {"accelerometer": SENSOR, **INTEGRATORS["velocity"]}, {"rate"
         (*INTEGRATED_CHAIN, 2e-3, 0.4, 34.5),
     ],
 )
-def test_finite_duration_contact_has_wall_time_size(tmp_path, chain, converter, duration, restitution, frequency):
+def test_finite_duration_impacts_lie_within_errors(tmp_path, chain, converter, duration, restitution, frequency):
     damper = {"clearance": 0.98e-3, "restitution": restitution, "contact": {"duration": duration}}
     with daq.open(record_tone(tmp_path / "a.mcap", chain, converter, [damper], frequency)) as rec:
         [window] = [marker for marker in rec.markers if marker.kind == "measure"]
@@ -324,8 +321,8 @@ def test_long_contact_gives_no_false_impact(tmp_path):
 
 
 def test_every_time_is_matched_once():
-    f1, found_matched, true_matched = score(np.array([1.0, 1.01, 2.0]), np.array([1.0, 2.5]), 0.1)
-    assert found_matched.tolist() == [True, False, False] and true_matched.tolist() == [True, False]
+    f1, matched, true_matched = score(np.array([1.0, 1.01, 2.0]), np.array([1.0, 2.5]), 0.1)
+    assert matched.tolist() == [True, False, False] and true_matched.tolist() == [True, False]
     assert f1 == pytest.approx(2 / 5)
 
 
@@ -345,6 +342,7 @@ def test_overloaded_channel_gives_no_impact(tmp_path):
 
 
 def test_separate_rebounds_behind_integrator_are_detected():
-    [detected, *_] = [verdict for verdict in run_trial(600101, 69, TONE) if verdict.judge == "impacts"]
-    assert detected.points > 100
-    assert detected.inside == detected.points
+    # A trial of the gauntlet whose velocity channel records several rebounds in each period.
+    [verdict, *_] = [verdict for verdict in run_trial(600101, 69, TONE) if verdict.judge == "impacts"]
+    assert verdict.points > 100
+    assert verdict.inside == verdict.points

@@ -1,3 +1,5 @@
+"""Velocity change of a body during an impact of finite duration, against a numerical solution of the contact."""
+
 from __future__ import annotations
 
 import numpy as np
@@ -21,7 +23,7 @@ def with_damper(**damper):
         {"contact": {"stiffness": 1e5, "damping": 2.0 * np.sqrt(1e5 * 0.05 * 0.71 / 0.76)}},
     ],
 )
-def test_contact_agrees_with_another_solver(contact):
+def test_contact_agrees_with_numerical_solution(contact):
     scene = with_damper(**contact)
     pulse = landing_pulse(scene, "body 2", 5120.0)
     stiffness, damping = pulse.angular_frequency**2, 2.0 * pulse.damping_ratio * pulse.angular_frequency
@@ -42,7 +44,8 @@ def test_contact_agrees_with_another_solver(contact):
         assert pulse.restitution == pytest.approx(0.4, abs=1e-6)
 
 
-def test_short_contact_counts_as_jump():
+def test_short_contact_has_no_pulse():
+    # Within a sample interval the velocity change is a jump.
     scene = with_damper(contact={"duration": 2e-5})
     assert landing_pulse(scene, "body 2", 5120.0) is None
     assert landing_pulse(scene, "body 2", 51200.0) is not None
@@ -62,7 +65,7 @@ def test_grains_are_rejected():
         landing_pulse(scene, "body 2", 5120.0)
 
 
-def test_soft_floor_carries_bed_as_spring():
+def test_transmissibility_of_soft_floor_is_closed_form():
     scene = with_damper(contact={"stiffness": 5e4, "damping": 10.0})
     frequency = np.array([0.0, 30.0, 100.0])
     s = 2j * np.pi * frequency

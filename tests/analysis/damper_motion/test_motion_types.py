@@ -1,4 +1,7 @@
-"""Motion types and energies of dampers, from recordings and from the truth."""
+"""Motion types and energy balance of dampers, estimated from recordings and compared with the truth.
+
+Types of the paper: I, impacts on the floor; II, on floor and ceiling; III, on both and sticking at the ceiling.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +58,7 @@ def test_energy_of_force_on_listed_bodies_balances(tmp_path, bodies):
     np.testing.assert_allclose(energy.structure, energy.supplied, rtol=0.01)
 
 
-def test_energy_is_supplied_by_the_driven_of_two_coils(tmp_path):
+def test_only_driven_shaker_supplies_energy(tmp_path):
     scene = rig.loads(
         """
         structure: {masses: [0.74, 0.71, 0.64], springs: [24300, 21800, 19800], damping: {modal: 0.01}}
@@ -71,7 +74,7 @@ def test_energy_is_supplied_by_the_driven_of_two_coils(tmp_path):
 
 
 def test_sensor_tolerances_bound_energy_balance(tmp_path, monkeypatch):
-    # Aliasing of point samples adds to this.
+    # Aliasing of point samples is another error, which is excluded here.
     monkeypatch.setattr(energy_balance, "aliased_shares", lambda *_: (0.0, 0.0))
     infos = synthetic.channels(sensor={"accelerometer.sensitivity_tolerance": "1 %"})
     path = synthetic.stepped_sine(tmp_path / "a.mcap", [12.0, 13.04, 20.0, 34.8, 49.7], infos=infos)
@@ -89,8 +92,8 @@ def test_sensor_tolerances_bound_energy_balance(tmp_path, monkeypatch):
 def test_missing_channel_is_named(tmp_path):
     infos = [info for info in synthetic.channels() if info.name != "body2"]
     marks = [("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"})]
-    wave = np.tile(np.sin(2 * np.pi * 20 / synthetic.RATE * np.arange(2560)), (3, 1))
-    with daq.open(synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, wave, marks)) as rec:
+    samples = np.tile(np.sin(2 * np.pi * 20 / synthetic.RATE * np.arange(2560)), (3, 1))
+    with daq.open(synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, samples, marks)) as rec:
         [sweep] = sweeps(rec)
         with pytest.raises(RecordingError, match="no channel on body 2"):
             energy_per_cycle(rec, sweep)
@@ -103,7 +106,7 @@ def test_resonance_alone_is_no_jump(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("floor", "ceiling", "stays", "name"),
+    ("floor", "ceiling", "sticks", "name"),
     [
         (0, 0, False, "riding"),
         (1, 0, False, "I"),
@@ -113,8 +116,8 @@ def test_resonance_alone_is_no_jump(tmp_path):
         (2, 1, False, "other: 2 floor and 1 ceiling impacts a period"),
     ],
 )
-def test_impacts_per_period_name_paper_types(floor, ceiling, stays, name):
-    assert DamperMotion(30.0, "body2", floor, ceiling, stays, 1e-3, True).name == name
+def test_type_follows_from_impacts_per_period(floor, ceiling, sticks, name):
+    assert DamperMotion(30.0, "body2", floor, ceiling, sticks, 1e-3, True).name == name
 
 
 @pytest.fixture(scope="module")
@@ -132,13 +135,14 @@ def fig9(tmp_path_factory):
 
 
 def types_from_truth(rec, sweep):
-    """True motion types of a single damper, from its events and contacts."""
+    """Return the true motion types of a single damper, from its events and contacts."""
     events, contact = rec.events, rec.truth("contact")[0]
     types = []
     for first, stop in sweep.windows:
-        inside = (events["time"] > first / rec.rate) & (events["time"] < stop / rec.rate)
-        hits_ceiling = np.any(events["kind"][inside] == "ceiling")
-        types.append(("III" if np.any(contact[first:stop] == 2) else "II") if hits_ceiling else "I")
+        in_window = (events["time"] > first / rec.rate) & (events["time"] < stop / rec.rate)
+        hits_ceiling = np.any(events["kind"][in_window] == "ceiling")
+        sticks_at_ceiling = np.any(contact[first:stop] == 2)
+        types.append("III" if hits_ceiling and sticks_at_ceiling else "II" if hits_ceiling else "I")
     return types
 
 
@@ -154,7 +158,7 @@ def test_irregular_impacts_have_no_type(floor, ceiling) -> None:
     assert motion_type == "unsure: impacts are missed, or the motion is irregular"
 
 
-def test_repeats_after_two_periods_count_halves() -> None:
+def test_pattern_of_two_periods_has_half_impacts() -> None:
     motion_type = DamperMotion(30.0, "body2", 0.53, 1.47, False, 1e-3, False, pattern_periods=2).name
     assert motion_type == "other: 0.5 floor and 1.5 ceiling impacts a period"
 
@@ -208,7 +212,7 @@ def test_uncertain_impacts_give_no_false_type(tmp_path):
     """At 46.81 Hz the damper in body 2 hits the ceiling with a tenth of the velocity jump at the floor."""
     sensor = {"sensitivity": 0.0078, "noise": 4.8e-5, "sensitivity_tolerance": 0.03}
     scene = rig.Scene(
-        name="weak blows",
+        name="weak impacts",
         structure={
             "masses": (81.75, 75.25, 61.21),
             "springs": (1757826.0, 1833557.0, 1771780.0),

@@ -19,7 +19,13 @@ from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError, SceneError
 from tests.analysis.responses import synthetic
 
-OMEGA = np.array([81.911, 218.512, 312.041])
+STIFF_BODY = """
+structure: {{masses: [1 kg], springs: [{stiffness} N/m], damping: {{modal: 0.5 %}}}}
+test: {{kind: free, displacement: [1 um], duration: {duration} s}}
+channels: [{{name: a, at: body 1, accelerometer: {{sensitivity: 100 mV/g}}}}]
+converter: {{rate: 25.6 kHz}}
+recording: {{display: false}}
+"""
 
 
 def test_linear_decay_has_damping_at_every_amplitude(tmp_path):
@@ -36,7 +42,7 @@ def test_linear_decay_has_damping_at_every_amplitude(tmp_path):
 def test_linear_decay_frequencies_lie_within_bounds():
     rng, rate, begin = np.random.default_rng(5), 1280.0, 640
     normalized_errors, peak_error_ratios = [], []
-    for _ in range(40):
+    for _ in range(40):  # Random decays of four modes with noise.
         natural = np.array([11.0, 24.0, 50.0, 110.0]) * rng.uniform(0.9, 1.1, 4)
         ratio, amplitude = np.exp(rng.uniform(np.log(0.002), np.log(0.03), 4)), rng.uniform(1.0, 20.0, 4)
         time = np.arange(int(rng.uniform(2.0, 8.0) * rate))[:, None] / rate
@@ -84,36 +90,37 @@ def test_integrated_energy_falls_to_the_end(tmp_path):
     assert steps.time_below(1.0) == 2.0 and np.isnan(steps.time_below(0.5))
 
 
-def test_falling_damping_is_followed():
-    # x'' + 2 zeta(A) w x' + w^2 x = 0 with zeta = c A, slowly: A' = -c w A^2, A = A0 / (1 + c w A0 t).
-    rate, omega, start, law = 2560.0, 2 * np.pi * 30.0, 20.0, 1e-3
+def test_damping_proportional_to_amplitude_is_estimated():
+    # With the damping ratio c A, the amplitude obeys A' = -c w A^2, so that A = A0 / (1 + c w A0 t).
+    rate, omega, initial, c = 2560.0, 2 * np.pi * 30.0, 20.0, 1e-3
     time = np.arange(int(6 * rate)) / rate
-    amplitude = start / (1.0 + law * omega * start * time)
+    amplitude = initial / (1.0 + c * omega * initial * time)
     signal = np.concatenate([np.zeros(1280), amplitude * np.cos(omega * time)])
     mode = modal_decay(signal, rate, 30.0, 5.0, 1280)
     assert mode.amplitude[0] > 5 * mode.amplitude[-1]
-    np.testing.assert_allclose(mode.damping, law * mode.amplitude, rtol=0.06)
+    np.testing.assert_allclose(mode.damping, c * mode.amplitude, rtol=0.06)
 
 
-LAWS = {
-    "stops at g": lambda amplitude: np.where(amplitude > 9.81, 0.03, 0.005),
+# Damping ratio by amplitude of acceleration in m/s^2.
+DAMPING_LAWS = {
+    "step at 1 g": lambda amplitude: np.where(amplitude > 9.81, 0.03, 0.005),
     "friction": lambda amplitude: 0.003 + 0.02 / np.maximum(amplitude, 0.5),
-    "root": lambda amplitude: 0.004 * np.sqrt(amplitude),
+    "square root": lambda amplitude: 0.004 * np.sqrt(amplitude),
 }
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", DAMPING_LAWS)
 @pytest.mark.parametrize("noise", [1e-3, 0.05])
 def test_changing_damping_lies_within_bounds(law, noise):
     random = np.random.default_rng(3)
     rate, natural, amplitude, envelope = 1280.0, 24.0, 50.0, np.empty(5120)
     for index in range(envelope.size):
         envelope[index] = amplitude
-        amplitude *= np.exp(-float(LAWS[law](amplitude)) * 2 * np.pi * natural / rate)
+        amplitude *= np.exp(-float(DAMPING_LAWS[law](amplitude)) * 2 * np.pi * natural / rate)
     tone = envelope * np.cos(2 * np.pi * natural / rate * np.arange(envelope.size) + 1.0)
     signal = np.append(np.zeros(640), tone) + noise * random.standard_normal(5760)
     mode = modal_decay(signal, rate, natural, natural / 4.0, 640)
-    error = abs(mode.damping - LAWS[law](mode.amplitude))
+    error = abs(mode.damping - DAMPING_LAWS[law](mode.amplitude))
     assert mode.damping.size > 10 and np.mean(error <= 2.0 * mode.damping_error) >= 0.95
     assert np.median(mode.damping_error / mode.damping) < 0.1
 
@@ -151,7 +158,7 @@ def test_missing_decay_is_explained(tmp_path, interval, hit, error, message):
 
 
 def within_bounds(mode, expected):
-    """The difference is below 3 %, or below the bound where noise makes the bound larger than 3 %."""
+    """Return where the damping differs by less than 3 %, or by less than its bound if noise makes it larger."""
     bound = 2.0 * mode.damping_error / mode.damping
     return abs(mode.damping / expected.damping - 1.0) < np.maximum(bound, 0.03)
 
@@ -211,15 +218,15 @@ def test_only_amplitudes_above_noise_are_reported(tmp_path):
             assert np.max(abs(normalized_error)) < 4.0
 
 
-def test_silent_recording_has_no_damping(tmp_path):
+def test_decay_below_noise_has_no_damping(tmp_path):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap", noise=30.0)) as rec:
         assert all(mode.damping.size == 0 for mode in analysis.decay(rec, channel="body3").modes)
 
 
 def test_truncated_decay_keeps_its_envelope(tmp_path):
-    truncated, complete = (synthetic.impulses(tmp_path / f"{t}.mcap", interval=t) for t in (2.0, 8.0))
-    with daq.open(truncated) as rec, daq.open(complete) as longer:
-        decay, expected = analysis.decay(rec), analysis.decay(longer)
+    short_path, long_path = (synthetic.impulses(tmp_path / f"{s}.mcap", interval=s) for s in (2.0, 8.0))
+    with daq.open(short_path) as short, daq.open(long_path) as long:
+        decay, expected = analysis.decay(short), analysis.decay(long)
     assert 1.8 < decay.time[-1] < 2.0
     near_end = decay.time > 1.0
     difference = abs(decay.envelope - expected.envelope[: decay.time.size])[near_end]
@@ -231,8 +238,8 @@ def test_decay_ends_before_delayed_next_hit(tmp_path):
     test = scene.test.model_dump(exclude_none=True) | {"repeats": 2, "interval": 2.0}
     for remove_delay in (False, True):
         converter = {"rate": 2560.0, "filter": "delta_sigma", "remove_delay": remove_delay}
-        delayed = scene.replace(test=test, converter=converter, recording={"truth": True, "display": False})
-        with daq.open(daq.record(delayed, tmp_path / f"{remove_delay}.mcap")) as rec:
+        filtered = scene.replace(test=test, converter=converter, recording={"truth": True, "display": False})
+        with daq.open(daq.record(filtered, tmp_path / f"{remove_delay}.mcap")) as rec:
             decay = analysis.decay(rec, "body2")
             ideal_sensor = ChannelInfo("true", "body 2", "displacement", 1.0, rec.rate)
             true_acceleration = correct_motion(ideal_sensor, rec.truth("displacement")[1], "acceleration", 2.0, 800.0)
@@ -240,15 +247,6 @@ def test_decay_ends_before_delayed_next_hit(tmp_path):
         assert 1.8 < decay.time[-1] < 2.0
         difference = abs(decay.acceleration - true_acceleration[begin : begin + decay.time.size])[decay.time > 0.05]
         assert difference.max() < 0.02 * abs(decay.acceleration).max()
-
-
-STIFF_BODY = """
-structure: {{masses: [1 kg], springs: [{stiffness} N/m], damping: {{modal: 0.5 %}}}}
-test: {{kind: free, displacement: [1 um], duration: {duration} s}}
-channels: [{{name: a, at: body 1, accelerometer: {{sensitivity: 100 mV/g}}}}]
-converter: {{rate: 25.6 kHz}}
-recording: {{display: false}}
-"""
 
 
 def test_high_mode_in_short_record_is_resolved(tmp_path):
@@ -261,7 +259,7 @@ def test_high_mode_in_short_record_is_resolved(tmp_path):
     assert decay.halving == pytest.approx(np.log(2.0) / (2 * np.pi * 900.0 * 0.005), rel=0.02)
 
 
-def test_continuing_motion_is_not_a_decay(tmp_path):
+def test_undamped_motion_is_not_a_decay(tmp_path):
     scene = rig.loads(STIFF_BODY.format(stiffness=(2 * np.pi * 300.0) ** 2, duration=0.5).replace("0.5 %", "0 %"))
     path = daq.record(scene, tmp_path / "a.mcap")
     with daq.open(path) as rec:

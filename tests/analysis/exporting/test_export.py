@@ -1,4 +1,4 @@
-"""Exported samples and results, read back by other programs."""
+"""`analysis export`: samples and results in files that other programs read back."""
 
 import csv
 import os
@@ -47,7 +47,7 @@ def recording_with_gap(tmp_path_factory):
         yield opened
 
 
-def test_csv_keeps_every_digit(recording, tmp_path):
+def test_csv_has_exact_samples(recording, tmp_path):
     export(Slice.of(recording), tmp_path / "a.csv")
     with (tmp_path / "a.csv").open(newline="") as stream:
         head, *rows = csv.reader(stream)
@@ -81,7 +81,7 @@ def test_wav_is_read_by_scipy(recording, tmp_path):
     for row, name in enumerate(recording.channels):
         samples = recording.read(name)
         full_scale = np.abs(samples).max()
-        # scipy puts 24 bits into the upper three bytes of four.
+        # scipy returns 24 bits in the upper three bytes of four.
         assert sound[:, row] / 2**31 == pytest.approx(samples / full_scale, abs=2**-22)
         assert notes[row] == f"{name}: full scale is {full_scale:.6g} {recording.channels[name].unit}"
     with wave.open(str(tmp_path / "a.wav")) as header:
@@ -111,10 +111,10 @@ def test_uff_is_read_by_pyuff(recording, tmp_path):
         assert np.diff(data_set["x"]) == pytest.approx(1 / RATE, rel=2e-6)
 
 
-def test_odd_name_stays_in_its_line(recording, tmp_path):
-    odd_path = tmp_path / os.fsdecode(b"a\nb\xff.mcap")
-    shutil.copy(recording.path, odd_path)
-    with daq.open(odd_path) as opened:
+def test_line_break_in_name_is_replaced(recording, tmp_path):
+    path = tmp_path / os.fsdecode(b"a\nb\xff.mcap")
+    shutil.copy(recording.path, path)
+    with daq.open(path) as opened:
         export(Slice.of(opened), tmp_path / "a.uff")
     assert {data_set["id2"] for data_set in pyuff.UFF(str(tmp_path / "a.uff")).read_sets()} == {r"from a b\udcff.mcap"}
 
@@ -139,7 +139,7 @@ def test_series_pass_sep005_reference_check(recording):
         assert (checked.name, checked.fs) == (channel["name"], RATE)
 
 
-def test_series_carry_the_date(tmp_path):
+def test_series_have_start_time(tmp_path):
     start = 1_763_726_400_250_000_000
     with Recorder(tmp_path / "a.mcap", make_scene(), two_channels(), RATE, start_ns=start) as recorder:
         recorder.write(random_volts(3000))
@@ -148,7 +148,7 @@ def test_series_carry_the_date(tmp_path):
     assert series[0]["start_timestamp"] == "2025-11-21T12:00:01.250000+00:00"
 
 
-def test_lost_samples_are_kept_or_rejected(recording_with_gap, tmp_path):
+def test_lost_samples_are_nan_or_rejected(recording_with_gap, tmp_path):
     for name in ("a.csv", "a.npz"):
         export(Slice.of(recording_with_gap), tmp_path / name)
     table = np.genfromtxt(tmp_path / "a.csv", delimiter=",", skip_header=1)
@@ -162,7 +162,7 @@ def test_lost_samples_are_kept_or_rejected(recording_with_gap, tmp_path):
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 
-def test_pieces_give_same_file(recording, tmp_path, monkeypatch):
+def test_piece_length_does_not_change_file(recording, tmp_path, monkeypatch):
     names = ("a.csv", "a.npz", "a.wav")
     for name in names:
         export(Slice.of(recording), tmp_path / name)
@@ -218,7 +218,7 @@ def test_failing_disk_is_reported(recording, tmp_path):
         write_uff(Slice.of(recording), tmp_path / "missing" / "a.uff")
 
 
-def test_long_void_is_reported_quickly(tmp_path):
+def test_huge_gap_is_reported_quickly(tmp_path):
     path = rewrite(write_recording(tmp_path / "a.mcap", random_volts(SAMPLES)), shift=2**40)
     with daq.open(path) as recording:
         with pytest.raises(RecordingError, match="of them are in the file"):
@@ -247,7 +247,7 @@ def test_target_folder_is_reported(recording, tmp_path):
         export(Slice.of(recording), tmp_path / "a.csv", overwrite=True)
 
 
-def test_channels_like_paths_get_plain_names(tmp_path):
+def test_channel_names_like_paths_are_replaced(tmp_path):
     info = [ChannelInfo("../x y", "body 1", "force", 1.0, RATE)]
     with Recorder(tmp_path / "a.mcap", make_scene(), info, RATE) as recorder:
         recorder.write(np.ones((1, 10)))
@@ -257,7 +257,7 @@ def test_channels_like_paths_get_plain_names(tmp_path):
         assert arrays[".._x_y"].tolist() == [1.0] * 10
 
 
-def test_unknown_format_announces_no_file(recording, tmp_path):
+def test_unknown_format_is_rejected_before_writing(recording, tmp_path):
     result = CliRunner().invoke(app, ["export", str(recording.path), "-o", str(tmp_path / "a.tdms")])
     assert "ends in one of .csv" in str(result.exception) and "writing" not in result.output
 
@@ -273,9 +273,9 @@ def test_command_names_written_file(recording, tmp_path):
 
 
 def test_exported_matlab_file_imports_equal(recording, tmp_path):
-    reported = []
-    export(Slice.of(recording), tmp_path / "a.mat", progress=lambda done, total: reported.append((done, total)))
-    assert reported[-1] == (2 * SAMPLES, 2 * SAMPLES)
+    progress = []
+    export(Slice.of(recording), tmp_path / "a.mat", progress=lambda done, total: progress.append((done, total)))
+    assert progress[-1] == (2 * SAMPLES, 2 * SAMPLES)
     scene_of_import = recording.scene.replace(converter={"rate": RATE}, recording={}, test=None)
     with pytest.warns(daq.RunWarning, match="no signal for the channels body3, table"):
         path = daq.import_files(tmp_path / "a.mat", scene_of_import, tmp_path / "again.mcap")
@@ -288,8 +288,8 @@ def test_exported_matlab_file_imports_equal(recording, tmp_path):
 @pytest.mark.parametrize("form", ["csv", "npz", "mat", "wav", "uff"])
 def test_size_is_estimated_before_export(form, recording, tmp_path):
     export(Slice.of(recording), tmp_path / f"a.{form}")
-    reported = expected_bytes(Slice.of(recording), f".{form}")
-    assert reported == pytest.approx((tmp_path / f"a.{form}").stat().st_size, rel=0.3)
+    estimate = expected_bytes(Slice.of(recording), f".{form}")
+    assert estimate == pytest.approx((tmp_path / f"a.{form}").stat().st_size, rel=0.3)
 
 
 def test_exported_responses_and_modes_read_equal(tmp_path):
@@ -297,8 +297,8 @@ def test_exported_responses_and_modes_read_equal(tmp_path):
     with daq.open(path) as rec:
         curves = analysis.frfs(rec)
     modes = analysis.identify(curves)
-    for result_type, ending in (("frfs", "uff"), ("frfs", "mat"), ("modes", "uff"), ("modes", "mat")):
-        export_results(path, tmp_path / f"{result_type}.{ending}", result_type)
+    for result_type, extension in (("frfs", "uff"), ("frfs", "mat"), ("modes", "uff"), ("modes", "mat")):
+        export_results(path, tmp_path / f"{result_type}.{extension}", result_type)
     read_back = analysis.read_frfs(tmp_path / "frfs.uff")
     order = np.argsort(curves["body3"].frequency)
     np.testing.assert_allclose(read_back["body3"].value, curves["body3"].value[order], rtol=1e-10)

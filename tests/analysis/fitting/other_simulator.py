@@ -1,7 +1,7 @@
-"""Random tests of spring-mass chains by numpy alone: an oracle that shares no code with the package.
+"""Random tests of spring-mass chains, simulated by numpy alone: a reference that shares no code with the package.
 
-A force that is periodic over twice the record and has a limited band is multiplied by the exact receptance, line by
-line; half a period of both is the record. White noise is added to the force and to each response.
+The force is periodic and band-limited. Its spectrum is multiplied by the exact accelerance; the record is half a period
+of force and responses. White noise is added to the force and to each response.
 """
 
 from __future__ import annotations
@@ -27,16 +27,17 @@ class Chain:
 
     @property
     def matrices(self) -> tuple[Array, Array]:
-        """Mass and stiffness."""
-        above = np.append(self.springs[1:], 0.0)
-        return np.diag(self.masses), np.diag(self.springs + above) - np.diag(above[:-1], 1) - np.diag(above[:-1], -1)
+        """Return the mass and stiffness matrices."""
+        next_springs = np.append(self.springs[1:], 0.0)
+        coupling = np.diag(next_springs[:-1], 1)
+        return np.diag(self.masses), np.diag(self.springs + next_springs) - coupling - coupling.T
 
     @property
     def modes(self) -> tuple[Array, Array]:
-        """Natural frequencies [Hz] and shapes of unit modal mass."""
+        """Return the natural frequencies in Hz, and the mode shapes of unit modal mass (bodies, modes)."""
         mass, stiffness = self.matrices
-        square, shapes = linalg.eigh(stiffness, mass)
-        return np.sqrt(square) / (2.0 * np.pi), shapes
+        omega_squared, shapes = linalg.eigh(stiffness, mass)
+        return np.sqrt(omega_squared) / (2.0 * np.pi), shapes
 
 
 def random_chain(seed: int) -> Chain:
@@ -55,13 +56,13 @@ def random_chain(seed: int) -> Chain:
 
 
 def accelerations(chain: Chain, driven: int, frequency: Array) -> NDArray[np.complex128]:
-    """Accelerances of all bodies for a force at one, shape (bodies, frequencies)."""
+    """Return the accelerances of all bodies for a force on one body (bodies, frequencies)."""
     natural, shapes = chain.modes
-    omega, natural_omega = 2.0 * np.pi * frequency, 2.0 * np.pi * natural
-    modal = -(omega**2) / (
-        natural_omega[:, None] ** 2 - omega**2 + 2j * (chain.damping * natural_omega)[:, None] * omega
+    omega, natural_omega = 2.0 * np.pi * frequency, 2.0 * np.pi * natural[:, None]
+    modal_accelerance = -(omega**2) / (
+        natural_omega**2 - omega**2 + 2j * chain.damping[:, None] * natural_omega * omega
     )
-    return np.asarray((shapes * shapes[driven]) @ modal)
+    return np.asarray((shapes * shapes[driven]) @ modal_accelerance)
 
 
 def random_test(
@@ -72,9 +73,9 @@ def random_test(
     duration: float = 60.0,
     driven: int = 1,
 ) -> dict[str, Any]:
-    """Write a random test as a text table; return the settings of the scene that was on the bench.
+    """Write a random test as a text table; return the settings of its scene, with wrong masses and springs.
 
-    `noise`: relative to the rms value of the force and of each response.
+    `noise` is relative to the rms value of the force and of each response; the force has an rms value of 10 N.
     """
     random = np.random.default_rng(seed)
     rate, low, high = 1000.0, 4.0, 220.0
@@ -88,8 +89,8 @@ def random_test(
     spectra[1:, inside] = accelerations(chain, driven - 1, frequency[inside]) * spectrum[inside]
     rows = np.fft.irfft(spectra, count, axis=1)[:, : count // 2]
     rows *= 10.0 / rows[0].std()
-    level = np.array([noise[0]] + [noise[1]] * chain.masses.size) * rows.std(axis=1)
-    rows += level[:, None] * random.normal(size=rows.shape)
+    noise_rms = np.array([noise[0]] + [noise[1]] * chain.masses.size) * rows.std(axis=1)
+    rows += noise_rms[:, None] * random.normal(size=rows.shape)
     names = ["force [N]", *(f"a{k} [m/s^2]" for k in range(1, chain.masses.size + 1))]
     table = np.vstack([np.arange(count // 2) / rate, rows]).T
     np.savetxt(path, table, "%.9g", ",", header=",".join(["time [s]", *names]), comments="")

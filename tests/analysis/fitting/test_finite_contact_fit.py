@@ -1,4 +1,4 @@
-"""Fits of dampers with finite-duration contact: duration and restitution are estimated from the curves."""
+"""Fits of dampers with finite-duration contact: the contact's parameters are estimated from frequency responses."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,8 @@ import daq
 import rig
 from analysis.fitting.parameters import free_parameters, with_values
 
-BENCH = """
+# A body near its resonance, whose damper hits floor and ceiling.
+SCENE = """
 structure: {masses: [2.2 kg], springs: [95 kN/m], damping: {modal: [0.006]}}
 shaker: {kind: force, body: 1}
 dampers: [{body: 1, mass: 90 g, clearance: 0.8 mm, %s}]
@@ -22,7 +23,7 @@ recording: {display: false}
     "contact", ["contact: {duration: 3 ms}, restitution: 0.1", "contact: {stiffness: 120 kN/m, damping: 150 N s/m}"]
 )
 def test_finite_duration_contact_is_fitted(contact: str, tmp_path) -> None:
-    scene = rig.loads(BENCH % contact)
+    scene = rig.loads(SCENE % contact)
     daq.record(scene.replace(dampers=()), tmp_path / "bare.mcap")
     daq.record(scene, tmp_path / "damped.mcap")
     parameters = free_parameters(scene)
@@ -43,9 +44,9 @@ def test_finite_duration_contact_is_fitted(contact: str, tmp_path) -> None:
         assert parameter.value == pytest.approx(expected.start, rel=5e-3), parameter.key
 
 
-def test_free_wall_values_follow_the_scene() -> None:
+def test_contact_parameters_are_those_of_the_scene() -> None:
     contact = "contact: {floor: {duration: 4 ms}, ceiling: {stiffness: 200 kN/m, damping: 90 N s/m}}"
-    keys = [parameter.key for parameter in free_parameters(rig.loads(BENCH % contact))]
+    keys = [parameter.key for parameter in free_parameters(rig.loads(SCENE % contact))]
     assert keys[-3:] == [
         "dampers[1].contact.floor.duration",
         "dampers[1].contact.ceiling.stiffness",

@@ -1,4 +1,4 @@
-"""Fits of a scene to recordings: intervals of the values, misfits, and faulty channels."""
+"""Fits of a scene to recordings: 95 % intervals of the parameters, misfits, and diagnosis of faulty channels."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FREQUENCIES = np.geomspace(9.0, 60.0, 60)
 
 
 def initial_scene(**changes):
-    """Structure of the synthetic recordings with errors of about 20 %."""
+    """Return the structure of the synthetic recordings, with errors of about 20 %."""
     structure = {
         "masses": [0.62, 0.83, 0.7], "springs": [28e3, 19e3, 21e3], "damping": {"modal": [0.004, 0.006, 0.007]},
     }  # fmt: skip
@@ -40,13 +40,12 @@ def true_values():
 
 
 def relative_errors(result):
-    expected = true_values()
-    return {
-        parameter.key: parameter.value
-        / expected[parameter.key.split("[")[0].split(".")[-1]][int(parameter.key[-2]) - 1]
-        - 1
-        for parameter in result.parameters
-    }
+    """Return the relative error of each fitted parameter, by its key, such as structure.masses[1]."""
+    errors = {}
+    for parameter in result.parameters:
+        quantity, index = parameter.key.split(".")[-1].rstrip("]").split("[")
+        errors[parameter.key] = parameter.value / true_values()[quantity][int(index) - 1] - 1
+    return errors
 
 
 def test_every_fitted_value_lies_in_interval(tmp_path):
@@ -62,7 +61,7 @@ def test_every_fitted_value_lies_in_interval(tmp_path):
 
 
 @pytest.mark.parametrize("masses", [[0.5, 1.0, 0.9], [0.45, 0.45, 0.9]])
-def test_structure_is_found_from_two_of_three_modes(masses, tmp_path):
+def test_two_of_three_modes_determine_structure(masses, tmp_path):
     sparse_frequencies = [9.0, 10.0, 18.0, 22.0, 26.0, 42.0, 44.0, 58.0, 60.0]
     path = synthetic.stepped_sine(tmp_path / "a.mcap", sparse_frequencies, noise=2e-7)
     with daq.open(path) as recording:
@@ -74,8 +73,7 @@ def test_structure_is_found_from_two_of_three_modes(masses, tmp_path):
 
 
 def test_sensor_tolerances_widen_masses(tmp_path):
-    sheet = {"accelerometer.sensitivity_tolerance": "0.05"}
-    infos = [replace(info, sensor=sheet) for info in synthetic.channels()]
+    infos = synthetic.channels(sensor={"accelerometer.sensitivity_tolerance": "0.05"})
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7, infos=infos)
     result = analysis.fit(path, initial_scene())
     # The force is a difference of two readings: its error scales all masses and springs equally, and not the damping.
@@ -85,7 +83,7 @@ def test_sensor_tolerances_widen_masses(tmp_path):
 
 
 @pytest.mark.thorough
-def test_other_structure_gives_misfit(tmp_path):
+def test_wrong_fixed_masses_give_misfit(tmp_path):
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7)
     result = analysis.fit(path, initial_scene(), free=["structure.damping"])
     assert "leaves a residual of" in result.misfit
@@ -103,13 +101,12 @@ def test_swapped_columns_are_named(tmp_path):
 
 
 @pytest.mark.thorough
-def test_g_read_as_metres_is_named(tmp_path):
+def test_g_read_as_si_unit_is_named(tmp_path):
     # This error would explain the curves, but exceeds the tolerance of any sensor.
-    sheet = {"accelerometer.sensitivity_tolerance": "0.02"}
-    infos = [replace(info, sensor=sheet) for info in synthetic.channels()]
+    infos = synthetic.channels(sensor={"accelerometer.sensitivity_tolerance": "0.02"})
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7, infos=infos)
     with daq.open(path) as recording:
-        # Like the filters, the gain is divided out, so the remaining signal is too small by it.
+        # The analysis divides by the gain, so that the signal becomes too small by this factor.
         channel = recording.channels["body2"]
         recording.channels["body2"] = replace(channel, gain=9.80665)
         result = analysis.fit(recording, initial_scene())
@@ -118,23 +115,22 @@ def test_g_read_as_metres_is_named(tmp_path):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    ("fault", "reported"),
+    ("fault", "message"),
     [
         ({"gain": -1.0}, "The sign of body2 is reversed: corrected, the rest fits"),
         ({"delay": 4e-3}, "body2 contradicts the other channels"),
     ],
 )
-def test_reversed_or_late_sensor_is_named(fault, reported, tmp_path):
-    sheet = {"accelerometer.sensitivity_tolerance": "0.02"}
-    infos = [replace(info, sensor=sheet) for info in synthetic.channels()]
+def test_reversed_or_delayed_sensor_is_named(fault, message, tmp_path):
+    infos = synthetic.channels(sensor={"accelerometer.sensitivity_tolerance": "0.02"})
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7, infos=infos)
     with daq.open(path) as recording:
         recording.channels["body2"] = replace(recording.channels["body2"], **fault)
         result = analysis.fit(recording, initial_scene())
-    assert reported in result.misfit
+    assert message in result.misfit
 
 
-def test_dead_channel_is_left_out(tmp_path):
+def test_dead_channel_is_omitted(tmp_path):
     force = synthetic.band_noise(20.0, 5.0, 60.0)
     marks = [("measure", 0, round(20.0 * synthetic.RATE) - 1, {"from": 5.0, "to": 60.0})]
     test = "{kind: random, from: 5 Hz, to: 60 Hz, duration: 20 s, force: 1 N}"
@@ -157,8 +153,7 @@ def test_dead_channel_is_left_out(tmp_path):
 
 @pytest.mark.thorough
 def test_strongly_deviating_sensor_is_named(tmp_path):
-    sheet = {"accelerometer.sensitivity_tolerance": "0.01"}
-    infos = [replace(info, sensor=sheet) for info in synthetic.channels()]
+    infos = synthetic.channels(sensor={"accelerometer.sensitivity_tolerance": "0.01"})
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7, infos=infos)
     with daq.open(path) as recording:
         channel = recording.channels["body2"]
@@ -183,7 +178,7 @@ def test_scene_of_other_bodies_is_rejected(tmp_path):
         analysis.fit(path, two_bodies)
 
 
-def test_unfittable_key_names_fittable_ones():
+def test_error_of_unknown_parameter_names_others():
     with pytest.raises(SceneError, match=r"dampers\.clearance.*structure\.masses"):
         free_parameters(initial_scene(), ["dampers.clearance"])
 

@@ -49,8 +49,8 @@ converter: {{rate: 2048 Hz}}
     assert mass.half_width == pytest.approx(1.96 * FORCE_TOLERANCE / 3**0.5, rel=0.1)
 
 
-def test_narrower_axis_of_fewer_values_is_reported():
-    # The largest singular value belongs to nine values, each of which changes by less than 2 %.
+def test_combination_of_few_parameters_is_reported():
+    # The largest singular value belongs to a change of all nine parameters, but of each by less than 2 %.
     common_axis, opposite_axis = np.full(9, 1.0 / 3.0), np.append([0.5**0.5, -(0.5**0.5)], np.zeros(7))
     estimate = Estimate(np.zeros(9), np.stack([0.03 * common_axis, 0.029 * opposite_axis], axis=1), 1.0)
     parameters = [SimpleNamespace(key=f"mass {k}", damper=None) for k in range(9)]

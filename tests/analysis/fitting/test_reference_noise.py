@@ -1,4 +1,4 @@
-"""Fit of curves with noise in the reference: coverage of the modal values, and delayed channels."""
+"""Fits to a random test with noise in the measured force, which another simulator made: intervals and delays."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::daq.RunWarning")
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
-    """Return a chain of two bodies, its random test with noise in the force, and an initial guess."""
+    """Return a chain of two bodies, the imported recording of its random test, and the initial scene of the fit."""
     chain, folder = random_chain(14), tmp_path_factory.mktemp("other")
     settings = random_test(chain, folder / "a.csv", 14, duration=40.0)
     scene = rig.loads(yaml.safe_dump(settings), where="the other simulator")

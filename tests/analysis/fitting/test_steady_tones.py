@@ -1,4 +1,4 @@
-"""Steady tones of a bench with dampers: failed trials, sensitivities, motions that cannot be computed."""
+"""Steady motions of a scene with dampers during a fit: failed trials, derivatives, motions that cannot be computed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def nearest_points(*requested_frequencies):
     return curves, curves.frequency[indices], curves.level[indices]
 
 
-def test_failed_trial_returns_to_earlier_motion():
+def test_failed_trial_keeps_previous_motion():
     curves, frequency, level = nearest_points(49.66)
     tones = SteadyTones(replace(curves, frequency=frequency, level=level))
     bench = scene_of_test(curves.scene, curves)
@@ -36,7 +36,8 @@ def test_failed_trial_returns_to_earlier_motion():
     np.testing.assert_allclose(tones.response(bench, level, frequency), expected, rtol=1e-9)
 
 
-def test_continued_table_motions_change_like_corrected_ones():
+def test_continued_motions_have_right_derivatives():
+    # With `search=False` the response is continued linearly from the last periodic motion.
     curves, frequency, level = nearest_points(34.4, 48.0, 50.5)
     table_scene = curves.scene.replace(shaker={"kind": "electrodynamic", "body": 1, "spring": 6600.0})
     tones = SteadyTones(replace(curves, scene=table_scene, frequency=frequency, level=level))
@@ -54,9 +55,9 @@ def test_continued_table_motions_change_like_corrected_ones():
         )
 
 
-def test_endless_rebounds_are_recorded():
+def test_infinite_rebounds_are_explained():
     curves, frequency, level = nearest_points(49.0)
-    dampers = [bouncy_curves.replace(restitution=0.3) for bouncy_curves in curves.scene.dampers]
+    dampers = [damper.replace(restitution=0.3) for damper in curves.scene.dampers]
     bouncy_scene = curves.scene.replace(dampers=dampers)
     bouncy_curves = replace(curves, scene=bouncy_scene, frequency=frequency, level=level)
     tones = SteadyTones(bouncy_curves)

@@ -1,3 +1,5 @@
+"""Modes identified from frequency responses: frequency, damping, shapes, and their uncertainties."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -15,11 +17,13 @@ from rig.results.uncertainty import SENSITIVITY, UncertaintyBudget
 from rig.system.structural_model import natural_modes, structure_matrices
 from tests.analysis.responses import synthetic
 
+# Natural frequencies of the synthetic structure alone, and with the shaker's spring, rad/s.
 OMEGA = np.array([81.911, 218.512, 312.041])
-ATTACHED = np.array([86.776, 228.231, 318.003])
+OMEGA_WITH_SPRING = np.array([86.776, 228.231, 318.003])
 
 
-def theory(scene):
+def natural_modes_of(scene):
+    """Return the natural frequencies in rad/s, and the mode shapes."""
     mass, _, stiffness = structure_matrices(scene.structure)
     return natural_modes(mass, stiffness)
 
@@ -28,7 +32,7 @@ def test_stepped_sine_gives_frequencies_and_damping(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
         [curves] = analysis.frequency_responses(rec)
         modes = analysis.identify(curves)
-        omega, shapes = theory(rec.scene)
+        omega, shapes = natural_modes_of(rec.scene)
     np.testing.assert_allclose(2 * np.pi * modes.frequency, omega, rtol=1e-6)
     np.testing.assert_allclose(2 * np.pi * modes.frequency, OMEGA, rtol=1e-5)
     np.testing.assert_allclose(modes.damping, 0.005, rtol=1e-4)
@@ -42,7 +46,7 @@ def test_table_reference_gives_resonances_with_spring(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
         [curves] = analysis.frequency_responses(rec, reference="table")
         modes = analysis.identify(curves)
-    np.testing.assert_allclose(2 * np.pi * modes.frequency, ATTACHED, rtol=1e-5)
+    np.testing.assert_allclose(2 * np.pi * modes.frequency, OMEGA_WITH_SPRING, rtol=1e-5)
 
 
 def with_only(curve, limits):
@@ -61,7 +65,7 @@ def test_mode_errors_agree_with_stated_uncertainty(tmp_path):
             [curves] = analysis.frequency_responses(rec)
             # The synthetic data contain no aliased images of the drive.
             modes = analysis.identify([with_only(curve, {}) for curve in curves])
-            omega, _ = theory(rec.scene)
+            omega, _ = natural_modes_of(rec.scene)
         normalized.append((modes.frequency - omega / (2 * np.pi)) / modes.frequency_error)
         normalized.append((modes.damping - 0.005) / modes.damping_error)
         np.testing.assert_allclose(modes.frequency, omega / (2 * np.pi), rtol=2e-4)
@@ -89,10 +93,11 @@ def test_white_noise_has_no_mode(seed):
     frequency = np.linspace(5.0, 60.0, 200)
     value = random.standard_normal((2, 200)) + 1j * random.standard_normal((2, 200))
     with pytest.raises(RecordingError, match="no resonance"):
-        analysis.identify(curves(frequency, value, np.full(200, 1.0)))
+        analysis.identify(curves_of(frequency, value, np.full(200, 1.0)))
 
 
-def curves(frequency, value, error):
+def curves_of(frequency, value, error):
+    """Return responses of body 1, 2, ... from values (responses, frequencies) with this standard error."""
     ones = np.ones(frequency.size)
     return [
         Response.curve(frequency, row, f"body{number}", error=error, coherence=ones, degrees=38.0 * ones)
@@ -101,7 +106,7 @@ def curves(frequency, value, error):
 
 
 def two_modes(natural, distance, zeta, lines, noise=0.0, seed=0):
-    """Return three responses with two modes, and noise relative to their largest value."""
+    """Return the natural frequencies in Hz of two modes, and three responses with noise relative to their maximum."""
     random = np.random.default_rng(seed)
     shapes = random.uniform(0.2, 1.0, (3, 2)) * random.choice([-1.0, 1.0], (3, 2))
     frequency = np.linspace(0.7 * natural, 1.4 * natural, lines)
@@ -110,8 +115,8 @@ def two_modes(natural, distance, zeta, lines, noise=0.0, seed=0):
     modes = 1.0 / (s**2 + 2.0 * zeta * omega[:, None] * s + omega[:, None] ** 2)
     value = shapes @ modes
     error = noise * abs(value).max() * np.ones(lines)
-    parts = random.standard_normal((2, *value.shape))
-    return omega / (2 * np.pi), curves(frequency, value + error * (parts[0] + 1j * parts[1]), error)
+    real_noise, imaginary_noise = random.standard_normal((2, *value.shape))
+    return omega / (2 * np.pi), curves_of(frequency, value + error * (real_noise + 1j * imaginary_noise), error)
 
 
 @pytest.mark.parametrize("zeta", [0.002, 0.01])
@@ -150,14 +155,14 @@ def test_modes_below_band_are_not_counted():
     s = 2j * np.pi * frequency
     omega = 2 * np.pi * np.array([[13.0], [35.0], [49.7]])
     value = np.array([[1.0, 0.8, 0.5], [0.7, -0.9, 0.3]]) @ (1.0 / (s**2 + 0.01 * omega * s + omega**2))
-    modes = analysis.identify(curves(frequency, value, np.zeros(80)))
+    modes = analysis.identify(curves_of(frequency, value, np.zeros(80)))
     np.testing.assert_allclose(modes.frequency, [49.7], rtol=1e-5)
     np.testing.assert_allclose(modes.damping, 0.005, rtol=1e-3)
 
 
 @pytest.mark.parametrize(("ratio", "warned"), [(0.33, False), (0.5, True)])
 def test_leakage_warns_of_increased_damping(ratio, warned):
-    # One mode as measured by a random test with Hann windows: widened by the squared spectrum of the window.
+    # A random test with Hann windows convolves the mode's response with the squared spectrum of the window.
     natural, zeta = 30.0, 0.01
     resolution = ratio * zeta * natural
     bins = resolution / 1.5
@@ -180,7 +185,7 @@ def test_leakage_warns_of_increased_damping(ratio, warned):
 
 @pytest.mark.parametrize("windowed", [False, True])
 def test_narrow_peaks_in_files_have_large_uncertainty(windowed, tmp_path):
-    # One hit whose response is truncated before it has decayed, or a random test with Hann windows.
+    # The response to a hit that is truncated before it has decayed, or a random test with Hann windows.
     random, spacing = np.random.default_rng(5), 0.25
     natural, half_widths = np.array([31.4, 71.23]), np.array([0.04, 0.2]) * spacing
     frequency = spacing * np.arange(60, 400)
@@ -218,20 +223,20 @@ def test_flying_dampers_give_linear_equivalents():
     with daq.open(Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap") as recording:
         frfs = analysis.frfs(recording)
     modes = analysis.identify(frfs)
-    size = max((abs(frf.value) for frf in frfs), key=lambda magnitude: magnitude.max())
+    largest = max((abs(frf.value) for frf in frfs), key=lambda magnitude: magnitude.max())
     assert len(modes.frequency) == 3
     # The first peak is the highest.
-    top = frfs[0].frequency[size.argmax()]
-    assert abs(modes.frequency[0] / top - 1) < modes.damping[0]
+    highest_peak = frfs[0].frequency[largest.argmax()]
+    assert abs(modes.frequency[0] / highest_peak - 1) < modes.damping[0]
     assert "The response is nonlinear" in " ".join(modes.warnings) and modes.model_error > 0.01
 
 
-def test_unbounded_lines_do_not_hide_nonlinearity():
+def test_lines_of_infinite_error_keep_nonlinearity():
     with daq.open(Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap") as recording:
         frfs = analysis.frfs(recording)
-    open_lines = np.where(abs(frfs[0].frequency - 24.0) < 4.0, np.inf, 0.0)
-    silent = replace(frfs[1], value=np.where(open_lines > 0.0, 0.0, frfs[1].value))
-    limited = [frf.with_limits({UNSETTLED: open_lines}) for frf in (frfs[0], silent)]
+    limit = np.where(abs(frfs[0].frequency - 24.0) < 4.0, np.inf, 0.0)
+    zero_in_part = replace(frfs[1], value=np.where(limit > 0.0, 0.0, frfs[1].value))
+    limited = [frf.with_limits({UNSETTLED: limit}) for frf in (frfs[0], zero_in_part)]
     modes = analysis.identify([*limited, frfs[2]])
     assert len(modes.frequency) == 3
     assert modes.model_error > 0.01
@@ -239,13 +244,13 @@ def test_unbounded_lines_do_not_hide_nonlinearity():
 
 
 def test_spring_force_tolerance_is_in_frequency_uncertainty():
-    # Two sensors that differ by 1 % add some motion to the force, which resembles a different stiffness.
+    # If two sensors differ by 1 %, the force contains a part of the motion, with the effect of a different stiffness.
     natural, frfs = two_modes(30.0, 0.2, 0.01, 400, noise=1e-4, seed=4)
-    driven = 0.2 * frfs[0].value / abs(frfs[0].value).max()
-    values = [frf.value / (1.0 + driven) for frf in frfs]
+    relative_error = 0.2 * frfs[0].value / abs(frfs[0].value).max()
+    values = [frf.value / (1.0 + relative_error) for frf in frfs]
     modes = analysis.identify(
         [
-            with_only(replace(frf, value=value), {SENSITIVITY: abs(driven * value)})
+            with_only(replace(frf, value=value), {SENSITIVITY: abs(relative_error * value)})
             for frf, value in zip(frfs, values, strict=True)
         ]
     )
@@ -255,14 +260,14 @@ def test_spring_force_tolerance_is_in_frequency_uncertainty():
 
 
 def peak_in_gap(lines):
-    """Return curves with a peak at 12.85 Hz, half-power bandwidth 0.3 Hz, measured outside it and at some lines."""
+    """Return curves with a peak at 12.85 Hz (half-power bandwidth 0.3 Hz) that is measured only at the given lines."""
     frequency = np.concatenate([np.linspace(8.4, 10.5, 140), lines, np.linspace(14.8, 15.7, 40)])
     s = 2j * np.pi * frequency
     omega = 2 * np.pi * np.array([[12.85], [41.1], [56.9]])
     value = np.array([[0.6, -0.4, 0.3], [0.9, 0.2, -0.7]]) @ (1.0 / (s**2 + 2.0 * 0.0117 * omega * s + omega**2))
     return [
-        replace(frf, uncertainty=UncertaintyBudget.of(part * abs(frf.value), frf.degrees, shared=15.0))
-        for frf, part in zip(curves(frequency, value, 1.0), (1e-3, 1e-2), strict=True)
+        replace(frf, uncertainty=UncertaintyBudget.of(relative_error * abs(frf.value), frf.degrees, shared=15.0))
+        for frf, relative_error in zip(curves_of(frequency, value, 1.0), (1e-3, 1e-2), strict=True)
     ]
 
 
@@ -282,39 +287,38 @@ def test_omitted_peak_gives_no_mode():
 def test_sensor_tolerance_is_in_shape_uncertainty(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
         [curves] = analysis.frequency_responses(rec)
-    poor = with_only(curves[1], {SENSITIVITY: 0.2 * abs(curves[1].value)})
-    modes = analysis.identify([curves[0], poor, curves[2]])
-    relative = modes.shape_error / abs(modes.shapes)
-    top = abs(modes.shapes).argmax(axis=0)
+    inaccurate = with_only(curves[1], {SENSITIVITY: 0.2 * abs(curves[1].value)})
+    modes = analysis.identify([curves[0], inaccurate, curves[2]])
+    relative_error = modes.shape_error / abs(modes.shapes)
+    largest = abs(modes.shapes).argmax(axis=0)
     for mode in range(3):
         for response in range(3):
-            # If the inaccurate sensor has the largest element, all other elements are scaled by it.
-            is_uncertain = response != top[mode] and 1 in (response, top[mode])
-            assert (0.09 < relative[response, mode] < 0.15) if is_uncertain else relative[response, mode] < 0.01
+            # Shapes are relative to their largest element, so that its error is in all other elements.
+            is_uncertain = response != largest[mode] and 1 in (response, largest[mode])
+            error = relative_error[response, mode]
+            assert (0.09 < error < 0.15) if is_uncertain else error < 0.01
 
 
 def test_force_tolerance_does_not_affect_shapes(tmp_path) -> None:
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
         [curves] = analysis.frequency_responses(rec)
-    is_uncertain = [
-        replace(tolerant, uncertainty=replace(tolerant.uncertainty, scale=0.15))
-        for tolerant in (curve.with_limits({SENSITIVITY: 0.15 * abs(curve.value)}) for curve in curves)
-    ]
-    exact, modes = analysis.identify(curves), analysis.identify(is_uncertain)
+    limited = [curve.with_limits({SENSITIVITY: 0.15 * abs(curve.value)}) for curve in curves]
+    uncertain = [replace(curve, uncertainty=replace(curve.uncertainty, scale=0.15)) for curve in limited]
+    exact, modes = analysis.identify(curves), analysis.identify(uncertain)
     assert modes.shape_error.max() < 0.01
     np.testing.assert_allclose(modes.shape_error, exact.shape_error, atol=1e-3)
 
 
-@pytest.mark.parametrize(("unsettled", "identified"), [(1.5, False), (0.5, True)])
-def test_peak_within_systematic_error_is_rejected(unsettled, identified):
+@pytest.mark.parametrize(("relative_limit", "identified"), [(1.5, False), (0.5, True)])
+def test_peak_within_systematic_error_is_rejected(relative_limit, identified):
     frequency = np.linspace(10.0, 60.0, 400)
 
     def peak(natural, zeta, height):
         return height * 2 * zeta * natural**2 / (natural**2 - frequency**2 + 2j * zeta * natural * frequency)
 
     # The pole is visible on the flanks of the peak, but not in its height.
-    limit = np.where(abs(frequency - 40.0) < 0.5, unsettled * 0.02, 2e-4)
-    [curve] = curves(frequency, (peak(20.0, 0.012, 1.0) + peak(40.0, 0.05, 0.02))[None], np.full(400, 1e-5))
+    limit = np.where(abs(frequency - 40.0) < 0.5, relative_limit * 0.02, 2e-4)
+    [curve] = curves_of(frequency, (peak(20.0, 0.012, 1.0) + peak(40.0, 0.05, 0.02))[None], np.full(400, 1e-5))
     modes = analysis.identify([with_only(curve, {UNSETTLED: limit})])
     np.testing.assert_allclose(modes.frequency, [20.0, 40.0] if identified else [20.0], rtol=1e-4)
     assert any("Rejected the stable poles" in text for text in modes.warnings) != identified

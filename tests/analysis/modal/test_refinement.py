@@ -1,4 +1,4 @@
-"""Normal equations of the refinement against dense arrays, and the reduced problem against the complete one."""
+"""Refinement of modal parameters by least squares: normal equations and reduced problem against dense arrays."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_normal_equations_equal_dense_ones(curves: Curves, monkeypatch: pytest.M
     np.testing.assert_allclose(problem.weights(model, rows / scale[0, 0]), weighted @ rows / scale[0, 0], rtol=1e-4)
 
 
-def test_reduced_problem_has_the_same_products(curves: Curves) -> None:
+def test_reduced_problem_has_the_same_normal_matrix(curves: Curves) -> None:
     problem = Projection(curves, 2 * np.pi * np.array([12.1, 20.8]) * (-0.03 + 1j))
     x = np.array([0.1, -0.05, 0.02, 0.03])
     rows = np.column_stack([problem.slopes(x).reshape(-1, 4), problem.residual(x)])

@@ -135,10 +135,10 @@ def test_sensitivity_converts_volts(chassis):
             task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=500)
         for task in (g_task, metric_task, volt_task):
             task.start()
-        in_volts, in_g, in_metres_per_s2 = (np.array(task.read(500)) for task in (volt_task, g_task, metric_task))
+        in_volts, in_g, in_meters_per_s2 = (np.array(task.read(500)) for task in (volt_task, g_task, metric_task))
     assert np.ptp(in_volts) > 0
     np.testing.assert_allclose(in_g, in_volts / 0.25, rtol=1e-14)
-    np.testing.assert_allclose(in_metres_per_s2, in_volts / 0.25 * 9.80665, rtol=1e-14)
+    np.testing.assert_allclose(in_meters_per_s2, in_volts / 0.25 * 9.80665, rtol=1e-14)
 
 
 def test_relative_positions_read_again(chassis):

@@ -1,3 +1,5 @@
+"""Integrating amplifiers of a channel: gain, corner, low cut-off, saturation and noise."""
+
 import numpy as np
 import pytest
 
@@ -20,41 +22,41 @@ def test_gain_scales_the_integral():
 def test_constant_input_settles_at_corner():
     keys = ", accelerometer: {bias: 0.5 V}, integrator: {order: 1, corner: 3 Hz, gain: 10}"
     chain, rate = chain_of(scene_of(keys))
-    read = chain.measure(at_rest(1, rate, 5120))[0]
-    assert read[-1] == pytest.approx(0.5 * 10 / (2 * np.pi * 3.0), rel=1e-6)
+    volts = chain.measure(at_rest(1, rate, 5120))[0]
+    assert volts[-1] == pytest.approx(0.5 * 10 / (2 * np.pi * 3.0), rel=1e-6)
 
 
 def test_low_cutoff_removes_bias():
     keys = ", accelerometer: {bias: 0.5 V}, integrator: {order: 2, corner: 5 Hz, low_cutoff: 5 Hz, gain: 10}"
     chain, rate = chain_of(scene_of(keys))
-    read = chain.measure(at_rest(1, rate, 10240))[0]
-    assert np.abs(read[:2000]).max() > 1e-3
-    assert np.abs(read[-100:]).max() < 1e-12
+    volts = chain.measure(at_rest(1, rate, 10240))[0]
+    assert np.abs(volts[:2000]).max() > 1e-3
+    assert np.abs(volts[-100:]).max() < 1e-12
     assert abs(chain.channels[0].response(0.0)) == 0.0
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_rails_limit_without_wind_up(order):
+def test_saturated_integrator_has_no_wind_up(order):
     keys = f", integrator: {{order: {order}, gain: 400, saturation: 2 V}}"
     chain, rate = chain_of(scene_of(keys))
-    # Push for a quarter of a second, then pull for as long.
+    # A constant acceleration for a quarter of a second, then the opposite acceleration.
     acceleration = np.where(np.arange(2560) < 1280, 100.0, -100.0)
     acceleration[0] = 0.0
     motion = at_rest(1, rate, 2560)
     motion.acceleration[0] = acceleration
     motion.velocity[0] = np.cumsum(acceleration) / rate
     motion.displacement[0] = np.cumsum(motion.velocity[0] - 0.5 * acceleration / rate) / rate
-    read = chain.measure(motion)[0]
-    assert read.max() == 2.0
-    assert read.min() == -2.0
-    # Of two stages with a gain of 20 the first comes down from 2 V at 2 V/ms; the second follows its sign.
-    leaves = 1280 + np.flatnonzero(read[1280:] < 2.0)[0]
-    assert leaves / rate - 0.25 == pytest.approx(0.0 if order == 1 else 1e-3, abs=3e-4)
+    volts = chain.measure(motion)[0]
+    assert volts.max() == 2.0
+    assert volts.min() == -2.0
+    # With two stages, the first (gain 20) falls from 2 V to 0 V in 1 ms; only then the second decreases.
+    end_of_saturation = 1280 + np.flatnonzero(volts[1280:] < 2.0)[0]
+    assert end_of_saturation / rate - 0.25 == pytest.approx(0.0 if order == 1 else 1e-3, abs=3e-4)
 
 
 def test_double_integrated_noise_grows():
     rate, density = 16.0, 1e-3
-    finals = []
+    final_values = []
     for seed in range(40):
         scene = scene_of(
             f", accelerometer: {{noise: {density}}}, integrator: {{order: 2}}",
@@ -62,8 +64,8 @@ def test_double_integrated_noise_grows():
             more=f"seed: {seed}",
         )
         chain, _ = chain_of(scene)
-        read = chain.measure(at_rest(1, rate, round(3600 * rate)))[0]
-        assert np.isfinite(read).all()
-        finals.append(read[-1])
-    # Var x = (one-sided density^2 / 2) T^3 / 3.
-    assert np.std(finals) == pytest.approx(density * np.sqrt(3600.0**3 / 6.0), rel=0.25)
+        samples = chain.measure(at_rest(1, rate, round(3600 * rate)))[0]
+        assert np.isfinite(samples).all()
+        final_values.append(samples[-1])
+    # After the time T, the variance is (one-sided density^2 / 2) T^3 / 3.
+    assert np.std(final_values) == pytest.approx(density * np.sqrt(3600.0**3 / 6.0), rel=0.25)

@@ -1,3 +1,5 @@
+"""A complete signal chain: sensor, amplifier and converter against closed forms and the stated response."""
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -9,38 +11,38 @@ from rig.errors import SceneError
 from tests.daq.dsp.analytic_motion import Path, at_rest, chain_of, cut, motion_of, scene_of
 
 SENSOR = ", accelerometer: {sensitivity: 100 mV/g, resonance: 30 kHz, low_cutoff: 4 Hz}"
-EVERYTHING = (
+# Keys of a channel and of a converter with all effects.
+ALL_EFFECTS = (
     ", accelerometer: {sensitivity: 100 mV/g, sensitivity_tolerance: 5 %, resonance: 30 kHz, low_cutoff: 0.5 Hz, "
     "noise: 20 ug/sqrt(Hz), noise_corner: 10 Hz, bias: 10 mV, bias_settling: 2 s, transverse: 3 %, "
     "saturation: 20 g, overload_recovery: 10 ms, temperature_drift: 0.05 %/K, temperature_change: 10 K}, "
     "integrator: {order: 1, corner: 1 Hz, gain: 100, noise: 50 nV/sqrt(Hz), saturation: 12 V}"
 )
-EVERYTHING_CONVERTED = (
+CONVERTER_WITH_ALL_EFFECTS = (
     "{rate: 5120 Hz, bits: 24, range: 5 V, noise: 50 nV/sqrt(Hz), coupling: AC, filter: delta_sigma, "
     "skew: 1 us, jitter: 1 ns, clock_error: 10 ppm}"
 )
 
 
-def impacts(count, duration, seed):
+def random_impacts(count, duration, seed):
+    """Return impacts (time in s, jump of velocity in m/s) at random times."""
     rng = np.random.default_rng(seed)
     return tuple(zip(np.sort(rng.uniform(0.02, 0.95, count)) * duration, rng.normal(size=count), strict=True))
 
 
-def reading_over_truth(keys, rate, frequency, seconds=2.0, **converter):
-    """Complex ratio of a channel's reading to the true amplitude of a tone, and its stated response."""
-    more = "".join(f", {key}: {value}" for key, value in converter.items())
-    scene = scene_of(keys, converter=f"{{rate: {rate} Hz{more}}}")
-    chain, _ = chain_of(scene)
+def measured_and_stated_response(keys, rate, frequency, seconds=2.0):
+    """Return the complex ratio of a channel's reading to the true amplitude of a tone, and its stated response."""
+    chain, _ = chain_of(scene_of(keys, converter=f"{{rate: {rate} Hz}}"))
     info = chain.channels[0]
     derivative = ("displacement", "velocity", "acceleration").index(info.quantity)
-    w = 2 * np.pi * frequency
-    path = Path(tones=((w ** (2 - derivative), frequency, 0.4),), start_velocity=0.0)
-    read = chain.measure(motion_of([path], rate, round(seconds * rate)))[0] / info.sensitivity
-    t = np.arange(read.size) / rate
-    settled = t > seconds / 2
-    basis = np.stack([np.cos(w * t), -np.sin(w * t), np.ones(t.size), t], axis=1)[settled]
-    real, imag, *_ = np.linalg.lstsq(basis, read[settled], rcond=None)[0]
-    truth = w ** (2 - derivative) * np.exp(0.4j) * (1j * w) ** (derivative - 2)
+    omega = 2 * np.pi * frequency
+    path = Path(tones=((omega ** (2 - derivative), frequency, 0.4),), start_velocity=0.0)
+    readings = chain.measure(motion_of([path], rate, round(seconds * rate)))[0] / info.sensitivity
+    t = np.arange(readings.size) / rate
+    second_half = t > seconds / 2
+    basis = np.stack([np.cos(omega * t), -np.sin(omega * t), np.ones(t.size), t], axis=1)[second_half]
+    real, imag, *_ = np.linalg.lstsq(basis, readings[second_half], rcond=None)[0]
+    truth = omega ** (2 - derivative) * np.exp(0.4j) * (1j * omega) ** (derivative - 2)
     return (real + 1j * imag) / truth, complex(info.response(frequency))
 
 
@@ -49,15 +51,15 @@ CHANNELS = {
     "sensor": SENSOR,
     "velocity": SENSOR + ", integrator: {order: 1, corner: 4 Hz, gain: 100}",
     "displacement": SENSOR + ", integrator: {order: 2, corner: 4 Hz, gain: 1000}",
-    "pure": ", integrator: {order: 2}",
+    "ideal integrator": ", integrator: {order: 2}",
 }
 
 
 @pytest.mark.parametrize("keys", CHANNELS.values(), ids=CHANNELS)
-def test_slow_tones_follow_the_stated_response(keys):
+def test_low_frequencies_have_stated_response(keys):
     for rate, frequencies in ((5120.0, (97.0, 307.0)), (51200.0, (211.0, 1000.0))):
         for frequency in frequencies:
-            measured, stated = reading_over_truth(keys, rate, frequency)
+            measured, stated = measured_and_stated_response(keys, rate, frequency)
             assert measured == pytest.approx(stated, rel=1e-6)
 
 
@@ -67,67 +69,67 @@ def test_integrator_follows_its_transfer_function(order, rate):
     keys = f", integrator: {{order: {order}, corner: 1 Hz, gain: 50}}"
     for frequency in (1.0, 7.0, 60.0, 450.0, 1000.0):
         seconds = 6.0 if frequency < 10 else 2.0
-        measured, _ = reading_over_truth(keys, rate, frequency, seconds)
-        s, w = 2j * np.pi * frequency, 2 * np.pi
-        ratio = measured / (s / (s + w)) ** order
+        measured, _ = measured_and_stated_response(keys, rate, frequency, seconds)
+        s, corner = 2j * np.pi * frequency, 2 * np.pi
+        ratio = measured / (s / (s + corner)) ** order
         assert abs(ratio) == pytest.approx(1.0, abs=1e-3)
         assert np.angle(ratio, deg=True) == pytest.approx(0.0, abs=0.1)
 
 
 @pytest.mark.parametrize("keys", ["sensor", "velocity", "displacement"])
-def test_fast_tones_deviate_as_stated(keys):
-    for frequency, bound in ((400.0, 1e-6), (1000.0, 1e-4), (2000.0, 1e-3)):
-        measured, stated = reading_over_truth(CHANNELS[keys], 5120.0, frequency)
-        assert measured == pytest.approx(stated, rel=bound)
+def test_high_frequencies_have_stated_response(keys):
+    for frequency, tolerance in ((400.0, 1e-6), (1000.0, 1e-4), (2000.0, 1e-3)):
+        measured, stated = measured_and_stated_response(CHANNELS[keys], 5120.0, frequency)
+        assert measured == pytest.approx(stated, rel=tolerance)
 
 
 @pytest.mark.parametrize("rate", [5120.0, 51200.0])
 @pytest.mark.parametrize("order", [1, 2])
-def test_impact_samples_are_closed_form(order, rate):
+def test_samples_of_impacts_have_closed_form(order, rate):
     samples = 150
-    hits = list(impacts(25, samples / rate, seed=order))
-    # Two almost simultaneous, two a millionth of a sample apart, one on a sample.
+    hits = list(random_impacts(25, samples / rate, seed=order))
+    # Two impacts are almost simultaneous, two are a millionth of a sample apart, and one is on a sample.
     hits[4] = (hits[3][0] + 1e-16 / rate, 0.7)
     hits[9] = (hits[8][0] + 1e-6 / rate, -0.3)
     hits[15] = (round(hits[15][0] * rate) / rate, 0.2)
     keys = f"{SENSOR}, integrator: {{order: {order}, corner: 1 Hz}}"
     chain, _ = chain_of(scene_of(keys, converter=f"{{rate: {rate} Hz}}"))
-    read = chain.measure(motion_of([Path(impacts=tuple(sorted(hits)))], rate, samples))[0]
-    line = Circuit.series([resonance(30e3, 30.0), high_pass(4.0, "low cut-off"), *[integration(1.0, 1.0)] * order])
+    volts = chain.measure(motion_of([Path(impacts=tuple(sorted(hits)))], rate, samples))[0]
+    circuit = Circuit.series([resonance(30e3, 30.0), high_pass(4.0, "low cut-off"), *[integration(1.0, 1.0)] * order])
     t = np.arange(samples) / rate
-    expected, over_sample = np.zeros(samples), expm(line.a / rate)
+    expected, transition = np.zeros(samples), expm(circuit.a / rate)
     for instant, jump in hits:
         first = np.flatnonzero(t >= instant - 1e-12 / rate)[0]
-        state = expm(line.a * (t[first] - instant)) @ line.b[0] * jump
+        state = expm(circuit.a * (t[first] - instant)) @ circuit.b[0] * jump
         for k in range(first, samples):
-            expected[k] += line.c @ state
-            state = over_sample @ state
+            expected[k] += circuit.c @ state
+            state = transition @ state
     expected *= 0.1 / 9.80665
-    assert read == pytest.approx(expected, abs=1e-12 * np.abs(expected).max())
+    assert volts == pytest.approx(expected, abs=1e-12 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("rate", [5120.0, 51200.0])
 def test_double_integration_returns_displacement(rate):
-    path = Path(tones=((300.0, 34.8, 0.3), (90.0, 13.0, 2.0)), impacts=impacts(300, 1.0, seed=7))
+    path = Path(tones=((300.0, 34.8, 0.3), (90.0, 13.0, 2.0)), impacts=random_impacts(300, 1.0, seed=7))
     chain, _ = chain_of(scene_of(", integrator: {order: 2}", converter=f"{{rate: {rate} Hz}}"))
     motion = motion_of([path], rate, round(rate))
     truth = motion.displacement[0] - motion.displacement[0, 0]
     assert chain.measure(motion)[0] == pytest.approx(truth, abs=1e-11 * np.abs(truth).max())
 
 
-def test_summed_impacts_return_velocity():
+def test_summed_samples_return_velocity():
     rate = 5120.0
-    path = Path(tones=((300.0, 34.8, 0.3),), impacts=impacts(100, 0.5, seed=3), start_velocity=0.4)
+    path = Path(tones=((300.0, 34.8, 0.3),), impacts=random_impacts(100, 0.5, seed=3), start_velocity=0.4)
     chain, _ = chain_of(scene_of())
     motion = motion_of([path], rate, round(rate / 2))
     assert np.cumsum(chain.measure(motion)[0]) / rate == pytest.approx(motion.velocity[0], abs=1e-12)
 
 
-def test_complete_chain_blocks_change_no_bit():
-    scene = scene_of(EVERYTHING, SENSOR, converter=EVERYTHING_CONVERTED)
+def test_samples_do_not_depend_on_blocks():
+    scene = scene_of(ALL_EFFECTS, SENSOR, converter=CONVERTER_WITH_ALL_EFFECTS)
     paths = [
-        Path(tones=((200.0, 60.0, 0.0),), impacts=impacts(30, 0.1, seed=1)),
-        Path(tones=((90.0, 33.0, 1.0),), impacts=impacts(20, 0.1, seed=2)),
+        Path(tones=((200.0, 60.0, 0.0),), impacts=random_impacts(30, 0.1, seed=1)),
+        Path(tones=((90.0, 33.0, 1.0),), impacts=random_impacts(20, 0.1, seed=2)),
     ]
     _, rate = chain_of(scene)
     motion = motion_of(paths, rate, 512)
@@ -138,10 +140,10 @@ def test_complete_chain_blocks_change_no_bit():
         assert np.array_equal(np.concatenate(blocks, axis=1), expected)
 
 
-def test_oversampled_chain_blocks_change_no_bit():
-    scene = scene_of(EVERYTHING, converter=EVERYTHING_CONVERTED)
+def test_oversampled_samples_do_not_depend_on_blocks():
+    scene = scene_of(ALL_EFFECTS, converter=CONVERTER_WITH_ALL_EFFECTS)
     _, rate = chain_of(scene, oversampling=3)
-    motion = motion_of([Path(tones=((200.0, 60.0, 0.0),), impacts=impacts(30, 0.05, seed=1))], rate, 600)
+    motion = motion_of([Path(tones=((200.0, 60.0, 0.0),), impacts=random_impacts(30, 0.05, seed=1))], rate, 600)
     expected = chain_of(scene, oversampling=3)[0].measure(motion)
     assert expected.shape == (1, 200)
     for size in (1, 7, 250):
@@ -151,11 +153,11 @@ def test_oversampled_chain_blocks_change_no_bit():
 
 
 def test_channels_are_independent():
-    paths = [Path(tones=((200.0, 60.0, 0.0),), impacts=impacts(30, 0.1, seed=1))] * 3
-    alone = scene_of("", EVERYTHING, SENSOR)
-    together = scene_of(SENSOR, EVERYTHING, SENSOR)
+    paths = [Path(tones=((200.0, 60.0, 0.0),), impacts=random_impacts(30, 0.1, seed=1))] * 3
+    scene, with_other_channel = scene_of("", ALL_EFFECTS, SENSOR), scene_of(SENSOR, ALL_EFFECTS, SENSOR)
     motion = motion_of(paths, 5120.0, 512)
-    assert np.array_equal(chain_of(alone)[0].measure(motion)[1:], chain_of(together)[0].measure(motion)[1:])
+    samples = chain_of(scene)[0].measure(motion)
+    assert np.array_equal(chain_of(with_other_channel)[0].measure(motion)[1:], samples[1:])
 
 
 def test_effects_list_is_complete():
@@ -166,10 +168,10 @@ def test_effects_list_is_complete():
         "c1": sensor | {"averaging": 1, "clipping": 0, "quantisation": 0},
         "c2": sensor | {"integration": 2, "point sampling": 0, "clipping": 0, "quantisation": 0},
     }
-    everything = chain_of(scene_of(EVERYTHING, converter=EVERYTHING_CONVERTED))[0].effects["c1"]
-    # A first-order state for every few octaves over which it rises.
-    assert everything["1/f noise"] > 5
-    assert {"1/f noise", "offset settling", "overload recovery", "decimation filter", "jitter"} <= set(everything)
+    effects = chain_of(scene_of(ALL_EFFECTS, converter=CONVERTER_WITH_ALL_EFFECTS))[0].effects["c1"]
+    # The spectrum of 1/f noise needs a first-order state for every two octaves.
+    assert effects["1/f noise"] > 5
+    assert {"1/f noise", "offset settling", "overload recovery", "decimation filter", "jitter"} <= set(effects)
 
 
 def test_settled_start_reads_zero():
@@ -219,11 +221,11 @@ def test_other_motion_rate_is_rejected(factor):
 
 
 def test_empty_block_changes_nothing():
-    scene = scene_of(EVERYTHING, SENSOR, converter=EVERYTHING_CONVERTED)
+    scene = scene_of(ALL_EFFECTS, SENSOR, converter=CONVERTER_WITH_ALL_EFFECTS)
     chain, rate = chain_of(scene)
     motion = motion_of([Path(tones=((200.0, 60.0, 0.0),))] * 2, rate, 20)
     assert chain.measure(cut(motion, 0, 0)).shape == (2, 0)
     first = chain.measure(cut(motion, 0, 9))
     assert chain.measure(cut(motion, 9, 9)).shape == (2, 0)
-    both = np.concatenate([first, chain.measure(cut(motion, 9, 20))], axis=1)
-    assert np.array_equal(both, chain_of(scene)[0].measure(motion))
+    joined = np.concatenate([first, chain.measure(cut(motion, 9, 20))], axis=1)
+    assert np.array_equal(joined, chain_of(scene)[0].measure(motion))

@@ -1,3 +1,5 @@
+"""Description of a channel: its frequency response, metadata and size of a count."""
+
 import numpy as np
 import pytest
 
@@ -39,6 +41,6 @@ def test_damaged_metadata_names_the_field(damage):
         ChannelInfo.from_metadata({key: value for key, value in metadata.items() if value is not None})
 
 
-def test_count_size_is_in_the_unit():
+def test_unit_per_count_includes_sensitivity():
     assert channel(volts_per_count=0.5).unit_per_count == 0.25
     assert channel().unit_per_count == 0.5

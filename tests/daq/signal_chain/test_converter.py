@@ -1,3 +1,5 @@
+"""Converters: quantization, clipping, clock, skew and jitter; data sheets of modules and sensors as presets."""
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from rig.scene.presets import complete_from_preset
 from tests.daq.dsp.analytic_motion import Path, at_rest, chain_of, motion_of, scene_of
 
 
-def test_count_is_range_over_codes():
+def test_count_is_range_over_number_of_codes():
     chain, _ = chain_of(scene_of("", converter="{bits: 16, range: 5 V}"))
     converter = Quantizer(Settings(bits=16, range=5.0))
     assert chain.channels[0].volts_per_count == 10.0 / 65536
@@ -49,7 +51,7 @@ def test_quantization_noise_is_a_twelfth(bits):
 
 
 @pytest.mark.parametrize(
-    ("asked", "given"),
+    ("requested", "expected"),
     [
         (51200.0, 51200.0),
         (8000.0, 51200 / 6),
@@ -59,8 +61,8 @@ def test_quantization_noise_is_a_twelfth(bits):
         (100.0, 51200 / 31),
     ],
 )
-def test_module_clock_gives_next_rate(asked, given):
-    assert Settings(preset="NI 9234", rate=asked).sample_rate == pytest.approx(given, rel=1e-12)
+def test_module_clock_selects_next_rate(requested, expected):
+    assert Settings(preset="NI 9234", rate=requested).sample_rate == pytest.approx(expected, rel=1e-12)
 
 
 def test_too_fast_module_rate_is_named():
@@ -73,7 +75,7 @@ def test_rate_without_module_does_not_change():
     assert settings.sample_rate == settings.true_rate == 1234.5
 
 
-def test_clock_error_separates_true_rate():
+def test_clock_error_changes_only_true_rate():
     settings = Settings(preset="NI 9234", rate=8000.0, clock_error=50e-6)
     assert (settings.sample_rate, settings.true_rate) == (51200 / 6, 51200 / 6 * 1.00005)
 
@@ -97,74 +99,74 @@ def test_preset_module_figures_apply():
 def test_presets_settle_and_read_a_tone():
     scene = scene_of(", accelerometer: {preset: pcb 352c33}", converter="{preset: NI 9234, rate: 5120 Hz}")
     chain, rate = chain_of(scene)
-    read = chain.measure(motion_of([Path(tones=((10.0, 80.0, 0.0),))], rate, round(12 * rate)))[0]
-    last = read[-5120:] / chain.channels[0].sensitivity
-    assert np.abs(read[: round(rate)]).max() > 0.5
-    assert abs(last.mean()) < 1.0
-    assert np.ptp(last) / 2 == pytest.approx(10.0, rel=0.11)
+    volts = chain.measure(motion_of([Path(tones=((10.0, 80.0, 0.0),))], rate, round(12 * rate)))[0]
+    last_second = volts[-5120:] / chain.channels[0].sensitivity
+    assert np.abs(volts[: round(rate)]).max() > 0.5
+    assert abs(last_second.mean()) < 1.0
+    assert np.ptp(last_second) / 2 == pytest.approx(10.0, rel=0.11)
 
 
 @pytest.mark.parametrize("keys", ["", ", integrator: {order: 1, corner: 1 Hz}", ", integrator: {order: 2}"])
-@pytest.mark.parametrize("more", ["", ", filter: delta_sigma"])
-def test_skewed_channels_read_earlier(keys, more):
+@pytest.mark.parametrize("filter_key", ["", ", filter: delta_sigma"])
+def test_skewed_channels_are_sampled_earlier(keys, filter_key):
     rate = 5120.0
     impacts = ((0.0123, 0.3), (0.01234, -0.1), (70.0 / rate, 0.2), (0.0301, 0.4))
-    skewed, _ = chain_of(scene_of(keys, keys, keys, converter=f"{{skew: 40 us{more}}}"))
-    straight, _ = chain_of(scene_of(keys, keys, keys, converter=f"{{rate: 5120 Hz{more}}}"))
-    delays = np.array([info.delay for info in skewed.channels]) - straight.channels[0].delay
+    skewed, _ = chain_of(scene_of(keys, keys, keys, converter=f"{{skew: 40 us{filter_key}}}"))
+    simultaneous, _ = chain_of(scene_of(keys, keys, keys, converter=f"{{rate: 5120 Hz{filter_key}}}"))
+    delays = np.array([info.delay for info in skewed.channels]) - simultaneous.channels[0].delay
     assert delays == pytest.approx([80e-6, 40e-6, 0.0], abs=1e-15)
-    late = [Path(impacts=tuple((t + d, v) for t, v in impacts)) for d in delays]
-    read = skewed.measure(motion_of([Path(impacts=impacts)] * 3, rate, 300))
-    expected = straight.measure(motion_of(late, rate, 300))
-    assert read == pytest.approx(expected, abs=1e-11 * np.abs(expected).max())
+    delayed_paths = [Path(impacts=tuple((t + delay, v) for t, v in impacts)) for delay in delays]
+    volts = skewed.measure(motion_of([Path(impacts=impacts)] * 3, rate, 300))
+    expected = simultaneous.measure(motion_of(delayed_paths, rate, 300))
+    assert volts == pytest.approx(expected, abs=1e-11 * np.abs(expected).max())
 
 
 def test_skewed_tone_has_stated_phase():
     skewed, rate = chain_of(scene_of("", "", converter="{skew: 60 us}"))
-    straight, _ = chain_of(scene_of("", ""))
+    simultaneous, _ = chain_of(scene_of("", ""))
     motion = motion_of([Path(tones=((50.0, 60.0, -np.pi / 2),))] * 2, rate, 5120)
     # Complex amplitudes over whole periods.
-    turns = np.exp(-2j * np.pi * 60.0 / rate * np.arange(2560, 5120)) / 1280
-    early, last = skewed.measure(motion)[:, 2560:] @ turns, straight.measure(motion)[:, 2560:] @ turns
+    demodulation = np.exp(-2j * np.pi * 60.0 / rate * np.arange(2560, 5120)) / 1280
+    amplitudes, expected = (chain.measure(motion)[:, 2560:] @ demodulation for chain in (skewed, simultaneous))
     for row in range(2):
-        stated = skewed.channels[row].response(60.0) / straight.channels[row].response(60.0)
-        assert early[row] / last[row] == pytest.approx(complex(stated), rel=1e-9)
+        stated = skewed.channels[row].response(60.0) / simultaneous.channels[row].response(60.0)
+        assert amplitudes[row] / expected[row] == pytest.approx(complex(stated), rel=1e-9)
 
 
-def test_skew_of_an_interval_is_rejected():
+def test_skew_over_a_sample_interval_is_rejected():
     with pytest.raises(SceneError, match=r"converter\.skew"):
         chain_of(scene_of("", "", "", converter="{rate: 5120 Hz, skew: 100 us}"))
 
 
 @pytest.mark.parametrize("keys", ["", ", integrator: {order: 1}"])
-@pytest.mark.parametrize("more", ["", ", filter: delta_sigma"])
-def test_jitter_noise_is_slope_times_jitter(keys, more):
+@pytest.mark.parametrize("filter_key", ["", ", filter: delta_sigma"])
+def test_jitter_noise_is_slope_times_jitter(keys, filter_key):
     rate, frequency, jitter = 5120.0, 200.0, 1e-6
-    w = 2 * np.pi * frequency
+    omega = 2 * np.pi * frequency
     path = Path(tones=((100.0, frequency, 0.0),))
-    jittered, _ = chain_of(scene_of(keys, keys, converter=f"{{jitter: {jitter}{more}}}"))
-    straight, _ = chain_of(scene_of(keys, keys, converter=f"{{rate: 5120 Hz{more}}}"))
+    jittered, _ = chain_of(scene_of(keys, keys, converter=f"{{jitter: {jitter}{filter_key}}}"))
+    without_jitter, _ = chain_of(scene_of(keys, keys, converter=f"{{rate: 5120 Hz{filter_key}}}"))
     motion = motion_of([path] * 2, rate, 40_000)
-    error = (jittered.measure(motion) - straight.measure(motion))[:, 200:]
-    amplitude = 100.0 / (w if keys else 1.0)
-    assert error[0].std() == pytest.approx(amplitude * w * jitter / np.sqrt(2), rel=0.02)
-    # One clock for all channels.
+    error = (jittered.measure(motion) - without_jitter.measure(motion))[:, 200:]
+    amplitude = 100.0 / (omega if keys else 1.0)
+    assert error[0].std() == pytest.approx(amplitude * omega * jitter / np.sqrt(2), rel=0.02)
+    # All channels have the same clock.
     assert np.array_equal(error[0], error[1])
 
 
-SHEETS = [
+DATA_SHEETS = [
     (sheet, kind)
     for sheet in data_sheets().values()
     for kind in sheet.settings
-    if kind not in ("output", "shaker")  # see tests of shakers
+    if kind not in ("output", "shaker")  # These are tested with the shakers.
 ]
 
 
-@pytest.mark.parametrize(("sheet", "kind"), SHEETS, ids=lambda value: getattr(value, "name", value))
+@pytest.mark.parametrize(("sheet", "kind"), DATA_SHEETS, ids=lambda value: getattr(value, "name", value))
 def test_preset_figures_are_valid_and_sourced(sheet, kind):
     settings = {"accelerometer": Accelerometer, "hammer": Hammer, "converter": Settings}[kind]
-    filled = complete_from_preset(settings(preset=sheet.name.lower().replace(" ", "-")))
-    assert {key for key in sheet.settings[kind] if getattr(filled, key) is None} == set()
+    completed = complete_from_preset(settings(preset=sheet.name.lower().replace(" ", "-")))
+    assert {key for key in sheet.settings[kind] if getattr(completed, key) is None} == set()
     assert sheet.sources
 
 
@@ -174,12 +176,12 @@ def test_explicit_figure_overrides_preset():
     assert settings.resonance == 50e3
 
 
-def test_contradicting_figure_names_both():
+def test_invalid_figure_names_preset():
     with pytest.raises(SceneError, match="PCB 086C03"):
         complete_from_preset(Hammer(preset="PCB 086C03").model_copy(update={"saturation": -1.0}))
 
 
-def test_data_sheets_are_described():
+def test_channel_lists_figures_of_its_devices():
     scene = scene_of(
         ", accelerometer: {resonance: 30 kHz}, integrator: {order: 1, corner: 1 Hz}", converter="{excitation: 2 mA}"
     )

@@ -1,60 +1,65 @@
+"""The decimation filter of a delta-sigma converter: pass band, stop band, impulses, noise and delay.
+
+Frequencies are relative to the sample rate.
+"""
+
 import numpy as np
 import pytest
 
 from daq.signal_chain.decimation_filter import PASS, STOP, Decimation
 from tests.daq.dsp.analytic_motion import Path, at_rest, chain_of, cut, motion_of, scene_of
 
-RATE = 1000.0
+RATE = 1000.0  # Hz
 FILTERED = "{rate: 1 kHz, filter: delta_sigma}"
 
 
-def amplitude(read, frequency, rate):
-    """Complex amplitude of a tone in the settled part of a reading."""
-    k = np.arange(read.size)[read.size // 3 :]
+def amplitude(samples, frequency, rate):
+    """Return the complex amplitude of a tone after the first third of the samples."""
+    k = np.arange(samples.size)[samples.size // 3 :]
     window = np.blackman(k.size)
-    turns = np.exp(-2j * np.pi * frequency / rate * k)
-    return 2 * np.sum(read[k] * window * turns) / window.sum()
+    demodulation = np.exp(-2j * np.pi * frequency / rate * k)
+    return 2 * np.sum(samples[k] * window * demodulation) / window.sum()
 
 
 def test_pass_band_is_flat_and_delayed():
     chain, rate = chain_of(scene_of("", converter=FILTERED), oversampling=8)
     info = chain.channels[0]
     assert info.delay == 38 / RATE
-    for share in (0.02, 0.2, 0.4, PASS):
+    for relative_frequency in (0.02, 0.2, 0.4, PASS):
         chain, _ = chain_of(scene_of("", converter=FILTERED), oversampling=8)
-        path = Path(tones=((1.0, share * RATE, 0.0),))
-        result = amplitude(chain.measure(motion_of([path], rate, 8 * 3000))[0], share * RATE, RATE)
+        path = Path(tones=((1.0, relative_frequency * RATE, 0.0),))
+        result = amplitude(chain.measure(motion_of([path], rate, 8 * 3000))[0], relative_frequency * RATE, RATE)
         assert abs(result) == pytest.approx(1.0, abs=3e-5)
-        delay_error = np.angle(result * np.exp(2j * np.pi * share * 38)) / (2 * np.pi * share)
-        assert delay_error == pytest.approx(0.0, abs=1e-3 / share * 0.01)
-        assert result == pytest.approx(complex(info.response(share * RATE)), abs=1e-5)
+        delay_error = np.angle(result * np.exp(2j * np.pi * relative_frequency * 38)) / (2 * np.pi * relative_frequency)
+        assert delay_error == pytest.approx(0.0, abs=1e-3 / relative_frequency * 0.01)
+        assert result == pytest.approx(complex(info.response(relative_frequency * RATE)), abs=1e-5)
 
 
-@pytest.mark.parametrize("share", [STOP, 0.62, 0.97, 1.2, 1.9, 2.45, 3.3])
-def test_out_of_band_tone_is_suppressed(share):
+@pytest.mark.parametrize("relative_frequency", [STOP, 0.62, 0.97, 1.2, 1.9, 2.45, 3.3])
+def test_out_of_band_tone_is_suppressed(relative_frequency):
     chain, rate = chain_of(scene_of("", converter=FILTERED), oversampling=16)
-    read = chain.measure(motion_of([Path(tones=((1.0, share * RATE, 0.7),))], rate, 16 * 1500))[0]
+    read = chain.measure(motion_of([Path(tones=((1.0, relative_frequency * RATE, 0.7),))], rate, 16 * 1500))[0]
     assert np.abs(read[300:]).max() < 1e-5
 
 
-def test_struck_sensor_samples_are_the_filter_integral():
+def test_impact_response_is_convolved_with_filter():
     rate, resonance, q = 51200.0, 30e3, 30.0
     sensor = f", accelerometer: {{resonance: {resonance}, q: {q}}}"
     chain, _ = chain_of(scene_of(sensor, converter=f"{{rate: {rate}, filter: delta_sigma}}"))
-    struck, jump = 20.3217 / rate, 0.13
-    read = chain.measure(motion_of([Path(impacts=((struck, jump),))], rate, 110))[0]
+    instant, jump = 20.3217 / rate, 0.13
+    samples = chain.measure(motion_of([Path(impacts=((instant, jump),))], rate, 110))[0]
     low_pass = Decimation.standard(rate)
-    # The sensor's ringing in closed form, weighed with the filter by a fine midpoint rule.
-    w = 2 * np.pi * resonance
-    decay, damped = w / (2 * q), w * np.sqrt(1 - 1 / (4 * q * q))
+    # The decaying vibration of the sensor in closed form, convolved with the filter by a fine midpoint rule.
+    omega = 2 * np.pi * resonance
+    decay, damped_omega = omega / (2 * q), omega * np.sqrt(1 - 1 / (4 * q * q))
     t = (np.arange(40_000) + 0.5) * (100.0 / rate) / 40_000
-    ringing = jump * w * w / damped * np.exp(-decay * t) * np.sin(damped * t)
+    vibration = jump * omega**2 / damped_omega * np.exp(-decay * t) * np.sin(damped_omega * t)
     expected = [
-        np.sum(ringing * low_pass.impulse_response(k - (struck + t) * rate - 38.0)) * rate * (t[1] - t[0])
+        np.sum(vibration * low_pass.impulse_response(k - (instant + t) * rate - 38.0)) * rate * (t[1] - t[0])
         for k in range(110)
     ]
-    # The filter is scaled so that its sum is 1, and cut into pieces that follow it within 3e-7.
-    assert read == pytest.approx(np.array(expected), abs=2e-5 * np.abs(expected).max())
+    # The filter's taps are scaled to a sum of 1 and approximate its kernel within 3e-7.
+    assert samples == pytest.approx(np.array(expected), abs=2e-5 * np.abs(expected).max())
 
 
 def test_filtered_impulse_sums_to_velocity():
@@ -68,13 +73,13 @@ def test_filtered_impulse_sums_to_velocity():
 def test_removed_delay_renumbers_samples():
     path = [Path(tones=((1.0, 41.0, 0.3),), impacts=((0.0517, 0.2),))]
     motion = motion_of(path, RATE, 200)
-    late, _ = chain_of(scene_of("", converter=FILTERED))
-    on_time, _ = chain_of(scene_of("", converter="{rate: 1 kHz, filter: delta_sigma, remove_delay: true}"))
-    assert on_time.latency == 38
-    assert on_time.channels[0].delay == 0.0
-    blocks = [on_time.measure(cut(motion, k, k + 20)) for k in range(0, 200, 20)]
+    with_delay, _ = chain_of(scene_of("", converter=FILTERED))
+    without_delay, _ = chain_of(scene_of("", converter="{rate: 1 kHz, filter: delta_sigma, remove_delay: true}"))
+    assert without_delay.latency == 38
+    assert without_delay.channels[0].delay == 0.0
+    blocks = [without_delay.measure(cut(motion, k, k + 20)) for k in range(0, 200, 20)]
     assert [block.shape[1] for block in blocks[:3]] == [0, 2, 20]
-    assert np.array_equal(np.concatenate(blocks, axis=1), late.measure(motion)[:, 38:])
+    assert np.array_equal(np.concatenate(blocks, axis=1), with_delay.measure(motion)[:, 38:])
 
 
 def test_filtered_white_noise_keeps_its_density():

@@ -15,38 +15,38 @@ from tests.daq.dsp.analytic_motion import Path, chain_of, motion_of, scene_of
 
 @pytest.mark.parametrize("seed", range(6))
 def test_point_samples_are_instant_voltages(seed):
-    dice = np.random.default_rng([16, seed])
-    rate, frequency = np.exp(dice.uniform(np.log([1e3, 2e3]), np.log([1e5, 6e4])))
-    q, corner = dice.uniform(1.0, 40.0), dice.uniform(0.1, 20.0)
-    samples, oversampling = 60, int(dice.integers(1, 4))
-    hits = [(dice.uniform(0.05, 0.9) * samples / rate, dice.normal()) for _ in range(5)]
+    rng = np.random.default_rng([16, seed])
+    rate, frequency = np.exp(rng.uniform(np.log([1e3, 2e3]), np.log([1e5, 6e4])))
+    q, corner = rng.uniform(1.0, 40.0), rng.uniform(0.1, 20.0)
+    samples, oversampling = 60, int(rng.integers(1, 4))
+    hits = [(rng.uniform(0.05, 0.9) * samples / rate, rng.normal()) for _ in range(5)]
     scene = scene_of(
         f", accelerometer: {{resonance: {frequency}, q: {q}, low_cutoff: {corner}}}",
         converter=f"{{rate: {rate}, sampling: point}}",
     )
     chain, fine = chain_of(scene, oversampling)
     motion = motion_of([Path(impacts=tuple(sorted(hits)))], fine, samples * oversampling)
-    line = Circuit.series([resonance(frequency, q), high_pass(corner, "low cut-off")])
+    circuit = Circuit.series([resonance(frequency, q), high_pass(corner, "low cut-off")])
     time = np.arange(samples) / rate
     expected = np.zeros(samples)
     for instant, jump in hits:
         for k in np.flatnonzero(time >= instant):
-            expected[k] += line.c @ expm(line.a * (time[k] - instant)) @ line.b[0] * jump
+            expected[k] += circuit.c @ expm(circuit.a * (time[k] - instant)) @ circuit.b[0] * jump
     assert chain.measure(motion)[0] == pytest.approx(expected, abs=1e-10 * np.abs(expected).max())
     info = chain.channels[0]
     assert (info.sampling, info.average) == ("point", False)
     assert "point sampling" in chain.effects["c1"]
 
 
-def test_averages_keep_impulses_and_points_lose_them():
+def test_only_averages_include_impulses():
     hit = Path(impacts=((0.01234, 0.7),))
     for sampling, velocity in (("point", 0.0), ("average", 0.7)):
         chain, rate = chain_of(scene_of(converter=f"{{rate: 1 kHz, sampling: {sampling}}}"))
-        read = chain.measure(motion_of([hit], rate, 30))[0]
-        assert read.sum() / rate == pytest.approx(velocity, abs=1e-12)
+        samples = chain.measure(motion_of([hit], rate, 30))[0]
+        assert samples.sum() / rate == pytest.approx(velocity, abs=1e-12)
 
 
-def test_short_landing_momentum_is_averaged_whole():
+def test_averages_include_momentum_of_short_impacts():
     scene = rig.loads(
         """
         structure: {masses: [0.8 kg], springs: [4 kN/m]}

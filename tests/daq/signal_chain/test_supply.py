@@ -1,4 +1,4 @@
-"""IEPE sensors, their supply and coupling: wiring errors have the same effect as on a real bench."""
+"""IEPE sensors need a supply current, and their bias needs AC coupling; wrong settings have their real effects."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from daq.virtual_bench.bench import Bench
 IEPE = "accelerometer: {sensitivity: 100 mV/g, iepe: true, bias: 9 V, noise: 1 ug/sqrt(Hz)}"
 
 
-def volts(channel: str, converter: str) -> np.ndarray:
+def record_volts(channel: str, converter: str) -> np.ndarray:
+    """Return the samples in V of an accelerometer on a body that is driven at 40 Hz."""
     scene = rig.loads(
         "structure: {masses: [1 kg], springs: [40 kN/m], damping: {modal: 1 %}}\n"
         "shaker: {kind: force, body: 1}\n"
@@ -23,7 +24,7 @@ def volts(channel: str, converter: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("channel", "converter", "alive"),
+    ("channel", "converter", "has_signal"),
     [
         (IEPE, "{}", True),
         (IEPE, "{excitation: 4 mA}", True),
@@ -33,17 +34,17 @@ def volts(channel: str, converter: str) -> np.ndarray:
         ("accelerometer: {sensitivity: 100 mV/g}", "{excitation: 0 mA}", True),
         ("accelerometer: {preset: PCB 352C33}", "{preset: NI 9234}", True),
         ("accelerometer: {preset: PCB 352C33}, excitation: 0 mA", "{preset: NI 9234, noise: 0}", False),
-        # This module feeds sensors through AC coupled inputs only, that one always.
+        # The NI 9234 supplies sensors only at AC coupled inputs, the USB-4431 at all inputs.
         ("accelerometer: {preset: PCB 352C33}, coupling: DC", "{preset: NI 9234, noise: 0}", False),
         ("accelerometer: {preset: PCB 352C33}, coupling: DC", "{preset: USB-4431, noise: 0}", True),
     ],
 )
-def test_supply_turns_the_sensor_on(channel: str, converter: str, alive: bool) -> None:
-    assert volts(channel, converter)[200:].any() == alive
+def test_iepe_sensor_needs_supply(channel: str, converter: str, has_signal: bool) -> None:
+    assert record_volts(channel, converter)[200:].any() == has_signal
 
 
 def test_ac_coupling_removes_the_supply_bias() -> None:
-    direct = volts(IEPE + ", coupling: DC", "{coupling: AC}")
-    blocked = volts(IEPE, "{coupling: AC, ac_corner: 5 Hz}")
+    direct = record_volts(IEPE + ", coupling: DC", "{coupling: AC}")
+    blocked = record_volts(IEPE, "{coupling: AC, ac_corner: 5 Hz}")
     assert direct.mean() == pytest.approx(9.0, abs=0.05)
     assert abs(blocked[-2048:].mean()) < 0.01

@@ -78,7 +78,7 @@ def test_samples_equal_those_of_slower_bench(converter, rate):
 
 
 def test_filters_of_later_rate_are_settled():
-    source = bench("{rate: 5120 Hz}")
+    source = terminals_of("{rate: 5120 Hz}")
     ticks = round(2.5 * source.bench.tick_rate)
     source.release_outputs()
     last_block = None

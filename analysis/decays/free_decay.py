@@ -1,4 +1,4 @@
-"""Free decay after a hit: envelope, energy, modes, and the time at which the dampers come to rest.
+"""Free decay of a channel after a hit: envelope, energy, damping of each mode, and the time to fall below 1 g.
 
 Energy: backward integration (M. R. Schroeder, J. Acoust. Soc. Am. 37 (1965) 409).
 """
@@ -36,8 +36,8 @@ LOWEST_MODE_HZ = 2.0
 HIGHEST_MODE_HZ = 200.0
 # Minimum number of samples in a decay.
 _MIN_SAMPLES = 256
-# If the last tenth of a record contains more than this share of the energy, and the energy does not fall there, the
-# motion is not a decay.
+# A motion is not a decay if its energy does not fall in the last tenth of the record, and this tenth contains more than
+# this share of the energy.
 _MAX_FINAL_ENERGY_SHARE = 0.02
 #: Energy levels between which the slope of the initial decay is fitted, dB.
 INITIAL_DECAY_DB = -1.0, -11.0
@@ -133,11 +133,12 @@ class Decay(Result):
 
     @property
     def halving(self) -> float:
-        """Time in s for the initial 6 dB fall of the energy, from a line fitted between -1 and -11 dB."""
-        inside = (self.energy <= INITIAL_DECAY_DB[0]) & (self.energy >= INITIAL_DECAY_DB[1])
-        if np.sum(inside) < 8:
+        """Time in s in which the energy falls by 6 dB: slope of a line fitted between -1 and -11 dB; NaN if unknown."""
+        initial = (self.energy <= INITIAL_DECAY_DB[0]) & (self.energy >= INITIAL_DECAY_DB[1])
+        if np.sum(initial) < 8:
             return float("nan")
-        return float(-20.0 * np.log10(2.0) / np.polyfit(self.time[inside], self.energy[inside], 1)[0])
+        slope = np.polyfit(self.time[initial], self.energy[initial], 1)[0]  # dB/s
+        return float(-20.0 * np.log10(2.0) / slope)
 
 
 def outline(acceleration: Array, period: float) -> Array:
@@ -146,8 +147,8 @@ def outline(acceleration: Array, period: float) -> Array:
     The running maximum over half a period [samples] on either side is smoothed with a window of the same length. Each
     maximum in that window includes the sample in its middle, so that the smoothed value is at least as large.
 
-    >>> read = np.exp(-0.01 * np.arange(400)) * np.sin(np.arange(400))
-    >>> bool(np.all(outline(read, 2 * np.pi) >= abs(read)))
+    >>> acceleration = np.exp(-0.01 * np.arange(400)) * np.sin(np.arange(400))
+    >>> bool(np.all(outline(acceleration, 2 * np.pi) >= abs(acceleration)))
     True
     """
     half_period = max(1, round(0.5 * period))
@@ -175,9 +176,9 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     if not names:
         raise RecordingError(f"{rec.path}: no motion channel on a body. Add one to the scene's channels.")
     info = motion_channel(rec, channel if channel is not None else names[-1])
-    read_start, begin, stop, end = _decay_limits(rec, info, hit)
-    notes: list[str] = []
-    samples = rec.read(info.name, read_start, end)
+    read_start, begin, stop, read_end = _decay_limits(rec, info, hit)
+    warnings: list[str] = []
+    samples = rec.read(info.name, read_start, read_end)
     invalid = ~np.isfinite(samples)
     if invalid.any():
         if invalid.mean() > 0.01:
@@ -186,63 +187,61 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
                 "again."
             )
         samples = np.interp(np.arange(samples.size), np.flatnonzero(~invalid), samples[~invalid])
-        notes.append(f"{int(invalid.sum())} lost samples were interpolated linearly.")
+        warnings.append(f"{int(invalid.sum())} lost samples were interpolated linearly.")
     if not np.any(abs(samples - samples[0]) > 0):
         raise RecordingError(
             f"{rec.path}: {info.name} is constant throughout the decay of hit {hit}. Choose another channel, or check "
             "the sensor and record again."
         )
     first = arrival(info, begin, begin)[0]
-    spans = [(m.first_sample, m.end) for m in rec.overloads if m.fields.get("channel") == info.name]
-    overloaded = sum(max(min(last + 1, end) - max(start, first), 0) for start, last in spans)
-    overloaded_share = overloaded / max(end - first, 1)
+    overloads = [marker for marker in rec.overloads if marker.fields.get("channel") == info.name]
+    overloaded = sum(max(min(marker.end + 1, read_end) - max(marker.first_sample, first), 0) for marker in overloads)
+    overloaded_share = overloaded / max(read_end - first, 1)
     if overloaded_share > _MAX_OVERLOADED_SHARE:
         raise RecordingError(
             f"{rec.path}: {info.name} was overloaded for {overloaded_share:.0%} of hit {hit}'s decay. Hit more softly, "
             "widen the converter's range, or lower the sensitivity in the scene."
         )
     if overloaded_share:
-        notes.append(
+        warnings.append(
             f"{info.name} was overloaded for {overloaded_share:.2%} of the decay; amplitudes at its beginning are too "
             "low."
         )
     max_modes = modes if modes is not None else rec.scene.structure.bodies
     # At least an octave above the highest mode of the scene.
-    highest = max(HIGHEST_MODE_HZ, 2.0 * float(structural_model(rec.scene).modes.frequency.max()))
-    lowest = max(LOWEST_MODE_HZ, rec.rate / (stop - begin))
-    high = min(0.4 * rec.rate, 4.0 * highest)
-    acceleration = correct_motion(info, samples, "acceleration", lowest, high)[: stop - read_start]
+    highest_mode = max(HIGHEST_MODE_HZ, 2.0 * float(structural_model(rec.scene).modes.frequency.max()))
+    lowest_mode = max(LOWEST_MODE_HZ, rec.rate / (stop - begin))
+    upper_limit = min(0.4 * rec.rate, 4.0 * highest_mode)
+    acceleration = correct_motion(info, samples, "acceleration", lowest_mode, upper_limit)[: stop - read_start]
     decay_start = begin - read_start
-    peak_frequencies = spectral_peaks(acceleration[decay_start:], rec.rate, max_modes, lowest, min(highest, high))
+    highest_mode = min(highest_mode, upper_limit)
+    peak_frequencies = spectral_peaks(acceleration[decay_start:], rec.rate, max_modes, lowest_mode, highest_mode)
     clock = clock_deviation(rec)
     decays = tuple(
         modal_decay(acceleration, rec.rate, float(f), band_width(peak_frequencies, i), decay_start, clock=clock)
         for i, f in enumerate(peak_frequencies)
     )
     if len(decays) < max_modes:
-        notes.append(
-            f"Only {len(decays)} of {max_modes} modes have a peak in the decay of {info.name} between {lowest:.3g} and "
-            f"{min(highest, high):.4g} Hz."
+        warnings.append(
+            f"Only {len(decays)} of {max_modes} modes have a peak in the decay of {info.name} between "
+            f"{lowest_mode:.3g} and {highest_mode:.4g} Hz."
         )
-    cycle = int(rec.rate / peak_frequencies[0]) if peak_frequencies.size else int(rec.rate / 10.0)
-    # The envelope of the last cycle depends on samples after the end, so the last cycle is discarded.
-    last = acceleration.size - min(cycle, (acceleration.size - decay_start) // 10)
-    free_decay = acceleration[decay_start:last]
+    period = int(rec.rate / peak_frequencies[0]) if peak_frequencies.size else int(rec.rate / 10.0)
+    # The envelope of the last period depends on samples after the end, so the last period is discarded.
+    decay_end = acceleration.size - min(period, (acceleration.size - decay_start) // 10)
+    free_decay = acceleration[decay_start:decay_end]
     # Mirrored, because a step in the periodic continuation would distort the Hilbert transform around it.
-    envelope = abs(scipy.signal.hilbert(np.concatenate([acceleration, acceleration[::-1]])))[decay_start:last]
-    peak_indices, _ = scipy.signal.find_peaks(abs(free_decay), distance=max(cycle, 1))
+    envelope = abs(scipy.signal.hilbert(np.concatenate([acceleration, acceleration[::-1]])))[decay_start:decay_end]
+    peak_indices, _ = scipy.signal.find_peaks(abs(free_decay), distance=max(period, 1))
     backward_energy = np.cumsum(free_decay[::-1] ** 2)[::-1]
     energy_after_end = _energy_after_end(free_decay)
     energy = np.zeros(free_decay.size)
     if not np.isinf(energy_after_end):
         # If the samples end in zeros, the energy is zero there, and its logarithm is undefined.
-        energy = 10.0 * np.log10(
-            np.maximum(
-                (backward_energy + energy_after_end) / (backward_energy[0] + energy_after_end), _MIN_ENERGY_RATIO
-            )
-        )
+        ratio = (backward_energy + energy_after_end) / (backward_energy[0] + energy_after_end)
+        energy = 10.0 * np.log10(np.maximum(ratio, _MIN_ENERGY_RATIO))
     if energy.min() > INITIAL_DECAY_DB[1]:
-        notes.append(
+        warnings.append(
             f"The energy of {info.name}'s motion does not fall by {-INITIAL_DECAY_DB[1]:.0f} dB within the record, so "
             "its decay is undetermined. Record for longer."
         )
@@ -258,40 +257,40 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
         energy=energy,
         modes=decays,
         gravity=rec.scene.gravity or STANDARD_GRAVITY,
-        warnings=tuple(notes),
+        warnings=tuple(warnings),
     )
 
 
 def _energy_after_end(acceleration: Array) -> float:
-    """Extrapolate the energy after the end of the record exponentially from its last two tenths.
+    """Extrapolate the energy after the end of the record exponentially from its last two tenths, in (m/s²)².
 
-    If the energy does not fall there, it is noise and the result is 0, or infinite if its share is large.
+    If the energy does not fall there, the result is 0 if the last tenth is noise, and infinite if its share is large.
     """
     tenth = max(1, acceleration.size // 10)
-    before, last = (
-        float(np.sum(tenth_part**2)) for tenth_part in (acceleration[-2 * tenth : -tenth], acceleration[-tenth:])
-    )
-    if before > last:
-        return last * last / (before - last)
-    return np.inf if last > _MAX_FINAL_ENERGY_SHARE * float(np.sum(acceleration**2)) else 0.0
+    previous_energy = float(np.sum(acceleration[-2 * tenth : -tenth] ** 2))
+    last_energy = float(np.sum(acceleration[-tenth:] ** 2))
+    if previous_energy > last_energy:
+        # Sum of the geometric series of all later tenths.
+        return last_energy * last_energy / (previous_energy - last_energy)
+    return np.inf if last_energy > _MAX_FINAL_ENERGY_SHARE * float(np.sum(acceleration**2)) else 0.0
 
 
 def _decay_limits(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int, int, int]:
-    """Return the first sample to read, the beginning and end of the decay, and the end of the samples to read."""
-    marked = hits(rec)
-    if not 1 <= hit <= len(marked):
-        raise SceneError(f"{rec.path}: no hit {hit}. Choose one of hits 1 to {len(marked)}.")
-    first, last = marked[hit - 1]
-    # The correction removes the delay of the filter. The end of the decay is therefore in later samples, and the
-    # response to the next hit begins in earlier ones because the filter is not causal.
-    end = arrival(info, marked[hit][0], marked[hit][0])[0] if hit < len(marked) else rec.samples
-    stop = end - arrival(info, 0, 0)[1]
+    """Return sample numbers: start of reading, beginning and end of the decay, end of reading."""
+    hit_limits = hits(rec)
+    if not 1 <= hit <= len(hit_limits):
+        raise SceneError(f"{rec.path}: no hit {hit}. Choose one of hits 1 to {len(hit_limits)}.")
+    first, last = hit_limits[hit - 1]
+    # The filter of a converter delays the samples, and the correction removes the delay: reading therefore continues
+    # after the end of the decay. The filter also responds before an impact, so that the decay ends earlier.
+    read_end = arrival(info, hit_limits[hit][0], hit_limits[hit][0])[0] if hit < len(hit_limits) else rec.samples
+    stop = read_end - arrival(info, 0, 0)[1]
     begin = last + 1
     # Include samples before the hit, so that the band-pass starts with the structure at rest.
-    before = max(first - int(0.5 * rec.rate), marked[hit - 2][1] + 1 if hit > 1 else 0, 0)
+    read_start = max(first - int(0.5 * rec.rate), hit_limits[hit - 2][1] + 1 if hit > 1 else 0, 0)
     if stop - begin < _MIN_SAMPLES:
         raise RecordingError(
             f"{rec.path}: only {max(stop - begin, 0)} samples follow hit {hit}. Record at least {_MIN_SAMPLES} after a "
             "hit (test: interval)."
         )
-    return before, begin, stop, end
+    return read_start, begin, stop, read_end

@@ -19,17 +19,17 @@ if TYPE_CHECKING:
 _SAME_MODE_RATIO = 0.1
 # Maximum relative standard uncertainty, due to noise, of a reported damping ratio.
 MAX_RELATIVE_ERROR = 0.05
-# Half of the fitted fall, in nepers: the damping ratio at an amplitude is the slope of the envelope while it falls by
-# 6 dB around that amplitude. The amplitudes are 1.5 dB apart.
-_HALF_FALL = 3.0 / 20.0 * np.log(10.0)
-# Band-pass and fall average a damping ratio that depends on amplitude. This bias is estimated by two more fits. In the
-# first, the impulse response of the band-pass is longer by this factor.
-_LONGER_RESPONSE_RATIO = 2.0**0.5
-# In the second, the fall is longer by this factor.
-_LONGER_FALL_RATIO = 1.5
+# The damping ratio at an amplitude is the slope of the logarithmic envelope over a fall by 6 dB around that amplitude.
+# This is half of that fall. The amplitudes are 1.5 dB apart.
+_HALF_FALL_NEPERS = 3.0 / 20.0 * np.log(10.0)
+# The band-pass and the fit over 6 dB average a damping ratio that depends on amplitude. The bias is estimated by two
+# more fits. In the first, the impulse response of the band-pass is longer by this factor.
+_RESPONSE_RATIO = 2.0**0.5
+# In the second, the fitted fall is longer by this factor.
+_FALL_RATIO = 1.5
 # The bias grows with the square of the length of the impulse response for a smooth change, and linearly for a kink.
 # In the linear case the bias is the observed difference times 1 / (sqrt(2) - 1), rounded up.
-_SMEAR_BIAS_FACTOR = 2.5
+_RESPONSE_BIAS_FACTOR = 2.5
 # If the fall has a kink in its middle, the error of the slope is this multiple of the rms residual of the parabola.
 _KINK_ERROR_FACTOR = 8.0
 # Number of levels on either side that a change of damping affects.
@@ -42,12 +42,12 @@ _MAX_POINTS = 64
 class ModalDecay(Result):
     """Decay of one mode after a band-pass filter.
 
-    Uncertainties are standard uncertainties due to noise, the bias of band-pass and fall, and the clock.
+    Uncertainties are standard uncertainties due to noise, averaging over neighboring amplitudes, and the clock.
     """
 
-    # Hz, at the amplitude with the smallest uncertainty; if no amplitude determines it, `center`, and NaN
+    # natural frequency at the amplitude with the smallest uncertainty, Hz; `center` if no amplitude determines it
     frequency: float
-    frequency_error: float
+    frequency_error: float  # Hz; NaN if no amplitude determines the frequency
     center: float  # center frequency of the band-pass, Hz: the peak of the spectrum
     time: Array  # after the hit, s
     envelope: Array  # amplitude of the acceleration, m/s²
@@ -56,9 +56,9 @@ class ModalDecay(Result):
     amplitude: Array
     damping: Array  # damping ratio at those amplitudes
     damping_error: Array
-    damping_smear: Array  # bound of its bias, because band-pass and fall average over neighboring amplitudes
+    damping_smear: Array  # bound of the bias of `damping` due to averaging over neighboring amplitudes
     natural: Array  # natural frequency at those amplitudes, Hz
-    natural_error: Array
+    natural_error: Array  # Hz
 
     def summary(self) -> str:
         """Return the natural frequency, and the damping ratio at the largest and at small amplitudes."""
@@ -158,42 +158,49 @@ def modal_decay(
 ) -> ModalDecay:
     """Estimate the envelope of one mode, and its damping ratio against amplitude.
 
-    A Gaussian band-pass over positive frequencies yields the analytic signal directly. It changes an exponential
-    decay only by a constant factor. The slope of the envelope is therefore unbiased from three standard deviations of
-    the impulse response after the hit. The damping ratio at an amplitude is the slope of the logarithm
-    of the envelope while it falls by 6 dB around that amplitude.
+    A Gaussian band-pass over positive frequencies yields the analytic signal directly. It multiplies an exponential
+    decay by a constant factor. The slope of the envelope is therefore unbiased from three standard deviations of the
+    impulse response after the hit. The damping ratio at an amplitude is the slope of the logarithm of the envelope
+    while it falls by 6 dB around that amplitude.
     """
-    analytic, edge = _band_pass(acceleration, rate, frequency, width)
+    analytic, affected = _band_pass(acceleration, rate, frequency, width)
     envelope = np.abs(analytic)
     time = (np.arange(acceleration.size) - begin) / rate
-    usable = slice(begin + edge, max(acceleration.size - edge, begin + edge))
+    usable = slice(begin + affected, max(acceleration.size - affected, begin + affected))
     noise = _noise(analytic[usable], rate, frequency, width)
     levels = _levels(envelope[usable]) if amplitudes is None else np.log(amplitudes)
-    damping, natural, kink = _damping(analytic[usable], levels, _HALF_FALL)
+    damping, natural, kink_error = _damping(analytic[usable], levels, _HALF_FALL_NEPERS)
     # Half of the noise power is in phase with the signal and changes the envelope. The noise at the two levels is
     # independent.
     amplitude = np.exp(levels)
-    relative = np.hypot(np.exp(-_HALF_FALL), np.exp(_HALF_FALL)) * noise / np.sqrt(2.0) / amplitude / (2.0 * _HALF_FALL)
-    longer_response, longer_edge = _band_pass(acceleration, rate, frequency, width / _LONGER_RESPONSE_RATIO)
-    longer_usable = slice(begin + longer_edge, max(acceleration.size - longer_edge, begin + longer_edge))
-    smeared, natural_smeared, _ = _damping(longer_response[longer_usable], levels, _HALF_FALL)
-    longer_fall, natural_longer, _ = _damping(analytic[usable], levels, _LONGER_FALL_RATIO * _HALF_FALL)
+    noise_error = (
+        np.hypot(np.exp(-_HALF_FALL_NEPERS), np.exp(_HALF_FALL_NEPERS))
+        * noise
+        / np.sqrt(2.0)
+        / amplitude
+        / (2.0 * _HALF_FALL_NEPERS)
+    )
+    narrower, affected = _band_pass(acceleration, rate, frequency, width / _RESPONSE_RATIO)
+    narrower = narrower[begin + affected : max(acceleration.size - affected, begin + affected)]
+    damping_narrower, natural_narrower, _ = _damping(narrower, levels, _HALF_FALL_NEPERS)
+    damping_longer, natural_longer, _ = _damping(analytic[usable], levels, _FALL_RATIO * _HALF_FALL_NEPERS)
     # Subtract the residual that noise alone causes.
-    kink = np.sqrt(np.maximum(kink**2 - (_KINK_ERROR_FACTOR * np.sqrt(1.5) * noise / amplitude / _HALF_FALL) ** 2, 0.0))
-    bias = _bias_bound(damping, smeared, longer_fall, kink)
-    error = np.hypot(relative * damping, 0.5 * bias)
+    kink_error_of_noise = _KINK_ERROR_FACTOR * np.sqrt(1.5) * noise / amplitude / _HALF_FALL_NEPERS
+    kink_error = np.sqrt(np.maximum(kink_error**2 - kink_error_of_noise**2, 0.0))
+    bias = _bias_bound(damping, damping_narrower, damping_longer, kink_error)
+    error = np.hypot(noise_error * damping, 0.5 * bias)
     # Phase and logarithm of the envelope have the same uncertainty, relative to a much larger change of the phase.
     natural_bias = np.full(natural.size, np.nan)
-    # Undetermined if one of the two effects is.
-    if np.isfinite(natural_smeared - natural).any() and np.isfinite(natural_longer - natural).any():
-        natural_bias = _bias_bound(natural, natural_smeared, natural_longer, np.zeros(natural.size))
-    natural_error = np.hypot(np.hypot(relative * damping, 0.5 * clock) * natural, 0.5 * natural_bias)
+    # The bias is undetermined if one of the two fits is.
+    if np.isfinite(natural_narrower - natural).any() and np.isfinite(natural_longer - natural).any():
+        natural_bias = _bias_bound(natural, natural_narrower, natural_longer, np.zeros(natural.size))
+    natural_error = np.hypot(np.hypot(noise_error * damping, 0.5 * clock) * natural, 0.5 * natural_bias)
     reported = np.ones(levels.size, dtype=bool)
     if amplitudes is None:
-        reported = np.isfinite(damping) & (damping > 0) & (relative < MAX_RELATIVE_ERROR)
+        reported = np.isfinite(damping) & (damping > 0) & (noise_error < MAX_RELATIVE_ERROR)
     hz_per_step = rate / (2.0 * np.pi)
     natural, natural_error = hz_per_step * natural[reported], hz_per_step * natural_error[reported]
-    # An unresolved neighbor that decays more slowly dominates at small amplitudes; it is far from the peak.
+    # At small amplitudes an unresolved neighboring mode with less damping may dominate; its frequency is rejected.
     plausible = np.flatnonzero(np.isfinite(natural_error) & (abs(natural / frequency - 1.0) < _SAME_MODE_RATIO))
     frequency_estimate = frequency, float("nan")
     if plausible.size:
@@ -220,11 +227,11 @@ def _noise(analytic: ComplexArray, rate: float, frequency: float, width: float) 
     The dampers are usually at rest there, and the structure responds linearly; any damper motion counts as noise.
     """
     step = max(1, int(rate / (8.0 * width)))
-    tail = analytic[-(analytic.size // 4) :][::step]
-    if tail.size < 8:
+    last_quarter = analytic[-(analytic.size // 4) :][::step]
+    if last_quarter.size < 8:
         return 0.0
-    t = np.arange(tail.size) * step / rate
-    baseband = tail * np.exp(-2j * np.pi * frequency * t)
+    t = np.arange(last_quarter.size) * step / rate
+    baseband = last_quarter * np.exp(-2j * np.pi * frequency * t)
     weight = abs(baseband)
     decay, log_amplitude = np.polyfit(t, np.log(np.maximum(weight, 1e-300)), 1, w=weight)
     rotation, angle = np.polyfit(t, np.unwrap(np.angle(baseband)), 1, w=weight)
@@ -243,12 +250,14 @@ def _levels(envelope: Array) -> Array:
     """Return the logarithms of the amplitudes at which the damping ratio is estimated."""
     if envelope.size < 8 or envelope.max() <= 0:
         return np.empty(0)
-    hull = _log_decay_envelope(envelope)
-    return np.arange(hull[0] - 1.25 * _HALF_FALL, hull[-1] + _HALF_FALL, -_HALF_FALL / 2.0)
+    log_envelope = _log_decay_envelope(envelope)
+    return np.arange(
+        log_envelope[0] - 1.25 * _HALF_FALL_NEPERS, log_envelope[-1] + _HALF_FALL_NEPERS, -_HALF_FALL_NEPERS / 2.0
+    )
 
 
 def _damping(analytic: ComplexArray, levels: Array, half_fall: float) -> tuple[Array, Array, Array]:
-    """Estimate damping ratio, natural frequency (rad/sample) and relative error bound for a kink at each level.
+    """Return damping ratio, natural frequency (rad/sample) and relative error bound due to a kink at each level.
 
     Each is estimated while the envelope falls by `half_fall` nepers on either side of the level; NaN outside the decay.
     """
@@ -256,22 +265,23 @@ def _damping(analytic: ComplexArray, levels: Array, half_fall: float) -> tuple[A
     if envelope.size < 8 or envelope.max() <= 0:
         undetermined = np.full(levels.size, np.nan)
         return undetermined, undetermined, np.zeros(levels.size)
-    hull = _log_decay_envelope(envelope)
-    upper, lower = _crossings(hull, levels + half_fall), _crossings(hull, levels - half_fall)
+    log_envelope = _log_decay_envelope(envelope)
+    first, last = _crossings(log_envelope, levels + half_fall), _crossings(log_envelope, levels - half_fall)
     logarithm, phase = np.log(np.maximum(envelope, 1e-300)), np.unwrap(np.angle(analytic))
     sample = np.arange(envelope.size)
-    phase_change = np.interp(lower, sample, phase) - np.interp(upper, sample, phase)
-    fits = [_fall_rate(logarithm, a, b, level) for a, b, level in zip(upper, lower, levels, strict=True)]
-    fall, residual = np.array(fits).reshape(-1, 2).T
+    phase_change = np.interp(last, sample, phase) - np.interp(first, sample, phase)
+    rates = [_decay_rate(logarithm, *fall) for fall in zip(first, last, levels, strict=True)]
+    decay_rate, residual = np.array(rates).reshape(-1, 2).T
     with np.errstate(divide="ignore", invalid="ignore"):
-        natural = np.hypot(phase_change / (lower - upper), fall)
-        return np.asarray(fall / natural), natural, _KINK_ERROR_FACTOR * residual / half_fall
+        natural = np.hypot(phase_change / (last - first), decay_rate)
+        return np.asarray(decay_rate / natural), natural, _KINK_ERROR_FACTOR * residual / half_fall
 
 
-def _fall_rate(logarithm: Array, first: float, last: float, level: float) -> tuple[float, float]:
-    """Return the rate of fall per sample at which a curve crosses a level, and the rms residual of the fit.
+def _decay_rate(logarithm: Array, first: float, last: float, level: float) -> tuple[float, float]:
+    """Return the decay rate of a logarithmic envelope at a level, nepers per sample, and the rms residual of the fit.
 
-    The fit is a parabola, because a straight line would yield the mean of a varying slope. Beats average out.
+    A parabola is fitted between the samples `first` and `last`, because a straight line would yield the mean of a
+    varying slope. Beats average out.
     """
     if not (np.isfinite(first) and np.isfinite(last)) or last - first < 4.0:
         return float("nan"), 0.0
@@ -285,15 +295,15 @@ def _fall_rate(logarithm: Array, first: float, last: float, level: float) -> tup
     slope_at_crossing = slope + 2.0 * curvature * crossing
     if slope_at_crossing < 0:
         crossing -= (value + slope * crossing + curvature * crossing**2) / slope_at_crossing
-    fall = float(-(slope + 2.0 * curvature * float(np.clip(crossing, -0.5, 0.5))) / half_length)
-    return fall, float(np.sqrt(np.mean(residual**2)))
+    decay_rate = float(-(slope + 2.0 * curvature * float(np.clip(crossing, -0.5, 0.5))) / half_length)
+    return decay_rate, float(np.sqrt(np.mean(residual**2)))
 
 
-def _bias_bound(damping: Array, smeared: Array, longer: Array, kink: Array) -> Array:
-    """Return the bias bound of damping ratios from their change with a longer band-pass response and fall."""
-    bias = np.nan_to_num(kink * damping)
-    for alternative, factor in ((smeared, _SMEAR_BIAS_FACTOR), (longer, 1.0)):
-        difference = abs(alternative - damping)
+def _bias_bound(values: Array, narrower: Array, longer: Array, kink_error: Array) -> Array:
+    """Bound the bias of values at each level by their change with a narrower band-pass and with a longer fall."""
+    bias = np.nan_to_num(kink_error * values)
+    for alternative, factor in ((narrower, _RESPONSE_BIAS_FACTOR), (longer, 1.0)):
+        difference = abs(alternative - values)
         determined = np.flatnonzero(np.isfinite(difference))
         if determined.size:
             # The longer fits do not reach the first and last levels; the nearest known difference is used there.
@@ -301,12 +311,12 @@ def _bias_bound(damping: Array, smeared: Array, longer: Array, kink: Array) -> A
     return np.asarray(scipy.ndimage.maximum_filter1d(bias, 2 * _AFFECTED_LEVELS + 1) if bias.size else bias)
 
 
-def _crossings(hull: Array, levels: Array) -> Array:
+def _crossings(curve: Array, levels: Array) -> Array:
     """Interpolate the sample index at which a falling curve crosses each level; NaN if it does not."""
-    after = hull.size - np.searchsorted(hull[::-1], levels, side="left")
-    inside = (after > 0) & (after < hull.size)
-    after = np.clip(after, 1, hull.size - 1)
-    high, low = hull[after - 1], hull[after]
+    after = curve.size - np.searchsorted(curve[::-1], levels, side="left")
+    inside = (after > 0) & (after < curve.size)
+    after = np.clip(after, 1, curve.size - 1)
+    high, low = curve[after - 1], curve[after]
     fraction = np.divide(high - levels, high - low, out=np.zeros(levels.shape), where=high > low)
-    at_start = levels >= hull[0] - 1e-9
-    return np.where(inside, after - 1 + fraction, np.where(at_start & (levels <= hull[0] + 1e-9), 0.0, np.nan))
+    at_start = abs(levels - curve[0]) <= 1e-9
+    return np.where(inside, after - 1 + fraction, np.where(at_start, 0.0, np.nan))

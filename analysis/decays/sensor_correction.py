@@ -19,8 +19,7 @@ class CorrectedMotion:
 
     The samples are mirrored at both ends before the Fourier transform, so that the periodic continuation has no step
     between the last sample and the first. If the samples are differentiated, the mirror image is also inverted (odd
-    extension), which removes the kink at the ends. This changes the mean value, which differentiation
-    removes.
+    extension), which removes the kink at the ends. This changes the mean value, which differentiation removes.
 
     `samples`, shape (n,): uncorrected samples in the channel's unit, evenly spaced; `low`, `high`: limits of the
     pass band, Hz. The correction is exact inside and fades out over half an octave outside.
@@ -28,16 +27,16 @@ class CorrectedMotion:
 
     def __init__(self, info: ChannelInfo, samples: Array, low: float, high: float) -> None:
         self.info, self.samples = info, samples
-        fade = samples.size // 2
-        self._fade = np.hanning(2 * fade + 1)[:fade]
+        fade_length = samples.size // 2
+        self._fade_in = np.hanning(2 * fade_length + 1)[:fade_length]
         size = fft.next_fast_len(3 * samples.size - 2, real=True)
         frequency = fft.rfftfreq(size, 1.0 / info.rate)
         window = _band(frequency, low, high)
-        inside = np.flatnonzero(window)
+        nonzero = np.flatnonzero(window)
         # The pass band is one contiguous interval of frequencies.
-        self._inside = slice(int(inside[0]), int(inside[-1]) + 1) if inside.size else slice(0, 0)
-        self._size, self._j_omega = size, 2j * np.pi * frequency[self._inside]
-        self._factor = window[self._inside] / info.response(frequency[self._inside])
+        self._pass_band = slice(int(nonzero[0]), int(nonzero[-1]) + 1) if nonzero.size else slice(0, 0)
+        self._size, self._j_omega = size, 2j * np.pi * frequency[self._pass_band]
+        self._factor = window[self._pass_band] / info.response(frequency[self._pass_band])
         self._spectra: dict[bool, ComplexArray] = {}
 
     def __call__(self, motion: str) -> Array:
@@ -46,22 +45,24 @@ class CorrectedMotion:
         For a force channel the result is the force in N.
         """
         quantity, count = self.info.quantity, self.samples.size
+        # Number of differentiations; negative for integrations.
         order = MOTIONS.index(motion) - MOTIONS.index(quantity) if quantity in MOTIONS else 0
         factor = self._factor if order == 0 else self._factor * self._j_omega**order
         spectrum = np.zeros(self._size // 2 + 1, dtype=complex)
-        spectrum[self._inside] = self._spectrum(order > 0) * factor
+        spectrum[self._pass_band] = self._spectrum(order > 0) * factor
         return fft.irfft(spectrum, self._size)[count - 1 : 2 * count - 1]
 
     def _spectrum(self, odd: bool) -> ComplexArray:
+        """Return the spectrum of the samples with even or odd extension, in the pass band."""
         if odd not in self._spectra:
-            samples, fade = self.samples, self._fade
-            head, tail = samples[:0:-1], samples[-2::-1]
+            samples, fade_in = self.samples, self._fade_in
+            before, after = samples[:0:-1], samples[-2::-1]
             if odd:
-                head, tail = 2.0 * samples[0] - head, 2.0 * samples[-1] - tail
-            extended = np.concatenate([head, samples, tail])
-            extended[: fade.size] *= fade
-            extended[extended.size - fade.size :] *= fade[::-1]
-            self._spectra[odd] = fft.rfft(extended, self._size)[self._inside]
+                before, after = 2.0 * samples[0] - before, 2.0 * samples[-1] - after
+            extended = np.concatenate([before, samples, after])
+            extended[: fade_in.size] *= fade_in
+            extended[extended.size - fade_in.size :] *= fade_in[::-1]
+            self._spectra[odd] = fft.rfft(extended, self._size)[self._pass_band]
         return self._spectra[odd]
 
 
@@ -72,13 +73,13 @@ def correct_motion(info: ChannelInfo, samples: Array, motion: str, low: float, h
 
 def _band(frequency: Array, low: float, high: float) -> Array:
     """Return a window: 1 from `low` to `high`, cosine tapers of half an octave, 0 at zero frequency if `low` > 0."""
-    out = np.ones(frequency.size)
+    window = np.ones(frequency.size)
     if low > 0:
         below = slice(1, int(np.searchsorted(frequency, low)))
         taper = np.clip(np.log2(frequency[below] / low) * 2.0 + 1.0, 0.0, 1.0)
-        out[below] = 0.5 - 0.5 * np.cos(np.pi * taper)
-        out[0] = 0.0
+        window[below] = 0.5 - 0.5 * np.cos(np.pi * taper)
+        window[0] = 0.0
     above = slice(int(np.searchsorted(frequency, high)), None)
     taper = np.clip(np.log2(np.maximum(frequency[above], 1e-300) / high) * 2.0, 0.0, 1.0)
-    out[above] *= 0.5 + 0.5 * np.cos(np.pi * taper)
-    return out
+    window[above] *= 0.5 + 0.5 * np.cos(np.pi * taper)
+    return window

@@ -1,1 +1,1 @@
-"""The report: one self-contained HTML page with the answer, interactive charts, the test's settings and warnings."""
+"""The report: one self-contained HTML page with a summary, tables, interactive charts, settings and warnings."""

@@ -16,19 +16,21 @@ from rig.arrays import Array
 from rig.escaping import escape_html
 from rig.figure_style import COLORS
 
-# A frequency axis is logarithmic if the ratio of its limits exceeds this value.
-_LOGARITHMIC_FROM = 3.0
+# A frequency axis is logarithmic if the ratio of its highest to its lowest frequency exceeds this value.
+_MIN_LOGARITHMIC_RATIO = 3.0
 # Significant digits of a number in a chart: more than a screen can resolve.
 _DIGITS = 5
+# Significant digits of an abscissa, which zooming resolves further.
+_ABSCISSA_DIGITS = 8
 # Difference between the brightest and the darkest level of an image, dB.
 IMAGE_SPAN_DB = 80.0
-# Longer columns are written as 32-bit binary, which halves their size.
-_MAX_TEXT_COLUMN = 4000
+# Columns with more values are written as 32-bit binary, which halves their size.
+_MAX_TEXT_VALUES = 4000
 
 
 @dataclass(frozen=True)
 class EvenlySpaced:
-    """Evenly spaced abscissa, stored without a column of values."""
+    """Evenly spaced abscissa: `size` values from `start`, `step` apart."""
 
     start: float
     step: float
@@ -46,8 +48,8 @@ class Curve:
     label: str
     x: ArrayLike | EvenlySpaced
     y: ArrayLike
-    low: ArrayLike | None = None
-    high: ArrayLike | None = None
+    low: ArrayLike | None = None  # lower limit of `y`
+    high: ArrayLike | None = None  # upper limit of `y`
     color: int = 0
 
 
@@ -58,23 +60,23 @@ class Panel:
     label: str
     unit: str
     curves: Sequence[Curve] = ()
-    height: int = 170
-    logarithmic: bool = False
-    limits: tuple[float, float] | None = None
+    height: int = 170  # px
+    logarithmic: bool = False  # vertical axis
+    limits: tuple[float, float] | None = None  # of the vertical axis
     ticks: Sequence[float] | None = None
     image: dict[str, Any] | None = None  # from `level_image`
 
 
 @dataclass(frozen=True)
 class Chart:
-    """Panels above each other, with a caption and a text alternative for screen readers."""
+    """Panels one below the other, with a caption and a text alternative for screen readers."""
 
     caption: str
     alternative: str
     panels: Sequence[Panel]
     x_name: str = "frequency"
     x_unit: str = "Hz"
-    logarithmic: bool = False
+    logarithmic: bool = False  # horizontal axis
 
 
 @dataclass
@@ -85,7 +87,7 @@ class ChartWriter:
 
     def write(self, chart: Chart) -> str:
         """Return the HTML of a chart: a figure that the page's script fills, and its data."""
-        name, label = f"chart-{next(self._numbers)}", f"{chart.x_name} / {chart.x_unit}"
+        identifier, label = f"chart-{next(self._numbers)}", f"{chart.x_name} / {chart.x_unit}"
         data = {
             "x": {"label": label, "name": chart.x_name, "unit": chart.x_unit, "log": chart.logarithmic},
             "panels": [_panel(panel) for panel in chart.panels],
@@ -94,16 +96,16 @@ class ChartWriter:
         text = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
         return (
             f'<figure><div class="chart" role="img" aria-label="{escape_html(chart.alternative)}" '
-            f'data-source="{name}"></div>'
+            f'data-source="{identifier}"></div>'
             f"<figcaption>{escape_html(chart.caption)}</figcaption>"
-            f'<script type="application/json" id="{name}">{text}</script></figure>'
+            f'<script type="application/json" id="{identifier}">{text}</script></figure>'
         )
 
 
 def logarithmic(frequencies: ArrayLike) -> bool:
     """Return whether a frequency axis of these values should be logarithmic."""
     values = np.asarray(frequencies, dtype=float)
-    return bool(values.size and values.min() > 0 and values.max() > _LOGARITHMIC_FROM * values.min())
+    return bool(values.size and values.min() > 0 and values.max() > _MIN_LOGARITHMIC_RATIO * values.min())
 
 
 def _panel(panel: Panel) -> dict[str, Any]:
@@ -119,37 +121,38 @@ def _panel(panel: Panel) -> dict[str, Any]:
     }
 
 
-def _curve(curve: Curve, positive: bool) -> dict[str, Any]:
-    out: dict[str, Any] = {
+def _curve(curve: Curve, positive_only: bool) -> dict[str, Any]:
+    content: dict[str, Any] = {
         "label": curve.label,
         "color": COLORS[curve.color % len(COLORS)],
-        "x": asdict(curve.x) if isinstance(curve.x, EvenlySpaced) else _column(curve.x, exact=True),
-        "y": _column(curve.y, positive),
+        "x": asdict(curve.x) if isinstance(curve.x, EvenlySpaced) else _column(curve.x, digits=_ABSCISSA_DIGITS),
+        "y": _column(curve.y, positive_only),
     }
     if curve.low is not None and curve.high is not None:
-        out["low"], out["high"] = _column(curve.low, positive), _column(curve.high, positive)
-    return out
+        content["low"], content["high"] = _column(curve.low, positive_only), _column(curve.high, positive_only)
+    return content
 
 
-def _column(values: ArrayLike, positive: bool = False, exact: bool = False) -> Any:
+def _column(values: ArrayLike, positive_only: bool = False, digits: int = _DIGITS) -> Any:
     """Convert numbers to JSON, with null for undefined values; long columns become 32-bit binary.
 
-    `positive`: drop values of zero and below, which a logarithmic axis cannot show.
+    `positive_only`: replace values of zero and below by null, because a logarithmic axis cannot show them; `digits`:
+    significant digits.
     """
     column = np.asarray(values, dtype=float)
-    is_drawn = np.isfinite(column) & (column > 0 if positive else True)
-    if column.size > _MAX_TEXT_COLUMN:
+    is_drawn = np.isfinite(column) & (column > 0 if positive_only else True)
+    if column.size > _MAX_TEXT_VALUES:
         binary = np.where(is_drawn, column, np.nan).astype("<f4")
         return {"float32": base64.b64encode(binary.tobytes()).decode()}
-    digits = 8 if exact else _DIGITS
-    return [
-        float(f"{value:.{digits}g}") if is_finite else None for value, is_finite in zip(column, is_drawn, strict=True)
-    ]
+    return [float(f"{value:.{digits}g}") if drawn else None for value, drawn in zip(column, is_drawn, strict=True)]
 
 
 def level_image(levels: Array, x: tuple[float, float], y: tuple[float, float]) -> dict[str, Any]:
-    """Return an image of levels in dB, shape (rows, columns), first row at the top, over a rectangle."""
-    share = np.clip((levels - float(np.max(levels))) / IMAGE_SPAN_DB + 1.0, 0.0, 1.0)
+    """Return the image of a spectrogram as JSON data.
+
+    `levels`, shape (rows, columns): dB, first row at the top; `x`, `y`: limits of the image on the axes.
+    """
+    brightness = np.clip((levels - float(np.max(levels))) / IMAGE_SPAN_DB + 1.0, 0.0, 1.0)
     rows, columns = levels.shape
-    pixels = base64.b64encode(np.round(255 * share).astype(np.uint8).tobytes()).decode()
+    pixels = base64.b64encode(np.round(255 * brightness).astype(np.uint8).tobytes()).decode()
     return {"levels": pixels, "rows": rows, "columns": columns, "x": x, "y": y}

@@ -50,7 +50,7 @@ def rig_drawing(scene: Scene) -> str:
     for number, shaker in enumerate(scene.shakers, 1):
         for body in shaker.bodies:
             parts += _shaker(shaker, tops[body - 1] + _BODY_HEIGHT / 2, number if len(scene.shakers) > 1 else None)
-    parts += _sensors(scene, tops)
+    parts += _channels(scene, tops)
     names = ", ".join(structure.labels)
     return (
         f'<svg role="img" aria-label="Drawing of the rig: {escape_html(names)}" viewBox="0 0 620 {height}" width="620" '
@@ -64,7 +64,7 @@ def _ground(y: float) -> str:
 
 
 def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
-    """Draw a body, the spring below it and the dampers inside."""
+    """Draw a body, the spring below it (dashed if the scene gives matrices) and the dampers inside."""
     structure = scene.structure
     middle = _LEFT + _BODY_WIDTH / 2
     mass = "" if structure.masses is None else f", {structure.masses[body - 1]:.4g} kg"
@@ -79,15 +79,15 @@ def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
         yield f'<text x="{_LEFT + 40}" y="{top + _BODY_HEIGHT + 28:g}">{stiffness / 1e3:.4g} kN/m</text>'
     elif stiffness is None:
         yield (f'<path stroke="currentColor" stroke-dasharray="3 4" d="M{middle} {top + _BODY_HEIGHT:g}v{_SPACING}"/>')
-    inside = [damper for damper in scene.dampers if damper.body == body]
-    for k, damper in enumerate(inside):
-        x = _LEFT + 12 + k * (_BODY_WIDTH - 24) / max(len(inside), 1)
+    dampers = [damper for damper in scene.dampers if damper.body == body]
+    for k, damper in enumerate(dampers):
+        x = _LEFT + 12 + k * (_BODY_WIDTH - 24) / max(len(dampers), 1)
         ceiling = "h-26" if isfinite(damper.clearance) else ""
         yield (
             f'<g class="damper"><path stroke="currentColor" d="M{x:g} {top + 26:g}v22h26v-22{ceiling}"/>'
             f'<circle cx="{x + 13:g}" cy="{top + 40:g}" r="7" fill="#d67a2e"/></g>'
         )
-        if len(inside) == 1:
+        if len(dampers) == 1:
             clearance = f", {format_number(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else ", open"
             size = f"{1e3 * damper.mass:.4g} g" if damper.mass is not None else f"ratio {damper.mass_ratio:.3g}"
             locked = ", locked" if damper.locked else ""
@@ -113,13 +113,13 @@ def _shaker(shaker: Shaker, y: float, number: int | None) -> Iterator[str]:
         yield f'<path stroke="#009E73" stroke-width="2" d="M110 {y:g}h{_LEFT - 118}m-9 -6l9 6l-9 6"/>'
 
 
-def _sensors(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
-    """Write the names of the channels to the right of the bodies on which they are mounted."""
-    places: dict[str, list[str]] = {}
+def _channels(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
+    """Write the names of the channels next to the body or table at which their sensor is mounted."""
+    names_at: dict[str, list[str]] = {}
     tables, others = dict(scene.tables), []
     for channel in scene.channels or ():
-        places.setdefault(channel.at, []).append(channel.name)
-    for place, names in places.items():
+        names_at.setdefault(channel.at, []).append(channel.name)
+    for place, names in names_at.items():
         if place.startswith("body "):
             y = tops[int(place.removeprefix("body ")) - 1] + _BODY_HEIGHT / 2
             x = _LEFT + _BODY_WIDTH

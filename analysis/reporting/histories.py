@@ -1,4 +1,4 @@
-"""Time histories and spectrograms of a recording, in bounded memory."""
+"""Charts of time histories and spectrograms; a recording longer than memory is read block by block."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# A recording with at most this number of samples (all channels) is drawn completely; a longer recording is drawn as
-# the envelope of each interval.
+# Largest number of samples, over all channels, of a recording that is drawn sample by sample. A longer recording is
+# drawn as the smallest and largest value of each interval.
 _MAX_SAMPLES = 300_000
 # Number of these intervals.
 _INTERVALS = 1500
@@ -38,7 +38,7 @@ def time_histories(rec: Recording) -> Chart:
     if is_complete:
         rows = np.stack([rec.read(name) for name in names])
     else:
-        time, rows = _envelopes(rec, names)
+        time, rows = _extremes(rec, names)
     units = list(dict.fromkeys(rec.channels[name].unit for name in names))
     panels = []
     for unit in units:
@@ -58,24 +58,25 @@ def time_histories(rec: Recording) -> Chart:
     )
 
 
-def _envelopes(rec: Recording, names: list[str]) -> tuple[Array, Array]:
-    """Return minimum and maximum of each interval in turn: time, shape (2 n,), and values, shape (channels, 2 n)."""
+def _extremes(rec: Recording, names: list[str]) -> tuple[Array, Array]:
+    """Return the minimum and maximum of each interval, alternating: time in s, (2 n,), and values, (channels, 2 n)."""
     edges = np.linspace(0, rec.samples, _INTERVALS + 1).astype(int)
-    low = np.full((len(names), _INTERVALS), np.inf)
-    high = -low
+    smallest = np.full((len(names), _INTERVALS), np.inf)
+    largest = -smallest
     for first, block in rec.blocks(names):
         interval = np.searchsorted(edges, np.arange(first, first + block.shape[1]), side="right") - 1
         starts = np.flatnonzero(np.diff(interval, prepend=interval[0] - 1))
         present = interval[starts]
-        low[:, present] = np.fmin(low[:, present], np.fmin.reduceat(block, starts, axis=1))
-        high[:, present] = np.fmax(high[:, present], np.fmax.reduceat(block, starts, axis=1))
+        smallest[:, present] = np.fmin(smallest[:, present], np.fmin.reduceat(block, starts, axis=1))
+        largest[:, present] = np.fmax(largest[:, present], np.fmax.reduceat(block, starts, axis=1))
+    # Each pair is drawn at one and three quarters of its interval.
     time = (edges[:-1, None] + np.diff(edges)[:, None] * [0.25, 0.75]).ravel() / rec.rate
-    values = np.stack([low, high], axis=2).reshape(len(names), -1)
+    values = np.stack([smallest, largest], axis=2).reshape(len(names), -1)
     return time, np.where(np.isfinite(values), values, np.nan)
 
 
 def spectrograms(rec: Recording) -> list[Chart]:
-    """Return one spectrogram for each channel: Hann-windowed power spectra at equal time steps."""
+    """Return one spectrogram for each channel, from equally spaced Hann windows; none if the recording is short."""
     natural = structural_model(rec.scene).modes.frequency
     highest = min(rec.rate / 2, _MAX_FREQUENCY_RATIO * float(natural.max()))
     block = int(min(rec.samples, rec.rate * _LINES / highest))

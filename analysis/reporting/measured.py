@@ -1,4 +1,4 @@
-"""Results of all analyses of the recordings, computed once and shared by all sections of a report."""
+"""Results of all analyses of the recordings of a report, computed once for its summary, tables and charts."""
 
 from __future__ import annotations
 
@@ -37,6 +37,7 @@ Returned = TypeVar("Returned")
 class Pass:
     """One sweep through the frequencies.
 
+    frfs : one frequency response for each pair of response and reference
     modes : None if the identification failed
     peaks : for each mode, the response with the highest compliance peak near it, or None if no response has a peak
     highest : the highest compliance peak of all frequencies, whether or not a mode was identified there
@@ -50,10 +51,10 @@ class Pass:
 
 @dataclass(frozen=True)
 class Measured:
-    """One open recording and its results."""
+    """One open recording and its results; a result is empty or None if the test does not determine it."""
 
     path: Path
-    label: str
+    label: str  # name of the recording in legends and sentences
     rec: Recording
     passes: tuple[Pass, ...] = ()
     dampers: tuple[Dampers, ...] = ()
@@ -91,33 +92,35 @@ class Measurements:
             (first, other, change)
             for other in others
             if other.passes
-            for change in self._attempt(other.path, "Comparison", _changes, first, other) or ()
+            for change in self._attempt(other.path, "Comparison", _peak_changes, first, other) or ()
         ]
 
     def _measure(self, path: Path, label: str, rec: Recording) -> Measured:
-        groups = None
+        sweeps = None
         if rec.test.drives:
-            groups = self._attempt(path, "Frequency responses", frequency_responses, rec, progress=self.progress)
-        passes = tuple(self._pass(path, label, rec, group) for group in groups or ())
-        stepped = rec.test.kind is TestKind.TONES and rec.scene.dampers
-        dampers = self._attempt(path, "Dampers", dampers_in, rec, progress=self.progress) if stepped else None
+            sweeps = self._attempt(path, "Frequency responses", frequency_responses, rec, progress=self.progress)
+        passes = tuple(self._pass(path, label, rec, frfs) for frfs in sweeps or ())
+        has_damper_results = rec.test.kind is TestKind.TONES and rec.scene.dampers
+        dampers = None
+        if has_damper_results:
+            dampers = self._attempt(path, "Dampers", dampers_in, rec, progress=self.progress)
         for sweep_dampers in dampers or ():
-            self._note(path, [*sweep_dampers.missing, *sweep_dampers.warnings])
+            self._warn(path, [*sweep_dampers.missing, *sweep_dampers.warnings])
         free_decay = None
         if rec.test.decays:
             free_decay = self._attempt(path, "Free decay", decay, rec)
             if free_decay is not None:
                 free_decay = relabel(free_decay, rec.scene.name, label)
-                self._note(path, free_decay.warnings)
+                self._warn(path, free_decay.warnings)
         return Measured(path, label, rec, passes, tuple(dampers or ()), free_decay)
 
-    def _pass(self, path: Path, label: str, rec: Recording, group: Sequence[Response]) -> Pass:
-        frfs = [relabel(frf, rec.scene.name, label) for frf in group]
-        self._note(path, frfs[0].warnings)
+    def _pass(self, path: Path, label: str, rec: Recording, frfs: Sequence[Response]) -> Pass:
+        frfs = [relabel(frf, rec.scene.name, label) for frf in frfs]
+        self._warn(path, frfs[0].warnings)
         modes = self._attempt(path, "Modes", identify, frfs)
         if modes is None:
             return Pass(frfs, None)
-        self._note(path, modes.warnings)
+        self._warn(path, modes.warnings)
         peaks = _highest_peaks(frfs, modes)
         return Pass(frfs, relabel(modes, rec.scene.name, label), peaks, highest_peak(frfs, peaks))
 
@@ -133,25 +136,24 @@ class Measurements:
         try:
             return compute(*args, **kwargs)
         except ShotrigError as error:
-            self._note(path, [f"{analysis}: not available. {error}"])
+            self._warn(path, [f"{analysis}: not available. {error}"])
             return None
 
-    def _note(self, path: Path, notes: Sequence[str]) -> None:
-        self.warnings += [note for note in with_recording_name(path, notes) if note not in self.warnings]
+    def _warn(self, path: Path, texts: Sequence[str]) -> None:
+        self.warnings += [text for text in with_recording_name(path, texts) if text not in self.warnings]
 
 
 def _highest_peaks(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[Response, Peak] | None, ...]:
     """Return the response with the highest compliance peak near each mode, in the order of `modes`."""
-    curves = [frf for frf in frfs if frf.reference == "force"]
+    compliances = [frf for frf in frfs if frf.reference == "force"]
     _, low, high = peak_bands(modes)
-    out: list[tuple[Response, Peak] | None] = []
+    highest: list[tuple[Response, Peak] | None] = []
+    # The bands are in ascending order of frequency, the modes need not be.
     for rank in np.argsort(np.argsort(modes.frequency)):
-        peaks = [(curve, peak(curve, low[rank], high[rank])) for curve in curves]
-        inside = [
-            (curve, curve_peak) for curve, curve_peak in peaks if curve_peak is not None and not curve_peak.at_end
-        ]
-        out.append(max(inside, key=lambda pair: pair[1].value, default=None))
-    return tuple(out)
+        peaks = [(frf, peak(frf, low[rank], high[rank])) for frf in compliances]
+        inside = [(frf, frf_peak) for frf, frf_peak in peaks if frf_peak is not None and not frf_peak.at_end]
+        highest.append(max(inside, key=lambda pair: pair[1].value, default=None))
+    return tuple(highest)
 
 
 def highest_peak(
@@ -159,7 +161,7 @@ def highest_peak(
 ) -> tuple[Response, Peak] | None:
     """Return the response with the highest compliance peak, near a mode or at another frequency.
 
-    A peak at another frequency counts if the lower limit of its curve is higher than the peaks near modes.
+    A peak at another frequency replaces these if the lower limit of its compliance exceeds their heights.
     """
     highest = max(filter(None, peaks), key=lambda pair: pair[1].value, default=None)
     height = 0.0 if highest is None else highest[1].value
@@ -168,20 +170,20 @@ def highest_peak(
             continue
         compliance = frf.to("displacement")
         lower_bound = np.nan_to_num(abs(compliance.value) - compliance.bound())
-        top = int(np.argmax(lower_bound))
-        if lower_bound[top] > height:
-            frequency = float(compliance.frequency[top])
+        largest = int(np.argmax(lower_bound))
+        if lower_bound[largest] > height:
+            frequency = float(compliance.frequency[largest])
             interpolated = peak(frf, frequency / _PEAK_BAND_FACTOR, frequency * _PEAK_BAND_FACTOR)
             if interpolated is not None and not interpolated.at_end:
                 highest, height = (frf, interpolated), interpolated.value
     return highest
 
 
-def _changes(first: Measured, other: Measured) -> list[PeakChange]:
-    """Compare the peaks of two recordings; errors of shared sensors cancel in the ratio."""
+def _peak_changes(first: Measured, other: Measured) -> list[PeakChange]:
+    """Return the change of each peak between two recordings; errors of shared sensors cancel in the ratio."""
     modes = first.passes[0].modes
     assert modes is not None
-    points, reference_points = (MeasurementPoints.of(measured.path, measured.rec) for measured in (other, first))
-    points.comparable_with(reference_points)
-    same_sensors, bare = points.same_sensors(reference_points), first.passes[0].frfs
-    return [change for sweep in other.passes for change in peak_changes(modes, bare, sweep.frfs, same_sensors)]
+    points, first_points = (MeasurementPoints.of(measured.path, measured.rec) for measured in (other, first))
+    points.comparable_with(first_points)
+    same_sensors, first_frfs = points.same_sensors(first_points), first.passes[0].frfs
+    return [change for sweep in other.passes for change in peak_changes(modes, first_frfs, sweep.frfs, same_sensors)]

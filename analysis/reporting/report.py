@@ -11,12 +11,12 @@ from pathlib import Path
 from string import Template
 
 from analysis.presentation.outputs import CommandOutput, output_stem, with_ending
-from analysis.reporting.answer import answer
 from analysis.reporting.charts import ChartWriter
 from analysis.reporting.drawing import mode_drawing, rig_drawing
 from analysis.reporting.histories import spectrograms, time_histories
 from analysis.reporting.measured import Measured, Measurements
 from analysis.reporting.responses import damper_chart, decay_charts, response_charts
+from analysis.reporting.summary import summarize
 from analysis.reporting.tables import budget, changes_table, decays, resonances, settings, test_text
 from rig.escaping import escape_html
 from rig.output_files import atomic_write, create_folder
@@ -39,29 +39,29 @@ def write_report(
     with Measurements(paths, progress) as measurements:
         sentences, body = _body(measurements, paths)
     title = f"Vibration test: {', '.join(path.stem for path in paths)}"
-    browser = files("analysis.reporting") / "browser"
+    templates = files("analysis.reporting") / "browser"
 
-    def text(name: str) -> str:
-        return (browser / name).read_text(encoding="utf-8")
+    def template(name: str) -> str:
+        return (templates / name).read_text(encoding="utf-8")
 
-    page = Template(text("page.html")).substitute(
+    page = Template(template("page.html")).substitute(
         title=escape_html(title),
         body=body,
-        uplot_css=text("uPlot.min.css"),
-        page_css=text("page.css"),
-        uplot=text("uPlot.iife.min.js"),
-        charts=text("charts.js"),
+        uplot_css=template("uPlot.min.css"),
+        page_css=template("page.css"),
+        uplot=template("uPlot.iife.min.js"),
+        charts=template("charts.js"),
     )
     with _page(paths, output) as target:
         create_folder(target.parent)
-        with atomic_write(target) as part:
-            part.write_text(page, encoding="utf-8")
+        with atomic_write(target) as temporary:
+            temporary.write_text(page, encoding="utf-8")
     return CommandOutput((target,), tuple(sentences), tuple(measurements.warnings))
 
 
 @contextmanager
 def _page(paths: Sequence[Path], output: Path | None) -> Iterator[Path]:
-    """Yield the path of the page; writing inside the `with` block follows the overwriting rule of `rig.provenance`."""
+    """Yield the path of the page; raise `SceneError` if a page of other recordings exists there (`rig.provenance`)."""
     if output is not None and output.suffix.lower() in {".html", ".htm"} and not output.is_dir():
         with output_source("report", *relative_paths(paths, output.parent)):
             reject_foreign_files(output)
@@ -72,14 +72,14 @@ def _page(paths: Sequence[Path], output: Path | None) -> Iterator[Path]:
 
 
 def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str], str]:
-    """Return the summary, and the sections of the page as HTML."""
+    """Return the sentences of the summary, and all sections of the page as HTML."""
     results, charts = measurements.results, ChartWriter()
-    compared = measurements.changes()
-    sentences = answer(results, compared)
+    changes = measurements.changes()
+    sentences = summarize(results, changes)
     parts = ['<section class="answer">', *(f"<p>{escape_html(text)}</p>" for text in sentences)]
     parts += [f'<p class="test">{escape_html(text)}</p>' for text in dict.fromkeys(map(_test_description, results))]
     parts.append("</section>")
-    parts += [changes_table(compared), resonances(results), decays(results)]
+    parts += [changes_table(changes), resonances(results), decays(results)]
     if measurements.warnings:
         items = "".join(f"<li>{escape_html(note)}</li>" for note in measurements.warnings)
         parts.append(f'<h2>Warnings</h2><ul class="warnings">{items}</ul>')
@@ -87,12 +87,12 @@ def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str],
     if responses:
         parts += ["<h2>Frequency responses</h2>", *responses]
     parts += _modes(results)
-    dampers = [charts.write(damper_chart(measured, result)) for measured in results for result in measured.dampers]
-    if dampers:
-        parts += ["<h2>Dampers</h2>", *dampers]
-    free = [charts.write(chart) for chart in decay_charts(results)]
-    if free:
-        parts += ["<h2>Free decays</h2>", *free]
+    motions = [charts.write(damper_chart(measured, result)) for measured in results for result in measured.dampers]
+    if motions:
+        parts += ["<h2>Dampers</h2>", *motions]
+    free_decays = [charts.write(chart) for chart in decay_charts(results)]
+    if free_decays:
+        parts += ["<h2>Free decays</h2>", *free_decays]
     parts += _budgets(results)
     for measured in results:
         parts += [
@@ -115,7 +115,7 @@ def _test_description(measured: Measured) -> str:
 
 
 def _modes(results: Sequence[Measured]) -> list[str]:
-    """Draw the mode shapes of the first sweep of each recording."""
+    """Draw the mode shapes of the first sweep of each recording that has two bodies or more, as HTML."""
     parts = []
     for measured in results:
         for modes in [sweep.modes for sweep in measured.passes[:1] if sweep.modes is not None]:
@@ -131,16 +131,16 @@ def _modes(results: Sequence[Measured]) -> list[str]:
 
 
 def _budgets(results: Sequence[Measured]) -> list[str]:
-    """Write the uncertainty budget at the highest peak of each recording."""
-    first = [(measured, measured.passes[0].highest) for measured in results if measured.passes]
-    tables = [budget(measured, *highest) for measured, highest in first if highest is not None]
+    """Write the uncertainty budget at the highest peak in the first sweep of each recording, as HTML."""
+    peaks = [(measured, measured.passes[0].highest) for measured in results if measured.passes]
+    tables = [budget(measured, *highest) for measured, highest in peaks if highest is not None]
     return ["<h2>Uncertainty</h2>", *tables] if tables else []
 
 
 def _commands(paths: Sequence[Path], results: Sequence[Measured]) -> list[str]:
-    """List the commands that reproduce the recordings and the results, and the version of shotrig."""
+    """List the commands that reproduce the recordings and the results, and the version of shotrig, as HTML."""
     all_paths = " ".join(shlex.quote(str(path)) for path in paths)
-    named = [
+    analyzed_by = [
         ("frf", [measured for measured in results if measured.passes]),
         ("modes", [measured for measured in results if any(sweep.modes is not None for sweep in measured.passes)]),
         ("dampers", [measured for measured in results if measured.dampers]),
@@ -152,9 +152,9 @@ def _commands(paths: Sequence[Path], results: Sequence[Measured]) -> list[str]:
         for measured in recorded
     ]
     lines += [
-        f"analysis {command} {' '.join(shlex.quote(str(measured.path)) for measured in which)}"
-        for command, which in named
-        if which
+        f"analysis {command} {' '.join(shlex.quote(str(measured.path)) for measured in recordings)}"
+        for command, recordings in analyzed_by
+        if recordings
     ]
     lines.append(f"analysis report {all_paths}")
     origin = f"Made with shotrig {version('shotrig')}."

@@ -1,4 +1,4 @@
-"""Charts of frequency responses, damper motion and decays."""
+"""Charts of a report: frequency responses, damper motion and free decays."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def response_charts(measurements: Sequence[Measured]) -> list[Chart]:
     that the recordings can be compared. Responses to different inputs never share a chart.
     """
     with_responses = [measured for measured in measurements if measured.passes]
-    curves = [frf for measured in with_responses for sweep in measured.passes for frf in sweep.frfs]
+    frfs = [frf for measured in with_responses for sweep in measured.passes for frf in sweep.frfs]
     several = len({measured.label for measured in with_responses}) > 1
     charts = []
-    for key in dict.fromkeys((frf.ratio if several else frf.input) for frf in curves):
-        group = [frf for frf in curves if key == (frf.ratio if several else frf.input)]
+    for key in dict.fromkeys((frf.ratio if several else frf.input) for frf in frfs):
+        group = [frf for frf in frfs if key == (frf.ratio if several else frf.input)]
         names = [frf.label if several else f"{frf.response} {frf.label}".strip() for frf in group]
         if not several and len({frf.label for frf in group}) == 1:
             names = [frf.response for frf in group]
@@ -35,17 +35,19 @@ def response_charts(measurements: Sequence[Measured]) -> list[Chart]:
     return charts
 
 
-def response_chart(curves: Sequence[Response], names: Sequence[str]) -> Chart:
+def response_chart(frfs: Sequence[Response], names: Sequence[str]) -> Chart:
     """Return a chart of magnitude with 95 % bounds, phase, coherence and relative bound, for one input."""
-    thinned = [_thinned(frf.with_gaps()) for frf in curves]
+    thinned = [_thinned(frf.with_gaps()) for frf in frfs]
     unit, factor = thinned[0].shown_in
     magnitude, phase, coherence, relative = [], [], [], []
     for k, (frf, name) in enumerate(zip(thinned, names, strict=True)):
-        f, size, bound = frf.frequency, factor * abs(frf.value), factor * frf.bound()
-        magnitude.append(Curve(name, f, size, np.maximum(size - bound, 1e-3 * size), size + bound, color=k))
+        f, height, bound = frf.frequency, factor * abs(frf.value), factor * frf.bound()
+        # A logarithmic axis cannot show a lower limit of zero or below.
+        low = np.maximum(height - bound, 1e-3 * height)
+        magnitude.append(Curve(name, f, height, low, height + bound, color=k))
         phase.append(Curve(name, f, np.degrees(np.angle(frf.value)), color=k))
         coherence.append(Curve(name, f, frf.coherence, color=k))
-        relative.append(Curve(name, f, 100.0 * bound / size, color=k))
+        relative.append(Curve(name, f, 100.0 * bound / height, color=k))
     quantity = thinned[0].name
     outputs = ", ".join(dict.fromkeys(frf.response for frf in thinned))
     band = np.concatenate([frf.frequency for frf in thinned])
@@ -64,7 +66,7 @@ def response_chart(curves: Sequence[Response], names: Sequence[str]) -> Chart:
 
 
 def _limits(curves: Sequence[Curve]) -> tuple[float, float]:
-    """Return the limits of a logarithmic axis for all values; the uncertainty bounds may exceed them."""
+    """Return the limits of a logarithmic axis that show all values, but not all uncertainty bounds."""
     values = np.concatenate([np.asarray(curve.y, dtype=float) for curve in curves])
     values = values[np.isfinite(values) & (values > 0)]
     return (float(values.min()) / 1.5, 1.5 * float(values.max())) if values.size else (0.1, 10.0)
@@ -75,9 +77,10 @@ def _thinned(frf: Response) -> Response:
     count = frf.frequency.size
     if count <= 2 * _INTERVALS:
         return frf
-    size = np.nan_to_num(abs(frf.value))
-    parts = np.array_split(np.arange(count), _INTERVALS)
-    selected = {int(part[pick(size[part])]) for part in parts for pick in (np.argmax, np.argmin)}
+    magnitude = np.nan_to_num(abs(frf.value))
+    intervals = np.array_split(np.arange(count), _INTERVALS)
+    extremes = (np.argmax, np.argmin)
+    selected = {int(points[extreme(magnitude[points])]) for points in intervals for extreme in extremes}
     return frf.at(np.array(sorted(selected | {0, count - 1})))
 
 

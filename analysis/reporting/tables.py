@@ -27,7 +27,10 @@ _MAX_LISTED = 5
 
 
 def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], numbers: int = 0) -> str:
-    """Write an HTML table with the last `numbers` columns aligned to the right; a row of one cell is a subheading."""
+    """Return an HTML table.
+
+    A row with one cell is a subheading. The last `numbers` columns are aligned to the right.
+    """
     align = ["" if k < len(heading) - numbers else ' class="number"' for k in range(len(heading))]
     head = "".join(f"<th{a}>{escape_html(text)}</th>" for a, text in zip(align, heading, strict=True))
     body = ""
@@ -41,7 +44,7 @@ def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], n
 
 
 def resonances(measurements: Sequence[Measured]) -> str:
-    """Write a table of natural frequencies, damping ratios and the highest peak near each."""
+    """Return a table of natural frequencies and damping ratios, each with the highest peak near it, as HTML."""
     rows: list[tuple[str, ...]] = []
     for modes, peaks in ((sweep.modes, sweep.peaks) for measured in measurements for sweep in measured.passes):
         if modes is None:
@@ -74,7 +77,7 @@ def with_bound(value: float, bound: float) -> str:
 
 
 def changes_table(changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> str:
-    """Write a table of the changes of peaks, and whether each exceeds its uncertainty."""
+    """Return a table of the changes of peaks, and whether each exceeds its uncertainty, as HTML."""
     rows: list[tuple[str, ...]] = []
     for first, other, change in changes:
         pair = f"{first.label} → {other.label}"
@@ -100,7 +103,7 @@ def _interval(low: float, high: float) -> str:
 
 
 def decays(measurements: Sequence[Measured]) -> str:
-    """Write a table of free-decay modes with their damping at the largest and the smallest amplitude."""
+    """Return a table of free-decay modes with their damping at the largest and the smallest amplitude, as HTML."""
     rows: list[tuple[str, ...]] = []
     for measured in measurements:
         result = measured.decay
@@ -108,28 +111,28 @@ def decays(measurements: Sequence[Measured]) -> str:
             continue
         rows.append((f"{measured.label}, {result.channel}",))
         for mode in result.modes:
-            ends = ("too short or too noisy", "")
+            damping_texts = ("too short or too noisy", "")
             if mode.damping.size:
                 first, last = (
                     f"{with_bound(100 * mode.damping[k], 200 * mode.damping_error[k])} at {mode.amplitude[k]:.3g} m/s²"
                     for k in (0, -1)
                 )
-                ends = (first, last)
+                damping_texts = (first, last)
             frequency = f"{mode.center:.4g}"
             if np.isfinite(mode.frequency):
                 frequency = with_bound(mode.frequency, 2.0 * mode.frequency_error)
-            rows.append((frequency, *ends))
+            rows.append((frequency, *damping_texts))
     heading = ["natural frequency / Hz", "damping ratio / % at the largest amplitude", "at the smallest"]
     return table("Free decay of each mode, with 95 % intervals", heading, rows) if rows else ""
 
 
 def budget(measured: Measured, curve: Response, highest: Peak) -> str:
-    """Write the uncertainty budget of a response at its peak: contribution, type, bound and share."""
+    """Return the uncertainty budget of a response at its peak, as HTML: contribution, type, bound and share."""
     point = int(np.argmin(abs(curve.frequency - highest.frequency)))
     unit, factor = curve.shown_in
-    parts = {"noise (scatter)": ("A", float(curve.random_bound()[point]))}
-    parts |= {name: ("B", float(part[point])) for name, part in curve.limits.items()}
-    total = sum(bound**2 for _, bound in parts.values() if isfinite(bound))
+    contributions = {"noise (scatter)": ("A", float(curve.random_bound()[point]))}
+    contributions |= {name: ("B", float(limit[point])) for name, limit in curve.limits.items()}
+    total = sum(bound**2 for _, bound in contributions.values() if isfinite(bound))
     rows = [
         (
             name,
@@ -137,7 +140,7 @@ def budget(measured: Measured, curve: Response, highest: Peak) -> str:
             format_number(float(f"{factor * bound:.2g}")),
             f"{100 * bound**2 / total:.0f} %" if isfinite(bound) and total else "–",
         )
-        for name, (kind, bound) in sorted(parts.items(), key=lambda item: -item[1][1])
+        for name, (kind, bound) in sorted(contributions.items(), key=lambda item: -item[1][1])
         if bound > 0.0
     ]
     title = f"{measured.label}, {curve.ratio} at {curve.frequency[point]:.4g} Hz"
@@ -161,15 +164,15 @@ def test_text(scene: Scene) -> str:
         return "none"
     stated = yaml.safe_load(write(scene.test, scene.structure))
     kind = stated.pop("kind", scene.test.kind).replace("_", " ")
-    return f"{kind}: {_listed(stated)}" if stated else kind
+    return f"{kind}: {_on_one_line(stated)}" if stated else kind
 
 
-def _listed(content: Mapping[str, object]) -> str:
-    """Write settings on one line; a group of settings stands in parentheses."""
+def _on_one_line(settings: Mapping[str, object]) -> str:
+    """Return settings on one line; a group of settings is in parentheses."""
     parts = []
-    for key, value in content.items():
+    for key, value in settings.items():
         if isinstance(value, Mapping):
-            text = f"({_listed(value)})"
+            text = f"({_on_one_line(value)})"
         else:
             text = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
         parts.append(f"{key} {text}")
@@ -177,9 +180,9 @@ def _listed(content: Mapping[str, object]) -> str:
 
 
 def settings(measured: Measured) -> str:
-    """Write the tables of the test settings and of the channels."""
+    """Return the tables of the test settings and of the channels, and the scene file, as HTML."""
     rec, scene = measured.rec, measured.rec.scene
-    dampers = "; ".join(_damper(damper, scene.structure.label(damper.body)) for damper in scene.dampers)
+    dampers = "; ".join(_damper_text(damper, scene.structure.label(damper.body)) for damper in scene.dampers)
     facts = [
         ("recording", str(measured.path)),
         ("scene", scene.name),
@@ -187,8 +190,8 @@ def settings(measured: Measured) -> str:
         ("shaker", ", ".join(shaker.kind for shaker in scene.shakers) or "none"),
         ("dampers", dampers or "none"),
         ("duration", f"{rec.duration:.2f} s, {rec.samples} samples at {rec.rate:g} Hz"),
-        ("overloads", _places(rec, [(m.first_sample, m.fields.get("channel", "?")) for m in rec.overloads])),
-        ("lost samples", _places(rec, [(gap.first_sample, ", ".join(gap.channels)) for gap in rec.gaps])),
+        ("overloads", _times_text(rec, [(m.first_sample, m.fields.get("channel", "?")) for m in rec.overloads])),
+        ("lost samples", _times_text(rec, [(gap.first_sample, ", ".join(gap.channels)) for gap in rec.gaps])),
         ("recorded by", f"shotrig {rec.metadata.get('run', {}).get('shotrig', '(unknown version)')}"),
         ("seed", str(scene.seed)),
     ]
@@ -225,13 +228,14 @@ def _middle_frequency(measured: Measured) -> float:
     return measured.rec.rate / 100.0
 
 
-def _damper(damper: Damper, body: str) -> str:
+def _damper_text(damper: Damper, body: str) -> str:
     mass = f"{damper.mass:.4g} kg" if damper.mass is not None else f"mass ratio {damper.mass_ratio:.3g}"
     clearance = f"clearance {format_number(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else "no ceiling"
     return f"{body}: {mass}, {clearance}{', locked' if damper.locked else ''}"
 
 
-def _places(rec: Recording, places: Sequence[tuple[int, object]]) -> str:
+def _times_text(rec: Recording, places: Sequence[tuple[int, object]]) -> str:
+    """List the times and channels of overloads or gaps; `places`: first sample, and channels."""
     if not places:
         return "none"
     first = "; ".join(f"{sample / rec.rate:.3f} s ({name})" for sample, name in places[:_MAX_LISTED])

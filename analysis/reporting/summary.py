@@ -1,4 +1,4 @@
-"""Summary of a report: at most three sentences, derived from the same results as its tables."""
+"""Summary at the top of a report: at most three sentences, derived from the same results as its tables."""
 
 from __future__ import annotations
 
@@ -17,32 +17,33 @@ from rig.results import format_frequencies
 _MAX_SENTENCES = 3
 
 
-def answer(measurements: Sequence[Measured], changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> list[str]:
-    """Summarize the results: decays, then comparisons, then resonances and dampers.
+def summarize(measurements: Sequence[Measured], changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> list[str]:
+    """Return sentences about decays, then peak changes (if none, resonances) and damper impacts.
 
-    `measurements`: all recordings of the report; `changes`: result of `Measurements.changes`.
+    `measurements`: all recordings of the report; `changes`: first recording, other recording and the change of one
+    peak between them, from `Measurements.changes`.
     """
-    sentences = _decays(measurements) + _comparisons(changes)
+    sentences = _decay_sentences(measurements) + _change_sentences(changes)
     for measured in measurements:
         if not changes:
-            sentences += _resonances(measured)
-        sentences += [text for result in measured.dampers for text in _dampers(measured, result)]
+            sentences += _resonance_sentences(measured)
+        sentences += [text for result in measured.dampers for text in _impact_sentences(measured, result)]
     return sentences[:_MAX_SENTENCES] or ["No result: see the warnings."]
 
 
-def _comparisons(changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> list[str]:
-    """Describe, for each other recording, the change of the highest peak whose change is bounded."""
+def _change_sentences(changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> list[str]:
+    """Describe, for each other recording, the change of the highest peak whose change has a bound."""
     sentences = []
     for label in dict.fromkeys(other.label for _, other, _ in changes):
-        changes_of_label = [(first, change) for first, other, change in changes if other.label == label]
-        bounded = [pair for pair in changes_of_label if all(map(isfinite, pair[1].decibel))]
-        first, highest = max(changes_of_label, key=lambda pair: pair[1].bare.value)
+        first = changes[0][0]
+        changes_of_label = [change for _, other, change in changes if other.label == label]
+        bounded = [change for change in changes_of_label if all(map(isfinite, change.decibel))]
         if not bounded:
             sentences.append(
                 f"“{label}” against “{first.label}”: the measured points do not determine the change of the peaks."
             )
             continue
-        _, change = max(bounded, key=lambda pair: pair[1].bare.value)
+        change = max(bounded, key=_initial_height)
         best, low, high = change.decibel
         peak_text = f"the peak at {change.mode:.2f} Hz ({change.response})"
         if low <= 0.0 <= high:
@@ -51,18 +52,26 @@ def _comparisons(changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> li
             )
         else:
             verb = "lowers" if best < 0.0 else "raises"
+            smallest, largest = sorted((abs(low), abs(high)))
             text = (
                 f"Compared with “{first.label}”, “{label}” {verb} {peak_text} by {abs(best):.1f} dB "
-                f"(95 % interval {min(abs(low), abs(high)):.1f} to {max(abs(low), abs(high)):.1f} dB), "
+                f"(95 % interval {smallest:.1f} to {largest:.1f} dB), "
                 f"from {1e6 * change.bare.value:.4g} to {1e6 * change.damped.value:.4g} µm/N"
             )
+        highest = max(changes_of_label, key=_initial_height)
         if highest.mode != change.mode:
             text += f"; the change of the highest peak ({highest.mode:.2f} Hz) cannot be determined"
         sentences.append(f"{text}.")
     return sentences
 
 
-def _resonances(measured: Measured) -> list[str]:
+def _initial_height(change: PeakChange) -> float:
+    """Return the height of the peak in the first recording, m/N."""
+    return change.bare.value
+
+
+def _resonance_sentences(measured: Measured) -> list[str]:
+    """List natural frequencies and damping ratios of each sweep, and its highest compliance."""
     sentences = []
     for sweep in measured.passes:
         modes = sweep.modes
@@ -80,38 +89,40 @@ def _resonances(measured: Measured) -> list[str]:
     return sentences
 
 
-def _dampers(measured: Measured, result: Dampers) -> list[str]:
+def _impact_sentences(measured: Measured, result: Dampers) -> list[str]:
     """State the frequencies with detected impacts, and the largest dissipated share of the supplied energy."""
-    frequency = result.sweep.lines.frequency
-    hit = np.zeros(frequency.size, dtype=bool)
-    for motions in result.bodies:
-        hit |= [motion.floor > 0 or motion.ceiling > 0 for motion in motions]
     if not result.bodies:
         return []
-    if not hit.any():
+    frequency = result.sweep.lines.frequency
+    has_impacts = np.zeros(frequency.size, dtype=bool)
+    for motions in result.bodies:
+        has_impacts |= [motion.floor > 0 or motion.ceiling > 0 for motion in motions]
+    if not has_impacts.any():
         return [f"“{measured.label}”: no impact of a damper was detected at any of {frequency.size} frequencies."]
     text = (
-        f"“{measured.label}”: damper impacts at {int(hit.sum())} of {frequency.size} frequencies "
-        f"({format_frequencies(frequency.tolist(), hit.tolist())})"
+        f"“{measured.label}”: damper impacts at {int(has_impacts.sum())} of {frequency.size} frequencies "
+        f"({format_frequencies(frequency.tolist(), has_impacts.tolist())})"
     )
     energy = result.energy
     if energy is not None:
         share, bound = energy.dampers / energy.supplied, energy.bound / energy.supplied
-        top = int(np.argmax(np.where(energy.supplied > 0, share - bound, -np.inf)))
-        if share[top] > bound[top] > 0:
-            value = with_bound(100 * float(share[top]), 100 * float(bound[top]))
-            text += f"; they dissipate up to {value} % of the supplied energy (at {frequency[top]:.4g} Hz)"
+        largest = int(np.argmax(np.where(energy.supplied > 0, share - bound, -np.inf)))
+        if share[largest] > bound[largest] > 0:
+            value = with_bound(100 * float(share[largest]), 100 * float(bound[largest]))
+            text += f"; they dissipate up to {value} % of the supplied energy (at {frequency[largest]:.4g} Hz)"
     return [f"{text}."]
 
 
-def _decays(measurements: Sequence[Measured]) -> list[str]:
+def _decay_sentences(measurements: Sequence[Measured]) -> list[str]:
+    """State in one sentence, for each free decay, the time to fall below 1 g and the time of a fall by 6 dB."""
     parts = []
     for measured in measurements:
         result = measured.decay
         if result is None:
             continue
-        quiet = result.quiet_from
-        below = "stays above 1 g" if np.isnan(quiet) else f"falls below 1 g after {quiet:.3g} s"
-        falls = "" if np.isnan(result.halving) else f" and its energy level decreases by 6 dB in {result.halving:.3g} s"
-        parts.append(f"“{measured.label}”: after the hit, {result.channel} {below}{falls}")
+        time_below_1_g, time_of_6_db = result.quiet_from, result.halving
+        text = "stays above 1 g" if np.isnan(time_below_1_g) else f"falls below 1 g after {time_below_1_g:.3g} s"
+        if not np.isnan(time_of_6_db):
+            text += f" and its energy level decreases by 6 dB in {time_of_6_db:.3g} s"
+        parts.append(f"“{measured.label}”: after the hit, {result.channel} {text}")
     return [f"{'; '.join(parts)}."] if parts else []

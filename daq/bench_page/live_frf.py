@@ -71,7 +71,7 @@ class LiveFrf:
         on_body = (row for row, info in enumerate(channels) if info.at.startswith("body"))
         self._rows = [row for row in on_body if channels[row].quantity != "force"]
         self.names = [channels[row].name for row in self._rows]
-        self._motion = np.array([station.displacement(row, self.frequency) for row in self._rows])
+        self._motion = np.array([station.displacement_factor(row, self.frequency) for row in self._rows])
         self._window = np.hanning(self._size)
         self._pending = np.zeros((len(channels), 0))
         self._sums = _Sums(len(self._rows), self._lines.size)

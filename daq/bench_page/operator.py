@@ -11,7 +11,7 @@ from daq.bench_page.live_frf import LiveFrf
 from daq.bench_page.monitor import Monitor
 from daq.bench_page.recordings import BenchRecordings
 from daq.excitation import Excitation, Station, excitation
-from daq.excitation.manual_tone import HandTone, Knobs
+from daq.excitation.manual_tone import Knobs, ManualTone
 from daq.recording.recorded_test import TestKind, kind_of_settings
 from rig.errors import SceneError, ShotrigError
 
@@ -155,7 +155,7 @@ class Operator:
         if settings.kind == "sine":
             sine = {"kind": "sine", "frequency": settings.frequency, "force": settings.level}
             knobs = Knobs(settings.frequency, settings.level, self._monitor.rate / _MIN_SAMPLES_PER_PERIOD)
-            return self._scene.replace(test=sine), HandTone(knobs, _ignore).excite, knobs
+            return self._scene.replace(test=sine), ManualTone(knobs, _ignore).excite, knobs
         kind = "swept_sine" if settings.kind == "sweep" else "random"
         band = {"from": settings.low, "to": settings.high}
         noise_or_sweep = {"kind": kind, **band, "duration": settings.duration, "force": settings.level}
@@ -209,7 +209,7 @@ class Operator:
 
 def _silence(station: Station) -> Excitation:
     """Play one sample of zeros, which ends the scene's own test."""
-    yield station.quiet(1)
+    yield station.zero_drive(1)
 
 
 def _ignore(*arguments: Any, **fields: Any) -> None:

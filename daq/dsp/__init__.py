@@ -1,5 +1,5 @@
-"""Compiled signal processing: exact propagation through circuits, interpolation of the input, noise, decimation.
+"""Simulation of analogue circuits and their noise, sampling skew and decimation, in compiled code.
 
-Nothing here knows channels, scenes or files. Start with `circuit`, then `propagation`, which
-carries it through samples.
+Start with `circuit`, which describes a circuit; `discretization` computes its matrices at a sample rate, and
+`propagation` its output at the samples. This package does not depend on channels or files.
 """

@@ -1,4 +1,4 @@
-"""Memory for blocks: a signal's latest past in front of its next block, and room that channels share."""
+"""Arrays for blocks of samples: one that all channels share, and one that keeps the end of the previous block."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from rig.numerics.simd import LANES, aligned_zeros
 
 
 class BlockBuffers:
-    """Memory that channels share, one after another: separate memory would not stay in a processor's cache."""
+    """An array that channels use one after another, because separate arrays would not stay in a processor's cache."""
 
     def __init__(self) -> None:
         self._rows = aligned_zeros(0, LANES)
 
     def rows(self, count: int) -> Array:
-        """Return rows of the width of a register, at least `count` of them, with arbitrary content."""
+        """Return at least `count` rows of `LANES` numbers (the width of a register) with arbitrary content."""
         if len(self._rows) < count:
             self._rows = aligned_zeros(count, LANES)
         return self._rows
 
 
 class History:
-    """Stores the last samples of the previous block, at first zeros, in front of those of the next.
+    """A signal whose last `length` samples of the previous block precede the next block; before sample 0 it is zero.
 
     >>> history = History(2)
     >>> for block in ([1.0, 2.0, 3.0], [4.0]):
@@ -36,11 +36,11 @@ class History:
         self.samples = np.zeros(length)
 
     def place(self, count: int) -> Array:
-        """Return the place for the next block, shape (count,)."""
-        past = self.samples[self._count : self._count + self._length]
+        """Return the part of `samples` into which the caller writes the next block, shape (count,)."""
+        last_samples = self.samples[self._count : self._count + self._length]
         needed = self._length + count
         if self.samples.size < needed:
             self.samples = np.zeros(needed)
-        self.samples[: self._length] = past
+        self.samples[: self._length] = last_samples
         self._count = count
         return self.samples[self._length : needed]

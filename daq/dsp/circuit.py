@@ -1,7 +1,7 @@
-"""Linear analogue stages in series, as one state space.
+"""State-space model of a measurement chain: analogue first- and second-order sections in series.
 
-A section is a first- or second-order circuit. Sections follow one another without loading each other; a
-disturbance (noise, offset, what a clipped output lacks) may enter in front of any of them.
+A section does not load the previous section. A disturbance may enter in front of any section: noise, an offset, or the
+difference between a clipped and a linear output.
 """
 
 from __future__ import annotations
@@ -13,26 +13,24 @@ import numpy as np
 
 from rig.arrays import Array
 
-# Names of sections with nonlinear effects: integrations, whose state an amplifier's supply limits, and the shift of
-# zero behind a sensor, which only an overload drives.
+# Names of sections with nonlinear effects: integrators, whose state is limited by the amplifier's supply, and the zero
+# shift of a sensor, which is zero until an overload.
 INTEGRATION = "integration"
 RECOVERY = "overload recovery"
 
 
 @dataclass(frozen=True)
 class Section:
-    """A linear circuit ``x' = a x + b u``, ``y = c x + d u`` and the same as zeros, poles and gain."""
+    """A linear circuit ``x' = a x + b u``, ``y = c x + d u``, also given by zeros, poles and gain."""
 
     name: str  # name in the terms of the field
-    # State space; every state is a voltage, so that a limit on it means something; shapes (states, states), (states,),
-    # (states,).
-    a: Array
-    b: Array
-    c: Array
-    d: float  # Direct feedthrough
-    # Of the transfer function, rad/s.
-    zeros: tuple[complex, ...]
-    poles: tuple[complex, ...]
+    # State space. Every state is a voltage, so that it can have a voltage limit.
+    a: Array  # (states, states)
+    b: Array  # (states,)
+    c: Array  # (states,)
+    d: float  # direct feedthrough
+    zeros: tuple[complex, ...]  # of the transfer function, rad/s
+    poles: tuple[complex, ...]  # rad/s
     gain: float  # factor of ``prod(s - zeros) / prod(s - poles)``
 
     @property
@@ -76,7 +74,7 @@ def integration(corner: float, gain: float) -> Section:
 
 
 def recovery(time: float) -> Section:
-    """Shift of zero that an overload leaves behind: it fades with a time constant in s, whatever the signal does."""
+    """Zero shift after an overload, which decays with a time constant in s independently of the signal."""
     return _first_order(RECOVERY, 1.0 / time, b=0.0, c=-1.0, d=1.0, gain=1.0)
 
 
@@ -84,15 +82,17 @@ def recovery(time: float) -> Section:
 class Circuit:
     """Sections in series.
 
-    >>> line = Circuit.series([high_pass(0.5, "low cut-off"), integration(0.0, 1.0)])
-    >>> line.a.shape, line.d
+    >>> chain = Circuit.series([high_pass(0.5, "low cut-off"), integration(0.0, 1.0)])
+    >>> chain.a.shape, chain.d
     ((2, 2), array([0., 0., 1.]))
     """
 
     a: Array  # state matrix; (states, states)
-    b: Array  # row i: input in front of section i; the last row, behind the last section, is zero; (entries, states)
-    c: Array  # output row; (states,)
-    d: Array  # feedthrough from each entry to the output; the last is 1; (entries,)
+    # Row i: from an input in front of section i to the states. The last row, an input behind the last section, is zero;
+    # (sections + 1, states).
+    b: Array
+    c: Array  # from the states to the output; (states,)
+    d: Array  # feedthrough from each of these inputs to the output; the last is 1; (sections + 1,)
     sections: tuple[int, ...]  # first state of each section, and the number of states
 
     @classmethod
@@ -103,7 +103,7 @@ class Circuit:
         b = np.zeros((len(sections) + 1, first[-1]))
         c = np.zeros(first[-1])
         d = np.ones(len(sections) + 1)
-        # `c` and `d` are those of the part connected so far: they feed the next section's input.
+        # `c` and `d` yield the output of the sections connected so far, which is the input of the next section.
         for i, section in enumerate(sections):
             states = slice(first[i], first[i + 1])
             a[states] = np.outer(section.b, c)

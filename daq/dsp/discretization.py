@@ -1,10 +1,11 @@
-"""A circuit at a sample rate: exact transition matrices over an interval, and over part of one.
+"""Exact discretization of a circuit: transition matrices over a sample interval and over any share of it.
 
-Time counts in sample intervals. In addition to the circuit's states there are integrals of its output that restart at
-every sample: the reading of a converter that averages over the interval, and the Legendre moments that a decimation
-filter weighs. State, integrals and the input's derivatives follow one linear differential equation, so that matrix
-exponentials propagate them over a whole interval (one matrix) or over any part of it (a matrix for 64ths, one for
-4096ths, and a Taylor series for the rest). No eigenvectors: repeated poles at zero are as good as any.
+The unit of time is the sample interval. The propagated vector consists of the circuit's states, integrals of its output
+that restart at every sample, and four derivatives of the input, a cubic. The integrals yield the Legendre moments of
+the output over the interval. The first is its mean, which an averaging converter reads; a decimation filter weighs
+several. The vector follows one linear differential equation, so that matrix exponentials propagate it over an interval.
+Over a share of it, one matrix propagates 64ths, another 4096ths, and a Taylor series the remainder. No eigenvectors
+are used, because a circuit may have repeated poles.
 """
 
 from __future__ import annotations
@@ -22,62 +23,59 @@ from rig.arrays import Array
 from rig.errors import SceneError
 from rig.numerics.simd import LANES, aligned_zeros, padded_length
 
-# A sample interval has this number of coarse parts, and a coarse part the same number of fine parts.
-PARTS = 64
-# Size of the generator over the smallest part of a sample interval up to which its series is summed.
-MOST_NORM = 50.0
-# Start, end, mean and moment of a piece (see `Pieces`) -> derivatives of the cubic at its start, when the
-# piece is as long as the unit of time.
-CUBIC = np.array(
+# Number of coarse steps in a sample interval, and of fine steps in a coarse step.
+SUBDIVISIONS = 64
+# Largest norm of the generator times a fine step for which the Taylor series is used.
+MAX_GENERATOR_NORM = 50.0
+# Matrix from start, end, mean and moment of a cubic (see `CubicInput`) to its value and three derivatives at the start,
+# for a segment as long as the unit of time.
+CUBIC_DERIVATIVES = np.array(
     [[1.0, 0.0, 0.0, 0.0], [-9.0, 3.0, -24.0, 60.0], [36.0, -24.0, 168.0, -360.0], [-60.0, 60.0, -360.0, 720.0]]
 )
 
 
-# Legendre polynomials over the interval -> value, slope and curvature at its start.
-LEGENDRE = np.array([[1.0, 0.0, 0.0], [-1.0, 2.0, 0.0], [1.0, -6.0, 12.0]])
+# Value, slope and curvature of the Legendre polynomials of degree 0, 1 and 2 at the start of the interval.
+LEGENDRE_DERIVATIVES = np.array([[1.0, 0.0, 0.0], [-1.0, 2.0, 0.0], [1.0, -6.0, 12.0]])
 
 
 class Entry(NamedTuple):
-    """How a disturbance enters a circuit."""
+    """Point at which a disturbance (noise or offset) enters a circuit, and its variation over an interval."""
 
-    section: int  # in front of which section
-    # its course over an interval: the Legendre polynomial of this degree, up to 2, times its voltage
-    degree: int
+    section: int  # index of the section in front of which it enters
+    degree: int  # the disturbance is its voltage times the Legendre polynomial of this degree, 0 to 2
     filtered: bool  # whether its direct feedthrough enters the moments
 
 
-class Tables(NamedTuple):
-    """Matrices of a circuit at a sample rate; columns of the usual matrices are rows here.
+class DiscreteCircuit(NamedTuple):
+    """Matrices of a circuit at a sample rate, transposed: a column of the usual matrix is a row here.
 
-    The vector is (states, integrals, four derivatives of the input). `step` omits its entries that start at zero or are
-    not needed, and gives moments where the vector holds repeated integrals.
+    Only `coarse_exponentials`, `fine_exponentials` and `generator` act on the whole vector (see above), with the
+    repeated integrals of the output. The other matrices omit the input's derivatives, and yield moments.
     """
 
-    # Number of states, of moments of the output, and of both.
-    states: int
-    integrals: int
-    width: int
-    # first state of each section, and the number of states; int64; (sections + 1,)
-    sections: NDArray[np.int64]
-    # Contributions of the input's start, end, mean and moment, then of 1 V of each disturbance, then of the states of
-    # the sections before its own to each state over an interval; (states, 4 + disturbances + states).
-    weights: Array
-    spread: Array  # their contributions to the moments, and zeros; (4 + disturbances + states, LANES)
-    # Transition of each state, then contributions of the input's start, end, mean and moment, then of 1 V of each
-    # disturbance over an interval; (states + 4 + disturbances, width).
-    step: Array
-    impulse: Array  # jump of the vector by a unit impulse; (width,)
-    # Exponentials of the generator over k/64 and k/4096 of the interval. Here and in `generator` zeros fill up the
-    # size to whole registers. Shape (65, size, size).
-    coarse: Array
-    fine: Array
+    states: int  # number of states
+    integrals: int  # number of moments of the output
+    width: int  # sum of both
+    first_states: NDArray[np.int64]  # first state of each section, and the number of states; (sections + 1,)
+    # Contributions to each state over an interval: from the input's start, end, mean and moment, from 1 V of each
+    # disturbance, and from the states; (states, 4 + disturbances + states).
+    state_weights: Array
+    moment_weights: Array  # contributions of the same to the moments, padded; (4 + disturbances + states, LANES)
+    # Contributions to states and moments over an interval: from each state, from the input's start, end, mean and
+    # moment, and from 1 V of each disturbance; (states + 4 + disturbances, width).
+    transition: Array
+    impulse_response: Array  # jump of states and moments due to a unit impulse; (width,)
+    # Exponentials of the generator over k/64 and k/4096 of the interval, k from 0. Zeros pad the size of the vector to
+    # a multiple of the processor's registers; (65, size, size).
+    coarse_exponentials: Array
+    fine_exponentials: Array
     generator: Array  # rate of change of the vector; (1, size, size)
-    terms: int  # terms of the Taylor series that make it exact over 1/4096
-    moments: Array  # repeated integrals to moments; (integrals, integrals)
+    taylor_terms: int  # number of terms after which the Taylor series over 1/4096 is exact
+    integrals_to_moments: Array  # (integrals, integrals)
 
 
-def rate_of_change(circuit: Circuit, gain: float, rate: float, integrals: int) -> Array:
-    """Return the generator of the vector that `Tables` carries, shape (size, size), per interval."""
+def generator_matrix(circuit: Circuit, gain: float, rate: float, integrals: int) -> Array:
+    """Return the rate of change of the propagated vector per interval, shape (size, size)."""
     states = circuit.c.size
     width = states + integrals
     generator = np.zeros((width + 4, width + 4))
@@ -93,45 +91,48 @@ def rate_of_change(circuit: Circuit, gain: float, rate: float, integrals: int) -
     return generator
 
 
-def with_disturbances(
+def extend_by_disturbances(
     generator: Array, circuit: Circuit, rate: float, integrals: int, entries: Sequence[Entry]
 ) -> tuple[Array, Array]:
-    """Extend generator and start of the vector by value, slope and curvature of each disturbance.
+    """Extend the propagated vector by value, slope and curvature of the disturbances at each point of entry.
 
-    Rows of the start are the extended vector at the start of an interval, from the states, the input's start,
-    end, mean and moment, and 1 V of each disturbance.
+    Returns the generator of the extended vector, and its initial value. The columns of the initial value are the
+    contributions of each state, of the input's start, end, mean and moment, and of 1 V of each disturbance.
     """
     states, size = circuit.c.size, len(generator)
     places = list(dict.fromkeys((entry.section, entry.filtered) for entry in entries))
-    bigger = np.zeros((size + 3 * len(places),) * 2)
-    bigger[:size, :size] = generator
-    for column, (section, filtered) in zip(range(size, len(bigger), 3), places, strict=True):
-        bigger[:states, column] = circuit.b[section] / rate
+    extended = np.zeros((size + 3 * len(places),) * 2)
+    extended[:size, :size] = generator
+    for column, (section, filtered) in zip(range(size, len(extended), 3), places, strict=True):
+        extended[:states, column] = circuit.b[section] / rate
         if filtered and integrals:
-            bigger[states, column] = circuit.d[section]
-        bigger[column, column + 1] = bigger[column + 1, column + 2] = 1.0
-    start = np.zeros((len(bigger), states + 4 + len(entries)))
+            extended[states, column] = circuit.d[section]
+        extended[column, column + 1] = extended[column + 1, column + 2] = 1.0
+    start = np.zeros((len(extended), states + 4 + len(entries)))
     start[:states, :states] = np.eye(states)
-    start[size - 4 : size, states : states + 4] = CUBIC
+    start[size - 4 : size, states : states + 4] = CUBIC_DERIVATIVES
     for row, entry in enumerate(entries):
         column = size + 3 * places.index((entry.section, entry.filtered))
-        start[column : column + 3, states + 4 + row] = LEGENDRE[entry.degree]
-    return bigger, start
+        start[column : column + 3, states + 4 + row] = LEGENDRE_DERIVATIVES[entry.degree]
+    return extended, start
 
 
-def discretize(circuit: Circuit, gain: float, rate: float, integrals: int, entries: Sequence[Entry]) -> Tables:
-    """Return the tables of a circuit behind a gain in V per unit, with moments of the output (1: the average)."""
+def discretize(circuit: Circuit, gain: float, rate: float, integrals: int, entries: Sequence[Entry]) -> DiscreteCircuit:
+    """Return the matrices of a circuit behind a gain in V per unit of the input.
+
+    `integrals`: number of moments of the output; with 1, only its mean. Raises `SceneError` if a pole is too fast.
+    """
     states = circuit.c.size
     width = states + integrals
-    generator = rate_of_change(circuit, gain, rate, integrals)
+    generator = generator_matrix(circuit, gain, rate, integrals)
     to_moments = np.eye(width)
-    to_moments[states:, states:] = _moments(integrals)
-    augmented, start = with_disturbances(generator, circuit, rate, integrals, entries)
-    step = to_moments @ expm(augmented)[:width] @ start
+    to_moments[states:, states:] = _integrals_to_moments(integrals)
+    extended, start = extend_by_disturbances(generator, circuit, rate, integrals, entries)
+    transition = to_moments @ expm(extended)[:width] @ start
 
-    # The first three terms may do no more than bring down the input's derivatives: they do not count.
-    norm = np.abs(generator).sum(axis=1).max() / PARTS**2
-    if not norm <= MOST_NORM:
+    # The first three terms may only move the input's derivatives, so that the convergence is counted from the fourth.
+    norm = np.abs(generator).sum(axis=1).max() / SUBDIVISIONS**2
+    if not norm <= MAX_GENERATOR_NORM:
         fastest = np.abs(np.linalg.eigvals(circuit.a)).max(initial=0.0) / (2.0 * np.pi)
         raise SceneError(
             f"channels: a corner or resonance frequency of {fastest:.3g} Hz is too high for a sample rate of "
@@ -141,51 +142,51 @@ def discretize(circuit: Circuit, gain: float, rate: float, integrals: int, entri
     while remainder > 1e-18:
         terms += 1
         remainder *= norm / (terms - 3)
-    spread = aligned_zeros(step.shape[1], LANES)
-    spread[:, :integrals] = input_first(step[states:], states).T
-    return Tables(
+    moment_weights = aligned_zeros(transition.shape[1], LANES)
+    moment_weights[:, :integrals] = input_first(transition[states:], states).T
+    return DiscreteCircuit(
         states=states,
         integrals=integrals,
         width=width,
-        sections=np.array(circuit.sections),
-        weights=np.ascontiguousarray(input_first(step[:states], states)),
-        spread=spread,
-        step=np.ascontiguousarray(step.T),
-        impulse=generator[:width, width].copy(),
-        coarse=laid_out(_powers(expm(generator / PARTS))),
-        fine=laid_out(_powers(expm(generator / PARTS**2))),
-        generator=laid_out(generator[None]),
-        terms=terms,
-        moments=np.ascontiguousarray(to_moments[states:, states:].T),
+        first_states=np.array(circuit.sections),
+        state_weights=np.ascontiguousarray(input_first(transition[:states], states)),
+        moment_weights=moment_weights,
+        transition=np.ascontiguousarray(transition.T),
+        impulse_response=generator[:width, width].copy(),
+        coarse_exponentials=transpose_and_pad(_powers(expm(generator / SUBDIVISIONS))),
+        fine_exponentials=transpose_and_pad(_powers(expm(generator / SUBDIVISIONS**2))),
+        generator=transpose_and_pad(generator[None]),
+        taylor_terms=terms,
+        integrals_to_moments=np.ascontiguousarray(to_moments[states:, states:].T),
     )
 
 
 def input_first(rows: Array, states: int) -> Array:
-    """Put the columns of the states behind those of input and disturbances."""
+    """Move the columns of the states behind those of input and disturbances."""
     return np.roll(rows, -states, axis=1)
 
 
 def _powers(matrix: Array) -> Array:
-    """Powers 0 to 64 of a matrix; each a product of few factors, so that rounding does not pile up."""
+    """Return powers 0 to 64 of a matrix, each a product of few factors, so that few rounding errors accumulate."""
     powers = [np.eye(len(matrix)), matrix]
-    for k in range(2, PARTS + 1):
+    for k in range(2, SUBDIVISIONS + 1):
         powers.append(powers[k // 2] @ powers[k - k // 2])
     return np.array(powers)
 
 
-def laid_out(matrices: Array) -> Array:
-    """Transpose matrices of shape (count, size, size) and fill them up to whole registers."""
+def transpose_and_pad(matrices: Array) -> Array:
+    """Transpose matrices of shape (count, size, size), and pad them with zeros to whole registers."""
     count, size, _ = matrices.shape
-    room = aligned_zeros(count, padded_length(size), padded_length(size))
-    room[:, :size, :size] = matrices.transpose(0, 2, 1)
-    return room
+    padded = aligned_zeros(count, padded_length(size), padded_length(size))
+    padded[:, :size, :size] = matrices.transpose(0, 2, 1)
+    return padded
 
 
-def _moments(count: int) -> Array:
+def _integrals_to_moments(count: int) -> Array:
     """Return the matrix from repeated integrals over the unit interval to moments with the Legendre polynomials.
 
-    The (k+1)-fold integral weighs with u^k / k!, u being the time left; the polynomial of order n is the sum of
-    (-1)^k C(n, k) C(n+k, k) u^k.
+    The (k+1)-fold integral has the weight u^k / k!, where u is the remaining time. The polynomial of order n is the
+    sum of (-1)^k C(n, k) C(n+k, k) u^k.
     """
     matrix = np.zeros((count, count))
     for n in range(count):

@@ -21,7 +21,7 @@ class Disturbance(Protocol):
 
 
 class Offset:
-    """A constant voltage, which settles exponentially from zero at sample 0 if it has a time constant in s.
+    """A constant voltage in V. With a time constant in s it rises exponentially from zero at sample 0.
 
     >>> bias = Offset(10.0, 2.0, 1.0)
     >>> samples = np.empty(6)
@@ -31,31 +31,32 @@ class Offset:
     [0.0, 3.935, 6.321, 7.769, 8.647, 9.179]
     """
 
-    def __init__(self, level: float, time: float | None, rate: float) -> None:
-        self._level, self._loss = level, 1.0 if time is None else float(-np.expm1(-1.0 / (time * rate)))
-        # Difference to the final level.
-        self._missing = np.array([0.0 if time is None else level])
+    def __init__(self, level: float, time_constant: float | None, rate: float) -> None:
+        self._level = level
+        # Share of the deviation from the final level by which it decreases in a sample interval.
+        self._decay = 1.0 if time_constant is None else float(-np.expm1(-1.0 / (time_constant * rate)))
+        self._deviation = np.array([0.0 if time_constant is None else level])
 
     def fill(self, samples: Array) -> None:
         """Fill in the next samples, V."""
-        _settle(samples, self._level, self._loss, self._missing)
+        _fill_settling(samples, self._level, self._decay, self._deviation)
 
 
 @unfused_kernel
-def _settle(samples: Array, level: float, loss: float, missing: Array) -> None:
+def _fill_settling(samples: Array, level: float, decay: float, last_deviation: Array) -> None:
     """Fill in the samples one by one, so that they do not depend on where a block ends."""
-    deviation = missing[0]
+    deviation = last_deviation[0]
     for i in range(samples.size):
         samples[i] = level - deviation
-        deviation = fused(-loss, deviation, deviation)
-    missing[0] = deviation
+        deviation = fused(-decay, deviation, deviation)
+    last_deviation[0] = deviation
 
 
 class Disturbances:
-    """All disturbances of a channel, each a Legendre polynomial over the interval that ends at its sample.
+    """All disturbances of a channel, each a voltage times a Legendre polynomial over the interval before a sample.
 
-    `direct` is the share of each that reaches the output at once; degrees 1 and 2 follow a disturbance of degree
-    0.
+    `direct`: feedthrough of each to the output; `degrees`: of the polynomials; those of degrees 1 and 2 follow the
+    disturbance of degree 0 of the same noise; `oversampling`: intervals in a sample interval.
     """
 
     def __init__(
@@ -64,33 +65,37 @@ class Disturbances:
         self._sources, self._oversampling = tuple(sources), oversampling
         self._direct, self._has_direct = direct, bool(direct.any())
         self._degrees = tuple(degrees)
-        self._interval, self._drawn = 0, 0
+        self._interval, self._samples = 0, 0  # number drawn so far
         self._last = np.zeros((len(sources), 1))
 
     def draw(self, intervals: int) -> Array:
-        """Draw the disturbances of the next intervals, polynomials over each; shape (disturbances, intervals), V."""
+        """Return the voltage of each disturbance in the next intervals, V, shape (disturbances, intervals)."""
         first, stop = self._interval, self._interval + intervals
         self._interval = stop
         if not self._sources or intervals == 0:
             return np.zeros((len(self._sources), intervals))
-        count = -(-(stop - 1) // self._oversampling) + 1 - self._drawn
+        count = -(-(stop - 1) // self._oversampling) + 1 - self._samples
         voltages = np.empty((len(self._sources), count))
         for row, source in zip(voltages, self._sources, strict=True):
             source.fill(row)
         if self._oversampling > 1:
-            # The sample at or after the end of each interval; an interval of a sample that began in the last block
-            # continues with the numbers drawn there.
+            # Index of the sample at or after the end of each interval. The voltages of a sample whose interval began in
+            # the previous block were drawn there.
             sample = -(-np.arange(first, stop) // self._oversampling)
             voltages_with_last = np.concatenate([self._last, voltages], axis=1)
-            voltages, self._last = voltages_with_last[:, sample - (self._drawn - 1)], voltages_with_last[:, -1:]
+            voltages, self._last = voltages_with_last[:, sample - (self._samples - 1)], voltages_with_last[:, -1:]
             self._split(voltages, (np.arange(first, stop) - 1) % self._oversampling)
-        self._drawn += count
+        self._samples += count
         return voltages
 
-    def _split(self, voltages: Array, place: NDArray[np.int64]) -> None:
-        """Write polynomials over samples for the interval at a place in each sample."""
+    def _split(self, voltages: Array, index: NDArray[np.int64]) -> None:
+        """Convert polynomials over sample intervals to polynomials over the intervals in them, in place.
+
+        `index`: of each interval in its sample interval.
+        """
+        # A sample interval extends from -1 to 1.
         length = 1.0 / self._oversampling
-        middle = (2 * place + 1) * length - 1.0
+        middle = (2 * index + 1) * length - 1.0
         for row, degree in enumerate(self._degrees):
             if degree == 1:
                 voltages[row - 1] += middle * voltages[row]
@@ -101,15 +106,15 @@ class Disturbances:
                 voltages[row] *= length * length
 
     def add_direct(self, voltages: Array, volts: Array) -> None:
-        """Add the direct feedthrough of the disturbances of `draw`, at intervals that end at a sample, to the volts."""
+        """Add the direct feedthrough of `voltages`, from `draw`, to the volts of the samples that they end at."""
         if self._has_direct:
-            _sum_up(self._direct, voltages, volts)
+            _add_weighted(self._direct, voltages, volts)
 
 
 @unfused_kernel
-def _sum_up(shares: Array, rows: Array, out: Array) -> None:
-    """Add rows, each times its share."""
-    for e in range(shares.size):
-        if shares[e] != 0.0:
+def _add_weighted(weights: Array, rows: Array, out: Array) -> None:
+    """Add each row times its weight."""
+    for e in range(weights.size):
+        if weights[e] != 0.0:
             for k in range(out.size):
-                out[k] = fused(shares[e], rows[e, k], out[k])
+                out[k] = fused(weights[e], rows[e, k], out[k])

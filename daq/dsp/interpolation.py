@@ -1,9 +1,10 @@
-"""The input of a channel between samples: acceleration as cubics joined at samples and breaks.
+"""Interpolation of the motion and the force at a sensor between samples, as cubic segments.
 
-Over a piece, from one node (a sample or a break) to the next, acceleration is the cubic that agrees with the
-motion in four ways: acceleration at both ends, change of velocity, change of displacement. Integrated twice
-it meets the motion exactly at every node; in between its error falls with the fourth power of the piece. At a
-break the jump of velocity is an impulse of acceleration. A force is straight lines between its samples.
+The simulation states the motion at nodes: at the samples, and at breaks. A break is an instant between samples at which
+an impact changes the velocity abruptly. A segment extends from a node to the next node. Over a segment, acceleration is
+the cubic with the given acceleration at both ends, change of velocity and change of displacement. Its second integral
+is therefore exact at every node, and its error in between falls with the fourth power of the segment's length. At a
+break the jump of velocity is an impulse of acceleration. A force is interpolated linearly between its samples.
 """
 
 from __future__ import annotations
@@ -17,61 +18,64 @@ from rig.arrays import Array
 from rig.numerics.jit import unfused_kernel
 from rig.simulation.motion import Motion
 
-# A piece shorter than this share of the sample interval is straight instead of cubic: the rounding of the
-# displacement, divided by the square of its length, would otherwise be taken for a violent acceleration.
-STRAIGHT = 1e-4
+# A segment shorter than this share of the sample interval is straight instead of cubic. For a cubic, the rounding error
+# of the displacement would be divided by the square of this length and cause a large error of the acceleration.
+MIN_CUBIC_SHARE = 1e-4
 
 
-# Column of `CubicInput.parts` with the length of a part.
+# Column of `CubicInput.segments` with the length of a segment.
 LENGTH = 4
-# Column of `CubicInput.parts` with the impulse at the end of a part.
-JUMP = 5
+# Column of `CubicInput.segments` with the impulse at the end of a segment.
+IMPULSE = 5
 
 
 class CubicInput(NamedTuple):
-    """Input over the sample intervals of a block; intervals with breaks are given in parts as well.
+    """Input over the sample intervals of a block.
 
-    Four numbers describe a piece: input at its start and at its end, its average, and its moment, the average of
-    input times remaining share of the piece (1/2 for a constant 1).
+    Four numbers describe a cubic: its values at the start and at the end, its mean, and its moment. The moment is the
+    mean of the input times the remaining share of the segment (1/2 for a constant 1). An interval without breaks is
+    one segment.
     """
 
-    smooth: Array  # these numbers for the interval that ends at each sample; (4, intervals)
-    # Interval to which a part belongs, ascending; for these the numbers above mean nothing; int64; (parts,).
-    broken: NDArray[np.int64]
-    # The numbers of each part; its length as a share of the interval; the impulse at its end, divided by the sample
-    # interval; (parts, 6).
-    parts: Array
+    # The four numbers of the interval that ends at each sample; undefined for intervals with breaks; (4, intervals).
+    whole: Array
+    # Intervals with breaks: index of the interval of each segment, ascending; (segments,).
+    segment_interval: NDArray[np.int64]
+    # The four numbers of each segment; its length as a share of the interval; the impulse at its end divided by the
+    # sample interval; (segments, 6).
+    segments: Array
 
 
 class MotionInterpolator:
-    """Cuts the motion of the point in one row of `Motion` into pieces, block after block."""
+    """Interpolates the motion of one point, a row of `Motion`, block after block."""
 
     def __init__(self, row: int, rate: float) -> None:
         self._row = row
         self._rate = rate
-        # Acceleration, velocity and displacement at the last sample, and room for those at a part's ends.
+        # Acceleration, velocity and displacement: at the last sample, and at both ends of a segment.
         self._last = np.zeros(3)
-        self._ends = np.zeros(3), np.zeros(3)
+        self._segment_ends = np.zeros(3), np.zeros(3)
 
-    def cut(self, motion: Motion) -> CubicInput:
-        """Return the pieces of the next block; before sample 0 is rest: an initial velocity is an impulse there."""
+    def interpolate(self, motion: Motion) -> CubicInput:
+        """Return the cubics of the next block; the point is at rest before sample 0: a first velocity is an impulse."""
         row = self._row
         acceleration, velocity = motion.acceleration[row], motion.velocity[row]
         displacement = motion.displacement[row]
-        smooth = np.empty((4, acceleration.size))
+        whole = np.empty((4, acceleration.size))
         if acceleration.size == 0:
-            return CubicInput(smooth, *_WITHOUT_PARTS)
+            return CubicInput(whole, *_NO_SEGMENTS)
         if motion.first == 0:
             self._last[2] = displacement[0]
-        # Each break ends a part and every broken interval has a last part more; a run begins with one.
+        # A segment ends at each break and at the end of its interval; the first is the impulse at sample 0.
         breaks = motion.break_sample.size
-        broken, parts = empty_parts(2 * breaks + 1) if breaks or motion.first == 0 else _WITHOUT_PARTS
+        has_segments = breaks > 0 or motion.first == 0
+        segment_interval, segments = allocate_segments(2 * breaks + 1) if has_segments else _NO_SEGMENTS
         count = 0
         if motion.first == 0:
-            parts[0, JUMP] = velocity[0] * self._rate
+            segments[0, IMPULSE] = velocity[0] * self._rate
             count = 1
         if breaks:
-            count = _cut(
+            count = _describe_segments(
                 motion.break_sample - motion.first,
                 motion.break_offset,
                 (motion.break_acceleration, motion.break_velocity, motion.break_displacement),
@@ -80,60 +84,62 @@ class MotionInterpolator:
                 self._last,
                 1.0 / self._rate,
                 count,
-                broken,
-                parts,
-                self._ends,
+                segment_interval,
+                segments,
+                self._segment_ends,
             )
-        _smooth(acceleration, velocity, displacement, self._last, self._rate, smooth)
-        return CubicInput(smooth, broken[:count], parts[:count])
+        _describe_intervals(acceleration, velocity, displacement, self._last, self._rate, whole)
+        return CubicInput(whole, segment_interval[:count], segments[:count])
 
 
-def empty_parts(count: int) -> tuple[NDArray[np.int64], Array]:
-    """Make room for parts of broken intervals: the intervals, and the parts."""
+def allocate_segments(count: int) -> tuple[NDArray[np.int64], Array]:
+    """Return `CubicInput.segment_interval` and `CubicInput.segments` of `count` segments, filled with zeros."""
     return np.zeros(count, np.int64), np.zeros((count, 6))
 
 
-# Of a block without breaks; nothing is written into them.
-_WITHOUT_PARTS = empty_parts(0)
+# Segments of a block without breaks; nothing is written into them.
+_NO_SEGMENTS = allocate_segments(0)
 
 
 class ForceInterpolator:
-    """Cuts a force that is given by its samples into straight lines, block after block."""
+    """Interpolates a force linearly between its samples, block after block."""
 
     def __init__(self) -> None:
         self._last = 0.0
-        self._fresh = True
+        self._is_first_block = True
 
-    def cut(self, force: Array) -> CubicInput:
-        """Return the pieces of the next block; force is zero before sample 0 and may jump there."""
-        smooth = np.empty((4, force.size))
+    def interpolate(self, force: Array) -> CubicInput:
+        """Return the lines of the next block; the force is zero before sample 0 and may jump there."""
+        whole = np.empty((4, force.size))
         if force.size == 0:
-            return CubicInput(smooth, *_WITHOUT_PARTS)
-        smooth[0, 0], smooth[0, 1:], smooth[1] = self._last, force[:-1], force
-        smooth[2] = 0.5 * (smooth[0] + force)
-        smooth[3] = smooth[0] / 3.0 + force / 6.0
-        cubics = CubicInput(smooth, *(empty_parts(1) if self._fresh else _WITHOUT_PARTS))
-        self._last, self._fresh = float(force[-1]), False
+            return CubicInput(whole, *_NO_SEGMENTS)
+        whole[0, 0], whole[0, 1:], whole[1] = self._last, force[:-1], force
+        whole[2] = 0.5 * (whole[0] + force)
+        whole[3] = whole[0] / 3.0 + force / 6.0
+        cubics = CubicInput(whole, *(allocate_segments(1) if self._is_first_block else _NO_SEGMENTS))
+        self._last, self._is_first_block = float(force[-1]), False
         return cubics
 
 
 @unfused_kernel
 def copy_into(values: Array, target: Array) -> None:
-    """Copy the first values into an array; assigning to a slice would need memory."""
+    """Copy the first `target.size` values into `target`; assignment to a slice would allocate memory."""
     for i in range(target.size):
         target[i] = values[i]
 
 
 @unfused_kernel
-def _smooth(acceleration: Array, velocity: Array, displacement: Array, last: Array, rate: float, smooth: Array) -> None:
-    """Describe every interval as one piece; `last` holds the last sample, and is updated."""
+def _describe_intervals(
+    acceleration: Array, velocity: Array, displacement: Array, last: Array, rate: float, whole: Array
+) -> None:
+    """Fill in `whole` as if no interval had breaks; `last`, the sample before the block, becomes the last sample."""
     end = acceleration.size
-    start, mean, moment = smooth[0], smooth[2], smooth[3]
-    copy_into(acceleration, smooth[1])
+    start, mean, moment = whole[0], whole[2], whole[3]
+    copy_into(acceleration, whole[1])
     start[0] = last[0]
     mean[0] = (velocity[0] - last[1]) * rate
     moment[0] = ((displacement[0] - last[2]) * rate - last[1]) * rate
-    # One quantity at a time, so that several samples are processed at once.
+    # One quantity in each loop, so that the compiler vectorizes it.
     for i in range(1, end):
         start[i] = acceleration[i - 1]
     for i in range(1, end):
@@ -144,71 +150,67 @@ def _smooth(acceleration: Array, velocity: Array, displacement: Array, last: Arr
 
 
 @unfused_kernel
-def _cut(
-    interval: NDArray[np.int64],
-    offset: Array,
-    at_break: tuple[Array, Array, Array],
+def _describe_segments(
+    break_interval: NDArray[np.int64],
+    break_offset: Array,  # s, from the start of the interval
+    at_breaks: tuple[Array, Array, Array],  # acceleration (2: before and after, points, breaks), velocity, displacement
     row: int,
-    rows: tuple[Array, Array, Array],
-    last: Array,
-    h: float,
+    at_samples: tuple[Array, Array, Array],  # acceleration, velocity and displacement of the point
+    last: Array,  # acceleration, velocity and displacement of the point at the sample before the block
+    h: float,  # sample interval, s
     count: int,
-    broken: NDArray[np.int64],
-    parts: Array,
-    ends: tuple[Array, Array],
+    segment_interval: NDArray[np.int64],
+    segments: Array,
+    segment_ends: tuple[Array, Array],
 ) -> int:
-    """Fill in the parts of broken intervals; return their number.
-
-    `at_break` are acceleration and velocity, before and after, and displacement of all points at the breaks;
-    `rows` are those of the point at the samples, `last` at the sample before the block.
-    """
-    begin_state, end_state = ends
-    acceleration, velocity, displacement = at_break
+    """Append the segments of intervals with breaks to the first `count`; return the number of segments."""
+    begin_state, end_state = segment_ends
+    acceleration, velocity, displacement = at_breaks
     elapsed = 0.0
-    for b in range(interval.size):
-        k = interval[b]
-        if b == 0 or interval[b - 1] != k:
+    for b in range(break_interval.size):
+        k = break_interval[b]
+        if b == 0 or break_interval[b - 1] != k:
             if k == 0:
                 copy_into(last, begin_state)
             else:
-                _pick(rows, k - 1, begin_state)
+                _copy_sample(at_samples, k - 1, begin_state)
             elapsed = 0.0
         end_state[0], end_state[1], end_state[2] = acceleration[0, row, b], velocity[0, row, b], displacement[row, b]
-        reached = min(max(offset[b] / h, elapsed), 1.0)
-        _part(begin_state, end_state, reached - elapsed, h, parts[count])
-        broken[count] = k
-        parts[count, JUMP] = (velocity[1, row, b] - velocity[0, row, b]) / h
+        share_at_break = min(max(break_offset[b] / h, elapsed), 1.0)
+        _describe_segment(begin_state, end_state, share_at_break - elapsed, h, segments[count])
+        segment_interval[count] = k
+        segments[count, IMPULSE] = (velocity[1, row, b] - velocity[0, row, b]) / h
         count += 1
         begin_state[0], begin_state[1], begin_state[2] = (
             acceleration[1, row, b],
             velocity[1, row, b],
             displacement[row, b],
         )
-        elapsed = reached
-        if b + 1 == interval.size or interval[b + 1] != k:
-            _pick(rows, k, end_state)
-            _part(begin_state, end_state, 1.0 - elapsed, h, parts[count])
-            broken[count] = k
+        elapsed = share_at_break
+        if b + 1 == break_interval.size or break_interval[b + 1] != k:
+            _copy_sample(at_samples, k, end_state)
+            _describe_segment(begin_state, end_state, 1.0 - elapsed, h, segments[count])
+            segment_interval[count] = k
             count += 1
     return count
 
 
 @unfused_kernel
-def _pick(rows: tuple[Array, Array, Array], sample: int, out: Array) -> None:
-    """Take acceleration, velocity and displacement at a sample."""
-    out[0], out[1], out[2] = rows[0][sample], rows[1][sample], rows[2][sample]
+def _copy_sample(at_samples: tuple[Array, Array, Array], sample: int, out: Array) -> None:
+    """Copy acceleration, velocity and displacement at a sample."""
+    out[0], out[1], out[2] = at_samples[0][sample], at_samples[1][sample], at_samples[2][sample]
 
 
 @unfused_kernel
-def _part(begin_state: Array, end_state: Array, share: float, h: float, out: Array) -> None:
-    """Describe the input between two nodes, each given by acceleration, velocity and displacement; no impulse."""
-    out[0], out[1], out[LENGTH], out[JUMP] = begin_state[0], end_state[0], share, 0.0
+def _describe_segment(begin_state: Array, end_state: Array, share: float, h: float, out: Array) -> None:
+    """Fill in the segment between two nodes, each given by acceleration, velocity and displacement; no impulse."""
+    out[0], out[1], out[LENGTH], out[IMPULSE] = begin_state[0], end_state[0], share, 0.0
     if share == 0.0:
         out[2], out[3] = 0.0, 0.0
         return
     t = share * h
     out[2] = (end_state[1] - begin_state[1]) / t
-    if share < STRAIGHT:
+    if share < MIN_CUBIC_SHARE:
         out[3] = (begin_state[0] - end_state[0]) / 12.0 + 0.5 * out[2]
     else:
         out[3] = ((end_state[2] - begin_state[2]) / t - begin_state[1]) / t

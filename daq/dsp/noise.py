@@ -1,4 +1,4 @@
-"""Noise: white, or rising below a corner as 1/f in power, as a data sheet's density says."""
+"""Noise with the density of a data sheet: white, or with a power density that rises as 1/f below a corner."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from rig.numerics.fma import update_states
 from rig.numerics.jit import unfused_kernel
 from rig.numerics.simd import aligned_zeros, padded_length
 
-# Variance of the uniform numbers that represent noise faster than the average; a filter sums up so many of them that
-# the sum is normal.
-_EVEN = 1.0 / 12.0
-# Lowest frequency of 1/f noise, Hz. Below, for periods of hours, the noise is white.
+# Variance of uniform random numbers between -1/2 and 1/2. They represent the variation of noise within an interval; a
+# filter sums so many of them that the sum is normally distributed.
+_UNIFORM_VARIANCE = 1.0 / 12.0
+# Lowest frequency of 1/f noise, Hz. At lower frequencies, with periods of hours, the noise is white.
 LOWEST = 1e-4
 # Largest ratio of successive corner frequencies of the first-order sections whose sum approximates 1/f noise.
 _MAX_CORNER_RATIO = 4.0
 
 
 def generator(seed: int, channel: str, stage: str) -> np.random.Generator:
-    """Return the random numbers of one stage of one channel: independent of the rest of the scene.
+    """Return the random number generator of one stage of one channel, which is independent of the rest of the scene.
 
     >>> generator(1, "body1", "noise").integers(100) == generator(1, "body1", "noise").integers(100)
     np.True_
@@ -33,9 +33,9 @@ def generator(seed: int, channel: str, stage: str) -> np.random.Generator:
 
 
 class Noise:
-    """A source of noise of a one-sided density in V/sqrt(Hz), each sample the average over its interval.
+    """Noise with a one-sided density in V/sqrt(Hz); each sample is the mean over its sample interval.
 
-    At the corner frequency in Hz the 1/f part is as strong as the white part; None is white noise.
+    At the corner frequency in Hz the 1/f part is as strong as the white part. Without a corner, noise is white.
 
     >>> source = Noise(1e-6, None, 5120.0, generator(1, "body1", "noise"))
     >>> samples = np.empty(100_000)
@@ -47,52 +47,53 @@ class Noise:
     def __init__(self, density: float, corner: float | None, rate: float, random: np.random.Generator) -> None:
         self._deviation = density * np.sqrt(0.5 * rate)
         self._random = random
-        # Of the filter that colors it.
-        self.states = 0
+        self.states = 0  # number of states of the filter that yields 1/f noise
         if corner is not None:
             loss, weight, self._gain = flicker_filter(corner, rate)
             self.states = loss.size
-            self._retained, self._weight, self._states = (aligned_zeros(padded_length(loss.size)) for _ in range(3))
-            self._retained[: loss.size], self._weight[: loss.size] = 1.0 - loss, weight
+            self._poles, self._weight, self._states = (aligned_zeros(padded_length(loss.size)) for _ in range(3))
+            self._poles[: loss.size], self._weight[: loss.size] = 1.0 - loss, weight
 
     def fill(self, samples: Array) -> None:
         """Fill in the next samples, V, shape (samples,)."""
         self._random.standard_normal(out=samples)
         samples *= self._deviation
         if self.states:
-            _color(samples, self._retained, self._weight, self._gain, self._states)
+            _color(samples, self._poles, self._weight, self._gain, self._states)
 
 
 class FastNoise:
-    """Variation of the same noise within an interval: a Legendre polynomial of degree 1 or 2.
+    """Variation of the same noise within a sample interval: voltage of a Legendre polynomial of degree 1 or 2.
 
-    With averages alone, noise behind a filter would fall towards half the rate by 3.9 dB; with these by 0.04 dB.
+    With the means alone, the density of noise after a filter would decrease by 3.9 dB towards half the sample rate;
+    with these polynomials it decreases by 0.04 dB.
     """
 
     def __init__(
         self, density: float, corner: float | None, rate: float, random: np.random.Generator, degree: int
     ) -> None:
         colored = 1.0 + 2.0 * (corner or 0.0) / rate
-        self._size = density * np.sqrt(colored * 0.5 * rate * (2 * degree + 1) / _EVEN)
+        self._amplitude = density * np.sqrt(colored * 0.5 * rate * (2 * degree + 1) / _UNIFORM_VARIANCE)
         self._random = random
 
     def fill(self, samples: Array) -> None:
         """Fill in the next voltages, shape (samples,)."""
         self._random.random(out=samples)
         samples -= 0.5
-        samples *= self._size
+        samples *= self._amplitude
 
 
-# Sensors of one kind share the same.
+# Cached, because sensors of the same type have the same filter.
 @lru_cache(maxsize=16)
 def flicker_filter(corner: float, rate: float) -> tuple[Array, Array, float]:
-    """Return loss, weight and gain of the filter from white noise to a density ``sqrt(1 + corner / f)`` times.
+    """Return the filter that multiplies the density of white noise by ``sqrt(1 + corner / f)``.
 
-    A sum of first-order low-pass spectra, their corners spread evenly over the logarithm of frequency, makes the
-    1/f; the filter is its spectral factor. In y = 4 sin^2(pi f / rate) all spectra are rational with real poles
-    and, between these, real zeros. The density is accurate to 0.3 % for corners up to a hundredth of the rate; up
-    to corners twice the rate to 3 % below 0.45 of it, and 6 % at its half. State i keeps ``1 - loss[i]`` from
-    sample to sample.
+    Returns the loss of each first-order state per sample (its pole is ``1 - loss``), its weight in the output, and the
+    gain. The 1/f spectrum is approximated by a sum of first-order low-pass spectra with logarithmically spaced corners,
+    and the filter is its spectral factor. As functions of y = 4 sin^2(pi f / rate), all spectra are rational with real
+    poles, and the sum has real zeros between the poles. The density is accurate to 0.3 % for corners up to a hundredth
+    of the rate. For corners up to twice the rate, it is accurate to 3 % below 0.45 of the rate, and to 6 % at half the
+    rate.
     """
     # Few scenes have such noise, and this takes long to import.
     from scipy.optimize import brentq, nnls
@@ -101,14 +102,14 @@ def flicker_filter(corner: float, rate: float) -> tuple[Array, Array, float]:
     lowest = min(LOWEST, 0.1 * corner, 0.01 * rate)
     corners = np.geomspace(lowest, highest, 2 + int(np.log(highest / lowest) / np.log(_MAX_CORNER_RATIO)))
     poles = 4 * np.sin(np.pi * corners / rate) ** 2
-    # Closely up to half the rate, where the spectra are flat and 1/f is not.
+    # Dense near half the rate, where the low-pass spectra are flat but 1/f is not.
     grid = np.concatenate([np.geomspace(10 * lowest, 0.5 * rate, 400), np.linspace(0.3, 0.5, 400) * rate])
     y = 4 * np.sin(np.pi * grid / rate) ** 2
     target = corner / grid
-    # Relative to the whole density, white part included.
-    fit = poles / (poles + y[:, None]) / (1 + target)[:, None]
+    # Relative to the total power density, with the white part.
+    low_pass = poles / (poles + y[:, None]) / (1 + target)[:, None]
     scale = corner / corners
-    strength, _ = nnls(fit * scale, target / (1 + target))
+    strength, _ = nnls(low_pass * scale, target / (1 + target))
     present = strength > 0
     poles, strength = poles[present], (strength * scale)[present]
 
@@ -139,8 +140,8 @@ def _loss(y: Array) -> Array:
 
 
 @unfused_kernel
-def _color(samples: Array, retained: Array, weight: Array, gain: float, states: Array) -> None:
-    """Pass samples through first-order states in parallel, in place."""
+def _color(samples: Array, poles: Array, weight: Array, gain: float, states: Array) -> None:
+    """Filter samples by first-order states in parallel, in place."""
     for i in range(samples.size):
         white = samples[i]
-        samples[i] = gain * (white + update_states(states, retained, weight, white))
+        samples[i] = gain * (white + update_states(states, poles, weight, white))

@@ -1,11 +1,11 @@
-"""Skew: channels that are sampled one after another."""
+"""Skew of a multiplexed converter, which samples its channels one after another: delay of each channel's input."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.dsp.interpolation import JUMP, LENGTH, CubicInput, copy_into, empty_parts
+from daq.dsp.interpolation import IMPULSE, LENGTH, CubicInput, allocate_segments, copy_into
 from rig.arrays import Array
 from rig.errors import SceneError
 from rig.numerics.fma import fused
@@ -15,7 +15,7 @@ from rig.numerics.jit import unfused_kernel
 def delays(skew: float | tuple[float, ...] | None, channels: int, rate: float) -> tuple[float, ...]:
     """Return the delay of each channel, s, relative to the clock tick at which the last channel is sampled.
 
-    `skew` is the lateness in s of each channel relative to the previous one, or of every channel.
+    `skew`: lateness of each channel relative to the previous one, s; or the lateness of every channel, s.
 
     >>> delays(1e-6, 3, 5120.0)
     (2e-06, 1e-06, 0.0)
@@ -31,54 +31,64 @@ def delays(skew: float | tuple[float, ...] | None, channels: int, rate: float) -
             f"converter.skew: the channels are sampled over {latest - min(lateness):g} s, a sample interval "
             f"({1.0 / rate:g} s) or more. Give a smaller skew."
         )
-    return tuple(latest - each for each in lateness)
+    return tuple(latest - channel_lateness for channel_lateness in lateness)
 
 
 class Delay:
-    """Shifts the input of a channel by part of a sample interval, block after block.
+    """Delays the input of a channel by a share of a sample interval, block after block.
 
-    Each interval of the result is the end of one interval and the beginning of the next, described by the same
-    four numbers as any; integrated twice it is exact at the new nodes.
+    A delayed interval consists of the tail of one input interval and the head of the next, and is described by one
+    cubic (see `CubicInput`) whose second integral is exact at the new nodes. If one of the two has breaks, the delayed
+    interval is described by segments.
     """
 
     def __init__(self, share: float) -> None:
         self._share = share
-        self._joined = _joined(share)
-        # The last interval as a whole, and its end in parts if it was broken.
+        self._matrix = _delay_matrix(share)
+        # The cubic of the last input interval; the segments of its tail if it has breaks.
         self._last = np.zeros(4)
         self._tail = np.zeros((0, 6))
 
     def shift(self, cubics: CubicInput) -> CubicInput:
         """Return the delayed input over the same number of intervals."""
-        if cubics.smooth.size == 0:
+        if cubics.whole.size == 0:
             return cubics
-        smooth = np.empty(cubics.smooth.shape)
-        # A broken interval makes two: each of its parts is in one of them or cut in two, and each has a part
-        # more.
-        waiting = len(self._tail)
-        room = waiting + 4 * cubics.broken.size + 4
-        broken, parts = empty_parts(room)
-        tail = np.zeros((room, 6))
-        tail[:waiting] = self._tail
-        count, waiting = _shift(
-            cubics, self._share, self._joined, self._last, waiting, smooth, broken, parts, tail, np.empty(4)
+        whole = np.empty(cubics.whole.shape)
+        # An input interval with breaks affects two delayed intervals. Each of its segments is in one of them or split,
+        # and each of the two has one more segment.
+        tail_size = len(self._tail)
+        max_segments = tail_size + 4 * cubics.segment_interval.size + 4
+        segment_interval, segments = allocate_segments(max_segments)
+        tail = np.zeros((max_segments, 6))
+        tail[:tail_size] = self._tail
+        count, tail_size = _shift(
+            cubics,
+            self._share,
+            self._matrix,
+            self._last,
+            tail,
+            tail_size,
+            whole,
+            segment_interval,
+            segments,
+            np.empty(4),
         )
-        self._tail = tail[:waiting]
-        return CubicInput(smooth, broken[:count], parts[:count])
+        self._tail = tail[:tail_size]
+        return CubicInput(whole, segment_interval[:count], segments[:count])
 
 
-def _joined(share: float) -> Array:
-    """Matrix from two intervals, as start, end, mean and moment, to the one that lies across both."""
+def _delay_matrix(share: float) -> Array:
+    """Return the matrix from the cubics of two successive intervals to that of a delayed interval; (4, 8)."""
     matrix = np.zeros((4, 8))
-    head = 1.0 - share
+    head_length = 1.0 - share
     for column in range(4):
-        unit, end, begin = np.eye(4)[column], np.empty(6), np.empty(6)
-        _between(unit, head, 1.0, share, 0.0, end)
-        _between(unit, 0.0, head, head, 0.0, begin)
+        unit, tail, head = np.eye(4)[column], np.empty(6), np.empty(6)
+        _split(unit, head_length, 1.0, share, 0.0, tail)
+        _split(unit, 0.0, head_length, head_length, 0.0, head)
         matrix[:, column] = (
-            end[0], 0.0, share * end[2], share * (share * end[3] + head * end[2]),
+            tail[0], 0.0, share * tail[2], share * (share * tail[3] + head_length * tail[2]),
         )  # fmt: skip
-        matrix[:, 4 + column] = 0.0, begin[1], head * begin[2], head * head * begin[3]
+        matrix[:, 4 + column] = 0.0, head[1], head_length * head[2], head_length * head_length * head[3]
     return matrix
 
 
@@ -86,86 +96,87 @@ def _joined(share: float) -> Array:
 def _shift(
     cubics: CubicInput,
     share: float,
-    joined: Array,
+    matrix: Array,
     last: Array,
-    tail: int,
-    smooth: Array,
-    broken: NDArray[np.int64],
-    parts: Array,
-    ends: Array,
-    full_cubic: Array,
+    tail: Array,
+    tail_size: int,
+    whole: Array,
+    segment_interval: NDArray[np.int64],
+    segments: Array,
+    cubic: Array,
 ) -> tuple[int, int]:
-    """Fill in the delayed intervals; return the number of their parts and of those left over.
+    """Fill in the delayed intervals; return the number of their segments, and of segments in the last tail.
 
-    `last` is the interval before, updated; if it was broken, its end is in the `tail` first parts of `ends`.
+    `last`: cubic of the previous input interval, updated; `tail`: its first `tail_size` rows are the segments of that
+    interval's tail if it has breaks, updated; `cubic`: working array.
     """
     for r in range(4):
-        _join(cubics.smooth, joined[r], last, smooth[r])
-    count, at, i, intervals = 0, 0, 0, smooth.shape[1]
-    head = 1.0 - share
+        _combine(cubics.whole, matrix[r], last, whole[r])
+    count, segment, i, intervals = 0, 0, 0, whole.shape[1]
+    head_length = 1.0 - share
     while i < intervals:
-        if tail == 0:
-            # Whole intervals after whole ones are joined already.
-            broken_next = cubics.broken[at] if at < cubics.broken.size else intervals
-            if broken_next > i:
-                i = broken_next
-                copy_into(cubics.smooth[:, i - 1], last)
+        if tail_size == 0:
+            # Two successive intervals without breaks were combined above.
+            next_with_breaks = cubics.segment_interval[segment] if segment < cubics.segment_interval.size else intervals
+            if next_with_breaks > i:
+                i = next_with_breaks
+                copy_into(cubics.whole[:, i - 1], last)
                 continue
-        whole_now = at == cubics.broken.size or cubics.broken[at] != i
-        # The end of the interval before.
-        if tail == 0:
-            broken[count] = i
-            _between(last, head, 1.0, share, 0.0, parts[count])
+        has_breaks = segment < cubics.segment_interval.size and cubics.segment_interval[segment] == i
+        # Tail of the previous input interval.
+        if tail_size == 0:
+            segment_interval[count] = i
+            _split(last, head_length, 1.0, share, 0.0, segments[count])
             count += 1
-        for k in range(tail):
-            broken[count] = i
-            copy_into(ends[k], parts[count])
+        for k in range(tail_size):
+            segment_interval[count] = i
+            copy_into(tail[k], segments[count])
             count += 1
-        tail = 0
-        # The beginning of this one; if it is broken, its end in parts for the next.
-        copy_into(cubics.smooth[:, i], last)
-        if whole_now:
-            broken[count] = i
-            _between(last, 0.0, head, head, 0.0, parts[count])
+        tail_size = 0
+        # Head of this input interval. If it has breaks, the segments of its tail are stored for the next.
+        copy_into(cubics.whole[:, i], last)
+        if not has_breaks:
+            segment_interval[count] = i
+            _split(last, 0.0, head_length, head_length, 0.0, segments[count])
             count += 1
             i += 1
             continue
         elapsed = 0.0
-        while at < cubics.broken.size and cubics.broken[at] == i:
-            part = cubics.parts[at]
-            size = part[LENGTH]
-            if elapsed + size <= head and size > 0.0:
-                broken[count] = i
-                copy_into(part, parts[count])
+        while segment < cubics.segment_interval.size and cubics.segment_interval[segment] == i:
+            row = cubics.segments[segment]
+            length = row[LENGTH]
+            if elapsed + length <= head_length and length > 0.0:
+                segment_interval[count] = i
+                copy_into(row, segments[count])
                 count += 1
             else:
-                copy_into(part, full_cubic)
-                before = max(head - elapsed, 0.0) if size > 0.0 else 0.0
-                if before > 0.0:
-                    broken[count] = i
-                    _between(full_cubic, 0.0, before / size, before, 0.0, parts[count])
+                copy_into(row, cubic)
+                in_head = max(head_length - elapsed, 0.0) if length > 0.0 else 0.0
+                if in_head > 0.0:
+                    segment_interval[count] = i
+                    _split(cubic, 0.0, in_head / length, in_head, 0.0, segments[count])
                     count += 1
-                if size > 0.0:
-                    _between(full_cubic, before / size, 1.0, size - before, part[JUMP], ends[tail])
+                if length > 0.0:
+                    _split(cubic, in_head / length, 1.0, length - in_head, row[IMPULSE], tail[tail_size])
                 else:
-                    copy_into(part, ends[tail])
-                tail += 1
-            elapsed += size
-            at += 1
+                    copy_into(row, tail[tail_size])
+                tail_size += 1
+            elapsed += length
+            segment += 1
         if elapsed == 0.0:
-            # The instant at which a run begins: before it there is rest, for as long as the delay.
-            ends[0, :LENGTH] = 0.0
-            ends[0, LENGTH] = share
-            broken[count] = i
-            parts[count][:] = 0.0
+            # Sample 0, at which a run begins: the input is zero before it, for the duration of the delay.
+            tail[0, :LENGTH] = 0.0
+            tail[0, LENGTH] = share
+            segment_interval[count] = i
+            segments[count][:] = 0.0
             count += 1
         i += 1
-    return count, tail
+    return count, tail_size
 
 
 @unfused_kernel
-def _join(cubics: Array, weights: Array, last: Array, out: Array) -> None:
-    """Join every interval with the previous interval as if both were whole; one quantity of the result."""
+def _combine(cubics: Array, weights: Array, last: Array, out: Array) -> None:
+    """Fill in one of the four numbers of each delayed interval, as if no interval had breaks."""
     start, end, mean, moment = cubics[0], cubics[1], cubics[2], cubics[3]
     out[0] = _weighted_sum(
         weights, last[0], last[1], last[2], last[3], start[0], end[0], mean[0], moment[0],
@@ -181,22 +192,22 @@ def _weighted_sum(
     weights: Array,
     a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float,
 ) -> float:  # fmt: skip
-    """Weigh the four numbers of two intervals."""
-    before = fused(weights[0], a, fused(weights[1], b, fused(weights[2], c, weights[3] * d)))
-    return fused(weights[4], e, fused(weights[5], f, fused(weights[6], g, fused(weights[7], h, before))))
+    """Return the weighted sum of the four numbers of two intervals."""
+    first = fused(weights[0], a, fused(weights[1], b, fused(weights[2], c, weights[3] * d)))
+    return fused(weights[4], e, fused(weights[5], f, fused(weights[6], g, fused(weights[7], h, first))))
 
 
 @unfused_kernel
-def _between(full_cubic: Array, begin: float, end: float, length: float, jump: float, out: Array) -> None:
-    """Describe the part of a cubic between two shares of its length, with a length and an impulse."""
-    out[LENGTH], out[JUMP] = length, jump
-    a, b, mean, moment = full_cubic[0], full_cubic[1], full_cubic[2], full_cubic[3]
+def _split(cubic: Array, begin: float, end: float, length: float, impulse: float, out: Array) -> None:
+    """Fill in a segment: the cubic between two shares of its length, with the segment's length and impulse."""
+    out[LENGTH], out[IMPULSE] = length, impulse
+    a, b, mean, moment = cubic[0], cubic[1], cubic[2], cubic[3]
     c1 = -9.0 * a + 3.0 * b - 24.0 * mean + 60.0 * moment
     c2 = 18.0 * a - 12.0 * b + 84.0 * mean - 180.0 * moment
     c3 = -10.0 * a + 10.0 * b - 60.0 * mean + 120.0 * moment
     out[0] = a + begin * (c1 + begin * (c2 + begin * c3))
     out[1] = a + end * (c1 + end * (c2 + end * c3))
-    # Coefficients of the part in its own time, from 0 to 1.
+    # Coefficients of the segment in its own time, from 0 to 1.
     size = end - begin
     d1 = size * (c1 + begin * (2.0 * c2 + begin * 3.0 * c3))
     d2 = size * size * (c2 + begin * 3.0 * c3)

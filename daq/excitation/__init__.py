@@ -1,7 +1,7 @@
-"""Excitations of tests, one module per kind of test: they use channels, never the state of the simulator.
+"""Excitations: drive signals of tests, computed from the scene and from the channels, as on a real bench.
 
-A module named after the kind of test contains `excite`. The other modules support them: `station` is the interface to
-the bench, `steady_tone` and `sweep_control` control the force, `settling` detects the steady state. Start with
+Each kind of test has a module of its name with the generator `excite`. Of the other modules, `station` is the interface
+to the bench, `steady_tone` and `sweep_control` control the force, and `settling` detects the steady state. Start with
 `sine`.
 """
 
@@ -33,6 +33,6 @@ def test_of(scene: Scene) -> Test:
 def excitation(station: Station) -> Excitation:
     """Return the excitation of the scene's test; raise `SceneError` if channels of a controlled force are missing."""
     test = test_of(station.scene)
-    if station.controlled:
+    if station.is_force_controlled:
         station.force_weights(1.0)
     return import_module(f"daq.excitation.{test.kind}").excite(station, test)

@@ -9,7 +9,7 @@ from daq.excitation.station import Excitation, Station
 if TYPE_CHECKING:
     from rig.scene.excitation import Free
 
-# Length of the windows of the drive.
+# Length of the windows in which the drive is output.
 _WINDOW_S = 0.1
 
 
@@ -17,7 +17,7 @@ def excite(station: Station, test: Free) -> Excitation:
     """Record a free decay."""
     first, total = station.now, station.samples(test.duration)
     while (elapsed := station.now - first) < total:
-        yield station.quiet(min(station.samples(_WINDOW_S), total - elapsed))
+        yield station.zero_drive(min(station.samples(_WINDOW_S), total - elapsed))
         elapsed = station.now - first
         station.report(elapsed / total, f"{elapsed / station.rate:.1f} s of {test.duration:g} s")
     station.mark("free", first, first + total)

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 # Recording time before the first hit: it shows offsets and noise.
 QUIET_S = 0.25
-# Length of the windows of the drive.
+# Length of the windows in which the drive is output.
 _WINDOW_S = 0.1
-# Longest settling of sensors, in time constants.
+# Maximum wait for the settling of sensors, in time constants.
 _MAX_TIME_CONSTANTS = 10.0
-# Longest settling of sensors.
+# Maximum wait for the settling of sensors.
 _MAX_SETTLING_S = 60.0
 # Window in which a drift is detected.
 _DRIFT_WINDOW_S = 0.5
@@ -43,17 +43,17 @@ def excite(station: Station, test: Impulse) -> Excitation:
         double_hit[delay:] += second
         double_hits = set(test.double_hit.hits or range(1, test.repeats + 1))
     interval, window = (station.samples(time) for time in (test.interval, _WINDOW_S))
-    yield station.quiet(station.samples(QUIET_S))
+    yield station.zero_drive(station.samples(QUIET_S))
     yield from _wait_for_sensors(station)
     for hit in range(1, test.repeats + 1):
         pulse = double_hit if hit in double_hits else single_hit
-        wave = np.zeros(interval)
-        wave[: pulse.size] = pulse
+        force = np.zeros(interval)
+        force[: pulse.size] = pulse
         first = station.now
         # The pulse is one window, so that it is marked immediately after its end.
         edges = [0, *range(max(window, pulse.size), interval, window), interval]
         for start, stop in pairwise(edges):
-            yield station.drive(wave[start:stop], "hammer")
+            yield station.drive(force[start:stop], "hammer")
             if start == 0:
                 station.mark(
                     "hit", first, first + pulse.size, number=hit, body=test.body, peak=test.peak, width=test.width,
@@ -71,10 +71,10 @@ def _wait_for_sensors(station: Station) -> Excitation:
     window, is_drifting = station.samples(_DRIFT_WINDOW_S), True
     while is_drifting and station.now < end:
         station.report(0.0, "waiting for the sensors to settle")
-        is_drifting = _is_drifting((yield station.quiet(min(window, end - station.now))))
+        is_drifting = _is_drifting((yield station.zero_drive(min(window, end - station.now))))
     # After ten time constants the remaining change is the low-frequency noise of the sensors.
     station.mark("settle", first, station.now, settled=True)
-    yield station.quiet(station.samples(QUIET_S))
+    yield station.zero_drive(station.samples(QUIET_S))
 
 
 def settling_time(info: ChannelInfo) -> float:
@@ -87,10 +87,12 @@ def settling_time(info: ChannelInfo) -> float:
     """
     if not any(key.endswith(".bias") for key in info.sensor):
         return 0.0
-    bias = next((parse(text, TIME) for key, text in info.sensor.items() if key.endswith(".bias_settling")), 0.0)
-    # High-pass filters, the slowest poles, pass the step at power-on, which then decays.
-    slow_rates = sorted(abs(pole.real) for pole in info.poles if pole)[: sum(zero == 0 for zero in info.zeros)]
-    return min(_MAX_TIME_CONSTANTS * (bias + sum(1.0 / rate for rate in slow_rates)), _MAX_SETTLING_S)
+    bias_settling = next(
+        (parse(text, TIME) for key, text in info.sensor.items() if key.endswith(".bias_settling")), 0.0
+    )
+    # The step at power-on decays with the poles of the high-pass filters: the slowest poles, as many as zeros at 0 Hz.
+    high_pass_rates = sorted(abs(pole.real) for pole in info.poles if pole)[: sum(zero == 0 for zero in info.zeros)]
+    return min(_MAX_TIME_CONSTANTS * (bias_settling + sum(1.0 / rate for rate in high_pass_rates)), _MAX_SETTLING_S)
 
 
 def _is_drifting(readings: Array) -> bool:
@@ -117,8 +119,8 @@ def half_sine(peak: float, width: float, rate: float) -> Array:
     """
     from scipy.optimize import brentq
 
-    target = 2 * width * rate / np.pi
-    if target < 1.2:
+    target_sum = 2 * width * rate / np.pi  # area of the pulse, in samples times its peak
+    if target_sum < 1.2:
         raise SceneError(
             f"test.width: a pulse of {width * 1e3:g} ms has no two samples at {rate:g} Hz; expected at least "
             f"{2.0 / rate * 1e3:.3g} ms. Widen the pulse (a softer tip) or raise converter.rate."
@@ -129,5 +131,5 @@ def half_sine(peak: float, width: float, rate: float) -> Array:
         offset = np.arange(-half, half + 1)
         return np.where(abs(offset) < length / 2, np.cos(np.pi * offset / length), 0.0)
 
-    length = brentq(lambda samples: pulse(samples).sum() - target, 1.0, 2.0 * width * rate + 4.0, xtol=1e-13)
+    length = brentq(lambda samples: pulse(samples).sum() - target_sum, 1.0, 2.0 * width * rate + 4.0, xtol=1e-13)
     return peak * pulse(length)

@@ -1,4 +1,4 @@
-"""Lock-in: complex amplitudes of channels at one frequency, by least squares over nearly whole periods."""
+"""Complex amplitudes of channels at one frequency (lock-in), by least squares over nearly whole periods."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from rig.arrays import Array, ComplexArray
 _MIN_PERIODS = 2
 # Minimum window, samples: more than the number of fitted terms below the lowest harmonic.
 _MIN_SAMPLES = 8
-# Near half the sampling rate a sampled tone beats; this fraction of a beat separates its amplitude from its phase.
+# Near half the sampling rate a sampled tone beats. Minimum window, in beats, that separates amplitude and phase.
 _MIN_BEATS = 0.5
 # Order of the highest harmonic that is fitted with the tone.
 _MAX_HARMONIC = 6
 # Harmonics are fitted up to this ratio to the sampling rate.
 _MAX_HARMONIC_RATIO = 0.4
-# Number of samples whose model is in memory at a time.
+# A longer window is evaluated in pieces of this number of samples, which limits the memory.
 _PIECE_SAMPLES = 1 << 16
 
 
@@ -34,7 +34,7 @@ def min_samples(frequency: float, rate: float) -> int:
 
 
 def whole_periods(frequency: float, rate: float, shortest_s: float) -> int:
-    """Return the length in samples closest to whole periods, up to a third longer than `shortest_s` in s.
+    """Return the window length, samples, that is closest to whole periods, from `shortest_s` in s to a third more.
 
     In a window with a fraction of a period, harmonics and offsets leak into the fundamental.
 
@@ -56,7 +56,7 @@ def whole_periods(frequency: float, rate: float, shortest_s: float) -> int:
 # A test uses only a few window lengths per frequency.
 @lru_cache(maxsize=8)
 def _weights(frequency: float, rate: float, samples: int) -> Array:
-    """Return the least-squares weights of the samples for both parts of the amplitude, shape (2, samples)."""
+    """Return the least-squares weights of the samples for real and imaginary part of the amplitude, (2, samples)."""
     model = _model(frequency, rate, samples, 0, samples)
     # Over two periods or more the terms are nearly orthogonal, so that the normal equations are accurate. Sums use
     # einsum: for matrices of this size, BLAS threads would only add overhead.
@@ -77,7 +77,7 @@ def _model(frequency: float, rate: float, samples: int, first: int, stop: int) -
 
 
 def _amplitude_parts(samples: Array, frequency: float, rate: float) -> Array:
-    """Return both parts of the amplitude in a long window, shape (channels, 2), with the model in pieces."""
+    """Return real and imaginary part of the amplitude in a long window, shape (channels, 2), evaluated in pieces."""
     size = samples.shape[1]
     normal, projection = 0.0, 0.0
     for first in range(0, size, _PIECE_SAMPLES):

@@ -1,4 +1,4 @@
-"""A tone whose frequency and force an operator sets while it plays."""
+"""Excitation by a tone whose frequency and force the operator changes during the test."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from daq.excitation.steady_tone import GLIDE_S, WINDOW_S, SteadyTone
 from rig.arrays import Array
 from rig.errors import SceneError
 
-# Relative transient at which a level counts as reached; an operator changes the setting before the last percent.
+# Relative tolerance of the steady state. It is coarse, because an operator does not wait for a smaller transient.
 _TOLERANCE = 0.01
-# Longest wait for the level.
+# Maximum wait for the steady state.
 _MAX_WAIT_S = 60.0
 # Largest relative deviation of the force from its level before it is readjusted.
 _MAX_DEVIATION = 0.05
-# Number of successive observations with a larger deviation that cause a readjustment: a single impact must not.
-_N_DEVIATIONS = 5
+# Number of successive windows with a larger deviation that cause a readjustment; a single impact does not.
+_MAX_DEVIATIONS = 5
 
 
 class Knobs:
@@ -73,7 +73,7 @@ class ToneReading:
     level: float  # requested, N
     is_settled: bool  # the level has been reached and the motion is steady
     drive: float  # amplitude of the drive, in its unit
-    force: complex  # of the coil spring, or the drive where the drive is the force, N
+    force: complex  # force of the coil spring, or the drive if it is a force, N
     displacement: dict[str, complex]  # by channel, m
 
     def receptance(self, channel: str) -> complex:
@@ -82,8 +82,8 @@ class ToneReading:
 
 
 @dataclass
-class HandTone:
-    """The excitation that follows the knobs; `report` is called after every window."""
+class ManualTone:
+    """Excitation by a tone at the settings of the knobs; `report` is called with the readings of every window."""
 
     knobs: Knobs
     report: Callable[[ToneReading], None]
@@ -91,7 +91,7 @@ class HandTone:
     _level: float = field(default=0.0, init=False)
 
     def excite(self, station: Station) -> Excitation:
-        """Play until the operator quits; steady points are marked as in a stepped sine."""
+        """Output the tone until the operator quits; mark steady intervals as a stepped sine does."""
         # Raises without a shaker, before the channels of the spring force are checked.
         station.drive(np.zeros(1))
         if not station.force_is_drive:
@@ -100,28 +100,28 @@ class HandTone:
         tone = SteadyTone(station, self.knobs.settings[0], controlled=not station.force_is_drive)
         while not self.knobs.quit:
             requested = self.knobs.settings
-            # The held interval is marked at once, whether the knobs or the run ends it.
-            with closing(self._play(tone, *requested)) as steady_tone:
-                phase, window = tone.phase, next(steady_tone)
+            # Closing marks the steady interval, whether the operator or the run ends it.
+            with closing(self._hold_setting(tone, *requested)) as drives:
+                phase, drive = tone.phase, next(drives)
                 while True:
-                    readings = yield window
+                    readings = yield drive
                     self.report(self._reading(tone, readings, phase, requested))
                     if self.knobs.quit or self.knobs.settings != requested:
                         break
-                    phase, window = tone.phase, steady_tone.send(readings)
+                    phase, drive = tone.phase, drives.send(readings)
         yield tone.end()
 
-    def _play(self, tone: SteadyTone, frequency: float, level: float) -> Excitation:
-        """Go to a setting and hold it until the generator is closed."""
+    def _hold_setting(self, tone: SteadyTone, frequency: float, level: float) -> Excitation:
+        """Glide to a frequency in Hz and a force level in N, and hold them until the generator is closed."""
         self._is_steady, station = False, tone.station
         window = whole_periods(frequency, station.rate, WINDOW_S)
         if level == 0.0:
             yield station.drive(tone.glide(max(station.samples(GLIDE_S), window), frequency, 0.0))
             while True:
-                yield station.quiet(window)
+                yield station.zero_drive(window)
         previous_drive, drive = tone.amplitude, tone.start(level)
         if tone.control is not None:
-            # The drive of the last level is scaled in proportion to the level.
+            # First estimate: the drive is proportional to the level.
             drive = min(previous_drive * level / (self._level or level) or drive, station.drive_limit)
         self._level = level
         facts = {"frequency": frequency, "level": level}
@@ -132,15 +132,15 @@ class HandTone:
             finally:
                 if station.now > first:
                     station.mark("settle", first, station.now, drive=tone.amplitude, settled=settled, **facts)
-            yield from self._hold(tone, window, settled, facts)
+            yield from self._hold_drive(tone, window, settled, facts)
             drive = tone.amplitude
 
-    def _hold(self, tone: SteadyTone, window: int, settled: bool, facts: dict[str, float]) -> Excitation:
-        """Hold until the force deviates, or the operator changes a setting."""
+    def _hold_drive(self, tone: SteadyTone, window: int, settled: bool, facts: dict[str, float]) -> Excitation:
+        """Hold the drive until the force deviates from its level, and mark the interval."""
         self._is_steady, deviations, force, station = settled, 0, facts["level"], tone.station
         first = station.now
         try:
-            while deviations < _N_DEVIATIONS:
+            while deviations < _MAX_DEVIATIONS:
                 phase = tone.phase
                 readings = yield station.drive(tone.hold(window))
                 if tone.control is not None:

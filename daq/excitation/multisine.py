@@ -1,4 +1,4 @@
-"""Multisine: periodic sums of tones with random phases; several realizations of several periods."""
+"""Multisine test: periodic sum of tones with random phases, in several realizations of several periods."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from rig.scene.excitation import Multisine
 
 
-# Relative difference of successive periods in the steady state.
+# Relative tolerance of the steady state: difference of successive periods.
 _TOLERANCE = 1e-4
-# Longest wait for the steady state: the larger of a time and a number of periods.
+# Maximum wait for the steady state: the longer of a time and a number of periods.
 _MAX_WAIT_S = 60.0
 _MAX_WAIT_PERIODS = 8
-# A difference of periods that decreases less than by this ratio is noise.
-_NOISE_RATIO = 0.9
+# Ratio of successive differences of periods above which a difference is noise, not a transient.
+_MIN_NOISE_RATIO = 0.9
 
 
 def excite(station: Station, test: Multisine) -> Excitation:
@@ -31,19 +31,20 @@ def excite(station: Station, test: Multisine) -> Excitation:
     if test.period is None:
         lines = lines[: test.lines or 2]
     random, shakers = station.generator("multisine"), station.shakers
-    playing = np.zeros((len(shakers), period))
+    present_waves = np.zeros((len(shakers), period))
     amplitudes = flat(station.level, lines)
     for realisation in range(1, test.realisations + 1):
         phases = [random.uniform(0.0, 2 * np.pi, lines.size)]
-        if station.controlled and realisation == 1:
-            amplitudes, _, playing[0] = yield from equalize(station, lines, period, phases[0])
+        if station.is_force_controlled and realisation == 1:
+            amplitudes, _, present_waves[0] = yield from equalize(station, lines, period, phases[0])
         for number in shakers[1:]:
             generator = station.generator(f"multisine {number} {realisation}")
             phases.append(generator.uniform(0.0, 2 * np.pi, lines.size))
         for experiment in range(len(shakers)):
-            phase_shift = 2.0 * np.pi * experiment / len(shakers)
+            # Orthogonal multisines: from experiment to experiment the phases of shaker k increase by 2 pi k / shakers.
+            phase_step = 2.0 * np.pi * experiment / len(shakers)
             waves = np.stack(
-                [wave_of(lines, amplitudes, each + phase_shift * k, period) for k, each in enumerate(phases)]
+                [wave_of(lines, amplitudes, phase + phase_step * k, period) for k, phase in enumerate(phases)]
             )
             factor = min(limit_factor(station, wave) for wave in waves)
             experiment_fields: dict[str, object] = {}
@@ -58,7 +59,7 @@ def excite(station: Station, test: Multisine) -> Excitation:
             fraction = (realisation - 1 + experiment / len(shakers)) / test.realisations
             station.report(fraction, f"{message}, settling")
             first = station.now
-            yield station.drives(np.stack([crossfade(a, b) for a, b in zip(playing, waves, strict=True)]))
+            yield station.drives(np.stack([crossfade(a, b) for a, b in zip(present_waves, waves, strict=True)]))
             settled = yield from _settle(station, waves)
             station.mark("settle", first, station.now, realisation=realisation, settled=settled)
             if not settled:
@@ -72,12 +73,12 @@ def excite(station: Station, test: Multisine) -> Excitation:
                 "measure", first, station.now, realisation=realisation, **experiment_fields, period=period,
                 periods=test.periods, lines=[int(lines[0]), int(lines[-1])], level=station.level, settled=settled,
             )  # fmt: skip
-            playing = waves
-    yield station.drives(np.stack([crossfade(each, np.zeros(period)) for each in playing]))
+            present_waves = waves
+    yield station.drives(np.stack([crossfade(wave, np.zeros(period)) for wave in present_waves]))
 
 
 def _settle(station: Station, waves: Array) -> Generator[Array, Array, bool]:
-    """Play periods until successive periods agree, or until their difference is noise."""
+    """Output periods until successive periods agree, or their difference is noise; return whether they agree."""
     last_sample = station.now + _max_wait(station, waves.shape[1])
     previous = yield station.drives(waves)
     min_change, noise_count = np.inf, 0
@@ -87,8 +88,8 @@ def _settle(station: Station, waves: Array) -> Generator[Array, Array, bool]:
         change = float(np.max(np.sqrt(np.mean((readings - previous) ** 2, axis=1)) / np.maximum(rms, 1e-300)))
         ratio = change / min_change if min_change > 0.0 else 0.0
         # A transient decreases by this ratio from period to period; noise does not decrease.
-        noise_count += ratio > _NOISE_RATIO
-        is_decaying = np.isfinite(min_change) and ratio < _NOISE_RATIO
+        noise_count += ratio > _MIN_NOISE_RATIO
+        is_decaying = np.isfinite(min_change) and ratio < _MIN_NOISE_RATIO
         if noise_count >= 2 or (is_decaying and change * ratio / (1.0 - ratio) < _TOLERANCE):
             return True
         previous, min_change = readings, min(min_change, change)

@@ -1,4 +1,4 @@
-"""Response of the driven body to the force near the tone: one mode and a residual term, tracked along a sweep."""
+"""Identification of the mode nearest to a swept tone: one mode and a residual term, updated along the sweep."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from rig.arrays import Array, ComplexArray
 
 # Minimum number of observations for the estimate of a mode.
 _MIN_OBSERVATIONS = 6
-# Age, in memory times, above which observations have no weight.
+# Observations older than this multiple of the memory are discarded.
 _MAX_AGE_RATIO = 3.0
-# Interval of the search for a different mode, in observations.
+# A different mode is searched for once in this number of observations.
 _SEARCH_INTERVAL = 4
-# Frequencies of the search, relative to the tone.
+# Frequencies of this search, relative to the tone.
 _SEARCH_FREQUENCIES = np.geomspace(0.6, 1.7, 24)
-# Damping ratios of the search.
+# Damping ratios of this search.
 _SEARCH_DAMPING = np.array([0.005, 0.03])
-# Ratio of residuals below which the different mode becomes the nearest mode.
+# The different mode becomes the nearest mode if its residual is below this ratio to that of the present mode.
 _MAX_RESIDUAL_RATIO = 0.7
-# Initial relative frequency step of the search around the present mode.
+# Initial frequency step of the search around the present mode, relative to its frequency.
 _INITIAL_STEP = 0.01
 # Limits of this step.
 _MIN_STEP = 1e-4
@@ -34,9 +34,9 @@ _STEP_INCREASE = 1.5
 _DAMPING_STEP = 0.2
 # Limits of the damping ratio.
 _DAMPING_LIMITS = (0.002, 0.2)
-# Below this exponent the mean of the exponential is linear; the exact formula would suffer from rounding.
+# Below this exponent the mean of the exponential is approximated linearly, because the exact formula rounds.
 _MIN_EXPONENT = 1e-6
-# Regularization of both coefficients towards zero, if force and motion do not separate them.
+# Relative regularization of both coefficients towards zero, which matters if force and motion do not separate them.
 _RIDGE = 1e-4
 
 
@@ -66,7 +66,10 @@ class NearestMode:
         self.pole, self.gain, self.residual_term = 0j, 0j, 0j
 
     def add(self, time: float, angular_frequency: float, motion: complex, force: complex, memory: float) -> None:
-        """Add an observation: time in s, angular frequency of the tone in rad/s, X in m, F in N; memory in s."""
+        """Add an observation: time in s, angular frequency of the tone in rad/s, X in m, F in N.
+
+        `memory`: time in s after which the weight of an observation has decreased to 1 / e.
+        """
         self._observations.append((time, angular_frequency, motion, force))
         while time - self._observations[0][0] >= _MAX_AGE_RATIO * memory:
             self._observations.popleft()
@@ -143,10 +146,10 @@ def _fit_poles(
     return gain, residual_term, residual
 
 
-def integral(decay: complex) -> complex:
+def mean_exponential(decay: complex) -> complex:
     """Return the mean of e^(decay u) for u from 0 to 1.
 
-    >>> integral(0.0)
+    >>> mean_exponential(0.0)
     1.0
     """
     return 1 + decay / 2 if abs(decay) < _MIN_EXPONENT else (exp(decay) - 1) / decay

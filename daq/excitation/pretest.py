@@ -18,16 +18,16 @@ from rig.arrays import Array, ComplexArray
 _MIN_BURST_S = 4.0
 # Minimum length of the analyzed burst, in periods of the lowest tone.
 _MIN_BURST_PERIODS = 12.0
-# Rise and fall of the burst.
+# Duration of the rise and of the fall of the burst.
 _EDGE_S = 0.25
-# Zero drive after the burst.
+# Duration of zero drive after the burst.
 _QUIET_S = 1.0
 # The tones extend beyond the band of the test by this factor, so that its limits are inside.
 _BAND_MARGIN = 1.3
 # Largest drive of the burst relative to the cautious drive for the test's level.
 _MAX_DRIVE_RATIO = 5.0
-# Exponent with which the amplitudes of the tones decrease with frequency.
-_TILT = 1.0
+# The amplitudes of the tones decrease with this power of frequency.
+_SPECTRUM_EXPONENT = 1.0
 # Number of coefficients in s of the drive for the table motion.
 _MOTION_TERMS = 4
 # Number of coefficients in s of the drive for the spring force.
@@ -45,7 +45,7 @@ class ShakerLaw:
     """
 
     motion: Array  # coefficients of P, drive/m, rising powers of s
-    pull: Array  # coefficients of Q, drive/N
+    force: Array  # coefficients of Q, drive/N, rising powers of s
     spring: float  # stiffness of the coil spring, N/m
     delay: float  # of the channels relative to the drive, s
     misfit: float  # relative RMS residual of the drive in the pretest
@@ -53,8 +53,9 @@ class ShakerLaw:
     def at(self, s: complex) -> tuple[complex, complex]:
         """Return the drive per newton of spring force, and per meter of body displacement, with X0 = X1 + F / k0."""
         delay_factor = np.exp(s * self.delay)
-        motion = delay_factor * polynomial.polyval(s, self.motion)
-        return complex(motion / self.spring + delay_factor * polynomial.polyval(s, self.pull)), complex(motion)
+        per_meter = delay_factor * polynomial.polyval(s, self.motion)
+        per_newton = per_meter / self.spring + delay_factor * polynomial.polyval(s, self.force)
+        return complex(per_newton), complex(per_meter)
 
     def slope(self, s: complex) -> tuple[complex, complex]:
         """Return the derivatives of both with respect to s, for the additional drive of a changing amplitude."""
@@ -64,13 +65,14 @@ class ShakerLaw:
 
 
 def pretest(station: Station, lowest: float, highest: float, level: float) -> Generator[Array, Array, ShakerLaw]:
-    """Play a short burst of weak tones and estimate the drive law of the shaker, for a band in Hz and a level in N."""
+    """Output a short burst of weak tones and estimate the drive of the shaker, for a band in Hz and a level in N."""
     period = station.samples(max(_MIN_BURST_S, _MIN_BURST_PERIODS / lowest))
     lines = lines_between(lowest / _BAND_MARGIN, min(_BAND_MARGIN * highest, 0.45 * station.rate), period, station.rate)
     # Random phases spread every tone over the whole burst; low tones are most sensitive to noise.
     phases = station.generator("pretest").uniform(0.0, 2 * pi, lines.size)
-    wave = wave_of(lines, np.asarray(lines**-_TILT, dtype=np.float64), phases, period)
+    wave = wave_of(lines, np.asarray(lines**-_SPECTRUM_EXPONENT, dtype=np.float64), phases, period)
     edge = station.samples(_EDGE_S)
+    # The burst consists of one period of the tones, extended by a rise and a fall.
     wave = np.concatenate([wave[-edge:], wave, wave[:edge]])
     wave *= np.minimum(1.0, np.minimum(np.arange(wave.size), np.arange(wave.size)[::-1]) / edge)
     wave *= min(_MAX_DRIVE_RATIO * level * station.cautious_drive, station.drive_limit) / abs(wave).max()
@@ -78,7 +80,7 @@ def pretest(station: Station, lowest: float, highest: float, level: float) -> Ge
     readings = yield station.drive(wave)
     analyzed = slice(edge, edge + period)
     law = _fit(station, wave[analyzed], readings[:, analyzed], lines)
-    yield station.quiet(station.samples(_QUIET_S))
+    yield station.zero_drive(station.samples(_QUIET_S))
     station.mark("pretest", first, station.now, delay=law.delay, misfit=law.misfit)
     return law
 
@@ -87,25 +89,26 @@ def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int6
     """Estimate the coefficients by least squares over the lines; the delay minimizes the residual."""
     period = drive.size
     frequency = lines * station.rate / period
-    table, body = station.spring_rows
+    table_row, body_row = station.spring_rows
     windows = _windows(period, station.rate)
     s = np.asarray(2j * pi * frequency, dtype=np.complex128)
     # s is normalized by the middle of the band, so that its powers have similar magnitudes.
-    unit = 2 * pi * sqrt(frequency[0] * frequency[-1])
-    # Constant readings are then exactly zero.
+    middle_s = 2 * pi * sqrt(frequency[0] * frequency[-1])
+    # After this subtraction, constant readings are exactly zero.
     changes = readings - readings[:, :1]
     spectra = [np.fft.rfft(changes * window, axis=1)[:, lines] for window in windows]
 
     def derivative(row: int, order: int) -> ComplexArray:
         """Return the windowed spectrum of a displacement's derivative by partial integration: exact for transients."""
         parts = (comb(order, j) * (-1) ** j * s ** (order - j) * spectra[j][row] for j in range(order + 1))
-        return np.asarray(station.displacement(row, frequency) * np.asarray(sum(parts)) / unit**order)
+        return np.asarray(station.displacement_factor(row, frequency) * np.asarray(sum(parts)) / middle_s**order)
 
-    terms = [derivative(table, order) for order in range(_MOTION_TERMS)]
+    terms = [derivative(table_row, order) for order in range(_MOTION_TERMS)]
     for order in range(_FORCE_TERMS):
-        terms.append(terms[order] - derivative(body, order))
-    played = np.fft.rfft(drive * windows[0])[lines]
-    model, target = np.array(terms).T / abs(played)[:, None], played / abs(played)
+        terms.append(terms[order] - derivative(body_row, order))
+    drive_spectrum = np.fft.rfft(drive * windows[0])[lines]
+    model = np.array(terms).T / abs(drive_spectrum)[:, None]
+    target = drive_spectrum / abs(drive_spectrum)
 
     def solve(delay: float) -> tuple[float, Array]:
         """Return the residual and the coefficients."""
@@ -119,13 +122,13 @@ def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int6
     coarse_delay = min(np.arange(0.0, _MAX_DELAY_S, step), key=lambda delay: solve(delay)[0])
     delay = float(min(coarse_delay + step * np.linspace(-1.0, 1.0, 17), key=lambda delay: solve(delay)[0]))
     misfit, coefficients = solve(delay)
-    motion = coefficients[:_MOTION_TERMS] / unit ** np.arange(_MOTION_TERMS)
-    pull = coefficients[_MOTION_TERMS:] / unit ** np.arange(_FORCE_TERMS) / station.spring
-    return ShakerLaw(motion, pull, station.spring, delay, misfit)
+    motion = coefficients[:_MOTION_TERMS] / middle_s ** np.arange(_MOTION_TERMS)
+    force = coefficients[_MOTION_TERMS:] / middle_s ** np.arange(_FORCE_TERMS) / station.spring_stiffness
+    return ShakerLaw(motion, force, station.spring_stiffness, delay, misfit)
 
 
 def _windows(samples: int, rate: float) -> list[Array]:
-    """Return the Hann window and its time derivatives."""
+    """Return the Hann window and its first three time derivatives."""
     angle, angular_frequency = 2 * pi * np.arange(samples) / samples, 2 * pi * rate / samples
     return [
         (1 - np.cos(angle)) / 2,

@@ -1,4 +1,4 @@
-"""Random: Gaussian noise in a band, continuous or in bursts."""
+"""Random test: Gaussian noise in a frequency band, continuous or in bursts."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from rig.scene.excitation import Random
 
 
-# Length of the shaping filter: its resolution is 0.25 Hz.
+# Length of the shaping filter, whose frequency resolution is 0.25 Hz.
 _FILTER_S = 4.0
-# Length of a burst's block.
+# Length of a block, which contains one burst.
 _BLOCK_S = 8.0
-# Rise and fall of a burst, and of the test.
+# Duration of the rise and of the fall of a burst, and of the test.
 _EDGE_S = 0.02
 
 
@@ -31,15 +31,15 @@ def excite(station: Station, test: Random) -> Excitation:
     level = station.level
     generator = station.generator("random")
     amplitudes, gains = flat(level, lines), np.ones(lines.size)
-    if station.controlled:
+    if station.is_force_controlled:
         phases = generator.uniform(0.0, 2 * np.pi, lines.size)
         amplitudes, gains, wave = yield from equalize(station, lines, period, phases)
         yield station.drive(wave * (1 + np.cos(np.pi * np.arange(period) / period)) / 2)
     total = station.samples(test.duration)
     block = min(total, station.samples(_BLOCK_S))
     envelope = _burst_envelope(block, test.burst, station.samples(_EDGE_S))
-    first, played, clipped = station.now, 0, 0
-    # The rate of the white noise, a divisor of the drive's, is at least four times the highest frequency.
+    first, completed, clipped = station.now, 0, 0
+    # For speed, white noise is drawn at a fraction of the drive's rate, at least four times the highest frequency.
     max_divisor = max(1, period // (4 * int(lines[-1])))
     rate_divisor = next(divisor for divisor in range(max_divisor, 0, -1) if period % divisor == 0)
     length = rate_divisor * next_fast_len(-(-(2 * period - 1) // rate_divisor), real=True)
@@ -48,6 +48,7 @@ def excite(station: Station, test: Random) -> Excitation:
     sources = [generator, *(station.generator(f"random {number}") for number in station.shakers[1:])]
 
     def shaped_noise() -> Array:
+        """Return a period of noise and its tail, shape (shakers, 2 period - 1)."""
         white = [rfft(source.standard_normal(period // rate_divisor), length // rate_divisor) for source in sources]
         return np.asarray([irfft(source * spectrum, length)[: 2 * period - 1] for source in white])
 
@@ -58,23 +59,23 @@ def excite(station: Station, test: Random) -> Excitation:
     if len(station.shakers) > 1:
         facts["shakers"] = list(station.shakers)
     try:
-        while played < total:
+        while completed < total:
             # Overlap-add convolution makes the noise continuous across windows.
             shaped = shaped_noise()
             shaped[:, : tails.shape[1]] += tails
             wave, tails = shaped[:, :period], shaped[:, period:]
-            size = min(period, total - played)
-            samples = np.arange(played, played + size)
+            size = min(period, total - completed)
+            samples = np.arange(completed, completed + size)
             wave = wave[:, :size] * envelope[samples % block]
             wave *= np.minimum(1.0, np.minimum(samples, total - 1 - samples) / station.samples(_EDGE_S))
             clipped += int(np.sum(abs(wave) > station.drive_limit))
             yield station.drives(np.clip(wave, -station.drive_limit, station.drive_limit))
-            played += size
-            station.report(played / total, f"{played / station.rate:.0f} s of {test.duration:g} s")
+            completed += size
+            station.report(completed / total, f"{completed / station.rate:.0f} s of {test.duration:g} s")
     finally:
-        # A test that ends early has measured up to this sample.
-        if played:
-            station.mark("measure", first, first + played, level=level, **facts)
+        # Marked also if the test ends early.
+        if completed:
+            station.mark("measure", first, first + completed, level=level, **facts)
     if clipped:
         station.warn(f"the amplifier's limit clipped {clipped} of {total} drive samples. Lower the level.")
 
@@ -94,11 +95,12 @@ def shaping_filter(lines: Lines, amplitudes: Array, gains: Array, level: float, 
 
 
 def _burst_envelope(block: int, burst: float | None, edge: int) -> Array:
-    """Return the on-off envelope of a block, with smooth edges; shape (block,)."""
+    """Return the envelope of a block with a burst of the share `burst`, with linear edges; shape (block,)."""
     if burst is None:
         return np.ones(block)
-    n_on = max(2, round(burst * block))
-    edge = max(1, min(edge, n_on // 2))
+    size = max(2, round(burst * block))
+    edge = max(1, min(edge, size // 2))
+    samples_to_end = np.minimum(np.arange(size), size - 1 - np.arange(size))
     envelope = np.zeros(block)
-    envelope[:n_on] = np.minimum(1.0, np.minimum(np.arange(n_on), n_on - 1 - np.arange(n_on)) / edge)
+    envelope[:size] = np.minimum(1.0, samples_to_end / edge)
     return envelope

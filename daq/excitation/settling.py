@@ -12,37 +12,37 @@ from rig.arrays import Array, ComplexArray
 
 # Number of differences for the estimate of the transient's decay.
 _N_DIFFERENCES = 6
-# Smallest number of observations for this estimate: they have two pairs of successive differences.
+# Minimum number of observations for this estimate: two pairs of successive differences.
 MIN_OBSERVATIONS = 4
 # Smallest deviation of the decay factor from 1. A smaller deviation is not measurable: the transient is longer than the
 # observed time.
 _MIN_FACTOR_DEVIATION = 1e-3
 # Largest magnitude of a decay factor that predicts the final amplitude.
 _MAX_PREDICTING_FACTOR = 0.995
-# Below this coherence, the change is classified as noise instead of a decaying transient.
+# Below this coherence of successive changes, they are noise instead of a decaying transient.
 _MIN_COHERENCE = 0.8
-# Noise is distinguished from decaying beats by the scatter in the two halves of this number of observations.
+# Number of observations whose scatter in both halves is compared, to distinguish noise from decaying beats.
 _NOISE_OBSERVATIONS = 24
 # The scatter of noise does not decrease below this ratio from the first to the second half.
 _MIN_SCATTER_RATIO = 0.75
-# Scatter up to which half the observations suffice, in tolerances.
+# If the scatter is below this multiple of the tolerance, half as many observations suffice.
 _MAX_SMALL_SCATTER = 3.0
 # Number of observations that must agree within the tolerance.
 _N_AGREEING = 6
-# In half the time of `numpy.sum` and `numpy.mean`.
+# Faster than `numpy.sum` and `numpy.mean` by a factor of two.
 _SUM = np.add.reduce
 
 
 @dataclass(frozen=True)
-class Law:
-    """Geometric law of the changes between successive observations, one entry per quantity."""
+class TransientLaw:
+    """Geometric decay of the changes between successive observations, for each quantity."""
 
     changes: ComplexArray  # the last changes, (changes, quantities)
     factor: ComplexArray  # ratio of successive changes, by least squares
     coherent: NDArray[np.bool_]  # whether the changes follow the law
 
     @classmethod
-    def of(cls, observations: ComplexArray) -> Law:
+    def of(cls, observations: ComplexArray) -> TransientLaw:
         """Estimate the law from observations, shape (observations, quantities)."""
         changes = observations[1:] - observations[:-1]
         earlier, later = changes[:-1], changes[1:]
@@ -51,13 +51,13 @@ class Law:
         return cls(changes, cross / power, abs(cross) ** 2 / power / later_power > _MIN_COHERENCE)
 
     def remaining_change(self) -> ComplexArray:
-        """Return the predicted remaining change."""
+        """Return the predicted change from the last observation to the steady state, shape (quantities,)."""
         deviation = 1.0 - self.factor
         limited = np.where(abs(deviation) < _MIN_FACTOR_DEVIATION, _MIN_FACTOR_DEVIATION, deviation)
         return self.changes[-1] * self.factor / limited
 
     def remaining_magnitude(self) -> Array:
-        """Return the magnitude of the remaining change, from the larger of the last two changes."""
+        """Return an upper estimate of its magnitude, from the larger of the last two changes."""
         change = abs(self.changes[-2:]).max(axis=0)
         return change * abs(self.factor) / np.maximum(abs(1.0 - self.factor), _MIN_FACTOR_DEVIATION)
 
@@ -89,7 +89,7 @@ class Settling:
         self._observations: ComplexArray = np.zeros((0, 0), dtype=complex)
         self.count = 0
         self._forecasts: list[ComplexArray] = []
-        self._law: Law | None = None
+        self._law: TransientLaw | None = None
         self._was_steady = False
         self.settled = False
 
@@ -118,21 +118,21 @@ class Settling:
         if self.count < MIN_OBSERVATIONS:
             self._forecasts.append(amplitudes)
             return
-        law = self._law = Law.of(self._observations[-_N_DIFFERENCES - 1 :])
+        law = self._law = TransientLaw.of(self._observations[-_N_DIFFERENCES - 1 :])
         predicted = law.coherent & (abs(law.factor) < _MAX_PREDICTING_FACTOR)
         mean = _mean(self._observations[-_NOISE_OBSERVATIONS // 2 :])
         self._forecasts.append(np.where(predicted, self._observations[-1] + law.remaining_change(), mean))
         steady = law.coherent & (law.remaining_magnitude() < self.tolerance * self._magnitude())
-        # The further tests are slower and apply only without a law.
+        # The following tests are slower, and apply only to quantities without a coherent law.
         if not steady.all():
             steady |= self._agree_within_tolerance(law)
         if not steady.all() and not (law.coherent & ~steady).any():
-            # If the scatter is small, half as many suffice: the measurement that follows averages the beats.
+            # If the scatter is small, half as many observations suffice, because the measurement averages the beats.
             noise = self._is_noise(_NOISE_OBSERVATIONS, np.inf)
             steady |= ~law.coherent & (
                 noise | self._is_noise(_NOISE_OBSERVATIONS // 2, _MAX_SMALL_SCATTER * self.tolerance)
             )
-        # A single observation may pass by chance, at the turning point of a beat.
+        # Two successive observations must be steady, because one may pass by chance, at the turning point of a beat.
         self.settled = bool(steady.all()) and self._was_steady
         self._was_steady = bool(steady.all())
 
@@ -145,7 +145,7 @@ class Settling:
         latest = np.array(self._forecasts[-3:])
         return np.ptp(abs(latest), axis=0) / np.maximum(abs(latest[-1]), sys.float_info.min)
 
-    def beat(self) -> Array:
+    def phase_change(self) -> Array:
         """Phase change of the transient between observations, rad, infinite without a law; shape (quantities,)."""
         if self._law is None:
             return np.full(self._observations[-1].size, np.inf)
@@ -168,7 +168,7 @@ class Settling:
     def _magnitude(self) -> Array:
         return np.maximum(abs(self._observations[-1]), sys.float_info.min)
 
-    def _agree_within_tolerance(self, law: Law) -> NDArray[np.bool_]:
+    def _agree_within_tolerance(self, law: TransientLaw) -> NDArray[np.bool_]:
         """Return whether all observations agree within the tolerance with a nearly constant mean.
 
         Beating modes have no common factor. In a slow transient of up to thirty observations, the mean of half of these

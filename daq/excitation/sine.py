@@ -1,4 +1,4 @@
-"""A steady sine tone."""
+"""Sine test: a tone of constant frequency and amplitude."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 # Relative tolerance of the steady state.
 _TOLERANCE = 1e-3
-# Longest wait for the steady state.
+# Maximum wait for the steady state.
 _MAX_WAIT_S = 60.0
 
 
@@ -23,8 +23,8 @@ def excite(station: Station, test: Sine) -> Excitation:
 
     With a controlled spring force, the duration of the test begins when the force is steady at its level.
     """
-    tone, level = SteadyTone(station, test.frequency, station.controlled), station.level
-    if station.controlled:
+    tone, level = SteadyTone(station, test.frequency, station.is_force_controlled), station.level
+    if station.is_force_controlled:
         facts = {"frequency": test.frequency, "level": level}
         station.report(0.0, f"{test.frequency:.2f} Hz, settling at {level:g} N")
         settled = yield from tone.settle_and_mark(test.frequency, tone.start(level), _TOLERANCE, _MAX_WAIT_S, facts)
@@ -40,14 +40,15 @@ def excite(station: Station, test: Sine) -> Excitation:
     tone.amplitude = level
     detector = Settling(_TOLERANCE)
     window = whole_periods(test.frequency, station.rate, WINDOW_S)
-    first, total, steady = station.now, station.samples(test.duration), None
+    first, total, steady_from = station.now, station.samples(test.duration), None
     while (remaining := first + total - station.now) > 0:
         station.report((total - remaining) / total, f"{test.frequency:.2f} Hz, level {level:g}")
         size, phase = min(window, remaining), tone.phase
         readings = yield station.drive(tone.hold(size))
-        if size == window and steady is None:
+        if size == window and steady_from is None:
             detector.add(tone.amplitudes(readings, phase))
-            steady = station.now if detector.settled else None
-    settled = steady is not None and station.now - steady >= window
-    begin = steady if settled else first + total // 2
+            steady_from = station.now if detector.settled else None
+    settled = steady_from is not None and station.now - steady_from >= window
+    # Without a steady state, the second half of the test is measured.
+    begin = steady_from if settled else first + total // 2
     station.mark("measure", begin, station.now, frequency=test.frequency, level=level, drive=level, settled=settled)

@@ -1,4 +1,4 @@
-"""Drive spectra for a flat force spectrum: periodic tones, leveled line by line from the channels."""
+"""Drive of tones that yields a flat force spectrum: each line is equalized by iteration, from the channels."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rig.errors import SceneError
 
 Lines = NDArray[np.int64]
 
-# Largest number of iterations.
+# Maximum number of iterations.
 _MAX_ITERATIONS = 8
 # Largest ratio of a line's drive between iterations.
 _MAX_STEP_RATIO = 4.0
@@ -64,22 +64,24 @@ def equalize(
 ) -> Generator[Array, Array, tuple[Array, Array, Array]]:
     """Compute the drive with a flat spring force over the lines, by iteration with measurements.
 
-    Return the drive amplitudes and the force per drive in N, (lines,), and the present period of the drive.
+    `phases`: of the lines, rad. Returns the drive amplitudes and the force per drive in N, (lines,), and the present
+    period of the drive.
     """
     level = station.level
     target = flat(level, lines)
     weights = station.force_weights(lines * station.rate / period)
     amplitudes = played = target * station.cautious_drive
-    playing = np.zeros(period)
+    present_wave = np.zeros(period)
+    # `amplitudes` is the requested drive, `played` the drive within the range of the amplifier.
     force, rms, first = target, 0.0, station.now
     for iteration in range(_MAX_ITERATIONS):
         station.report(0.0, f"shaping the drive, round {iteration + 1}")
         wave = wave_of(lines, amplitudes, phases, period)
         factor = limit_factor(station, wave)
         played, wave = amplitudes * factor, wave * factor
-        yield station.drive(crossfade(playing, wave))
+        yield station.drive(crossfade(present_wave, wave))
         samples = yield station.drive(wave)
-        playing = wave
+        present_wave = wave
         spectrum = np.fft.rfft(samples, axis=1)[:, lines] * (2 / period)
         force = abs(np.einsum("cl,cl->l", weights, spectrum))
         rms = float(np.sqrt(np.sum(force**2) / 2))
@@ -94,4 +96,4 @@ def equalize(
         station.warn(
             f"the spring force is {rms:.3g} N rms instead of {level:g} N. Choose a level that the amplifier reaches."
         )
-    return played, force / played, playing
+    return played, force / played, present_wave

@@ -1,4 +1,4 @@
-"""Interface of a test to the bench: sample clock, drive inputs, channels in their units, a log."""
+"""Interface of a test to the bench (its station): sample clock, drive inputs, channels, marks and messages."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Excitation = Generator[Array, Array, None]
 
 @dataclass
 class Station:
-    """Access of a test to the bench: the scene, the channels, the drive inputs and the log."""
+    """Access of a test to the bench: scene, sample clock, channels, drive inputs, marks and messages."""
 
     scene: Scene
     channels: Sequence[ChannelInfo]  # in the order of the rows of the readings
@@ -34,9 +34,10 @@ class Station:
     rate: float  # samples per second
     # ``mark(kind, first, stop, **fields)`` marks the samples `first` to `stop` - 1 in the recording.
     mark: Callable[..., Any]
-    report: FractionProgress = lambda fraction, message: None  # the progress of the test
-    warn: Callable[[str], None] = lambda message: None  # a warning for the end of the test
-    latency: int = 0  # samples by which the readings precede the drive of the window (removed filter delay)
+    report: FractionProgress = lambda fraction, message: None  # reports the progress of the test
+    warn: Callable[[str], None] = lambda message: None  # adds a warning that is shown after the test
+    # Delay of the converter's filter, samples, which is removed: readings of a window precede its drive by this delay.
+    latency: int = 0
     now: int = 0  # number of the first sample of the next window
 
     def samples(self, seconds: float) -> int:
@@ -50,7 +51,7 @@ class Station:
 
     @property
     def level(self) -> float:
-        """Level of the test: its force, N, or its drive."""
+        """Level of the test: its force in N, or its drive in the shaker's unit (V, m or N)."""
         test = self.scene.test
         return getattr(test, "force", None) or getattr(test, "drive", None) or 0.0
 
@@ -60,7 +61,7 @@ class Station:
         return self.scene.driven_shaker is not None and self.scene.driven_shaker.kind == "force"
 
     @property
-    def controlled(self) -> bool:
+    def is_force_controlled(self) -> bool:
         """Whether the test prescribes a spring force, which is controlled from the channels."""
         return getattr(self.scene.test, "force", None) is not None and not self.force_is_drive
 
@@ -87,12 +88,12 @@ class Station:
         names = [at_shaker("shaker", number, len(self.scene.shakers)) for number in self.shakers]
         return np.asarray(sum(self.drive(wave, name) for name, wave in zip(names, waves, strict=True)))
 
-    def quiet(self, samples: int) -> Array:
+    def zero_drive(self, samples: int) -> Array:
         """Return a zero drive for a number of samples."""
         return np.zeros((len(self.inputs), samples))
 
-    def row(self, place: str) -> int:
-        """Return the first channel that measures motion at a place."""
+    def motion_row(self, place: str) -> int:
+        """Return the row of the first channel that measures motion at a place."""
         for row, info in enumerate(self.channels):
             if info.at == place and info.derivative is not None:
                 return row
@@ -106,17 +107,17 @@ class Station:
     def spring_rows(self) -> tuple[int, int]:
         """Rows of the channels at both ends of the coil spring: table, then body."""
         assert self.scene.driven_shaker is not None
-        return self.row(self.scene.at_driven("table")), self.row(f"body {self.scene.driven_shaker.body}")
+        return self.motion_row(self.scene.at_driven("table")), self.motion_row(f"body {self.scene.driven_shaker.body}")
 
     @property
-    def spring(self) -> float:
+    def spring_stiffness(self) -> float:
         """Stiffness of the coil spring, N/m."""
         shaker = self.scene.driven_shaker
         assert shaker is not None and shaker.spring is not None
         return shaker.spring
 
-    def displacement(self, row: int, frequency: Array | float) -> ComplexArray:
-        """Return the factor from a channel's complex amplitude to its displacement, per frequency in Hz."""
+    def displacement_factor(self, row: int, frequency: Array | float) -> ComplexArray:
+        """Return the factor from a channel's complex amplitude to its displacement in m, at frequencies in Hz."""
         info = self.channels[row]
         frequency = np.asarray(frequency, dtype=float)
         response = info.response(frequency) * (2j * np.pi * frequency) ** (info.derivative or 0)
@@ -126,8 +127,8 @@ class Station:
         """Return the weights of the channels' amplitudes in the spring force F1 = k0 (x0 - x1), N per unit."""
         frequency = np.asarray(frequency, dtype=float)
         weights = np.zeros((len(self.channels), *frequency.shape), dtype=complex)
-        for row, stiffness in zip(self.spring_rows, (self.spring, -self.spring), strict=True):
-            weights[row] = stiffness * self.displacement(row, frequency)
+        for row, stiffness in zip(self.spring_rows, (self.spring_stiffness, -self.spring_stiffness), strict=True):
+            weights[row] = stiffness * self.displacement_factor(row, frequency)
         return weights
 
     @property
@@ -140,12 +141,12 @@ class Station:
 
     @property
     def cautious_drive(self) -> float:
-        """Initial drive per newton of spring force, well below the required drive."""
+        """Initial drive per newton of spring force, well below the drive that the level requires."""
         shaker = self.scene.driven_shaker
         assert shaker is not None and shaker.kind != "force"
         if shaker.kind == "table":
-            return 0.2 / self.spring
-        per_input = shaker.coil.force_factor * shaker.amplifier.gain
+            return 0.2 / self.spring_stiffness
+        newtons_per_drive = shaker.coil.force_factor * shaker.amplifier.gain
         if shaker.amplifier.mode == "voltage":
-            per_input /= shaker.coil.resistance
-        return 0.2 / per_input
+            newtons_per_drive /= shaker.coil.resistance
+        return 0.2 / newtons_per_drive

@@ -1,4 +1,4 @@
-"""A sine source without jumps, and its steady state: amplitudes at the channels, and a controlled force amplitude."""
+"""Sine source, with amplitude estimates of the channels in the steady state, and control of the force amplitude."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from daq.excitation.station import Station
 from rig.arrays import Array, ComplexArray
 from rig.scene.excitation import FORCE_TOLERANCE
 
-# Length of a glide to a new frequency. It does not excite modes more than a few hertz away.
+# Duration of a glide to a new frequency. It does not excite modes more than a few hertz away.
 GLIDE_S = 0.4
-# Longest glide to a new amplitude.
+# Longest duration of a glide to a new amplitude.
 _MAX_GLIDE_S = 3.0
-# Shortest window of an amplitude.
+# Shortest window of an amplitude estimate.
 WINDOW_S = 0.1
 # Ratio of the force to the level above which the drive is reduced before the steady state, to protect the rig.
 _MAX_FORCE_RATIO = 3.0
@@ -27,7 +27,7 @@ _MAX_SUDDEN_CHANGE = 0.03
 # Largest change of the expected force over the last observations, relative to its deviation from the level, at which
 # the drive is changed.
 _MAX_FORECAST_CHANGE = 0.3
-# A longer window is driven and measured in pieces of at least this number of samples.
+# A measurement longer than twice this number of samples is evaluated in pieces of this size or more.
 _PIECE_SAMPLES = 1 << 16
 
 
@@ -71,17 +71,19 @@ class Tone:
 
 
 class SteadyTone(Tone):
-    """A tone of the driven shaker; its quantities are the spring force, if controlled, and the displacements."""
+    """A tone of the driven shaker. Its quantities are the spring force, if controlled, and the displacements."""
 
     def __init__(self, station: Station, frequency: float, controlled: bool) -> None:
         super().__init__(station.rate, frequency)
         self.station, self._controlled = station, controlled
         self.control: AmplitudeControl | None = None
-        self._rows = [row for row, info in enumerate(station.channels) if info.quantity not in ("force", "voltage")]
-        self._weights_at, self._weights = -1.0, np.zeros((0, len(station.channels)), dtype=complex)
+        self._motion_rows = [
+            row for row, info in enumerate(station.channels) if info.quantity not in ("force", "voltage")
+        ]
+        self._weights_frequency, self._weights = -1.0, np.zeros((0, len(station.channels)), dtype=complex)
 
     def start(self, level: float) -> float:
-        """Control the spring force at a level, N, if required; return a first drive amplitude."""
+        """Start the control of the spring force, if prescribed, at a level in N; return the first drive amplitude."""
         if not self._controlled:
             return level
         self.control = AmplitudeControl(level, self.station.drive_limit)
@@ -92,31 +94,31 @@ class SteadyTone(Tone):
         return self.station.drive(self.glide(self.station.samples(GLIDE_S), self.frequency, 0.0))
 
     def amplitudes(self, readings: Array, phase: float) -> ComplexArray:
-        """Return the amplitudes (quantities,) in a window of the tone, from its phase at the start."""
-        if self.frequency != self._weights_at:
-            self._weights_at, channels = self.frequency, len(self.station.channels)
+        """Return the complex amplitudes (quantities,) in a window that begins at a phase of the tone in rad."""
+        if self.frequency != self._weights_frequency:
+            self._weights_frequency, channels = self.frequency, len(self.station.channels)
             force = [self.station.force_weights(self.frequency)] if self._controlled else []
-            motions = np.zeros((len(self._rows), channels), dtype=complex)
-            for weights, row in zip(motions, self._rows, strict=True):
-                weights[row] = self.station.displacement(row, self.frequency)
+            motions = np.zeros((len(self._motion_rows), channels), dtype=complex)
+            for weights, row in zip(motions, self._motion_rows, strict=True):
+                weights[row] = self.station.displacement_factor(row, self.frequency)
             self._weights = np.array([*force, *motions]).reshape(-1, channels)
         latency_phase = 2.0 * np.pi * self.frequency * self.station.latency / self.rate
         return self._weights @ lock_in(readings, self.frequency, self.rate, phase - latency_phase)
 
     def observe(self, samples: int) -> Generator[Array, Array, ComplexArray]:
-        """Hold the tone for a window and return its amplitudes."""
+        """Hold the tone for a window; return the amplitudes (quantities,)."""
         phase = self.phase
         return self.amplitudes((yield self.station.drive(self.hold(samples))), phase)
 
     def mean(self, samples: int) -> Generator[Array, Array, ComplexArray]:
-        """Hold the tone and return its mean amplitudes, in pieces that limit the memory."""
+        """Hold the tone for a number of samples, in pieces that limit the memory; return the mean amplitudes."""
         piece_samples = whole_periods(self.frequency, self.rate, _PIECE_SAMPLES / self.rate)
         total: ComplexArray = np.zeros(0, dtype=complex)
         remaining = samples
         while remaining:
             size = piece_samples if remaining >= 2 * piece_samples else remaining
-            share = size / samples * (yield from self.observe(size))
-            total, remaining = (total + share if total.size else share), remaining - size
+            weighted = size / samples * (yield from self.observe(size))
+            total, remaining = (total + weighted if total.size else weighted), remaining - size
         return total
 
     def settle(
@@ -139,7 +141,7 @@ class SteadyTone(Tone):
                 glide_samples = window
                 if abs(np.log(new_drive / self.amplitude)) >= _MAX_SUDDEN_CHANGE:
                     # A glide of two beats hardly excites the mode whose transient beats with the drive.
-                    two_beats = round(window * 4 * np.pi / float(detector.beat()[0]))
+                    two_beats = round(window * 4 * np.pi / float(detector.phase_change()[0]))
                     glide_samples = max(window, min(station.samples(_MAX_GLIDE_S), two_beats))
                 detector.restart()
                 yield station.drive(self.glide(glide_samples, frequency, new_drive))
@@ -152,7 +154,7 @@ class SteadyTone(Tone):
     def settle_and_mark(
         self, frequency: float, drive: float, tolerance: float, max_wait_s: float, facts: dict[str, Any]
     ) -> Generator[Array, Array, bool]:
-        """Settle and mark the interval."""
+        """Settle as `settle`, and mark the interval in the recording; return whether the steady state was reached."""
         first = self.station.now
         settled = yield from self.settle(frequency, drive, tolerance, max_wait_s)
         self.station.mark("settle", first, self.station.now, drive=self.amplitude, settled=settled, **facts)
@@ -175,13 +177,13 @@ def _new_drive(control: AmplitudeControl, detector: Settling, drive: float) -> f
     force, standard_error = float(abs(detector.expected()[0])), float(detector.standard_error()[0])
     if detector.count < MIN_OBSERVATIONS + 1:
         is_excessive = detector.is_rising and abs(detector.latest[0]) > _MAX_FORCE_RATIO * control.level
-        return control.cut(drive, float(abs(detector.latest[0]))) if is_excessive else None
+        return control.reduce_drive(drive, float(abs(detector.latest[0]))) if is_excessive else None
     # The predicted force is usable long before the transient has decayed, as soon as the prediction is constant.
     max_change = _MAX_FORECAST_CHANGE * abs(force / control.level - 1.0)
     is_predictable = detector.settled or float(detector.forecast_change()[0]) < max_change
     if not is_predictable or control.is_at_level(force, standard_error):
         return None
-    new_drive = control.next(drive, force)
+    new_drive = control.next_drive(drive, force)
     # At the limit of the amplifier, the point is measured as not settled.
     return None if new_drive == drive else new_drive
 
@@ -203,22 +205,22 @@ _BRACKET_MARGIN = 0.1
 # Factor on the longest step where the slope is below its range.
 _FLAT_STEP_FACTOR = 0.5
 # If the force is still too large after a drive reduction to this fraction, the drive is not the cause.
-_MIN_CUT_RATIO = 1e-4
+_MIN_REDUCTION_RATIO = 1e-4
 # Forces are not smaller than this fraction of the level, so that their logarithms are finite.
 _MIN_FORCE_RATIO = 1e-9
 
 
 class AmplitudeControl:
-    """Secant method in log(drive) and log(force) for a force amplitude in N, with steps limited by a bracket.
+    """Control of a force amplitude in N: secant method in log(drive) and log(force), with a bracket.
 
-    `longest_step` is the largest ratio of successive drives.
+    `level`: required force, N; `limit`: largest drive; `longest_step`: largest ratio of successive drives.
 
     >>> control, drive = AmplitudeControl(2.6), 0.1
     >>> for step in range(12):
     ...     force = 3 * drive**1.5
     ...     if control.is_at_level(force):
     ...         break
-    ...     drive = control.next(drive, force)
+    ...     drive = control.next_drive(drive, force)
     >>> step, abs(force / 2.6 - 1) < 0.005
     (3, True)
     """
@@ -233,20 +235,20 @@ class AmplitudeControl:
         """Discard all observations: the frequency has changed."""
         self._previous: tuple[float, float] | None = None  # log(drive), log(level / force)
         self._low, self._high = -math.inf, math.inf
-        self._first_cut = 0.0
+        self._largest_reduced_drive = 0.0
 
     def is_at_level(self, force: float, standard_error: float = 0.0) -> bool:
         """Return whether a force amplitude with a relative standard error `standard_error` is at the level."""
         return abs(force / self.level - 1.0) <= min(max(FORCE_TOLERANCE, 2.0 * standard_error), _MAX_TOLERANCE)
 
-    def cut(self, drive: float, force: float) -> float | None:
-        """Return an immediately reduced drive; None if a much smaller drive did not reduce the force."""
-        self._first_cut = max(self._first_cut, drive)
-        if drive < _MIN_CUT_RATIO * self._first_cut:
+    def reduce_drive(self, drive: float, force: float) -> float | None:
+        """Return a smaller drive for an excessive force in N; None if a much smaller drive did not reduce the force."""
+        self._largest_reduced_drive = max(self._largest_reduced_drive, drive)
+        if drive < _MIN_REDUCTION_RATIO * self._largest_reduced_drive:
             return None
         return drive * max(math.exp(-self._max_step), min(1.0, self.level / force))
 
-    def next(self, drive: float, force: float) -> float:
+    def next_drive(self, drive: float, force: float) -> float:
         """Compute the next drive amplitude, at most `limit`, from the present drive and its steady force in N."""
         log_drive, error = math.log(drive), math.log(self.level / max(force, _MIN_FORCE_RATIO * self.level))
         slope = 1.0

@@ -1,4 +1,4 @@
-"""Stepped sine: at each frequency wait for the steady state, measure whole periods, and glide to the next."""
+"""Stepped sine test: at each frequency, wait for the steady state and measure whole periods, then glide to the next."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from daq.excitation.steady_tone import SteadyTone
 if TYPE_CHECKING:
     from rig.scene.excitation import SteppedSine
 
-# Largest change, as log ratio, for which an extrapolated drive is used.
+# Largest change of the drive, as log ratio, that is extrapolated.
 _MAX_LOG_CHANGE = 0.2
-# Largest number of listed frequencies.
+# Maximum number of frequencies that a warning lists.
 _MAX_LISTED = 8
 
 
 def excite(station: Station, test: SteppedSine) -> Excitation:
     """Run a stepped sine."""
-    tone, steps = SteadyTone(station, test.order[0], station.controlled), list(test.order)
-    n_up = len(steps) // 2 if test.direction == "both" else len(steps)
-    total, n_completed = len(test.levels) * len(steps), 0
+    tone, steps = SteadyTone(station, test.order[0], station.is_force_controlled), list(test.order)
+    up_steps = len(steps) // 2 if test.direction == "both" else len(steps)
+    total, completed = len(test.levels) * len(steps), 0
     unsettled: list[str] = []
     for level in test.levels:
         drive = tone.start(level)
-        reached: list[tuple[float, float]] = []
+        last_drives: list[tuple[float, float]] = []  # frequency in Hz and drive amplitude
         tone.frequency = steps[0]
         # The unit of the drive depends on the shaker.
-        at_level = f"{level:g} N" if station.controlled else f"level {level:g}"
+        at_level = f"{level:g} N" if station.is_force_controlled else f"level {level:g}"
         for index, frequency in enumerate(steps):
-            direction = "down" if test.direction == "down" or index >= n_up else "up"
-            station.report(n_completed / total, f"{frequency:.2f} Hz {direction}, {at_level}")
-            if station.controlled and reached:
-                drive = min(extrapolated(reached, frequency), station.drive_limit)
+            direction = "down" if test.direction == "down" or index >= up_steps else "up"
+            station.report(completed / total, f"{frequency:.2f} Hz {direction}, {at_level}")
+            if station.is_force_controlled and last_drives:
+                drive = min(extrapolate_drive(last_drives, frequency), station.drive_limit)
             facts = {"frequency": frequency, "level": level, "direction": direction}
             settled = yield from tone.settle_and_mark(
                 frequency, drive, test.settle.tolerance, test.settle.longest, facts
@@ -44,8 +44,8 @@ def excite(station: Station, test: SteppedSine) -> Excitation:
             if not settled:
                 unsettled.append(f"{frequency:.4g} Hz {direction} at {at_level}")
             drive = tone.amplitude
-            reached = [*reached[-2:], (frequency, drive)]
-            n_completed += 1
+            last_drives = [*last_drives[-2:], (frequency, drive)]
+            completed += 1
         yield tone.end()
     if unsettled:
         listed = ", ".join(unsettled[:_MAX_LISTED]) + (", ..." if len(unsettled) > _MAX_LISTED else "")
@@ -56,19 +56,20 @@ def excite(station: Station, test: SteppedSine) -> Excitation:
     station.report(1.0, "done")
 
 
-def extrapolated(reached: Sequence[tuple[float, float]], frequency: float) -> float:
-    """Extrapolate the drive by the parabola through the logarithms of the last (frequency, drive).
+def extrapolate_drive(last_drives: Sequence[tuple[float, float]], frequency: float) -> float:
+    """Extrapolate the drive to a frequency in Hz by a parabola through the logarithms of the last three drives.
 
-    Return the last drive if the curvature is too large.
+    `last_drives`: pairs of frequency and drive. Returns the last drive if the extrapolated change is large.
 
-    >>> round(extrapolated([(10.0, 1.0), (11.0, 1.1), (12.0, 1.2)], 13.0), 3)
+    >>> round(extrapolate_drive([(10.0, 1.0), (11.0, 1.1), (12.0, 1.2)], 13.0), 3)
     1.298
-    >>> extrapolated([(12.0, 1.0), (13.0, 2.0), (14.0, 40.0)], 15.0)
+    >>> extrapolate_drive([(12.0, 1.0), (13.0, 2.0), (14.0, 40.0)], 15.0)
     40.0
     """
-    frequencies, drives = np.array([point[0] for point in reached]), np.log([point[1] for point in reached])
-    if len(reached) < 3 or len(set(frequencies)) < 3:
+    frequencies, drives = np.array([point[0] for point in last_drives]), np.log([point[1] for point in last_drives])
+    if len(last_drives) < 3 or len(set(frequencies)) < 3:
         return float(np.exp(drives[-1]))
+    # Weights of Lagrange interpolation.
     weights = [
         np.prod([(frequency - other) / (node - other) for other in frequencies if other != node])
         for node in frequencies

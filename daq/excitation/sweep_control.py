@@ -1,4 +1,4 @@
-"""Control of a swept tone: a constant force amplitude during transient response."""
+"""Control of the drive of a swept tone, so that the force amplitude is constant despite the transient response."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ from math import ceil
 
 import numpy as np
 
-from daq.excitation.nearest_mode import NearestMode, integral
+from daq.excitation.nearest_mode import NearestMode, mean_exponential
 from daq.excitation.pretest import ShakerLaw
 from rig.arrays import Array, ComplexArray
 
 # Minimum length of an observation, periods. Shorter observations amplify the noise.
 _MIN_PERIODS = 2.0
-# Minimum length of an observation, samples, for six terms.
+# Minimum length of an observation, samples: the number of fitted terms.
 _MIN_SAMPLES = 6
 # Minimum length of an observation, periods of the beat between the tone and the Nyquist frequency.
 _MIN_BEATS = 1.5
-# Memory of the estimated mode: this factor times 1 / sqrt(sweep rate), the time in which a sweep passes a lightly
+# The memory of the mode estimate is this factor times 1 / sqrt(sweep rate), the time in which a sweep passes a lightly
 # damped mode.
 _MEMORY_FACTOR = 0.5
 # Shortest memory, periods.
 _MIN_MEMORY_PERIODS = 6.0
-# Longest memory, periods: more do not improve a slow sweep, and the motion with dampers may change.
+# Longest memory, periods. A longer memory does not improve a slow sweep, and the motion with dampers may change.
 _MAX_MEMORY_PERIODS = 20.0
-# Number of integration steps that compensate the delay of an observation (half its length).
-_N_STEPS = 6
-# Largest change of the drive between windows, relative to the largest of the last `_N_DRIVES` amplitudes.
+# Number of integration steps from the middle of an observation to its end, which compensate its delay.
+_STEPS = 6
+# Largest change of the drive between windows, relative to the largest of the stored amplitudes.
 _MAX_CHANGE_RATIO = 0.5
-# Number of the last drives that are stored.
-_N_DRIVES = 12
+# Number of the last drive amplitudes that are stored.
+_STORED_DRIVES = 12
 # Ratio of the force to the level above which the drive is not increased.
 _MAX_FORCE_RATIO = 1.5
 # Hann window over an observation, at instants from -1/2 to 1/2 of its length.
@@ -45,7 +45,7 @@ class Observation:
 
     end: float  # time of the end, s
     frequency: float  # of the tone in the middle, Hz
-    rate: float  # of change of the frequency, Hz/s
+    rate: float  # sweep rate, Hz/s
     length: float  # duration, s
     motion: complex  # amplitude of the body's displacement, m
     force: complex  # amplitude of the spring force, N
@@ -65,22 +65,23 @@ class SweepControl:
 
     Feedback alone cannot control a force that is measured as an amplitude over some periods: a mode with damping
     ratio zeta settles in 1 / (zeta w), and a sweep passes it in a shorter time. The drive is therefore
-    feedforward: for force F and motion X the shaker requires D = a F + b X (`ShakerLaw`), in a transient D = a F
-    + a' dF/dt + b X + b' dX/dt with derivatives by s. The mode nearest to the tone (`NearestMode`) predicts X;
-    the delay of the observations is compensated by a simulation with the drive played since then.
+    feedforward. For force F and motion X the shaker requires D = a F + b X (`ShakerLaw`), in a transient D = a F
+    + a' dF/dt + b X + b' dX/dt, where a' and b' are the derivatives with respect to s. The mode nearest to the tone
+    (`NearestMode`) predicts X. The delay of the observations is compensated by a simulation with the drive that was
+    output since then.
     """
 
     def __init__(self, law: ShakerLaw, level: float, limit: float, drive: complex) -> None:
         self._law, self._level, self._limit = law, level, limit
         self._mode = NearestMode()
         self._target_force: complex | None = None
-        self._played: deque[tuple[float, complex]] = deque([(0.0, drive)], maxlen=_N_DRIVES)
+        self._played: deque[tuple[float, complex]] = deque([(0.0, drive)], maxlen=_STORED_DRIVES)
 
     def played(self, time: float, drive: complex) -> None:
         """Add the amplitude of the drive at a time in s; it is linear since the previous amplitude."""
         self._played.append((time, drive))
 
-    def next(self, observation: Observation, window: float) -> complex:
+    def next_drive(self, observation: Observation, window: float) -> complex:
         """Compute the drive amplitude at the end of a window, s, which begins at the end of the observation."""
         if not observation.force:
             # Readings within one converter count do not determine the drive.
@@ -112,12 +113,12 @@ class SweepControl:
             1 / spread - 1
         ) / decay
         times, drives = (np.array(row) for row in zip(*self._played, strict=True))
-        step = observation.length / 2 / _N_STEPS
-        for time in observation.middle + step * np.arange(1, _N_STEPS + 1):
+        step = observation.length / 2 / _STEPS
+        for time in observation.middle + step * np.arange(1, _STEPS + 1):
             drive = complex(np.interp(time, times, drives))
             frequency_offset = 1j * observation.angular_frequency(time - step / 2) - center
             decay = mode.pole - center - frequency_offset
-            decayed, forced_gain = exp(decay * step), mode.gain * step * integral(decay * step)
+            decayed, forced_gain = exp(decay * step), mode.gain * step * mean_exponential(decay * step)
             free_envelope = decayed * envelope + forced_gain * force
             # X = c F + x, by backward Euler for the force, which may change fast within a step.
             motion_coefficient = per_motion + frequency_offset * motion_slope
@@ -140,7 +141,7 @@ class SweepControl:
         assert self._target_force is not None
         mode, target_force = self._mode, self._target_force
         decay = mode.pole - 1j * observation.angular_frequency(observation.end + window / 2)
-        forced_gain = mode.gain * window * integral(decay * window)
+        forced_gain = mode.gain * window * mean_exponential(decay * window)
         envelope = exp(decay * window) * envelope + forced_gain * (force + target_force) / 2
         end = 1j * observation.angular_frequency(observation.end + window)
         (per_force, per_motion), (_, motion_slope) = self._law.at(end), self._law.slope(end)
@@ -180,7 +181,7 @@ def estimate_amplitudes(samples: Array, phase: Array, rate: float) -> tuple[Comp
     cosine, sine = np.cos(phase), -np.sin(phase)
     model = np.column_stack([cosine, sine, time * cosine, time * sine, np.ones(phase.size), position - 0.5])
     weighted = model * (1 - np.cos(2 * np.pi * position))[:, None]
-    # Constant readings are then exactly zero.
+    # After this subtraction, constant readings are exactly zero.
     changes = samples - samples[:, :1]
     fit = np.linalg.solve(weighted.T @ model, weighted.T @ changes.T)
     return fit[0] + 1j * fit[1], fit[2] + 1j * fit[3]

@@ -1,4 +1,4 @@
-"""Swept sine: a tone with a continuously changing frequency and a force controlled from the channels.
+"""Swept sine test: a tone with a continuously changing frequency and a force controlled from the channels.
 
 In sweeps from 10 to 55 Hz (one body: to 40 Hz) in 60 to 300 s, up or down, the force stays within 5 % of its level
 through modes with damping ratios of 0.5 to 2 %, and within 10 % for a table without damping. With dampers it stays
@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 _WINDOW_PERIODS = 0.5
 # Shortest update interval, samples.
 _MIN_WINDOW_SAMPLES = 4
-# Length of the windows without control.
+# Length of the windows in open loop.
 _WINDOW_S = 0.1
 # Relative tolerance of the steady state at the first frequency, before the sweep.
 _TOLERANCE = 0.01
-# Longest wait for this steady state.
+# Maximum wait for this steady state.
 _MAX_WAIT_S = 60.0
 # Permitted relative deviation of the force from its level.
-ALLOWED = 0.1
+ALLOWED_DEVIATION = 0.1
 # Intervals with a shorter gap are merged, s.
 _MIN_GAP_S = 0.5
 # Remedy if the channels do not measure the force.
@@ -45,9 +45,9 @@ _SENSITIVITY_HINT = "Take more sensitive sensors, a smaller converter: range, or
 
 def excite(station: Station, test: SweptSine) -> Excitation:
     """Run a swept sine; with a controlled spring force after a pretest, and once the force is at its level."""
-    tone = SteadyTone(station, test.from_, station.controlled)
+    tone = SteadyTone(station, test.from_, station.is_force_controlled)
     level, law = station.level, None
-    if station.controlled:
+    if station.is_force_controlled:
         station.report(0.0, "measuring the shaker")
         law = yield from pretest(station, min(test.from_, test.to), max(test.from_, test.to), level)
     station.report(0.0, f"settling at {test.from_:.2f} Hz")
@@ -57,13 +57,13 @@ def excite(station: Station, test: SweptSine) -> Excitation:
 
     first, start = station.now, tone.phase
     amplitude, extremes = -1j * tone.amplitude, {}
-    # The motion has coefficients if the channel of the table measured the pretest.
+    # All motion coefficients are zero if the channel of the table measured nothing in the pretest.
     if law is not None and law.motion.any():
-        watch = LevelWatch(station, level)
+        monitor = LevelMonitor(station, level)
         sweep = SweepControl(law, level, station.drive_limit, amplitude)
-        amplitude = yield from _sweep_controlled(station, test, start, amplitude, sweep, watch)
-        watch.close(station.now - first)
-        extremes = {"lowest": watch.lowest, "highest": watch.highest}
+        amplitude = yield from _sweep_controlled(station, test, start, amplitude, sweep, monitor)
+        monitor.close(station.now - first)
+        extremes = {"lowest": monitor.lowest, "highest": monitor.highest}
     else:
         if law is not None:
             station.warn(
@@ -87,20 +87,20 @@ def excite(station: Station, test: SweptSine) -> Excitation:
 
 
 def _sweep_controlled(
-    station: Station, test: SweptSine, start: float, amplitude: complex, control: SweepControl, watch: LevelWatch
+    station: Station, test: SweptSine, start: float, amplitude: complex, control: SweepControl, monitor: LevelMonitor
 ) -> Generator[Array, Array, complex]:
     """Sweep with a constant force amplitude; return the final amplitude of the drive."""
     total, played, rate = station.samples(test.duration), 0, station.rate
     rows = list(station.spring_rows)
     recent, phases = np.zeros((2, 0)), np.zeros(0)
-    goal = amplitude
+    next_amplitude = amplitude
     while played < total:
         frequency = sweep_frequency(test, played / total)
         size = min(total - played, max(_MIN_WINDOW_SAMPLES, round(_WINDOW_PERIODS * rate / frequency)))
         phase = _phase(test, start, played, size, total)
-        envelope = amplitude + (goal - amplitude) * np.arange(size) / size
+        envelope = amplitude + (next_amplitude - amplitude) * np.arange(size) / size
         readings = yield station.drive(np.real(envelope * np.exp(1j * phase)))
-        played, amplitude = played + size, goal
+        played, amplitude = played + size, next_amplitude
         control.played(played / rate, amplitude)
         length = observation_samples(frequency, rate)
         recent = np.concatenate([recent, readings[rows]], axis=1)[:, -length:]
@@ -109,61 +109,63 @@ def _sweep_controlled(
             continue
         middle = sweep_frequency(test, (played - length / 2) / total)
         table, body = _displacements(station, rows, middle, *estimate_amplitudes(recent, phases, rate))
-        force = station.spring * (table - body)
-        watch.add(station.now - length, station.now, middle, abs(force))
+        force = station.spring_stiffness * (table - body)
+        monitor.add(station.now - length, station.now, middle, abs(force))
         sweep_rate = (sweep_frequency(test, played / total) - middle) / (length / 2 / rate)
-        goal = control.next(Observation(played / rate, middle, sweep_rate, length / rate, body, force), size / rate)
+        observation = Observation(played / rate, middle, sweep_rate, length / rate, body, force)
+        next_amplitude = control.next_drive(observation, size / rate)
         station.report(played / total, f"{middle:.2f} Hz")
     return amplitude
 
 
-class LevelWatch:
+class LevelMonitor:
     """Marks intervals in which the force deviates by more than 10 % from its level in N as ``level``."""
 
     def __init__(self, station: Station, level: float) -> None:
         self._station, self._level = station, level
         self.lowest = self.highest = 1.0
-        self._open: tuple[int, int, float, float] | None = None
-        self._worst = (1.0, 0.0)
+        # Present interval: first sample, stop, largest deviation as force / level, and its frequency in Hz.
+        self._interval: tuple[int, int, float, float] | None = None
+        self._worst = (1.0, 0.0)  # force / level and frequency of the largest deviation of all intervals
         self._samples = self._intervals = 0
 
     def add(self, first: int, stop: int, frequency: float, force: float) -> None:
         """Add the force amplitude in N of the samples first to stop - 1, at a frequency in Hz."""
         ratio = force / self._level
         self.lowest, self.highest = min(self.lowest, ratio), max(self.highest, ratio)
-        if self._open is not None and first - self._open[1] >= self._station.samples(_MIN_GAP_S):
-            self._note()
-        if abs(ratio - 1.0) <= ALLOWED:
+        if self._interval is not None and first - self._interval[1] >= self._station.samples(_MIN_GAP_S):
+            self._end_interval()
+        if abs(ratio - 1.0) <= ALLOWED_DEVIATION:
             return
-        begin, _, worst, at = self._open or (first, stop, 1.0, frequency)
+        begin, _, worst, at = self._interval or (first, stop, 1.0, frequency)
         if abs(ratio - 1.0) > abs(worst - 1.0):
             worst, at = ratio, frequency
-        self._open = begin, stop, worst, at
+        self._interval = begin, stop, worst, at
 
     def close(self, samples: int) -> None:
         """Mark an open interval, and warn if the force of the sweep deviated from its level."""
-        if self._open is not None:
-            self._note()
+        if self._interval is not None:
+            self._end_interval()
         if self._intervals:
             worst, at = self._worst
             advice = "Sweep more slowly, or step."
             if self.lowest == 0.0:
                 advice = f"In places the force is less than one count of the converter. {_SENSITIVITY_HINT}"
             self._station.warn(
-                f"the spring force deviates from its level of {self._level:g} N by more than {ALLOWED:.0%} in "
-                f"{self._intervals} stretch{'es' if self._intervals > 1 else ''}, {self._samples / samples:.1%} of "
+                f"the spring force deviates from its level of {self._level:g} N by more than {ALLOWED_DEVIATION:.0%} "
+                f"in {self._intervals} stretch{'es' if self._intervals > 1 else ''}, {self._samples / samples:.1%} of "
                 f"the sweep (marked as level; {worst:.3g} times the level at {at:.2f} Hz). {advice}"
             )
 
-    def _note(self) -> None:
-        assert self._open is not None
-        first, stop, worst, at = self._open
+    def _end_interval(self) -> None:
+        assert self._interval is not None
+        first, stop, worst, at = self._interval
         self._station.mark("level", first, stop, worst=worst, frequency=at, level=self._level)
         self._samples += stop - first
         self._intervals += 1
         if abs(worst - 1.0) > abs(self._worst[0] - 1.0):
             self._worst = worst, at
-        self._open = None
+        self._interval = None
 
 
 def _displacements(
@@ -173,7 +175,7 @@ def _displacements(
     step = 1e-3 * frequency
     displacements = []
     for row, amplitude, slope in zip(rows, amplitudes, slopes, strict=True):
-        lower, center, upper = station.displacement(row, frequency + step * np.array([-1.0, 0.0, 1.0]))
+        lower, center, upper = station.displacement_factor(row, frequency + step * np.array([-1.0, 0.0, 1.0]))
         # For an acceleration of changing amplitude, the conversion to displacement differs from the steady state.
         displacements.append(complex(center * amplitude + (upper - lower) / (4j * np.pi * step) * slope))
     return displacements

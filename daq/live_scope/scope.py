@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.excitation.manual_tone import HandTone, Knobs, ToneReading
+from daq.excitation.manual_tone import Knobs, ManualTone, ToneReading
 from daq.live_scope.screen import Screen, sentence
 from daq.measurement.run import MeasurementRun
 from daq.recording.recorded_test import TestKind
@@ -96,7 +96,7 @@ def record_live(
     rate = float(scene.converter.sample_rate)
     block = max(1, round(_BLOCK_S * rate))
     run = MeasurementRun(
-        scene, path, block, excite=HandTone(knobs, read).excite, listener=listener, kind=TestKind.TONES
+        scene, path, block, excite=ManualTone(knobs, read).excite, listener=listener, kind=TestKind.TONES
     )
     screen = Screen(stream, scene, run.bench.channels, run.bench.rate)
     return run.run(overwrite)

@@ -97,14 +97,14 @@ class Chain:
         overload = np.zeros(volts.shape, dtype=bool)
         for row, (interpolator, path) in enumerate(zip(self._interpolators, self._paths, strict=True)):
             if isinstance(interpolator, MotionInterpolator):
-                cubics = interpolator.cut(motion)
+                cubics = interpolator.interpolate(motion)
             else:
                 # The force or voltage at a channel is a factor times an input; zero of a hammer that is not used.
                 name, factor = self._sources[row]
                 external = np.zeros(count)
                 if forces is not None and name in self._inputs:
                     external = np.ascontiguousarray(factor * forces[self._inputs.index(name)], dtype=float)
-                cubics = interpolator.cut(external)
+                cubics = interpolator.interpolate(external)
             volts[row], overload[row] = path.measure(cubics, jitter)
         self.overload = overload[:, max(self.latency - first, 0) :]
         return volts[:, max(self.latency - first, 0) :]

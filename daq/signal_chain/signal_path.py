@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from daq.dsp.block_buffers import BlockBuffers
 from daq.dsp.circuit import INTEGRATION, RECOVERY, Circuit
-from daq.dsp.discretization import Entry, Tables, discretize
+from daq.dsp.discretization import DiscreteCircuit, Entry, discretize
 from daq.dsp.disturbances import Disturbance, Disturbances, Offset
 from daq.dsp.interpolation import CubicInput
-from daq.dsp.limiting import limits_of
+from daq.dsp.limiting import tabulate_limits
 from daq.dsp.noise import FastNoise, Noise, generator
-from daq.dsp.propagation import propagate, scratch_for
+from daq.dsp.propagation import circuit_workspace, propagate
 from daq.dsp.skew import Delay
 from daq.signal_chain.decimation_filter import DELAY, Decimation
 from daq.signal_chain.sampling import AverageSampler, FilteredSampler, Jitter, PointSampler, Sampler
@@ -63,7 +63,7 @@ class SignalPath:
         self.noise_states = sum(source.states for source in sources if isinstance(source, Noise))
         direct = np.array([0.0 if filtered else circuit.d[entry.section] for entry in entries])
         self._disturbances = Disturbances(sources, direct, [entry.degree for entry in entries], oversampling)
-        self._tables = _tables(circuit, gain, rate, self._sampler.moments, entries)
+        self._discrete = _discretized(circuit, gain, rate, self._sampler.moments, entries)
         # Largest voltage of each state.
         rails: list[float] = []
         for stage in stages:
@@ -71,10 +71,10 @@ class SignalPath:
             for section in stage.sections:
                 rails += [limit if section.name == INTEGRATION else np.inf] * section.states
         limited_section = len(sensor.sections)
-        self._limits = limits_of(
-            sections, limited_section, sensor.limit, np.array(rails), gain, rate, entries, self._tables
+        self._limits = tabulate_limits(
+            sections, limited_section, sensor.limit, np.array(rails), gain, rate, entries, self._discrete
         )
-        self._state, self._scratch = np.zeros(circuit.c.size), scratch_for(self._tables)
+        self._state, self._workspace = np.zeros(circuit.c.size), circuit_workspace(self._discrete)
         self._overloads = Overloads(stages, rate, self._sampler.intervals)
         self._rows, self._rows_input = self._sampler.rows, self._sampler.rows_input
 
@@ -99,15 +99,15 @@ class SignalPath:
         """
         if self._delay is not None:
             cubics = self._delay.shift(cubics)
-        intervals = cubics.smooth.shape[1]
+        intervals = cubics.whole.shape[1]
         ends = slice(-self._interval % self._oversampling, intervals, self._oversampling)
         self._interval += intervals
         disturbances = self._disturbances.draw(intervals)
         points = np.empty((self._rows_input.size, intervals))
         propagate(
-            cubics, self._tables, self._limits, self._state, disturbances, self._rows, self._rows_input,
+            cubics, self._discrete, self._limits, self._state, disturbances, self._rows, self._rows_input,
             self._rows_excess, points, self._sampler.moments_buffer(intervals),
-            self._overloads.severity_buffer(intervals), self._scratch,
+            self._overloads.severity_buffer(intervals), self._workspace,
         )  # fmt: skip
         volts = self._sampler.read(points, ends)
         self._disturbances.add_direct(disturbances[:, ends], volts)
@@ -153,18 +153,18 @@ class Overloads:
         return (valid_from[1:] > np.arange(severity.size))[ends]
 
 
-# Tables by the content of the circuit: channels with equal data sheets, and further benches of a scene, share them.
-_CACHE: dict[tuple[object, ...], Tables] = {}
-# Number of tables at which the cache is emptied.
-_MAX_TABLES = 64
+# Matrices by the content of the circuit: channels with equal data sheets, and further benches of a scene, share them.
+_CACHE: dict[tuple[object, ...], DiscreteCircuit] = {}
+# Number of circuits at which the cache is emptied.
+_MAX_CIRCUITS = 64
 
 
-def _tables(circuit: Circuit, gain: float, rate: float, moments: int, entries: Sequence[Entry]) -> Tables:
-    """Discretize a circuit, or return the tables of an equal circuit."""
+def _discretized(circuit: Circuit, gain: float, rate: float, moments: int, entries: Sequence[Entry]) -> DiscreteCircuit:
+    """Discretize a circuit, or return the matrices of an equal circuit."""
     matrices = (np.asarray(matrix).tobytes() for matrix in (circuit.a, circuit.b, circuit.c, circuit.d))
     key = (*matrices, np.asarray(circuit.sections).tobytes(), gain, rate, moments, tuple(entries))
     if key not in _CACHE:
-        if len(_CACHE) >= _MAX_TABLES:
+        if len(_CACHE) >= _MAX_CIRCUITS:
             _CACHE.clear()
         _CACHE[key] = discretize(circuit, gain, rate, moments, entries)
     return _CACHE[key]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.dsp.interpolation import STRAIGHT
+from daq.dsp.interpolation import MIN_CUBIC_SHARE
 from rig.arrays import Array
 from rig.simulation.motion import Motion
 
@@ -116,7 +116,7 @@ def _between_ticks(
     start, end, speed = a_after[:, left], a_before[:, right], v_after[:, left]
     mean = (v_before[:, right] - speed) / length
     moment = ((displacement[:, right] - displacement[:, left]) / length - speed) / length
-    moment = np.where(length < STRAIGHT * tick, (start - end) / 12.0 + 0.5 * mean, moment)
+    moment = np.where(length < MIN_CUBIC_SHARE * tick, (start - end) / 12.0 + 0.5 * mean, moment)
     c1 = -9.0 * start + 3.0 * end - 24.0 * mean + 60.0 * moment
     c2 = 18.0 * start - 12.0 * end + 84.0 * mean - 180.0 * moment
     c3 = -10.0 * start + 10.0 * end - 60.0 * mean + 120.0 * moment

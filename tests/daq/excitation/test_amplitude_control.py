@@ -19,7 +19,7 @@ def control_drive(force: Callable[[float], float], drive: float, max_drives: int
     control = AmplitudeControl(LEVEL)
     drives = [drive]
     while len(drives) < max_drives and not control.is_at_level(force(drives[-1])):
-        drives.append(control.next(drives[-1], force(drives[-1])))
+        drives.append(control.next_drive(drives[-1], force(drives[-1])))
     return drives
 
 
@@ -54,15 +54,15 @@ def test_drive_is_stable_at_jump_over_level() -> None:
 
 def test_amplifier_limit_is_respected() -> None:
     control = AmplitudeControl(LEVEL, limit=1.2)
-    assert control.next(1.0, 0.5) == 1.2
-    assert control.next(1.2, 0.6) == 1.2
+    assert control.next_drive(1.0, 0.5) == 1.2
+    assert control.next_drive(1.2, 0.6) == 1.2
 
 
 def test_excessive_force_cuts_drive() -> None:
     control = AmplitudeControl(LEVEL)
-    assert control.cut(9.0, 100.0) == pytest.approx(3.0)
-    assert control.cut(9.0, 2 * LEVEL) == pytest.approx(4.5)
-    assert control.next(1.0, LEVEL / 2) == pytest.approx(2.0)
+    assert control.reduce_drive(9.0, 100.0) == pytest.approx(3.0)
+    assert control.reduce_drive(9.0, 2 * LEVEL) == pytest.approx(4.5)
+    assert control.next_drive(1.0, LEVEL / 2) == pytest.approx(2.0)
 
 
 def test_tolerance_of_level_includes_standard_error() -> None:
@@ -75,7 +75,7 @@ def test_tolerance_of_level_includes_standard_error() -> None:
 def test_unrelated_force_ends_control():
     control, drive = AmplitudeControl(LEVEL), 1.0
     for _ in range(1000):
-        reduced_drive = control.cut(drive, 100 * LEVEL)
+        reduced_drive = control.reduce_drive(drive, 100 * LEVEL)
         if reduced_drive is None:
             break
         assert 0.0 < reduced_drive < drive

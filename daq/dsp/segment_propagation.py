@@ -1,0 +1,98 @@
+"""Propagation of a circuit over an interval with breaks, segment by segment.
+
+A segment is the share of a sample interval between two breaks (`daq.dsp.interpolation`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from daq.dsp.discretization import CUBIC_DERIVATIVES, SUBDIVISIONS, DiscreteCircuit
+from daq.dsp.interpolation import IMPULSE, LENGTH, CubicInput
+from rig.arrays import Array
+from rig.numerics.jit import unfused_kernel
+from rig.numerics.simd import aligned_zeros, copy, multiply
+
+
+class SegmentWorkspace(NamedTuple):
+    """Working arrays of a propagation over segments of an interval; shape (size,) if not stated."""
+
+    vector: Array  # the propagated vector (`daq.dsp.discretization`)
+    term: Array
+    work: Array
+    zeros: Array
+    steady: Array  # contribution of constant disturbances over a step
+    segment: Array  # a row of `CubicInput.segments`; (6,)
+
+
+def segment_workspace(size: int) -> SegmentWorkspace:
+    """Return working arrays for vectors of length `size`."""
+    vector, term, work, zeros, steady = (aligned_zeros(size) for _ in range(5))
+    return SegmentWorkspace(vector, term, work, zeros, steady, aligned_zeros(6))
+
+
+@unfused_kernel
+def propagate_segments(
+    cubics: CubicInput, segment: int, discrete: DiscreteCircuit, state: Array, workspace: SegmentWorkspace
+) -> int:
+    """Propagate the workspace's vector over all segments of an interval, from its first; return the next segment."""
+    vector, work = workspace.vector, workspace.work
+    interval = cubics.segment_interval[segment]
+    vector[:] = 0.0
+    for j in range(discrete.states):
+        vector[j] = state[j]
+    while segment < cubics.segment_interval.size and cubics.segment_interval[segment] == interval:
+        share = cubics.segments[segment, LENGTH]
+        if share > 0.0:
+            load_segment(discrete, cubics.segments[segment], vector)
+            propagate_share(discrete, share, workspace)
+        for r in range(discrete.width):
+            vector[r] += discrete.impulse_response[r] * cubics.segments[segment, IMPULSE]
+        segment += 1
+    convert_integrals(discrete, vector, work)
+    return segment
+
+
+@unfused_kernel
+def load_segment(discrete: DiscreteCircuit, segment: Array, vector: Array) -> None:
+    """Write the derivatives of a segment's cubic at its start into the vector."""
+    share, scale = segment[LENGTH], 1.0
+    for k in range(4):
+        total = 0.0
+        for j in range(4):
+            total += CUBIC_DERIVATIVES[k, j] * segment[j]
+        vector[discrete.width + k] = total * scale
+        scale /= share
+
+
+@unfused_kernel
+def convert_integrals(discrete: DiscreteCircuit, vector: Array, work: Array) -> None:
+    """Convert the repeated integrals in the vector to moments."""
+    states, width = discrete.states, discrete.width
+    for r in range(states, width):
+        work[r] = vector[r]
+        vector[r] = 0.0
+    for k in range(width - states):
+        for r in range(width - states):
+            vector[states + r] += discrete.integrals_to_moments[k, r] * work[states + k]
+
+
+@unfused_kernel
+def propagate_share(discrete: DiscreteCircuit, share: float, workspace: SegmentWorkspace) -> None:
+    """Propagate the vector over `share` of an interval: multiply it by the exponential of the generator."""
+    vector, term, work, zeros = workspace.vector, workspace.term, workspace.work, workspace.zeros
+    coarse = min(int(share * SUBDIVISIONS), SUBDIVISIONS)
+    remainder = share - coarse / SUBDIVISIONS
+    fine = min(int(remainder * SUBDIVISIONS * SUBDIVISIONS), SUBDIVISIONS - 1)
+    remainder -= fine / (SUBDIVISIONS * SUBDIVISIONS)
+    multiply(discrete.coarse_exponentials, coarse, vector, zeros, term)
+    multiply(discrete.fine_exponentials, fine, term, zeros, vector)
+    if remainder > 0.0:
+        # Taylor series, from its last term (Horner's method).
+        copy(vector, term)
+        for k in range(discrete.taylor_terms, 0, -1):
+            for r in range(term.size):
+                term[r] *= remainder / k
+            multiply(discrete.generator, 0, term, vector, work)
+            copy(work, term)
+        copy(term, vector)

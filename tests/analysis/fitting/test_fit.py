@@ -134,7 +134,7 @@ def test_dead_channel_is_omitted(tmp_path):
     force = synthetic.band_noise(20.0, 5.0, 60.0)
     marks = [("measure", 0, round(20.0 * synthetic.RATE) - 1, {"from": 5.0, "to": 60.0})]
     test = "{kind: random, from: 5 Hz, to: 60 Hz, duration: 20 s, force: 1 N}"
-    path = synthetic.driven(tmp_path / "a.mcap", force, test, marks, noise=1e-4)
+    path = synthetic.record_response(tmp_path / "a.mcap", force, test, marks, noise=1e-4)
     with daq.open(path) as recording:
         samples = {name: recording.read(name) for name in recording.channels}
         infos, scene = list(recording.channels.values()), recording.scene

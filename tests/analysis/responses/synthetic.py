@@ -1,4 +1,7 @@
-"""Recordings with known content: linear motion computed with scipy, written by the real recorder."""
+"""Recordings with known content for tests: linear motion computed with scipy, written by the real recorder.
+
+The structure has three bodies and natural frequencies of 13.04, 34.78 and 49.66 Hz.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +15,9 @@ from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
 from rig.system.structural_model import natural_modes, receptance, structure_matrices
 
-RATE = 2560.0
+RATE = 2560.0  # Hz
 PLACES = {"body1": "body 1", "body2": "body 2", "body3": "body 3", "table": "table"}
-SPRING = 6600.0
+SPRING = 6600.0  # N/m, between table and body 1.
 
 STRUCTURE = """
 name: {name}
@@ -48,7 +51,7 @@ def write(path, scene, infos, samples, marks, rate=RATE):
 
 
 def stepped_sine(path, frequencies, periods=20, level=2.6, noise=0.0, infos=None, seed=0, name="linear"):
-    """Steady motion at each frequency in turn, as channel readings."""
+    """Record the steady motion at each frequency in turn, for a spring force of `level` in N."""
     infos = channels() if infos is None else infos
     structure_scene = scene(name=name)
     random = np.random.default_rng(seed)
@@ -58,14 +61,13 @@ def stepped_sine(path, frequencies, periods=20, level=2.6, noise=0.0, infos=None
         motion = receptance(structure_scene, [frequency])[:, 0] * level
         motion = np.append(motion, level / SPRING + motion[0])
         orders = [{"displacement": 0, "velocity": 1, "acceleration": 2}[info.quantity] for info in infos]
-        readings = [
-            x * (2j * np.pi * frequency) ** order * info.response(frequency)
-            for x, order, info in zip(motion, orders, infos, strict=True)
+        amplitudes = [
+            displacement * (2j * np.pi * frequency) ** order * info.response(frequency)
+            for displacement, order, info in zip(motion, orders, infos, strict=True)
         ]
-        phase_factor = np.exp(2j * np.pi * frequency / RATE * np.arange(count))
-        blocks.append(
-            (np.array(readings)[:, None] * phase_factor).real + noise * random.standard_normal((len(infos), count))
-        )
+        phasor = np.exp(2j * np.pi * frequency / RATE * np.arange(count))
+        tones = (np.array(amplitudes)[:, None] * phasor).real
+        blocks.append(tones + noise * random.standard_normal((len(infos), count)))
         fields = {"frequency": float(frequency), "level": level, "direction": "up", "settled": True}
         marks.append(("measure", first, first + count - 1, fields))
         first += count
@@ -73,23 +75,23 @@ def stepped_sine(path, frequencies, periods=20, level=2.6, noise=0.0, infos=None
 
 
 def simulate(force, rate=RATE, structure_scene=None, quantity="acceleration"):
-    """Motion of the three bodies under a sampled force on body 1, exact between samples; (3, samples)."""
+    """Return the motion of the bodies (3, samples) under a force on body 1 in N, which is linear between samples."""
     structure_scene = scene() if structure_scene is None else structure_scene
     mass, damping, stiffness = structure_matrices(structure_scene.structure)
     _, shapes = natural_modes(mass, stiffness)
-    out = np.zeros((len(mass), force.size))
+    motion = np.zeros((len(mass), force.size))
     for shape in shapes.T:
         m, c, k = (shape @ matrix @ shape for matrix in (mass, damping, stiffness))
         a, b = np.array([[0.0, 1.0], [-k / m, -c / m]]), np.array([[0.0], [shape[0] / m]])
-        row, direct = (a[1:], b[1:]) if quantity == "acceleration" else (np.eye(1, 2), np.zeros((1, 1)))
-        discrete = signal.cont2discrete((a, b, row, direct), 1.0 / rate, "foh")
+        output, feedthrough = (a[1:], b[1:]) if quantity == "acceleration" else (np.eye(1, 2), np.zeros((1, 1)))
+        discrete = signal.cont2discrete((a, b, output, feedthrough), 1.0 / rate, "foh")
         numerator, denominator = signal.ss2tf(*discrete[:4])
-        out += np.outer(shape, signal.lfilter(numerator[0], denominator, force))
-    return out
+        motion += np.outer(shape, signal.lfilter(numerator[0], denominator, force))
+    return motion
 
 
 def impulses(path, hits=1, interval=6.0, noise=0.0, name="linear", hammer=True, rebound=(), seed=0):
-    """Half-sine hits on body 1 and the free decays after them."""
+    """Record half-sine hits on body 1 and the free decays after them; hits listed in `rebound` are double hits."""
     count, width, samples_before = round(interval * RATE), 16, 640
     force = np.zeros(samples_before + hits * count)
     marks = []
@@ -100,35 +102,35 @@ def impulses(path, hits=1, interval=6.0, noise=0.0, name="linear", hammer=True, 
             force[first + 60 : first + 60 + width] += 20.0 * np.sin(np.pi * np.arange(width) / width)
         marks.append(("hit", first, first + width - 1, {"number": hit + 1, "body": 1}))
     infos = [info for info in channels("acceleration") if info.at != "table"]
-    rows = simulate(force)
+    samples = simulate(force)
     if hammer:
         infos.append(ChannelInfo("hammer", "hammer", "force", sensitivity=1.0, rate=RATE))
-        rows = np.vstack([rows, force])
-    rows = rows + noise * np.random.default_rng(seed).standard_normal(rows.shape)
+        samples = np.vstack([samples, force])
+    samples = samples + noise * np.random.default_rng(seed).standard_normal(samples.shape)
     structure_scene = scene("{kind: impulse, body: 1, peak: 50 N, width: 6.25 ms}", name=name)
-    return write(path, structure_scene, infos, rows, marks)
+    return write(path, structure_scene, infos, samples, marks)
 
 
-OVERSAMPLED = 4
+OVERSAMPLING = 4
 
 
-def band_noise(seconds, low, high, seed=0, rate=RATE * OVERSAMPLED):
-    """Gaussian noise in a band, rms 1, periodic."""
+def band_noise(seconds, low, high, seed=0, rate=RATE * OVERSAMPLING):
+    """Return periodic Gaussian noise between two frequencies in Hz, with an rms value of 1."""
     count = int(seconds * rate)
     random = np.random.default_rng(seed)
     frequency = np.fft.rfftfreq(count, 1 / rate)
-    inside = (frequency >= low) & (frequency <= high)
-    spectrum = np.where(inside, random.standard_normal(inside.size) + 1j * random.standard_normal(inside.size), 0)
-    wave = np.fft.irfft(spectrum, count)
-    return wave / wave.std()
+    in_band = (frequency >= low) & (frequency <= high)
+    spectrum = np.where(in_band, random.standard_normal(in_band.size) + 1j * random.standard_normal(in_band.size), 0)
+    noise = np.fft.irfft(spectrum, count)
+    return noise / noise.std()
 
 
-def driven(path, force, test, marks, noise=0.0, seed=1, settle=0, name="linear"):
-    """Response of the bodies to a force given at 4 times the rate, with the force as a channel."""
-    rows = np.vstack([simulate(force, RATE * OVERSAMPLED, quantity="displacement"), force])[:, ::OVERSAMPLED]
-    rows = rows[:, settle:]
-    size = np.sqrt(np.mean(rows**2, axis=1, keepdims=True))
-    rows = rows + noise * size * np.random.default_rng(seed).standard_normal(rows.shape)
+def record_response(path, force, test, marks, noise=0.0, seed=1, name="linear"):
+    """Record displacements and force, which is given at `OVERSAMPLING` times the rate; noise is relative to the rms."""
+    motion = simulate(force, RATE * OVERSAMPLING, quantity="displacement")
+    samples = np.vstack([motion, force])[:, ::OVERSAMPLING]
+    rms = np.sqrt(np.mean(samples**2, axis=1, keepdims=True))
+    samples = samples + noise * rms * np.random.default_rng(seed).standard_normal(samples.shape)
     infos = [info for info in channels() if info.at != "table"]
     infos.append(ChannelInfo("force", "hammer", "force", sensitivity=1.0, rate=RATE))
-    return write(path, scene(test, shaker="force", name=name), infos, rows, marks)
+    return write(path, scene(test, shaker="force", name=name), infos, samples, marks)

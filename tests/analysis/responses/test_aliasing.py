@@ -1,4 +1,8 @@
-"""Alias errors of a stepwise-linear drive, computed on a fine grid, against their bound."""
+"""Aliasing errors of frequency responses, against sums on a fine grid.
+
+A drive that is linear between samples contains images of each tone, at multiples of the sample rate plus and minus its
+frequency. Without a filter, the response to the images is aliased to the frequency of the tone.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +19,8 @@ from analysis.responses.systematic import ALIASING, ReadingShares
 from daq.signal_chain.channel import ChannelInfo
 from rig.results.response import MOTIONS
 
-RATE, SAMPLES, FINE = 5120.0, 512, 64
+RATE, SAMPLES = 5120.0, 512  # Hz; samples of a period of the drive
+FINE = 64  # Points of the fine grid in a sample interval.
 CYCLES = np.array([4, 32, 128, 200])
 FREQUENCY = CYCLES * RATE / SAMPLES
 FILTER = {"rate": RATE, "delay": 38.0, "cutoff": 0.5, "beta": 11.0}
@@ -28,8 +33,8 @@ def image_ratio(info, cycles):
     fraction = np.arange(FINE) / FINE
     drive = np.fft.fft((samples[:-1, None] * (1 - fraction) + samples[1:, None] * fraction).ravel())
     reading = abs(drive * info.response(np.fft.fftfreq(drive.size, 1 / (RATE * FINE))))
-    folded = reading.reshape(FINE, SAMPLES)[:, cycles]
-    return folded[1:].sum() / folded[0]
+    tone_and_images = reading.reshape(FINE, SAMPLES)[:, cycles]
+    return tone_and_images[1:].sum() / tone_and_images[0]
 
 
 def aliasing_limits(info, value, motion="acceleration", scene=SCENE, reference_share=0.0):
@@ -42,7 +47,7 @@ def aliasing_limits(info, value, motion="acceleration", scene=SCENE, reference_s
 
 
 def relative_to_reading(share):
-    """Return the error relative to a reading that images reduce by a share of the true value."""
+    """Return the error relative to the reading, if images reduce the reading by a share of the true value."""
     return share / (1.0 - share)
 
 
@@ -75,7 +80,7 @@ def test_decimation_filter_has_no_images():
     assert aliasing_limits(filtered, np.ones(4, dtype=complex)) == {}
 
 
-def test_falling_acceleration_gives_smaller_images():
+def test_images_of_falling_acceleration_are_smaller():
     peak = np.array([1.0, 1.0, 4.0, 1.0], dtype=complex)
     for motion, order in (("acceleration", 2), ("velocity", 1), ("displacement", 0)):
         value = peak / FREQUENCY ** (2 - order)
@@ -196,13 +201,13 @@ converter: {rate: 1024 Hz, sampling: point}
 def test_impacts_between_points_are_bounded(tmp_path):
     scene = rig.loads(IMPACTS, where="a test")
     exact = rig.orbit_response(scene, [14.0, 21.0]).compliance[0]
-    for sampling, share in (("point", 0.09), ("average", 0.002)):
+    for sampling, expected_limit in (("point", 0.09), ("average", 0.002)):
         path = tmp_path / f"{sampling}.mcap"
         daq.record(scene.replace(converter=scene.converter.replace(sampling=sampling)), path)
         with daq.open(path) as rec:
             [[frf]] = analysis.frequency_responses(rec)
         error = abs(frf.value - exact) / abs(exact)
-        reported = frf.limits[ALIASING] / abs(frf.value)
+        aliasing_limit = frf.limits[ALIASING] / abs(frf.value)
         assert (error > 0.03).all() == (sampling == "point")
         assert (error <= frf.bound(0.95) / abs(frf.value)).all()
-        assert (reported < 1.2 * share).all()
+        assert (aliasing_limit < 1.2 * expected_limit).all()

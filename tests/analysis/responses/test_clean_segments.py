@@ -1,4 +1,4 @@
-"""Valid segments of a recording, compared with a classification of each sample."""
+"""Segments of a recording without overloads and lost samples, compared with a classification of each sample."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SPANS = st.tuples(st.integers(0, 30), st.integers(0, 8))
 
 @st.composite
 def recordings(draw):
-    """Overloads and lost samples stated in a recording, including first and last sample."""
+    """Draw a recording with overloads and lost samples."""
     overloads = [
         Marker("overload", first, first + length, {"channel": draw(st.sampled_from(CHANNELS))})
         for first, length in draw(st.lists(SPANS, max_size=4))
@@ -38,17 +38,17 @@ def recordings(draw):
 )
 def test_clean_segments_exclude_overloads_and_gaps(rec, used_channels, first, length):
     stop = first + length
-    flawed = set()
+    flawed_samples = set()
     for marker in rec.overloads:
         if marker.fields["channel"] in used_channels:
-            flawed |= set(range(marker.first_sample, marker.last_sample + 1))
+            flawed_samples |= set(range(marker.first_sample, marker.last_sample + 1))
     for gap in rec.gaps:
         if used_channels & set(gap.channels):
-            flawed |= set(range(gap.first_sample, gap.last_sample + 1))
+            flawed_samples |= set(range(gap.first_sample, gap.last_sample + 1))
     listed_flaws = flaws(rec, used_channels, first, stop)
     segments = clean_segments(listed_flaws, first, stop)
-    covered = [sample for begin, end in segments for sample in range(begin, end)]
-    assert covered == [sample for sample in range(first, stop) if sample not in flawed]
+    clean_samples = [sample for begin, end in segments for sample in range(begin, end)]
+    assert clean_samples == [sample for sample in range(first, stop) if sample not in flawed_samples]
     assert all(begin < end for begin, end in segments)
     # Flaws outside the segment are not listed.
     assert all(flaw.first < stop and flaw.stop > first and flaw.channel in used_channels for flaw in listed_flaws)

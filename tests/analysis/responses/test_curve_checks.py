@@ -1,4 +1,4 @@
-"""A reversed force is detected from the direction of energy flow at the driving point; other faults are not."""
+"""A reversed force is detected from the driving-point response, which would supply energy; delay and noise are not."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from analysis.responses.curve_checks import reversed_force
 from rig.results.response import Response
 
 MASS, STIFFNESS = np.diag([4.2, 1.1]), np.array([[1.8e6, -0.9e6], [-0.9e6, 0.9e6]])
-LINES = np.arange(20.0, 300.0, 0.5)
+LINES = np.arange(20.0, 300.0, 0.5)  # Hz
 
 
 def measured(response: int = 1, *, grounded: bool = True, noise: float = 1e-3) -> Response:
-    """Return the receptance of a bracket with modes at 64 and 166 Hz to a force on body 1, with noise and its error."""
-    spring = STIFFNESS if grounded else STIFFNESS - np.diag([0.9e6, 0.0])
+    """Return the receptance of a bracket with modes at 64 and 166 Hz to a force on body 1, with relative noise."""
+    stiffness = STIFFNESS if grounded else STIFFNESS - np.diag([0.9e6, 0.0])
     value = np.array(
-        [np.linalg.inv(spring * (1 + 0.016j) - (2 * np.pi * f) ** 2 * MASS)[response - 1, 0] for f in LINES]
+        [np.linalg.inv(stiffness * (1 + 0.016j) - (2 * np.pi * f) ** 2 * MASS)[response - 1, 0] for f in LINES]
     )
-    random, size = np.random.default_rng(response), noise * abs(value)
-    value += size * (random.standard_normal(LINES.size) + 1j * random.standard_normal(LINES.size))
+    random, error = np.random.default_rng(response), noise * abs(value)
+    value += error * (random.standard_normal(LINES.size) + 1j * random.standard_normal(LINES.size))
     return Response.curve(
-        LINES, value, f"body{response}", error=size, degrees=np.full(LINES.size, 38.0),
+        LINES, value, f"body{response}", error=error, degrees=np.full(LINES.size, 38.0),
         output_at=f"body {response}", input_at="body 1",
     )  # fmt: skip
 
 
 @pytest.mark.parametrize("motion", ["displacement", "velocity", "acceleration"])
 @pytest.mark.parametrize("grounded", [True, False])
-def test_a_reversed_force_is_reported_once(motion: str, grounded: bool) -> None:
+def test_reversed_force_is_reported_once(motion: str, grounded: bool) -> None:
     curves = [replace(curve, value=-curve.value) for curve in (measured(1, grounded=grounded), measured(2))]
     warning = reversed_force([curve.to(motion) for curve in curves])
     assert "body1 / force at body 1" in warning and "sign: -1" in warning and "body2" not in warning

@@ -1,3 +1,5 @@
+"""Frequency responses in files of other programs and of ours, and block averages against scipy."""
+
 from __future__ import annotations
 
 import numpy as np
@@ -16,7 +18,8 @@ from tests.daq.importing.files import NAMES, RATE, make_scene, write_tdms
 
 # pyuff leaves a binary file open that it wrote.
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-FREQUENCY = np.arange(801) * 0.25
+FREQUENCY = np.arange(801) * 0.25  # Hz
+# Modes at 40 and 95 Hz with damping ratios of 1 % and 0.4 %.
 POLES = 2 * np.pi * np.array([[40.0], [95.0]]) * (-np.array([[0.01], [0.004]]) + 1j)
 SHAPES = np.array([[1.0, 0.7], [-0.4, 1.0]])
 
@@ -30,7 +33,8 @@ def accelerance(noise: float = 0.0) -> np.ndarray:
     return value + noise * abs(value).max() * (random[0] + 1j * random[1])
 
 
-def uff(path, value, binary=0, reference=(1, 3), **labels):
+def write_uff(path, value, binary=0, reference=(1, 3), **labels):
+    """Write responses at nodes 1, 2, ... to a force at the reference (node, direction)."""
     file = pyuff.UFF(str(path))
     for number, row in enumerate(value, 1):
         file.write_sets(
@@ -44,8 +48,8 @@ def uff(path, value, binary=0, reference=(1, 3), **labels):
 
 
 @pytest.mark.parametrize("binary", [0, 1])
-def test_universal_file_keeps_lines_and_modes(binary, tmp_path):
-    uff(
+def test_universal_file_gives_lines_and_modes(binary, tmp_path):
+    write_uff(
         tmp_path / "a.uff",
         accelerance(1e-4) / 9.80665,
         binary,
@@ -81,25 +85,25 @@ def test_table_headings_give_parts_and_units(heading, columns, tmp_path):
 
 def test_foreign_files_give_modes_and_curves(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    uff(tmp_path / "a.uff", accelerance(1e-3), ordinate_axis_units_lab="m/s2", orddenom_axis_units_lab="N")
-    completed = CliRunner().invoke(app, ["modes", "a.uff"])
-    assert completed.exit_code == 0 and "a, force at node 1 +Z: 2 modes" in completed.output, (
-        completed.output,
-        completed.exception,
+    write_uff(tmp_path / "a.uff", accelerance(1e-3), ordinate_axis_units_lab="m/s2", orddenom_axis_units_lab="N")
+    result = CliRunner().invoke(app, ["modes", "a.uff"])
+    assert result.exit_code == 0 and "a, force at node 1 +Z: 2 modes" in result.output, (
+        result.output,
+        result.exception,
     )
-    completed = CliRunner().invoke(app, ["frf", "a.uff", "--motion", "acceleration"])
-    assert completed.exit_code == 0, (completed.output, completed.exception)
+    result = CliRunner().invoke(app, ["frf", "a.uff", "--motion", "acceleration"])
+    assert result.exit_code == 0, (result.output, result.exception)
     frfs = analysis.read_frfs(tmp_path / "a-frf.csv")
     np.testing.assert_allclose(frfs["1 -Z"].value, accelerance(1e-3)[0, 1:], rtol=1e-8)
 
 
 def test_incomplete_responses_name_missing_options(tmp_path):
-    uff(tmp_path / "a.uff", accelerance())
+    write_uff(tmp_path / "a.uff", accelerance())
     with pytest.raises(SceneError, match=r"states no unit.*--unit m/s\^2/N"):
         analysis.read_frfs(tmp_path / "a.uff")
     (first, _) = analysis.read_frfs(tmp_path / "a.uff", unit="mm/s^2/N")
     assert first.value[9] == pytest.approx(1e-3 * accelerance()[0, 10], rel=1e-9)
-    uff(tmp_path / "a.uff", accelerance(), reference=(7, 1))
+    write_uff(tmp_path / "a.uff", accelerance(), reference=(7, 1))
     with pytest.raises(SceneError, match=r"2 references. Choose one with `reference`: 1 \+Z, 7 \+X"):
         analysis.read_frfs(tmp_path / "a.uff", unit="m/N")
     assert len(analysis.read_frfs(tmp_path / "a.uff", "7 +X", "m/N")) == 2
@@ -108,17 +112,17 @@ def test_incomplete_responses_name_missing_options(tmp_path):
 
 
 def test_unit_in_windows_encoding_is_read(tmp_path):
-    uff(tmp_path / "a.uff", accelerance(), ordinate_axis_units_lab="(1/N)*(m/s#)")
+    write_uff(tmp_path / "a.uff", accelerance(), ordinate_axis_units_lab="(1/N)*(m/s#)")
     (tmp_path / "a.uff").write_bytes((tmp_path / "a.uff").read_bytes().replace(b"#", b"\xb2"))
     assert analysis.read_frfs(tmp_path / "a.uff")[0].value[9] == pytest.approx(accelerance()[0, 10], rel=1e-9)
 
 
-BAD = {
+BAD_FILES = {
     "no file": None,
     "not a file.uff": b"nothing",
     "empty.uff": b"",
-    "no ending": b"1,2",
-    "words.csv": b"to whom it may concern",
+    "no extension": b"1,2",
+    "text.csv": b"to whom it may concern",
     "time.csv": b"time [s],a real [m/N],a imag [m/N]\n" + b"".join(b"%d,1,1\n" % k for k in range(9)),
     "half.csv": b"f,a real [m/N]\n1,2\n2,3\n",
     "names.csv": b"f,a [m/N],b [m/N]\n1,2,3\n2,3,4\n",
@@ -126,27 +130,27 @@ BAD = {
     "long cell.csv": b"response,frequency_Hz,real m/N,imag m/N\na,1,1,2\n" + b"x" * 200_000 + b",1,1,2\n",
     "large.csv": b"f,a re [m/N],a im [m/N]\n20,1e308,1e308\n21,2e305,3\n",
     "small.csv": b"f,a re [m/N],a im [m/N]\n20,1e-310,0\n21,2e-310,0\n",
-    "light.csv": b"f,a re [m/N],a im [m/N]\n20,1,0\n21e300,2,0\n",
-    "geology.csv": b"f,a re [m/N],a im [m/N]\n2e-300,1,0\n3e-300,2,0\n",
+    "high frequency.csv": b"f,a re [m/N],a im [m/N]\n20,1,0\n21e300,2,0\n",
+    "low frequency.csv": b"f,a re [m/N],a im [m/N]\n2e-300,1,0\n3e-300,2,0\n",
     "twice.csv": b"f,a re [m/N],a im [m/N]\n20,2,3\n21,2,3\n20,2,3\n",
-    "standing.csv": b"f,a re [m/N],a im [m/N]\n" + 30 * b"20,2,3\n",
-    "endless.csv": b"f,a re [m/N],a im [m/N]\ninf,2,3\ninf,2,3\n",
+    "same frequency.csv": b"f,a re [m/N],a im [m/N]\n" + 30 * b"20,2,3\n",
+    "infinite frequency.csv": b"f,a re [m/N],a im [m/N]\ninf,2,3\ninf,2,3\n",
     "long.csv": b"response,frequency_Hz,real m/N,imag m/N\na,1,x,2\n",
 }
 
 
-@pytest.mark.parametrize(("kind", "suggested"), [(1, True), (2, False)])
-def test_time_functions_suggest_import(kind, suggested, tmp_path):
-    uff(tmp_path / "a.uff", abs(accelerance()), func_type=kind)
-    with pytest.raises(RecordingError, match="no frequency response") as reported:
+@pytest.mark.parametrize(("function_type", "is_time_history"), [(1, True), (2, False)])
+def test_time_functions_suggest_import(function_type, is_time_history, tmp_path):
+    write_uff(tmp_path / "a.uff", abs(accelerance()), func_type=function_type)
+    with pytest.raises(RecordingError, match="no frequency response") as error:
         analysis.read_frfs(tmp_path / "a.uff")
-    assert ("`daq import`" in str(reported.value)) == suggested
+    assert ("`daq import`" in str(error.value)) == is_time_history
 
 
-@pytest.mark.parametrize("name", BAD)
+@pytest.mark.parametrize("name", BAD_FILES)
 def test_file_without_responses_is_rejected(name, tmp_path):
-    if BAD[name] is not None:
-        (tmp_path / name).write_bytes(BAD[name])
+    if BAD_FILES[name] is not None:
+        (tmp_path / name).write_bytes(BAD_FILES[name])
     with pytest.raises((RecordingError, SceneError), match=name.replace(" ", r"\s")):
         analysis.read_frfs(tmp_path / name)
 
@@ -179,8 +183,8 @@ def test_block_average_agrees_with_scipy(tmp_path):
 def test_averaged_hits_are_quotient_of_spectra(tmp_path):
     pulse = np.sin(np.pi * np.arange(1, 9) / 9)
     force = np.zeros(24000)
-    for begin, size in ((900, 70.0), (9000, 50.0), (17000, 60.0)):
-        force[begin : begin + 8] = size * pulse
+    for begin, peak in ((900, 70.0), (9000, 50.0), (17000, 60.0)):
+        force[begin : begin + 8] = peak * pulse
     response = signal.lfilter([1.0], [1.0, -1.96, 0.985], force)
     rows = np.vstack([response / 9.80665, 0.5 * response, force]) + 1e-3 * np.random.default_rng(6).standard_normal(
         (3, force.size)
@@ -209,20 +213,20 @@ def test_lines_are_sorted_by_frequency(tmp_path):
     assert tip.frequency.tolist() == [10.0, 20.0, 30.0] and tip.value.real.tolist() == [1.0, 2.0, 3.0]
 
 
-@pytest.mark.parametrize("ending", ["uff", "csv"])
-def test_own_file_keeps_errors_and_modes(ending, tmp_path):
+@pytest.mark.parametrize("extension", ["uff", "csv"])
+def test_written_file_has_errors_and_modes(extension, tmp_path):
     value = accelerance()[:, 1:] / (2j * np.pi * FREQUENCY[1:]) ** 2
-    # As for a hammer with AC coupling: a common error of neighboring lines is not visible as scatter.
+    # As for a hammer with AC coupling: neighboring lines have nearly the same error, so that it causes no scatter.
     error = 1e-4 * abs(value).max() * (1.0 + 1e3 * np.exp(-FREQUENCY[1:] / 1.5))
     error = np.where(FREQUENCY[1:] < 15.0, error, 1e-9 * abs(value).max())
-    drift = value + error * np.exp(0.3j * FREQUENCY[1:])
+    measured = value + error * np.exp(0.3j * FREQUENCY[1:])
     ones = np.ones(error.size)
     curves = [
         Response.curve(FREQUENCY[1:], row, f"body{k}", error=error, coherence=ones, degrees=30.0 * ones, label="own")
-        for k, row in enumerate(drift, 1)
+        for k, row in enumerate(measured, 1)
     ]
-    path = tmp_path / f"own.{ending}"
-    if ending == "uff":
+    path = tmp_path / f"own.{extension}"
+    if extension == "uff":
         stack(curves).to_uff(path, [1, 2], [1])
     else:
         frf_table(path, curves)

@@ -1,3 +1,5 @@
+"""Frequency responses from hammer hits: truth within the uncertainty, overloads, drifts, delays and missed hits."""
+
 from __future__ import annotations
 
 import warnings
@@ -16,7 +18,7 @@ from rig.results.uncertainty import SENSITIVITY
 from rig.system.structural_model import natural_modes, receptance, structure_matrices
 from tests.analysis.responses import synthetic
 
-HIT = """
+HAMMER_TEST = """
 name: two bodies
 structure: {{masses: [2 kg, 1 kg], springs: [80 kN/m, 20 kN/m], damping: {{modal: 1 %}}}}
 test: {{kind: impulse, body: 1, peak: 100 N, width: 4 ms, repeats: 2, interval: 6 s}}
@@ -30,17 +32,17 @@ recording: {{display: false}}
 
 
 def coverage(rec, curves, low=3.0, high=60.0):
-    """Return the share of lines within their uncertainties, and the larger median relative error of the responses."""
-    inside, error = [], []
+    """Return the share of lines whose bound contains the truth, and the larger median relative error of the curves."""
+    shares, errors = [], []
     for body, frf in enumerate(curves):
         frf = frf.between(low, high)
         exact = receptance(rec.scene, frf.frequency)[body]
-        inside.append(np.mean(abs(frf.value - exact) <= frf.bound(0.95)))
-        error.append(np.median(abs(frf.value / exact - 1)))
-    return np.mean(inside), max(error)
+        shares.append(np.mean(abs(frf.value - exact) <= frf.bound(0.95)))
+        errors.append(np.median(abs(frf.value / exact - 1)))
+    return np.mean(shares), max(errors)
 
 
-def test_ringing_between_hits_is_corrected(tmp_path):
+def test_free_vibration_before_hits_is_corrected(tmp_path):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap", hits=3, interval=5.0, noise=1e-4)) as rec:
         [curves] = analysis.frequency_responses(rec)
         modes = analysis.identify(curves, count=3)
@@ -56,8 +58,8 @@ def test_uncertainty_of_single_hit_contains_truth(tmp_path):
     band = (f > 5.0) & (f < 60.0)
     for body, frf in enumerate(curves):
         # The force is linear between samples, which at 60 Hz is 0.2 % less than the sampled amplitude.
-        inside = abs(frf.value - exact[body]) < frf.bound(0.95) + 0.005 * abs(exact[body])
-        assert np.mean(inside[band]) > 0.9
+        is_within_bound = abs(frf.value - exact[body]) < frf.bound(0.95) + 0.005 * abs(exact[body])
+        assert np.mean(is_within_bound[band]) > 0.9
         assert np.isfinite(frf.error).all()
 
 
@@ -71,20 +73,20 @@ def test_measured_rebound_causes_no_error(tmp_path):
 
 def test_overload_is_excluded_and_reported(tmp_path):
     settings = {"cutoff": "", "converter": "{rate: 2560 Hz, range: 5 V}"}
-    path = hit(tmp_path / "a.mcap", settings, repeats=3)
+    path = record_hits(tmp_path / "a.mcap", settings, repeats=3)
     with daq.open(path) as rec:
-        [clean] = analysis.frequency_responses(rec)
-        second = sorted(marker.first_sample for marker in rec.markers if marker.kind == "hit")[1]
-        share, _ = coverage(rec, clean)
-        rec.markers.append(Marker("overload", second, second + 20, {"channel": "a1"}))
-        [cut] = analysis.frequency_responses(rec)
-        cut_share, error = coverage(rec, cut)
-    assert "a1 overloaded" in " ".join(cut[0].warnings) and not clean[0].warnings
-    assert share > 0.9 and cut_share > 0.9 and error < 0.01
+        [without_overload] = analysis.frequency_responses(rec)
+        second_hit = sorted(marker.first_sample for marker in rec.markers if marker.kind == "hit")[1]
+        share, _ = coverage(rec, without_overload)
+        rec.markers.append(Marker("overload", second_hit, second_hit + 20, {"channel": "a1"}))
+        [with_overload] = analysis.frequency_responses(rec)
+        share_with_overload, error = coverage(rec, with_overload)
+    assert "a1 overloaded" in " ".join(with_overload[0].warnings) and not without_overload[0].warnings
+    assert share > 0.9 and share_with_overload > 0.9 and error < 0.01
 
 
 def test_other_channels_remain_after_overload(tmp_path):
-    path = hit(tmp_path / "a.mcap", {"cutoff": "", "converter": "{rate: 2560 Hz, range: 5 V}"})
+    path = record_hits(tmp_path / "a.mcap", {"cutoff": "", "converter": "{rate: 2560 Hz, range: 5 V}"})
     with daq.open(path) as rec:
         rec.markers.append(Marker("overload", 0, rec.samples - 1, {"channel": "a1"}))
         with pytest.raises(RecordingError, match=r"or use only the other channels: --response a2\.$"):
@@ -95,7 +97,7 @@ def test_other_channels_remain_after_overload(tmp_path):
 
 def test_settling_bias_is_within_uncertainty(tmp_path):
     scene = rig.loads(
-        HIT.format(cutoff="", converter="{preset: NI 9234, rate: 2560 Hz}")
+        HAMMER_TEST.format(cutoff="", converter="{preset: NI 9234, rate: 2560 Hz}")
         .replace("sensitivity: 100 mV/g, low_cutoff: 0.3 Hz", "preset: PCB 352C33")
         .replace("sensitivity: 100 mV/g", "preset: PCB 352C33")
     )
@@ -108,23 +110,23 @@ def test_settling_bias_is_within_uncertainty(tmp_path):
     assert set(curves[0].limits) >= {SENSITIVITY}
 
 
-@pytest.mark.parametrize(("interval", "reported"), [(6.0, False), (2.0, True)])
-def test_motion_before_hit_is_within_uncertainty(interval, reported, tmp_path):
+@pytest.mark.parametrize(("interval", "is_reported"), [(6.0, False), (2.0, True)])
+def test_motion_before_hit_is_within_uncertainty(interval, is_reported, tmp_path):
     settings = {"cutoff": "", "converter": "{rate: 2560 Hz, range: 5 V, remove_delay: true}"}
-    scene = rig.loads(HIT.format(**settings).replace("6 s", f"{interval} s"))
+    scene = rig.loads(HAMMER_TEST.format(**settings).replace("6 s", f"{interval} s"))
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         second = [marker for marker in rec.markers if marker.kind == "hit"][1]
         rows = {name: rec.read(name, second.first_sample - 125) for name in rec.channels}
     np.savez(tmp_path / "cut.npz", **rows)
     units = {name: Column(name, unit="N" if name == "hammer" else "m/s^2") for name in rows}
-    scene = rig.loads(HIT.format(**settings).replace("repeats: 2", "repeats: 1"))
+    scene = rig.loads(HAMMER_TEST.format(**settings).replace("repeats: 2", "repeats: 1"))
     with warnings.catch_warnings(action="ignore"):
         daq.import_files(tmp_path / "cut.npz", scene, tmp_path / "cut.mcap", table=units)
     with daq.open(tmp_path / "cut.mcap") as rec:
         [curves] = analysis.frequency_responses(rec)
         share, error = coverage(rec, curves)
     assert share > 0.9 and error < 0.2
-    assert reported == any("before a hit" in text for text in curves[0].warnings)
+    assert is_reported == any("before a hit" in text for text in curves[0].warnings)
     np.testing.assert_array_equal(curves[0].frequency, curves[1].frequency)
 
 
@@ -148,8 +150,8 @@ seed: 2
     assert share > 0.95 and error < 0.05
 
 
-def test_coarse_channel_is_excluded_from_modes(tmp_path):
-    scene = rig.loads(HIT.format(cutoff="", converter="{rate: 2 kHz, bits: 12, range: 5 V}"))
+def test_channel_of_few_counts_is_excluded(tmp_path):
+    scene = rig.loads(HAMMER_TEST.format(cutoff="", converter="{rate: 2 kHz, bits: 12, range: 5 V}"))
     channels = [
         scene.channels[0].model_dump(),
         {**scene.channels[1].model_dump(), "accelerometer": {"sensitivity": 2e-4}},
@@ -171,9 +173,9 @@ def test_missing_force_channel_is_explained(tmp_path):
         analysis.frequency_responses(rec)
 
 
-def hit(path, settings, repeats=2):
+def record_hits(path, settings, repeats=2):
     """Record hits on body 1 with the sensors and converter of a scene."""
-    scene = rig.loads(HIT.format(**settings).replace("repeats: 2", f"repeats: {repeats}"), where="a test")
+    scene = rig.loads(HAMMER_TEST.format(**settings).replace("repeats: 2", f"repeats: {repeats}"), where="a test")
     return daq.record(scene, path)
 
 
@@ -190,7 +192,7 @@ def largest_errors(rec, curves, low, high):
 @pytest.mark.parametrize("rate", ["5120 Hz", "25.6 kHz"])
 def test_force_window_follows_delayed_hit(tmp_path, rate):
     settings = {"cutoff": "", "converter": f"{{rate: {rate}, filter: delta_sigma}}"}
-    with daq.open(hit(tmp_path / "a.mcap", settings)) as rec:
+    with daq.open(record_hits(tmp_path / "a.mcap", settings)) as rec:
         assert rec.channels["hammer"].delay > 0
         [curves] = analysis.frequency_responses(rec)
         magnitude, phase = largest_errors(rec, curves, 2.0, 120.0)
@@ -198,12 +200,12 @@ def test_force_window_follows_delayed_hit(tmp_path, rate):
 
 
 @pytest.mark.parametrize(("sensor", "converter"), [("0.01 Hz", "0.5 Hz"), ("0.5 Hz", "0.5 Hz"), ("0.05 Hz", "5 Hz")])
-def test_high_passes_keep_receptance_exact(tmp_path, sensor, converter):
+def test_high_pass_filters_are_corrected(tmp_path, sensor, converter):
     settings = {
         "cutoff": f", low_cutoff: {sensor}",
         "converter": f"{{rate: 2560 Hz, filter: delta_sigma, coupling: AC, ac_corner: {converter}}}",
     }
-    with daq.open(hit(tmp_path / "a.mcap", settings)) as rec:
+    with daq.open(record_hits(tmp_path / "a.mcap", settings)) as rec:
         [curves] = analysis.frequency_responses(rec)
         magnitude, phase = largest_errors(rec, curves, 1.0, 120.0)
     assert magnitude < 0.001 and phase < 0.1
@@ -234,16 +236,15 @@ def test_hits_beyond_memory_limit_are_omitted(tmp_path, monkeypatch):
     with daq.open(tmp_path / "a.mcap") as recording:
         monkeypatch.setattr("analysis.responses.segment_fits._MAX_VALUES", recording.samples)
         frf = analysis.frfs(recording)["a"]
-    reported = [warning for warning in frf.warnings if "hits are used" in warning]
-    assert len(reported) == 1
-    assert reported[0].startswith("Only 2 of 6 hits")
+    [warning] = [warning for warning in frf.warnings if "hits are used" in warning]
+    assert warning.startswith("Only 2 of 6 hits")
     band = (frf.frequency > 15.0) & (frf.frequency < 60.0)
-    normalized = abs(frf.value - receptance(scene, frf.frequency)[0]) / frf.bound()
-    assert (normalized[band] < 1.0).mean() > 0.9
+    normalized_error = abs(frf.value - receptance(scene, frf.frequency)[0]) / frf.bound()
+    assert (normalized_error[band] < 1.0).mean() > 0.9
 
 
 def test_hammer_tolerance_does_not_affect_shapes(tmp_path):
-    text = HIT.format(cutoff="", converter="{rate: 2560 Hz}").replace(", low_cutoff: 0.3 Hz", "")
+    text = HAMMER_TEST.format(cutoff="", converter="{rate: 2560 Hz}").replace(", low_cutoff: 0.3 Hz", "")
     scene = rig.loads(text.replace("hammer: {", "hammer: {sensitivity_tolerance: 15 %, "))
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         [curves] = analysis.frequency_responses(rec)

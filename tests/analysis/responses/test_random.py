@@ -18,7 +18,7 @@ from rig.errors import RecordingError, SceneError
 from rig.system.structural_model import receptance
 from tests.analysis.responses import synthetic
 
-RATE, OVERSAMPLING = synthetic.RATE, synthetic.OVERSAMPLED
+RATE, OVERSAMPLING = synthetic.RATE, synthetic.OVERSAMPLING
 RANDOM = "{kind: random, from: 8 Hz, to: 60 Hz, duration: 60 s, force: 1 N}"
 
 
@@ -27,10 +27,10 @@ def random_file(tmp_path_factory):
     force = synthetic.band_noise(90.0, 6.0, 62.0)
     marks = [("measure", 0, int(90 * RATE) - 1, {"from": 8.0, "to": 60.0, "level": 1.0})]
     path = tmp_path_factory.mktemp("random") / "random.mcap"
-    return synthetic.driven(path, force, RANDOM, marks, noise=0.02)
+    return synthetic.record_response(path, force, RANDOM, marks, noise=0.02)
 
 
-def test_uncertainty_holds_away_from_unresolved_peaks(random_file):
+def test_truth_away_from_peaks_is_within_uncertainty(random_file):
     with daq.open(random_file) as rec:
         [curves] = analysis.frequency_responses(rec, block=8.0)
         exact = receptance(rec.scene, curves[0].frequency)
@@ -72,26 +72,26 @@ def test_h1_agrees_with_scipy(random_file):
     np.testing.assert_allclose(frf.coherence, coherence[in_band], rtol=1e-9)
 
 
-def test_h1_low_h2_high_hv_between():
+def test_hv_lies_between_h1_and_h2():
     random = np.random.default_rng(0)
-    f = random.standard_normal((4000, 2)) @ [1, 1j]
+    force = random.standard_normal((4000, 2)) @ [1, 1j]
     noise = 0.5 * random.standard_normal((2, 4000, 2)) @ [1, 1j]
-    x, f = 2.0 * f + noise[0], f + noise[1]
-    spectra = np.mean(abs(x) ** 2), np.mean(abs(f) ** 2), np.mean(x * f.conj())
+    response, force = 2.0 * force + noise[0], force + noise[1]
+    spectra = np.mean(abs(response) ** 2), np.mean(abs(force) ** 2), np.mean(response * force.conj())
     h1, hv, h2 = (abs(estimate(name, *spectra)) for name in ("H1", "Hv", "H2"))
     assert h1 < hv < h2
     with pytest.raises(SceneError, match="H1, H2, Hv"):
         estimate("H3", *spectra)
 
 
-def test_bursts_do_not_leak(tmp_path):
+def test_responses_to_bursts_have_no_leakage(tmp_path):
     block = 20.0
     burst = synthetic.band_noise(3 * block, 6.0, 62.0, seed=5)
     time = np.arange(burst.size) / (RATE * OVERSAMPLING) % block
     burst *= np.where(time < 3.0, np.sin(np.pi * np.minimum(time / 3.0, 1.0)) ** 0.5, 0.0)
     fields = {"from": 8.0, "to": 60.0, "level": 1.0, "burst": 0.125, "block": int(block * RATE)}
     marks = [("measure", 0, int(3 * block * RATE) - 1, fields)]
-    with daq.open(synthetic.driven(tmp_path / "a.mcap", burst, RANDOM, marks)) as rec:
+    with daq.open(synthetic.record_response(tmp_path / "a.mcap", burst, RANDOM, marks)) as rec:
         [curves] = analysis.frequency_responses(rec)
         exact = receptance(rec.scene, curves[0].frequency)
     assert curves[0].resolution == 0.0
@@ -111,12 +111,13 @@ def test_missing_sweep_is_reported(random_file, selection):
         analysis.frfs(rec, **selection)
 
 
-def multisine(path, periods=4, realisations=4, noise=0.01, cubic=0.0):
+def multisine(path, periods=4, realisations=4, noise=0.01):
+    """Record periodic random forces with a period of 8 s; each realisation begins with five unmeasured periods."""
     period = 8.0
-    waves, marks, first = [], [], 0
+    forces, marks, first = [], [], 0
     for number in range(realisations):
-        wave = synthetic.band_noise(period, 8.0, 60.0, seed=10 + number)
-        waves.append(np.tile(wave, periods + 5))
+        force_of_period = synthetic.band_noise(period, 8.0, 60.0, seed=10 + number)
+        forces.append(np.tile(force_of_period, periods + 5))
         first += int(5 * period * RATE)
         fields = {
             "realisation": number + 1, "period": int(period * RATE), "periods": periods,
@@ -125,8 +126,7 @@ def multisine(path, periods=4, realisations=4, noise=0.01, cubic=0.0):
         marks.append(("measure", first, first + int(periods * period * RATE) - 1, fields))
         first += int(periods * period * RATE)
     test = "{kind: multisine, from: 8 Hz, to: 60 Hz, period: 8 s, force: 1 N}"
-    force = np.concatenate(waves)
-    return synthetic.driven(path, force + cubic * force**3, test, marks, noise=noise)
+    return synthetic.record_response(path, np.concatenate(forces), test, marks, noise=noise)
 
 
 def test_multisine_is_exact_within_uncertainty(tmp_path):
@@ -142,7 +142,7 @@ def test_multisine_is_exact_within_uncertainty(tmp_path):
 
 def test_linear_structure_shows_no_distortion(tmp_path):
     with daq.open(multisine(tmp_path / "a.mcap", realisations=5)) as rec:
-        measured = [m for m in rec.markers if m.kind == "measure"]
+        measured = [marker for marker in rec.markers if marker.kind == "measure"]
         approximation = best_linear_approximation(rec, measured, list(rec.channels))
         noise = np.median(replace(approximation, scatter=approximation.noise, noise=None).frf(rec, "body3").error)
         total = np.median(approximation.frf(rec, "body3").error)
@@ -168,6 +168,7 @@ def test_multisine_without_flight_recommends_steady_tones(tmp_path):
 
 
 def sweep(path, duration, spacing="log"):
+    """Record a sweep from 8 to 60 Hz; duration in s."""
     rate = RATE * OVERSAMPLING
     time = np.arange(int(duration * rate)) / rate
     if spacing == "log":
@@ -177,7 +178,7 @@ def sweep(path, duration, spacing="log"):
     fields = {"from": 8.0, "to": 60.0, "spacing": spacing, "level": 1.0, "duration": duration, "settled": True}
     marks = [("measure", 0, int(duration * RATE) - 1, fields)]
     test = f"{{kind: swept_sine, from: 8 Hz, to: 60 Hz, duration: {duration} s, force: 1 N, spacing: {spacing}}}"
-    return synthetic.driven(path, np.sin(2 * np.pi * cycles), test, marks, noise=1e-3)
+    return synthetic.record_response(path, np.sin(2 * np.pi * cycles), test, marks, noise=1e-3)
 
 
 @pytest.mark.thorough
@@ -203,8 +204,8 @@ def test_fast_sweep_does_not_widen_peaks(tmp_path):
     assert not modes.warnings
 
 
-@pytest.mark.parametrize(("force", "mentioned"), [(15.0, True), (0.3, False)])
-def test_undetected_flight_in_multisine_is_mentioned(tmp_path, force, mentioned):
+@pytest.mark.parametrize(("force", "is_reported"), [(15.0, True), (0.3, False)])
+def test_possible_flight_in_multisine_is_reported(tmp_path, force, is_reported):
     scene = rig.loads(f"""
 structure: {{masses: [1.1 kg], springs: [4.4 kN/m], damping: {{modal: 2 %}}}}
 dampers: [{{body: 1, mass_ratio: 0.001, clearance: 0.3 mm}}]
@@ -217,8 +218,8 @@ converter: {{rate: 2560 Hz}}
 """)
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as recording:
         [curve] = analysis.frfs(recording)
-    assert (LIFTED in curve.warnings) == mentioned
-    assert any("No nonlinear distortion is detected" in warning for warning in curve.warnings) != mentioned
+    assert (LIFTED in curve.warnings) == is_reported
+    assert any("No nonlinear distortion is detected" in warning for warning in curve.warnings) != is_reported
 
 
 SCENE = """

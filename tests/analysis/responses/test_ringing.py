@@ -1,4 +1,4 @@
-"""Residual transient of the previous tone, against its closed form and in a recording."""
+"""The limit on the residual transient of a stepped sine's previous tone, against closed form and in a recording."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import rig
 from analysis.responses.ringing import ringing
 from rig.system.structural_model import receptance
 
-POLE = -0.9 + 2j * np.pi * 19.0
+POLE = -0.9 + 2j * np.pi * 19.0  # 1/s, of a mode at 19 Hz.
 
 
 def test_residual_transients_stay_within_bound() -> None:
@@ -27,7 +27,7 @@ def test_residual_transients_stay_within_bound() -> None:
     assert (limit[1:] <= 1.8 * abs(transient[1:])).all()
 
 
-def test_limit_holds_for_two_close_resonances() -> None:
+def test_transients_of_close_resonances_are_limited() -> None:
     frequency = np.linspace(36.1, 41.5, 40)
     omega, wait_s, window_s = 2 * np.pi * frequency, 6.0, 0.52
     poles = np.array([[-1.2 + 2j * np.pi * 38.44], [-1.3 + 2j * np.pi * 39.0]])

@@ -1,4 +1,4 @@
-"""Variances of weighted sums: never negative, and moderated if there are few averages."""
+"""Variances of estimates from a few averages: positive, shared between lines, and not affected by rounding."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_moderated_uncertainties_contain_95_percent(degrees):
     assert normalized.max() < 3.0
 
 
-def test_variances_that_differ_are_hardly_moderated():
+def test_different_variances_are_hardly_moderated():
     lines = 400
     true_variance = np.exp(3.0 * np.random.default_rng(3).standard_normal(lines))
     single_variance = true_variance * np.random.default_rng(4).chisquare(8.0, lines) / 8.0
@@ -83,7 +83,7 @@ def test_square_root_keeps_small_elements(seed):
     assert (abs(product - matrices) <= 1e-12 * np.outer(scale, scale) * 100.0).all()
 
 
-def test_residual_survives_a_large_offset():
+def test_large_offset_does_not_change_residual():
     time = np.arange(4000) / 5120.0
     noise = 1e-4 * np.random.default_rng(5).standard_normal((1, 4000))
     lock_in = LockIn(10.24, 5120.0, 3)
@@ -93,7 +93,7 @@ def test_residual_survives_a_large_offset():
     assert lock_in.tone().residual[0] == pytest.approx(1e-4, rel=0.05)
 
 
-def test_rounded_edges_leave_parts_of_harmonics_equal():
+def test_harmonics_change_no_part_of_a_window():
     frequency, rate = 12.804, 5120.0
     parts = parts_of_whole_periods(0, 8000, frequency, rate)
     cycles = frequency / rate * np.arange(parts[-1][1])
@@ -108,7 +108,7 @@ def test_rounded_edges_leave_parts_of_harmonics_equal():
     assert np.ptp(np.angle(fundamentals)) < 5e-5
 
 
-def test_jitter_that_cancels_is_not_negative():
+def test_variance_of_canceled_jitter_is_not_negative():
     factor = np.random.default_rng(6).standard_normal((2, 3))
     orthogonal = np.cross(factor[0], factor[1])[:, None].repeat(5, axis=1) + 0j
 

@@ -1,4 +1,4 @@
-"""Settling time of sensors at the beginning of a test."""
+"""A sensor's bias that decays at the beginning of a test: excluded samples, and uncertainties with its error."""
 
 from __future__ import annotations
 
@@ -13,40 +13,42 @@ import rig
 from analysis.responses.clean_segments import settling_flaws
 from rig.system.structural_model import receptance
 
-RATE, SECONDS, LOWEST = 200.0, 60.0, 5.0
+RATE, DURATION = 200.0, 60.0  # Hz, s
+LOWEST_FREQUENCY = 5.0  # Hz, of the test.
 
 
-def recording(size, time_constant, seed=1):
-    """Return a recording of a channel with a decaying bias and a random motion."""
+def recording(bias, time_constant, seed=1):
+    """Return a recording of a channel with white noise of rms 1 and a decaying bias; time constant in s."""
     random = np.random.default_rng(seed)
-    time = np.arange(int(SECONDS * RATE)) / RATE
-    samples = random.standard_normal(time.size) + size * np.exp(-time / time_constant)
+    time = np.arange(int(DURATION * RATE)) / RATE
+    samples = random.standard_normal(time.size) + bias * np.exp(-time / time_constant)
     return SimpleNamespace(
         rate=RATE, samples=time.size, read=lambda name, first, last: samples[first:last], channels={"a": None}
     )
 
 
-@pytest.mark.parametrize(("size", "time_constant"), [(10.0, 0.5), (300.0, 2.0), (1e5, 1.0)])
-def test_samples_with_decaying_bias_are_excluded(size, time_constant):
-    [flaw] = settling_flaws(recording(size, time_constant), ["a"], 0, int(SECONDS * RATE), LOWEST)
-    # Means of 40 samples scatter by 0.16.
-    residual_bias = size * np.exp(-flaw.stop / RATE / time_constant)
+@pytest.mark.parametrize(("bias", "time_constant"), [(10.0, 0.5), (300.0, 2.0), (1e5, 1.0)])
+def test_samples_with_decaying_bias_are_excluded(bias, time_constant):
+    [flaw] = settling_flaws(recording(bias, time_constant), ["a"], 0, int(DURATION * RATE), LOWEST_FREQUENCY)
+    # The noise of a mean of 40 samples, a period of the lowest frequency, is 0.16.
+    residual_bias = bias * np.exp(-flaw.stop / RATE / time_constant)
     assert flaw.first == 0 and 0.1 < residual_bias < 1.2
 
 
 def test_no_samples_are_excluded_without_bias():
     for seed in range(20):
-        assert settling_flaws(recording(0.0, 1.0, seed), ["a"], 0, int(SECONDS * RATE), LOWEST) == []
+        assert settling_flaws(recording(0.0, 1.0, seed), ["a"], 0, int(DURATION * RATE), LOWEST_FREQUENCY) == []
 
 
-def test_lost_channel_has_no_bias():
-    lost = recording(0.0, 1.0)
-    lost.read = lambda name, start, stop: np.full(stop - start, np.nan)
-    assert settling_flaws(lost, ["a"], 0, int(SECONDS * RATE), LOWEST) == []
+def test_lost_samples_have_no_decaying_bias():
+    rec = recording(0.0, 1.0)
+    rec.read = lambda name, start, stop: np.full(stop - start, np.nan)
+    assert settling_flaws(rec, ["a"], 0, int(DURATION * RATE), LOWEST_FREQUENCY) == []
 
 
 @pytest.mark.parametrize("options", [{}, {"estimator": "H1", "block": 1.0}])
-def test_uncertainty_holds_for_drive_below_noise(options, tmp_path):
+def test_truth_is_within_uncertainty_below_noise(options, tmp_path):
+    # The motion by the drive of 1 µm is smaller than the noise of the sensors.
     scene = rig.loads(
         """
         structure: {masses: [1 kg], springs: [10 kN/m], damping: {modal: 0.02}}
@@ -85,13 +87,13 @@ seed: {seed}
     return curve, abs(curve.value - receptance(scene, curve.frequency)[0])
 
 
-def test_uncertainty_holds_for_multisine_with_bias(tmp_path):
+def test_multisine_with_decaying_bias_is_within_uncertainty(tmp_path):
     curve, error = multisine_with_settling_bias(tmp_path / "a.mcap", "to: 200 Hz, lines: 50, periods: 2", "")
     assert (error <= curve.bound()).mean() > 0.9
     assert np.median(error / abs(curve.value)) < 0.02
 
 
-def test_uncertainty_holds_for_coarse_drifting_multisine(tmp_path):
+def test_coarse_multisine_with_bias_is_within_uncertainty(tmp_path):
     curve, error = multisine_with_settling_bias(
         tmp_path / "a.mcap", "to: 600 Hz, lines: 300, periods: 8", ", bits: 12", seed=3
     )

@@ -1,4 +1,4 @@
-"""Two shakers at once against closed form: bounds, coherences, reciprocity, close modes."""
+"""Frequency response matrices of two simultaneous shakers, against closed form: bounds, coherences and modes."""
 
 from __future__ import annotations
 
@@ -42,18 +42,20 @@ def record_scene(path, test, seed=0, noise=200, masses=MASSES, springs=SPRINGS):
     return daq.record(rig.loads(text, where="two shakers"), path)
 
 
-def exact(scene, frequency, bodies=(0, 2)):
+def exact_receptance(scene, frequency):
+    """Return the receptance of all bodies to the forces on bodies 1 and 3 (frequencies, 3, 2)."""
     mass, damping, stiffness = structure_matrices(scene.structure)
-    w = 2 * np.pi * frequency[:, None, None]
-    return np.linalg.inv(stiffness + 1j * w * damping - w**2 * mass)[:, :, list(bodies)]
+    omega = 2 * np.pi * frequency[:, None, None]
+    return np.linalg.inv(stiffness + 1j * omega * damping - omega**2 * mass)[:, :, [0, 2]]
 
 
-def share_within(path, **options):
+def response_and_coverage(path, **options):
+    """Return the response, and the share of its values whose bound contains the truth."""
     with daq.open(path) as rec:
         (response,) = analysis.frequency_responses(rec, **options)
-        exact_response = exact(rec.scene, response.frequency)
-    assert response.value.shape == exact_response.shape
-    return response, float(np.mean(abs(response.value - exact_response) <= response.bound()))
+        exact = exact_receptance(rec.scene, response.frequency)
+    assert response.value.shape == exact.shape
+    return response, float(np.mean(abs(response.value - exact) <= response.bound()))
 
 
 @pytest.fixture(scope="module")
@@ -62,14 +64,14 @@ def random_path(tmp_path_factory):
 
 
 @pytest.mark.parametrize("estimator", [None, "H1", "Hv"])
-def test_bounds_hold_for_two_random_shakers(random_path, estimator):
-    response, share = share_within(random_path, estimator=estimator)
+def test_bounds_contain_truth_for_random_forces(random_path, estimator):
+    response, share = response_and_coverage(random_path, estimator=estimator)
     assert 0.9 < share < (0.99 if estimator is None else 0.999)
     assert response.coherence.shape == (response.frequency.size, 3) and np.nanmedian(response.coherence) > 0.9
 
 
-def test_bounds_hold_for_orthogonal_multisines(tmp_path):
-    response, share = share_within(record_scene(tmp_path / "a.mcap", MULTISINE))
+def test_bounds_contain_truth_for_orthogonal_multisines(tmp_path):
+    response, share = response_and_coverage(record_scene(tmp_path / "a.mcap", MULTISINE))
     assert 0.9 < share < 0.995 and np.nanmedian(response.coherence) > 0.9
 
 
@@ -82,7 +84,7 @@ def test_error_bars_exist_without_overloaded_realisation(tmp_path):
 
 
 @pytest.mark.thorough
-def test_bounds_hold_for_twenty_random_structures(tmp_path):
+def test_bounds_contain_truth_for_random_structures(tmp_path):
     random = np.random.default_rng(20)
     shares: dict[str, list[float]] = {"local rational": [], "multisine": [], "H1": [], "Hv": []}
     for number in range(20):
@@ -91,31 +93,33 @@ def test_bounds_hold_for_twenty_random_structures(tmp_path):
             tmp_path / f"{number}.mcap", (RANDOM, MULTISINE)[number % 2], number, noise=random.uniform(20, 500),
             masses=[f"{mass:.4f} kg" for mass in masses], springs=[f"{spring:.3f} kN/m" for spring in springs],
         )  # fmt: skip
-        shares[("local rational", "multisine")[number % 2]].append(share_within(path)[1])
+        shares[("local rational", "multisine")[number % 2]].append(response_and_coverage(path)[1])
         if number % 2 == 0:
             for estimator in ("H1", "Hv"):
-                shares[estimator].append(share_within(path, estimator=estimator)[1])
-    for method, inside in shares.items():
-        assert 0.9 < np.mean(inside) < 0.99 and min(inside) > 0.85, method
+                shares[estimator].append(response_and_coverage(path, estimator=estimator)[1])
+    for method, method_shares in shares.items():
+        assert 0.9 < np.mean(method_shares) < 0.99 and min(method_shares) > 0.85, method
 
 
 def test_shaker_that_is_off_leaves_one_input(tmp_path):
-    first_input = record_scene(tmp_path / "one.mcap", RANDOM.replace("also: [2], ", ""))
-    with daq.open(first_input) as rec:
-        (single,) = analysis.frequency_responses(rec)
+    path = record_scene(tmp_path / "one.mcap", RANDOM.replace("also: [2], ", ""))
+    with daq.open(path) as rec:
+        (expected,) = analysis.frequency_responses(rec)
         inputs = driven_forces(rec)
-    assert not inputs and single.value.shape[2] == 1
-    marks = lambda markers: [  # noqa: E731
-        type(marker)(marker.kind, marker.first_sample, marker.last_sample, {**marker.fields, "shakers": [1, 2]})
-        if marker.kind == "measure" else marker
-        for marker in markers
-    ]  # fmt: skip
-    with daq.open(first_input) as rec:
-        object.__setattr__(rec, "markers", marks(rec.markers))
+    assert not inputs and expected.value.shape[2] == 1
+    with daq.open(path) as rec:
+        # The markers state both shakers, but the force of the second is zero.
+        markers = [
+            Marker(marker.kind, marker.first_sample, marker.last_sample, {**marker.fields, "shakers": [1, 2]})
+            if marker.kind == "measure"
+            else marker
+            for marker in rec.markers
+        ]
+        object.__setattr__(rec, "markers", markers)
         assert [point.name for point in driven_forces(rec)] == ["f1"]
-        (selected,) = analysis.frequency_responses(rec)
-    np.testing.assert_array_equal(selected.value, single.value)
-    np.testing.assert_array_equal(selected.bound(), single.bound())
+        (response,) = analysis.frequency_responses(rec)
+    np.testing.assert_array_equal(response.value, expected.value)
+    np.testing.assert_array_equal(response.bound(), expected.bound())
 
 
 def test_spectra_show_coherences_and_condition(random_path):
@@ -124,7 +128,7 @@ def test_spectra_show_coherences_and_condition(random_path):
     assert np.median(spectra.condition()) < 3.0
     multiple, partial = spectra.multiple_coherence(), spectra.partial_coherence()
     assert partial.shape == (spectra.frequency.size, 3, 2) and (partial <= 1.0).all()
-    # Of uncorrelated inputs each output's multiple coherence exceeds both partial shares.
+    # For uncorrelated inputs, the multiple coherence of an output exceeds both partial coherences.
     assert np.median(multiple) > 0.9 and np.median(partial) > 0.7
 
 

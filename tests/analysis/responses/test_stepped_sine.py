@@ -1,3 +1,5 @@
+"""Frequency responses from stepped sines: exact values, bounds, and points without steady state or with overloads."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -11,6 +13,7 @@ import rig
 from analysis.responses.spectral_lines import remainder
 from analysis.responses.stepped_sine import sweeps
 from daq.measurement.run_report import summary
+from daq.recording.recorder import Recorder
 from rig.errors import RecordingError, SceneError
 from rig.system.structural_model import receptance
 from tests.analysis.responses import synthetic
@@ -55,18 +58,18 @@ def test_sweeps_are_computed_once_per_recording(tmp_path):
         assert sweeps(rec, ["body1"])[0].lines.channels == ("body1",)
 
 
-def test_bounds_hold_for_95_percent(tmp_path):
+def test_bounds_contain_truth_in_95_percent(tmp_path):
     frequencies = np.linspace(9.0, 58.0, 60)
-    inside, coherence = [], []
+    is_within_bound, coherence = [], []
     for seed in range(4):
         path = synthetic.stepped_sine(tmp_path / "a.mcap", frequencies, noise=1e-5, seed=seed)
         with daq.open(path) as rec:
             exact = receptance(rec.scene, frequencies)
             for [*curves] in analysis.frequency_responses(rec):
                 for body, frf in enumerate(curves):
-                    inside.append(abs(frf.value - exact[body]) < frf.random_bound(0.95))
+                    is_within_bound.append(abs(frf.value - exact[body]) < frf.random_bound(0.95))
                     coherence.append(frf.coherence)
-    assert 0.92 < np.mean(inside) < 0.98
+    assert 0.92 < np.mean(is_within_bound) < 0.98
     assert np.max(coherence) > 0.9999 and np.min(coherence) < 0.95
 
 
@@ -161,16 +164,10 @@ def test_unsettled_neighbors_form_ranges(tmp_path):
     assert "not settled: 22 of 40 measurements, at 23 and 30 to 50 Hz" in summary(path)
 
 
-def test_spoilt_sweeps_lose_no_frequency(tmp_path):
-    marks = [
-        (
-            "measure",
-            256 * k,
-            256 * k + 255,
-            {"frequency": 20.0 + 10 * (k % 5), "level": 1.0 + k // 5, "direction": "up"},
-        )
-        for k in range(10)
-    ]
+def test_overloaded_points_of_sweeps_are_listed(tmp_path):
+    # Two sweeps of five points; overloads in two points of the first sweep, and in all of the second.
+    fields = [{"frequency": 20.0 + 10 * (k % 5), "level": 1.0 + k // 5, "direction": "up"} for k in range(10)]
+    marks = [("measure", 256 * k, 256 * k + 255, fields[k]) for k in range(10)]
     marks += [("overload", 256 * k + 9, 256 * k + 20, {"channel": "body3"}) for k in (1, 3, 5, 6, 7, 8, 9)]
     samples = np.random.default_rng(0).standard_normal((4, 2560))
     path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), synthetic.channels(), samples, marks)
@@ -195,18 +192,16 @@ def test_overload_in_all_windows_is_explained(tmp_path):
 
 
 def test_lost_samples_omit_only_their_frequency(tmp_path):
-    from daq.recording.recorder import Recorder
-
     infos = synthetic.channels()
-    wave = np.tile(np.sin(2 * np.pi * 20 / synthetic.RATE * np.arange(2560)), (4, 1)) * [[1], [1], [1], [2]]
+    tone = np.tile(np.sin(2 * np.pi * 20 / synthetic.RATE * np.arange(2560)), (4, 1)) * [[1], [1], [1], [2]]
     with Recorder(tmp_path / "a.mcap", synthetic.scene(), infos, synthetic.RATE) as recorder:
         for first, frequency in ((0, 20.0), (2560, 40.0), (5120, 20.0)):
             recorder.mark("measure", first, first + 2559, frequency=frequency, level=1.0, direction="up")
-        recorder.write(wave)
-        recorder.write(wave[:, :1000])
+        recorder.write(tone)
+        recorder.write(tone[:, :1000])
         recorder.gap(60)
-        recorder.write(wave[:, 1060:])
-        recorder.write(wave)
+        recorder.write(tone[:, 1060:])
+        recorder.write(tone)
     with daq.open(tmp_path / "a.mcap") as rec:
         frf = analysis.compliance(rec)
     assert frf.frequency.tolist() == [20.0, 20.0]
@@ -223,7 +218,7 @@ def test_rotating_transient_is_bounded(parts, rotation):
     assert abs(np.mean(amplitudes) - 1.0) == pytest.approx(bound, rel=1e-6)
 
 
-def test_slow_transients_with_dampers_are_bounded(tmp_path):
+def test_slow_transients_with_damper_are_within_uncertainty(tmp_path):
     scene = rig.loads(
         """
         structure:
@@ -244,10 +239,10 @@ def test_slow_transients_with_dampers_are_bounded(tmp_path):
     assert np.all(abs(frf.value - exact) < 1.5 * frf.bound(0.95))
 
 
-PARTS, LINES = 4, 120
+PARTS, LINES = 4, 120  # Parts of a window, and frequency lines.
 
 
-def noise(seed, shape):
+def complex_noise(seed, shape):
     random = np.random.default_rng(seed)
     return random.standard_normal(shape) + 1j * random.standard_normal(shape)
 
@@ -255,16 +250,16 @@ def noise(seed, shape):
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_alone_has_no_transient(seed):
     deviation = np.sqrt(2.0 / PARTS)
-    assert np.median(remainder(noise(seed, (PARTS, 1, LINES)))) < 0.15 * deviation
+    assert np.median(remainder(complex_noise(seed, (PARTS, 1, LINES)))) < 0.15 * deviation
 
 
 @pytest.mark.parametrize("decay_per_period", [0.3, 2.0, 8.0])
-def test_transient_remainder_bounds_the_mean(decay_per_period):
-    # A mode between two lines, with this decay in a period. Its transient covers few or many lines.
+def test_transient_of_a_mode_is_bounded(decay_per_period):
+    # The mode lies between two lines. The faster its transient decays, the more lines it affects.
     pole = (-decay_per_period + 2j * np.pi * 60.3) / (2j * np.pi)
     first = 40.0 / (np.arange(LINES) - pole)
     transient = first * np.exp(2j * np.pi * pole * np.arange(PARTS))[:, None, None]
-    reported = remainder(transient + 0.05 * noise(1, (PARTS, 1, LINES)))[0]
+    bound = remainder(transient + 0.05 * complex_noise(1, (PARTS, 1, LINES)))[0]
     error = abs(transient.mean(axis=0)[0])
     significant = error > 0.2
-    assert np.mean(reported[significant] > 0.8 * error[significant]) > 0.9
+    assert np.mean(bound[significant] > 0.8 * error[significant]) > 0.9

@@ -1,4 +1,4 @@
-"""Systematic errors of a response against the largest error that each effect can cause."""
+"""Bounds of systematic errors of a frequency response, against the largest error that each effect can cause."""
 
 from __future__ import annotations
 
@@ -36,20 +36,21 @@ def channel(name="a1", at="body 1", **sheet):
 
 
 def recording(*channels, converter="rate: 5120 Hz"):
-    """The attributes of a recording that the error contributions use."""
+    """Return the attributes of a recording that the error contributions use."""
     scene = rig.loads(SCENE % converter, where="a test")
     return SimpleNamespace(channels={info.name: info for info in channels}, scene=scene)
 
 
 def single_value(part):
+    """Return the bound of a part of the uncertainty that has a single name."""
     [value] = part.values()
     return value
 
 
-def channels_with_tolerance(*shares):
+def channels_with_tolerance(*tolerances):
     return [
-        channel(name, sensor={"accelerometer.sensitivity_tolerance": str(share)})
-        for name, share in zip("abc", shares, strict=False)
+        channel(name, sensor={"accelerometer.sensitivity_tolerance": str(sensor_tolerance)})
+        for name, sensor_tolerance in zip("abc", tolerances, strict=False)
     ]
 
 
@@ -75,8 +76,8 @@ def quotient_shares(frequency, value, motion="acceleration", names="ab"):
     return reading_shares(value, value * share, share[::-1] + 0 * value, frequency, motion, names)
 
 
-@pytest.mark.parametrize("shares", [(0.05, 0.1, 0.02), (0.0, 0.2, 0.0), (0.1, 0.0, 0.3)])
-def test_sensor_tolerances_bound_quotient(shares):
+@pytest.mark.parametrize("tolerances", [(0.05, 0.1, 0.02), (0.0, 0.2, 0.0), (0.1, 0.0, 0.3)])
+def test_sensor_tolerances_bound_quotient(tolerances):
     random = np.random.default_rng(3)
     readings = random.standard_normal((3, 40)) + 1j * random.standard_normal((3, 40))
     response_weights, reference_weights = np.array([1.0, 0.5, 0.0]), np.array([0.0, 0.3, 1.5])
@@ -85,14 +86,13 @@ def test_sensor_tolerances_bound_quotient(shares):
     response_share, reference_share = (
         weights[:, None] * readings / reference for weights in (response_weights, reference_weights)
     )
-    rec = recording(*channels_with_tolerance(*shares))
+    rec = recording(*channels_with_tolerance(*tolerances))
     bound = single_value(sensitivity_part(rec, reading_shares(value, response_share, reference_share, names="abc")))
     max_error = np.zeros(40)
-    for corner in product(*((-share, share) for share in shares)):
-        true_readings = readings / (1.0 + np.array(corner))[:, None]
-        max_error = np.maximum(
-            max_error, abs((response_weights @ true_readings) / (reference_weights @ true_readings) - value)
-        )
+    for errors in product(*((-limit, limit) for limit in tolerances)):
+        true_readings = readings / (1.0 + np.array(errors))[:, None]
+        true_value = (response_weights @ true_readings) / (reference_weights @ true_readings)
+        max_error = np.maximum(max_error, abs(true_value - value))
     assert (max_error <= bound * (1 + 1e-12)).all()
 
 
@@ -109,9 +109,8 @@ def test_single_sensor_tolerance_is_exact():
     assert bound(second_share, first_share) == pytest.approx(abs(value) * 0.2)
     assert bound(second_share, 4.0 * first_share - 3.0 * second_share) == pytest.approx(abs(value) * 2.0)
     assert bound(second_share, 6.0 * first_share - 5.0 * second_share) == np.inf
-    assert (
-        sensitivity_part(recording(channel("a"), channel("b")), reading_shares(value, first_share, second_share)) == {}
-    )
+    without_tolerance = recording(channel("a"), channel("b"))
+    assert sensitivity_part(without_tolerance, reading_shares(value, first_share, second_share)) == {}
 
 
 def test_h1_bias_reaches_its_bound():
@@ -132,8 +131,8 @@ def test_smaller_reference_increases_the_error():
 
 def test_gaussian_rounding_gain_is_bounded():
     for sigma in (0.3, 0.4, 0.5, 0.7, 1.0):
-        # E[x round(x)] / sigma^2 is the sum of the density at the thresholds (Stein). It deviates most if a threshold
-        # or the middle between two is at the mean.
+        # By Stein's lemma, E[x round(x)] / sigma^2 is the sum of the density at the thresholds. The deviation from 1
+        # is largest if a threshold, or the middle between two thresholds, is at the mean.
         error = max(abs(np.sum(norm.pdf(np.arange(-20, 21) + shift, scale=sigma)) - 1.0) for shift in (0.0, 0.5))
         bound = noise_gain(np.array([sigma**2 + 1 / 12]))[0]
         assert 0.95 * bound < error < 1.05 * bound
@@ -159,18 +158,12 @@ def test_rounding_of_all_channels_is_summed():
     assert in_counts(rec, "ab", np.array([[4e-6, 16e-6], [1.0, 1.0]])).tolist() == [[1.0, 4.0], [np.inf] * 2]
     value = np.array([2.0 + 0j])
     response_share, reference_share = np.array([[2.0], [0.0]]), np.array([[0.0], [1.0]])
-    part = single_value(
-        rounding_part(np.array([[0.1], [0.02]]), reading_shares(value, response_share, reference_share))
-    )
-    assert part == pytest.approx([2.0 * (0.1 + 0.02)])
-    assert rounding_part(np.zeros((2, 1)), reading_shares(value, response_share, reference_share)) == {}
+    shares = reading_shares(value, response_share, reference_share)
+    assert single_value(rounding_part(np.array([[0.1], [0.02]]), shares)) == pytest.approx([2.0 * (0.1 + 0.02)])
+    assert rounding_part(np.zeros((2, 1)), shares) == {}
     # A zero reading has an unbounded error, even if its contribution is zero.
-    assert (
-        single_value(
-            rounding_part(np.array([[np.inf], [0.0]]), reading_shares(value, 0 * response_share, 0 * reference_share))
-        )
-        == np.inf
-    )
+    zero_shares = reading_shares(value, 0 * response_share, 0 * reference_share)
+    assert single_value(rounding_part(np.array([[np.inf], [0.0]]), zero_shares)) == np.inf
 
 
 @pytest.mark.parametrize(("motion", "order"), [("acceleration", 0), ("velocity", 1), ("displacement", 2)])
@@ -184,7 +177,7 @@ def test_clock_error_shifts_and_scales_curve(motion, order):
         return clock_part(rec, quotient_shares(frequency[:points], value[:points], motion, ["a1", "f"]))
 
     assert single_value(part(4)) == pytest.approx(abs(value) * 50e-6 * (1 + order))
-    # Two lines may lie on the flank of a peak, so the limit is larger than their difference suggests.
+    # Two lines may lie on the flank of a peak; the limit exceeds the slope between them.
     assert (single_value(part(2)) > 2.0 * single_value(part(4))[:2]).all()
     assert part(4, "rate: 5120 Hz") == {}
 
@@ -215,10 +208,10 @@ def test_clock_part_contains_shifted_peak(ppm):
 
     rec = recording(channel("a"), channel("b"), converter=f"rate: 5120 Hz, clock_error: {ppm} ppm")
     value = curve(frequency)
-    reported = single_value(clock_part(rec, quotient_shares(frequency, value, "displacement")))[1:-1]
+    bound = single_value(clock_part(rec, quotient_shares(frequency, value, "displacement")))[1:-1]
     shifted_errors = [abs(curve(frequency * (1.0 + sign * ppm * 1e-6)) - value)[1:-1] for sign in (1.0, -1.0)]
-    ratio = reported / np.maximum(*shifted_errors)
-    # On the flanks the steeper chord exceeds the slope.
+    ratio = bound / np.maximum(*shifted_errors)
+    # On the flanks the bound uses the steeper chord to a neighboring line, which exceeds the slope.
     assert 1.0 - 1e-6 < ratio.min() < ratio.max() < 1.6
 
 
@@ -234,18 +227,13 @@ def test_shared_noise_biases_h1_as_stated():
     truth = random.standard_normal(30) + 1j * random.standard_normal(30)
     noise = np.abs(random.standard_normal((1, 30)))
     response_gain, reference_gain, power = 1.0 + 0j, -0.4 + 0.1j, 2.0
-    cross, total = (
-        truth * power + response_gain * np.conj(reference_gain) * noise[0],
-        power + abs(reference_gain) ** 2 * noise[0],
-    )
-    h1 = cross / total
-    reference_share = np.full((1, 30), reference_gain)
-    assert shared_noise_part(noise, response_gain - h1[None] * reference_gain, reference_share, total) == pytest.approx(
-        abs(h1 - truth)
-    )
-    assert (
-        shared_noise_part(noise, response_gain - h1[None] * reference_gain, reference_share, 0.1 * noise[0]) == np.inf
-    ).all()
+    cross_power = truth * power + response_gain * np.conj(reference_gain) * noise[0]
+    reference_power = power + abs(reference_gain) ** 2 * noise[0]
+    h1 = cross_power / reference_power
+    error_gain, reference_gains = response_gain - h1[None] * reference_gain, np.full((1, 30), reference_gain)
+    bound = shared_noise_part(noise, error_gain, reference_gains, reference_power)
+    assert bound == pytest.approx(abs(h1 - truth))
+    assert (shared_noise_part(noise, error_gain, reference_gains, 0.1 * noise[0]) == np.inf).all()
 
 
 def test_noise_reduces_reproducible_rounding():

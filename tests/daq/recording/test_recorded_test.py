@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -54,7 +55,7 @@ def test_kind_of_older_recording_follows_from_markers(name, kind):
 def test_unstated_kind_follows_from_markers(marker, fields, kind, tmp_path):
     scene = rig.load("bare-structure", {"test": None})
     with Recorder(tmp_path / "a.mcap", scene, synthetic.channels(), synthetic.RATE) as recorder:
-        recorder.write(synthetic.np.zeros((len(synthetic.channels()), 512)))
+        recorder.write(np.zeros((len(synthetic.channels()), 512)))
         recorder.mark(marker, 0, 255, **fields)
     with daq.open(tmp_path / "a.mcap") as recording:
         assert recording.test.kind is kind

@@ -1,4 +1,4 @@
-"""Responses to hits that a clock with jitter has sampled."""
+"""Responses to hits that are sampled by a clock with jitter: the stated uncertainty contains the error by jitter."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ recording: {{display: false}}
 """
 
 
-def response(path, **settings):
+def response_and_error(path, **settings):
+    """Return the estimated response of body 2, and the magnitude of its error in m/N."""
     scene = rig.loads(HITS_SCENE.format(**settings))
     with daq.open(daq.record(scene, path)) as rec:
         [[frf]] = analysis.frequency_responses(rec, ["a2"])
@@ -31,7 +32,7 @@ def response(path, **settings):
 
 @pytest.mark.parametrize("repeats", [1, 3])
 def test_jitter_part_contains_error_by_jitter(repeats, tmp_path):
-    frf, error = response(tmp_path / "a.mcap", repeats=repeats, jitter=", jitter: 1 us")
+    frf, error = response_and_error(tmp_path / "a.mcap", repeats=repeats, jitter=", jitter: 1 us")
     without_jitter = frf.without(JITTER)
     assert np.mean(error <= without_jitter.bound()) < 0.8
     assert np.mean(error <= frf.bound()) > 0.9
@@ -41,5 +42,5 @@ def test_jitter_part_contains_error_by_jitter(repeats, tmp_path):
 
 
 def test_response_without_jitter_has_no_part(tmp_path):
-    frf, error = response(tmp_path / "a.mcap", repeats=1, jitter="")
+    frf, error = response_and_error(tmp_path / "a.mcap", repeats=1, jitter="")
     assert JITTER not in frf.limits and np.mean(error <= frf.bound()) > 0.9

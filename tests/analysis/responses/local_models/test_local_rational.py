@@ -1,4 +1,4 @@
-"""The local rational method on rational, noisy and other spectra that are computed independently."""
+"""The local rational method, on independently computed spectra: exact for rational functions, and with noise."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from analysis.responses.local_models import local_rational
 from analysis.responses.local_models.local_rational import Reading, local_fit
 
 BINS = 400
-OFFSET = np.arange(BINS) - 200.0  # distance of each bin from the middle
+OFFSET = np.arange(BINS) - 200.0  # Distance of each bin from the middle.
 
 
 def gaussian(random, *shape):
@@ -51,11 +51,11 @@ def test_rational_response_is_exact(ends):
 
 def test_slow_transient_is_separated_from_response():
     random = np.random.default_rng(8)
-    force, slow = gaussian(random, 2, BINS), 1.0 / (1j * np.arange(BINS) + 0.4)
-    spectra = 2.0 * force + 50.0 * gaussian(random, 2, 1) * slow
+    force, slow_transient = gaussian(random, 2, BINS), 1.0 / (1j * np.arange(BINS) + 0.4)
+    spectra = 2.0 * force + 50.0 * gaussian(random, 2, 1) * slow_transient
     lines = np.arange(1, 40)
     zero_phase = np.zeros((2, BINS))
-    fit = local_fit(Reading(spectra, np.ones(BINS), slow[None]), force, zero_phase, lines, 12)
+    fit = local_fit(Reading(spectra, np.ones(BINS), slow_transient[None]), force, zero_phase, lines, 12)
     np.testing.assert_allclose(fit.value, 2.0, rtol=1e-7)
 
 
@@ -80,7 +80,7 @@ def test_scatter_by_noise_equals_stated_variance(side, noise):
     assert np.mean(coherences) == pytest.approx(4.0 / (4.0 + noise**2), abs=0.01)
 
 
-def test_reference_noise_scatters_at_narrow_peak():
+def test_effect_of_reference_noise_at_narrow_peak():
     random = np.random.default_rng(14)
     noise, middle, squares = 0.02, np.array([200]), []
     for _ in range(60):
@@ -90,12 +90,12 @@ def test_reference_noise_scatters_at_narrow_peak():
         fit = local_fit(reading, noisy_reference, np.zeros((1, BINS)), middle, 12)
         squares.append([abs(fit.value[0] - 1.0) ** 2 / 2.0, fit.variance[0], noise**2 * fit.noise_gain[0]])
     error, residual, predicted = np.median(squares, axis=0)
-    # The median of half the square is ln 2 times its mean. The poles fit the noise, so that the residual is too small.
+    # The median of half the squared error is ln 2 times its mean. The poles fit the noise, which reduces the residual.
     assert predicted * np.log(2.0) == pytest.approx(error, rel=0.5)
     assert residual < 0.5 * predicted
 
 
-def test_reference_noise_scatters_in_flat_response():
+def test_effect_of_reference_noise_in_flat_response():
     random = np.random.default_rng(15)
     noise, lines, ratios = 0.03, np.arange(30, 370, 25), []
     zero_phase = np.zeros((3, BINS))
@@ -107,7 +107,7 @@ def test_reference_noise_scatters_in_flat_response():
     assert np.mean(ratios) == pytest.approx(1.0, rel=0.15)
 
 
-def test_error_in_end_bin_changes_nearby_fits():
+def test_error_in_end_bin_affects_only_nearby_fits():
     random = np.random.default_rng(17)
     force, zero_phase, lines = gaussian(random, 2, BINS), np.zeros((2, BINS)), np.array([3, 200, BINS - 4])
     for bin_, affected in ((0, [True, False, False]), (BINS - 1, [False, False, True])):
@@ -164,7 +164,7 @@ def test_model_error_of_sharp_curve_is_stated():
     assert fit.model_error[far_from_peaks].max() < 0.01 * scale
 
 
-def test_batch_size_does_not_matter(monkeypatch):
+def test_batch_size_does_not_change_fit(monkeypatch):
     random = np.random.default_rng(12)
     force = gaussian(random, 2, BINS)
     reading = Reading(force * resonance(30.0) + 0.01 * gaussian(random, 2, BINS), np.ones(BINS), np.zeros((0, BINS)))

@@ -1,4 +1,4 @@
-"""Spectra restricted to the lowest bins."""
+"""Spectra of the lowest bins, computed from decimated samples, against the complete Fourier transform."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def recording_of(samples: NDArray[np.float64]) -> Any:
     [(300_000, 100, 0, 700), (300_000, 7, 1234, 700), (100_001, 0, 99, 3000), (5000, 3, 500, 2501)],
     ids=["decimated", "zero-padded", "odd length", "all bins"],
 )
-def test_low_bins_equal_whole_transform(count: int, start: int, zeros: int, bins: int) -> None:
+def test_low_bins_equal_complete_transform(count: int, start: int, zeros: int, bins: int) -> None:
     samples = np.random.default_rng(1).standard_normal((2, start + count + 50)) + 3.0
     size = fft.next_fast_len(count + zeros, real=True)
     block = samples[:, start : start + count]

@@ -1,4 +1,4 @@
-"""Arguments of the public functions: paths and mappings are accepted, wrong types and names are explained."""
+"""Arguments of the public functions: paths and mappings are accepted; errors explain wrong types and names."""
 
 from __future__ import annotations
 
@@ -34,11 +34,12 @@ BRACKET = {
 
 @pytest.fixture(scope="module")
 def hit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the recording of a hit on a bracket whose bodies have names."""
     return daq.record(BRACKET, tmp_path_factory.mktemp("hit") / "hit.mcap")
 
 
 @pytest.mark.parametrize("path", [SWEEP, str(SWEEP)])
-def test_recording_is_taken_by_its_path(path: Path | str) -> None:
+def test_recording_can_be_given_by_path(path: Path | str) -> None:
     curves = analysis.frfs(path)
     with daq.open(path) as recording:
         assert np.array_equal(curves["body3"].value, analysis.compliance(recording, "body 3").value)
@@ -48,7 +49,7 @@ def test_recording_is_taken_by_its_path(path: Path | str) -> None:
     assert analysis.sep005(path, ["body1"], 0.0, 0.1)[0]["name"] == "body1"
 
 
-def test_response_is_chosen_by_body_name(hit: Path) -> None:
+def test_response_can_be_selected_by_body(hit: Path) -> None:
     curves = analysis.frfs(hit, ["base", "left"])
     assert curves.keys() == ("low", "left") and curves["arm"].response == "left"
     assert analysis.decay(hit, "arm").channel == "left"
@@ -56,7 +57,7 @@ def test_response_is_chosen_by_body_name(hit: Path) -> None:
         analysis.frfs(hit)["arm"]
 
 
-def test_recorded_scene_has_the_names(hit: Path) -> None:
+def test_recorded_scene_has_body_names(hit: Path) -> None:
     with daq.open(hit) as recording:
         assert recording.scene == rig.load(BRACKET)
         assert recording.scene.structure.names == ("base", "arm")
@@ -98,20 +99,20 @@ def test_recorded_scene_has_the_names(hit: Path) -> None:
     ],
 )
 def test_wrong_argument_is_explained(call: Any, message: str) -> None:
-    with pytest.raises(ShotrigError) as raised:
+    with pytest.raises(ShotrigError) as error:
         call()
-    assert message in str(raised.value)
+    assert message in str(error.value)
 
 
 @pytest.mark.thorough
-def test_fitted_value_is_freed_by_body(hit: Path) -> None:
+def test_fit_parameter_can_be_named_by_body(hit: Path) -> None:
     result = analysis.fit(hit, BRACKET, ["structure.masses.arm"])
     assert result["structure.masses.arm"].value == pytest.approx(1.1, rel=0.02)
     with pytest.raises(SceneError, match=r"Did you mean 'structure.masses.arm'"):
         result["structure.mass.arm"]
 
 
-def test_sensors_of_body_form_one_point(hit: Path) -> None:
+def test_shapes_of_bodies_average_their_sensors(hit: Path) -> None:
     modes = analysis.identify([curve.between("40 Hz", "200 Hz") for curve in analysis.frfs(hit)], 2)
     bodies = modes.of_bodies()
     assert modes.responses == ("low", "left", "right") and bodies.names == ("base", "arm")
@@ -119,7 +120,8 @@ def test_sensors_of_body_form_one_point(hit: Path) -> None:
     assert abs(bodies.shapes).max(axis=0) == pytest.approx(1.0)
 
 
-def test_better_sensor_weighs_more_in_a_shape() -> None:
+def test_average_of_sensors_is_weighted_by_variance() -> None:
+    # Two sensors on body 2 with standard errors of 0.01 and 0.1.
     zeros = np.zeros(2)
     modes = Modes(
         frequency=np.array([10.0]), frequency_error=zeros[:1], damping=zeros[:1], damping_error=zeros[:1],
@@ -133,6 +135,6 @@ def test_better_sensor_weighs_more_in_a_shape() -> None:
     assert bodies.errors[1, 0] == pytest.approx(0.01, rel=0.01)
 
 
-def test_unknown_body_of_a_recording_is_refused(hit: Path) -> None:
+def test_unknown_body_of_a_recording_is_rejected(hit: Path) -> None:
     with pytest.raises(RecordingError, match="no channel 'amr'"):
         analysis.compliance(hit, "amr")

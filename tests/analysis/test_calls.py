@@ -1,4 +1,4 @@
-"""Python calls return the results that the commands write, and can plot them."""
+"""The `analysis` commands as Python functions: their results equal the written files and can be plotted."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import daq
 from analysis.cli import app
 from rig.errors import RecordingError
 
-BARE = Path("recordings/demo-sweep-no-damper.mcap")
+UNDAMPED = Path("recordings/demo-sweep-no-damper.mcap")
 DAMPED = Path("recordings/demo-sweep-three-dampers.mcap")
 
 
@@ -26,9 +26,9 @@ def axes():
     plt.close(figure)
 
 
-def test_frf_joins_recordings_in_one_table(axes):
+def test_frf_table_contains_all_recordings(axes):
     with daq.open(DAMPED) as rec:
-        result = analysis.frf([BARE, rec], ["body3"])
+        result = analysis.frf([UNDAMPED, rec], ["body3"])
     assert [each.keys() for each in result] == [("body3",), ("body3",)]
     columns = result.columns()
     assert {len(column) for column in columns.values()} == {sum(each.frequency.size for each in result)}
@@ -38,12 +38,12 @@ def test_frf_joins_recordings_in_one_table(axes):
 
 
 def test_modes_of_two_recordings_are_compared_by_mac():
-    result = analysis.modes([BARE, DAMPED], modes=3)
+    result = analysis.modes([UNDAMPED, DAMPED], modes=3)
     assert result[0].frequency == pytest.approx([13.04, 34.78, 49.66], rel=1e-3)
     assert np.diag(analysis.mac(result[0].shapes, result[1].shapes)).min() > 0.99
 
 
-def test_dampers_returns_the_rows_of_the_command(tmp_path, axes):
+def test_dampers_returns_rows_of_the_command(tmp_path, axes):
     [result] = analysis.dampers(DAMPED)
     assert CliRunner().invoke(app, ["dampers", str(DAMPED), "-o", str(tmp_path)]).exit_code == 0
     [table] = tmp_path.glob("*.csv")
@@ -57,14 +57,14 @@ def test_dampers_returns_the_rows_of_the_command(tmp_path, axes):
 
 
 def test_compare_returns_the_changes_of_the_peaks(axes):
-    result = analysis.compare([BARE, DAMPED])
+    result = analysis.compare([UNDAMPED, DAMPED])
     assert result.columns()["change_dB"].size == len(result.changes) > 0
     result.plot(axes)
     assert f"of {len(result.changes)} resonance peaks changed" in result.summary()
 
 
 def test_export_and_report_return_their_files(tmp_path):
-    target = analysis.export(BARE, tmp_path / "a.npz", ["body1"], stop=1.0)
+    target = analysis.export(UNDAMPED, tmp_path / "a.npz", ["body1"], stop=1.0)
     assert target.exists()
     page = analysis.report(Path("recordings/demo-impulse-no-damper.mcap"), tmp_path / "page.html")
     assert page == tmp_path / "page.html" and page.exists()

@@ -1,4 +1,4 @@
-"""The scripts of the gallery run unchanged with the recordings of the repository."""
+"""The example scripts run with the recordings of the repository and give their results."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import analysis.examples
 
 EXAMPLES = Path(analysis.examples.__file__).parent
 NAMES = sorted(path.stem for path in EXAMPLES.glob("[a-z]*.py"))
-# Required output of each example.
-RESULTS = {
+# Condition on the variables of each example at its end.
+RESULT_CONDITIONS = {
     "accuracy_against_time": lambda names: names["errors"][-1] < names["errors"][0],
     "approximate_theory": lambda names: {each.motion_type for each in names["theory"].branches} == {"I", "II", "III"},
     "choosing_a_damper": lambda names: names["peaks"].min() < 0.9 * names["peaks"].max(),
@@ -30,7 +30,7 @@ RESULTS = {
 
 
 def test_every_example_has_a_result() -> None:
-    assert list(RESULTS) == NAMES
+    assert list(RESULT_CONDITIONS) == NAMES
     assert len(NAMES) >= 8
 
 
@@ -46,6 +46,6 @@ def test_example_shows_its_result(name, tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setenv("MPLBACKEND", "agg")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        result = runpy.run_path(str(EXAMPLES / f"{name}.py"))
+        variables = runpy.run_path(str(EXAMPLES / f"{name}.py"))
     assert capsys.readouterr().out.count("\n") >= 1
-    assert RESULTS[name](result)
+    assert RESULT_CONDITIONS[name](variables)

@@ -1,4 +1,4 @@
-"""Text from a file is displayed by all commands, never interpreted as markup or control codes."""
+"""All commands display text of a recording as it is: it is not interpreted as markup or control codes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.analysis.responses import synthetic
 MARKUP = "<script>alert(1)</script> **b** [x](http://x) `c` $\\frac$ |d|"
 CONTROL_CODES = "\x1b[31mred\x1b]0;title\x07\r\u202e"
 # Commands that print or write texts of recordings.
-TRIED_COMMANDS = {
+TESTED_COMMANDS = {
     "daq": ("info r.mcap", "recover r.mcap -o fixed.mcap"),
     "analysis": (
         "frf r.mcap",
@@ -39,7 +39,7 @@ EXEMPT_COMMANDS = {
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording with hostile text in every field: name, channels, data sheets, markers, end state."""
+    """Return the folder of a recording with markup and control codes in its name, data sheets, markers and status."""
     folder = tmp_path_factory.mktemp("hostile")
     synthetic.impulses(folder / "plain.mcap", interval=1.0, name="plain")
     with daq.open(folder / "plain.mcap") as source:
@@ -62,18 +62,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    ("package", "words"), [(package, words) for package in TRIED_COMMANDS for words in TRIED_COMMANDS[package]]
+    ("package", "command"),
+    [(package, command) for package, commands in TESTED_COMMANDS.items() for command in commands],
 )
 def test_commands_print_no_control_codes(
-    folder: Path, package: str, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    folder: Path, package: str, command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = set(folder.iterdir())
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(sys, "argv", [package, *words.split()])
-    with pytest.raises(SystemExit) as end:
+    monkeypatch.setattr(sys, "argv", [package, *command.split()])
+    with pytest.raises(SystemExit) as exit_request:
         (daq if package == "daq" else analysis).cli.main()
     printed = capsys.readouterr()
-    assert end.value.code == 0, printed.err
+    assert exit_request.value.code == 0, printed.err
     texts = [printed.out, printed.err]
     texts += [
         path.read_text("utf-8") for path in set(folder.iterdir()) - before if path.suffix not in (".png", ".mcap")
@@ -100,9 +101,10 @@ def test_replay_escapes_hostile_text(folder: Path) -> None:
     assert "<script>" not in prose.replace("\\<", "") and "\x1b" not in page and scene.count("```") == 1
 
 
-def test_every_command_is_tried_or_exempt() -> None:
+def test_every_command_is_tested_or_exempt() -> None:
     for package, app in (("daq", daq.cli.app), ("analysis", analysis.cli.app)):
         names = {
             command.name or str(command.callback.__name__) for command in app.registered_commands if command.callback
         }
-        assert names <= {words.split()[0] for words in TRIED_COMMANDS[package]} | EXEMPT_COMMANDS[package]
+        tested_names = {tested.split()[0] for tested in TESTED_COMMANDS[package]}
+        assert names <= tested_names | EXEMPT_COMMANDS[package]

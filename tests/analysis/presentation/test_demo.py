@@ -1,3 +1,5 @@
+"""`analysis demo` makes recordings and figures, and prints results and further commands."""
+
 from __future__ import annotations
 
 import numpy as np
@@ -9,7 +11,7 @@ from analysis.presentation.demo import demonstrate
 @pytest.mark.thorough
 def test_demo_makes_recordings_figures_and_commands(tmp_path):
     lines: list[str] = []
-    # Half a bandwidth apart at the resonances, and the ends.
+    # A few frequencies, and five at each resonance that are about a third of its bandwidth apart.
     around_resonances = [np.linspace(0.994, 1.006, 5) * f for f in (13.037, 34.777, 49.663)]
     files = demonstrate(tmp_path, lines.append, sorted([10.0, 20.0, 42.0, 58.0, *np.concatenate(around_resonances)]))
     assert all(path.exists() and path.stat().st_size > 0 for path in files)

@@ -123,7 +123,7 @@ def test_foreign_file_is_recording_error(tmp_path):
         present_frf([tmp_path / "no.mcap"])
 
 
-def test_long_name_overlaps_nothing(folder):
+def test_long_title_does_not_overlap_axes(folder):
     with daq.open(folder / "one.mcap") as rec:
         [curves] = analysis.frequency_responses(rec)
     figure = frf_figure(curves, "Receptance: " + "a scene of many words, " * 5)
@@ -135,7 +135,7 @@ def test_long_name_overlaps_nothing(folder):
 
 
 def draw_curve(value, systematic, omitted=()):
-    """Figure of a curve from 10 to 20 Hz with a scatter of 1 %; and its first axes and its caption."""
+    """Draw a curve from 10 to 20 Hz with a standard error of 1 %; return the axes and the caption of the figure."""
     ones = np.ones(11)
     curve = Response.curve(
         np.linspace(10.0, 20.0, 11), value * ones.astype(complex), "body3", error=0.01 * value * ones, coherence=ones,
@@ -146,7 +146,7 @@ def draw_curve(value, systematic, omitted=()):
     return figure.axes[0], figure.legends[0].get_title().get_text()
 
 
-def test_no_line_crosses_omitted_points():
+def test_curve_is_interrupted_at_omitted_points():
     axes, caption = draw_curve(1e-6, 0.0, [14.5, 25.0])
     x, y = axes.lines[-1].get_data()
     assert np.isnan(y[x == 14.5]).all() and np.isfinite(y[x != 14.5][:-1]).all()
@@ -168,23 +168,13 @@ def test_titles_of_five_modes_are_separate():
     frequency, ratios = np.geomspace(10.0, 130.0, 200), np.full(5, 0.01)
     frequencies = np.array([20.54, 51.61, 81.117, 97.837, 115.513])
     names = tuple(f"b{body}" for body in range(1, 6))
-    chart = tuple(ChartPole(order, f, 0.01, True) for f in frequencies for order in range(5, 25))
+    poles = tuple(ChartPole(order, f, 0.01, True) for f in frequencies for order in range(5, 25))
     zeros = np.zeros(5)
     modes = Modes(
-        frequencies,
-        zeros,
-        ratios,
-        zeros,
-        np.zeros((5, 5)),
-        -1e-3j * np.ones((5, 5)),
-        names,
-        chart,
-        zeros,
-        np.zeros((5, 3)),
-        0.0,
-        "",
-        (),
-    )
+        frequency=frequencies, frequency_error=zeros, damping=ratios, damping_error=zeros,
+        shape_error=np.zeros((5, 5)), residue=-1e-3j * np.ones((5, 5)), responses=names, chart=poles,
+        lower=zeros, upper=np.zeros((5, 3)), model_error=0.0, label="", warnings=(),
+    )  # fmt: skip
     ones = np.ones(frequency.size)
     curves = [
         Response.curve(frequency, value, name, coherence=ones, degrees=4.0 * ones)
@@ -202,11 +192,12 @@ def test_titles_of_five_modes_are_separate():
 def test_differing_modes_are_both_in_title(folder):
     with daq.open(folder / "hit.mcap") as rec:
         decay = analysis.decay(rec)
-    shifted = [replace(mode, frequency=0.97 * mode.frequency) for mode in decay.modes]
-    figure = decay_figure([decay, replace(decay, modes=tuple(shifted))], "Free decay")
+    shifted_modes = [replace(mode, frequency=0.97 * mode.frequency) for mode in decay.modes]
+    figure = decay_figure([decay, replace(decay, modes=tuple(shifted_modes))], "Free decay")
     titles = [axes.get_title(loc="left") for axes in figure.axes[2:]]
     assert titles == [
-        f"{mode.frequency:.1f}, {moved.frequency:.1f} Hz" for mode, moved in zip(decay.modes, shifted, strict=True)
+        f"{mode.frequency:.1f}, {shifted.frequency:.1f} Hz"
+        for mode, shifted in zip(decay.modes, shifted_modes, strict=True)
     ]
 
 

@@ -1,4 +1,4 @@
-"""Recordings with different driven bodies or bands, and repeated files, are reported and not mixed."""
+"""Recordings that cannot be combined (other driven bodies, bands or channels, copies) are reported or kept separate."""
 
 from __future__ import annotations
 
@@ -10,15 +10,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import analysis
 import daq
 import rig
+from analysis.cli import app
 from analysis.exporting.results import export_results
 from analysis.presentation.comparison import MeasurementPoints, present_compare
 from analysis.presentation.frf_findings import present_frf
 from analysis.presentation.inputs import check_recording
 from analysis.presentation.mode_findings import present_modes
+from daq.importing.channel_table import Column
 from rig.errors import RecordingError, SceneError
 from tests.analysis.responses import synthetic
 
@@ -37,7 +40,7 @@ converter: {rate: 2048 Hz, bits: 24, range: 5 V}
 
 @pytest.fixture(scope="module")
 def bracket(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Recordings of the bracket: driven at its base, at its arm, and up to 150 Hz only."""
+    """Return recordings of the bracket, driven at its base, at its arm, and up to 150 Hz only."""
     folder = tmp_path_factory.mktemp("bracket")
     (folder / "bracket.yaml").write_text(BRACKET, encoding="utf-8")
     changes = {"base": {}, "arm": {"shaker.body": 2}, "low": {"test.to": "150 Hz"}}
@@ -49,7 +52,7 @@ def bracket(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return paths
 
 
-def test_different_inputs_get_axes_of_their_own(bracket: dict[str, Path], tmp_path: Path) -> None:
+def test_different_inputs_have_separate_figures(bracket: dict[str, Path], tmp_path: Path) -> None:
     result = present_frf([bracket["base"], bracket["arm"]], tmp_path)
     assert re.findall(r"force at body \d", " ".join(result.lines)) == ["force at body 1", "force at body 2"]
     pictures = {path.stem: path.read_text(encoding="utf-8") for path in result.files if path.suffix == ".svg"}
@@ -74,12 +77,12 @@ def test_exported_responses_keep_their_input(bracket: dict[str, Path], tmp_path:
     assert [curve.is_driving_point for curve in curves] == [False, True]
 
 
-def test_a_mode_outside_the_other_band_names_it(bracket: dict[str, Path], tmp_path: Path) -> None:
+def test_mode_outside_the_other_band_is_explained(bracket: dict[str, Path], tmp_path: Path) -> None:
     result = present_compare([bracket["base"], bracket["low"]], tmp_path)
     assert any("165.8" in line and "low.mcap was measured from 20 to 150 Hz" in line for line in result.lines)
 
 
-def test_a_copy_is_reported_and_never_fitted(bracket: dict[str, Path], tmp_path: Path) -> None:
+def test_copy_is_reported_and_not_fitted(bracket: dict[str, Path], tmp_path: Path) -> None:
     copy = tmp_path / "copy.mcap"
     shutil.copy(bracket["base"], copy)
     for present in (present_frf, present_compare):
@@ -89,23 +92,17 @@ def test_a_copy_is_reported_and_never_fitted(bracket: dict[str, Path], tmp_path:
 
 
 def test_reversed_force_is_reported(bracket: dict[str, Path], tmp_path: Path) -> None:
-    from typer.testing import CliRunner
-
-    from analysis.cli import app
-    from daq.importing.channel_table import Column
-
     table = tmp_path / "base.csv"
     assert CliRunner().invoke(app, ["export", str(bracket["base"]), "-o", str(table)]).exit_code == 0
     scene = rig.load(bracket["base"].with_name("bracket.yaml"))
-    for sign, count in ((1, 0), (-1, 1)):
+    for sign, n_warnings in ((1, 0), (-1, 1)):
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", daq.RunWarning)
             columns = {"force": Column("force", sign=sign)}
-            path = daq.import_files(table, scene, tmp_path / f"{count}.mcap", table=columns)
-        assert sum("reversed channel" in str(warning.message) for warning in caught) == count
+            path = daq.import_files(table, scene, tmp_path / f"{n_warnings}.mcap", table=columns)
+        assert sum("reversed channel" in str(warning.message) for warning in caught) == n_warnings
         for present in (present_frf, present_modes):
-            reported = [warning for warning in present([path], tmp_path).warnings if "reversed" in warning]
-            assert len(reported) == count
+            assert sum("reversed" in warning for warning in present([path], tmp_path).warnings) == n_warnings
 
 
 @pytest.mark.parametrize(
@@ -118,7 +115,7 @@ def test_reversed_force_is_reported(bracket: dict[str, Path], tmp_path: Path) ->
         ("{kind: impulse, body: 1, peak: 50 N, width: 4 ms}", "hit", "dampers", "analysis decay"),
     ],
 )
-def test_wrong_recording_names_right_command(tmp_path, test, marker_kind, command, suggested):
+def test_error_names_right_command_for_recording(tmp_path, test, marker_kind, command, suggested):
     undriven = test.startswith("{kind: free") or test.startswith("{kind: impulse")
     scene = synthetic.scene(test)
     scene = scene.replace(dampers=[{"body": 1, "mass_ratio": 0.1, "clearance": 1e-3}])

@@ -1,4 +1,4 @@
-"""Command-line errors for recordings that cannot be analyzed: message and exit code."""
+"""Command-line errors for unsuitable recordings and options: the message names the remedy, and the exit code is 2."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ CASES = [
 
 
 @pytest.mark.parametrize("case", CASES, ids=[case[0] for case in CASES])
-def test_unsuitable_recording_says_what_to_change(tmp_path, case):
+def test_error_of_unsuitable_recording_names_problem(tmp_path, case):
     name, test, channels, samples, marks, command, message = case
     scene = synthetic.scene() if test is None else synthetic.scene(test)
     infos = synthetic.channels()[:channels]
@@ -68,7 +68,7 @@ def test_unsuitable_recording_says_what_to_change(tmp_path, case):
         (["dampers"], "no dampers"),
     ],
 )
-def test_wrong_option_names_right_ones(tmp_path, options, message):
+def test_error_of_wrong_option_names_right_ones(tmp_path, options, message):
     path = synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 40))
     result = CliRunner().invoke(app, [options[0], str(path), *options[1:], "-o", str(tmp_path)])
     assert message in str(result.exception) + result.output

@@ -1,3 +1,5 @@
+"""Names of the files that analysis commands write, and tables with any text."""
+
 from __future__ import annotations
 
 import csv
@@ -15,8 +17,8 @@ from rig.errors import RunError, SceneError
 from rig.escaping import escape_terminal
 
 
-def written(paths, output, kind):
-    """Write a table as a command does."""
+def write_output(paths, output, kind):
+    """Write a table as a command does; return its path."""
     with output_stem(paths, output, kind, "csv") as stem:
         return write_table(with_ending(stem, "csv"), ["a"], [])
 
@@ -27,40 +29,40 @@ def stem_of(paths, output, kind):
 
 
 def test_names_with_dots_are_kept(tmp_path):
-    files = [written([tmp_path / name], None, "report").name for name in ("a0.5.mcap", "a0.7.mcap")]
+    files = [write_output([tmp_path / name], None, "report").name for name in ("a0.5.mcap", "a0.7.mcap")]
     assert files == ["a0.5-report.csv", "a0.7-report.csv"]
 
 
-def test_recordings_of_one_name_stay_apart(tmp_path):
+def test_recordings_of_same_name_have_separate_files(tmp_path):
     paths = [tmp_path / folder / "a.mcap" for folder in ("x", "y", "z/y")]
-    first, second = (written([path], tmp_path / "out", "modes") for path in paths[:2])
+    first, second = (write_output([path], tmp_path / "out", "modes") for path in paths[:2])
     assert (first.name, second.name) == ("a-modes.csv", "y-a-modes.csv")
     with pytest.raises(RunError, match="other recordings of that name"):
-        written([paths[2]], tmp_path / "out", "modes")
+        write_output([paths[2]], tmp_path / "out", "modes")
 
 
-def test_own_files_are_renewed(tmp_path):
+def test_own_files_are_replaced(tmp_path):
     path = tmp_path / "a.mcap"
-    names = [written([path], None, kind).name for kind in ("frf", "modes", "frf")]
+    names = [write_output([path], None, kind).name for kind in ("frf", "modes", "frf")]
     assert names == ["a-frf.csv", "a-modes.csv", "a-frf.csv"]
 
 
-def test_a_table_moved_with_its_recording_is_renewed(tmp_path):
+def test_table_moved_with_its_recording_is_replaced(tmp_path):
     for folder in (tmp_path / "before", tmp_path / "after"):
         path = folder / "a.mcap"
         if folder.name == "after":
             (tmp_path / "before").rename(folder)
-        assert written([path], None, "frf").name == "a-frf.csv"
+        assert write_output([path], None, "frf").name == "a-frf.csv"
 
 
-def test_a_users_table_of_that_name_stays(tmp_path):
+def test_table_of_the_user_is_not_replaced(tmp_path):
     (tmp_path / "a-frf.csv").write_text("mine")
     with pytest.raises(SceneError, match=r"a-frf\.csv exists"):
-        written([tmp_path / "a.mcap"], None, "frf")
+        write_output([tmp_path / "a.mcap"], None, "frf")
     assert (tmp_path / "a-frf.csv").read_text(encoding="utf-8") == "mine"
 
 
-def test_similar_names_stay_apart(tmp_path):
+def test_similar_names_have_separate_files(tmp_path):
     first = [tmp_path / f"{'long' * 8}-{number}.mcap" for number in (1, 2, 3)]
     second = [*first[:2], tmp_path / f"{'long' * 8}-4.mcap"]
     assert stem_of(first, None, "frf") != stem_of(second, None, "frf")
@@ -84,7 +86,7 @@ def test_impossible_channel_name_stays_in_folder(name: str, tmp_path: Path) -> N
 
 @settings(max_examples=25)
 @given(st.text(st.characters(codec=None), max_size=20))
-def test_any_text_survives_table(text: str) -> None:
+def test_table_preserves_any_text(text: str) -> None:
     with TemporaryDirectory() as folder:
         path = write_table(Path(folder) / "a.csv", ["label", "x"], [(text, 1.0)])
         with path.open(newline="", encoding="utf-8") as file:

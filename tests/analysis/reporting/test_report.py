@@ -1,4 +1,4 @@
-"""The report page: summary, sections, and rendering in a browser."""
+"""`analysis report`: the page's summary, sections and charts, without a network and in a browser."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def page(recordings: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 
 def browse(page: Path, tmp_path: Path, *options: str) -> str:
-    """Open a page in a headless browser and return what it prints."""
+    """Open a page in a headless browser and return its standard output; fail if the page logs an error."""
     assert BROWSER is not None
     command = [
         BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
@@ -51,7 +51,7 @@ def browse(page: Path, tmp_path: Path, *options: str) -> str:
     return run.stdout
 
 
-def test_output_is_one_page_of_given_name(recordings: list[Path], tmp_path: Path) -> None:
+def test_report_is_a_single_file(recordings: list[Path], tmp_path: Path) -> None:
     page = tmp_path / "figs" / "report.html"
     assert write_report(recordings[1:], page).files == (page,)
     assert [each.name for each in page.parent.iterdir()] == ["report.html"]
@@ -72,7 +72,7 @@ def test_page_states_answer_settings_and_commands(recordings: list[Path], tmp_pa
     assert "sine: frequency 10 Hz, force 1 N" in answer and "daq record sweep.yaml -o" in text
 
 
-def test_highest_peak_needs_no_mode(recordings: list[Path]) -> None:
+def test_highest_peak_is_reported_without_modes(recordings: list[Path]) -> None:
     [responses] = analysis.frf(recordings[0])
     highest = highest_peak(list(responses.curves()), [None])
     assert highest is not None
@@ -121,14 +121,14 @@ def test_drawing_names_bodies_and_sensors() -> None:
 @in_browser
 @pytest.mark.thorough
 def test_browser_draws_every_chart(page: Path, tmp_path: Path) -> None:
-    drawn = browse(page, tmp_path, "--dump-dom")
-    charts = drawn.count('data-source="')
-    assert charts > 5 and len(re.findall(r'data-drawn="[1-9]', drawn)) == charts
+    document = browse(page, tmp_path, "--dump-dom")
+    charts = document.count('data-source="')
+    assert charts > 5 and len(re.findall(r'data-drawn="[1-9]', document)) == charts
 
 
 @in_browser
 @pytest.mark.thorough
 def test_page_prints_to_pdf(page: Path, tmp_path: Path) -> None:
     browse(page, tmp_path, f"--print-to-pdf={tmp_path / 'page.pdf'}")
-    printed = (tmp_path / "page.pdf").read_bytes()
-    assert printed.startswith(b"%PDF") and printed.count(b"/Type /Page\n") >= 4
+    pdf = (tmp_path / "page.pdf").read_bytes()
+    assert pdf.startswith(b"%PDF") and pdf.count(b"/Type /Page\n") >= 4

@@ -1,4 +1,7 @@
-"""Claim C7: the table that compares beds of grains with a single mass, and the verdict from it."""
+"""Claim C7 of the paper: the table that compares beds of grains with a single mass, and the verdict from it.
+
+A setting is a level of the body's acceleration in g, a clearance, a number of layers of grains and a seed.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,7 @@ from rig.workers import Workers
 
 
 def synthetic_row(setting: Setting) -> dict[str, str]:
-    """Make a row in which grains differ from the mass by 2 % (seed 1) and 4 % (seed 2)."""
+    """Return a row of the table in which grains differ from the mass by 2 % (seed 1) or 4 % (seed 2)."""
     row = {
         "frequency_hz": repr(setting.frequency),
         "level": repr(setting.level),
@@ -49,7 +52,7 @@ def synthetic_row(setting: Setting) -> dict[str, str]:
     return row | {f"grains_{name}": f"{100 + 2 * setting.seed}" for name in MEASURES}
 
 
-class BackToFront(Workers):
+class ReverseOrderWorkers(Workers):
     """Workers in this process that complete the last piece first."""
 
     def _start(self) -> Executor:
@@ -61,9 +64,9 @@ class BackToFront(Workers):
 
 @pytest.fixture
 def computed(monkeypatch: pytest.MonkeyPatch) -> list[Setting]:
-    """Settings that were computed; their results are synthetic."""
+    """Replace the computation by synthetic rows; return the list of the computed settings."""
     settings_computed: list[Setting] = []
-    monkeypatch.setattr("rig.study.Workers", BackToFront)
+    monkeypatch.setattr("rig.study.Workers", ReverseOrderWorkers)
     monkeypatch.setattr(
         bed_study, "compare_beds", lambda setting: settings_computed.append(setting) or synthetic_row(setting)
     )
@@ -95,7 +98,7 @@ def test_table_order_is_independent_of_completion(tmp_path: Path, computed: list
     assert [setting_of(row) for row in TABLE.read(single_run)] == settings()[:5]
 
 
-def test_foreign_file_is_left_alone(tmp_path: Path) -> None:
+def test_foreign_file_is_not_changed(tmp_path: Path) -> None:
     path = tmp_path / "mine.csv"
     path.write_text("a,b\n1,2\n", encoding="utf-8")
 
@@ -122,13 +125,13 @@ def test_two_seeds_give_mean_and_standard_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("deviations", "word"),
+    ("deviations", "beginning"),
     [([0.01, -0.08, 0.02], "holds: "), ([0.01, -0.08, 0.2], "holds in part: "), ([0.3, -0.08, 0.2], "does not hold: ")],
 )
-def test_verdict_follows_compliance_deviations(deviations: list[float], word: str) -> None:
+def test_verdict_follows_compliance_deviations(deviations: list[float], beginning: str) -> None:
     beds = {"mass_compliance": np.full(3, 2.0), "grains_compliance": 2.0 * (1.0 + np.array(deviations))}
 
-    assert verdict(beds).startswith(word)
+    assert verdict(beds).startswith(beginning)
     assert f"within 10 % in {sum(abs(value) <= 0.1 for value in deviations)} of 3" in verdict(beds)
 
 
@@ -159,20 +162,21 @@ def test_other_resonances_are_drawn_for_each_setting() -> None:
 
     figure = bed_chart.modes({"beds": beds})
 
-    written = [text.get_text() for axes in figure.axes for text in axes.texts]
+    labels = [text.get_text() for axes in figure.axes for text in axes.texts]
     other_resonances = beds["frequency"] != FREQUENCY
     assert [f"{100 * value:+.0f}" for value in np.sort(deviation(beds, "compliance")[other_resonances])] == sorted(
-        (text.split(" ")[0] for text in written), key=float
+        (label.split(" ")[0] for label in labels), key=float
     )
 
 
-def test_flying_mass_damps_its_body() -> None:
-    """A body ten times as heavy, driven at its peak by the force from the compliance, moves as computed."""
+def test_compliance_of_setting_is_that_of_a_body() -> None:
+    """A body ten times as heavy as the damper, driven by the force that the compliance states, has this peak."""
     scene = scene_of_bed(Setting(2.2, np.inf, 2, 1))
     summary = summary_row(scene, steady_mass(scene, FREQUENCY))
 
     bed_mass = scene.dampers[0].mass
-    body_mass, stiffness = (bed_mass / DAMPED_MASS_RATIO, bed_mass / DAMPED_MASS_RATIO * (2.0 * np.pi * FREQUENCY) ** 2)
+    body_mass = bed_mass / DAMPED_MASS_RATIO
+    stiffness = body_mass * (2.0 * np.pi * FREQUENCY) ** 2
     amplitude = 2.2 * 9.80665 / (2.0 * np.pi * FREQUENCY) ** 2
     resonance_scene = as_one_mass(scene).replace(
         structure={"masses": [body_mass], "springs": [stiffness], "damping": {"modal": DAMPING}},

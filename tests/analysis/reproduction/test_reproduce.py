@@ -1,4 +1,4 @@
-"""The reproduction of the paper: it can be resumed, its parts are consistent, and its page states the results."""
+"""The reproduction of the paper: it can be resumed, its parts agree with each other, and its page states results."""
 
 import multiprocessing
 from pathlib import Path
@@ -21,20 +21,21 @@ from analysis.reproduction.store import Arrays, PaperPart, partial_name, remove_
 from rig.errors import SceneError
 from rig.system.open_loop_drive import with_ideal_force
 
-calls: list[float] = []
+computed_values: list[float] = []
 
 
-def record_call(value: float) -> Arrays:
-    calls.append(value)
+def compute_value(value: float) -> Arrays:
+    computed_values.append(value)
     return {"value": np.array(value)}
 
 
 def part(value: float) -> PaperPart:
-    return PaperPart("one", f"depends on {value}", record_call, {"value": value}, "a part")
+    """Return a part of the reproduction whose result is this value."""
+    return PaperPart("one", f"depends on {value}", compute_value, {"value": value}, "a part")
 
 
 def test_finished_part_is_read_not_computed(tmp_path: Path) -> None:
-    calls.clear()
+    computed_values.clear()
     assert part(3.0).stored(tmp_path) is None
     part(3.0).store(tmp_path, part(3.0).computed())
 
@@ -43,10 +44,10 @@ def test_finished_part_is_read_not_computed(tmp_path: Path) -> None:
     assert stored is not None
     assert stored["value"] == 3.0
     assert list(stored) == ["value"]
-    assert calls == [3.0]
+    assert computed_values == [3.0]
 
 
-def test_changed_inputs_or_torn_file_are_missing(tmp_path: Path) -> None:
+def test_part_with_changed_inputs_or_damaged_file(tmp_path: Path) -> None:
     part(3.0).store(tmp_path, part(3.0).computed())
     assert part(4.0).stored(tmp_path) is None
 
@@ -59,9 +60,9 @@ def test_changed_inputs_or_torn_file_are_missing(tmp_path: Path) -> None:
 def test_parts_are_unique_and_repeatable(tmp_path: Path) -> None:
     first, second = all_parts(tmp_path), all_parts(tmp_path)
 
-    assert len({p.name for p in first}) == len(first)
-    assert [p.digest for p in first] == [p.digest for p in second]
-    assert len({p.digest for p in first}) == len(first)
+    assert len({part.name for part in first}) == len(first)
+    assert [part.digest for part in first] == [part.digest for part in second]
+    assert len({part.digest for part in first}) == len(first)
 
 
 def test_unknown_part_lists_the_parts(tmp_path: Path) -> None:
@@ -69,7 +70,7 @@ def test_unknown_part_lists_the_parts(tmp_path: Path) -> None:
         reproduce(tmp_path, lambda line: None, ["nonsense"])
 
 
-def test_recorded_solved_and_approximated_fig_9_agree(tmp_path: Path) -> None:
+def test_recording_orbits_and_approximation_agree(tmp_path: Path) -> None:
     scene = rig.load("fig9")
     test = {"kind": "stepped_sine", "frequencies": [49.8, 50.0], "force": 3.3}
 
@@ -122,7 +123,7 @@ def test_scan_cell_equals_direct_simulation() -> None:
 
 
 @pytest.mark.thorough
-def test_no_trial_beats_the_optimum() -> None:
+def test_optimum_is_better_than_all_trials() -> None:
     scene = rig.load("fig9")
     frequencies = np.linspace(47.0, 50.0, 7)
 
@@ -143,9 +144,9 @@ def test_no_trial_beats_the_optimum() -> None:
 def test_more_damping_removes_type_iii() -> None:
     frequencies = np.array([48.8, 49.0, 49.2])
 
-    over_damping = stays_over_damping(rig.load("fig9"), np.array([0.005, 0.01]), np.array([0.98e-3]), frequencies)
+    type_iii = stays_over_damping(rig.load("fig9"), np.array([0.005, 0.01]), np.array([0.98e-3]), frequencies)
 
-    assert over_damping["third"].ravel().tolist() == [True, False]
+    assert type_iii["third"].ravel().tolist() == [True, False]
 
 
 def test_waveforms_stay_in_their_cavities() -> None:
@@ -180,14 +181,14 @@ def test_c2_needs_ratio_and_types() -> None:
     assert holds_c2({"scan-single": single, "scan-three": three}).tolist() == [[True, False, False, False, False]]
 
 
-def test_weak_and_strong_deviations_are_separated() -> None:
+def test_deviations_off_and_at_resonance_are_separate() -> None:
     reference = {"compliance": np.tile(np.array([1.0, 2.0, 3.0, 4.0, 10.0]), (2, 1))}
     measured = {"compliance": reference["compliance"] * np.array([1.5, 1.0, 1.0, 1.0, 1.01])}
 
     assert differences(reference, measured) == pytest.approx((0.5, 0.01))
 
 
-def test_heavier_damping_lowers_the_dampers_share() -> None:
+def test_damper_reduces_damped_peak_less() -> None:
     ratios = least_affected(
         rig.load("fig8-one-damper"), np.array([0.005, 0.05]), np.array([0.1]), np.array([2.6]), {3: (46.0, 50.5)},
         points=12,
@@ -229,13 +230,13 @@ def test_page_shows_verdicts_evidence_and_figures(tmp_path: Path) -> None:
 
 @pytest.mark.thorough
 def test_workers_store_all_parts_longest_first(tmp_path: Path) -> None:
-    scene, completed = rig.load("fig9"), []
+    scene = rig.load("fig9")
     parts = [
         PaperPart(name, name, structure_numbers, {"scene": scene, "frequencies": np.array([value])}, "a part", effort)
         for name, value, effort in (("short", 20.0, 1.0), ("long", 30.0, 5.0), ("middle", 40.0, 3.0))
     ]
 
-    completed += [part.name for part, _ in compute(parts, tmp_path)]
+    completed = [part.name for part, _ in compute(parts, tmp_path)]
 
     assert sorted(completed) == ["long", "middle", "short"]
     assert "short" not in completed[:1]
@@ -253,7 +254,7 @@ def test_failing_part_raises_and_leaves_nothing(tmp_path: Path) -> None:
     assert not list(tmp_path.rglob("*.npz"))
 
 
-def test_half_written_files_are_removed(tmp_path: Path) -> None:
+def test_incomplete_files_are_removed(tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
     complete = tmp_path / "data" / "one.npz"
     for path in (complete, partial_name(complete)):

@@ -65,9 +65,9 @@ def test_output_is_replaced_with_other_options(folder: Path) -> None:
 
 
 def test_response_of_another_scene_is_not_replaced(folder: Path) -> None:
-    command = ("--from", "20Hz", "--to", "21Hz", "--points", "2", "-o", "response.csv")
-    assert run_command("rig", "response", "fig9", *command).exit_code == 0
-    rejected = run_command("rig", "response", "fig9", "--set", "test.force=5N", *command)
+    options = ("--from", "20Hz", "--to", "21Hz", "--points", "2", "-o", "response.csv")
+    assert run_command("rig", "response", "fig9", *options).exit_code == 0
+    rejected = run_command("rig", "response", "fig9", "--set", "test.force=5N", *options)
     assert isinstance(rejected.exception, ShotrigError) and "another source" in str(rejected.exception)
 
 

@@ -181,7 +181,7 @@ def test_c2_needs_ratio_and_types() -> None:
     assert holds_c2({"scan-single": single, "scan-three": three}).tolist() == [[True, False, False, False, False]]
 
 
-def test_deviations_off_and_at_resonance_are_separate() -> None:
+def test_differences_at_antiresonances_and_peaks() -> None:
     reference = {"compliance": np.tile(np.array([1.0, 2.0, 3.0, 4.0, 10.0]), (2, 1))}
     measured = {"compliance": reference["compliance"] * np.array([1.5, 1.0, 1.0, 1.0, 1.01])}
 

@@ -10,6 +10,7 @@ import random
 import resource
 import shutil
 import signal
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -237,6 +238,8 @@ def fill_disk(bench: Bench, rng: random.Random) -> tuple[CommandResult, list[str
     words = record if rng.random() < 0.1 else _reading_command(rng, READING_COMMANDS[2:])
 
     def limit() -> None:
+        # Python does not notice that it writes only a part of a compiled module.
+        sys.dont_write_bytecode = True
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (max_bytes, max_bytes))
 

@@ -1,8 +1,9 @@
-"""The completely inelastic bouncing ball: a damper of vanishing mass on a body that moves as a sine.
+"""The completely inelastic bouncing ball in closed form: a damper of vanishing mass on a body with sinusoidal motion.
 
-A body moves as G sin(p) in units of g/w^2, with p = w t the phase and G its peak acceleration over g. The
-ball rides it until the body falls faster than gravity, at sin(p) = 1/G; it flies, lands without rebound, and
-rides again if the body's acceleration there lets it, else it takes off at once with the body's velocity.
+The displacement of the body is G sin(p) in units of g/w^2, with the phase p = w t and the peak acceleration G in units
+of g. The ball is at rest on the body until the body accelerates downward by more than g, from sin(p) = 1/G on. It flies
+and lands without rebound. It sticks if the body's downward acceleration is then less than g. Otherwise it takes off at
+once, with the velocity of the body.
 """
 
 from __future__ import annotations
@@ -12,42 +13,37 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# The peak acceleration, over g, from which the first flight takes a full period or longer: the ball then
-# lands where it took off or later. Follows from a flight of 2 pi starting at sin(p) = 1/G, whence G cos(p) =
-# pi.
-FULL_PERIOD = float(np.hypot(1.0, np.pi))
+# Peak acceleration, in g, from which the first flight takes a full period or longer. A flight of 2 pi from sin(p) = 1/G
+# requires G cos(p) = pi.
+FULL_PERIOD_ACCELERATION_G = float(np.hypot(1.0, np.pi))
 
 
 @dataclass(frozen=True)
 class Flight:
-    """One flight of the ball; phases in radians, counted on from the phase of take-off.
-
-    `start`, `end`: phase of take-off and of landing.
-    """
+    """A flight of the ball: phases of take-off and landing, rad; they increase over several periods."""
 
     start: float
     end: float
     speed: float  # closing speed at landing, in units of g/w
-    sticks: bool  # whether the ball rides after landing (else it takes off again at once)
+    sticks: bool  # whether the ball is at rest on the body after landing (otherwise it takes off at once)
 
 
-def take_off(acceleration: float) -> float:
-    """Phase in [0, pi/2] at which the ball leaves; `acceleration` is the body's peak over g, 1 or more.
+def take_off_phase(acceleration: float) -> float:
+    """Return the phase of take-off in [0, pi/2]; `acceleration`: peak acceleration of the body, at least 1 g.
 
-    >>> round(take_off(2.0) / np.pi, 6)
+    >>> round(take_off_phase(2.0) / np.pi, 6)
     0.166667
     """
     if not acceleration >= 1:
-        raise ValueError(f"peak acceleration {acceleration} g: below 1 g the ball never leaves")
+        raise ValueError(f"peak acceleration {acceleration} g: below 1 g the ball never takes off")
     return float(np.arcsin(1 / acceleration))
 
 
 def fly(acceleration: float, start: float) -> Flight:
-    """Flight that begins at phase `start` with the body's own velocity.
+    """Return the flight that begins at phase `start` with the velocity of the body.
 
-    The gap is h(t) = G (sin p0 - sin(p0 + t)) + G cos(p0) t - t^2/2. Its curvature G sin(p0 + t) - 1 changes
-    sign at known phases only; between them h is convex or concave, so its first zero is isolated without a
-    search.
+    The gap is h(t) = G (sin p0 - sin(p0 + t)) + G cos(p0) t - t^2/2. Its curvature G sin(p0 + t) - 1 changes sign only
+    at known phases. Between them h is convex or concave, so that its first zero can be bracketed.
     """
     g = acceleration
 
@@ -57,14 +53,14 @@ def fly(acceleration: float, start: float) -> Flight:
     def slope(t: float) -> float:
         return float(g * (np.cos(start) - np.cos(start + t)) - t)
 
-    rise = take_off(g)
+    first_inflection = take_off_phase(g)
     low = 0.0
-    # Curvature is positive between rise and pi - rise in every turn; take-off itself is where it vanishes.
-    turns = np.arange(np.ceil(np.sqrt(8 * g) + g) + 3)[:, None] + np.floor(start / (2 * np.pi))
-    bends = (np.array([rise, np.pi - rise]) + 2 * np.pi * turns).ravel() - start
-    for high in bends[bends > 1e-9]:
-        convex = g * np.sin(start + 0.5 * (low + high)) > 1
-        if convex and slope(low) < 0 < slope(high):
+    # In every period the curvature is positive from the first inflection to pi minus it.
+    periods = np.arange(np.ceil(np.sqrt(8 * g) + g) + 3)[:, None] + np.floor(start / (2 * np.pi))
+    inflections = (np.array([first_inflection, np.pi - first_inflection]) + 2 * np.pi * periods).ravel() - start
+    for high in inflections[inflections > 1e-9]:
+        is_convex = g * np.sin(start + 0.5 * (low + high)) > 1
+        if is_convex and slope(low) < 0 < slope(high):
             lowest = _zero(slope, low, high)
             if gap(lowest) < 0:
                 return _landing(g, start, _zero(gap, low, lowest))
@@ -74,14 +70,13 @@ def fly(acceleration: float, start: float) -> Flight:
     raise AssertionError("a ball in free fall lands")
 
 
-def sequence(acceleration: float, longest: int = 1000) -> list[Flight]:
-    """Flights from a first take-off after riding until the ball rides again: one sticking cycle.
+def sticking_cycle(acceleration: float, max_flights: int = 1000) -> list[Flight]:
+    """Return the flights from a take-off after sticking until the ball sticks again; the motion repeats this cycle.
 
-    The motion repeats with it. At some accelerations the ball never rides again; the list then stops after
-    `longest` flights, its last one not sticking.
+    At some accelerations the ball never sticks again. Then the list has `max_flights` flights.
     """
-    flights = [fly(acceleration, take_off(acceleration))]
-    while not flights[-1].sticks and len(flights) < longest:
+    flights = [fly(acceleration, take_off_phase(acceleration))]
+    while not flights[-1].sticks and len(flights) < max_flights:
         flights.append(fly(acceleration, flights[-1].end))
     return flights
 

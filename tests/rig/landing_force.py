@@ -1,4 +1,4 @@
-"""The largest force of a finite-duration impact, in closed form."""
+"""The peak force of a finite-duration impact (linear spring and dashpot), in closed form."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import math
 
 
 def peak_force(stiffness: float, damping: float, mass: float, speed: float) -> float:
-    """Largest contact force of an impact at a relative speed [m/s], N.
+    """Return the largest contact force of an impact at a closing speed [m/s], N; `mass`: reduced mass, kg.
 
-    It comes at the angle w_d t = pi / 2 - 3 b after the touch, or right there from a damping ratio of 1/2 on.
+    With the damping ratio sin(b), the force is largest at w_d t = pi / 2 - 3 b after the start of contact. From a ratio
+    of 1/2 on it is largest at the start.
     """
-    rate = math.sqrt(stiffness / mass)
-    ratio = damping / (2.0 * mass * rate)
-    if ratio >= 0.5:
+    omega = math.sqrt(stiffness / mass)
+    damping_ratio = damping / (2.0 * mass * omega)
+    if damping_ratio >= 0.5:
         return damping * speed
-    lean = math.asin(ratio)
-    return mass * speed * rate * math.exp(-math.tan(lean) * (0.5 * math.pi - 3.0 * lean))
+    b = math.asin(damping_ratio)
+    return mass * speed * omega * math.exp(-math.tan(b) * (0.5 * math.pi - 3.0 * b))

@@ -1,4 +1,4 @@
-"""Two processes started by mpiexec, and an object that they share."""
+"""Programs on two MPI ranks (processes), and an object that the ranks share, for tests of `rig.ranks`."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ _MPIEXEC = Path(sys.prefix) / "bin" / "mpiexec"
 
 
 def on_two_ranks(program: str) -> subprocess.CompletedProcess[str]:
-    """Run a program of Python on two ranks, once it has joined them."""
+    """Run Python code on two ranks; the test is skipped without mpi4py or MPICH."""
     pytest.importorskip("mpi4py", reason="the extra grains is not installed: pip install 'shotrig[grains]'")
     if not _MPIEXEC.is_file():
-        pytest.skip(f"there is no {_MPIEXEC}: MPICH is not that of pip install 'shotrig[grains]'")
-    words = [_MPIEXEC, "-n", "2", sys.executable, "-c", program]
-    return subprocess.run(words, capture_output=True, text=True, check=False)
+        pytest.skip(f"{_MPIEXEC} does not exist: the extra grains is not installed: pip install 'shotrig[grains]'")
+    command = [_MPIEXEC, "-n", "2", sys.executable, "-c", program]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 class Part:
-    """A value on each rank: the given value times the number of the rank, from 1."""
+    """A value on each rank: the given value times the number of the rank, counted from 1."""
 
     def __init__(self, value: float) -> None:
         self.value = value * (1 + communicators().COMM_WORLD.rank)
@@ -35,9 +35,9 @@ class Part:
         """Sum of the values of all ranks."""
         return float(sum_over_ranks(np.array(self.value)))
 
-    def grow(self, by: float) -> float:
-        """Increase the value of every rank; return that of this rank."""
-        self.value += by
+    def increase(self, amount: float) -> float:
+        """Increase the value of every rank; return the value of this rank."""
+        self.value += amount
         return self.value
 
     def fail(self) -> None:

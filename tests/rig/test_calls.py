@@ -9,14 +9,15 @@ import pytest
 import rig
 from rig.results.response import Response
 
+# A scene of two bodies that a force drives near the first natural frequency, 19.7 Hz.
 STRUCTURE = {"masses": ["1 kg", "1 kg"], "springs": ["40 kN/m", "40 kN/m"], "damping": {"modal": "1 %"}}
 DAMPER = {"body": 2, "mass": "20 g", "clearance": "0.5 mm"}
-DRIVEN = {"shaker": {"kind": "force", "body": 1}, "test": {"kind": "sine", "frequency": "20 Hz", "force": "2 N"}}
+EXCITATION = {"shaker": {"kind": "force", "body": 1}, "test": {"kind": "sine", "frequency": "20 Hz", "force": "2 N"}}
 
 
 def test_scene_built_in_python_survives_yaml() -> None:
     parts = rig.Structure(**STRUCTURE), rig.Damper(**DAMPER)
-    scene = rig.Scene(structure=parts[0], dampers=parts[1:], **DRIVEN)
+    scene = rig.Scene(structure=parts[0], dampers=parts[1:], **EXCITATION)
     assert scene.dampers[0].clearance == 0.5e-3
     assert rig.loads(scene.to_yaml()) == scene
     assert "0.5 mm" in scene.to_yaml()
@@ -31,13 +32,13 @@ def test_scene_built_in_python_names_all_mistakes() -> None:
 
 
 def test_computed_responses_share_axes() -> None:
-    scene = rig.Scene(structure=STRUCTURE, dampers=[DAMPER], **DRIVEN)
-    waited = rig.response(scene, "18 Hz", "22 Hz", 3)
-    orbits = rig.orbit_response(scene, waited.frequency)
-    assert isinstance(waited.response, Response)
-    assert np.array_equal(waited.response["body 2"].value, waited.compliance[1])
-    assert waited.response["body 2"].value == pytest.approx(orbits.response["body 2"].value, rel=1e-5)
-    axes = waited.response.plot(orbits.response)
+    scene = rig.Scene(structure=STRUCTURE, dampers=[DAMPER], **EXCITATION)
+    simulated = rig.response(scene, "18 Hz", "22 Hz", 3)
+    orbits = rig.orbit_response(scene, simulated.frequency)
+    assert isinstance(simulated.response, Response)
+    assert np.array_equal(simulated.response["body 2"].value, simulated.compliance[1])
+    assert simulated.response["body 2"].value == pytest.approx(orbits.response["body 2"].value, rel=1e-5)
+    axes = simulated.response.plot(orbits.response)
     assert len(axes.lines) == 4
     plt.close(axes.figure)
 
@@ -69,11 +70,11 @@ def test_explanation_is_a_table_with_a_plot() -> None:
 )
 def test_argument_of_the_wrong_type_is_named(call: Callable[[rig.Scene], object], message: str) -> None:
     with pytest.raises(rig.SceneError, match=message):
-        call(rig.Scene(structure=STRUCTURE, dampers=[DAMPER], **DRIVEN))
+        call(rig.Scene(structure=STRUCTURE, dampers=[DAMPER], **EXCITATION))
 
 
 def test_map_and_cost_are_results() -> None:
-    scene = rig.Scene(structure=STRUCTURE, dampers=[DAMPER], **DRIVEN)
+    scene = rig.Scene(structure=STRUCTURE, dampers=[DAMPER], **EXCITATION)
     map_ = rig.map(scene, rows=2, first="18 Hz", last="20 Hz", points=2)
     assert map_.motion.shape == (2, map_.frequency.size)
     cost = rig.cost(scene, periods=2)

@@ -1,4 +1,4 @@
-"""Every error in a command ends with a message and its exit code."""
+"""Every error in a command leads to a short message and the exit code of its kind."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from rig.command_line import create_application, run_command
 from rig.ending_signals import TERMINATION_SIGNALS
 from rig.errors import RunError, SceneError
 
+# Name of a module that the fixture makes for a command.
 MODULE = "rig.command_for_the_tests"
 
 
@@ -46,6 +47,8 @@ def command(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Callable[[], 
 
 
 def raise_error(error: BaseException) -> Callable[[], object]:
+    """Return a command that raises an error."""
+
     def act() -> object:
         raise error
 
@@ -144,9 +147,9 @@ def test_control_characters_are_escaped_in_a_terminal(command, capsys):
     assert capsys.readouterr().out == "red\\x1b[31m\\udcff \\u202e\n"
 
 
-@pytest.mark.parametrize("ending", TERMINATION_SIGNALS)
-def test_termination_signal_determines_the_exit_code(command, capsys, ending):
-    assert command(lambda: os.kill(os.getpid(), ending)) == 128 + ending
+@pytest.mark.parametrize("number", TERMINATION_SIGNALS)
+def test_termination_signal_determines_the_exit_code(command, capsys, number):
+    assert command(lambda: os.kill(os.getpid(), number)) == 128 + number
     assert capsys.readouterr().err == "interrupted\n"
 
 
@@ -200,7 +203,7 @@ def test_long_silence_prints_a_notice(command, capsys, monkeypatch):
 def test_compilation_is_reported_until_it_ends(command, capsys, monkeypatch):
     from numba.core.event import trigger_event
 
-    import rig.numerics.jit  # noqa: F401 - listens
+    import rig.numerics.jit  # noqa: F401 - listens for compilations
 
     monkeypatch.setattr(console, "MAX_SILENCE_S", -1.0)
     reported = []
@@ -215,12 +218,14 @@ def test_compilation_is_reported_until_it_ends(command, capsys, monkeypatch):
     assert "once" in "".join(reported) and not console._Activity.delays
 
 
-def run_rig(code: str, **how: object) -> tuple[int, str]:
-    completed = subprocess.run([sys.executable, "-m", "rig", *code.split()], stderr=subprocess.PIPE, text=True, **how)  # type: ignore[call-overload]
+def run_rig(command: str, **options: object) -> tuple[int, str]:
+    """Run a command of rig with options of `subprocess.run`; return the exit code and the text on standard error."""
+    words = [sys.executable, "-m", "rig", *command.split()]
+    completed = subprocess.run(words, stderr=subprocess.PIPE, text=True, **options)  # type: ignore[call-overload]
     return completed.returncode, completed.stderr
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has /dev/full")
 def test_full_disk_while_printing_is_reported() -> None:
     with Path("/dev/full").open("w") as full_device:
         code, reported = run_rig("schema", stdout=full_device)

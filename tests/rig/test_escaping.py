@@ -1,4 +1,4 @@
-"""Text of a file is displayed completely and never interpreted."""
+"""Text from a file is displayed completely in terminals, browsers and Markdown, and never interpreted."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from rig.escaping import code_fence, escape_html, escape_markdown, escape_termin
 
 @given(st.text())
 def test_escaped_text_keeps_the_cursor_in_its_lines(text: str) -> None:
-    assert all(letter.isprintable() or letter in "\n\t" or ord(letter) > 0x7F for letter in escape_terminal(text))
-    assert not any(letter in escape_terminal(text) for letter in "\x1b\x9b\x07\r\u202e")
+    assert all(
+        character.isprintable() or character in "\n\t" or ord(character) > 0x7F for character in escape_terminal(text)
+    )
+    assert not any(character in escape_terminal(text) for character in "\x1b\x9b\x07\r\u202e")
     assert not text.isprintable() or escape_terminal(text) == text
 
 
-class Seen(HTMLParser):
-    """Page content as a browser interprets it."""
+class ParsedPage(HTMLParser):
+    """Tags and text of a page as a browser interprets it."""
 
     def __init__(self, page: str) -> None:
         super().__init__()
@@ -37,14 +39,14 @@ class Seen(HTMLParser):
 
 @given(st.text())
 def test_escaped_text_is_shown_by_a_browser(text: str) -> None:
-    parsed = Seen(f"<p>{escape_html(text)}</p>")
+    parsed = ParsedPage(f"<p>{escape_html(text)}</p>")
     assert parsed.tags == ["p"] and parsed.text == escape_terminal(text)
 
 
 @given(st.text())
-def test_escaped_markdown_has_no_bare_mark(text: str) -> None:
-    line = escape_markdown(text)
-    assert "\n" not in line
-    assert not any(line[at] in "*_<>[]`#|" and line[at - 1 : at] != "\\" for at in range(len(line)))
-    fence, *inside, last = code_fence(text).split("\n")
-    assert fence == last and not any(fence in each for each in inside)
+def test_escaped_markdown_has_no_active_markup(text: str) -> None:
+    escaped = escape_markdown(text)
+    assert "\n" not in escaped
+    assert not any(escaped[k] in "*_<>[]`#|" and escaped[k - 1 : k] != "\\" for k in range(len(escaped)))
+    opening, *content, closing = code_fence(text).split("\n")
+    assert opening == closing and not any(opening in line for line in content)

@@ -1,4 +1,4 @@
-"""Axes of figures for extreme numbers."""
+"""Figures with logarithmic axes can be drawn for extreme numbers."""
 
 from __future__ import annotations
 

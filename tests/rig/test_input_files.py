@@ -26,7 +26,7 @@ def test_file_is_read_up_to_the_size_limit(tmp_path: Path, monkeypatch: pytest.M
         read_file(tmp_path / "b")
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with names")
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
 def test_pipe_or_device_is_rejected_without_waiting(tmp_path: Path) -> None:
     pipe, endless = tmp_path / "pipe.yaml", tmp_path / "zero.yaml"
     os.mkfifo(pipe)

@@ -9,15 +9,15 @@ import pytest
 
 from rig.ending_signals import TERMINATION_SIGNALS
 
-# Like a script of pip, but with a signal at the import of a module.
+# Like the script that pip installs, but it sends itself a signal at the import of a module.
 COMMAND = """
 import os, sys
-program, moment, number = sys.argv[1:]
-class Signal:
+program, module, number = sys.argv[1:]
+class SignalAtImport:
     def find_spec(self, name, path=None, target=None):
-        if name == moment:
+        if name == module:
             os.kill(os.getpid(), int(number))
-sys.meta_path.insert(0, Signal())
+sys.meta_path.insert(0, SignalAtImport())
 sys.argv = ["/usr/bin/" + program, "--help"]
 if program == "rig":
     from rig.__main__ import main
@@ -29,16 +29,16 @@ sys.exit(main())
 """
 
 
-@pytest.mark.parametrize("ending", TERMINATION_SIGNALS)
+@pytest.mark.parametrize("number", TERMINATION_SIGNALS)
 @pytest.mark.parametrize("program", ["rig", "daq", "analysis"])
-@pytest.mark.parametrize("moment", ["rig.interruption", "signal", "lazy_loader", "rig.command_line", "typer"])
-def test_signal_at_import_ends_without_traceback(program, moment, ending):
+@pytest.mark.parametrize("module", ["rig.interruption", "signal", "lazy_loader", "rig.command_line", "typer"])
+def test_signal_at_import_ends_without_traceback(program, module, number):
     # With -S, `signal` and `lazy_loader` are not yet imported; the module search path must be set.
     begin = f"import sys; sys.path[:] = {sys.path!r}\n"
-    words = [sys.executable, "-S", "-c", begin + COMMAND, program, moment, str(int(ending))]
+    words = [sys.executable, "-S", "-c", begin + COMMAND, program, module, str(int(number))]
     completed = subprocess.run(words, capture_output=True, text=True, check=False)
-    # Shells report a signal that ends a process as 128 and its number.
-    assert completed.returncode in (128 + ending, -ending)
+    # A shell reports 128 plus the number of the signal that ended a process.
+    assert completed.returncode in (128 + number, -number)
     assert completed.stderr in ("", "interrupted\n") and not completed.stdout
 
 

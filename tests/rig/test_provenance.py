@@ -1,4 +1,4 @@
-"""Outputs of the same source are replaced; files of other origin and changed files are protected."""
+"""Outputs are replaced by later outputs of the same source; edited files and files of other origin are protected."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ TEXTS = {".csv": "a,b\n1,2\n", ".svg": "<svg><a/></svg>\n", ".html": "<a>\n", ".
 
 
 def write_output(path: Path, content: bytes, source: str = "s") -> None:
+    """Write a file as the output of a command on a source, such as a recording."""
     with output_source("test", source), atomic_write(path) as part:
         part.write_bytes(content)
 
@@ -58,7 +59,7 @@ def test_file_of_the_user_is_protected(tmp_path: Path) -> None:
     assert path.read_text(encoding="utf-8") == "mine" and list(tmp_path.iterdir()) == [path]
 
 
-def test_file_without_mark_is_not_replaced(tmp_path: Path) -> None:
+def test_file_without_provenance_is_not_replaced(tmp_path: Path) -> None:
     path = tmp_path / "out.uff"
     write_output(path, b"a")
     write_output(path, b"a")
@@ -67,7 +68,7 @@ def test_file_without_mark_is_not_replaced(tmp_path: Path) -> None:
     assert path.read_bytes() == b"a" and list(tmp_path.iterdir()) == [path]
 
 
-def test_marked_figures_and_archives_can_be_read(tmp_path: Path) -> None:
+def test_figures_and_archives_with_provenance_are_readable(tmp_path: Path) -> None:
     from matplotlib.image import imread
 
     for value in (1.0, 2.0):
@@ -79,6 +80,7 @@ def test_marked_figures_and_archives_can_be_read(tmp_path: Path) -> None:
     assert imread(files[0]).ndim == 3 and float(np.load(tmp_path / "out.npz")["value"]) == 2.0
     (row,) = csv.DictReader(files[2].read_text(encoding="utf-8").splitlines())
     assert row["a"] == "2.0"
+    # A changed figure is protected.
     files[0].write_bytes(files[0].read_bytes().replace(b"IDAT", b"IDAX", 1))
     with pytest.raises(SceneError, match="changed"), output_source("test"), atomic_write(files[0]):
         pass

@@ -1,4 +1,4 @@
-"""MPI ranks with shared objects: collective operations, work of the first rank, and termination."""
+"""MPI ranks (processes) with shared objects: operations of all ranks, work of the first rank, and termination."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from rig.errors import SceneError
 from rig.workers import Workers
 from tests.rig.mpi import on_two_ranks
 
+# Start of a program: the ranks share the object `part`, with the values 2 and 4.
 _JOINED = "from rig import ranks; ranks.join(); from tests.rig.mpi import Part; part = ranks.Shared(Part, 2.0); "
 
 
 def test_second_rank_executes_operations_of_the_first() -> None:
     program = (
         "other = ranks.Shared(Part, 30.0); del other;"
-        "print(ranks.size(), part.value, part.total, part.grow(0.5), part.total)"
+        "print(ranks.size(), part.value, part.total, part.increase(0.5), part.total)"
     )
 
     completed = on_two_ranks(_JOINED + program)

@@ -1,3 +1,5 @@
+"""Files of the user that hide a module of Python or of a package are reported."""
+
 from __future__ import annotations
 
 from rig.shadowing import shadowing_files

@@ -1,4 +1,4 @@
-"""The table of a study: recovery after a termination, rejection of foreign files, order, and digest of the code."""
+"""The table of a study: recovery after a termination, rejection of other files, order, and digest of the code."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import pytest
 from rig.errors import RunError
 from rig.study import StoredValues, Study, code_digest, digest, read_rows
 
-HEADER = ("level", "gap, m", "found")
+HEADER = ("level", "gap, m", "result")
 
 
 def add_rows(path: Path, *added: object) -> list[list[str]]:
-    """Open a table, add rows to it, and return all its rows."""
+    """Open a table, add rows (a string is a row of its characters), and return all its rows."""
     study: Study[Any, Any] = Study("gaps", HEADER, str, tuple, lambda key, _: key, lambda row: (tuple(row), row))
     values = StoredValues(study, path)
     for row in added:
@@ -59,7 +59,7 @@ def test_empty_file_becomes_a_table(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"mine", b"mine\n", b"level,gap\n1,2\n", b"\x00\xff\n\x00", b"\n"])
-def test_foreign_table_is_rejected_and_kept(tmp_path: Path, content: bytes) -> None:
+def test_other_file_is_rejected_and_kept(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "mine.csv"
     path.write_bytes(content)
 
@@ -89,7 +89,7 @@ def test_sorted_rows_replace_the_table(tmp_path: Path) -> None:
 
     values.sort()
 
-    assert path.read_text() == 'level,"gap, m",found\n1,2,2\n4,5,5\n'
+    assert path.read_text() == 'level,"gap, m",result\n1,2,2\n4,5,5\n'
 
 
 def test_other_code_gives_another_digest(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,10 +25,11 @@ def square(number: int) -> int:
     return number * number
 
 
-def exit_at_first_call(mark: Path) -> str:
-    if mark.exists():
-        return mark.name
-    mark.touch()
+def exit_at_first_call(marker: Path) -> str:
+    """End the process if the marker file does not exist yet."""
+    if marker.exists():
+        return marker.name
+    marker.touch()
     os._exit(1)
 
 
@@ -57,7 +58,7 @@ class ClusterWithCtrlC:
         ClusterWithCtrlC.closed += 1
 
 
-def test_each_piece_comes_once_with_its_number() -> None:
+def test_each_piece_is_computed_once() -> None:
     with Workers() as workers:
         squares = list(workers.compute(square, range(20)))
         second = list(workers.compute(square, [7]))
@@ -77,7 +78,7 @@ def test_appended_pieces_are_computed_as_well() -> None:
     assert pieces == [2, 4, 16]
 
 
-def test_processes_of_others_outlive_the_workers() -> None:
+def test_workers_end_no_other_process() -> None:
     with Workers() as workers:
         other = multiprocessing.get_context("spawn").Process(target=wait_forever_unless_zero, args=(1,))
         other.start()
@@ -106,10 +107,10 @@ def test_failing_piece_raises_and_leaves_no_process() -> None:
 
 
 def test_pieces_of_ended_workers_are_repeated(tmp_path: Path) -> None:
-    marks = [tmp_path / "one", tmp_path / "two"]
-    marks[0].touch()
+    markers = [tmp_path / "one", tmp_path / "two"]
+    markers[0].touch()
     with Workers() as workers:
-        assert sorted(workers.compute(exit_at_first_call, marks)) == [(0, "one"), (1, "two")]
+        assert sorted(workers.compute(exit_at_first_call, markers)) == [(0, "one"), (1, "two")]
 
 
 def test_piece_that_ends_workers_is_reported() -> None:
@@ -118,12 +119,13 @@ def test_piece_that_ends_workers_is_reported() -> None:
 
 
 def test_leaving_the_context_cancels_waiting_pieces(monkeypatch) -> None:
-    failed: list[object] = []
-    monkeypatch.setattr(threading, "excepthook", failed.append)
+    thread_errors: list[object] = []
+    monkeypatch.setattr(threading, "excepthook", thread_errors.append)
     kill = SpawnProcess.kill
 
     def kill_until_noticed(process: SpawnProcess) -> None:
         kill(process)
+        # Wait until the thread of the executor has handled the end of the process.
         for thread in threading.enumerate():
             if hasattr(thread, "terminate_broken"):
                 thread.join()
@@ -132,7 +134,7 @@ def test_leaving_the_context_cancels_waiting_pieces(monkeypatch) -> None:
     with Workers() as workers:
         next(workers.compute(wait_forever_unless_zero, range(50)))
 
-    assert not failed
+    assert not thread_errors
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be blocked on this system")
@@ -142,7 +144,7 @@ def test_workers_block_ctrl_c() -> None:
     assert not sigint_is_blocked(0)
 
 
-def test_ctrl_c_closes_our_starting_cluster(monkeypatch) -> None:
+def test_ctrl_c_closes_a_starting_cluster(monkeypatch) -> None:
     monkeypatch.setattr("distributed.LocalCluster", ClusterWithCtrlC)
     with pytest.raises(KeyboardInterrupt):
         Workers("local")

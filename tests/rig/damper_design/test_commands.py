@@ -16,6 +16,7 @@ from rig.damper_design.figure import describe_check, summary, write
 from rig.damper_design.request import parse_request
 from rig.damper_design.worst_peak import Peak
 
+# A scene whose channels lack those of the driven body and of the force.
 BRACKET = """
 name: bracket
 structure: {masses: [4.2 kg, 1.1 kg], springs: [839 kN/m, 964 kN/m], damping: {modal: 2 %}}

@@ -99,7 +99,7 @@ def test_every_level_has_its_column(design: rig.Design) -> None:
     assert heading.split()[3:7] == ["3.3", "N", "6.6", "N"]
 
 
-def test_torn_table_loses_no_answer(tmp_path: Path) -> None:
+def test_damaged_table_loses_no_answer(tmp_path: Path) -> None:
     table = tmp_path / "table.csv"
     question, _ = parse_request(rig.load("fig9"), bodies=[2], levels=[0.5], band=(49.0, 50.0), watched=[2])
     choices = [Choice((2,), (0.05,), (clearance,)) for clearance in (1e-3, 2e-3)]
@@ -143,19 +143,19 @@ def test_worst_peak_without_dampers_is_the_receptance() -> None:
     assert question.bare.size == pytest.approx(exact, rel=1e-5)
 
 
-def test_least_damped_variant_counts() -> None:
+def test_least_damped_variant_determines_the_peak() -> None:
     question, _ = parse_request(rig.load("fig9"), uncertain=(0.2, 0.0))
     certain_question, _ = parse_request(rig.load("fig9"))
     assert len(question.scenes) == 3
     assert question.bare.size == pytest.approx(certain_question.bare.size / 0.8, rel=1e-2)
 
 
-def test_body_named_twice_carries_two() -> None:
+def test_body_named_twice_has_two_dampers() -> None:
     question, space = parse_request(rig.load("fig9"), bodies=[2, 1, 2], dampers=2, levels=[3.3], watched=[2, 2])
     assert (space.locations, question.bodies) == (((1,), (2,), (1, 2), (2, 2)), (2,))
 
 
-def test_two_dampers_give_their_settled_peak() -> None:
+def test_peak_of_two_dampers_equals_simulation() -> None:
     question, _ = parse_request(rig.load("fig9"), levels=[3.3], band=(48.5, 50.5), watched=[2])
     choice = Choice((2, 2), (0.06, 0.04), (1e-3, 1.1e-3))
     peak = question.worst(choice)

@@ -17,12 +17,13 @@ FINITE_CONTACT = {"contact": {"duration": "4 ms"}, "restitution": 0.2}
 
 
 def with_dampers(*changes: dict[str, Any]) -> rig.Scene:
+    """Return the scene of Fig. 9 with a damper in body 2 for each change of its settings."""
     return rig.load(
         "fig9", {"dampers": [{"body": 2, "mass": "50 g", "clearance": "1 mm"} | change for change in changes]}
     )
 
 
-def test_new_dampers_land_as_the_scenes() -> None:
+def test_new_dampers_have_the_contact_of_the_scene() -> None:
     scene = with_dampers(FINITE_CONTACT, FINITE_CONTACT)
     question, _ = parse_request(scene, bodies=[2], levels=[3.3], band=(48.5, 50.5), watched=[2])
     assert str(question.landings) == "new dampers land in 4 ms, restitution 0.2: as the scene's"
@@ -35,7 +36,7 @@ def test_new_dampers_land_as_the_scenes() -> None:
     assert instant.digest != question.digest and instant.worst(choice).size != pytest.approx(peak.size, rel=1e-3)
 
 
-def test_first_of_different_landings_is_taken() -> None:
+def test_first_of_different_contacts_is_used() -> None:
     landings = landings_from(with_dampers(FINITE_CONTACT, {}).dampers)
     assert (landings.restitution, landings.origin) == (0.2, "as the scene's first; others of it differ")
     walls = {"contact": {"floor": {"duration": "4 ms"}, "ceiling": {"duration": "1 ms"}}}

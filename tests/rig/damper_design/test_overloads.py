@@ -1,4 +1,4 @@
-"""The check of a design warns in advance of accelerometers that impacts would overload, and only of those."""
+"""A design predicts which accelerometers its check would overload, by impacts or by the steady motion."""
 
 from __future__ import annotations
 
@@ -15,18 +15,20 @@ from rig.damper_design.worst_peak import Peak
 from rig.system.assembly import assemble
 
 FREQUENCY_HZ, FORCE_N = 49.0, 3.3
+# A peak of the steady motion that overloads no sensor.
 SMALL_PEAK = Peak(1e-6, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0)
 
 
 def _scene(contact: dict[str, Any] | None, sensor: dict[str, Any]) -> rig.Scene:
+    """Return a scene with a damper in body 2, and the sensor on body 2 and on body 3."""
     changes = {
         "dampers": [{"body": 2, "mass_ratio": 0.06, "clearance": 0.98e-3, "contact": contact}],
         "shaker": {"kind": "force", "body": 1},
         "test": {"kind": "stepped_sine", "frequencies": [FREQUENCY_HZ], "force": FORCE_N, "settle": {"longest": "2 s"}},
         "channels": [
             {"name": "force", "at": "shaker"},
-            {"name": "struck", "at": "body 2", "accelerometer": sensor},
-            {"name": "beside", "at": "body 3", "accelerometer": sensor},
+            {"name": "impacted", "at": "body 2", "accelerometer": sensor},
+            {"name": "other", "at": "body 3", "accelerometer": sensor},
         ],
         "converter": {"rate": "5120 Hz"},
     }
@@ -34,6 +36,7 @@ def _scene(contact: dict[str, Any] | None, sensor: dict[str, Any]) -> rig.Scene:
 
 
 def _expected(scene: rig.Scene) -> Expected:
+    """Return the expectation with the closing speeds of the steady motion."""
     response = rig.frequency_response(scene.replace(channels=None), [FREQUENCY_HZ], tolerance=1e-4)
     return Expected(Peak(1e-4, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0), None, tuple(response.closing_speed[:, 0].tolist()))
 
@@ -51,19 +54,20 @@ def test_finite_landings_overload_a_small_sensor(contact: dict[str, Any] | None,
         path = tmp_path / f"{saturation_ratio}.mcap"
         daq.record(limited_scene, path)
         with daq.open(path) as recording:
-            recorded = {mark.fields["channel"] for mark in recording.overloads}
+            recorded = {marker.fields["channel"] for marker in recording.overloads}
         names = [
             overload.reason.partition(":")[0] for overload in predict_overloads(limited_scene, [expected], SMALL_PEAK)
         ]
-        assert names == (["struck"] if saturation_ratio < 1.0 else [])
-        assert recorded == ({"struck"} if saturation_ratio < 1.0 else set())
+        assert names == (["impacted"] if saturation_ratio < 1.0 else [])
+        assert recorded == ({"impacted"} if saturation_ratio < 1.0 else set())
 
 
 def test_instant_landings_without_resonance_are_skipped() -> None:
     scene = _scene(None, {"saturation": "5000 g"})
     (warnings,) = predict_overloads(scene, [_expected(scene)], SMALL_PEAK)
     assert (
-        warnings.reason.startswith("struck: up to") and "saturates at 5000 g, from landings of up to" in warnings.reason
+        warnings.reason.startswith("impacted: up to")
+        and "saturates at 5000 g, from landings of up to" in warnings.reason
     )
     assert warnings.changes == ("channels[2].accelerometer.saturation=null",)
     lines = overload_lines([warnings], finite_contact=False)
@@ -72,14 +76,14 @@ def test_instant_landings_without_resonance_are_skipped() -> None:
 
 def test_no_landing_or_limit_reports_nothing() -> None:
     limited_scene, unlimited_scene = _scene(None, {"saturation": "5 g"}), _scene(None, {})
-    riding = Expected(Peak(1e-4, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0), None, (0.0,))
-    assert not predict_overloads(limited_scene, [riding], SMALL_PEAK)
+    at_rest = Expected(Peak(1e-4, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0), None, (0.0,))
+    assert not predict_overloads(limited_scene, [at_rest], SMALL_PEAK)
     assert not predict_overloads(unlimited_scene, [_expected(unlimited_scene)], SMALL_PEAK)
 
 
 def test_steady_motion_overloads_a_small_sensor() -> None:
-    riding = Expected(Peak(1e-4, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0), None, (0.0,))
-    warnings = predict_overloads(_scene(None, {"saturation": "2 g"}), [riding], SMALL_PEAK)
+    at_rest = Expected(Peak(1e-4, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0), None, (0.0,))
+    warnings = predict_overloads(_scene(None, {"saturation": "2 g"}), [at_rest], SMALL_PEAK)
     assert [overload.changes for overload in warnings] == [
         ("channels[2].accelerometer.saturation=6g",),
         ("channels[3].accelerometer.saturation=6g",),
@@ -87,7 +91,7 @@ def test_steady_motion_overloads_a_small_sensor() -> None:
 
 
 def test_a_small_converter_range_is_named() -> None:
-    riding = Expected(Peak(1e-4, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0), None, (0.0,))
+    at_rest = Expected(Peak(1e-4, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0), None, (0.0,))
     scene = _scene(None, {"sensitivity": "1 V/g"}).replace(converter={"rate": "5120 Hz", "range": "2 V"})
-    (warnings,) = predict_overloads(scene, [riding], SMALL_PEAK)
+    (warnings,) = predict_overloads(scene, [at_rest], SMALL_PEAK)
     assert warnings.changes == ("converter.range=4.8V",)

@@ -1,4 +1,4 @@
-"""Choices are ranked over all levels, and lighter choices with equal performance are listed."""
+"""Choices of dampers are ranked over all levels, and lighter choices with equal performance are listed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rig.damper_design.worst_peak import Peak
 
 
 @pytest.mark.parametrize(("irregular", "bodies"), [(0.0, (1, 2)), (0.3, (2,))])
-def test_one_damper_wins_only_against_irregular_motion(irregular: float, bodies: tuple[int, ...]) -> None:
+def test_one_damper_wins_against_irregular_motion(irregular: float, bodies: tuple[int, ...]) -> None:
     def trial(size: float, *choice: Any) -> Trial:
         return Trial(Choice(*choice), (Peak(size, 10.0, 1.0, 1, 1.0, irregular),))
 
@@ -48,17 +48,22 @@ def test_middle_clearance_wins_among_equals() -> None:
     )
 
 
-def test_no_ceiling_first_and_unbuildable_last_of_equals() -> None:
+def test_equals_rank_no_ceiling_first_unbuildable_last() -> None:
     unbuildable, usual, no_ceiling = (trial_of(0.1, clearance, 2.0) for clearance in (1.4e-5, 1e-3, np.inf))
     assert rank_trials([unbuildable, usual, no_ceiling]) == [no_ceiling, usual, unbuildable]
 
 
 def trial_of(mass: float, clearance: float, *sizes: float) -> Trial:
+    """Return a trial with the sizes of its peaks at levels of 1 N, 2 N, ..."""
     peaks = [Peak(size, 10.0, float(level), 1, 1.0, 0.0) for level, size in enumerate(sizes, 1)]
     return Trial(Choice((1,), (mass,), (clearance,)), tuple(peaks))
 
 
 def test_no_lighter_choice_beats_the_front() -> None:
-    sizes = [(0.1, 3.0), (0.1, 2.0), (0.2, 2.5), (0.3, 1.0), (0.05, 4.0)]
-    trials = [trial_of(m, 1e-3, size) for m, size in sizes]
-    assert [(t.choice.mass, t.peak.size) for t in pareto_front(trials)] == [(0.05, 4.0), (0.1, 2.0), (0.3, 1.0)]
+    masses_and_sizes = [(0.1, 3.0), (0.1, 2.0), (0.2, 2.5), (0.3, 1.0), (0.05, 4.0)]
+    trials = [trial_of(mass, 1e-3, size) for mass, size in masses_and_sizes]
+    assert [(trial.choice.mass, trial.peak.size) for trial in pareto_front(trials)] == [
+        (0.05, 4.0),
+        (0.1, 2.0),
+        (0.3, 1.0),
+    ]

@@ -1,4 +1,4 @@
-"""The search over choices returns the best in any order of evaluation, and one damper where one suffices."""
+"""The search returns the best choice of dampers in any order of evaluation, and one damper where one suffices."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class QuadraticOptimum(Question):
 
     def worst(self, choice: Choice) -> Peak:
         deviations = [
-            (np.log(c / 1e-3) - 0.1 * level) ** 2 + (m / 0.06 - 1.0) ** 2 + 0.1 * (b - 2) ** 2
-            for b, m, c in zip(choice.bodies, choice.masses, choice.clearances, strict=True)
+            (np.log(clearance / 1e-3) - 0.1 * level) ** 2 + (mass / 0.06 - 1.0) ** 2 + 0.1 * (body - 2) ** 2
+            for body, mass, clearance in zip(choice.bodies, choice.masses, choice.clearances, strict=True)
             for level in self.levels
         ]
         return Peak(float(1.0 + max(deviations)), 10.0, max(self.levels), 1, 1.0, 0.0)
@@ -50,7 +50,7 @@ def search_in_this_process(question: Question, space: Space) -> tuple[Trial, lis
     return search(question, space, Answers(ShuffledWorkers(0), None, None, 1))  # type: ignore[arg-type]
 
 
-def test_second_level_decides_if_worst_is_equal() -> None:
+def test_second_level_decides_if_worst_peaks_are_equal() -> None:
     question = TwoLevels((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
     best, _ = search_in_this_process(question, Space(((1,),), 0.1, (1e-4, 1e-2)))
     assert best.choice.clearances[0] == pytest.approx(2e-3, rel=0.1)
@@ -58,15 +58,19 @@ def test_second_level_decides_if_worst_is_equal() -> None:
 
 @dataclass(frozen=True)
 class SingleBody(Question):
-    """Immediate answers; only the damper in body 2 has an effect, the largest with the whole mass and 1 mm."""
+    """Question where only the damper in body 2 has an effect, which is largest for the whole mass and 1 mm."""
 
     def worst(self, choice: Choice) -> Peak:
         dampers = zip(choice.bodies, choice.masses, choice.clearances, strict=True)
-        deviations = [(m / 0.1 - 1.0) ** 2 + 0.1 * np.log(c / 1e-3) ** 2 for b, m, c in dampers if b == 2]
+        deviations = [
+            (mass / 0.1 - 1.0) ** 2 + 0.1 * np.log(clearance / 1e-3) ** 2
+            for body, mass, clearance in dampers
+            if body == 2
+        ]
         return Peak(float(1.0 + min(deviations, default=9.0)), 10.0, max(self.levels), 1, 1.0, 0.0)
 
 
-def test_equal_single_damper_is_named() -> None:
+def test_equal_single_damper_is_chosen() -> None:
     question = SingleBody((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
     best, _ = search_in_this_process(question, Space(((1, 2),), 0.1, (1e-4, 1e-2)))
     assert best.choice.bodies == (2,) and best.choice.masses == pytest.approx((0.1,))
@@ -90,17 +94,17 @@ def test_dampers_without_a_ceiling_are_tried() -> None:
 
 @dataclass(frozen=True)
 class HighCeiling(Question):
-    """Immediate answers; a higher ceiling is always better."""
+    """Question where a higher ceiling is always better."""
 
     def worst(self, choice: Choice) -> Peak:
         return Peak(1.0 / choice.mass + 1e-3 / choice.clearances[0], 10.0, max(self.levels), 1, 1.0, 0.0)
 
 
 class ShuffledWorkers:
-    """Workers that answer in a random order, and stop after some pieces as if they were killed."""
+    """Workers in this process that compute in a random order, and fail after some pieces, as if they were killed."""
 
-    def __init__(self, seed: int, until: float = np.inf) -> None:
-        self.random, self.pieces_left = np.random.default_rng(seed), until
+    def __init__(self, seed: int, max_pieces: float = np.inf) -> None:
+        self.random, self.pieces_left = np.random.default_rng(seed), max_pieces
 
     def compute(self, function: Callable[[Any], Any], pieces: Sequence[Any]) -> Iterator[tuple[int, Any]]:
         completed: set[int] = set()
@@ -113,8 +117,8 @@ class ShuffledWorkers:
             yield number, function(pieces[number])
 
 
-@pytest.mark.parametrize(("dampers", "seed", "until"), [(1, 1, 30), (1, 2, 120), (2, 3, 300)])
-def test_killed_search_continues_in_order(dampers: int, seed: int, until: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("dampers", "seed", "max_pieces"), [(1, 1, 30), (1, 2, 120), (2, 3, 300)])
+def test_killed_search_continues_in_order(dampers: int, seed: int, max_pieces: int, tmp_path: Path) -> None:
     question = QuadraticOptimum((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
     space = Space(Space.locations_of((1, 2, 3), dampers), 0.1, (1e-4, 1e-2))
 
@@ -127,12 +131,12 @@ def test_killed_search_continues_in_order(dampers: int, seed: int, until: int, t
     uninterrupted_table, resumed_table = tmp_path / "one.csv", tmp_path / "other.csv"
     expected = search_with(ShuffledWorkers(0), uninterrupted_table)
     with pytest.raises(RunError, match="killed"):
-        search_with(ShuffledWorkers(seed, until), resumed_table)
+        search_with(ShuffledWorkers(seed, max_pieces), resumed_table)
     assert search_with(ShuffledWorkers(seed + 1), resumed_table) == expected
     assert resumed_table.read_bytes() == uninterrupted_table.read_bytes()
 
 
-def test_larger_budget_table_respects_the_smaller(tmp_path: Path) -> None:
+def test_table_of_larger_budget_respects_the_smaller(tmp_path: Path) -> None:
     question = QuadraticOptimum((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
     for mass in (0.06, 0.03):
         answers = Answers(ShuffledWorkers(0), tmp_path / "table.csv", None, 1)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""The interval of clearances with nearly optimal performance, and the choice among equals."""
+"""The interval of clearances with nearly optimal performance, and the choice among equal designs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from rig.damper_design.worst_peak import Peak
 SPACE = Space(((1,),), 0.1, (1e-4, 1e-2))
 
 
-class InThisProcess:
+class WorkersInThisProcess:
     """Workers that compute in this process, including pieces that are added during the computation."""
 
     def compute(self, function: Callable[[Any], Any], pieces: Sequence[Any]) -> Iterator[tuple[int, Any]]:
@@ -41,8 +41,8 @@ class Plateau(Question):
 
 
 @dataclass(frozen=True)
-class Unreached(Question):
-    """Question whose peak does not depend on clearances above 7 micrometres."""
+class UnreachedCeiling(Question):
+    """Question whose peak does not depend on clearances above 7 micrometers, because no damper reaches its ceiling."""
 
     def worst(self, choice: Choice) -> Peak:
         return Peak(2.0 if choice.clearances[0] < 7e-6 else 1.0, 49.0, max(self.levels), 1, 1.0, 0.0)
@@ -53,7 +53,7 @@ def _question(kind: type[Question]) -> Question:
 
 
 def _answers() -> Answers:
-    return Answers(InThisProcess(), None, None, 1)  # type: ignore[arg-type]
+    return Answers(WorkersInThisProcess(), None, None, 1)  # type: ignore[arg-type]
 
 
 def _trial(question: Question, clearance: float) -> Trial:
@@ -71,24 +71,24 @@ def test_tolerance_gives_both_edges_of_a_plateau() -> None:
 
 @pytest.mark.parametrize("clearance", [1e-3, np.inf])
 def test_tolerance_is_open_if_no_ceiling_is_reached(clearance: float) -> None:
-    question = _question(Unreached)
+    question = _question(UnreachedCeiling)
     space = Space(((1,),), 0.1, (1e-6, 1e-2))
     result = clearance_tolerance(question, space, _trial(question, clearance), [], _answers())
     assert result.low == pytest.approx(7e-6, rel=0.06) and np.isinf(result.high)
     assert "for every clearance above" in str(result)
 
 
-def test_equals_are_decided_by_the_modes_outside() -> None:
+def test_modes_outside_the_band_decide_between_equals() -> None:
     question = _question(Plateau)
     trials = [_trial(question, clearance) for clearance in (3.6e-3, 4e-3, 4.6e-3)]
     # Outside the band, the peaks differ by more than equal designs do.
-    best_trial = select_outside_band(_question(Steep), trials, trials[-1], _answers())
+    best_trial = select_outside_band(_question(SteepOutside), trials, trials[-1], _answers())
     assert best_trial.choice.clearances == (3.6e-3,)
 
 
 @dataclass(frozen=True)
-class Steep(Plateau):
-    """As the plateau, with a steep rise outside the band."""
+class SteepOutside(Plateau):
+    """Question like `Plateau`, with a steep rise of the peak outside the band."""
 
     def worst(self, choice: Choice) -> Peak:
         peak = super().worst(choice)
@@ -123,16 +123,18 @@ def test_flight_height_equals_the_simulated_motion() -> None:
 
 
 def test_levels_too_weak_for_flight_are_named() -> None:
-    bare = Peak(1e-4, 62.0, 0.5, 2, 1.0, 0.0)
+    undamped = Peak(1e-4, 62.0, 0.5, 2, 1.0, 0.0)
     peaks = tuple(Peak(size, 61.0, level, 2, 1.0, 0.0) for size, level in ((1.01e-4, 0.5), (5e-5, 4.0)))
     trial = Trial(Choice((1,), (0.1,), (1e-3,)), peaks)
     charted = {level: Peak(size, 61.0, level, 2, 1.0, 0.0) for level, size in ((1.0, 9.5e-5), (1.41, 8e-5))}
-    lines = describe_shortfall(trial, bare, Flight(0.8, 1, np.nan), charted, [trial])
+    lines = describe_shortfall(trial, undamped, Flight(0.8, 1, np.nan), charted, [trial])
     assert "at 0.5 N the dampers cannot fly" in lines[0] and "body 1 reaches 0.625 g" in lines[0]
     assert lines[1].startswith("use --levels 4N:")
     weak_trial = Trial(trial.choice, peaks[:1])
-    assert "from 1.41 N on" in describe_shortfall(weak_trial, bare, Flight(0.8, 1, np.nan), charted, [weak_trial])[1]
-    assert not describe_shortfall(Trial(trial.choice, peaks[1:]), bare, Flight(0.8, 1, np.nan), charted, [])
+    assert (
+        "from 1.41 N on" in describe_shortfall(weak_trial, undamped, Flight(0.8, 1, np.nan), charted, [weak_trial])[1]
+    )
+    assert not describe_shortfall(Trial(trial.choice, peaks[1:]), undamped, Flight(0.8, 1, np.nan), charted, [])
 
 
 def test_mass_that_never_flies_is_rejected() -> None:

@@ -26,8 +26,8 @@ def test_removed_effects_remove_their_states_and_inputs() -> None:
     )
     no_damper = fig9.replace(dampers=())
     force_driven_structure = rig.load("bare-structure").replace(shaker=None, test=None, channels=None)
-    sizes = [assemble(scene).states for scene in (fig9, no_coil, force_driven_structure)]
-    assert sizes == [9, 8, 6]
+    # Two states a body, two for the table, one for the coil current.
+    assert [assemble(scene).states for scene in (fig9, no_coil, force_driven_structure)] == [9, 8, 6]
     assert assemble(no_damper).dampers == 0
     assert assemble(force_driven_structure).inputs == ()
     names = {effect.name for effect in rig.explain(no_damper).effects if effect.part == "motion"}
@@ -40,7 +40,7 @@ def test_each_channel_is_listed_with_its_stages() -> None:
     measured = rig.explain("fig9")
     part = "channel body1 (displacement at body 1)"
     assert measured.states[part] == 5
-    assert [e.name for e in measured.effects if e.part == part][:2] == ["resonance", "low cut-off"]
+    assert [effect.name for effect in measured.effects if effect.part == part][:2] == ["resonance", "low cut-off"]
     assert "quantisation" not in {effect.name for effect in ideal.effects}
     assert "truth" not in {effect.name for effect in measured.effects}
 
@@ -76,7 +76,7 @@ def test_cost_lists_each_effect_and_its_states() -> None:
     assert text(costs).splitlines()[-1].startswith("with all effects:")
 
 
-def test_bare_scene_costs_structure_and_ideal_channels_only() -> None:
+def test_minimal_scene_costs_structure_and_ideal_channels() -> None:
     scene = rig.loads("structure: {masses: [1 kg], springs: [4 kN/m]}\nrecording: {display: false}", where="test")
     assert [cost.name for cost in effect_costs(scene)] == ["structure", "channels, ideal", "recording"]
 

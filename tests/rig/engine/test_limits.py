@@ -7,7 +7,7 @@ import pytest
 
 import rig
 from rig.system.structural_model import receptance
-from tests.rig.bouncing_ball import fly, take_off
+from tests.rig.bouncing_ball import fly, take_off_phase
 from tests.rig.engine.exact import Segment
 
 OMEGA = 2 * np.pi * 10.0
@@ -87,7 +87,7 @@ def test_vanishing_mass_is_inelastic_bouncing_ball() -> None:
     landings = run.events["time"][run.events["kind"] == "floor"]
     # x = |X| sin(w t + angle): phases of the last flight against the closed forms.
     phase = np.angle(amplitude) + np.pi / 2
-    flight = fly(peak, take_off(peak))
+    flight = fly(peak, take_off_phase(peak))
     take_off_time = separations[separations < landings[-1]][-1]
     assert (omega * take_off_time + phase) % (2 * np.pi) == pytest.approx(flight.start, abs=1e-7)
     assert omega * (landings[-1] - take_off_time) == pytest.approx(flight.end - flight.start, abs=1e-7)
@@ -151,7 +151,7 @@ def test_extremely_stiff_spring_is_exact() -> None:
 
 
 def test_restitution_bounces_end_in_finite_time() -> None:
-    # A light ball over a body that damping stops at once: a geometric sequence of flights.
+    # A light ball over a body that damping stops at once: a geometric sticking_cycle of flights.
     scene = rig.Scene(
         structure={"masses": [1.0], "springs": [OMEGA**2], "damping": {"modal": 0.9}},
         dampers=[{"body": 1, "mass": 1e-9, "clearance": float("inf"), "restitution": 0.95}],

@@ -7,7 +7,7 @@ import rig
 from rig.scene.scene import Scene
 from rig.system.open_loop_drive import with_ideal_force
 from rig.system.structural_model import receptance
-from tests.rig.bouncing_ball import FULL_PERIOD, fly, take_off
+from tests.rig.bouncing_ball import FULL_PERIOD_ACCELERATION_G, fly, take_off_phase
 
 GRAVITY = 9.80665
 
@@ -28,7 +28,7 @@ def test_sticking_massless_damper_flies_as_the_inelastic_ball(acceleration: floa
 
     orbit = rig.periodic_orbit(scene, frequency)
 
-    start = take_off(acceleration)
+    start = take_off_phase(acceleration)
     flight = fly(acceleration, start)
     assert orbit.motion_type == "I"
     kinds, times = orbit.events["kind"], orbit.events["time"] * 2 * np.pi * frequency
@@ -42,7 +42,7 @@ def test_sticking_massless_damper_flies_as_the_inelastic_ball(acceleration: floa
 
 
 def test_massless_damper_flying_a_period_bounces_without_stay() -> None:
-    acceleration = FULL_PERIOD + 0.1
+    acceleration = FULL_PERIOD_ACCELERATION_G + 0.1
     scene = at_body(rig.load("fig9"), 2, 47.0, acceleration, mass_ratio=1e-9, clearance=float("inf"))
 
     orbit = rig.periodic_orbit(scene, 47.0)
@@ -61,7 +61,7 @@ def test_massless_damper_border_is_at_whole_period_flight() -> None:
 
     (sticking,) = [branch for branch in curve.branches if branch.plan.label in ("1^ 1_", "1_ 1^")]
     # The stay vanishes: the damper lands in the instant, and at the phase, in which it would take off.
-    assert sticking.value.max() / unit == pytest.approx(FULL_PERIOD, abs=1e-6)
+    assert sticking.value.max() / unit == pytest.approx(FULL_PERIOD_ACCELERATION_G, abs=1e-6)
     assert sticking.ends[int(sticking.value[-1] > sticking.value[0])] in (
         "damper 1 leaves its wall early",
         "event 1_ and event 1^ change order",

@@ -14,7 +14,7 @@ from rig.single_mode.motion_search import solutions
 from rig.single_mode.periodic_motion import INSTANTS, MotionParameters, MotionType, PeriodicMotion, jacobian
 from rig.single_mode.reduction import SingleMode, single_mode
 from rig.system.structural_model import receptance
-from tests.rig.bouncing_ball import fly, take_off
+from tests.rig.bouncing_ball import fly, take_off_phase
 
 
 @cache
@@ -224,7 +224,7 @@ def test_vanishing_damper_is_the_inelastic_bouncing_ball(acceleration: float) ->
 
     (branch,) = follow_mode(light, band, searches=2).branches
 
-    flight = fly(acceleration, take_off(acceleration))
+    flight = fly(acceleration, take_off_phase(acceleration))
     at_start = int(np.argmin(branch.frequency))
     assert branch.valid.all()
     assert 2 * np.pi - branch.tau_0[at_start] == pytest.approx(flight.end - flight.start, abs=1e-6)

@@ -5,12 +5,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tests.rig.bouncing_ball import FULL_PERIOD, fly, sequence, take_off
+from tests.rig.bouncing_ball import FULL_PERIOD_ACCELERATION_G, fly, sticking_cycle, take_off_phase
 
 
 @pytest.mark.parametrize("acceleration", [1.01, 1.5, 2.2, 3.2, 3.6, 5.0, 9.0])
 def test_flight_ends_at_the_first_contact(acceleration: float) -> None:
-    start = take_off(acceleration)
+    start = take_off_phase(acceleration)
 
     flight = fly(acceleration, start)
 
@@ -26,14 +26,14 @@ def test_flight_ends_at_the_first_contact(acceleration: float) -> None:
 
 
 def test_full_period_flight_lands_one_turn_later() -> None:
-    flight = fly(FULL_PERIOD, take_off(FULL_PERIOD))
+    flight = fly(FULL_PERIOD_ACCELERATION_G, take_off_phase(FULL_PERIOD_ACCELERATION_G))
 
     assert flight.end - flight.start == pytest.approx(2 * np.pi, abs=1e-9)
 
 
 def test_ball_sticks_every_period_at_low_acceleration() -> None:
-    for acceleration in np.linspace(1.001, FULL_PERIOD - 0.01, 40):
-        flights = sequence(float(acceleration))
+    for acceleration in np.linspace(1.001, FULL_PERIOD_ACCELERATION_G - 0.01, 40):
+        flights = sticking_cycle(float(acceleration))
 
         assert len(flights) == 1
         assert flights[0].sticks
@@ -41,17 +41,17 @@ def test_ball_sticks_every_period_at_low_acceleration() -> None:
 
 
 def test_ball_leaves_at_once_beyond_a_full_period() -> None:
-    flights = sequence(FULL_PERIOD + 0.05, longest=200)
+    flights = sticking_cycle(FULL_PERIOD_ACCELERATION_G + 0.05, max_flights=200)
 
     assert not any(flight.sticks for flight in flights)
     assert all(first.end == second.start for first, second in pairwise(flights))
     # It settles on flights of one period each, thrown where the body's speed is pi g/w.
     assert flights[-1].end - flights[-1].start == pytest.approx(2 * np.pi, abs=1e-9)
-    assert np.cos(flights[-1].start) * (FULL_PERIOD + 0.05) == pytest.approx(np.pi, abs=1e-9)
+    assert np.cos(flights[-1].start) * (FULL_PERIOD_ACCELERATION_G + 0.05) == pytest.approx(np.pi, abs=1e-9)
 
 
 def test_hopping_ball_comes_to_rest_on_the_floor() -> None:
-    flights = sequence(7.4)
+    flights = sticking_cycle(7.4)
 
     assert len(flights) > 1
     assert flights[-1].sticks
@@ -59,4 +59,4 @@ def test_hopping_ball_comes_to_rest_on_the_floor() -> None:
 
 def test_acceleration_below_gravity_has_no_separation() -> None:
     with pytest.raises(ValueError, match="never leaves"):
-        take_off(0.99)
+        take_off_phase(0.99)

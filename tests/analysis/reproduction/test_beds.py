@@ -65,12 +65,12 @@ class ReverseOrderWorkers(Workers):
 @pytest.fixture
 def computed(monkeypatch: pytest.MonkeyPatch) -> list[Setting]:
     """Replace the computation by synthetic rows; return the list of the computed settings."""
-    settings_computed: list[Setting] = []
+    computed_settings: list[Setting] = []
     monkeypatch.setattr("rig.study.Workers", ReverseOrderWorkers)
     monkeypatch.setattr(
-        bed_study, "compare_beds", lambda setting: settings_computed.append(setting) or synthetic_row(setting)
+        bed_study, "compare_beds", lambda setting: computed_settings.append(setting) or synthetic_row(setting)
     )
-    return settings_computed
+    return computed_settings
 
 
 def test_only_missing_settings_are_computed(tmp_path: Path, computed: list[Setting]) -> None:

@@ -196,9 +196,12 @@ def test_averaged_hits_are_quotient_of_spectra(tmp_path):
     with daq.open(tmp_path / "r.mcap") as recording:
         begins = [marker.first_sample for marker in recording.markers]
         (curves,) = analysis.frequency_responses(recording, motion="acceleration", estimator="H1", block=3.0)
-        size, lead = 6144, 6144 // 50
+        size, before_hit = 6144, 6144 // 50  # Samples of a block, and of its part before the hit.
         blocks = np.stack(
-            [[recording.read(name, begin - lead, begin - lead + size) for name in NAMES] for begin in begins]
+            [
+                [recording.read(name, begin - before_hit, begin - before_hit + size) for name in NAMES]
+                for begin in begins
+            ]
         )
     spectra = np.fft.rfft(blocks - blocks.mean(axis=2, keepdims=True), axis=2)
     expected = (spectra[:, 0] * spectra[:, 2].conj()).sum(axis=0) / (abs(spectra[:, 2]) ** 2).sum(axis=0)

@@ -67,8 +67,8 @@ def test_measured_rebound_causes_no_error(tmp_path):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap", hits=1, interval=8.0, rebound=(1,))) as rec:
         [[frf]] = analysis.frequency_responses(rec, ["body3"])
         exact = receptance(rec.scene, frf.frequency)[2]
-    strong = (frf.frequency > 5.0) & (frf.frequency < 60.0) & (abs(exact) > 2e-6)
-    np.testing.assert_allclose(frf.value[strong], exact[strong], rtol=0.02)
+    significant = (frf.frequency > 5.0) & (frf.frequency < 60.0) & (abs(exact) > 2e-6)
+    np.testing.assert_allclose(frf.value[significant], exact[significant], rtol=0.02)
 
 
 def test_overload_is_excluded_and_reported(tmp_path):

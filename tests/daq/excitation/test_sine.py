@@ -80,9 +80,9 @@ def test_levels_and_directions_run_in_order() -> None:
         "measure": {"periods": 5},
     }  # fmt: skip
     bench_run = run(scene_with(test))
-    reported = [(f["level"], f["direction"], f["frequency"]) for _, _, f in bench_run.marks_of("measure")]
+    steps = [(f["level"], f["direction"], f["frequency"]) for _, _, f in bench_run.marks_of("measure")]
     steps_of_a_level = [("up", 25.0), ("up", 26.0), ("down", 26.0), ("down", 25.0)]
-    assert reported == [(1.0, *step) for step in steps_of_a_level] + [(2.0, *step) for step in steps_of_a_level]
+    assert steps == [(1.0, *step) for step in steps_of_a_level] + [(2.0, *step) for step in steps_of_a_level]
     assert [fraction for fraction, _ in bench_run.reports] == [k / 8 for k in range(9)]
 
 

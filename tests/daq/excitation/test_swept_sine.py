@@ -124,11 +124,11 @@ def test_mode_is_identified_before_its_resonance() -> None:
     assert mode.gain == pytest.approx(gain, rel=0.1)
 
 
-@pytest.mark.parametrize(("volts", "reported"), [(10.0, "read nothing of the pretest"), (0.2, "less than one count")])
-def test_readings_below_a_count_end_sweep(volts: float, reported: str) -> None:
+@pytest.mark.parametrize(("volts", "warning"), [(10.0, "read nothing of the pretest"), (0.2, "less than one count")])
+def test_readings_below_a_count_end_sweep(volts: float, warning: str) -> None:
     scene = rig.loads(INSENSITIVE).replace(converter={"rate": 2048.0, "bits": 16, "range": volts})
     bench_run = run(scene)
     first, stop, _ = bench_run.marks_of("measure")[0]
     assert stop - first == 2048
     assert np.isfinite(bench_run.drive).all()
-    assert reported in bench_run.warnings[-1]
+    assert warning in bench_run.warnings[-1]

@@ -114,9 +114,9 @@ def test_required_drive_exceeds_weak_amplifier() -> None:
     test = {"kind": "stepped_sine", "frequencies": [30.0, 34.7], "force": "2.6 N"}
     scene = rig.load("fig8-no-damper").replace(test=test)
     needed = daq.foresee(scene)["amplifier"].largest
-    weak = daq.foresee(scene.replace(shaker=scene.shaker.replace(amplifier={"limit": needed / 2})))
-    assert weak["amplifier"].share == pytest.approx(2.0, rel=0.05)
-    assert weak.largest_level == pytest.approx(1.3, rel=0.05)
+    with_weak_amplifier = daq.foresee(scene.replace(shaker=scene.shaker.replace(amplifier={"limit": needed / 2})))
+    assert with_weak_amplifier["amplifier"].share == pytest.approx(2.0, rel=0.05)
+    assert with_weak_amplifier.largest_level == pytest.approx(1.3, rel=0.05)
 
 
 def test_damper_flies_where_its_body_exceeds_gravity() -> None:

@@ -82,9 +82,9 @@ def test_missing_rows_are_imported_as_lost_samples(ending, write_file, tmp_path)
     with recording:
         assert recording.rate == RATE and recording.samples == 4000
         for name, row in zip(NAMES, ROWS * SI_PER_UNIT, strict=True):
-            read = recording.read(name)
-            assert np.array_equal(np.isfinite(read), PRESENT)
-            np.testing.assert_allclose(read[PRESENT], row[PRESENT], rtol=1e-6)
+            samples = recording.read(name)
+            assert np.array_equal(np.isfinite(samples), PRESENT)
+            np.testing.assert_allclose(samples[PRESENT], row[PRESENT], rtol=1e-6)
             gaps = [gap for gap in recording.gaps if name in gap.channels]
             assert [(gap.first_sample, gap.last_sample + 1) for gap in gaps] == MISSING
     assert any("gaps in 3 places" in each and "1004 samples are missing" in each for each in messages)

@@ -131,14 +131,14 @@ def test_timeout_reports_number_of_samples_read():
 
 
 def test_real_and_fast_clock_give_same_samples():
-    read = []
+    readings = []
     for kind in ("fast", "real"):
         connect("bare-structure", kind)
         with Task() as task:
             inputs(task, "Dev1/ai0:3", sample_mode=AcquisitionType.CONTINUOUS)
             task.start()
-            read.append(np.concatenate([np.array(task.read(100, timeout=60.0)) for _ in range(5)], axis=1))
-    assert np.array_equal(*read)
+            readings.append(np.concatenate([np.array(task.read(100, timeout=60.0)) for _ in range(5)], axis=1))
+    assert np.array_equal(*readings)
 
 
 def test_delayed_bench_advances_at_limited_rate():

@@ -51,15 +51,15 @@ def test_single_delay_is_reported_once(chassis, block):
 def test_every_loss_is_counted_once(chassis):
     with Task() as task:
         start_acquisition(task)
-        read = lost = 0
+        n_read = n_lost = 0
         for _ in range(40):
             pass_samples(chassis, 400)
             try:
-                read += len(task.read(100))
+                n_read += len(task.read(100))
             except DaqReadError as error:
-                lost += int(re.search(r"(\d+) samples per channel were overwritten", str(error))[1])
-            assert task.in_stream.curr_read_pos == read + lost
-        assert lost > 0
+                n_lost += int(re.search(r"(\d+) samples per channel were overwritten", str(error))[1])
+            assert task.in_stream.curr_read_pos == n_read + n_lost
+        assert n_lost > 0
 
 
 def test_full_buffer_without_overwriting_stops(chassis):

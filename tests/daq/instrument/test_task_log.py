@@ -29,13 +29,13 @@ def test_log_holds_all_samples(chassis, tmp_path):
         configure_logging_task(task, path)
         task.start()
         pass_samples(chassis, 700)
-        read = np.array(task.read(300))
+        readings = np.array(task.read(300))
         task.stop()
     with daq.open(path) as recording:
         assert list(recording.channels) == ["body1", "body2"]
         assert recording.samples == 700
         volts = np.array([recording.read(name) * info.sensitivity for name, info in recording.channels.items()])
-        np.testing.assert_allclose(volts[:, :300], read, rtol=1e-12)
+        np.testing.assert_allclose(volts[:, :300], readings, rtol=1e-12)
         assert recording.gaps == []
 
 
@@ -91,10 +91,10 @@ def test_log_holds_modules_with_shared_sensors(tmp_path):
         task.in_stream.configure_logging(path, operation=LoggingOperation.CREATE)
         task.start()
         pass_samples(chassis, 300)
-        read = np.array(task.read(300))
+        readings = np.array(task.read(300))
         task.stop()
         assert [each.name for each in task.devices] == ["cDAQ1Mod1", "Dev2"]
-    assert np.array_equal(read[:3], read[3:])
+    assert np.array_equal(readings[:3], readings[3:])
     with daq.open(path) as recording:
         assert [*recording.channels] == [*("body1", "body2", "body3"), *("body1 on Dev2", "body2 on Dev2", "third")]
         assert np.array_equal(recording.read("third"), recording.read("body3"))
@@ -139,9 +139,9 @@ def test_log_holds_reference_trigger_record(tmp_path):
         task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=400)
         task.triggers.reference_trigger.cfg_anlg_edge_ref_trig("force", 100, Slope.RISING, 10.0)
         task.in_stream.configure_logging(path, operation=LoggingOperation.CREATE)
-        read = np.array(task.read(READ_ALL_AVAILABLE, timeout=20.0))
+        readings = np.array(task.read(READ_ALL_AVAILABLE, timeout=20.0))
     with daq.open(path) as recording:
-        np.testing.assert_allclose(recording.read("force"), read, rtol=1e-12)
+        np.testing.assert_allclose(recording.read("force"), readings, rtol=1e-12)
         assert [mark.first_sample for mark in recording.markers if mark.kind == "trigger"] == [100]
 
 
@@ -201,9 +201,9 @@ def test_tdms_log_holds_readings(chassis, tmp_path):
             configure_logging_task(task, path, operation=LoggingOperation.OPEN_OR_CREATE, samps_per_chan=50)
             task.start()
             pass_samples(chassis, 50)
-            read = np.array(task.read(READ_ALL_AVAILABLE))
+            readings = np.array(task.read(READ_ALL_AVAILABLE))
     file = nptdms.TdmsFile.read(path)
     assert [group.name for group in file.groups()] == ["logged", "logged #1"]
     channel = file["logged #1"]["Dev1/ai1"]
-    assert np.array_equal(channel[:], read[1])
+    assert np.array_equal(channel[:], readings[1])
     assert channel.properties["wf_increment"] == 1 / RATE

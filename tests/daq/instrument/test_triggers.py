@@ -50,21 +50,21 @@ def find_in_blocks(condition, samples, skip, cuts):
     cuts=st.lists(st.integers(0, 25), max_size=3).map(sorted),
     level=LEVELS,
     hysteresis=st.sampled_from([0.0, 1.0, 3.0]),
-    low=LEVELS,
-    width=st.sampled_from([0.0, 1.0, 3.0]),
+    lower=LEVELS,
+    height=st.sampled_from([0.0, 1.0, 3.0]),
 )
-def test_blocks_do_not_change_triggers(samples, skip, cuts, level, hysteresis, low, width):
+def test_blocks_do_not_change_triggers(samples, skip, cuts, level, hysteresis, lower, height):
     def rising(signal, level):
         return first_trigger(signal, skip, lambda x: x > level, lambda x: x <= level - hysteresis)
 
     assert find_in_blocks(edge(Slope.RISING, level, hysteresis), samples, skip, cuts) == rising(samples, level)
     mirrored = rising([-x for x in samples], -level)
     assert find_in_blocks(edge(Slope.FALLING, level, hysteresis), samples, skip, cuts) == mirrored
-    top = low + width
-    entering = first_trigger(samples, skip, lambda x: low <= x <= top, lambda x: not low <= x <= top)
-    assert find_in_blocks(window(WindowCondition.ENTERING, low, top), samples, skip, cuts) == entering
-    leaving = first_trigger(samples, skip, lambda x: not low <= x <= top, lambda x: low <= x <= top)
-    assert find_in_blocks(window(WindowCondition.LEAVING, low, top), samples, skip, cuts) == leaving
+    upper = lower + height
+    entering = first_trigger(samples, skip, lambda x: lower <= x <= upper, lambda x: not lower <= x <= upper)
+    assert find_in_blocks(window(WindowCondition.ENTERING, lower, upper), samples, skip, cuts) == entering
+    leaving = first_trigger(samples, skip, lambda x: not lower <= x <= upper, lambda x: lower <= x <= upper)
+    assert find_in_blocks(window(WindowCondition.LEAVING, lower, upper), samples, skip, cuts) == leaving
 
 
 @pytest.mark.parametrize("cuts", [cuts for n in range(5) for cuts in combinations(range(1, 5), n)])

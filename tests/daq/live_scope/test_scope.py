@@ -39,9 +39,9 @@ shaker: {kind: table, body: 1, spring: 5 kN/m}
 def run_scope(scene, folder, plan, **options):
     """Run a scope faster than real time; enter the lines of the plan at their times in s.
 
-    Returns the path of the recording and the reported lines.
+    Returns the path of the recording and the lines that the scope reports.
     """
-    knobs, reported, remaining_lines = knobs_for(scene, None, 0.0), [], sorted(plan.items())
+    knobs, lines, remaining_lines = knobs_for(scene, None, 0.0), [], sorted(plan.items())
     rate = float(scene.converter.rate)
 
     def enter_lines(position):
@@ -50,9 +50,9 @@ def run_scope(scene, folder, plan, **options):
 
     with recording_stream() as stream:
         stream.save(folder / "scope.rrd")
-        path = record_live(scene, folder / "scope.mcap", stream, knobs, reported.append, enter_lines, **options)
+        path = record_live(scene, folder / "scope.mcap", stream, knobs, lines.append, enter_lines, **options)
         stream.flush()
-    return path, reported
+    return path, lines
 
 
 @pytest.fixture(scope="module")
@@ -60,12 +60,12 @@ def scope_run(tmp_path_factory):
     """Return folder, recording and reported lines of a run with three settings."""
     folder = tmp_path_factory.mktemp("scope")
     plan = {0.3: "f 12", 0.5: "F 1.5", 12.0: "F 3", 18.0: "f 20.5", 25.0: "q"}
-    path, reported = run_scope(SCENE, folder, plan)
-    return folder, path, reported
+    path, lines = run_scope(SCENE, folder, plan)
+    return folder, path, lines
 
 
 def test_entered_settings_are_reached_and_marked(scope_run):
-    _, path, reported = scope_run
+    _, path, lines = scope_run
     with daq.open(path) as recording:
         steady_marks = [mark for mark in recording.markers if mark.kind == "measure" and mark.fields["settled"]]
         settings = [(mark.fields["frequency"], mark.fields["level"]) for mark in steady_marks]
@@ -79,7 +79,7 @@ def test_entered_settings_are_reached_and_marked(scope_run):
             )
             force = SCENE.shaker.spring * (table - body) / (2j * np.pi * frequency) ** 2
             assert abs(force) == pytest.approx(level, rel=0.03)
-    assert [line.split(" held")[0].split(" Hz")[0] for line in reported] == ["12", "12", "20.5"]
+    assert [line.split(" held")[0].split(" Hz")[0] for line in lines] == ["12", "12", "20.5"]
 
 
 def test_displayed_curves_and_rig_match_recording(scope_run):
@@ -94,10 +94,10 @@ def test_displayed_curves_and_rig_match_recording(scope_run):
         if chunk.entity_path == "/reading":
             pages += [text for (text,) in batch.column("TextDocument:text").to_pylist()]
     with daq.open(path) as recording:
-        read = recording.read("body2")
+        recorded = recording.read("body2")
         displayed = np.concatenate(curve_blocks)
-        assert displayed.size == read.size == recording.samples
-        np.testing.assert_allclose(np.sort(displayed), np.sort(read), rtol=0, atol=1e-12)
+        assert displayed.size == recorded.size == recording.samples
+        np.testing.assert_allclose(np.sort(displayed), np.sort(recorded), rtol=0, atol=1e-12)
         assert n_frames == pytest.approx(recording.samples / recording.rate * 200, rel=0.05)
     assert any("20.50 Hz, 3 N: held" in page for page in pages)
     assert any("silent" in page for page in pages)
@@ -216,7 +216,7 @@ def test_end_of_input_closes_the_scope_recording(tmp_path):
 def test_force_behind_a_filter_has_receptance_phases(tmp_path, remove_delay):
     converter = {"rate": "5.12 kHz", "filter": "delta_sigma", "remove_delay": remove_delay}
     scene = SCENE.replace(shaker={"kind": "force", "body": 1}, dampers=[], converter=converter)
-    _, reported = run_scope(scene, tmp_path, {0.3: "f 20", 0.5: "F 1.5", 12.0: "q"})
+    _, lines = run_scope(scene, tmp_path, {0.3: "f 20", 0.5: "F 1.5", 12.0: "q"})
     exact = np.degrees(np.angle(receptance(scene, [20.0])[:, 0]))
-    phases = [float(degrees) for degrees in re.findall(r"\((-?\d+)°\)", reported[-1])]
+    phases = [float(degrees) for degrees in re.findall(r"\((-?\d+)°\)", lines[-1])]
     np.testing.assert_allclose(phases, exact, atol=1.0)

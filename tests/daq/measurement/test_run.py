@@ -282,8 +282,8 @@ def test_folder_without_new_files_is_not_reported_missing(tmp_path: Path, monkey
 
 def test_full_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usage = shutil.disk_usage(tmp_path)
-    free_before_test = iter([usage.free])
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=next(free_before_test, 1 << 20)))
+    first_free_bytes = iter([usage.free])
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=next(first_free_bytes, 1 << 20)))
     with pytest.raises(RunError, match="disk is full") as error:
         daq.record(hit_scene().replace(test={**HIT, "interval": "2 s"}), tmp_path / "a.mcap")
     with daq.open(tmp_path / "a.mcap") as rec:

@@ -88,9 +88,9 @@ def test_failed_recovery_keeps_the_old_file(path: Path) -> None:
 
 
 def test_device_is_rejected_as_target(path: Path) -> None:
-    for act in (lambda: recorder(Path(os.devnull)), lambda: recover(path, os.devnull, overwrite=True)):
+    for open_target in (lambda: recorder(Path(os.devnull)), lambda: recover(path, os.devnull, overwrite=True)):
         with pytest.raises(RecordingError, match="not a regular file"):
-            act()
+            open_target()
     assert Path(os.devnull).is_char_device()
 
 

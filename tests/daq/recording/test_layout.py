@@ -135,9 +135,9 @@ def test_cdr_text_length_counts_the_closing_zero():
 
 def test_marker_with_numpy_fields_survives_json():
     marker = Marker("measure", 5, 9, {"force": np.float64(2.6), "levels": np.array([1.0, 2.0])})
-    back = Marker.from_json(memoryview(marker.to_json()))
-    assert (back.kind, back.first_sample, back.last_sample, back.end) == ("measure", 5, 9, 9)
-    assert back.fields == {"force": 2.6, "levels": [1.0, 2.0]}
+    decoded = Marker.from_json(memoryview(marker.to_json()))
+    assert (decoded.kind, decoded.first_sample, decoded.last_sample, decoded.end) == ("measure", 5, 9, 9)
+    assert decoded.fields == {"force": 2.6, "levels": [1.0, 2.0]}
 
 
 def test_unsupported_marker_field_is_rejected():

@@ -89,22 +89,22 @@ def samples_outside(chunks, is_damaged):
 
 def test_truncated_file_keeps_every_whole_chunk(intact_file, tmp_path):
     data, chunks, rng = intact_file.read_bytes(), chunks_of(intact_file), random.Random(5)
-    torn, fixed = tmp_path / os.fsdecode(b"torn\xff.mcap"), tmp_path / "fixed.mcap"
+    truncated, fixed = tmp_path / os.fsdecode(b"truncated\xff.mcap"), tmp_path / "fixed.mcap"
     first_chunk = min(begin for begin, _, topics in chunks if "/raw/body1" in topics)
     # The last metadata record ends with its checksum: the length of the value, and eight digits.
     end_of_data = data.rindex(b"crc32") + len("crc32") + 4 + 8
     n_rejected = 0
     for _ in range(100):
         cut = rng.randrange(len(data))
-        torn.write_bytes(data[:cut])
+        truncated.write_bytes(data[:cut])
         expected = samples_outside(chunks, lambda begin, end, cut=cut: end > cut)
         if not expected.any():
             with pytest.raises(RecordingError, match="nothing can be recovered"):
-                daq.recover(torn, fixed)
+                daq.recover(truncated, fixed)
             assert not fixed.exists()
             n_rejected += 1
             continue
-        salvage = daq.recover(torn, fixed, overwrite=True)
+        salvage = daq.recover(truncated, fixed, overwrite=True)
         assert np.array_equal(check_readable(fixed), expected)
         assert salvage.whole == (cut > end_of_data)
         assert sum(salvage.kept.values()) == expected.sum()
@@ -339,14 +339,14 @@ def test_nothing_recoverable_is_reported(intact_file, tmp_path):
 
 def test_recover_command_lists_losses_like_info(intact_file, tmp_path):
     data, run = intact_file.read_bytes(), CliRunner().invoke
-    (tmp_path / "torn.mcap").write_bytes(data[: len(data) // 2])
-    result = run(app, ["recover", str(tmp_path / "torn.mcap"), "-o", str(tmp_path / "fixed.mcap")])
+    (tmp_path / "truncated.mcap").write_bytes(data[: len(data) // 2])
+    result = run(app, ["recover", str(tmp_path / "truncated.mcap"), "-o", str(tmp_path / "fixed.mcap")])
     assert result.exit_code == 0
     assert "were not flushed" in result.output
     info = run(app, ["info", "--check", str(tmp_path / "fixed.mcap")])
     assert info.exit_code == 0
-    assert "recovered from torn.mcap" in info.output
+    assert "recovered from truncated.mcap" in info.output
     assert "all checksums match" in info.output
     assert "body 2, acceleration" in info.output
-    refused = run(app, ["info", str(tmp_path / "torn.mcap")])
-    assert isinstance(refused.exception, RecordingError)
+    rejected = run(app, ["info", str(tmp_path / "truncated.mcap")])
+    assert isinstance(rejected.exception, RecordingError)

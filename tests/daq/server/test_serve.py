@@ -32,7 +32,7 @@ def test_viewer_shows_channels(tmp_path):
         with contextlib.closing(LiveView(rig.chassis, stream)):
             task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:3", min_val=-5, max_val=5)
             task.timing.cfg_samp_clk_timing(5120.0, samps_per_chan=1000)
-            read = task.read(1000)
+            readings = task.read(1000)
         stream.flush()
         infos, rate = rig.sensors, rig.chassis.bench.rate
     assert rate == 5120.0
@@ -44,7 +44,7 @@ def test_viewer_shows_channels(tmp_path):
             values_by_channel[name].append(chunk.to_record_batch().column("Scalars:scalars").flatten().to_numpy())
         n_motion_chunks += chunk.entity_path == "/rig/body_2" and not chunk.is_static
     assert n_motion_chunks
-    for info, volts in zip(infos, read, strict=True):
+    for info, volts in zip(infos, readings, strict=True):
         displayed = np.concatenate(values_by_channel[info.name])
         assert displayed.size == 1000
         # The viewer displays the quantity in a unit that differs by a power of ten.

@@ -183,8 +183,8 @@ def test_settled_start_reads_zero():
 
 def test_initial_velocity_reads_as_impulse():
     chain, rate = chain_of(scene_of(", integrator: {order: 1}"))
-    read = chain.measure(motion_of([Path(start_velocity=0.25)], rate, 10))[0]
-    assert read == pytest.approx(np.full(10, 0.25), rel=1e-12)
+    samples = chain.measure(motion_of([Path(start_velocity=0.25)], rate, 10))[0]
+    assert samples == pytest.approx(np.full(10, 0.25), rel=1e-12)
 
 
 def test_force_drive_adds_a_force_channel():
@@ -198,8 +198,8 @@ def test_force_drive_adds_a_force_channel():
             ("force", "force"),
         ]
         forces = np.arange(12.0)[None]
-        read = chain.measure(at_rest(1, 5120.0, 12), forces)[1]
-        assert read == pytest.approx([0.0, *(np.arange(11.0) + 0.5)])
+        samples = chain.measure(at_rest(1, 5120.0, 12), forces)[1]
+        assert samples == pytest.approx([0.0, *(np.arange(11.0) + 0.5)])
 
 
 def test_unused_hammer_reads_zero():

@@ -38,8 +38,8 @@ def test_pass_band_is_flat_and_delayed():
 @pytest.mark.parametrize("relative_frequency", [STOP, 0.62, 0.97, 1.2, 1.9, 2.45, 3.3])
 def test_out_of_band_tone_is_suppressed(relative_frequency):
     chain, rate = chain_of(scene_of("", converter=FILTERED), oversampling=16)
-    read = chain.measure(motion_of([Path(tones=((1.0, relative_frequency * RATE, 0.7),))], rate, 16 * 1500))[0]
-    assert np.abs(read[300:]).max() < 1e-5
+    samples = chain.measure(motion_of([Path(tones=((1.0, relative_frequency * RATE, 0.7),))], rate, 16 * 1500))[0]
+    assert np.abs(samples[300:]).max() < 1e-5
 
 
 def test_impact_response_is_convolved_with_filter():
@@ -66,8 +66,8 @@ def test_filtered_impulse_sums_to_velocity():
     chain, _ = chain_of(scene_of("", converter=FILTERED))
     for instant in (10.0, 20.0001, 29.5):
         chain, _ = chain_of(scene_of("", converter=FILTERED))
-        read = chain.measure(motion_of([Path(impacts=((instant / RATE, 0.5),))], RATE, 130))[0]
-        assert read.sum() / RATE == pytest.approx(0.5, rel=1e-5)
+        samples = chain.measure(motion_of([Path(impacts=((instant / RATE, 0.5),))], RATE, 130))[0]
+        assert samples.sum() / RATE == pytest.approx(0.5, rel=1e-5)
 
 
 def test_removed_delay_renumbers_samples():
@@ -85,8 +85,8 @@ def test_removed_delay_renumbers_samples():
 def test_filtered_white_noise_keeps_its_density():
     sensor = ", accelerometer: {noise: 0.01}"
     chain, rate = chain_of(scene_of(sensor, converter="{rate: 1 kHz, filter: delta_sigma, coupling: AC}"))
-    read = chain.measure(at_rest(1, rate, 200_000))[0, 100:]
-    power = np.abs(np.fft.rfft(read[:199_680].reshape(-1, 256) * np.hanning(256))) ** 2
+    samples = chain.measure(at_rest(1, rate, 200_000))[0, 100:]
+    power = np.abs(np.fft.rfft(samples[:199_680].reshape(-1, 256) * np.hanning(256))) ** 2
     density = np.sqrt(2 * power.mean(axis=0) / (rate * np.sum(np.hanning(256) ** 2)))
     assert density[3:114] == pytest.approx(np.full(111, 0.01), rel=0.12)
     assert np.sqrt(np.mean(density[3:114] ** 2)) == pytest.approx(0.01, rel=0.01)

@@ -60,9 +60,10 @@ def test_vibration_in_pass_band_is_unchanged(rate, relative_frequency):
 def test_long_skew_behind_filter_is_exact():
     frequency, rate = 130.0, 1000.0
     scene = oscillator(frequency, SKEWED, channels=2)
-    early, late = acquire(scene, 3000)
+    first, second = acquire(scene, 3000)
     infos = Bench(scene).channels
-    lag = np.angle(amplitude_of(late, frequency, rate) / amplitude_of(early, frequency, rate)) / (2 * np.pi * frequency)
+    phase = np.angle(amplitude_of(second, frequency, rate) / amplitude_of(first, frequency, rate))
+    lag = phase / (2 * np.pi * frequency)
     # The first channel is sampled first, so that its samples are older.
     assert infos[0].delay - infos[1].delay == pytest.approx(0.7e-3)
     assert lag * rate == pytest.approx((infos[0].delay - infos[1].delay) * rate, abs=1e-3)

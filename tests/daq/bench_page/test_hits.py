@@ -1,4 +1,4 @@
-"""Hammer hits are detect_hits in the force and checked for faults at the end of their windows."""
+"""Hammer hits are detected in the force and checked for faults at the end of their windows."""
 
 from __future__ import annotations
 

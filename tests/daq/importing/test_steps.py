@@ -1,4 +1,4 @@
-"""Frequency steps of imported stepped_sine_samples-sine files are detected in the force, and only steps are."""
+"""Frequency steps are detected in the force of an imported stepped-sine test, and not in other tests."""
 
 from __future__ import annotations
 
@@ -135,6 +135,6 @@ def test_import_command_reports_steps(tmp_path, monkeypatch):
     write_npz(tmp_path / "a.npz", stepped_sine_samples([20.0, 25.0], hold_s=2.0))
     scene = make_scene("{kind: stepped_sine, from: 20 Hz, to: 25 Hz, points: 2, force: 1 N}")
     (tmp_path / "bench.yaml").write_text(scene.to_si_yaml().replace("rate: 5120.0 Hz", "rate: 2048 Hz"))
-    completed = CliRunner().invoke(app, ["import", "a.npz", "--scene", "bench.yaml"])
-    assert completed.exit_code == 0, completed.output
-    assert "2 steps detected, 20 to 25 Hz" in completed.output
+    result = CliRunner().invoke(app, ["import", "a.npz", "--scene", "bench.yaml"])
+    assert result.exit_code == 0, result.output
+    assert "2 steps detected, 20 to 25 Hz" in result.output

@@ -48,11 +48,11 @@ def chunks_of(path):
         summary = make_reader(stream).get_summary()
     return [
         (
-            c.chunk_start_offset,
-            c.chunk_start_offset + c.chunk_length,
-            {summary.channels[n].topic for n in c.message_index_offsets},
+            chunk.chunk_start_offset,
+            chunk.chunk_start_offset + chunk.chunk_length,
+            {summary.channels[channel_id].topic for channel_id in chunk.message_index_offsets},
         )
-        for c in summary.chunk_indexes
+        for chunk in summary.chunk_indexes
     ]
 
 

@@ -21,6 +21,7 @@ from daq.server.calls.answers import answer_to
 from daq.server.client_defaults import open_channel
 from daq.server.protocol import SERVICE, _is_list, methods
 from daq.server.served_instrument import Limits
+from rig import load
 
 RATE = 5120.0  # Hz
 N_CALLS = 300
@@ -47,13 +48,11 @@ VALUES_BY_TYPE = {
 
 
 def two_modules():
-    """Return a scene with inputs at two modules; one of them is used by the witness."""
-    import rig
-
+    """Return a scene with inputs at two modules; the witness uses one of them."""
     sensor = {"sensitivity": "100 mV/g", "noise": "20 ug/sqrt(Hz)"}
     channels = [{"name": "table", "at": "table", "accelerometer": sensor}]
     channels += [{"name": f"c{n}", "at": f"body {1 + n % 3}", "accelerometer": sensor} for n in range(7)]
-    return rig.load("bare-structure", {"channels": channels, "converter": {"preset": "NI 9234", "rate": "5120 Hz"}})
+    return load("bare-structure", {"channels": channels, "converter": {"preset": "NI 9234", "rate": "5120 Hz"}})
 
 
 def client(rig):

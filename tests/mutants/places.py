@@ -23,7 +23,7 @@ PLACES: dict[str, dict[str, str]] = {
     "gap and overload marks": {
         "daq/recording/channel_series.py": "tests/daq/recording/test_recording.py",
         "daq/recording/sample_block.py": "tests/daq/recording/test_layout.py",
-        "daq/measurement/limits.py": "tests/daq/measurement/test_watches.py",
+        "daq/measurement/limits.py": "tests/daq/measurement/test_limit_monitoring.py",
         "analysis/responses/clean_segments.py": "tests/analysis/responses/test_clean_segments.py",
     },
     "noise scaling": {

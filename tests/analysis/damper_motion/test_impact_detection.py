@@ -341,7 +341,7 @@ def test_overloaded_channel_gives_no_impact(tmp_path):
     assert not ((with_overload.time > 0.0) & (with_overload.time < end / rec.rate)).any()
 
 
-def test_separate_rebounds_behind_integrator_are_detected():
+def test_separate_rebounds_in_integrated_channel_are_detected():
     # A trial of the gauntlet whose velocity channel records several rebounds in each period.
     [verdict, *_] = [verdict for verdict in run_trial(600101, 69, TONE) if verdict.judge == "impacts"]
     assert verdict.points > 100

@@ -24,7 +24,7 @@ from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError, RunError, SceneError
 from tests.daq.recording.recordings import RATE, make_scene, random_volts, two_channels, write_recording
-from tests.daq.recording.test_suspicion import rewrite
+from tests.daq.recording.test_validation import rewrite
 
 SAMPLES = 5000
 

@@ -10,7 +10,7 @@ from daq.bench_page.access import TokenGate
 
 
 async def page(scope, receive, send):
-    """Answer every request, as the page behind the gate does."""
+    """Answer every request, as the page does once the gate lets a request pass."""
     if scope["type"] == "websocket":
         await send({"type": "websocket.accept"})
         return

@@ -38,7 +38,7 @@ def test_drive_changes_by_factor_three_at_most(start: float) -> None:
     assert max(max(ratios), 1 / min(ratios)) <= 3.0 * (1 + 1e-12)
 
 
-def test_level_behind_decreasing_force_is_reached() -> None:
+def test_level_beyond_decreasing_force_is_reached() -> None:
     def force(drive: float) -> float:
         return float(np.interp(drive, [0.0, 1.0, 1.5, 101.5], [0.0, 1.0, 0.6, 200.6]))
 

@@ -213,7 +213,7 @@ def test_end_of_input_closes_the_scope_recording(tmp_path):
 
 
 @pytest.mark.parametrize("remove_delay", [False, True])
-def test_force_behind_a_filter_has_receptance_phases(tmp_path, remove_delay):
+def test_force_with_a_filter_has_receptance_phases(tmp_path, remove_delay):
     converter = {"rate": "5.12 kHz", "filter": "delta_sigma", "remove_delay": remove_delay}
     scene = SCENE.replace(shaker={"kind": "force", "body": 1}, dampers=[], converter=converter)
     _, lines = run_scope(scene, tmp_path, {0.3: "f 20", 0.5: "F 1.5", 12.0: "q"})

@@ -22,7 +22,7 @@ def record(opcode, content):
 
 
 def text(value):
-    """Return a text, or another field of variable length, behind its length."""
+    """Return a text, or another field of variable length, after its length."""
     return struct.pack("<I", len(value)) + value
 
 

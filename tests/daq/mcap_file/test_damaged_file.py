@@ -187,7 +187,7 @@ def test_any_record_after_foreign_bytes_is_located(tmp_path, first):
         assert (parts[0].begin, parts[0].end) == foreign_span
         assert recovered_from(parts[1:]) == expected_of(first, *([ZSTD_CHUNK] if is_chunk_next else []))
         assert unreadable_in(parts[1:]) == []
-    # Records behind the end of the data section are not read.
+    # Records after the end of the data section are not read.
     parts = parts_of(tmp_path / "a", BEGINNING + bytes(20) + DATA_END + first.stored)
     assert [(part.begin, part.end) for part in parts] == [foreign_span]
 
@@ -243,7 +243,7 @@ def test_damaged_record_is_reported_before_any_record(tmp_path, damaged, reason)
         first_part = parts_of(tmp_path / "a", BEGINNING + damaged_bytes + following)[0]
         assert (first_part.begin, first_part.end) == (begin, end)
         assert first_part.reason.startswith(reason)
-    # Without a record behind it the length is not confirmed.
+    # Without a record after it, the length is not confirmed.
     parts = parts_of(tmp_path / "a", BEGINNING + damaged_bytes + bytes(9) + PLAIN_CHUNK.stored)
     assert parts[0] == Unreadable(begin, end + 9, "no record can be identified")
     assert recovered_from(parts[1:]) == expected_of(PLAIN_CHUNK)

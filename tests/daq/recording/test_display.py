@@ -28,7 +28,7 @@ DAMPER_SCENE = make_scene(recording=DISPLAY_AND_TRUTH, **ONE_DAMPER)
 
 
 def number_of(message):
-    """Return the number in a display message, behind its header of 20 bytes."""
+    """Return the number in a display message, after its header of 20 bytes."""
     return struct.unpack_from("<d", message.data, 20)[0]
 
 

@@ -252,7 +252,7 @@ def test_bit_flips_are_never_read_as_samples(small_file, tmp_path):
 
 def test_damaged_metadata_record_is_not_used(small_file, tmp_path):
     data = small_file.read_bytes()
-    # The first digit of the rate is behind the key and the four bytes of the value's length.
+    # The first digit of the rate follows the key and the four bytes of the value's length.
     position = data.index(b"\x07\0\0\0rate_hz") + 15
     path = tmp_path / "a.mcap"
     path.write_bytes(data[:position] + b"9" + data[position + 1 :])

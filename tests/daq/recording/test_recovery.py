@@ -143,7 +143,7 @@ def test_overwritten_bytes_affect_only_their_chunks(intact_file, tmp_path, lengt
         assert check_readable(tmp_path / "fixed.mcap")[untouched].all()
 
 
-def test_samples_behind_removed_bytes_keep_their_numbers(intact_file, tmp_path):
+def test_samples_after_removed_bytes_keep_their_numbers(intact_file, tmp_path):
     data, chunks = intact_file.read_bytes(), chunks_of(intact_file)
     raw_chunks = [chunk for chunk in chunks if "/raw/body1" in chunk[2]]
     begin, end = raw_chunks[1][0] + 100, raw_chunks[2][0] + 100

@@ -57,7 +57,7 @@ def test_vibration_in_pass_band_is_unchanged(rate, relative_frequency):
     assert 20 * np.log10(abs(result) / peak) == pytest.approx(0.0, abs=1e-3)
 
 
-def test_long_skew_behind_filter_is_exact():
+def test_long_skew_with_filter_is_exact():
     frequency, rate = 130.0, 1000.0
     scene = oscillator(frequency, SKEWED, channels=2)
     first, second = acquire(scene, 3000)

@@ -65,6 +65,6 @@ def test_averages_include_momentum_of_short_impacts():
 
 
 @pytest.mark.parametrize("filtered", ["filter: delta_sigma", "preset: NI 9234"])
-def test_point_samples_behind_a_filter_are_rejected(filtered):
+def test_point_samples_with_a_filter_are_rejected(filtered):
     with pytest.raises(SceneError, match="sampling: point with the filter delta_sigma"):
         rig.loads(f"structure: {{masses: [1], springs: [1]}}\nconverter: {{rate: 5120, sampling: point, {filtered}}}")

@@ -97,7 +97,7 @@ def rewrite(path: Path, checksums: bool = True, shift: int = 0) -> Path:
         content = bytearray(target.read_bytes())
         with Container(target) as container:
             for offset in container.summary.offsets:
-                # The checksum is behind opcode, length, two times and the unpacked size.
+                # The checksum follows opcode, length, two times and the unpacked size.
                 content[int(offset) + 33 : int(offset) + 37] = bytes(4)
         target.write_bytes(content)
     return target

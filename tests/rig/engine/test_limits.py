@@ -151,7 +151,7 @@ def test_extremely_stiff_spring_is_exact() -> None:
 
 
 def test_restitution_bounces_end_in_finite_time() -> None:
-    # A light ball over a body that damping stops at once: a geometric sticking_cycle of flights.
+    # A light ball over a body that damping stops at once: a geometric sequence of flights.
     scene = rig.Scene(
         structure={"masses": [1.0], "springs": [OMEGA**2], "damping": {"modal": 0.9}},
         dampers=[{"body": 1, "mass": 1e-9, "clearance": float("inf"), "restitution": 0.95}],

@@ -1,3 +1,7 @@
+"""A valid scene with any value in place of any entry loads, or is rejected with a message that names the file."""
+
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +23,18 @@ anything = st.recursive(
 )
 
 
-def set_value(content: Any, place: tuple[Any, ...], value: Any) -> None:
-    *parents, last = place
-    for step in parents:
-        content = content[step]
+def set_value(content: Any, path: tuple[Any, ...], value: Any) -> None:
+    """Replace the entry to which a sequence of keys leads."""
+    *parents, last = path
+    for key in parents:
+        content = content[key]
     content[last] = value
 
 
 @pytest.mark.filterwarnings("ignore::rig.errors.SceneWarning")
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_any_value_anywhere_loads_or_names_its_place(data: st.DataObject, tmp_path: Path) -> None:
+def test_any_value_anywhere_loads_or_is_rejected(data: st.DataObject, tmp_path: Path) -> None:
     content = yaml.safe_load(yaml.safe_dump(data.draw(st.sampled_from(VALID_SCENES))))
     set_value(content, data.draw(st.sampled_from(list(key_paths(content)))), data.draw(anything))
     path = tmp_path / "odd.yaml"

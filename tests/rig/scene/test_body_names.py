@@ -1,4 +1,4 @@
-"""Bodies by their names: in scene files, changes, messages and Python."""
+"""Bodies may be given by their names: in scene files, changes, messages and Python."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NAMED = {
 }
 
 
-def test_names_are_taken_wherever_numbers_are() -> None:
+def test_names_replace_numbers_everywhere() -> None:
     scene = rig.load(NAMED)
     assert scene.structure.masses == (4.2, 1.1) and scene.structure.names == ("base", "arm")
     assert scene.dampers[0].body == scene.test.body == 2 and scene.shaker.bodies == (1, 2)
@@ -26,7 +26,7 @@ def test_names_are_taken_wherever_numbers_are() -> None:
     assert scene == rig.Scene(**NAMED)
 
 
-def test_names_go_with_matrices() -> None:
+def test_bodies_of_matrices_have_names() -> None:
     matrices = {"mass": [[4.2, 0], [0, 1.1]], "stiffness": [[2e6, -8e5], [-8e5, 8e5]]}
     scene = rig.load({"structure": {"matrices": matrices, "names": ["base", "arm"]}, "dampers": NAMED["dampers"]})
     assert scene.dampers[0].body == 2

@@ -12,30 +12,31 @@ import rig
 from rig.arguments import load_scene
 from rig.errors import SceneError
 
-SHARED = """
+# Two dampers share their settings by a YAML alias.
+SCENE_WITH_ALIAS = """
 structure: {masses: [1 kg, 2 kg], springs: [1 kN/m, 2 kN/m]}
 dampers:
-  - &one {body: 1, mass: 10 g, clearance: 1 mm}
-  - *one
+  - &damper {body: 1, mass: 10 g, clearance: 1 mm}
+  - *damper
 """
 
 
 @pytest.fixture
 def file(tmp_path):
     path = tmp_path / "mine.yaml"
-    path.write_text(SHARED)
+    path.write_text(SCENE_WITH_ALIAS)
     return str(path)
 
 
 def test_changes_load_as_if_written_in_the_file(file) -> None:
     changes = ["structure.masses[2]=3kg", "dampers[2].body=2", "dampers.clearance=.inf", "recording.truth=true"]
     scene = load_scene(file, changes)
-    text = SHARED.replace("2 kg]", "3 kg]").replace("1 mm", ".inf") + "recording: {truth: true}\nname: mine\n"
-    assert scene == rig.loads(text.replace("*one", "{body: 2, mass: 10 g, clearance: .inf}"))
+    text = SCENE_WITH_ALIAS.replace("2 kg]", "3 kg]").replace("1 mm", ".inf") + "recording: {truth: true}\nname: mine\n"
+    assert scene == rig.loads(text.replace("*damper", "{body: 2, mass: 10 g, clearance: .inf}"))
     assert load_scene(file, ["dampers="]).dampers == () == rig.load(file, {"dampers": None}).dampers
 
 
-def test_changing_an_alias_keeps_its_other_place(file) -> None:
+def test_change_through_an_alias_affects_one_place(file) -> None:
     scene = rig.load(file, {"dampers[1].clearance": 2e-3, "dampers[2].body": 2})
     assert [damper.clearance for damper in scene.dampers] == [2e-3, 1e-3]
 
@@ -54,14 +55,14 @@ def test_changing_an_alias_keeps_its_other_place(file) -> None:
         ("structure.masses=[1 kg", "expected KEY=VALUE"),
     ],
 )
-def test_wrong_change_is_named_with_the_expected_value(file, change, message) -> None:
+def test_message_about_wrong_change_names_expected_value(file, change, message) -> None:
     with pytest.raises(SceneError) as wrong:
         load_scene(file, [change])
     assert message in str(wrong.value)
 
 
 @pytest.mark.parametrize("package", ["rig", "daq", "analysis"])
-def test_scene_commands_take_changes(package) -> None:
+def test_scene_commands_have_the_changes_option(package) -> None:
     group = typer.main.get_command(import_module(f"{package}.cli").app)
     for name, command in group.commands.items():
         keys = {parameter.name for parameter in command.params}
@@ -85,7 +86,7 @@ def test_mistake_of_an_option_names_the_option(file, change, message) -> None:
 
 
 def test_mistake_of_the_file_keeps_its_line(file) -> None:
-    Path(file).write_text(SHARED + "seed: many\n")
+    Path(file).write_text(SCENE_WITH_ALIAS + "seed: many\n")
     with pytest.raises(SceneError, match=r"mine.yaml:6: seed"):
         load_scene(file, ["gravity=1 kg"])
 

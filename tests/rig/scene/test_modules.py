@@ -1,4 +1,4 @@
-"""Modules by data sheet: sample rates, and properties common to all modules."""
+"""Input and output modules from data sheets: sample rates, and properties common to all modules."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from rig.scene.modules import Module, Rates, module
 NAMES = [name for name, sheet in data_sheets().items() if "module" in sheet.facts]
 
 
-def engines(hardware: Module) -> list[Rates]:
+def rates_of(hardware: Module) -> list[Rates]:
+    """Return the sample rates of the inputs and of the outputs, if the module has them."""
     return [engine.rates for engine in (hardware.inputs, hardware.outputs) if engine is not None]
 
 
@@ -34,7 +35,7 @@ def test_module_facts_agree_with_scene_settings(name: str) -> None:
 
 @given(name=st.sampled_from(NAMES), fraction=st.floats(1e-3, 1.0))
 def test_requested_rate_becomes_the_next_higher_clock_rate(name: str, fraction: float) -> None:
-    for rates in engines(module(name)):
+    for rates in rates_of(module(name)):
         requested = fraction * rates.fastest
         rate = rates.at_least(requested)
         assert rates.slowest <= rate <= rates.fastest
@@ -59,7 +60,7 @@ def test_delta_sigma_rates_are_those_of_the_clock(name: str, rates: tuple[float,
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, 60e3, float("nan")])
-def test_impossible_rate_error_names_possible_rates(rate: float) -> None:
+def test_message_about_impossible_rate_names_possible_rates(rate: float) -> None:
     inputs = module("NI 9234").inputs
     assert inputs is not None
     with pytest.raises(SceneError, match=r"expected 1651\.61 to 51200 Hz"):
@@ -75,5 +76,5 @@ def test_shaker_preset_fills_coil_and_armature() -> None:
     shaker = "{kind: electrodynamic, body: 1, spring: 6.6 kN/m, preset: LDS V203, armature: {mass: 40 g}}"
     scene = rig.loads(f"structure: {{masses: [1 kg], springs: [10 kN/m]}}\nshaker: {shaker}")
     assert scene.shaker.coil.force_factor == 3.744
-    # What is named beside it holds.
+    # Explicit keys override the preset.
     assert scene.shaker.armature.mass == 0.04 and scene.shaker.armature.stiffness == 2897.0

@@ -103,7 +103,7 @@ def test_angular_frequency_becomes_hertz() -> None:
     ("written", "kind"),
     [
         ("0.98 kg", LENGTH),
-        ("50 1/s", FREQUENCY),  # radians or cycles? not said
+        ("50 1/s", FREQUENCY),  # radians or cycles is ambiguous
         ("2 kg", ACCELERATION),
         ("5 khz", FREQUENCY),
         ("1,5 mm", LENGTH),
@@ -133,13 +133,13 @@ def test_angular_frequency_becomes_hertz() -> None:
         (10**400, LENGTH),
     ],
 )
-def test_text_that_is_no_quantity_is_rejected(written: object, kind: Kind) -> None:
+def test_invalid_quantity_is_rejected(written: object, kind: Kind) -> None:
     with pytest.raises(ValueError, match=r"\w"):
         parse(written, kind)
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.noun)
-def test_example_of_a_kind_is_of_that_kind(kind: Kind) -> None:
+def test_example_of_a_kind_is_valid(kind: Kind) -> None:
     for example in kind.example.split(" or "):
         assert math.isfinite(parse(example, kind))
     assert parse(f"1 {kind.si.replace('/', ' / ')}", kind) == 1.0

@@ -36,7 +36,7 @@ def test_bounds_accept_exactly_the_allowed_numbers(value, above, at_least, below
             quantity.read(value)
 
 
-def test_bounds_are_described_with_the_bare_unit():
+def test_help_text_names_bounds_and_si_unit():
     quantity = Quantity(LENGTH, above=0.0, at_least=1e-3, below=2.5, infinite=False)
     assert (
         quantity.bounded_description
@@ -48,7 +48,7 @@ def test_bounds_are_described_with_the_bare_unit():
     assert either.help_text.endswith("; a bare number is in m or kg")
 
 
-def test_first_fitting_kind_of_a_quantity_counts():
+def test_first_kind_that_matches_the_unit_counts():
     either = Quantity(LENGTH, MASS)
     assert (either.read("2 mm"), either.read("2 g")) == (2e-3, 2e-3)
     with pytest.raises(PydanticCustomError, match=r'got "2 Hz"; expected a length or a mass'):
@@ -96,7 +96,7 @@ def test_quantity_is_detected_inside_unions():
     assert quantity_of(float | None) is None
 
 
-def test_shown_value_is_short_and_recognizable():
+def test_printed_value_is_short_and_recognizable():
     assert [format_value(value) for value in (None, {}, {"a": 1, "b": 2}, "x", 1.5)] == [
         "nothing",
         "no keys",

@@ -1,4 +1,4 @@
-"""The reference of scene files is complete and describes every key."""
+"""The key reference (`rig help`, `rig schema --explain`) is complete, and names the right effects and states."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_key_is_explained_by_full_name_or_end(key, expected_text) -> None:
     assert expected_text in help_on(key)
 
 
-def test_misspelt_key_is_answered_with_the_nearest() -> None:
+def test_misspelt_key_names_the_nearest() -> None:
     with pytest.raises(SceneError, match="Did you mean 'clearance'"):
         help_on("clearence")
 
@@ -72,7 +72,8 @@ def test_misspelt_kind_names_the_nearest() -> None:
         help_on("test.steped_sine")
 
 
-SENSOR, INPUT = "channels[1].accelerometer", "channels[1].integrator"
+SENSOR, INTEGRATOR = "channels[1].accelerometer", "channels[1].integrator"
+# Changes that make a scene with few effects.
 PLAIN = {
     "structure": {"masses": ["1 kg", "1 kg"], "springs": ["20 kN/m", "20 kN/m"]},
     "dampers": [{"body": 2, "mass": "10 g", "clearance": ".inf"}],
@@ -82,8 +83,8 @@ PLAIN = {
     "converter": {"rate": "5120 Hz"},
     "recording": {"display": False},
 }
-# The keys that activate each effect, with the other keys that they require.
-ON: dict[str, tuple[dict[str, object], dict[str, object]]] = {
+# For each key that activates an effect: changes of the plain scene without the effect, and with it.
+CHANGES: dict[str, tuple[dict[str, object], dict[str, object]]] = {
     "structure.masses": ({}, {"structure": {"masses": ["1 kg"] * 3, "springs": ["20 kN/m"] * 3}}),
     "dampers.body": ({"dampers": None}, {}),
     "dampers.clearance": ({}, {"dampers[1].clearance": "1 mm"}),
@@ -110,9 +111,9 @@ ON: dict[str, tuple[dict[str, object], dict[str, object]]] = {
         {},
         {f"{SENSOR}.temperature_drift": "1 %/K", f"{SENSOR}.temperature_change": "10 K"},
     ),
-    INPUT: ({}, {INPUT: {"order": 1}}),
-    f"{INPUT}.low_cutoff": ({INPUT: {"order": 1}}, {INPUT: {"order": 1, "low_cutoff": "1 Hz"}}),
-    f"{INPUT}.saturation": ({INPUT: {"order": 1}}, {INPUT: {"order": 1, "saturation": "5 V"}}),
+    INTEGRATOR: ({}, {INTEGRATOR: {"order": 1}}),
+    f"{INTEGRATOR}.low_cutoff": ({INTEGRATOR: {"order": 1}}, {INTEGRATOR: {"order": 1, "low_cutoff": "1 Hz"}}),
+    f"{INTEGRATOR}.saturation": ({INTEGRATOR: {"order": 1}}, {INTEGRATOR: {"order": 1, "saturation": "5 V"}}),
     "converter.bits": ({}, {"converter": {"bits": 24, "range": "5 V"}}),
     "converter.range": ({}, {"converter.range": "5 V"}),
     "converter.noise": ({}, {"converter.noise": "1 uV/sqrt(Hz)"}),
@@ -125,19 +126,17 @@ ON: dict[str, tuple[dict[str, object], dict[str, object]]] = {
 
 
 def test_every_optional_key_adds_its_effect_and_states() -> None:
-    assert {key.replace("[1]", "") for key in ON} == set(EFFECTS)
-    for key, (initial_changes, effect_changes) in ON.items():
+    assert {key.replace("[1]", "") for key in CHANGES} == set(EFFECTS)
+    for key, (initial_changes, effect_changes) in CHANGES.items():
         effect, states = EFFECTS[key.replace("[1]", "")]
         before, after = (
             {(effect.part, effect.name): effect.states for effect in rig.explain(rig.load("fig9", changes)).effects}
             for changes in ({**PLAIN, **initial_changes}, {**PLAIN, **effect_changes})
         )
-        new = {name for place, name in after if after[place, name] != before.get((place, name))}
-        added = sum(
-            sign * count
-            for sign, all_ in ((1, after), (-1, before))
-            for (_, name), count in all_.items()
-            if name == effect
+        changed = {name for part, name in after if after[part, name] != before.get((part, name))}
+        states_after, states_before = (
+            sum(count for (_, name), count in effects.items() if name == effect) for effects in (after, before)
         )
-        assert effect in new and (states is None or added == states), (key, new, added)
+        added_states = states_after - states_before
+        assert effect in changed and (states is None or added_states == states), (key, changed, added_states)
         assert f"effect: {effect}" in help_on(key)

@@ -48,7 +48,7 @@ converter: {rate: 5120 Hz, bits: 24, range: 5 V}
 recording: {display: true, truth: false}
 seed: 1
 """
-SMALL = "structure: {masses: [1 kg], springs: [1 kN/m]}\n"
+MINIMAL = "structure: {masses: [1 kg], springs: [1 kN/m]}\n"
 
 
 def test_whole_format_loads_in_si() -> None:
@@ -59,7 +59,7 @@ def test_whole_format_loads_in_si() -> None:
     assert scene.structure.damping == ModalDamping(modal=0.005)
     assert scene.structure.bodies == 3
     assert scene.gravity == STANDARD_GRAVITY
-    assert [d.body for d in scene.dampers] == [1, 2, 3]
+    assert [damper.body for damper in scene.dampers] == [1, 2, 3]
     assert scene.dampers[0].mass_ratio == 0.1
     assert scene.dampers[0].clearance == math.inf
     assert scene.dampers[0].restitution == 0.0
@@ -90,19 +90,20 @@ def test_each_form_of_damping_is_loaded(written: str, damping: object) -> None:
     assert scene.structure.damping == damping
 
 
-def test_printed_tone_and_impulse_tests_are_loaded() -> None:
+def test_tone_and_impulse_tests_are_loaded() -> None:
     tone = rig.loads(
-        SMALL + "shaker: {kind: force, body: 1}\ntest: {kind: sine, frequency: 218.8 rad/s, force: 2.6 N, start: empty}"
+        MINIMAL
+        + "shaker: {kind: force, body: 1}\ntest: {kind: sine, frequency: 218.8 rad/s, force: 2.6 N, start: empty}"
     )
     assert isinstance(tone.test, Sine) and isinstance(tone.shaker, ForceShaker)
     assert tone.test.frequency * 2.0 * math.pi == pytest.approx(218.8, rel=1e-15)
     assert (tone.test.start, tone.test.duration, tone.shaker.bodies) == ("empty", 2.0, (1,))
-    hit = rig.loads(SMALL + "test: {kind: impulse, body: 1, peak: 50 N, width: 4 ms, repeats: 3, interval: 6 s}")
+    hit = rig.loads(MINIMAL + "test: {kind: impulse, body: 1, peak: 50 N, width: 4 ms, repeats: 3, interval: 6 s}")
     assert hit.test == Impulse(body=1, peak=50.0, width=0.004, repeats=3, interval=6.0)
 
 
 def test_electrodynamic_shaker_has_default_parts() -> None:
-    scene = rig.loads(SMALL + "shaker: {kind: electrodynamic, body: 1, spring: 6.6 kN/m, amplifier: {limit: 40 V}}")
+    scene = rig.loads(MINIMAL + "shaker: {kind: electrodynamic, body: 1, spring: 6.6 kN/m, amplifier: {limit: 40 V}}")
     shaker = scene.shaker
     assert isinstance(shaker, ElectrodynamicShaker)
     assert (shaker.coil.resistance, shaker.coil.inductance, shaker.coil.force_factor) == (2.0, 0.2e-3, 10.0)
@@ -112,7 +113,7 @@ def test_electrodynamic_shaker_has_default_parts() -> None:
 
 def test_every_sensor_key_is_loaded() -> None:
     scene = rig.loads(
-        SMALL
+        MINIMAL
         + """
 test: {kind: impulse, body: 1, peak: 50 N, width: 4 ms, repeats: 2, double_hit: {hits: [2], after: 10 ms}}
 channels:
@@ -157,14 +158,14 @@ def test_numbers_that_yaml_misreads_load_as_written(written: str, value: float) 
 
 @pytest.mark.parametrize("name", ["off", "2024-01-01", "1:30", "1e5", "true", "007", "a#b", "Ω µ"])
 def test_names_that_yaml_misreads_stay_names(name: str) -> None:
-    scene = rig.loads(f"name: {name}\n{SMALL}")
+    scene = rig.loads(f"name: {name}\n{MINIMAL}")
     assert scene.name == name
     assert rig.loads(scene.to_yaml()) == scene
 
 
 @pytest.mark.parametrize(("written", "value"), [("on", True), ("yes", True), ("false", False), ("off", False)])
 def test_switches_in_words_are_loaded(written: str, value: bool) -> None:
-    assert rig.loads(f"{SMALL}recording: {{truth: {written}}}").recording.truth is value
+    assert rig.loads(f"{MINIMAL}recording: {{truth: {written}}}").recording.truth is value
 
 
 def test_stepped_sine_frequencies_keep_their_order() -> None:
@@ -201,7 +202,7 @@ def test_bundled_scenes_cover_the_settings_of_the_paper() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "force", "speed", "bodies", "ratio", "clearance"),
+    ("name", "force", "omega", "bodies", "ratio", "clearance"),
     [
         ("reference-A", 2.6, 218.8, [1, 2, 3], 0.1, math.inf),
         ("reference-B", 3.3, 312.4, [2], 0.06, 0.98e-3),
@@ -209,22 +210,24 @@ def test_bundled_scenes_cover_the_settings_of_the_paper() -> None:
     ],
 )
 def test_reference_case_is_the_published_problem(
-    name: str, force: float, speed: float, bodies: list[int], ratio: float, clearance: float
+    name: str, force: float, omega: float, bodies: list[int], ratio: float, clearance: float
 ) -> None:
     scene = rig.load(name)
     assert scene.structure.damping == RayleighDamping(rayleigh={"beta": 2 * 0.005 / 81.9})
     assert isinstance(scene.test, Sine) and isinstance(scene.shaker, ForceShaker)
     assert scene.shaker.bodies == (1,)
     assert (scene.test.force, scene.test.start) == (force, "empty")
-    assert 2.0 * math.pi * scene.test.frequency == pytest.approx(speed, rel=1e-15)
+    assert 2.0 * math.pi * scene.test.frequency == pytest.approx(omega, rel=1e-15)
     assert scene.test.duration * scene.test.frequency == pytest.approx(100.0, rel=1e-15)
-    assert [d.body for d in scene.dampers] == bodies
-    assert {(d.mass_ratio, d.clearance, d.restitution) for d in scene.dampers} == {(ratio, clearance, 0.0)}
+    assert [damper.body for damper in scene.dampers] == bodies
+    assert {(damper.mass_ratio, damper.clearance, damper.restitution) for damper in scene.dampers} == {
+        (ratio, clearance, 0.0)
+    }
 
 
 def test_nameless_scene_is_named_after_its_file(tmp_path: Path) -> None:
     path = tmp_path / "my rig.yaml"
-    path.write_text(SMALL)
+    path.write_text(MINIMAL)
     assert rig.load(path).name == "my rig"
     assert rig.load(str(path)) == rig.load(path)
 
@@ -259,9 +262,9 @@ def test_loaded_scene_is_frozen() -> None:
         rig.load("fig9").seed = 2  # type: ignore[misc]
 
 
-def test_import_of_rig_leaves_heavy_packages_out() -> None:
-    heavy = "{'numba', 'pint', 'pydantic', 'matplotlib', 'scipy', 'yaml', 'numpy'}"
-    code = f"import sys, rig; print(sorted({heavy} & set(sys.modules)))"
+def test_import_of_rig_loads_no_large_package() -> None:
+    large_packages = "{'numba', 'pint', 'pydantic', 'matplotlib', 'scipy', 'yaml', 'numpy'}"
+    code = f"import sys, rig; print(sorted({large_packages} & set(sys.modules)))"
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert process.stdout.strip() == "[]"
 

@@ -12,18 +12,21 @@ from hypothesis import strategies as st
 import rig
 from rig.errors import SceneError
 
+# Parts of scenes.
 STRUCTURE = "structure: {masses: [1 kg, 2 kg], springs: [1 kN/m, 1 kN/m]}\n"
 FORCE = "shaker: {kind: force, body: 1}\n"
-COIL = "shaker: {kind: electrodynamic, body: 1, spring: 6.6 kN/m}\n"
+ELECTRODYNAMIC = "shaker: {kind: electrodynamic, body: 1, spring: 6.6 kN/m}\n"
 
 
 def error_of(text: str) -> str:
+    """Return the message about a scene."""
     with pytest.raises(SceneError) as raised:
         rig.loads(text, "scene.yaml")
     return str(raised.value)
 
 
 NAMED = "structure: {masses: {base: 4 kg, arm: 1 kg}, springs: [1 MN/m, 1 MN/m]}\n"
+# A scene, and a part of the message: line, key, value and what was expected.
 MISTAKES = [
     # unknown and missing keys
     ("structre: {}\n" + STRUCTURE, ":1: structre: unknown key 'structre'. Did you mean 'structure'?"),
@@ -57,11 +60,11 @@ MISTAKES = [
     (STRUCTURE + "test: {kind: impulse, start: later, body: 1, peak: 1 N, width: 1 ms}",
      ':2: test.start: got "later"; expected one of settled or empty'),
     # quantities that depend on another key
-    (STRUCTURE + COIL.replace("}", ", amplifier: {mode: current, limit: 5 V}}"),
+    (STRUCTURE + ELECTRODYNAMIC.replace("}", ", amplifier: {mode: current, limit: 5 V}}"),
      ':2: shaker.amplifier.limit: got "5 V"; expected a current such as 2 mA'),
-    (STRUCTURE + COIL + "test: {kind: sine, frequency: 1 Hz, drive: 5 mm}",
+    (STRUCTURE + ELECTRODYNAMIC + "test: {kind: sine, frequency: 1 Hz, drive: 5 mm}",
      ':3: test.drive: got "5 mm"; expected a voltage such as 5 V'),
-    (STRUCTURE + COIL.replace("electrodynamic", "table") + "test: {kind: sine, frequency: 1 Hz, drive: 5 V}",
+    (STRUCTURE + ELECTRODYNAMIC.replace("electrodynamic", "table") + "test: {kind: sine, frequency: 1 Hz, drive: 5 V}",
      ':3: test.drive: got "5 V"; expected a length such as 0.98 mm'),
     (STRUCTURE + "channels:\n- {name: a, at: body 1, integrator: {order: 2}, abort: 1 m/s}",
      ':3: channels[1].abort: got "1 m/s"; expected a length such as 0.98 mm'),
@@ -160,7 +163,7 @@ MISTAKES = [
     (STRUCTURE + "channels: [{name: a, at: hammer}]", ":2: channels[1].at: there is no hammer"),
     (STRUCTURE + "channels: [{name: a, at: shaker}]",
      ":2: channels[1].at: there is no shaker; expected a body, or a shaker of kind force in the scene"),
-    (STRUCTURE + COIL + "channels: [{name: a, at: shaker}]",
+    (STRUCTURE + ELECTRODYNAMIC + "channels: [{name: a, at: shaker}]",
      ":3: channels[1].at: a shaker of kind electrodynamic acts through its coil spring, whose force is measured by "
      "channels at its two ends; expected at: table and at: body 1"),
     (STRUCTURE + FORCE + "test: {kind: impulse, body: 1, peak: 1 N, width: 1 ms}\nchannels: [{name: a, at: shaker}]",
@@ -270,7 +273,7 @@ def test_single_mistake_names_place_value_and_expectation(text: str, message: st
     assert len(report.splitlines()) == 1
 
 
-def test_faster_module_counts_with_its_own_rate() -> None:
+def test_frequencies_are_checked_against_the_module_rate() -> None:
     module = "converter: {preset: NI 9234, rate: 8 kHz}"
     scene = rig.loads(STRUCTURE + FORCE + "test: {kind: sine, frequency: 4.2 kHz, force: 1}\n" + module)
     assert scene.converter.sample_rate == pytest.approx(51200 / 6)
@@ -340,7 +343,7 @@ def test_binary_file_is_rejected(tmp_path: Path, content: bytes) -> None:
         rig.load(path)
 
 
-def test_empty_file_folder_and_nothing_are_distinguished(tmp_path: Path) -> None:
+def test_empty_file_folder_and_missing_file_are_distinguished(tmp_path: Path) -> None:
     (tmp_path / "empty.yaml").touch()
     with pytest.raises(SceneError, match=r"empty\.yaml is empty"):
         rig.load(tmp_path / "empty.yaml")
@@ -388,7 +391,8 @@ def test_complex_matrix_is_rejected(tmp_path: Path) -> None:
         rig.load(tmp_path / "s.yaml")
 
 
-BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
+# Nine aliases of nine aliases, and so on: billions of values.
+NESTED_ALIASES = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 10)
 )
 
@@ -396,13 +400,13 @@ BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (BOMB, "aliases add more than"),
+        (NESTED_ALIASES, "aliases add more than"),
         ("[" * 100_000, "levels of nesting"),
         ("{a: " * 100_000, "levels of nesting"),
         ("structure: {masses: [" + "9" * 100_000 + "], springs: [1]}", "expected a mass"),
     ],
 )
-def test_hostile_text_is_rejected_quickly(text: str, message: str) -> None:
+def test_extreme_text_is_rejected_quickly(text: str, message: str) -> None:
     assert message in error_of(text)
 
 

@@ -16,17 +16,20 @@ from tests.rig.scene.test_scene_mistakes import error_of
 GROUNDED_STIFFNESS = "[[3, -1], [-1, 2]]"
 
 
-def matrices(stiffness: str, damping: str = "[[0, 0], [0, 0]]") -> str:
+def structure_text(stiffness: str, damping: str = "[[0, 0], [0, 0]]") -> str:
     return f"structure: {{matrices: {{mass: [[1, 0], [0, 2]], stiffness: {stiffness}, damping: {damping}}}}}"
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (matrices("[[-1000, 0], [0, 1000]]"), "structure.matrices.stiffness: not positive semidefinite"),
-        (matrices("[[1, 2], [2, 1]]"), "squared frequency -0.6"),
-        (matrices(GROUNDED_STIFFNESS, "[[-1, 0], [0, 1]]"), "structure.matrices.damping: negative damping: at 0.2"),
-        (matrices(GROUNDED_STIFFNESS, "[[-50, 0], [0, 1]]"), "the free motion grows"),
+        (structure_text("[[-1000, 0], [0, 1000]]"), "structure.matrices.stiffness: not positive semidefinite"),
+        (structure_text("[[1, 2], [2, 1]]"), "squared frequency -0.6"),
+        (
+            structure_text(GROUNDED_STIFFNESS, "[[-1, 0], [0, 1]]"),
+            "structure.matrices.damping: negative damping: at 0.2",
+        ),
+        (structure_text(GROUNDED_STIFFNESS, "[[-50, 0], [0, 1]]"), "the free motion grows"),
         (
             "structure: {masses: [1 kg], springs: [1 kN/m], damping: {modal: 5}}",
             "structure.damping.modal: got 5, which is 500 % of critical; expected at most 100 %, such as 5 %",
@@ -42,25 +45,25 @@ def test_impossible_structure_says_why(text: str, message: str) -> None:
 
 
 def test_stable_general_damping_matrix_is_accepted() -> None:
-    # The gyroscopic part does no work; the symmetric part of the second is indefinite, yet every motion decays.
+    # A gyroscopic part does no work. The second matrix is indefinite, but every motion decays.
     for damping in ("[[0.1, 5], [-5, 0.1]]", "[[0.3, 0.32], [0.32, 0.3]]"):
-        assert rig.loads(matrices(GROUNDED_STIFFNESS, damping)).structure.bodies == 2
+        assert rig.loads(structure_text(GROUNDED_STIFFNESS, damping)).structure.bodies == 2
 
 
 def test_free_structure_may_move_as_rigid_body() -> None:
-    assert rig.loads(matrices("[[1000, -1000], [-1000, 1000]]")).structure.bodies == 2
+    assert rig.loads(structure_text("[[1000, -1000], [-1000, 1000]]")).structure.bodies == 2
 
 
-def test_improbable_clearance_without_unit_is_reported_in_mm() -> None:
+def test_improbable_clearance_without_unit_causes_warning() -> None:
     chain = "structure: {masses: [1 kg], springs: [1 kN/m]}\ndampers: [{body: 1, mass: 1 g, clearance: %s}]"
     with pytest.warns(SceneWarning, match=r"scene:2: dampers\[1\].clearance: got 0.98 .* 980 mm; .* such as 0.98 mm"):
         rig.loads(chain % "0.98")
-    for meant in ("0.98 m", "0.00098", ".inf", "0"):
-        rig.loads(chain % meant)
+    for clearance in ("0.98 m", "0.00098", ".inf", "0"):
+        rig.loads(chain % clearance)
 
 
 @pytest.mark.parametrize(
-    ("meant", "message"),
+    ("damping", "message"),
     [
         ("damping: {modal: 0.5}", r"structure.damping.modal: got 0.5 .* 50 %; .* such as 0.5 %"),
         ("damping: {modal: [0.5 %, 0.3]}", r"structure.damping.modal\[2\]: got 0.3 .* 30 %"),
@@ -68,14 +71,14 @@ def test_improbable_clearance_without_unit_is_reported_in_mm() -> None:
         ("damping: {modal: 0.005}", None),
     ],
 )
-def test_damping_ratio_like_a_percentage_is_questioned(meant, message) -> None:
-    chain = f"structure: {{masses: [1 kg, 1 kg], springs: [1 kN/m, 1 kN/m], {meant}}}"
+def test_damping_ratio_like_a_percentage_causes_warning(damping, message) -> None:
+    chain = f"structure: {{masses: [1 kg, 1 kg], springs: [1 kN/m, 1 kN/m], {damping}}}"
     with pytest.warns(SceneWarning, match=message) if message else nullcontext():
         rig.loads(chain)
 
 
-RUNS_AWAY = """
-# Stable as it stands, but no longer so with the mass of a damper at body 2.
+DIVERGING_SCENE = """
+# Stable without the damper, unstable with its mass in body 2.
 structure:
   matrices: {mass: [[1, 0], [0, 2]], stiffness: [[3000, -1000], [-1000, 2000]], damping: [[-8, -19], [-18, 21.5]]}
 dampers: [{body: 2, mass: 1 kg, clearance: 1 mm}]
@@ -86,21 +89,21 @@ recording: {display: false}
 
 
 def test_diverging_motion_stops_with_time_and_quantity(tmp_path) -> None:
-    scene, message = (
-        rig.loads(RUNS_AWAY),
-        r"diverges: body [12] is [0-9.]+e\+06 m away from rest 1[0-9][0-9.]* s after",
-    )
+    scene = rig.loads(DIVERGING_SCENE)
+    message = r"diverges: body [12] is [0-9.]+e\+06 m away from rest 1[0-9][0-9.]* s after"
     with pytest.raises(RunError, match=message):
         rig.simulate(scene, 60.0)
     with pytest.raises(RunError, match=message):
         daq.record(scene, tmp_path / "a.mcap")
 
 
-WRONG = st.sampled_from(["clearance: -1 mm", "clearance: 3 kg", "clearance: soon", "locked: maybe, clearance: 1 mm"])
+WRONG_SETTINGS = st.sampled_from(
+    ["clearance: -1 mm", "clearance: 3 kg", "clearance: soon", "locked: maybe, clearance: 1 mm"]
+)
 
 
-@given(body=st.integers(3, 999), wrong=WRONG)
-def test_wrong_reference_in_a_wrong_part_is_reported(body: int, wrong: str) -> None:
+@given(body=st.integers(3, 999), wrong=WRONG_SETTINGS)
+def test_wrong_references_are_reported_with_other_mistakes(body: int, wrong: str) -> None:
     message = error_of(
         "structure: {masses: [1 kg, 2 kg], springs: [1 kN/m, 1 kN/m]}\n"
         f"dampers: [{{body: {body}, mass: 1 g, {wrong}}}]\n"

@@ -32,13 +32,14 @@ from rig.scene.scene_files import SCENES, bundled_scenes
 # Magnitudes that every kind of quantity supports; the sample rate is three times a frequency.
 positive = st.floats(min_value=1e-6, max_value=1e6)
 frequency = st.floats(min_value=1e-6, max_value=3e7)
-share = st.just(0.0) | st.floats(min_value=1e-12, max_value=1.0, exclude_max=True)
+fraction = st.just(0.0) | st.floats(min_value=1e-12, max_value=1.0, exclude_max=True)
 damping_ratio = st.floats(min_value=1e-6, max_value=1.0)
 KINDS = [LENGTH, FREQUENCY, STIFFNESS, RATIO, ACCELERATION_SENSITIVITY, ACCELERATION_NOISE]
 level = st.sampled_from(["force", "drive"])
 
 
 def optional(**choices: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any]]:
+    """Draw a mapping with some of the given keys."""
     return st.fixed_dictionaries({}, optional=choices)
 
 
@@ -65,27 +66,27 @@ def excitations(draw: st.DrawFn) -> dict[str, Any]:
 @st.composite
 def scenes(draw: st.DrawFn) -> Scene:
     n = draw(st.integers(1, 5))
-    each = st.tuples(*[positive] * n)
+    per_body = st.tuples(*[positive] * n)
     damper = st.fixed_dictionaries(
-        {"clearance": st.sampled_from([0.0, float("inf")]) | positive, "restitution": share, "locked": st.booleans()}
+        {"clearance": st.sampled_from([0.0, float("inf")]) | positive, "restitution": fraction, "locked": st.booleans()}
     )
     bodies = draw(st.sets(st.integers(1, n)))
-    by = draw(st.sampled_from(["mass", "mass_ratio"]))
-    dampers = [{"body": body, by: draw(positive), **draw(damper)} for body in bodies]
-    accelerometer = optional(sensitivity=positive, noise=positive, low_cutoff=positive, bias=share)
+    mass_key = draw(st.sampled_from(["mass", "mass_ratio"]))
+    dampers = [{"body": body, mass_key: draw(positive), **draw(damper)} for body in bodies]
+    accelerometer = optional(sensitivity=positive, noise=positive, low_cutoff=positive, bias=fraction)
     channel = {"name": "7", "at": f"body {n}", "accelerometer": draw(accelerometer), "abort": draw(positive)}
     spring = {"body": 1, "spring": draw(positive)}
     test = draw(st.none() | excitations())
     converter = draw(optional(rate=positive, jitter=positive, skew=st.tuples(positive)))
-    # Fast enough for any of the test's frequencies.
+    # The sample rate must exceed twice the highest frequency of the test.
     tones = [value for key in ("frequency", "from", "to") if (value := (test or {}).get(key)) is not None]
     tones += (test or {}).get("frequencies", [])
     converter["rate"] = max([converter.get("rate", 5120.0), *(3.0 * tone for tone in tones)])
     return Scene(
         name=draw(st.text(st.characters(codec="utf-8", exclude_categories=["C", "Zl", "Zp"]), min_size=1)),
         structure={
-            "masses": draw(each),
-            "springs": draw(each),
+            "masses": draw(per_body),
+            "springs": draw(per_body),
             "damping": draw(
                 st.none()
                 | st.fixed_dictionaries({"modal": damping_ratio | st.tuples(*[damping_ratio] * n)})
@@ -110,14 +111,14 @@ def scenes(draw: st.DrawFn) -> Scene:
 # A ratio is written without a unit, which causes a warning where the unit may have been forgotten.
 @pytest.mark.filterwarnings("ignore::rig.errors.SceneWarning")
 @given(scenes())
-def test_any_scene_survives_writing_to_the_last_bit(scene: Scene) -> None:
+def test_any_scene_is_written_without_loss(scene: Scene) -> None:
     loaded = rig.loads(scene.to_yaml())
     assert loaded == scene
     assert loaded.to_yaml() == scene.to_yaml()
 
 
 @given(st.integers(1, 4), st.integers(0, 2**32))
-def test_any_matrices_survive_writing_to_the_last_bit(n: int, seed: int) -> None:
+def test_any_matrices_are_written_without_loss(n: int, seed: int) -> None:
     random = np.random.default_rng(seed)
     root = random.standard_normal((n, n))
     mass = root @ root.T + np.eye(n)

@@ -77,8 +77,8 @@ INTEGRATORS = {
 def true_impacts(rec, damper):
     """Return the true times in s and velocity jumps in m/s of a damper with a tenth of the mass of its body."""
     events = rec.events
-    hits = events[(events["kind"] != "separation") & (events["damper"] == damper)]
-    return hits["time"], 0.1 / 1.1 * hits["speed"]
+    impact_events = events[(events["kind"] != "separation") & (events["damper"] == damper)]
+    return impact_events["time"], 0.1 / 1.1 * impact_events["speed"]
 
 
 def f1_score(matched, true_matched, expected):

@@ -209,7 +209,7 @@ def test_fig_9_types_are_identified(fig9):
 
 
 def test_uncertain_impacts_give_no_false_type(tmp_path):
-    """At 46.81 Hz the damper in body 2 hits the ceiling with a tenth of the velocity jump at the floor."""
+    """At 46.81 Hz the damper in body 2 has impacts on the ceiling with a tenth of the velocity jump at the floor."""
     sensor = {"sensitivity": 0.0078, "noise": 4.8e-5, "sensitivity_tolerance": 0.03}
     scene = rig.Scene(
         name="weak impacts",

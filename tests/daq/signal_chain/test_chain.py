@@ -87,18 +87,18 @@ def test_high_frequencies_have_stated_response(keys):
 @pytest.mark.parametrize("order", [1, 2])
 def test_samples_of_impacts_have_closed_form(order, rate):
     samples = 150
-    hits = list(random_impacts(25, samples / rate, seed=order))
+    impacts = list(random_impacts(25, samples / rate, seed=order))
     # Two impacts are almost simultaneous, two are a millionth of a sample apart, and one is on a sample.
-    hits[4] = (hits[3][0] + 1e-16 / rate, 0.7)
-    hits[9] = (hits[8][0] + 1e-6 / rate, -0.3)
-    hits[15] = (round(hits[15][0] * rate) / rate, 0.2)
+    impacts[4] = (impacts[3][0] + 1e-16 / rate, 0.7)
+    impacts[9] = (impacts[8][0] + 1e-6 / rate, -0.3)
+    impacts[15] = (round(impacts[15][0] * rate) / rate, 0.2)
     keys = f"{SENSOR}, integrator: {{order: {order}, corner: 1 Hz}}"
     chain, _ = chain_of(scene_of(keys, converter=f"{{rate: {rate} Hz}}"))
-    volts = chain.measure(motion_of([Path(impacts=tuple(sorted(hits)))], rate, samples))[0]
+    volts = chain.measure(motion_of([Path(impacts=tuple(sorted(impacts)))], rate, samples))[0]
     circuit = Circuit.series([resonance(30e3, 30.0), high_pass(4.0, "low cut-off"), *[integration(1.0, 1.0)] * order])
     t = np.arange(samples) / rate
     expected, transition = np.zeros(samples), expm(circuit.a / rate)
-    for instant, jump in hits:
+    for instant, jump in impacts:
         first = np.flatnonzero(t >= instant - 1e-12 / rate)[0]
         state = expm(circuit.a * (t[first] - instant)) @ circuit.b[0] * jump
         for k in range(first, samples):

@@ -19,17 +19,17 @@ def test_point_samples_are_instant_voltages(seed):
     rate, frequency = np.exp(rng.uniform(np.log([1e3, 2e3]), np.log([1e5, 6e4])))
     q, corner = rng.uniform(1.0, 40.0), rng.uniform(0.1, 20.0)
     samples, oversampling = 60, int(rng.integers(1, 4))
-    hits = [(rng.uniform(0.05, 0.9) * samples / rate, rng.normal()) for _ in range(5)]
+    impacts = [(rng.uniform(0.05, 0.9) * samples / rate, rng.normal()) for _ in range(5)]
     scene = scene_of(
         f", accelerometer: {{resonance: {frequency}, q: {q}, low_cutoff: {corner}}}",
         converter=f"{{rate: {rate}, sampling: point}}",
     )
     chain, fine = chain_of(scene, oversampling)
-    motion = motion_of([Path(impacts=tuple(sorted(hits)))], fine, samples * oversampling)
+    motion = motion_of([Path(impacts=tuple(sorted(impacts)))], fine, samples * oversampling)
     circuit = Circuit.series([resonance(frequency, q), high_pass(corner, "low cut-off")])
     time = np.arange(samples) / rate
     expected = np.zeros(samples)
-    for instant, jump in hits:
+    for instant, jump in impacts:
         for k in np.flatnonzero(time >= instant):
             expected[k] += circuit.c @ expm(circuit.a * (time[k] - instant)) @ circuit.b[0] * jump
     assert chain.measure(motion)[0] == pytest.approx(expected, abs=1e-10 * np.abs(expected).max())
@@ -39,10 +39,10 @@ def test_point_samples_are_instant_voltages(seed):
 
 
 def test_only_averages_include_impulses():
-    hit = Path(impacts=((0.01234, 0.7),))
+    path = Path(impacts=((0.01234, 0.7),))
     for sampling, velocity in (("point", 0.0), ("average", 0.7)):
         chain, rate = chain_of(scene_of(converter=f"{{rate: 1 kHz, sampling: {sampling}}}"))
-        samples = chain.measure(motion_of([hit], rate, 30))[0]
+        samples = chain.measure(motion_of([path], rate, 30))[0]
         assert samples.sum() / rate == pytest.approx(velocity, abs=1e-12)
 
 

@@ -35,7 +35,7 @@ def terminals_of(converter, scene=SCENE):
 
 
 def drive(source, tick, ticks):
-    """Return the volts at ticks, linear in between, that make the damper hit floor and ceiling."""
+    """Return the volts at ticks, linear in between, that cause impacts of the damper on floor and ceiling."""
     return 60.0 * np.sin(2 * np.pi * 25.0 * (tick + np.arange(ticks)) / source.bench.tick_rate)[None]
 
 

@@ -1,4 +1,4 @@
-"""Shared fixtures of the engine tests."""
+"""Fixture of the engine tests: the tables with which the engine advances the motion by a time step."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rig.engine import flow_tables
 
 @pytest.fixture(params=["series and steps", "steps", "nothing"])
 def tabulated(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Settings of the engine's tables, which are smaller for larger structures."""
+    """Run a test with all tables, with fewer and without: the engine omits tables for large structures."""
     monkeypatch.setattr(flow_tables, "_CACHE", OrderedDict())
     if request.param != "series and steps":
         monkeypatch.setattr(flow_tables, "MAX_TABULATED_STATES", 0)

@@ -1,6 +1,7 @@
-"""The motion of a scene between two contact changes to 40 digits: the flow of an augmented linear system.
+"""The exact motion of a scene between two contact changes, to 40 digits, independent of the engine.
 
-It shares nothing with the engine but the scene's matrices. State: positions, velocities, cos w t, sin w t, 1.
+It shares only the matrices of the scene with the engine. The motion is that of an augmented linear system with the
+state: displacements and velocities of the bodies, cos w t, sin w t, 1. The generator is the matrix of this system.
 """
 
 from __future__ import annotations
@@ -19,51 +20,52 @@ def matrix_of(array) -> mpmath.matrix:
 
 
 class Segment:
-    """Bodies under F sin(w t) while the dampers listed in `riding` (from 0) ride."""
+    """Motion under F sin(w t) while the dampers `on_floor` (numbered from 0) are at rest on their floors."""
 
-    def __init__(self, scene: rig.Scene, riding: tuple[int, ...]) -> None:
+    def __init__(self, scene: rig.Scene, on_floor: tuple[int, ...]) -> None:
         mp.dps = DIGITS
         mass, damping, stiffness = (matrix_of(part) for part in structure_matrices(scene.structure))
         n = self.n = mass.rows
         self.gravity = mpf(scene.gravity)
         self.omega = mpf(2.0 * 3.141592653589793 * scene.test.frequency) if scene.shaker else mpf(0)
         load = mpmath.matrix(n, 1)
-        for j in riding:
-            body, bed = (int(structural_model(scene).bed_body[j]), mpf(float(structural_model(scene).bed_mass[j])))
-            mass[body, body] += bed
-            load[body] -= bed * self.gravity
-        inverse = mass**-1
+        for j in on_floor:
+            body = int(structural_model(scene).bed_body[j])
+            damper_mass = mpf(float(structural_model(scene).bed_mass[j]))
+            mass[body, body] += damper_mass
+            load[body] -= damper_mass * self.gravity
+        inverse_mass = mass**-1
         force = mpmath.matrix(n, 1)
         for body in scene.shaker.bodies if scene.shaker else ():
             force[body - 1] = mpf(scene.test.force)
         self.generator = mpmath.zeros(2 * n + 3)
         for i in range(n):
             self.generator[i, n + i] = 1
-        for part, column in ((-inverse * stiffness, 0), (-inverse * damping, n)):
+        for part, column in ((-inverse_mass * stiffness, 0), (-inverse_mass * damping, n)):
             for i in range(n):
                 for k in range(n):
                     self.generator[n + i, column + k] = part[i, k]
-        driven, constant = inverse * force, inverse * load
+        drive_acceleration, constant_acceleration = inverse_mass * force, inverse_mass * load
         for i in range(n):
-            self.generator[n + i, 2 * n + 1] = driven[i]
-            self.generator[n + i, 2 * n + 2] = constant[i]
+            self.generator[n + i, 2 * n + 1] = drive_acceleration[i]
+            self.generator[n + i, 2 * n + 2] = constant_acceleration[i]
         self.generator[2 * n, 2 * n + 1] = -self.omega
         self.generator[2 * n + 1, 2 * n] = self.omega
 
-    def start(self, positions=None, velocities=None) -> mpmath.matrix:
-        """State at t = 0."""
+    def initial_state(self, displacements=None, velocities=None) -> mpmath.matrix:
+        """Return the state at t = 0."""
         state = mpmath.zeros(2 * self.n + 3, 1)
-        for offset, values in ((0, positions), (self.n, velocities)):
+        for offset, values in ((0, displacements), (self.n, velocities)):
             for i, value in enumerate(values if values is not None else ()):
                 state[offset + i] = mpf(float(value))
         state[2 * self.n] = state[2 * self.n + 2] = 1
         return state
 
-    def after(self, state: mpmath.matrix, duration: mpf) -> mpmath.matrix:
-        """State a time later: the Taylor series of the flow, over steps short enough to lose no digits."""
+    def propagate(self, state: mpmath.matrix, duration: mpf) -> mpmath.matrix:
+        """Return the state after a time, s, by Taylor series over steps that are short enough to lose no digits."""
         rate = mpmath.sqrt(mpmath.mnorm(self.generator, 1))
         steps = max(1, int(mpmath.ceil(abs(duration) * rate / 4)))
-        # Sparse rows: most of a chain's elements are zero.
+        # Nonzero elements with their columns.
         size = self.generator.rows
         rows = [[(self.generator[i, k], k) for k in range(size) if self.generator[i, k]] for i in range(size)]
         values = list(state)
@@ -71,17 +73,17 @@ class Segment:
             term, order = values, 0
             while True:
                 order += 1
-                part = duration / (steps * order)
-                term = [part * mp.fdot((value, term[k]) for value, k in row) for row in rows]
+                factor = duration / (steps * order)
+                term = [factor * mp.fdot((value, term[k]) for value, k in row) for row in rows]
                 values = [value + change for value, change in zip(values, term, strict=True)]
                 if max(map(abs, term)) < mpf(10) ** (-DIGITS - 5):
                     break
         return mpmath.matrix(values)
 
     def acceleration(self, state: mpmath.matrix, body: int) -> mpf:
-        """Acceleration of a body (from 0)."""
+        """Return the acceleration of a body, numbered from 0."""
         return (self.generator[self.n + body, :] * state)[0]
 
     def jerk(self, state: mpmath.matrix, body: int) -> mpf:
-        """Rate of change of the acceleration of a body (from 0)."""
+        """Return the time derivative of the acceleration of a body, numbered from 0."""
         return (self.generator[self.n + body, :] * (self.generator * state))[0]

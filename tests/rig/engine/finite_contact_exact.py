@@ -1,8 +1,9 @@
-"""Finite-duration contact to 40 digits, independent of the engine: Taylor series of a switched linear system.
+"""Motion with finite-duration contact to 40 digits, independent of the engine: Taylor series of a switched system.
 
-Only the scene's matrices are shared with the engine. The coordinates are absolute heights, and the springs and dashpots
-of the walls are computed independently. A contact is closed exactly while overlap and wall force are both positive,
-which is tested at several times of every short step. The drive is F sin(w t) on some bodies, or zero.
+It shares only the matrices of the scene with the engine. The coordinates are absolute heights, and the springs and
+dashpots of the walls are computed independently. A contact is closed while overlap and wall force are both positive,
+which is checked at several times of every short step. The drive is F sin(w t) on some bodies, or zero. The mode of a
+damper is its contact: free, on the floor or at the ceiling. A bed is the mass of a damper.
 """
 
 from __future__ import annotations
@@ -21,23 +22,26 @@ from rig.system.structural_model import structural_model, structure_matrices
 DIGITS = 40
 #: Largest omitted term of a Taylor series.
 MAX_OMITTED_TERM = Decimal(10) ** -45
-#: Largest product of rate and step.
+#: Largest product of the largest eigenvalue and the step.
 MAX_RATE_TIMES_STEP = 1.0
-#: Number of times in a step at which contacts are tested.
-TESTS_PER_STEP = 8
+#: Number of times in a step at which contacts are checked.
+CHECKS_PER_STEP = 8
 PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459")
 FREE, FLOOR, CEILING = 0, 1, 2
 
 
-def spring_damper(wall, restitution: float, reduced: mpmath.mpf) -> tuple[Decimal, Decimal]:
-    """Return stiffness and damping of a wall, from the condition that the force is zero after the duration."""
+def spring_damper(wall, restitution: float, reduced_mass: mpmath.mpf) -> tuple[Decimal, Decimal]:
+    """Return stiffness and damping of a wall, from the condition that the force is zero after the duration.
+
+    Without restitution the time constant damping / stiffness is 5 ms, and the damping at least critical.
+    """
     with mpmath.workdps(DIGITS):
         if not isinstance(wall, Landing):
             return Decimal(wall.stiffness), Decimal(wall.damping)
         duration = mpmath.mpf(wall.duration)
 
         def scaled_duration(ratio):
-            """Return the duration times the undamped rate of a landing, computed in complex numbers."""
+            """Return the contact duration times the undamped angular frequency, computed in complex numbers."""
             root = mpmath.sqrt(mpmath.mpc(ratio * ratio - 1))
             return mpmath.re(mpmath.log((ratio + root) / (ratio - root)) / root)
 
@@ -49,12 +53,13 @@ def spring_damper(wall, restitution: float, reduced: mpmath.mpf) -> tuple[Decima
         elif wall.duration >= 5e-3:
             ratio = mpmath.mpf(1) + mpmath.mpf("1e-30")
         else:
-            recovery = mpmath.mpf(5e-3) / duration
+            target = mpmath.mpf(5e-3) / duration
             ratio = mpmath.findroot(
-                lambda z: 2 * z / scaled_duration(z) - recovery, (mpmath.mpf("1.01"), 80), solver="anderson"
+                lambda z: 2 * z / scaled_duration(z) - target, (mpmath.mpf("1.01"), 80), solver="anderson"
             )
-        rate = scaled_duration(ratio) / duration
-        return tuple(Decimal(mpmath.nstr(v, DIGITS)) for v in (reduced * rate**2, 2 * ratio * rate * reduced))
+        omega = scaled_duration(ratio) / duration
+        stiffness, damping = reduced_mass * omega**2, 2 * ratio * omega * reduced_mass
+        return Decimal(mpmath.nstr(stiffness, DIGITS)), Decimal(mpmath.nstr(damping, DIGITS))
 
 
 class SwitchedMotion:
@@ -74,19 +79,22 @@ class SwitchedMotion:
         for damper, body, bed in zip(scene.dampers, self.bed_body, self.beds, strict=True):
             contact = damper.contact
             walls = (contact.floor, contact.ceiling) if isinstance(contact, Walls) else (contact, contact)
-            reduced = 1 / (1 / mpmath.mpf(float(bed)) + 1 / mpmath.mpf(float(mass[body][body])))
-            self.walls.append([spring_damper(wall, damper.restitution, reduced) for wall in walls])
+            reduced_mass = 1 / (1 / mpmath.mpf(float(bed)) + 1 / mpmath.mpf(float(mass[body][body])))
+            self.walls.append([spring_damper(wall, damper.restitution, reduced_mass) for wall in walls])
         self.mass, self.damping, self.stiffness = mass, damping, stiffness
-        driven = scene.shaker is not None
-        self.frequency = Decimal(scene.test.frequency) if driven else Decimal(0)
-        self.force = {b - 1: Decimal(scene.test.force) for b in scene.shaker.bodies} if driven else {}
+        has_drive = scene.shaker is not None
+        self.frequency = Decimal(scene.test.frequency) if has_drive else Decimal(0)
+        self.force = {body - 1: Decimal(scene.test.force) for body in scene.shaker.bodies} if has_drive else {}
         with decimal.localcontext(self.context):
             self.omega = 2 * PI * self.frequency
-        self.flows: dict[tuple[int, ...], tuple[list, float]] = {}
+        self.generators: dict[tuple[int, ...], tuple[list, float]] = {}
 
-    def flow(self, modes: tuple[int, ...]):
-        """Return the sparse rows of the generator of (x, y, x', y', cos, sin, 1), and its largest rate."""
-        if modes not in self.flows:
+    def generator(self, modes: tuple[int, ...]):
+        """Return the sparse rows of the system matrix for the state, and its largest eigenvalue.
+
+        The state is (x, y, x', y', cos, sin, 1), with the heights x of the bodies and y of the beds.
+        """
+        if modes not in self.generators:
             n, nd = self.bodies, len(self.beds)
             coordinates, size = n + nd, 2 * (n + nd) + 3
             rows = [dict.fromkeys(range(size), Decimal(0)) for _ in range(size)]
@@ -113,12 +121,12 @@ class SwitchedMotion:
             rows[2 * coordinates + 1][2 * coordinates] = self.omega
             dense = np.array([[float(row[k]) for k in range(size)] for row in rows])
             max_rate = float(np.abs(np.linalg.eigvals(dense)).max())
-            self.flows[modes] = [[(k, v) for k, v in row.items() if v] for row in rows], max_rate
-        return self.flows[modes]
+            self.generators[modes] = [[(k, v) for k, v in row.items() if v] for row in rows], max_rate
+        return self.generators[modes]
 
     def series(self, modes: tuple[int, ...], state: list[Decimal], step: Decimal) -> list[list[Decimal]]:
-        """Return the Taylor terms of the state over a step."""
-        rows, _ = self.flow(modes)
+        """Return the terms of the Taylor series of the state over a step [s], (terms, states)."""
+        rows, _ = self.generator(modes)
         terms = [state]
         while max(map(abs, terms[-1][:-3])) > MAX_OMITTED_TERM or len(terms) < 4:
             factor = step / len(terms)
@@ -127,7 +135,7 @@ class SwitchedMotion:
         return terms
 
     def closure(self, j: int, wall: int, gap: Decimal, rate: Decimal) -> Decimal:
-        """Return a number that is positive exactly while a contact is closed."""
+        """Return a force that is positive exactly while a contact is closed."""
         k, c = self.walls[j][wall - 1]
         overlap, closing = (-gap, -rate) if wall == FLOOR else (gap - self.clearance[j], rate)
         return min(k * overlap, k * overlap + c * closing)
@@ -141,32 +149,36 @@ class SwitchedMotion:
                 return wall
         return None
 
-    def propagate(self, start, samples: int, per_period: int, step: Decimal | None = None):
-        """Return displacements of the bodies (bodies, samples) and events (time, damper, mode after).
+    def propagate(self, start, samples: int, samples_per_period: int, step: Decimal | None = None):
+        """Return displacements of the bodies (bodies, samples) and events (time, damper from 0, new mode).
 
-        `start`: initial state (x, y, x', y').
+        `start`: initial state (x, y, x', y'); `step`: sample interval, s, instead of `samples_per_period`.
         """
         with decimal.localcontext(self.context):
-            return self._propagate(start, samples, per_period, step)
+            return self._propagate(start, samples, samples_per_period, step)
 
-    def _propagate(self, start, samples, per_period, step):
+    def _propagate(self, start, samples, samples_per_period, step):
         n, nd = self.bodies, len(self.beds)
         coordinates = n + nd
         state = [Decimal(float(v)) for v in start] + [Decimal(1), Decimal(0), Decimal(1)]
         modes, now = (FLOOR,) * nd, Decimal(0)
-        step = step or 1 / (per_period * self.frequency)
+        step = step or 1 / (samples_per_period * self.frequency)
         displacements, events = [], []
         for sample in range(samples):
             target = sample * step
             while now < target:
-                max_rate = max(self.flow(modes)[1], 1.0)
+                max_rate = max(self.generator(modes)[1], 1.0)
                 length = min(target - now, Decimal(MAX_RATE_TIMES_STEP / max_rate))
                 terms = self.series(modes, state, length)
-                paths = [
-                    [[t[n + j + o] - t[self.bed_body[j] + o] for t in terms] for o in (0, coordinates)]
+                # Series of gap and opening speed of each damper.
+                gaps = [
+                    [
+                        [term[n + j + offset] - term[self.bed_body[j] + offset] for term in terms]
+                        for offset in (0, coordinates)
+                    ]
                     for j in range(nd)
                 ]
-                change = self._first(modes, paths)
+                change = self._first_change(modes, gaps)
                 if change is None:
                     state = [sum(column, Decimal(0)) for column in zip(*terms, strict=True)]
                     now = target if length == target - now else now + length
@@ -174,7 +186,7 @@ class SwitchedMotion:
                 fraction, j, mode = change
                 powers = [fraction**k for k in range(len(terms))]
                 state = [
-                    sum((t * p for t, p in zip(column, powers, strict=True)), Decimal(0))
+                    sum((term * power for term, power in zip(column, powers, strict=True)), Decimal(0))
                     for column in zip(*terms, strict=True)
                 ]
                 now += fraction * length
@@ -183,29 +195,30 @@ class SwitchedMotion:
             displacements.append(state[:n])
         return np.array(displacements, dtype=object).T, events
 
-    def _first(self, modes, paths):
-        """Return the first change of a contact in a step: (fraction of the step, damper, mode after), or None."""
+    def _first_change(self, modes, gaps):
+        """Return the first change of a contact in a step: (fraction of the step, damper, new mode), or None."""
         first = None
-        for test, (j, mode) in itertools.product(range(1, TESTS_PER_STEP + 1), enumerate(modes)):
-            if first is not None and test > first[0] * TESTS_PER_STEP + 1:
+        for check, (j, mode) in itertools.product(range(1, CHECKS_PER_STEP + 1), enumerate(modes)):
+            if first is not None and check > first[0] * CHECKS_PER_STEP + 1:
                 break
-            right = Decimal(test) / TESTS_PER_STEP
-            after = self.mode_change(j, mode, *(_value(path, right) for path in paths[j]))
-            if after is None or (first is not None and j == first[1]):
+            right = Decimal(check) / CHECKS_PER_STEP
+            new_mode = self.mode_change(j, mode, *(_value(series, right) for series in gaps[j]))
+            if new_mode is None or (first is not None and j == first[1]):
                 continue
-            left = right - Decimal(1) / TESTS_PER_STEP
+            left = right - Decimal(1) / CHECKS_PER_STEP
             for _ in range(140):
                 middle = (left + right) / 2
-                if self.mode_change(j, mode, *(_value(path, middle) for path in paths[j])) is None:
+                if self.mode_change(j, mode, *(_value(series, middle) for series in gaps[j])) is None:
                     left = middle
                 else:
                     right = middle
             if first is None or right < first[0]:
-                first = (right, j, after)
+                first = (right, j, new_mode)
         return first
 
 
 def _value(series: list[Decimal], tau: Decimal) -> Decimal:
+    """Return the value of a series at a fraction of its step."""
     value = Decimal(0)
     for term in reversed(series):
         value = value * tau + term

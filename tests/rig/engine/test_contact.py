@@ -1,4 +1,4 @@
-"""Contact decisions at one instant against explicit mechanics: who is hit, who lifts, and at what speed."""
+"""Contact laws at an impact or a release, compared with explicit mechanics: momentum, separations and velocities."""
 
 from __future__ import annotations
 
@@ -25,12 +25,16 @@ from rig.system.assembly import assemble
 from rig.system.hybrid_system import pure_tone
 from tests.rig.numerics.test_complementarity import solve_by_enumeration
 
-CLEARANCE = 2e-3
+CLEARANCE = 2e-3  # m
+# Direction of the contact force of a wall on the damper.
 SIGN = {FLOOR: 1.0, CEILING: -1.0}
 
 
 def propagator(coupling: float, restitution: float = 0.0, finite_contacts: int = 0, uncoupled: int = 0) -> Propagator:
-    """Return three bodies with a damper each; the first contacts have a duration, the last bodies are uncoupled."""
+    """Return the engine for three bodies with a damper each, with a coupling of the bodies in the mass matrix, kg.
+
+    The first dampers have finite-duration contact; the last bodies are uncoupled.
+    """
     contact = {"contact": {"duration": "2 ms"}}
     dampers = [
         {"body": body, "mass": 0.1 * body, "clearance": CLEARANCE, "restitution": restitution}
@@ -53,18 +57,18 @@ def propagator(coupling: float, restitution: float = 0.0, finite_contacts: int =
     return Propagator(assemble(scene), pure_tone(np.ones(1), 60.0), 2e-3)
 
 
-def apply_impact(run: Propagator, damper: int, wall: int) -> None:
-    """Let a damper hit a wall 0.25 s after the start of segment 7."""
-    flow, model, work = run.tables.flow, run.tables.model, run.workspace.contact
-    run.log.filled[2], run.log.now[0] = 7, 0.25
-    impact(flow, model, run.state, run.log, damper, wall, work)
-    release_tensile(flow, model, run.state, run.log, work)
+def apply_impact(engine: Propagator, damper: int, wall: int) -> None:
+    """Apply the impact of a damper on a wall 0.25 s after the start of segment 7."""
+    flow, model, work = engine.tables.flow, engine.tables.model, engine.workspace.contact
+    engine.log.filled[2], engine.log.now[0] = 7, 0.25
+    impact(flow, model, engine.state, engine.log, damper, wall, work)
+    release_tensile(flow, model, engine.state, engine.log, work)
 
 
-def randomize(run: Propagator, modes: list[int], seed: int) -> State:
-    """Set a random motion with dampers in given modes; those in flight are away from their walls."""
-    random, state, model = np.random.default_rng(seed), run.state, run.tables.model
-    size = run.tables.size
+def randomize(engine: Propagator, modes: list[int], seed: int) -> State:
+    """Set a random motion with dampers in given contact modes; those in flight are away from their walls."""
+    random, state, model = np.random.default_rng(seed), engine.state, engine.tables.model
+    size = engine.tables.size
     state.z[:size] = 1e-3 * random.standard_normal(size)
     state.z[model.velocity] = random.standard_normal(3)
     state.mode[:] = modes
@@ -79,14 +83,14 @@ MODES = st.lists(st.sampled_from([FLIGHT, FLOOR, CEILING]), min_size=3, max_size
 
 @given(modes=MODES, finite_contacts=st.integers(0, 3), seed=st.integers(0, 10_000))
 def test_finite_contact_forces_equal_the_system_matrices(modes: list[int], finite_contacts: int, seed: int) -> None:
-    run = propagator(0.1, finite_contacts=finite_contacts)
-    state, model, system = randomize(run, modes, seed), run.tables.model, run.system
+    engine = propagator(0.1, finite_contacts=finite_contacts)
+    state, model, system = randomize(engine, modes, seed), engine.tables.model, engine.system
     contact_bits = sum((mode != FLIGHT) << j | (mode == CEILING) << 3 + j for j, mode in enumerate(modes))
     force, constant = system.contact_forces(contact_bits)
-    z, drive = state.z[: system.states], state.z[system.states : run.tables.size]
+    z, drive = state.z[: system.states], state.z[system.states : engine.tables.size]
     expected = (system.force_state + force) @ z + constant + system.force_constant
-    expected += system.force_drive @ (run.drive.output @ drive)
-    work = run.workspace.contact
+    expected += system.force_drive @ (engine.drive.output @ drive)
+    work = engine.workspace.contact
     _forces(model, state, work.force)
     np.testing.assert_allclose(work.force[: system.coordinates], expected, rtol=1e-9, atol=1e-9)
 
@@ -100,41 +104,45 @@ def test_finite_contact_forces_equal_the_system_matrices(modes: list[int], finit
     seed=st.integers(0, 10_000),
 )
 @settings(deadline=None)
-def test_hit_transfers_momentum_by_contact_laws(
+def test_impact_obeys_the_contact_laws(
     coupled: bool, restitution: float, wall: int, modes: list[int], impacting: int, seed: int
 ) -> None:
-    run = propagator(0.15 if coupled else 0.0, restitution)
+    engine = propagator(0.15 if coupled else 0.0, restitution)
     modes[impacting] = FLIGHT
-    state, model = randomize(run, modes, seed), run.tables.model
+    state, model = randomize(engine, modes, seed), engine.tables.model
     position, body = state.z[model.position], state.z[model.velocity]
     sign, speed = SIGN[wall], np.where(state.mode == FLIGHT, state.speed, body)
     state.height[impacting] = height = position[impacting] + (CLEARANCE if wall == CEILING else 0.0)
     closing = 0.1 + abs(speed[impacting])
     speed[impacting] = state.speed[impacting] = body[impacting] - sign * closing
-    apply_impact(run, impacting, wall)
+    apply_impact(engine, impacting, wall)
     after = state.z[model.velocity]
     speed_after = np.where(state.mode == FLIGHT, state.speed, after)
     impulse = model.mass * (speed_after - speed)
-    np.testing.assert_allclose(run.system.mass @ (after - body), -impulse, atol=1e-12)
+    np.testing.assert_allclose(engine.system.mass @ (after - body), -impulse, atol=1e-12)
     walls = np.array([wall if j == impacting else modes[j] for j in range(3)])
     for j in range(3):
         assert SIGN.get(walls[j], 0.0) * impulse[j] >= -1e-12
-        # Dampers in flight elsewhere are unaffected, as are all dampers if the bodies are not coupled.
+        # Other dampers change their velocity only in contact, and only if the bodies are coupled.
         assert j == impacting or (coupled and walls[j] != FLIGHT) or impulse[j] == 0.0
     assert sign * (speed_after[impacting] - after[impacting]) == pytest.approx(restitution * closing, abs=1e-12)
     assert state.height[impacting] == height or not restitution
     if state.mode[impacting] == wall:
         assert state.multiplicity[impacting] == 0
     assert state.multiplicity[impacting] == sign or not restitution
-    log, count = run.log, run.log.filled[0]
-    (hit,) = np.flatnonzero(log.kind[:count] != SEPARATION)
-    logged = [int(column[hit]) for column in (log.segment, log.damper, log.kind)]
-    assert logged == [7, impacting, wall] and log.offset[hit] == 0.25 and log.closing[hit] == pytest.approx(closing)
+    log, count = engine.log, engine.log.filled[0]
+    (impact_index,) = np.flatnonzero(log.kind[:count] != SEPARATION)
+    logged = [int(column[impact_index]) for column in (log.segment, log.damper, log.kind)]
+    assert (
+        logged == [7, impacting, wall]
+        and log.offset[impact_index] == 0.25
+        and log.closing[impact_index] == pytest.approx(closing)
+    )
     separated = [int(j) for j in log.damper[:count][log.kind[:count] == SEPARATION]]
     rebounded = {impacting} if restitution else set()
     assert {j for j in range(3) if walls[j] != FLIGHT and state.mode[j] == FLIGHT} - rebounded == set(separated)
     for j in separated:
-        # Its speed is that of its wall before the impact, or of a wall that releases it without force.
+        # It keeps the velocity of its wall before the impact, or separates from a wall without relative velocity.
         opening_speed = SIGN[walls[j]] * (speed_after[j] - after[j])
         assert speed_after[j] == (after[j] if opening_speed == 0.0 else body[j])
         assert opening_speed >= 0.0 and state.height[j] == position[j] + (CLEARANCE if walls[j] == CEILING else 0.0)
@@ -143,21 +151,21 @@ def test_hit_transfers_momentum_by_contact_laws(
 @given(coupled=st.booleans(), modes=MODES, seed=st.integers(0, 10_000))
 @settings(deadline=None)
 def test_release_agrees_with_enumeration(coupled: bool, modes: list[int], seed: int) -> None:
-    run = propagator(0.15 if coupled else 0.0)
-    state, model, system = randomize(run, modes, seed), run.tables.model, run.system
-    work = run.workspace.contact
+    engine = propagator(0.15 if coupled else 0.0)
+    state, model, system = randomize(engine, modes, seed), engine.tables.model, engine.system
+    work = engine.workspace.contact
     _forces(model, state, work.force)
-    riding = np.flatnonzero(np.array(modes) != FLIGHT)
-    sign = np.array([SIGN[modes[j]] for j in riding])
+    in_contact = np.flatnonzero(np.array(modes) != FLIGHT)
+    sign = np.array([SIGN[modes[j]] for j in in_contact])
     inverse = np.linalg.inv(system.mass)
     free = inverse @ work.force[:3]
-    bias = sign * (-model.gravity - free[riding])
-    matrix = sign[:, None] * inverse[np.ix_(riding, riding)] * sign + np.diag(1.0 / model.mass[riding])
+    bias = sign * (-model.gravity - free[in_contact])
+    matrix = sign[:, None] * inverse[np.ix_(in_contact, in_contact)] * sign + np.diag(1.0 / model.mass[in_contact])
     pressure = solve_by_enumeration(matrix, bias)
-    release_tensile(run.tables.flow, model, state, run.log, work)
-    released = riding[(pressure == 0.0) & (matrix @ pressure + bias > 1e-9)]
+    release_tensile(engine.tables.flow, model, state, engine.log, work)
+    released = in_contact[(pressure == 0.0) & (matrix @ pressure + bias > 1e-9)]
     assert set(np.flatnonzero(state.mode == FLIGHT)) - set(np.flatnonzero(np.array(modes) == FLIGHT)) == set(released)
-    assert run.log.damper[: run.log.filled[0]].tolist() == released.tolist()
+    assert engine.log.damper[: engine.log.filled[0]].tolist() == released.tolist()
     for j in released:
         floor = modes[j] == FLOOR
         assert state.speed[j] == state.z[model.velocity[j]]
@@ -167,15 +175,15 @@ def test_release_agrees_with_enumeration(coupled: bool, modes: list[int], seed: 
 
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
 @pytest.mark.parametrize("coupled", [False, True])
-def test_rebound_within_rounding_stays_at_its_wall(wall: int, coupled: bool) -> None:
-    run = propagator(0.2 if coupled else 0.0)
-    state, model, work = run.state, run.tables.model, run.workspace.contact
+def test_rebound_within_rounding_stays_in_contact(wall: int, coupled: bool) -> None:
+    engine = propagator(0.2 if coupled else 0.0)
+    state, model, work = engine.state, engine.tables.model, engine.workspace.contact
     state.mode[1], row = wall, model.position[1]
     state.z[row], coordinate_scale = -0.3, 2 * 0.3 + (CLEARANCE if wall == CEILING else 0.0)
     force = np.array([3.0, -20.0 * SIGN[wall] - 10.0, 5.0])
     if not coupled:
         force[1] = 8.0 if wall == FLOOR else -25.0
-    inverse = np.linalg.inv(run.system.mass)[1]
+    inverse = np.linalg.inv(engine.system.mass)[1]
     acceleration_limit = model.gravity + np.abs(inverse * force).sum()
     if not coupled:
         acceleration_limit = SIGN[wall] * (model.gravity + inverse[1] * force[1])
@@ -193,23 +201,23 @@ def test_rebound_within_rounding_stays_at_its_wall(wall: int, coupled: bool) -> 
 @pytest.mark.parametrize("coupled", [False, True])
 @pytest.mark.parametrize(("ratio", "releases"), [(-2.0, False), (0.0, False), (0.99, False), (1.01, True)])
 def test_tension_within_rounding_does_not_release(wall: int, coupled: bool, ratio: float, releases: bool) -> None:
-    run = propagator(0.2 if coupled else 0.0)
-    state, model, system = randomize(run, [FLIGHT, wall, FLIGHT], 3), run.tables.model, run.system
+    engine = propagator(0.2 if coupled else 0.0)
+    state, model, system = randomize(engine, [FLIGHT, wall, FLIGHT], 3), engine.tables.model, engine.system
     # The state is far from rest, so that large terms nearly cancel.
-    state.z[: run.tables.size] *= 1e3
-    terms = np.hstack([system.force_state, system.force_drive @ run.drive.output])
+    state.z[: engine.tables.size] *= 1e3
+    terms = np.hstack([system.force_state, system.force_drive @ engine.drive.output])
     inverse = np.linalg.inv(system.mass)[1]
     acceleration_scale = model.gravity + np.abs(inverse) @ np.abs(terms * state.z[: terms.shape[1]]).sum(axis=1)
     assert np.count_nonzero(inverse) == (3 if coupled else 1) and acceleration_scale > 1e3 * model.gravity
     acceleration = -SIGN[wall] * ratio * ROUNDING * acceleration_scale
-    work = run.workspace.contact
+    work = engine.workspace.contact
     work.force[:3] = 0.0, (acceleration - model.gravity) / inverse[1], 0.0
     release = _release_coupled if coupled else _release_independent
-    run.log.filled[2], run.log.now[0] = 7, 0.25
-    release(run.tables.flow, model, state, run.log, work)
-    assert (state.mode[1] == FLIGHT) == releases and run.log.filled[0] == releases
+    engine.log.filled[2], engine.log.now[0] = 7, 0.25
+    release(engine.tables.flow, model, state, engine.log, work)
+    assert (state.mode[1] == FLIGHT) == releases and engine.log.filled[0] == releases
     if releases:
-        log = run.log
+        log = engine.log
         assert (log.segment[0], log.offset[0], log.damper[0]) == (7, 0.25, 1)
 
 
@@ -217,46 +225,46 @@ def test_tension_within_rounding_does_not_release(wall: int, coupled: bool, rati
 @pytest.mark.parametrize("coupled", [False, True])
 @pytest.mark.parametrize(("closing", "stays"), [(1e-9, True), (1e-3, False)])
 def test_low_rebound_comes_to_rest(wall: int, coupled: bool, closing: float, stays: bool) -> None:
-    run = propagator(0.2 if coupled else 0.0, restitution=0.4)
-    state, model = run.state, run.tables.model
+    engine = propagator(0.2 if coupled else 0.0, restitution=0.4)
+    state, model = engine.state, engine.tables.model
     state.mode[:], state.counters[0] = FLIGHT, -1
-    # The structure presses the wall of body 1 against its damper, and those of the others are far away.
+    # The wall of body 1 accelerates towards its damper; the other dampers are far from their walls.
     state.z[model.position] = -1e-3 if wall == FLOOR else 1e-2
     state.z[model.velocity] = 0.25
     state.height[:], state.speed[:] = state.z[model.position] + 0.5 * CLEARANCE, 0.25
     state.height[0] = state.z[model.position[0]] + (CLEARANCE if wall == CEILING else 0.0)
     state.speed[0] = 0.25 - SIGN[wall] * closing
-    before = run.system.mass @ state.z[model.velocity] + model.mass * state.speed
-    apply_impact(run, 0, wall)
+    before = engine.system.mass @ state.z[model.velocity] + model.mass * state.speed
+    apply_impact(engine, 0, wall)
     assert state.mode.tolist() == [wall if stays else FLIGHT, FLIGHT, FLIGHT]
     assert state.multiplicity[0] == (0 if stays else SIGN[wall])
     body = state.z[model.velocity]
     speed = np.where(state.mode == FLIGHT, state.speed, body)
-    np.testing.assert_allclose(run.system.mass @ body + model.mass * speed, before, atol=1e-15)
+    np.testing.assert_allclose(engine.system.mass @ body + model.mass * speed, before, atol=1e-15)
     rebound = SIGN[wall] * (speed[0] - body[0])
     assert rebound == (0.0 if stays else pytest.approx(0.4 * closing, rel=1e-9))
 
 
 def test_uncoupled_damper_stays_at_rest() -> None:
-    run = propagator(0.2, uncoupled=1)
-    state, model = run.state, run.tables.model
+    engine = propagator(0.2, uncoupled=1)
+    state, model = engine.state, engine.tables.model
     state.mode[:], state.counters[0] = (FLIGHT, FLIGHT, FLOOR), -1
     state.height[:], state.speed[:] = state.z[model.position] + 0.5 * CLEARANCE, 0.0
     state.height[0], state.speed[0] = state.z[model.position[0]], -0.5
-    apply_impact(run, 0, FLOOR)
+    apply_impact(engine, 0, FLOOR)
     assert state.z[model.velocity[2]] == 0.0 and state.mode.tolist() == [FLOOR, FLIGHT, FLOOR]
-    assert run.log.filled[0] == 1
+    assert engine.log.filled[0] == 1
 
 
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
 @pytest.mark.parametrize(("ratio", "closed"), [(0.999, True), (1.001, False)])
 def test_slowly_opened_contact_stays_closed(wall: int, ratio: float, closed: bool) -> None:
-    run = propagator(0.2)
-    state, model, work = run.state, run.tables.model, run.workspace.contact
+    engine = propagator(0.2)
+    state, model, work = engine.state, engine.tables.model, engine.workspace.contact
     state.mode[:], row = wall, model.position[1]
     state.z[row], coordinate_scale = -0.3, 2 * 0.3 + (CLEARANCE if wall == CEILING else 0.0)
     work.force[:3] = 3.0, -20.0, 5.0
-    acceleration_limit = model.gravity + np.abs(np.linalg.inv(run.system.mass)[1] * work.force[:3]).sum()
+    acceleration_limit = model.gravity + np.abs(np.linalg.inv(engine.system.mass)[1] * work.force[:3]).sum()
     speed_limit = np.sqrt(2 * acceleration_limit * ROUNDING * coordinate_scale)
     matrix, pressure = np.array([[3.0, -0.5], [-0.5, 2.0]]), np.array([0.0, 0.25])
     work.damper[:2], work.active[:2] = (1, 2), (False, True)
@@ -287,9 +295,9 @@ def test_slowly_opened_contact_stays_closed(wall: int, ratio: float, closed: boo
         (CLEARANCE, -1.0, 1, CEILING),
     ],
 )
-def test_flying_damper_touches_a_wall_when_closing(gap: float, closing: float, multiplicity: int, wall: int) -> None:
-    run = propagator(0.1)
-    state, model = run.state, run.tables.model
+def test_damper_in_flight_touches_an_approaching_wall(gap: float, closing: float, multiplicity: int, wall: int) -> None:
+    engine = propagator(0.1)
+    state, model = engine.state, engine.tables.model
     state.mode[1] = FLIGHT
     state.z[model.position[1]], state.z[model.velocity[1]] = -1.0 / 64, 0.5
     state.height[1], state.speed[1] = -1.0 / 64 + gap, 0.5 - closing

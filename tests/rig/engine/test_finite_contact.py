@@ -1,4 +1,4 @@
-"""Finite-duration contact against 40-digit solutions, closed forms, the energy balance and instant contact."""
+"""Finite-duration contact, compared with 40-digit solutions, closed forms, energy balance and instant contact."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ def random_scene(seed: int, bodies: int) -> rig.Scene:
     def duration() -> float:
         return float(10 ** random.uniform(-1.5, -0.5) / frequency)
 
-    def wall(bed: float) -> dict[str, float]:
-        rate = math.pi / duration()
-        damping = 2 * bed * rate * 10 ** random.uniform(-2.5, 0.3)
-        return {"stiffness": bed * rate**2, "damping": damping if random.random() < 0.7 else 0.0}
+    def wall(mass: float) -> dict[str, float]:
+        omega = math.pi / duration()
+        damping = 2 * mass * omega * 10 ** random.uniform(-2.5, 0.3)
+        return {"stiffness": mass * omega**2, "damping": damping if random.random() < 0.7 else 0.0}
 
     dampers = []
     for body in range(1, bodies + 1):
-        bed = float(random.uniform(0.03, 0.4) * masses[body - 1])
+        mass = float(random.uniform(0.03, 0.4) * masses[body - 1])
         clearance = float(random.uniform(2e-4, 2e-3)) if random.random() < 0.7 else math.inf
         forms = [
             {"contact": {"duration": duration()}},
             {"contact": {"duration": duration()}, "restitution": float(random.uniform(0.02, 0.95))},
-            {"contact": wall(bed)},
-            {"contact": {"floor": wall(bed), "ceiling": wall(bed)}},
+            {"contact": wall(mass)},
+            {"contact": {"floor": wall(mass), "ceiling": wall(mass)}},
         ]
-        dampers.append({"body": body, "mass": bed, "clearance": clearance, **forms[random.integers(4)]})
+        dampers.append({"body": body, "mass": mass, "clearance": clearance, **forms[random.integers(4)]})
     return rig.Scene(
         structure={
             "masses": masses.tolist(),
@@ -81,10 +81,11 @@ def test_finite_contact_motion_agrees_to_forty_digits(seed: int, bodies: int) ->
 @pytest.mark.parametrize("seed", [9000, 9147, 9149])
 def test_weak_dashpot_causes_no_second_landing(seed: int, ratio: float) -> None:
     scene = random_scene(seed, 2)
-    beds = [0.03 * mass for mass in scene.structure.masses]
-    rates = [2e3, 5e3]
-    walls = [{"stiffness": m * rate**2, "damping": 2 * ratio * m * rate} for m, rate in zip(beds, rates, strict=True)]
-    dampers = [{"body": body + 1, "mass": beds[body], "clearance": 1e-3, "contact": walls[body]} for body in range(2)]
+    dampers = []
+    for body, (body_mass, omega) in enumerate(zip(scene.structure.masses, (2e3, 5e3), strict=True), 1):
+        mass = 0.03 * body_mass
+        contact = {"stiffness": mass * omega**2, "damping": 2 * ratio * mass * omega}
+        dampers.append({"body": body, "mass": mass, "clearance": 1e-3, "contact": contact})
     run = rig.simulate(scene.replace(dampers=dampers), 0.5, rate=2000.0)
     assert len(run.events) > 20
     assert (run.events["speed"][run.events["kind"] == "touch"] > 0.0).all()
@@ -99,10 +100,10 @@ def test_spring_damper_has_duration_and_restitution(duration: float, restitution
 @pytest.mark.parametrize("ratio", [0.05, 0.3, 0.499, 0.7, 1.0, 4.0])
 def test_largest_contact_force_is_closed_form(ratio: float) -> None:
     mass, stiffness, speed = 0.07, 3e4, 1.7
-    rate = math.sqrt(stiffness / mass)
-    damping = 2.0 * ratio * mass * rate
-    motion = np.array([[0.0, 1.0], [-stiffness / mass, -damping / mass]])
-    states = [expm(motion * time / rate) @ (0.0, speed) for time in np.linspace(0.0, 2.0, 2001)]
+    omega = math.sqrt(stiffness / mass)
+    damping = 2.0 * ratio * mass * omega
+    system_matrix = np.array([[0.0, 1.0], [-stiffness / mass, -damping / mass]])
+    states = [expm(system_matrix * angle / omega) @ (0.0, speed) for angle in np.linspace(0.0, 2.0, 2001)]
     expected = (np.array(states) @ (stiffness, damping)).max()
     assert peak_force(stiffness, damping, mass, speed) == pytest.approx(expected, rel=1e-6)
 
@@ -115,7 +116,7 @@ def test_residual_restitution_decreases_with_the_duration() -> None:
 
 @pytest.mark.parametrize("restitution", [0.3, 0.6, 0.9])
 def test_free_landing_is_closed_form(restitution: float) -> None:
-    # A hammer accelerates a free body towards its bed; without gravity only the walls act between landings.
+    # A hammer accelerates a free body towards its damper. Without gravity only contacts change the motion afterwards.
     scene = rig.loads(
         f"""
         structure: {{masses: [0.8 kg], springs: [0 N/m]}}
@@ -152,18 +153,20 @@ def test_short_landings_converge_to_instant_contact() -> None:
 
 def test_dampers_rest_on_soft_floors() -> None:
     scene = rig.load("reference-A").replace(shaker=None, test={"kind": "free", "displacement": [0.0] * 3})
-    scene = scene.replace(dampers=[d.replace(contact={"duration": 5e-3}) for d in scene.dampers])
+    scene = scene.replace(dampers=[damper.replace(contact={"duration": 5e-3}) for damper in scene.dampers])
     run = rig.simulate(scene, 0.5, rate=500.0)
     system = assemble(scene)
-    sag = system.damper_mass * scene.gravity / system.wall_stiffness[:, 0]
+    static_overlap = system.damper_mass * scene.gravity / system.wall_stiffness[:, 0]
     assert len(run.events) == 0
-    np.testing.assert_allclose(run.gap, np.broadcast_to(-sag[:, None], run.gap.shape), rtol=1e-9)
+    np.testing.assert_allclose(run.gap, np.broadcast_to(-static_overlap[:, None], run.gap.shape), rtol=1e-9)
     np.testing.assert_allclose(run.displacement, run.displacement[:, :1] * np.ones(len(run.time)), rtol=1e-9)
 
 
-def test_finite_contact_blocks_change_no_bit() -> None:
+def test_block_size_changes_no_finite_contact() -> None:
     scene = rig.load("reference-C")
-    scene = scene.replace(dampers=[d.replace(contact={"duration": 1e-3}, restitution=0.2) for d in scene.dampers])
+    scene = scene.replace(
+        dampers=[damper.replace(contact={"duration": 1e-3}, restitution=0.2) for damper in scene.dampers]
+    )
     drive = 20.0 * np.random.default_rng(1).standard_normal((1, 600))
     single_block = rig.Plant(scene, 5120.0).advance(drive)
     plant = rig.Plant(scene, 5120.0)

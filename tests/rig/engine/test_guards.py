@@ -1,4 +1,8 @@
-"""Guard functions: positivity bounds are correct, and the values at the ends of a step are correct."""
+"""Guards: functions of the state that are positive until a contact changes, such as gaps and contact forces.
+
+The engine proves from the values at the ends of a step that a guard stays positive (a positive margin), or examines the
+power series of the guard and locates its first zero. ``tau`` is the time relative to the step.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +31,7 @@ CLEARANCE = 1e-3
 
 @cache
 def propagator(contact: str = "", bodies: tuple[int, ...] = (1, 2, 3), clearance: float = CLEARANCE) -> Propagator:
-    """Return three bodies with dampers in some; `contact` is the contact duration. Tests set the state."""
+    """Return the engine for three bodies with dampers in some; `contact`: duration of contact. Tests set the state."""
     contact_keys = {"contact": {"duration": contact}} if contact else {}
     scene = rig.Scene(
         structure={"masses": [1.0, 0.8, 0.6], "springs": [4e3] * 3, "damping": {"modal": 0.01}},
@@ -39,7 +43,7 @@ def propagator(contact: str = "", bodies: tuple[int, ...] = (1, 2, 3), clearance
 
 
 @given(start=VALUES, slope=VALUES, end=VALUES, slope_end=VALUES, error=st.floats(0.0, 500.0))
-def test_positive_margin_proves_guards_within_error(
+def test_positive_margin_proves_a_positive_guard(
     start: float, slope: float, end: float, slope_end: float, error: float
 ) -> None:
     cubic = BPoly.from_derivatives([0.0, 1.0], [[start, slope], [end, slope_end]])
@@ -54,7 +58,7 @@ def test_positive_margin_proves_guards_within_error(
 
 @given(curve=VALUES, end=st.floats(0.01, 3.0), error_ratio=st.floats(0.1, 2.0))
 def test_double_zero_margin_is_exact(curve: float, end: float, error_ratio: float) -> None:
-    # tau^2 (curve (1 - tau) + end tau), minus the largest error.
+    # The guard is tau^2 (curve (1 - tau) + end tau), minus the largest error.
     assume(abs(error_ratio - 1.0) > 1e-6 and abs(curve) > 1e-3)
     error = error_ratio * 24 * abs(curve)
     assume(end > error / 384)
@@ -67,14 +71,14 @@ def test_double_zero_margin_is_exact(curve: float, end: float, error_ratio: floa
 
 @pytest.mark.parametrize("length", [1.0, 0.3])
 def test_series_bounds_contain_the_guard(length: float) -> None:
-    run = propagator()
-    model, state, bound = run.tables.model, run.state, run.workspace.bound
+    engine = propagator()
+    model, state, bound = engine.tables.model, engine.state, engine.workspace.bound
     state.mode[:] = FLIGHT, FLOOR, CEILING
     rows = model.position.copy()
     rows[1:] = model.velocity[1:]
-    tableau = run.workspace.tableau
+    tableau = engine.workspace.tableau
     tableau[:] = np.random.default_rng(5).standard_normal(tableau.shape)
-    new, first_acceleration = run.workspace.new, run.tables.size
+    new, first_acceleration = engine.workspace.new, engine.tables.size
     bound_by_series(model, state.mode, tableau, length, state.z, new, first_acceleration, bound)
     for j in range(3):
         series = np.polynomial.Polynomial(tableau[:N_COEFFICIENTS, rows[j]])
@@ -90,18 +94,20 @@ def test_series_bounds_contain_the_guard(length: float) -> None:
 
 
 def test_finite_contact_has_no_series_bound() -> None:
-    run = propagator("2 ms")
-    model, work = run.tables.model, run.workspace
-    bound_by_series(model, run.state.mode, work.tableau, 1.0, run.state.z, work.new, run.tables.size, work.bound)
+    engine = propagator("2 ms")
+    model, work = engine.tables.model, engine.workspace
+    bound_by_series(
+        model, engine.state.mode, work.tableau, 1.0, engine.state.z, work.new, engine.tables.size, work.bound
+    )
     assert (work.bound[:3] == np.inf).all()
 
 
 class Step:
-    """A step from a random state, computed from its power series; guards at any time in it."""
+    """A time step from a random state by power series, with the guards at any time of it."""
 
-    def __init__(self, run: Propagator, modes: list[int], random_values: np.ndarray) -> None:
-        self.run, self.modes, model, system, state = run, modes, run.tables.model, run.system, run.state
-        size, count, dampers = run.tables.size, system.coordinates, system.dampers
+    def __init__(self, engine: Propagator, modes: list[int], random_values: np.ndarray) -> None:
+        self.engine, self.modes, model, system, state = engine, modes, engine.tables.model, engine.system, engine.state
+        size, count, dampers = engine.tables.size, system.coordinates, system.dampers
         z = np.concatenate(
             [
                 3e-3 * random_values[:count],
@@ -116,7 +122,7 @@ class Step:
             z[model.bed[j]] = [gap, -0.1 * gap, CLEARANCE + 0.1 * gap][modes[j]]
         self.bits = sum((mode != FLIGHT) << j for j, mode in enumerate(modes))
         self.bits |= sum((modes[j] == CEILING) << dampers + int(j) for j in np.flatnonzero(system.finite_contact))
-        self.matrix, self.offset = (array.astype(float) for array in run.tables.generator(self.bits))
+        self.matrix, self.offset = (array.astype(float) for array in engine.tables.generator(self.bits))
         state.mode[:] = modes
         state.height[:] = z[model.position] + (0.5 + 0.48 * np.sin(position)) * CLEARANCE
         state.speed[:] = 0.1 * speed
@@ -125,20 +131,20 @@ class Step:
         for k in range(1, 25):
             self.terms.append(term / k)
             term = scaled @ term / k
-        self.slot = run.tables.slot(self.bits)
-        bound = run.tables.flow.bound[self.slot][:size]
-        self.bound = run.tables.flow.bound_constant[self.slot] + np.abs(z) @ bound
+        self.slot = engine.tables.slot(self.bits)
+        bound = engine.tables.flow.bound[self.slot][:size]
+        self.bound = engine.tables.flow.bound_constant[self.slot] + np.abs(z) @ bound
 
     def guards(self, tau: np.ndarray) -> list[tuple[int, np.ndarray]]:
         """Return every guard with its damper: value, first and fourth derivative with respect to tau, (3, times)."""
-        run, model, state, result = self.run, self.run.tables.model, self.run.state, []
-        force, constant = run.system.contact_forces(self.bits)
+        engine, model, state, result = self.engine, self.engine.tables.model, self.engine.state, []
+        force, constant = engine.system.contact_forces(self.bits)
         for j, mode in enumerate(self.modes):
             sign = -1.0 if mode == CEILING else 1.0
-            row, offset, flight_terms = np.zeros(run.tables.size), 0.0, np.zeros(3)
-            if run.system.finite_contact[j] and mode != FLIGHT:
-                row[: run.system.states], offset = sign * force[model.bed[j]], sign * constant[model.bed[j]]
-            elif run.system.finite_contact[j]:
+            row, offset, flight_terms = np.zeros(engine.tables.size), 0.0, np.zeros(3)
+            if engine.system.finite_contact[j] and mode != FLIGHT:
+                row[: engine.system.states], offset = sign * force[model.bed[j]], sign * constant[model.bed[j]]
+            elif engine.system.finite_contact[j]:
                 row[model.bed[j]] = 1.0
             elif mode != FLIGHT:
                 row = sign * self.matrix[model.velocity[j]]
@@ -162,9 +168,9 @@ class Step:
         return np.array(result)
 
     def examine(self, length: float) -> tuple[bool, float, int]:
-        """Let the engine test the step; return whether it examined a series, the event, and its damper."""
-        run, model, state, work, size = (
-            self.run, self.run.tables.model, self.run.state, self.run.workspace, self.run.tables.size,
+        """Return whether the engine examined a series in the step, and the time (tau) and damper of the event."""
+        engine, model, state, work, size = (
+            self.engine, self.engine.tables.model, self.engine.state, self.engine.workspace, self.engine.tables.size,
         )  # fmt: skip
         for z, tau in ((state.z, 0.0), (work.new, length)):
             z[:size] = sum(term * tau**k for k, term in enumerate(self.terms))
@@ -172,7 +178,7 @@ class Step:
             accelerations = slice(model.first_velocity, 2 * model.first_velocity)
             derivatives = np.concatenate([rate[accelerations], model.step * (self.matrix @ rate)[accelerations]])
             z[size : size + len(derivatives)] = derivatives
-        flow = run.tables.flow
+        flow = engine.tables.flow
         bound_by_tables(flow, self.slot, state.z, work)
         np.testing.assert_allclose(work.bound, self.bound, rtol=1e-12)
         unproven, unproven_ceilings = screen(model, state, work, size, length, length * model.step)
@@ -182,8 +188,9 @@ class Step:
         return bool(unproven | unproven_ceilings), tau, j
 
 
-def draw_state(run: Propagator, rng: np.random.Generator) -> np.ndarray:
-    return rng.standard_normal(run.tables.size + 2 * run.system.dampers)
+def draw_state(engine: Propagator, rng: np.random.Generator) -> np.ndarray:
+    """Draw the random values of a `Step`."""
+    return rng.standard_normal(engine.tables.size + 2 * engine.system.dampers)
 
 
 @pytest.mark.parametrize("contact", ["", "10 ms"])
@@ -194,8 +201,8 @@ def draw_state(run: Propagator, rng: np.random.Generator) -> np.ndarray:
 )
 @settings(max_examples=50, deadline=None)
 def test_first_falling_guard_is_located(contact: str, modes: list[int], seed: int, length: float) -> None:
-    run = propagator(contact)
-    step = Step(run, modes, draw_state(run, np.random.default_rng(seed)))
+    engine = propagator(contact)
+    step = Step(engine, modes, draw_state(engine, np.random.default_rng(seed)))
     times = np.linspace(0.0, length, 400)
     guards = step.guards(times)
     for j, guard in guards:
@@ -217,25 +224,25 @@ def test_first_falling_guard_is_located(contact: str, modes: list[int], seed: in
 def test_proven_guard_is_not_examined(contact: str, mode: int, length: float) -> None:
     rng = np.random.default_rng(8)
     for clearance in (CLEARANCE, np.inf) if mode == FLIGHT else (CLEARANCE,):
-        run = propagator(contact, (2,), clearance)
-        draws = [draw_state(run, rng) * rng.uniform(0.0, 1.0) for _ in range(120)]
-        margins = [Step(run, [mode], draw).margins(length) for draw in draws]
+        engine = propagator(contact, (2,), clearance)
+        draws = [draw_state(engine, rng) * rng.uniform(0.0, 1.0) for _ in range(120)]
+        margins = [Step(engine, [mode], draw).margins(length) for draw in draws]
         proven_draws = [draw for draw, result in zip(draws, margins, strict=True) if result.min() > 0.0]
-        # For each coefficient of each guard, one state in which this coefficient is critical.
+        # For each coefficient of each guard, a state in which this coefficient is not positive.
         unproven_draws = {
             int(result.argmin()): draw for draw, result in zip(draws, margins, strict=True) if result.min() <= 0.0
         }
         assert unproven_draws and proven_draws
         for proven, unproven in zip(cycle(proven_draws), unproven_draws.values()):
-            # Between the two there is a state exactly at the limit.
+            # Bisect to states on either side of the limit.
             for _ in range(24):
                 middle = (proven + unproven) / 2
-                if Step(run, [mode], middle).margins(length).min() > 0.0:
+                if Step(engine, [mode], middle).margins(length).min() > 0.0:
                     proven = middle
                 else:
                     unproven = middle
-            assert not Step(run, [mode], proven).examine(length)[0]
-            assert Step(run, [mode], unproven).examine(length)[0]
+            assert not Step(engine, [mode], proven).examine(length)[0]
+            assert Step(engine, [mode], unproven).examine(length)[0]
 
 
 @given(
@@ -245,8 +252,8 @@ def test_proven_guard_is_not_examined(contact: str, mode: int, length: float) ->
     unproven_guard=st.integers(-1, 2),
 )
 def test_margins_are_compared_guard_by_guard(modes: list[int], seed: int, duration: float, unproven_guard: int) -> None:
-    run, rng = propagator(), np.random.default_rng(seed)
-    model, state, columns = run.tables.model, run.state, run.tables.size
+    engine, rng = propagator(), np.random.default_rng(seed)
+    model, state, columns = engine.tables.model, engine.state, engine.tables.size
     z = state.z
     z[model.position] = 1e-4 * rng.standard_normal(3)
     state.mode[:] = modes
@@ -268,8 +275,8 @@ def test_margins_are_compared_guard_by_guard(modes: list[int], seed: int, durati
 
 
 def test_envelope_contains_all_states_until_reset() -> None:
-    run = propagator()
-    flow, work, columns = run.tables.flow, run.workspace, run.tables.size
+    engine = propagator()
+    flow, work, columns = engine.tables.flow, engine.workspace, engine.tables.size
     states = np.zeros((5, len(work.size)))
     states[:, :columns] = np.random.default_rng(2).standard_normal((5, columns))
     widen_envelope(flow, 0, np.ones(len(work.size)), work)

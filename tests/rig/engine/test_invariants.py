@@ -1,4 +1,4 @@
-"""In any scene: no wall is penetrated, contacts only push, momentum and energy balance, blocks have no effect."""
+"""Laws of any motion: no penetration, compressive contact, balance of momentum and energy, no effect of blocks."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ def log_uniform(low: float, high: float) -> st.SearchStrategy[float]:
 
 @st.composite
 def scenes(draw: st.DrawFn) -> rig.Scene:
-    """Chains and full mass matrices of one to four bodies with dampers in some, driven hard enough to fly."""
+    """Draw a structure of one to four bodies, as a chain or with a full mass matrix, with one to four dampers.
+
+    The force is about the weight of the structure, so that most dampers fly.
+    """
     bodies = draw(st.integers(1, 4))
     masses = draw(st.lists(st.floats(0.3, 2.0), min_size=bodies, max_size=bodies))
     omega = draw(log_uniform(30.0, 500.0))
@@ -68,15 +71,15 @@ def test_dampers_stay_in_cavities_and_energy_balances(scene: rig.Scene) -> None:
     clearance = np.array([damper.clearance for damper in scene.dampers])[:, None]
     assert np.isfinite(run.displacement).all()
     assert (run.gap >= 0.0).all() and (run.gap <= clearance + 1e-12).all()
-    # A wall passed unnoticed would leave a damper in flight with no gap, away from any event.
+    # A missed impact would leave a damper in flight at zero gap without an event.
     for damper in range(len(scene.dampers)):
-        stuck_times = run.time[(run.contact[damper] == 0) & (run.gap[damper] == 0.0)]
+        zero_gap_times = run.time[(run.contact[damper] == 0) & (run.gap[damper] == 0.0)]
         event_times = run.events["time"][run.events["damper"] == damper + 1]
-        assert all(np.abs(event_times - time).min() < 1e-6 for time in stuck_times)
+        assert all(np.abs(event_times - time).min() < 1e-6 for time in zero_gap_times)
     energy = run.energy
-    turnover = abs(energy.work) + energy.dissipated + energy.impacts + abs(energy.stored)
-    assert abs(energy.residual) < 1e-10 * turnover
-    assert energy.impacts >= -1e-12 * turnover
+    exchanged_energy = abs(energy.work) + energy.dissipated + energy.impacts + abs(energy.stored)
+    assert abs(energy.residual) < 1e-10 * exchanged_energy
+    assert energy.impacts >= -1e-12 * exchanged_energy
     assert (run.events["speed"] >= 0.0).all()
     assert (np.diff(run.events["time"]) >= 0.0).all()
 
@@ -95,8 +98,8 @@ def test_contact_force_at_rest_is_compressive(scene: rig.Scene) -> None:
 @pytest.mark.thorough
 @settings(max_examples=15)
 @given(scene=scenes(), seed=st.integers(0, 2**32 - 1))
-def test_envelope_hides_no_event(scene: rig.Scene, seed: int) -> None:
-    # A block begins without an envelope, so in blocks of one sample none is ever drawn.
+def test_event_screening_over_blocks_misses_no_event(scene: rig.Scene, seed: int) -> None:
+    # Screening uses an envelope of all states of a block: with blocks of one sample there is none.
     random = np.random.default_rng(seed)
     rate = 800 * scene.test.frequency
     time = np.arange(1000) / rate
@@ -142,7 +145,7 @@ def test_impact_conserves_momentum(scene: rig.Scene, seed: int) -> None:
     mode = np.ones(system.dampers, dtype=int)
     mode[[int(e["damper"]) - 1 for e in motion.events if e["time"] == 0.0]] = 0
     events = motion.events[motion.events["time"] > 0.0]
-    # Several breaks may coincide within rounding. No list assigns their events to them.
+    # Several breaks may coincide within rounding; the records do not assign their events to them.
     for breaks in np.split(np.arange(time.size), np.flatnonzero(np.diff(time) > SIMULTANEITY_S) + 1):
         if breaks.size:
             simultaneous = list(events[np.abs(time[breaks, None] - events["time"]).min(axis=0) <= 1e-12])
@@ -161,7 +164,10 @@ MIN_SEPARATION_SPEED = 1e-6
 def modes_after_breaks(
     system: HybridSystem, motion: Motion, breaks: list[int], events: list[np.void], mode: np.ndarray
 ) -> np.ndarray | None:
-    """Modes of the dampers after breaks whose momentum balances with the events in their order; None: none does."""
+    """Return the contact modes after several breaks, with the events assigned to them in order.
+
+    None if no assignment conserves momentum.
+    """
     if not breaks:
         return mode if not events else None
     for count in range(len(events) + 1):
@@ -175,15 +181,15 @@ def modes_after_breaks(
 def modes_after_break(
     system: HybridSystem, motion: Motion, k: int, events: list[np.void], mode: np.ndarray
 ) -> np.ndarray | None:
-    """Return the modes after one break with these events; None if they do not conserve momentum."""
+    """Return the contact modes after break k with these events; None if they do not conserve momentum."""
     before, after = motion.break_velocity[:, :, k]
     impulse = system.mass @ (after - before)
     scale = np.abs(system.mass @ np.abs(before)).max() + np.abs(impulse).max()
-    mode, closing_speeds, lifted = mode.copy(), {}, set()
+    mode, closing_speeds, separated = mode.copy(), {}, set()
     for event in events:
         j = int(event["damper"]) - 1
         if event["kind"] == "separation":
-            lifted.add(j)
+            separated.add(j)
         else:
             closing_speeds[j] = float(event["speed"]) * (1.0 if event["kind"] == "floor" else -1.0)
             mode[j] = 1 if event["kind"] == "floor" else 2
@@ -195,15 +201,15 @@ def modes_after_break(
         if j in closing_speeds:
             # Before the impact the damper moved slower than the floor by the closing speed.
             balance[body] += system.damper_mass[j] * (change + closing_speeds[j])
-        elif mode[j] and not (j in lifted and separates(mode[j], change)):
+        elif mode[j] and not (j in separated and separates(mode[j], change)):
             balance[body] += system.damper_mass[j] * change
         elif mode[j] and abs(change) < MIN_SEPARATION_SPEED:
             undecided.append((body, system.damper_mass[j] * change))
-    mode[list(lifted)] = 0
+    mode[list(separated)] = 0
     for choice in product((0.0, 1.0), repeat=len(undecided)):
         undecided_impulse = np.bincount(
             [body for body, _ in undecided],
-            [part * share for part, (_, share) in zip(choice, undecided, strict=True)],
+            [factor * impulse for factor, (_, impulse) in zip(choice, undecided, strict=True)],
             balance.size,
         )
         if np.abs(balance + undecided_impulse).max() < 1e-12 * max(scale, 1e-12):
@@ -220,12 +226,12 @@ def separates(mode: int, change: float) -> bool:
 def test_energy_of_a_bundled_shaker_balances(name: str) -> None:
     scene = rig.load(name)
     run = rig.simulate(scene, 1.0, rate=2000.0, frequency=35.0)
-    turnover = run.energy.dissipated + run.energy.impacts + abs(run.energy.stored)
-    assert turnover > 0.0
-    assert abs(run.energy.residual) < 1e-10 * turnover
+    exchanged_energy = run.energy.dissipated + run.energy.impacts + abs(run.energy.stored)
+    assert exchanged_energy > 0.0
+    assert abs(run.energy.residual) < 1e-10 * exchanged_energy
 
 
-def test_dampers_settle_on_floors_at_static_sag() -> None:
+def test_dampers_settle_at_static_deflection() -> None:
     scene = rig.loads(
         """
         structure: {masses: [0.74, 0.71], springs: [24.3 kN/m, 21.8 kN/m], damping: {modal: 2 %}}
@@ -238,14 +244,14 @@ def test_dampers_settle_on_floors_at_static_sag() -> None:
     )
     run = rig.simulate(scene, 30.0, rate=100.0)
     weight = 9.80665 * 0.1 * np.array([0.74, 0.71])
-    sag = -np.array([weight.sum() / 24.3e3, weight.sum() / 24.3e3 + weight[1] / 21.8e3])
+    deflection = -np.array([weight.sum() / 24.3e3, weight.sum() / 24.3e3 + weight[1] / 21.8e3])
     assert (run.contact[:, -1] == 1).all()
-    np.testing.assert_allclose(run.displacement[:, -1], sag, rtol=1e-12)
+    np.testing.assert_allclose(run.displacement[:, -1], deflection, rtol=1e-12)
     assert set(run.events["kind"]) == {"separation", "floor", "ceiling"}
 
 
 @pytest.mark.parametrize(("body", "clearance"), [(1, 0.5e-3), (2, 0.98e-3), (3, float("inf"))])
-def test_damper_split_in_two_moves_the_same(body: int, clearance: float) -> None:
+def test_two_half_dampers_move_like_one(body: int, clearance: float) -> None:
     whole_damper = {"body": body, "mass_ratio": 0.1, "clearance": clearance}
     half_damper = whole_damper | {"mass_ratio": 0.05}
     scene = rig.load("fig8-three-dampers").replace(

@@ -1,4 +1,4 @@
-"""The engine against proven event lists, an independent solver, and 40-digit solutions of single events."""
+"""The engine, compared with exact events, an independent solver, and 40-digit solutions of single events."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from mpmath import findroot, mpf
 import rig
 from rig.errors import RunError, SceneError
 from tests.rig.engine.exact import Segment
-from tests.rig.engine.peer import Peer
+from tests.rig.engine.independent_solver import IndependentSolver
 
+# Kinds of events: names in the reference file and in the engine.
 KINDS = {
     "takeoff_floor": "separation",
     "land_floor": "floor",
@@ -28,7 +29,7 @@ def simulate_scene(name: str, **changes: object) -> rig.Run:
 
 
 def single_body(**test: object) -> rig.Scene:
-    """Return one body of 1 kg at 10 Hz with a damper, driven by a force."""
+    """Return a body of 1 kg at 10 Hz with a damper of 50 g, driven by a force of 6 N at 9 Hz."""
     stiffness = (2 * np.pi * 10.0) ** 2
     return rig.Scene(
         structure={"masses": [1.0], "springs": [stiffness], "damping": {"modal": 0.01}},
@@ -39,7 +40,7 @@ def single_body(**test: object) -> rig.Scene:
 
 
 def reference_events() -> list[tuple[mpf, int, str]]:
-    """Events of case A: 40-digit time, damper from 1, kind."""
+    """Return the exact events of case A: time to 40 digits, damper from 1, kind."""
     data = Path(__file__).parent / "data" / "reference-A-events.json"
     return [(mpf(time), damper + 1, KINDS[kind]) for time, damper, kind in json.loads(data.read_text(encoding="utf-8"))]
 
@@ -49,7 +50,9 @@ def test_reference_case_a_events_are_exact() -> None:
     reference = reference_events()
     events = simulate_scene("reference-A").events
     assert len(reference) == len(events) == 463
-    assert [(int(e["damper"]), str(e["kind"])) for e in events] == [event[1:] for event in reference]
+    assert [(int(event["damper"]), str(event["kind"])) for event in events] == [
+        reference_event[1:] for reference_event in reference
+    ]
     assert np.abs(events["time"] - [float(event[0]) for event in reference]).max() < 1e-12
 
 
@@ -58,22 +61,23 @@ def test_case_a_positions_agree_to_forty_digits() -> None:
     scene = rig.load("reference-A")
     run = simulate_scene("reference-A")
     segments: dict[tuple[int, ...], Segment] = {}
-    riding, current_time, speeds = (0, 1, 2), mpf(0), {}
-    state = Segment(scene, riding).start()
-    bed, body = (0.1 * mass for mass in scene.structure.masses), scene.structure.masses
-    ratio = [mpf(bed_mass) / (mpf(bed_mass) + mpf(mass)) for bed_mass, mass in zip(bed, body, strict=True)]
+    on_floor, current_time, flight_velocity = (0, 1, 2), mpf(0), {}
+    state = Segment(scene, on_floor).initial_state()
+    # Change of the body's velocity in an impact, relative to the closing speed.
+    ratio = [mpf(0.1 * mass) / (mpf(0.1 * mass) + mpf(mass)) for mass in scene.structure.masses]
     end = len(run.time) - 1
     for time, damper, kind in [*reference_events(), (mpf(end) / 2000, 0, "end")]:
-        segment = segments.setdefault(riding, Segment(scene, riding))
-        state = segment.after(state, time - current_time)
-        speeds = {j: speed - segment.gravity * (time - current_time) for j, speed in speeds.items()}
+        segment = segments.setdefault(on_floor, Segment(scene, on_floor))
+        state = segment.propagate(state, time - current_time)
+        fall = segment.gravity * (time - current_time)
+        flight_velocity = {j: velocity - fall for j, velocity in flight_velocity.items()}
         current_time, j = time, damper - 1
         if kind == "separation":
-            speeds[j] = state[3 + j]
-            riding = tuple(k for k in riding if k != j)
+            flight_velocity[j] = state[3 + j]
+            on_floor = tuple(k for k in on_floor if k != j)
         elif kind == "floor":
-            state[3 + j] += ratio[j] * (speeds.pop(j) - state[3 + j])
-            riding = tuple(sorted((*riding, j)))
+            state[3 + j] += ratio[j] * (flight_velocity.pop(j) - state[3 + j])
+            on_floor = tuple(sorted((*on_floor, j)))
     for j in range(3):
         assert abs(run.displacement[j, end] - float(state[j])) < 1e-12 * np.abs(run.displacement[j]).max()
 
@@ -86,7 +90,7 @@ def test_reference_cases_b_and_c_event_counts(name: str, count: int) -> None:
     assert run.ambiguous == 0
 
 
-def test_case_b_hits_its_grazed_ceiling() -> None:
+def test_case_b_grazes_a_ceiling_once() -> None:
     events = simulate_scene("reference-B").events
     period = events["time"] * 312.4 / (2 * np.pi)
     graze = events[(period > 80) & (period < 81) & (events["kind"] == "ceiling")]
@@ -101,13 +105,15 @@ def test_independent_solver_has_the_same_events() -> None:
         scene = _random_scene(random)
         duration = 8 / scene.test.frequency
         events = rig.simulate(scene, duration, rate=100.0).events
-        expected = Peer(scene).events(duration)
-        assert [(d, kind) for _, d, kind in expected] == [(int(e["damper"]), str(e["kind"])) for e in events]
+        expected = IndependentSolver(scene).events(duration)
+        assert [(damper, kind) for _, damper, kind in expected] == [
+            (int(event["damper"]), str(event["kind"])) for event in events
+        ]
         np.testing.assert_allclose([time for time, _, _ in expected], events["time"], atol=1e-8)
 
 
 def _random_scene(random: np.random.Generator) -> rig.Scene:
-    """Draw a scene from the ranges in which the engine finds exactly the true events."""
+    """Draw a chain of one to three bodies with dampers, within the ranges that the independent solver can compute."""
     bodies = int(random.integers(1, 4))
     masses = random.uniform(0.5, 1.5, bodies)
     omega = np.exp(random.uniform(np.log(30.0), np.log(500.0)))
@@ -139,34 +145,37 @@ def _random_scene(random: np.random.Generator) -> rig.Scene:
 
 
 def first_flight_peak(scene: rig.Scene) -> tuple[mpf, mpf]:
-    """Return the largest gap of the first flight of damper 1, to 40 digits, and its time."""
+    """Return the largest gap of the first flight of damper 1 [m], and its time [s], to 40 digits."""
     run = rig.simulate(scene, 1.0, rate=20_000.0)
     separation, landing = run.events["time"][:2]
-    in_flight = (run.time > separation) & (run.time < landing)
-    peak_time = run.time[in_flight][np.argmax(run.gap[0, in_flight])]
-    riding, flying = Segment(scene, (0,)), Segment(scene, ())
-    start = riding.start()
-    guard = lambda t: riding.acceleration(riding.after(start, t), 0) + riding.gravity  # noqa: E731
-    take_off = findroot(guard, (mpf(separation), mpf(separation) + mpf("1e-9")), tol=1e-60)
-    begin = riding.after(start, take_off)
+    is_flight = (run.time > separation) & (run.time < landing)
+    peak_time = run.time[is_flight][np.argmax(run.gap[0, is_flight])]
+    on_floor, in_flight = Segment(scene, (0,)), Segment(scene, ())
+    start = on_floor.initial_state()
+
+    def contact_acceleration(t: mpf) -> mpf:
+        return on_floor.acceleration(on_floor.propagate(start, t), 0) + on_floor.gravity
+
+    take_off = findroot(contact_acceleration, (mpf(separation), mpf(separation) + mpf("1e-9")), tol=1e-60)
+    take_off_state = on_floor.propagate(start, take_off)
 
     def relative_velocity(t: mpf) -> mpf:
-        state = flying.after(begin, t - take_off)
-        return begin[1] - flying.gravity * (t - take_off) - state[1]
+        state = in_flight.propagate(take_off_state, t - take_off)
+        return take_off_state[1] - in_flight.gravity * (t - take_off) - state[1]
 
-    highest = findroot(relative_velocity, (mpf(peak_time), mpf(peak_time) + mpf("1e-7")), tol=1e-60)
-    flight_time = highest - take_off
-    height = begin[0] + begin[1] * flight_time - flying.gravity * flight_time**2 / 2
-    return height - flying.after(begin, flight_time)[0], highest
+    exact_peak_time = findroot(relative_velocity, (mpf(peak_time), mpf(peak_time) + mpf("1e-7")), tol=1e-60)
+    flight_time = exact_peak_time - take_off
+    height = take_off_state[0] + take_off_state[1] * flight_time - in_flight.gravity * flight_time**2 / 2
+    return height - in_flight.propagate(take_off_state, flight_time)[0], exact_peak_time
 
 
-@pytest.mark.parametrize("depth", [1e-6, 1e-9, 1e-12, 1e-15])
-def test_only_the_lower_ceiling_is_hit(depth: float) -> None:
+@pytest.mark.parametrize("distance", [1e-6, 1e-9, 1e-12, 1e-15])
+def test_only_a_ceiling_within_reach_is_hit(distance: float) -> None:
     scene = single_body(start="empty")
-    highest, peak_time = first_flight_peak(scene)
+    largest_gap, peak_time = first_flight_peak(scene)
     kinds = {}
     for sign in (1, -1):
-        clearance = float(highest - sign * mpf(depth))
+        clearance = float(largest_gap - sign * mpf(distance))
         damper = {"body": 1, "mass": 0.05, "clearance": clearance}
         events = rig.simulate(scene.replace(dampers=[damper]), float(peak_time) + 1e-3, rate=1000.0).events
         kinds[sign] = [str(kind) for kind in events["kind"]]
@@ -175,40 +184,40 @@ def test_only_the_lower_ceiling_is_hit(depth: float) -> None:
 
 
 @pytest.mark.parametrize("depth", [1e-2, 1e-6, 1e-10, 1e-12])
-def test_separates_only_if_the_force_dips_below_zero(depth: float) -> None:
-    # From its static equilibrium the riding damper's acceleration is F a(t), whatever gravity is: with the
-    # largest fall of a(t) in a growing motion known, F sets how far the contact force dips below zero.
-    unit = single_body(force=1.0)
-    riding = Segment(unit.replace(gravity=0.0), (0,))
-    start = riding.start()
-    run = rig.simulate(unit, 0.5, rate=20_000.0)
+def test_damper_separates_only_at_negative_contact_force(depth: float) -> None:
+    # While the damper is on the floor, its acceleration is proportional to the force. From the lowest acceleration at
+    # 1 N follows the force at which the contact force falls below zero by a given fraction.
+    unit_force_scene = single_body(force=1.0)
+    on_floor = Segment(unit_force_scene.replace(gravity=0.0), (0,))
+    start = on_floor.initial_state()
+    run = rig.simulate(unit_force_scene, 0.5, rate=20_000.0)
     guess = run.time[np.argmin(run.acceleration[0])]
     lowest_time = findroot(
-        lambda t: riding.jerk(riding.after(start, t), 0), (mpf(guess), mpf(guess) + mpf("1e-6")), tol=1e-60
+        lambda t: on_floor.jerk(on_floor.propagate(start, t), 0), (mpf(guess), mpf(guess) + mpf("1e-6")), tol=1e-60
     )
-    lowest = riding.acceleration(riding.after(start, lowest_time), 0)
+    lowest = on_floor.acceleration(on_floor.propagate(start, lowest_time), 0)
     events = {}
     for sign in (1, -1):
-        force = float(-mpf(unit.gravity) * (1 + sign * mpf(depth)) / lowest)
+        force = float(-mpf(unit_force_scene.gravity) * (1 + sign * mpf(depth)) / lowest)
         events[sign] = rig.simulate(single_body(force=force), float(lowest_time) + 1e-4, rate=1000.0).events
     assert len(events[-1]) == 0
     assert str(events[1]["kind"][0]) == "separation"
-    # The dip lasts as long as the parabola there is below zero: it begins within that time.
+    # The contact force is a parabola near its minimum, which limits the time from separation to the minimum.
     assert 0.0 < float(lowest_time) - events[1]["time"][0] < 0.05 * np.sqrt(depth)
 
 
 def test_undamped_resonance_grows_as_closed_form() -> None:
     scene = single_body().replace(dampers=())
     structure = scene.structure.replace(damping=None)
-    natural = np.sqrt(structure.springs[0]) / (2 * np.pi)
-    scene = scene.replace(structure=structure, test={"kind": "sine", "frequency": natural, "force": 6.0})
+    natural_frequency = np.sqrt(structure.springs[0]) / (2 * np.pi)
+    scene = scene.replace(structure=structure, test={"kind": "sine", "frequency": natural_frequency, "force": 6.0})
     run = rig.simulate(scene, 10.0, rate=50.0)
     segment = Segment(scene, ())
-    state, previous = segment.start(), 0
+    state, previous = segment.initial_state(), 0
     for k in (1, 10, 100, 500):
-        state, previous = segment.after(state, mpf(k - previous) / 50), k
+        state, previous = segment.propagate(state, mpf(k - previous) / 50), k
         exact = float(state[0])
-        envelope = 6.0 * run.time[k] / (2 * 2 * np.pi * natural)
+        envelope = 6.0 * run.time[k] / (2 * 2 * np.pi * natural_frequency)
         assert abs(run.displacement[0, k] - exact) < 1e-12 * envelope
 
 

@@ -1,6 +1,7 @@
-"""Independent simulation of a scene: scipy's DOP853 between events, restarted at each event.
+"""Independent simulation of a scene by scipy's DOP853, restarted at each contact event.
 
-Slow and only as good as its tolerances, but it shares nothing with the engine except the scene.
+It is slow, and as accurate as its tolerances, but shares only the matrices of the scene with the engine. A guard is a
+function that becomes negative at an event: a gap in flight, a contact force in contact.
 """
 
 from __future__ import annotations
@@ -16,39 +17,41 @@ FLIGHT, FLOOR, CEILING = 0, 1, 2
 GUARD_DELAY_S = 2e-5
 
 
-class Peer:
-    """The scene's structure under force F sin(w t) on body 1, dampers on their floors at x = 0."""
+class IndependentSolver:
+    """Motion under F sin(w t), from rest at x = 0 with all dampers on their floors."""
 
     def __init__(self, scene: rig.Scene) -> None:
         self.mass, self.damping, self.stiffness = structure_matrices(scene.structure)
         self.n = len(self.mass)
-        self.body, self.bed = structural_model(scene).bed_body, structural_model(scene).bed_mass
-        self.clearance = np.array([d.clearance for d in scene.dampers])
-        self.restitution = np.array([d.restitution for d in scene.dampers])
+        model = structural_model(scene)
+        self.body, self.damper_mass = model.bed_body, model.bed_mass
+        self.clearance = np.array([damper.clearance for damper in scene.dampers])
+        self.restitution = np.array([damper.restitution for damper in scene.dampers])
         self.gravity = scene.gravity
         self.omega = 2 * np.pi * scene.test.frequency
         self.force = np.zeros(self.n)
-        self.force[[b - 1 for b in scene.shaker.bodies]] = scene.test.force
-        self.mode = np.full(len(self.bed), FLOOR)
+        self.force[[body - 1 for body in scene.shaker.bodies]] = scene.test.force
+        self.mode = np.full(len(self.damper_mass), FLOOR)
 
     def _body_accelerations(self, t: float, state: np.ndarray) -> np.ndarray:
         """Return the accelerations of the bodies with the present contacts."""
         n = self.n
         mass = self.mass.copy()
         load = self.force * np.sin(self.omega * t) - self.stiffness @ state[:n] - self.damping @ state[n : 2 * n]
-        riding = self.mode != FLIGHT
-        mass[self.body[riding], self.body[riding]] += self.bed[riding]
-        load[self.body[riding]] -= self.bed[riding] * self.gravity
+        in_contact = self.mode != FLIGHT
+        mass[self.body[in_contact], self.body[in_contact]] += self.damper_mass[in_contact]
+        load[self.body[in_contact]] -= self.damper_mass[in_contact] * self.gravity
         return np.linalg.solve(mass, load)
 
     def _derivative(self, t: float, state: np.ndarray) -> np.ndarray:
-        n, d = self.n, len(self.bed)
+        n, d = self.n, len(self.damper_mass)
         acceleration = self._body_accelerations(t, state)
         damper_speed = np.where(self.mode == FLIGHT, state[2 * n + d :], state[n + self.body])
         damper_acceleration = np.where(self.mode == FLIGHT, -self.gravity, acceleration[self.body])
         return np.concatenate([state[n : 2 * n], acceleration, damper_speed, damper_acceleration])
 
     def _guards(self, ignored_until: dict[tuple[int, int], float]) -> list[tuple[int, int, object]]:
+        """Return the guards of all dampers: (damper, new mode, function of time and state)."""
         n = self.n
         guards: list[tuple[int, int, object]] = []
         for j, body in enumerate(self.body):
@@ -87,34 +90,36 @@ class Peer:
 
     def events(self, duration: float) -> list[tuple[float, int, str]]:
         """Return the events up to a time: (time, damper from 1, kind)."""
-        n, d = self.n, len(self.bed)
-        state, t, out = np.zeros(2 * n + 2 * d), 0.0, []
+        n, d = self.n, len(self.damper_mass)
+        # Displacements and velocities of the bodies, heights and velocities of the dampers.
+        state, t, events = np.zeros(2 * n + 2 * d), 0.0, []
         ignored_until: dict[tuple[int, int], float] = {}
         while t < duration:
             guards = self._guards(ignored_until)
             solution = solve_ivp(
                 self._derivative, (t, duration), state, method="DOP853", rtol=1e-12, atol=1e-15,
-                max_step=2 * np.pi / max(self.omega, 300.0) / 80, events=[g for _, _, g in guards],
+                max_step=2 * np.pi / max(self.omega, 300.0) / 80, events=[guard for _, _, guard in guards],
             )  # fmt: skip
             t, state = solution.t[-1], solution.y[:, -1].copy()
             if solution.status != 1:
                 break
             for (j, wall, _), crossings in zip(guards, solution.t_events, strict=True):
                 if len(crossings):
-                    self._apply_event(t, state, j, wall, ignored_until, out)
-        return out
+                    self._apply_event(t, state, j, wall, ignored_until, events)
+        return events
 
-    def _apply_event(self, t, state, j, wall, ignored_until, out) -> None:
-        n, d = self.n, len(self.bed)
+    def _apply_event(self, t, state, j, wall, ignored_until, events) -> None:
+        """Apply a separation or an impact of damper j to the state, with the separations that follow."""
+        n, d = self.n, len(self.damper_mass)
         body = self.body[j]
         if wall == FLIGHT:
             self._separate(t, state, j, ignored_until)
-            out.append((t, j + 1, "separation"))
+            events.append((t, j + 1, "separation"))
             return
         closing_speed = state[2 * n + d + j] - state[n + body]
-        impulse = (1 + self.restitution[j]) * closing_speed / (1 / self.mass[body, body] + 1 / self.bed[j])
+        impulse = (1 + self.restitution[j]) * closing_speed / (1 / self.mass[body, body] + 1 / self.damper_mass[j])
         state[n + body] += impulse / self.mass[body, body]
-        out.append((t, j + 1, "floor" if wall == FLOOR else "ceiling"))
+        events.append((t, j + 1, "floor" if wall == FLOOR else "ceiling"))
         self.mode[j] = wall
         if self.restitution[j] > 0:
             self._separate(t, state, j, ignored_until)
@@ -124,10 +129,11 @@ class Peer:
                 sign = 1.0 if self.mode[i] == FLOOR else -1.0
                 if sign * (self._body_accelerations(t, state)[self.body[i]] + self.gravity) < 0:
                     self._separate(t, state, i, ignored_until)
-                    out.append((t, i + 1, "separation"))
+                    events.append((t, i + 1, "separation"))
 
     def _separate(self, t, state, j, ignored_until) -> None:
-        n, d = self.n, len(self.bed)
+        """Let damper j leave its wall with the velocity of the body."""
+        n, d = self.n, len(self.damper_mass)
         body, wall = self.body[j], self.mode[j]
         state[2 * n + j] = state[body] + (self.clearance[j] if wall == CEILING else 0.0)
         state[2 * n + d + j] = state[n + body]

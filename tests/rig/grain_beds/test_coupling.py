@@ -1,4 +1,4 @@
-"""Grains and structure: momentum, energy, agreement with the engine's exact mass, and rejected scenes."""
+"""Coupled motion of grains and structure: momentum, energy, agreement with a single mass, and rejected scenes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.rig.grain_beds.scenes import with_grains, without_grains
 RATE = 2000.0
 
 
-def test_shaken_free_body_keeps_the_momentum() -> None:
+def test_momentum_of_a_free_body_is_balanced() -> None:
     free_body = {"matrices": {"mass": [[0.01]], "stiffness": [[0.0]]}}
     scene = with_grains(structure=free_body, test={"kind": "sine", "frequency": 30.0, "force": 0.4, "start": "empty"})
     coupled = CoupledPropagator(scene, 1.0 / RATE)
@@ -26,7 +26,7 @@ def test_shaken_free_body_keeps_the_momentum() -> None:
 
     trajectory, beds = coupled.march(force)
 
-    assert beds.force[0, 1].min() < 0.0, "the bed never met the ceiling"
+    assert beds.force[0, 1].min() < 0.0, "the bed did not hit the ceiling"
     body_momentum = 0.01 * trajectory.state[-1, 1]
     impulse = 0.5 * coupled.step * (force[0, :-1] + force[0, 1:]).sum()
     weight_impulse = scene.dampers[0].mass * scene.gravity * time[-1]
@@ -49,7 +49,7 @@ def test_stiff_grain_moves_as_one_mass() -> None:
     assert np.median(np.abs(grain.gap - mass.gap)) < 0.01 * 1e-3
 
 
-def test_energy_adds_up_beside_another_damper() -> None:
+def test_energy_balances_with_another_damper() -> None:
     chain = {"masses": [0.01, 0.02], "springs": [400.0, 500.0], "damping": {"modal": 0.01}}
     scene = with_grains(structure=chain)
     mass_damper = {"body": 2, "mass": 2e-3, "clearance": 5e-4}
@@ -65,7 +65,7 @@ def test_energy_adds_up_beside_another_damper() -> None:
     assert abs(energy.residual) < 1e-10 * energy.work
 
 
-def test_blocks_give_the_same_bits() -> None:
+def test_block_size_changes_no_bit() -> None:
     scene = with_grains()
     drive = 0.4 * np.sin(0.1 * np.arange(120))[None]
     single_block = rig.Plant(scene, RATE).advance(drive)

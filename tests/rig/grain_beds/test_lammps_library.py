@@ -1,4 +1,4 @@
-"""Grains without LAMMPS."""
+"""Messages about beds of grains: missing LAMMPS, contradictory and impossible settings."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_missing_lammps_names_the_package(monkeypatch: pytest.MonkeyPatch) -> No
         ("grains: {diameter: 2 mm, modulus: 3 kg}", "a modulus such as 10 MPa"),
     ],
 )
-def test_contradicting_grain_settings_are_named(changes: str, words: str) -> None:
+def test_contradictory_grain_settings_are_named(changes: str, words: str) -> None:
     text = (
         "{structure: {masses: [1 kg], springs: [1 kN/m]}, "
         f"dampers: [{{body: 1, mass: 1 g, clearance: 1 mm, {changes}}}]}}"

@@ -1,4 +1,4 @@
-"""Interrupted runs with grains resume with identical bits and consistent energy balances."""
+"""Interrupted simulations with grains continue from a checkpoint with identical results."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rig.simulation.run_output import simulate_to_file
 from rig.simulation.simulate import Run
 from tests.rig.grain_beds.scenes import with_grains
 
-RATE, DURATION = 2000.0, 0.03
+RATE_HZ, DURATION_S = 2000.0, 0.03
 SWEEP = {"kind": "swept_sine", "from": "20 Hz", "to": "60 Hz", "duration": "0.03 s", "force": "0.4 N"}
 
 
@@ -53,23 +53,23 @@ class InterruptAfter:
 
 
 @pytest.mark.parametrize("test", [{}, {"test": SWEEP}], ids=["tone", "sweep"])
-def test_twice_stopped_run_has_the_same_bits(tmp_path: Path, test: dict[str, object]) -> None:
+def test_resumed_run_has_the_same_bits(tmp_path: Path, test: dict[str, object]) -> None:
     scene, stored = scene_with_two_dampers(**test), tmp_path / "kept"
-    uninterrupted = rig.simulate(scene, DURATION, RATE)
+    uninterrupted = rig.simulate(scene, DURATION_S, RATE_HZ)
     for sections in (1, 2):
         with pytest.raises(KeyboardInterrupt):
-            rig.simulate(scene, DURATION, RATE, keep=stored, progress=InterruptAfter(sections))
+            rig.simulate(scene, DURATION_S, RATE_HZ, keep=stored, progress=InterruptAfter(sections))
 
-    resumed = rig.simulate(scene, DURATION, RATE, keep=stored)
+    resumed = rig.simulate(scene, DURATION_S, RATE_HZ, keep=stored)
 
     assert len(uninterrupted.events) > 1
     assert_same_bits(resumed, uninterrupted)
-    assert_same_bits(rig.simulate(scene, DURATION, RATE, keep=stored), uninterrupted)
+    assert_same_bits(rig.simulate(scene, DURATION_S, RATE_HZ, keep=stored), uninterrupted)
 
 
-def test_many_sections_keep_momentum_and_energy() -> None:
+def test_sections_conserve_momentum_and_energy() -> None:
     scene = scene_with_two_dampers()
-    coupled = CoupledPropagator(scene, 1.0 / RATE)
+    coupled = CoupledPropagator(scene, 1.0 / RATE_HZ)
     drive = np.zeros((1, coupled.substeps * 20 + 1))
     drive[0] = 0.4 * np.sin(188.5 * coupled.step * np.arange(drive.shape[1]))
     coupled.set_state(coupled.system.initial, drive[:, 0])
@@ -81,14 +81,14 @@ def test_many_sections_keep_momentum_and_energy() -> None:
         contact_impulse += float(np.abs(beds.force).sum()) * coupled.step
 
     assert np.abs(coupled.momentum_errors).max() < 1e-12 * contact_impulse
-    energy = rig.simulate(scene, DURATION, RATE).energy
+    energy = rig.simulate(scene, DURATION_S, RATE_HZ).energy
     assert energy.grains > 0.01 * energy.work
     assert abs(energy.residual) < 1e-10 * energy.work
 
 
 def test_restored_bed_has_its_tangential_displacements() -> None:
     scene = with_grains(mass="2 g", grains={"friction": 0.5})
-    coupled = CoupledPropagator(scene, 1.0 / RATE)
+    coupled = CoupledPropagator(scene, 1.0 / RATE_HZ)
     (bed,) = coupled.beds
     bed.add_drag(1e-3)
     for _ in range(2000):
@@ -99,21 +99,21 @@ def test_restored_bed_has_its_tangential_displacements() -> None:
 
     bed.resume(bed.state_bytes())
 
-    assert abs(before[2]) > 0.02 * bed.mass * 9.80665, "nothing hangs on the side"
+    assert abs(before[2]) > 0.02 * bed.mass * 9.80665, "no friction at the side"
     assert bed.forces() == pytest.approx(before, rel=1e-6)
 
 
-def test_stopped_run_continues_and_keeps_its_output(tmp_path: Path) -> None:
+def test_interrupted_output_continues(tmp_path: Path) -> None:
     scene = with_grains()
-    simulate_to_file(tmp_path / "whole.npz", scene, DURATION, RATE, None, InterruptAfter(0))
+    simulate_to_file(tmp_path / "whole.npz", scene, DURATION_S, RATE_HZ, None, InterruptAfter(0))
     with pytest.raises(KeyboardInterrupt) as stopped:
-        simulate_to_file(tmp_path / "run.npz", scene, DURATION, RATE, None, InterruptAfter(2))
+        simulate_to_file(tmp_path / "run.npz", scene, DURATION_S, RATE_HZ, None, InterruptAfter(2))
     assert "run.npz.kept contains the computed part" in stopped.value.__notes__[0]
     assert [file.name for file in tmp_path.glob("run*")] == ["run.npz.kept"]
     reported: list[int] = []
 
     simulate_to_file(
-        tmp_path / "run.npz", scene, DURATION, RATE, None, lambda n_completed, total: reported.append(n_completed)
+        tmp_path / "run.npz", scene, DURATION_S, RATE_HZ, None, lambda n_completed, total: reported.append(n_completed)
     )
 
     assert min(reported) > 30, "completed steps were repeated"
@@ -123,7 +123,7 @@ def test_stopped_run_continues_and_keeps_its_output(tmp_path: Path) -> None:
 
 def test_checkpoint_of_other_run_names_the_difference(tmp_path: Path) -> None:
     stored = tmp_path / "kept"
-    rig.simulate(with_grains(), 0.01, RATE, keep=stored)
+    rig.simulate(with_grains(), 0.01, RATE_HZ, keep=stored)
 
     for scene, duration, frequency, difference in (
         (with_grains(mass="0.4 g"), 0.01, None, "scene"),
@@ -132,17 +132,17 @@ def test_checkpoint_of_other_run_names_the_difference(tmp_path: Path) -> None:
         (with_grains(), 0.01, 31.0, "drive"),
     ):
         with pytest.raises(RunError, match=f"kept: .* another {difference}"):
-            rig.simulate(scene, duration, RATE, frequency=frequency, keep=stored)
+            rig.simulate(scene, duration, RATE_HZ, frequency=frequency, keep=stored)
 
 
 @pytest.mark.parametrize("damage", [lambda content: content[:-200], lambda _: b"", lambda _: b"x" * 300])
 def test_damaged_checkpoint_is_reported_and_kept(tmp_path: Path, damage: object) -> None:
     stored = tmp_path / "kept"
-    rig.simulate(with_grains(), 0.005, RATE, keep=stored)
+    rig.simulate(with_grains(), 0.005, RATE_HZ, keep=stored)
     stored.write_bytes(damage(stored.read_bytes()))  # type: ignore[operator]
     damaged = stored.read_bytes()
 
     with pytest.raises(RunError, match="Delete it to start again"):
-        rig.simulate(with_grains(), 0.005, RATE, keep=stored)
+        rig.simulate(with_grains(), 0.005, RATE_HZ, keep=stored)
 
     assert stored.read_bytes() == damaged

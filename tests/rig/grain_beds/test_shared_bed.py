@@ -1,4 +1,4 @@
-"""A bed shared by two ranks against the same bed on one rank."""
+"""A bed of grains shared by two MPI ranks (processes), compared with the same bed on one rank."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.rig.mpi import on_two_ranks
 
 
 def coupled_bed() -> CoupledPropagator:
-    """Return about 60 grains in two or three layers."""
+    """Return the propagator of about 60 grains in two or three layers."""
     return CoupledPropagator(with_grains(mass="3 g", cavity="12 mm"), 1e-3)
 
 
@@ -37,13 +37,13 @@ def flying_grains() -> tuple[dict[str, NDArray[np.float64]], CoupledPropagator]:
 
 
 def program(*lines: str) -> str:
-    """Return a program that stores its beds in the folder of this run of the tests."""
+    """Return the text of a program that stores packings in the folder of this run of the tests."""
     folder_line = f"packing.folder = lambda: Path({str(packing.folder())!r})"
     return "\n".join(["from pathlib import Path", "from rig.grain_beds import packing", folder_line, *lines])
 
 
 def problems(stderr: str) -> list[str]:
-    """Return the lines other than progress, which appears on busy machines and before machine code is stored."""
+    """Return the lines of standard error without progress, which busy machines and compilation cause."""
     return [line for line in stderr.splitlines() if not line.startswith(("running", "compiling"))]
 
 
@@ -73,7 +73,7 @@ def test_two_ranks_move_and_restore_a_bed_equally(tmp_path: Path) -> None:
     assert (result.returncode, result.stdout, problems(result.stderr)) == (0, "True True\n", [])
     two_ranks = np.load(file)
     assert 0.3 < two_ranks["local"] / len(two_ranks["positions"]) < 0.7
-    assert one_rank["force"][0, 0, -1] == 0.0 and one_rank["lift"].max() > 1e-5, "the bed does not fly"
+    assert one_rank["force"][0, 0, -1] == 0.0 and one_rank["lift"].max() > 1e-5, "the bed is not in flight"
     for name in ("lift", "force", "displacement", "positions"):
         assert np.abs(two_ranks[name] - one_rank[name]).max() < 1e-9 * np.abs(one_rank[name]).max(), name
     assert np.abs(two_ranks["momentum_errors"]).max() < 1e-12
@@ -105,7 +105,7 @@ def test_two_ranks_run_a_command_once(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def two_late_ranks() -> subprocess.CompletedProcess[str]:
-    """Run two ranks that simulate a bed before they join, and then as on a machine with one core."""
+    """Run two ranks that simulate a bed before they join, and again after it as on a machine with one core."""
     return on_two_ranks(
         program(
             "import rig",

@@ -1,4 +1,4 @@
-"""The motion map: its boundaries agree with theory, and its files describe its content."""
+"""The motion map (types of damper motion over frequency and force): its boundaries and its files are correct."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def fig9_map() -> rig.MotionMap:
     return rig.map_motion("fig9", values=[0.5, 1.0, 3.3, 10.0], frequencies=np.linspace(47.0, 54.0, 8))
 
 
-def test_damper_rides_below_take_off(fig9_map: rig.MotionMap) -> None:
+def test_damper_is_at_rest_below_take_off_force(fig9_map: rig.MotionMap) -> None:
     below = fig9_map.value[:, None] < 0.98 * fig9_map.take_off
     above = fig9_map.value[:, None] > 1.02 * fig9_map.take_off
     assert below.any() and above.any()
@@ -32,30 +32,30 @@ def test_damper_rides_below_take_off(fig9_map: rig.MotionMap) -> None:
     assert (fig9_map.kind[above] != KINDS.index("riding")).all()
 
 
-def test_types_follow_each_other_with_force(fig9_map: rig.MotionMap) -> None:
+def test_types_follow_in_order_with_force(fig9_map: rig.MotionMap) -> None:
     at_resonance = fig9_map.kind[:, int(np.argmin(fig9_map.take_off))]
     assert (np.diff(at_resonance) >= 0).all()
     assert {"I", "III"} <= {KINDS[k] for k in at_resonance}
 
 
-def test_single_point_equals_its_map(fig9_map: rig.MotionMap) -> None:
+def test_row_equals_the_frequency_response(fig9_map: rig.MotionMap) -> None:
     scene = with_ideal_force(rig.load("fig9"))
     scene = scene.replace(test=scene.test.replace(force=10.0))
-    alone = rig.frequency_response(scene, fig9_map.frequency)
-    assert list(alone.motion_type) == list(fig9_map.motion[-1])
-    np.testing.assert_allclose(alone.impacts.sum(axis=0), fig9_map.impacts[-1])
+    response = rig.frequency_response(scene, fig9_map.frequency)
+    assert list(response.motion_type) == list(fig9_map.motion[-1])
+    np.testing.assert_allclose(response.impacts.sum(axis=0), fig9_map.impacts[-1])
 
 
 def test_take_off_accelerates_the_damper_at_gravity() -> None:
     scene = rig.load("fig8-three-dampers")
     frequency = np.array([12.0, 33.3, 47.6])
     response = receptance(scene, frequency, riding=(1, 2, 3))
-    largest = np.abs(response).max(axis=0) * (2 * np.pi * frequency) ** 2
-    np.testing.assert_allclose(take_off(with_ideal_force(scene), frequency) * largest, scene.gravity, rtol=1e-9)
+    accelerance = np.abs(response).max(axis=0) * (2 * np.pi * frequency) ** 2
+    np.testing.assert_allclose(take_off(with_ideal_force(scene), frequency) * accelerance, scene.gravity, rtol=1e-9)
     np.testing.assert_allclose(take_off(scene, frequency), take_off(with_ideal_force(scene), frequency), rtol=1e-6)
 
 
-def test_rows_include_own_value_and_take_off() -> None:
+def test_rows_include_value_of_scene_and_take_off() -> None:
     scene = rig.load("fig9")
     frequency = columns(scene)
     levels = rows_of(scene, "force", frequency)
@@ -168,7 +168,7 @@ def test_level_and_clearance_maps_coexist(fig9_map: rig.MotionMap, tmp_path: Pat
     assert len(set(files)) == 6
 
 
-def test_unusable_place_is_rejected_before_work(tmp_path: Path) -> None:
+def test_unusable_folder_is_rejected(tmp_path: Path) -> None:
     file_path = tmp_path / "taken"
     file_path.write_text("", encoding="utf-8")
     with pytest.raises(SceneError, match="Choose another folder"):

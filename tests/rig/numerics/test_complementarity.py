@@ -1,4 +1,4 @@
-"""Simultaneous contact decisions, against an exhaustive search of all combinations."""
+"""The linear complementarity problem of simultaneous contacts, compared with a search over all combinations."""
 
 from itertools import product
 
@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from rig.numerics.complementarity import allocate_contact_work, complementarity
 
 
-def solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return the pressures p >= 0 with matrix p + right >= 0, where one of both is zero for each contact."""
     count = len(right)
     work = allocate_contact_work(count, 8)
     work.matrix[:count, :count] = matrix
@@ -19,6 +20,7 @@ def solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def solve_by_enumeration(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return the same by a search over all combinations of contacts."""
     for pattern in product([False, True], repeat=len(right)):
         active = np.array(pattern)
         pressure = np.zeros(len(right))
@@ -36,15 +38,15 @@ def test_solution_agrees_with_every_combination(seed: int, count: int) -> None:
     matrix = factor @ factor.T + 0.1 * np.eye(count)
     right = rng.standard_normal(count)
 
-    pressure = solved(matrix, right)
+    pressure = solve(matrix, right)
 
     assert (pressure >= 0.0).all()
     np.testing.assert_allclose(pressure, solve_by_enumeration(matrix, right), atol=1e-9)
 
 
 def test_separating_contacts_have_no_force() -> None:
-    assert (solved(np.eye(3), np.ones(3)) == 0.0).all()
+    assert (solve(np.eye(3), np.ones(3)) == 0.0).all()
 
 
 def test_single_contact_closes_exactly() -> None:
-    assert solved(np.array([[4.0]]), np.array([-2.0]))[0] == 0.5
+    assert solve(np.array([[4.0]]), np.array([-2.0]))[0] == 0.5

@@ -1,4 +1,4 @@
-"""Solution curves are followed through folds to their ends, and the reason for each end is reported."""
+"""Numerical continuation: solution curves are followed through folds, and the reason for each end is reported."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,7 @@ from rig.numerics.continuation import NoConvergence, Steps, Vector, locate_folds
 
 
 def circle(x: Vector) -> tuple[Vector, Vector]:
+    """Return the residual of the unit circle and its Jacobian; the last element of x is the parameter."""
     return np.array([x @ x - 1]), 2 * x[None, :]
 
 
@@ -27,7 +28,7 @@ def test_curve_ends_on_its_bound_exactly() -> None:
     assert np.abs(np.hypot(*curve.points.T) - 1).max() < 1e-12
 
 
-def test_curve_ends_just_before_a_border() -> None:
+def test_curve_ends_at_a_border() -> None:
     curve = trace(
         circle, np.array([1.0, 0.0]), (-2, 2), np.ones(2), margins=lambda x: (np.array([0.3 - x[1]]), ["too high"])
     )
@@ -36,7 +37,7 @@ def test_curve_ends_just_before_a_border() -> None:
     assert 0.3 - 1e-9 < curve.points[-1, 1] <= 0.3
 
 
-def test_lost_curve_reports_its_last_point() -> None:
+def test_failed_convergence_reports_the_last_point() -> None:
     def half_parabola(x: Vector) -> tuple[Vector, Vector]:
         with np.errstate(invalid="ignore"):
             root = np.sqrt(x[1]) if x[1] >= 0 else np.nan

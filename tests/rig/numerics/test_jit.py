@@ -1,4 +1,7 @@
-"""Cached machine code is never older than its sources; kernels compile with numba's public options."""
+"""Cached machine code is compiled again when any of its sources changes, and also with numba's public options only.
+
+The tests compile a package `kernels` of small modules, whose sources are below.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+# Modules of the package.
 OUTER = """
 from kernels.constant import CONSTANT
 from kernels.inner import inner
@@ -27,6 +31,7 @@ from rig.numerics.jit import inlined_kernel
 def inner(x: float) -> float:
     return {factor} * x
 """
+# A kernel that calls another one twice.
 TWICE = """
 from rig.numerics.jit import kernel
 
@@ -38,7 +43,8 @@ def inner(x: float, factor: int) -> float:
 def outer(x: float) -> float:
     return inner(x, 2) + inner(x, 3)
 """
-COMPILING = """
+# Print which kernels are compiled.
+PRINT_COMPILED = """
 from kernels.twice import inner, outer
 from numba.core.event import install_recorder
 
@@ -53,7 +59,7 @@ class Pair(NamedTuple):
     {0}: float
     {1}: float
 """
-# A crossing of a guard, and a product in vector registers; bits of the results.
+# Print all bits of a zero of a guard and of a product in vector registers.
 BITS = """
 import sys
 if {plain}:
@@ -76,7 +82,7 @@ CALL = "from kernels.outer import Pair, outer; print(outer(Pair(1.0, 100.0)))"
 
 @pytest.fixture
 def kernels(tmp_path: Path) -> Path:
-    """Make a package whose function `outer` gives 2 x + CONSTANT + y, here 2 * 1 + 10 + 100."""
+    """Write a package whose function `outer` returns 2 x + CONSTANT + y; `CALL` gives 2 * 1 + 10 + 100."""
     package = tmp_path / "kernels"
     package.mkdir()
     for name, text in {
@@ -91,16 +97,16 @@ def kernels(tmp_path: Path) -> Path:
 
 
 def run(package: Path, code: str = CALL, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run code in a process of its own."""
+    """Run code in a new process with a cache in the package."""
     paths = [str(package.parent), str(Path(__file__).parents[3])]
     variables = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "NUMBA_CACHE_DIR": str(package / "cache")}
-    # Stored bytecode would be used again: Python compares only time and size of a source.
+    # No bytecode: Python would use it again, because it compares only time and size of a source.
     variables |= {"PYTHONDONTWRITEBYTECODE": "1"} | environment
     return subprocess.run([sys.executable, "-c", code], env=variables, check=True, capture_output=True, text=True)
 
 
 def machine_code(package: Path) -> dict[str, int]:
-    """Return when each file of machine code was written."""
+    """Return the time of writing [ns] of each file of machine code."""
     files = (package / "cache" / "machine-code").glob("kernels-*/outer.outer-*")
     return {file.name: file.stat().st_mtime_ns for file in files}
 
@@ -115,7 +121,7 @@ def machine_code(package: Path) -> dict[str, int]:
     ],
     ids=["callee", "constant", "order of fields"],
 )
-def test_changed_ingredient_compiles_again(kernels: Path, name: str, text: str, result: float) -> None:
+def test_changed_source_compiles_again(kernels: Path, name: str, text: str, result: float) -> None:
     assert float(run(kernels).stdout) == 112.0
     source = kernels / f"{name}.py"
     # Neither the time nor the size of the file differs.
@@ -127,7 +133,7 @@ def test_changed_ingredient_compiles_again(kernels: Path, name: str, text: str, 
 
 def test_callee_is_compiled_once_per_type(kernels: Path) -> None:
     (kernels / "twice.py").write_text(TWICE)
-    assert run(kernels, COMPILING).stdout.splitlines() == ["5.0 4.0", "outer inner inner"]
+    assert run(kernels, PRINT_COMPILED).stdout.splitlines() == ["5.0 4.0", "outer inner inner"]
 
 
 def test_other_checkout_uses_the_same_code(kernels: Path, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Orbits with finite-duration contact against settled simulations, instant contact, and the engine's events."""
+"""Periodic orbits with finite-duration contact, compared with steady simulations, instant contact and the engine."""
 
 import numpy as np
 import pytest
@@ -15,17 +15,17 @@ def fig9(**contact: float) -> Scene:
     return finite_contact_scene("fig9", contact)
 
 
-def test_finite_contact_sweep_equals_settled_simulation() -> None:
+def test_finite_contact_orbits_equal_steady_simulation() -> None:
     scene, frequencies = fig9(duration=4e-3), [44.0, 47.0, 49.1, 49.4, 49.8]
-    orbits, settled = rig.orbit_response(scene, frequencies), rig.frequency_response(scene, frequencies)
+    orbits, steady = rig.orbit_response(scene, frequencies), rig.frequency_response(scene, frequencies)
     assert not orbits.simulated.any()
-    assert orbits.motion_type.tolist() == settled.motion_type.tolist()
+    assert orbits.motion_type.tolist() == steady.motion_type.tolist()
     assert len(set(orbits.motion_type)) > 1
-    # A settled simulation repeats within 1e-7 of itself.
-    np.testing.assert_allclose(orbits.compliance, settled.compliance, rtol=0, atol=1e-5 * abs(settled.compliance).max())
+    # The periods of a steady simulation differ by up to 1e-7.
+    np.testing.assert_allclose(orbits.compliance, steady.compliance, rtol=0, atol=1e-5 * abs(steady.compliance).max())
 
 
-def test_ever_shorter_contacts_tend_to_instant_contact() -> None:
+def test_short_contacts_converge_to_instant_contact() -> None:
     instant = rig.periodic_orbit(rig.load("fig9"), 49.7)
     deviations = [
         float(np.abs(rig.periodic_orbit(fig9(duration=duration), 49.7).compliance / instant.compliance - 1).max())
@@ -40,7 +40,7 @@ def test_ever_shorter_contacts_tend_to_instant_contact() -> None:
     ("contact", "frequency", "force"),
     [({"stiffness": 1800.0, "damping": 17.0}, 40.3, 4.1), ({"stiffness": 2.1e5, "damping": 115.0}, 41.7, 6.0)],
 )
-def test_bed_pressed_again_before_separation_returns_to_orbit(
+def test_damper_pressed_again_before_separation_has_an_orbit(
     contact: dict[str, float], frequency: float, force: float
 ) -> None:
     scene = fig9(**contact).replace(test={"kind": "sine", "frequency": frequency, "force": force})
@@ -54,9 +54,9 @@ def test_bed_pressed_again_before_separation_returns_to_orbit(
     np.testing.assert_allclose(unknowns[-len(orbit.events) :], orbit.unknowns[-len(orbit.events) :], atol=1e-12)
 
 
-def test_finite_contact_curve_solves_its_equations_everywhere() -> None:
+def test_finite_contact_curve_solves_its_equations() -> None:
     curve = rig.follow_orbits(fig9(duration=4e-3), "frequency", (47.0, 50.0), searches=2)
-    # Where neither type is stable the motion does not repeat.
+    # Where no type of motion is stable, the motion is not periodic.
     assert all("no periodic motion found" in failure for failure in curve.failures)
     assert sum(len(branch.orbits) for branch in curve.branches) > 20
     for branch in curve.branches:

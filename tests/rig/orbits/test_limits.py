@@ -1,4 +1,4 @@
-"""Known limits of exact orbits: no damper mass, no clearance, no ceiling, no acceleration beyond gravity."""
+"""Limits of periodic orbits with closed forms: no damper mass, no clearance, acceleration below gravity."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,10 @@ GRAVITY = 9.80665
 
 
 def at_body(scene: Scene, body: int, frequency: float, acceleration: float, **damper: float) -> Scene:
-    """Give one body one damper, and the force that accelerates the bare body by so many times gravity."""
+    """Return a scene with a damper in a body, and the force that accelerates this body without damper.
+
+    `acceleration`: amplitude in g.
+    """
     undamped_scene = with_ideal_force(scene).replace(dampers=[])
     compliance = abs(receptance(undamped_scene, [frequency])[body - 1, 0])
     force = acceleration * GRAVITY / ((2 * np.pi * frequency) ** 2 * compliance)
@@ -23,7 +26,7 @@ def at_body(scene: Scene, body: int, frequency: float, acceleration: float, **da
 
 @pytest.mark.parametrize(("body", "frequency"), [(2, 47.0), (3, 30.0), (1, 20.0)])
 @pytest.mark.parametrize("acceleration", [1.02, 1.5, 2.4, 3.2])
-def test_sticking_massless_damper_flies_as_the_inelastic_ball(acceleration: float, body: int, frequency: float) -> None:
+def test_massless_damper_moves_as_inelastic_ball(acceleration: float, body: int, frequency: float) -> None:
     scene = at_body(rig.load("fig9"), body, frequency, acceleration, mass_ratio=1e-9, clearance=float("inf"))
 
     orbit = rig.periodic_orbit(scene, frequency)
@@ -41,7 +44,7 @@ def test_sticking_massless_damper_flies_as_the_inelastic_ball(acceleration: floa
     assert np.abs(orbit.compliance - linear_response).max() < 1e-6 * np.abs(linear_response).max()
 
 
-def test_massless_damper_flying_a_period_bounces_without_stay() -> None:
+def test_massless_damper_bounces_at_high_acceleration() -> None:
     acceleration = FULL_PERIOD_ACCELERATION_G + 0.1
     scene = at_body(rig.load("fig9"), 2, 47.0, acceleration, mass_ratio=1e-9, clearance=float("inf"))
 
@@ -49,19 +52,19 @@ def test_massless_damper_flying_a_period_bounces_without_stay() -> None:
 
     assert orbit.plan.label == "1v"
     phase = orbit.events["time"][0] * 2 * np.pi * 47.0 + np.angle(orbit.compliance[1])
-    # It is thrown and lands where the body's speed is pi g/w.
+    # Separation and landing occur at the same phase, where the body's velocity is pi g/w.
     assert np.cos(phase) * acceleration == pytest.approx(np.pi, abs=1e-6)
 
 
-def test_massless_damper_border_is_at_whole_period_flight() -> None:
+def test_massless_damper_stays_until_full_period_flight() -> None:
     scene = at_body(rig.load("fig9"), 2, 47.0, 1.0, mass_ratio=1e-9, clearance=float("inf"))
-    unit = scene.test.force
+    force_for_1g = scene.test.force
 
-    curve = rig.follow_orbits(scene, "force", (1.2 * unit, 3.6 * unit), frequency=47.0, searches=1)
+    curve = rig.follow_orbits(scene, "force", (1.2 * force_for_1g, 3.6 * force_for_1g), frequency=47.0, searches=1)
 
     (sticking,) = [branch for branch in curve.branches if branch.plan.label in ("1^ 1_", "1_ 1^")]
-    # The stay vanishes: the damper lands in the instant, and at the phase, in which it would take off.
-    assert sticking.value.max() / unit == pytest.approx(FULL_PERIOD_ACCELERATION_G, abs=1e-6)
+    # The stay on the floor vanishes: the damper lands at the phase at which it takes off.
+    assert sticking.value.max() / force_for_1g == pytest.approx(FULL_PERIOD_ACCELERATION_G, abs=1e-6)
     assert sticking.ends[int(sticking.value[-1] > sticking.value[0])] in (
         "damper 1 leaves its wall early",
         "event 1_ and event 1^ change order",
@@ -73,9 +76,9 @@ def test_massless_damper_border_is_at_whole_period_flight() -> None:
 )
 def test_zero_clearance_response_is_linear_with_damper_masses(name: str, frequency: float) -> None:
     scene = with_ideal_force(rig.load(name))
-    tight = scene.replace(dampers=[d.replace(clearance=0.0) for d in scene.dampers])
+    without_clearance = scene.replace(dampers=[damper.replace(clearance=0.0) for damper in scene.dampers])
 
-    orbit = rig.periodic_orbit(tight, frequency)
+    orbit = rig.periodic_orbit(without_clearance, frequency)
 
     all_dampers = range(1, len(scene.dampers) + 1)
     exact = receptance(scene, [frequency], riding=all_dampers)[:, 0]
@@ -99,7 +102,7 @@ def test_small_clearances_tend_to_the_linear_response() -> None:
 
 
 @pytest.mark.parametrize(("name", "frequency"), [("fig9", 30.0), ("fig8-three-dampers", 40.0)])
-def test_dampers_ride_below_gravity_with_linear_response(name: str, frequency: float) -> None:
+def test_dampers_at_rest_give_the_linear_response(name: str, frequency: float) -> None:
     scene = with_ideal_force(rig.load(name))
 
     orbit = rig.periodic_orbit(scene, frequency)

@@ -1,4 +1,8 @@
-"""Exact periodic orbits of the full structure: against the engine, finite differences and known limits."""
+"""Periodic orbits, compared with the engine, finite differences, steady simulation and the single-mode method.
+
+An orbit is the exact periodic motion at a frequency, from shooting. Its multipliers (Floquet) are the factors by which
+disturbances change over a cycle. A branch is a curve of orbits with the same sequence of events.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -27,14 +31,14 @@ def fig9_curve() -> OrbitCurve:
 
 
 def propagator_on_orbit(scene: Scene, orbit: Orbit) -> tuple[Propagator, float]:
-    """Put the engine on an orbit."""
+    """Return the engine in the state of an orbit, and the steps in a period."""
     propagator, steps = start_propagator(OrbitProblem(scene), orbit.setting)
     set_to_orbit(propagator, orbit)
     return propagator, steps
 
 
 def coupled_scene(coupling: float) -> Scene:
-    """Two dampers in a structure whose mass matrix couples their bodies."""
+    """Return a scene with two dampers in a structure whose mass matrix couples neighboring bodies [kg]."""
     mass, damping, stiffness = structure_matrices(rig.load("fig9").structure)
     mass[[0, 1, 1, 2], [1, 0, 2, 1]] = coupling
     matrices = {"mass": mass.tolist(), "stiffness": stiffness.tolist(), "damping": damping.tolist()}
@@ -44,27 +48,28 @@ def coupled_scene(coupling: float) -> Scene:
 
 
 DIFFERENT_WALLS = {"floor": {"stiffness": 1e5, "damping": 300.0}, "ceiling": {"stiffness": 4e4, "damping": 60.0}}
+# Name: scene and frequency, Hz.
 CASES = {
     "fig9": (rig.load("fig9"), 49.7),
-    "fig9 stays": (rig.load("fig9"), 49.1),
-    "fig9 rides": (rig.load("fig9"), 46.5),
+    "fig9, stay at the ceiling": (rig.load("fig9"), 49.1),
+    "fig9, at rest": (rig.load("fig9"), 46.5),
     "fig8 three": (rig.load("fig8-three-dampers"), 34.5),
     "fig5 three": (rig.load("fig5-three-dampers"), 49.5),
-    "light": (scene_with("fig9", 5.0, 0.02, 1.6e-3), 50.0),
-    "heavy": (scene_with("fig9", 12.0, 0.25, 0.6e-3), 48.5),
-    "two": (scene_with("fig8-two-dampers", 5.0, 0.07, 1.2e-3), 48.0),
-    "rebound": (scene_with("fig5-single-damper", 5.0, 0.1, 1.5e-3, 0.6), 49.5),
-    "rebounds": (scene_with("fig5-single-damper", 20.0, 0.1, 4e-3, 0.3), 47.5),
-    "weightless": (scene_with("fig5-single-damper", 20.0, 0.1, 4e-3, 0.1).replace(gravity=0.0), 49.5),
-    "weightless, without rebound": (scene_with("fig9", 20.0, 0.1, 4e-4).replace(gravity=0.0), 49.5),
-    "table": (driven_table_scene(), 51.0),
-    "coupled": (coupled_scene(-0.05), 46.5),
-    "lands": (finite_contact_scene("fig9", {"duration": 1e-3}), 49.1),
-    "lands slowly": (finite_contact_scene("fig9", {"duration": 8e-3}), 49.7),
-    "lands and rebounds": (finite_contact_scene("fig9", {"duration": 3e-3}, restitution=0.5), 49.7),
-    "walls that differ": (finite_contact_scene("fig9", DIFFERENT_WALLS), 49.7),
-    "three land": (finite_contact_scene("fig8-three-dampers", {"duration": 2e-3}), 34.5),
-    "one of two lands": (finite_contact_scene("fig8-two-dampers", {"duration": 2e-3}, only_last=True), 48.0),
+    "light damper": (scene_with("fig9", 5.0, 0.02, 1.6e-3), 50.0),
+    "heavy damper": (scene_with("fig9", 12.0, 0.25, 0.6e-3), 48.5),
+    "two dampers": (scene_with("fig8-two-dampers", 5.0, 0.07, 1.2e-3), 48.0),
+    "one rebound": (scene_with("fig5-single-damper", 5.0, 0.1, 1.5e-3, 0.6), 49.5),
+    "several rebounds": (scene_with("fig5-single-damper", 20.0, 0.1, 4e-3, 0.3), 47.5),
+    "no gravity": (scene_with("fig5-single-damper", 20.0, 0.1, 4e-3, 0.1).replace(gravity=0.0), 49.5),
+    "no gravity, no rebound": (scene_with("fig9", 20.0, 0.1, 4e-4).replace(gravity=0.0), 49.5),
+    "driven table": (driven_table_scene(), 51.0),
+    "coupled mass matrix": (coupled_scene(-0.05), 46.5),
+    "finite contact": (finite_contact_scene("fig9", {"duration": 1e-3}), 49.1),
+    "long contact": (finite_contact_scene("fig9", {"duration": 8e-3}), 49.7),
+    "finite contact with rebound": (finite_contact_scene("fig9", {"duration": 3e-3}, restitution=0.5), 49.7),
+    "different walls": (finite_contact_scene("fig9", DIFFERENT_WALLS), 49.7),
+    "three finite contacts": (finite_contact_scene("fig8-three-dampers", {"duration": 2e-3}), 34.5),
+    "one of two contacts finite": (finite_contact_scene("fig8-two-dampers", {"duration": 2e-3}, only_last=True), 48.0),
 }
 each_case = pytest.mark.parametrize(("scene", "frequency"), CASES.values(), ids=CASES)
 
@@ -76,12 +81,13 @@ def test_engine_returns_to_the_orbit_after_a_period(scene: Scene, frequency: flo
     propagator, steps = propagator_on_orbit(scene, orbit)
     plan, unknowns = simulate_cycle(propagator, steps, orbit.repetition)
 
-    nq, ns = propagator.system.coordinates, propagator.system.states
-    end = propagator.state.z[:ns]
-    size = np.abs(orbit.unknowns[:nq]).max()
+    coordinates, states = propagator.system.coordinates, propagator.system.states
+    end = propagator.state.z[:states]
+    error = np.abs(end[: 2 * coordinates] - orbit.unknowns[: 2 * coordinates])
+    size = np.abs(orbit.unknowns[:coordinates]).max()
     assert plan.label == orbit.plan.label
-    assert np.abs(end[:nq] - orbit.unknowns[:nq]).max() < 1e-11 * size
-    assert np.abs(end[nq : 2 * nq] - orbit.unknowns[nq : 2 * nq]).max() < 1e-11 * size * 2 * np.pi * frequency
+    assert error[:coordinates].max() < 1e-11 * size
+    assert error[coordinates:].max() < 1e-11 * size * 2 * np.pi * frequency
     events = len(orbit.plan.sequence.kind)
     np.testing.assert_allclose(unknowns[-events:], orbit.unknowns[-events:], atol=1e-13)
     assert orbit.residual < 1e-12
@@ -89,15 +95,20 @@ def test_engine_returns_to_the_orbit_after_a_period(scene: Scene, frequency: flo
 
 
 @each_case
-def test_disturbed_orbit_responds_by_its_multipliers(scene: Scene, frequency: float) -> None:
+def test_multipliers_equal_finite_differences(scene: Scene, frequency: float) -> None:
     orbit = periodic_orbit(scene, frequency)
     system = OrbitProblem(scene).system
-    ns, nq = system.states, system.coordinates
-    flying = len(orbit.plan.flying)
-    omega = 2 * np.pi * frequency
-    units = np.concatenate([np.full(nq, 1e-3), np.full(nq, 1e-3 * omega), np.tile([1e-3, 1e-3 * omega], flying)])
+    coordinates, omega = system.coordinates, 2 * np.pi * frequency
+    # Units of displacements, velocities, and of height and velocity of each damper in flight.
+    units = np.concatenate(
+        [
+            np.full(coordinates, 1e-3),
+            np.full(coordinates, 1e-3 * omega),
+            np.tile([1e-3, 1e-3 * omega], len(orbit.plan.flying)),
+        ]
+    )
 
-    def after_a_period(change: np.ndarray) -> np.ndarray:
+    def state_after_a_cycle(change: np.ndarray) -> np.ndarray:
         unknowns = orbit.unknowns.copy()
         unknowns[: len(change)] += change
         propagator, steps = propagator_on_orbit(scene, replace(orbit, unknowns=unknowns))
@@ -105,14 +116,16 @@ def test_disturbed_orbit_responds_by_its_multipliers(scene: Scene, frequency: fl
             np.full(orbit.repetition, steps), np.full(orbit.repetition, -1), np.ones(orbit.repetition, dtype=bool)
         )
         flights = [[propagator.state.height[j], propagator.state.speed[j]] for j in orbit.plan.flying]
-        return np.concatenate([propagator.state.z[:ns], np.ravel(flights)])
+        return np.concatenate([propagator.state.z[: system.states], np.ravel(flights)])
 
     step = 1e-6
-    columns = [(after_a_period(step * u) - after_a_period(-step * u)) / (2 * step) for u in np.diag(units)]
-    measured = np.linalg.eigvals(np.array(columns).T / units[:, None])
+    columns = [
+        (state_after_a_cycle(step * unit) - state_after_a_cycle(-step * unit)) / (2 * step) for unit in np.diag(units)
+    ]
+    numerical = np.linalg.eigvals(np.array(columns).T / units[:, None])
 
-    # Multipliers near by may come in another order: each is compared with its nearest.
-    distance = np.abs(measured[:, None] - orbit.multipliers)
+    # Compare each with the nearest, because close multipliers may come in another order.
+    distance = np.abs(numerical[:, None] - orbit.multipliers)
     assert distance.min(axis=0).max() < 1e-5
     assert distance.min(axis=1).max() < 1e-5
 
@@ -133,7 +146,7 @@ def test_stable_branches_equal_steady_simulation() -> None:
 
 
 @pytest.mark.thorough
-def test_fig_9_types_follow_each_other_without_gap() -> None:
+def test_fig_9_branches_cover_the_band() -> None:
     curve = fig9_curve()
 
     intervals = sorted(
@@ -153,24 +166,26 @@ def test_fig_9_types_follow_each_other_without_gap() -> None:
 
 def test_multiplier_is_minus_one_at_a_period_doubling() -> None:
     scene = rig.load("fig9")
-    (branch,) = [b for b in fig9_curve().branches if b.motion_type == "II" and 50 < b.value.mean() < 50.9]
+    (branch,) = [
+        branch for branch in fig9_curve().branches if branch.motion_type == "II" and 50 < branch.value.mean() < 50.9
+    ]
 
     (doubling,) = branch.doublings
 
     nearest = branch.orbits[int(np.abs(branch.value - doubling).argmin())]
     orbit = periodic_orbit(scene, float(doubling), start=nearest)
     assert np.abs(orbit.multipliers + 1).min() < 1e-7
-    assert any(len(b.doublings) and not b.stable.all() for b in fig9_curve().branches)
+    assert any(len(branch.doublings) and not branch.stable.all() for branch in fig9_curve().branches)
 
 
 def test_multiplier_passes_one_at_a_fold() -> None:
-    folded = [b for b in fig9_curve().branches if len(b.folds) and b.plan.repetition == 1]
+    folded = [branch for branch in fig9_curve().branches if len(branch.folds) and branch.plan.repetition == 1]
     assert folded
 
     for branch in folded:
         (fold,) = branch.folds
         (i,) = branch.curve.folds
-        # The product of 1 - multiplier changes its sign with each real multiplier that passes 1.
+        # The product of 1 - multiplier changes its sign where a real multiplier passes 1.
         before, after = (np.prod(1 - branch.orbits[k].multipliers).real for k in (i, i + 1))
         assert before * after < 0
         assert np.abs(branch.value[i : i + 2] - fold).max() < 0.05
@@ -192,6 +207,7 @@ def test_curves_over_other_parameters_share_an_orbit() -> None:
         assert len(branch.value) > 5
 
 
+# Scene, parameter, its range (Hz, N, m or 1), frequency of the other parameters.
 CURVES: list[tuple[Scene, Parameter, tuple[float, float], float | None]] = [
     (scene_with("fig9", 5.0, 0.15, 0.5e-3), "frequency", (46.0, 50.0), None),
     (scene_with("fig8-two-dampers", 3.0, 0.1, np.inf), "mass_ratio", (0.2, 2.0), 48.3),
@@ -201,13 +217,14 @@ CURVES: list[tuple[Scene, Parameter, tuple[float, float], float | None]] = [
 
 
 @pytest.mark.parametrize(("scene", "parameter", "bounds", "frequency"), CURVES, ids=[case[1] for case in CURVES])
-def test_branches_end_on_borders_without_failures(
+def test_branches_end_at_borders(
     scene: Scene, parameter: Parameter, bounds: tuple[float, float], frequency: float | None
 ) -> None:
     curve = follow_orbits(scene, parameter, bounds, frequency=frequency, searches=1)
 
     # The whole range is covered by stable orbits, from border to border.
-    intervals = sorted((b.value[b.stable].min(), b.value[b.stable].max()) for b in curve.branches if b.stable.any())
+    stable_values = [branch.value[branch.stable] for branch in curve.branches if branch.stable.any()]
+    intervals = sorted((values.min(), values.max()) for values in stable_values)
     covered = bounds[0]
     for low, high in intervals:
         assert low < covered + 1e-3 * bounds[1]
@@ -237,6 +254,7 @@ def approximation(force: float, mass_ratio: float, clearance: float) -> Approxim
 
 
 def one_mode_scene(mode: SingleMode) -> Scene:
+    """Return the scene of a single body with the modal properties and the damper of a mode."""
     stiffness = mode.mass * mode.omega**2
     lines = [
         "name: one mode",
@@ -261,21 +279,20 @@ def one_mode_scene(mode: SingleMode) -> Scene:
         ("III", 6.0, 0.1, 0.8e-3),
     ],
 )
-def test_approximate_motion_repeats_in_a_one_mode_engine(
-    kind: str, force: float, mass_ratio: float, clearance: float
-) -> None:
+def test_single_mode_motion_repeats_in_the_engine(kind: str, force: float, mass_ratio: float, clearance: float) -> None:
     approximate = approximation(force, mass_ratio, clearance)
     mode, scene = approximate.mode, one_mode_scene(approximate.mode)
-    assert any(b.motion_type == kind for b in approximate.branches)
-    for branch in [b for b in approximate.branches if b.motion_type == kind]:
+    assert any(branch.motion_type == kind for branch in approximate.branches)
+    for branch in [branch for branch in approximate.branches if branch.motion_type == kind]:
         valid_points = np.flatnonzero(branch.valid)
         i = int(valid_points[len(valid_points) // 2])
         omega = 2 * np.pi * branch.frequency[i]
         length = mode.gravity / omega**2
         problem = OrbitProblem(scene)
         propagator, steps = start_propagator(problem, problem.setting(float(branch.frequency[i])))
+        # Modal displacement and velocity, and the cosine and sine part of the force.
         q, u, a, b = branch.unknowns[:4, i] * length * np.array([1, omega, 1, 1])
-        # The floor impact is tau = 0, where the force is F sin(-phi) = b: start the tone at that phase.
+        # The cycle starts at the floor impact: start the tone at its phase.
         phase = np.arctan2(b, a)
         propagator.set_state(np.array([q, u]), np.array([np.cos(phase), np.sin(phase)]))
         trajectory = propagator.through_marks(np.array([steps]), np.array([0]), np.zeros(1, dtype=bool))
@@ -286,7 +303,7 @@ def test_approximate_motion_repeats_in_a_one_mode_engine(
         np.testing.assert_array_equal(trajectory.event_kind[: len(kinds)], kinds)
         np.testing.assert_allclose(events[: len(kinds)], instants[: len(kinds)], atol=1e-9)
         size = branch.peak[i] * mode.force
-        # The landing that ends the period may fall to either side of its end by rounding.
+        # The impact at the end of the period may be before or after the end, because of rounding.
         end = propagator.state.z[:2] - np.array([q, u])
         assert abs(end[0]) < 1e-10 * size
         if trajectory.event_kind[-1] == 1:
@@ -311,13 +328,13 @@ def test_invalid_frequency_of_an_orbit_is_named() -> None:
         (coupled_scene(0.05), 51.2, "at the same instant"),
     ],
 )
-def test_motion_without_a_plan_is_rejected(scene: Scene, frequency: float, reason: str) -> None:
+def test_motion_without_event_sequence_is_rejected(scene: Scene, frequency: float, reason: str) -> None:
     with pytest.raises(RunError, match=reason) as raised:
         periodic_orbit(scene, frequency)
     assert str(raised.value).count("rig.frequency_response") == 1
 
 
-def test_far_start_reports_where_the_solution_failed() -> None:
+def test_distant_start_reports_the_last_frequency() -> None:
     scene = rig.load("fig9")
     start = periodic_orbit(scene, 49.7)
 

@@ -1,4 +1,4 @@
-"""The shooting equations of an orbit: exact derivatives, and the underlying matrix exponential."""
+"""The shooting equations of a periodic orbit: their Jacobian, and the matrix exponential."""
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from rig.orbits.problem import PARAMETERS, OperatingPoint, OrbitProblem, Paramet
 from rig.scene.scene import Scene
 from tests.rig.orbits.scenes import driven_table_scene, finite_contact_scene
 
+# Scene, frequency [Hz], tolerance of the derivatives.
 JACOBIANS = [
     (rig.load("fig9"), 49.1, 2e-8),
     (rig.load("fig5-three-dampers"), 49.5, 2e-8),
@@ -37,7 +38,7 @@ def test_shooting_jacobian_equals_finite_differences(
     assert np.abs(residual).max() < 1e-12
     for column, unit in enumerate(np.diag(1e-6 * family.scale)):
         slope = (family(x + unit)[0] - family(x - unit)[0]) / 2e-6
-        # The error of the differences is the square of the step, plus rounding over the step.
+        # The error of a central difference is the square of the step plus the rounding error over the step.
         np.testing.assert_allclose(jacobian[:, column] * family.scale[column], slope, atol=tolerance)
 
 
@@ -54,7 +55,7 @@ def test_drive_of_a_table_changes_with_frequency() -> None:
 
 
 @pytest.mark.parametrize("time", [1e-9, 1e-3, 0.02, 0.3])
-def test_unbalanced_matrix_exponential_equals_another_method(time: float) -> None:
+def test_unbalanced_matrix_exponential_equals_scipy(time: float) -> None:
     stiff, soft = 6.1e4, 1.0e3
     matrix = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-stiff, soft, -2.0, 0.5], [soft, -stiff, 0.5, -3.0]])
 

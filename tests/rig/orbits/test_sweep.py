@@ -1,4 +1,4 @@
-"""Steady motion over a parameter as stable periodic orbits, against settled simulations."""
+"""Steady motion over a parameter as stable periodic orbits, compared with steady simulations."""
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ from rig.errors import SceneError
 from rig.system.open_loop_drive import with_ideal_force
 from tests.rig.orbits.scenes import scene_with
 
+# Scene, mass ratio, clearance [m], force [N], frequencies [Hz].
 CURVES = [
     ("fig9", 0.06, 0.98e-3, 3.3, np.linspace(48.0, 50.9, 30)),
     ("fig9", 0.04, 0.7e-3, 2.5, np.linspace(47.5, 50.5, 16)),
@@ -17,7 +18,7 @@ CURVES = [
 
 
 @pytest.mark.parametrize(("name", "mass_ratio", "clearance", "force", "frequencies"), CURVES)
-def test_orbit_sweep_equals_settled_simulation(
+def test_orbit_sweep_equals_steady_simulation(
     name: str, mass_ratio: float, clearance: float, force: float, frequencies: np.ndarray
 ) -> None:
     scene = scene_with(name, force, mass_ratio, clearance)
@@ -37,7 +38,7 @@ def test_orbit_sweep_equals_settled_simulation(
         assert orbit is None or (orbit.stable and not orbit.flaw and orbit.residual < 1e-11)
 
 
-def test_irregular_motion_is_averaged_with_the_reason() -> None:
+def test_irregular_motion_is_simulated_with_the_reason() -> None:
     scene = with_ideal_force(rig.load("fig8-three-dampers"))
 
     orbits = rig.orbit_response(scene, [33.2, 33.3, 33.6])
@@ -57,7 +58,7 @@ def test_irregular_motion_is_averaged_with_the_reason() -> None:
     ("parameter", "values"),
     [("force", [3.0, 3.3, 3.6]), ("clearance", [1.02e-3, 0.98e-3, 0.94e-3]), ("mass_ratio", [0.9, 1.0, 1.1])],
 )
-def test_swept_parameter_orbits_are_those_of_changed_scenes(parameter: str, values: list[float]) -> None:
+def test_orbits_over_parameter_equal_changed_scenes(parameter: str, values: list[float]) -> None:
     scene = with_ideal_force(rig.load("fig9"))
     damper = scene.dampers[0]
 
@@ -73,7 +74,7 @@ def test_swept_parameter_orbits_are_those_of_changed_scenes(parameter: str, valu
         assert np.abs(orbit.compliance - compliance).max() < 1e-10 * np.abs(compliance).max()
 
 
-def test_close_points_give_the_same_motion_far_away() -> None:
+def test_closely_spaced_points_do_not_affect_later_points() -> None:
     scene = with_ideal_force(rig.load("fig9"))
 
     orbits = rig.orbit_response(scene, [49.2, 49.2003, 49.2006, 49.2009, 49.8])

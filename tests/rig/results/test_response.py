@@ -1,4 +1,4 @@
-"""Responses as values: selection, ratios, bands, budgets."""
+"""Frequency responses: selection, ratios, bands, uncertainty budgets and export."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ from rig.errors import SceneError
 from rig.results.response import Point, Response, stack
 from rig.results.uncertainty import CLOCK, SENSITIVITY, UncertaintyBudget
 
+# Frequency lines, Hz.
 LINES = np.linspace(10.0, 30.0, 41)
 
 
 def curve(name: str = "body1", scale: float = 1.0, **fields) -> Response:
+    """Return the response of a mode at 20 Hz with scatter, aliasing and tolerances."""
     value = scale * 1e-3 / (20.0**2 - LINES**2 + 8.0j)
     size = abs(value)
     limits = {"aliasing": 0.002 * size, SENSITIVITY: 0.01 * size, CLOCK: 0.005 * size}
@@ -23,6 +25,7 @@ def curve(name: str = "body1", scale: float = 1.0, **fields) -> Response:
 
 
 def matrix() -> Response:
+    """Return responses of three bodies to two forces; at the first line the real parts are 0 to 5."""
     value = np.arange(41 * 6).reshape(41, 3, 2) + 1j
     outputs = tuple(Point(f"a{k}", place=f"body {k}") for k in (1, 2, 3))
     return Response(LINES, value, outputs, (Point("f1", "force", "body 1"), Point("f3", "force", "body 3")))
@@ -38,9 +41,9 @@ def test_bound_adds_tolerances_to_independent_parts() -> None:
 
 def test_budget_lists_contributions_by_variance() -> None:
     table = stack([curve(), curve("body2")]).budget("body2", "20 Hz")
-    names, types, uncertainties, shares = zip(*table.rows, strict=True)
+    names, types, uncertainties, fractions = zip(*table.rows, strict=True)
     assert names == (SENSITIVITY, CLOCK, "aliasing", "scatter") and types == ("B", "B", "B", "A")
-    assert sum(shares) == pytest.approx(1.0) and table.unit == "µm/N"
+    assert sum(fractions) == pytest.approx(1.0) and table.unit == "µm/N"
     assert uncertainties[0] == pytest.approx(0.01 * table.value / np.sqrt(3.0))
     assert table.combined == pytest.approx(np.linalg.norm(uncertainties))
     assert "standard uncertainty / (µm/N)" in str(table) and "combined" in str(table)
@@ -66,13 +69,13 @@ def test_band_takes_texts_and_numbers() -> None:
     assert curve().band("12 Hz", 13.0).frequency.tolist() == [12.0, 12.5, 13.0]
 
 
-def test_names_select_elements_and_places() -> None:
-    both = matrix()
-    assert both["a2", "f3"].value[0] == 3 + 1j and both["body 3", "f1"].value[0] == 4 + 1j
-    assert both["a3"].value.shape == (41, 1, 2) and both[1:].keys() == ("a2", "a3")
-    assert [element.value[0].real for element in both] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+def test_names_and_places_select_elements() -> None:
+    frfs = matrix()
+    assert frfs["a2", "f3"].value[0] == 3 + 1j and frfs["body 3", "f1"].value[0] == 4 + 1j
+    assert frfs["a3"].value.shape == (41, 1, 2) and frfs[1:].keys() == ("a2", "a3")
+    assert [element.value[0].real for element in frfs] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
     with pytest.raises(SceneError, match=r"no response 'a4'\. Give one of a1, a2, a3"):
-        both["a4"]
+        frfs["a4"]
     with pytest.raises(ValueError, match="expected \\(41, 1, 1\\)"):
         Response(LINES, np.ones((41, 2, 1), dtype=complex), (Point("a"),))
 

@@ -1,4 +1,4 @@
-"""Results in a session: summary line, table, drawing; quantities as arguments."""
+"""Results in a Python session: one-line summary, table, plot and page; quantities as arguments."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ SWEEP, HIT = "recordings/demo-sweep-no-damper.mcap", "recordings/demo-impulse-no
 
 @pytest.fixture(scope="module")
 def results():
-    free = rig.load("fig9", {"shaker": {"kind": "force", "body": 1}, "channels": None})
+    """One result of each kind."""
+    force_driven = rig.load("fig9", {"shaker": {"kind": "force", "body": 1}, "channels": None})
     with daq.open(SWEEP) as recording, daq.open(HIT) as hit:
         frfs = analysis.frfs(recording)
         yield [
@@ -30,7 +31,7 @@ def results():
             analysis.decay(hit).modes[0],
             hit,
             rig.simulate("fig9", "0.1 s", "1 kHz", frequency="49 Hz"),
-            rig.frequency_response(free, ["40 Hz"]),
+            rig.frequency_response(force_driven, ["40 Hz"]),
             rig.periodic_orbit("fig9", "49.6 Hz"),
             rig.orbit_response("fig9", ["3.2 N", "3.3 N"], "force", frequency="49.6 Hz"),
             rig.follow_orbits("fig9", "frequency", ("49.5 Hz", "49.7 Hz"), searches=1),
@@ -39,7 +40,7 @@ def results():
         ]
 
 
-def test_result_shows_line_page_drawing_and_table(results) -> None:
+def test_result_has_summary_page_plot_and_table(results) -> None:
     for result in results:
         line, ax = repr(result), Figure().subplots()
         assert line.startswith(f"<{type(result).__name__}: ") and "\n" not in line and len(line) < 300
@@ -67,7 +68,7 @@ def test_table_of_a_curve_has_its_numbers(results) -> None:
     assert re.search(r"compliance, \d+ points, 8 to 58 Hz, highest \(\d+ ± \d+\) µm/N at 13\.\d+ Hz", repr(frf))
 
 
-def test_table_of_an_orbit_closes_and_moves(results) -> None:
+def test_table_of_an_orbit_is_periodic(results) -> None:
     (orbit,) = (result for result in results if isinstance(result, rig.Orbit))
     columns = orbit.columns()
     gap, time, body2 = columns["gap 1_m"], columns["time_s"], columns["body 2_m"]

@@ -1,4 +1,8 @@
-"""The paper's one-mode method against independent integration, known limits and the laws of mechanics."""
+"""The paper's single-mode method, compared with numerical integration, known limits and the laws of mechanics.
+
+A branch is a curve of periodic motions of type I, II or III over frequency. ``tau`` is the phase of the force from the
+floor impact: take-off at tau_0, ceiling impact at tau_1, separation from the ceiling at tau_2.
+"""
 
 from functools import cache
 
@@ -24,7 +28,7 @@ def fig9() -> Approximation:
 
 @cache
 def single_damper() -> Approximation:
-    """The Fig 5 setting with a lower force: all three types, folds, and impossible stretches."""
+    """The scene of Fig. 5 with a lower force: all three types, folds, and invalid parts of branches."""
     return approximate_response(rig.load("fig5-single-damper"), 3, (45.0, 55.0), force=5.0)
 
 
@@ -32,8 +36,11 @@ def branches(approximation: Approximation, kind: str) -> list[Branch]:
     return [branch for branch in approximation.branches if branch.motion_type == kind]
 
 
-class OneMode:
-    """The mode with its damper in SI units, integrated by a general solver between events."""
+class IntegratedMode:
+    """The mode with its damper in SI units, integrated by a general solver between events.
+
+    The state is displacement and velocity of the mode at the damper, then of the damper.
+    """
 
     def __init__(self, mode: SingleMode, frequency: float, phi: float) -> None:
         self.mode = mode
@@ -41,6 +48,7 @@ class OneMode:
         self.phi = phi
 
     def rate(self, riding: bool, t: float, state: np.ndarray) -> np.ndarray:
+        """Return the time derivative of the state; `riding`: whether the damper is in contact."""
         mode = self.mode
         q, u, _, v = state
         ratio = mode.mass_ratio * riding
@@ -62,16 +70,17 @@ class OneMode:
 
 
 def sample_points(branch: Branch, count: int) -> list[int]:
+    """Return the indices of some points within the valid part of a branch."""
     valid_points = np.flatnonzero(branch.valid)
     return [int(i) for i in valid_points[np.linspace(0, len(valid_points) - 1, count + 2).astype(int)[1:-1]]]
 
 
 @pytest.mark.parametrize("kind", ["I", "II", "III"])
-def test_integrated_motion_meets_every_condition(kind: str) -> None:
+def test_integrated_motion_fulfills_all_conditions(kind: str) -> None:
     for branch in branches(single_damper(), kind):
         for i in sample_points(branch, 3):
             mode = single_damper().mode
-            system = OneMode(mode, branch.frequency[i], branch.phi[i])
+            system = IntegratedMode(mode, branch.frequency[i], branch.phi[i])
             length = mode.gravity / system.omega**2
             q0, u0 = branch.unknowns[:2, i] * length * np.array([1, system.omega])
             amplitude = abs(branch.peak[i]) * mode.force
@@ -105,7 +114,7 @@ def test_fig_9_has_type_ii_at_resonance() -> None:
     assert inside.min() < 48.7
     assert inside.max() > 51.0
     assert inside.min() < result.mode.riding_frequency < result.mode.frequency < inside.max()
-    assert [b.valid.all() for b in branches(result, "I")] == [True, True]
+    assert [branch.valid.all() for branch in branches(result, "I")] == [True, True]
     assert result.failures == ()
     worst = np.abs(second.compliance[second.valid]).max()
     assert worst < 0.25 * np.abs(result.mode.receptance([result.mode.frequency]))[0]
@@ -135,27 +144,27 @@ def test_type_ii_ends_where_type_iii_begins() -> None:
 
 
 @pytest.mark.parametrize("kind", ["I", "II", "III"])
-def test_condition_derivatives_equal_finite_differences(kind: MotionType) -> None:
+def test_jacobian_equals_finite_differences(kind: MotionType) -> None:
     setting = dimensionless(single_damper().mode, 0.97)
     unknowns = np.array([0.3, -1.2, 0.1, 0.25, 0.8, 2.9, 3.6])[: 4 + INSTANTS[kind]]
 
     values, slopes = jacobian(kind, unknowns, setting, "ratio")
 
-    def at(x: np.ndarray) -> np.ndarray:
+    def conditions(x: np.ndarray) -> np.ndarray:
         return PeriodicMotion(kind, x[:-1], setting._replace(ratio=x[-1])).conditions()
 
     x = np.append(unknowns, setting.ratio)
-    numeric = np.array([(at(x + h) - at(x - h)) / 2e-6 for h in 1e-6 * np.eye(len(x))]).T
-    np.testing.assert_allclose(values, at(x), rtol=1e-13)
-    np.testing.assert_allclose(slopes, numeric, rtol=1e-7, atol=1e-7)
+    numerical = np.array([(conditions(x + step) - conditions(x - step)) / 2e-6 for step in 1e-6 * np.eye(len(x))]).T
+    np.testing.assert_allclose(values, conditions(x), rtol=1e-13)
+    np.testing.assert_allclose(slopes, numerical, rtol=1e-7, atol=1e-7)
 
 
 @pytest.mark.parametrize("kind", ["I", "II", "III"])
-def test_disturbed_motion_responds_by_floquet_multipliers(kind: str) -> None:
+def test_floquet_multipliers_equal_finite_differences(kind: str) -> None:
     branch = branches(single_damper(), kind)[-1]
     (i,) = sample_points(branch, 1)
     mode = single_damper().mode
-    system = OneMode(mode, branch.frequency[i], branch.phi[i])
+    system = IntegratedMode(mode, branch.frequency[i], branch.phi[i])
     length = mode.gravity / system.omega**2
     units = length * np.array([1, system.omega])
     period = 2 * np.pi / system.omega
@@ -167,16 +176,16 @@ def test_disturbed_motion_responds_by_floquet_multipliers(kind: str) -> None:
         def gap(t: float, x: np.ndarray) -> float:
             return x[2] - x[0]
 
-        def clear(t: float, x: np.ndarray) -> float:
+        def ceiling_gap(t: float, x: np.ndarray) -> float:
             return mode.clearance - x[2] + x[0]
 
-        guards = [contact] if riding else [gap, clear]
+        guards = [contact] if riding else [gap, ceiling_gap]
         for guard in guards:
             guard.terminal, guard.direction = True, -1
         return guards
 
     def after_a_period(begin: np.ndarray) -> np.ndarray:
-        """Start riding at tau = 0.1, follow all events, end riding at tau = 2 pi + 0.1."""
+        """Return the state of the mode a period after tau = 0.1, where the damper is on the floor."""
         time, riding, ceiling = 0.1 / system.omega, True, False
         state = np.array([begin[0], begin[1], begin[0], begin[1]])
         end = time + period
@@ -191,7 +200,7 @@ def test_disturbed_motion_responds_by_floquet_multipliers(kind: str) -> None:
                 return state[:2]
             if riding:
                 riding = False
-                # A free flight of a few microseconds keeps the gap's triple zero from being found again.
+                # Skip some microseconds: the zero of the gap at the separation is not an event.
                 state = system.integrate(False, time, time + 2e-5, state)
                 time += 2e-5
             else:
@@ -205,22 +214,22 @@ def test_disturbed_motion_responds_by_floquet_multipliers(kind: str) -> None:
     start = system.integrate(True, 0, 0.1 / system.omega, np.tile(branch.unknowns[:2, i] * units, 2))[:2]
     step = 1e-4
     columns = [
-        (after_a_period(start + step * d * units) - after_a_period(start - step * d * units)) / (2 * step * units)
-        for d in np.eye(2)
+        (after_a_period(start + change) - after_a_period(start - change)) / (2 * step * units)
+        for change in step * np.diag(units)
     ]
 
-    measured = np.linalg.eigvals(np.array(columns).T)
+    numerical = np.linalg.eigvals(np.array(columns).T)
 
-    np.testing.assert_allclose(np.sort_complex(measured), np.sort_complex(branch.multipliers[:, i]), atol=1e-5)
+    np.testing.assert_allclose(np.sort_complex(numerical), np.sort_complex(branch.multipliers[:, i]), atol=1e-5)
 
 
 @pytest.mark.parametrize("acceleration", [1.2, 2.0, 3.0])
-def test_vanishing_damper_is_the_inelastic_bouncing_ball(acceleration: float) -> None:
+def test_vanishing_damper_moves_as_inelastic_ball(acceleration: float) -> None:
     mode = single_mode(rig.load("fig8-one-damper"), 3, force=1.0, at=1)
     light = SingleMode(**{**vars(mode), "mass_ratio": 1e-9})
     band = (0.9 * mode.frequency, 0.901 * mode.frequency)
-    per_newton = abs(light.receptance([band[0]])[0]) * (2 * np.pi * band[0]) ** 2 / light.gravity
-    light = SingleMode(**{**vars(light), "force": acceleration / per_newton})
+    acceleration_per_newton = abs(light.receptance([band[0]])[0]) * (2 * np.pi * band[0]) ** 2 / light.gravity
+    light = SingleMode(**{**vars(light), "force": acceleration / acceleration_per_newton})
 
     (branch,) = follow_mode(light, band, searches=2).branches
 
@@ -228,33 +237,33 @@ def test_vanishing_damper_is_the_inelastic_bouncing_ball(acceleration: float) ->
     at_start = int(np.argmin(branch.frequency))
     assert branch.valid.all()
     assert 2 * np.pi - branch.tau_0[at_start] == pytest.approx(flight.end - flight.start, abs=1e-6)
-    # The body moves as a sine whose phase at the floor impact is that of the ball's landing.
+    # The phase of the body's motion at the floor impact is that of the ball's landing.
     motion = branch.compliance[at_start] * -1j * np.exp(-1j * branch.phi[at_start])
-    landing = np.angle(motion) + np.pi / 2
-    assert np.angle(np.exp(1j * (landing - flight.end))) == pytest.approx(0, abs=1e-6)
+    landing_phase = np.angle(motion) + np.pi / 2
+    assert np.angle(np.exp(1j * (landing_phase - flight.end))) == pytest.approx(0, abs=1e-6)
 
 
-def test_zero_clearance_leaves_the_linear_response() -> None:
+def test_zero_clearance_gives_the_linear_response() -> None:
     scene = rig.load("fig9")
     locked = scene.replace(dampers=[scene.dampers[0].replace(clearance=0.0)])
 
     result = approximate_response(locked, 3, (47.0, 52.0))
 
     assert result.branches == ()
-    # One mode cannot show that riding changes the shape, nor what the other modes add.
+    # The single-mode method neglects the change of the mode shape by the damper mass, and the other modes.
     band = np.linspace(48.6, 49.2, 601)
     riding_response, exact = result.mode.receptance(band, riding=True), receptance(locked, band)[1]
     assert band[np.abs(riding_response).argmax()] == pytest.approx(band[np.abs(exact).argmax()], rel=1e-3)
     assert np.abs(riding_response).max() == pytest.approx(np.abs(exact).max(), rel=0.02)
 
 
-def test_small_clearance_tends_to_the_riding_damper() -> None:
+def test_small_clearance_converges_to_added_mass() -> None:
     scene = rig.load("fig9")
     deviations = []
     for clearance in (2e-5, 1e-5, 5e-6):
         narrow = scene.replace(dampers=[scene.dampers[0].replace(clearance=clearance)])
         result = follow_mode(single_mode(narrow, 3), (48.9, 48.95), searches=1)
-        (branch,) = [b for b in result.branches if (b.valid & b.stable).any()]
+        (branch,) = [branch for branch in result.branches if (branch.valid & branch.stable).any()]
         riding_response = result.mode.receptance(branch.frequency, riding=True)
         deviations.append(np.abs(branch.compliance / riding_response - 1)[branch.valid].max())
 
@@ -273,22 +282,22 @@ def test_input_energy_equals_damping_and_impact_losses(kind: str) -> None:
     omega = 2 * np.pi * branch.frequency[i]
     length = mode.gravity / omega**2
 
-    # Work of F sin over a period: pi F times the part of the response a quarter turn behind the force.
+    # Work of the force in a period: pi F times the part of the displacement in quadrature with the force.
     work = -np.pi * mode.participation * mode.force * (branch.compliance[i] * mode.force).imag
     nodes, weights = np.polynomial.legendre.leggauss(40)
-    lost = 0.0
+    dissipated = 0.0
     for phase in motion.phases:
         t = 0.5 * phase.length * (nodes + 1)
         speed = motion.advance(phase, t).u * length * omega
         damping = 2 * mode.damping_ratio * mode.omega * mode.mass
-        lost += damping * 0.5 * phase.length / omega * float(weights @ speed**2)
-    damper = mode.mass_ratio * mode.mass
+        dissipated += damping * 0.5 * phase.length / omega * float(weights @ speed**2)
+    damper_mass = mode.mass_ratio * mode.mass
     impacts = [motion.landing] + ([motion.before_ceiling] if kind != "I" else [])
     for state in impacts:
         closing = (state.v - state.u) * length * omega
-        lost += 0.5 * damper * mode.mass / (damper + mode.mass) * closing**2
+        dissipated += 0.5 * damper_mass * mode.mass / (damper_mass + mode.mass) * closing**2
 
-    assert lost == pytest.approx(work, rel=1e-9)
+    assert dissipated == pytest.approx(work, rel=1e-9)
 
 
 def test_type_i_that_hits_the_ceiling_is_impossible() -> None:

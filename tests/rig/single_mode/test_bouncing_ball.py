@@ -1,4 +1,4 @@
-"""The completely inelastic ball on a body that moves as a sine."""
+"""The closed form of the completely inelastic ball (`tests.rig.bouncing_ball`) obeys its definition."""
 
 from itertools import pairwise
 
@@ -25,7 +25,7 @@ def test_flight_ends_at_the_first_contact(acceleration: float) -> None:
     assert abs(gap) < 1e-12
 
 
-def test_full_period_flight_lands_one_turn_later() -> None:
+def test_full_period_flight_takes_one_period() -> None:
     flight = fly(FULL_PERIOD_ACCELERATION_G, take_off_phase(FULL_PERIOD_ACCELERATION_G))
 
     assert flight.end - flight.start == pytest.approx(2 * np.pi, abs=1e-9)
@@ -40,17 +40,17 @@ def test_ball_sticks_every_period_at_low_acceleration() -> None:
         assert flights[0].end < flights[0].start + 2 * np.pi
 
 
-def test_ball_leaves_at_once_beyond_a_full_period() -> None:
+def test_ball_bounces_at_high_acceleration() -> None:
     flights = sticking_cycle(FULL_PERIOD_ACCELERATION_G + 0.05, max_flights=200)
 
     assert not any(flight.sticks for flight in flights)
     assert all(first.end == second.start for first, second in pairwise(flights))
-    # It settles on flights of one period each, thrown where the body's speed is pi g/w.
+    # It converges to flights of one period, with take-off where the body's velocity is pi g/w.
     assert flights[-1].end - flights[-1].start == pytest.approx(2 * np.pi, abs=1e-9)
     assert np.cos(flights[-1].start) * (FULL_PERIOD_ACCELERATION_G + 0.05) == pytest.approx(np.pi, abs=1e-9)
 
 
-def test_hopping_ball_comes_to_rest_on_the_floor() -> None:
+def test_bouncing_ball_may_stick_again() -> None:
     flights = sticking_cycle(7.4)
 
     assert len(flights) > 1
@@ -58,5 +58,5 @@ def test_hopping_ball_comes_to_rest_on_the_floor() -> None:
 
 
 def test_acceleration_below_gravity_has_no_separation() -> None:
-    with pytest.raises(ValueError, match="never leaves"):
+    with pytest.raises(ValueError, match="never takes off"):
         take_off_phase(0.99)

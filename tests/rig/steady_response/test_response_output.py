@@ -1,4 +1,4 @@
-"""Text of a steady response: the answer first, a row for each peak, every frequency on request."""
+"""Printed text of a steady response: a row for each peak, motion types as ranges, all frequencies on request."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from rig.steady_response.response_output import format_response
 
 @pytest.fixture
 def response() -> SteadyResponse:
+    """A response of two bodies at 10 to 19 Hz, with peaks of the base at 12 and 17 Hz and of the arm at 17 Hz."""
     frequency = np.arange(10.0, 20.0)
     compliance = 1e-6 * np.array(
         [[1.0, 2, 9, 2, 1, 1, 2, 5, 2, 1], [1.0, 1.01, 1, 1, 1, 1, 1, 4, 1, 1]], dtype=np.complex128

@@ -1,4 +1,4 @@
-"""The assembled equations against hand-computed transfer functions, static deflections and initial states."""
+"""The assembled equations of motion, compared with transfer functions, static deflections and initial states."""
 
 from __future__ import annotations
 
@@ -11,18 +11,20 @@ from rig.system.assembly import assemble, spring_force_row
 from rig.system.hybrid_system import HybridSystem
 from rig.system.landing import duration_and_restitution
 
+# Masses [kg], springs [N/m] and dashpots [N s/m] of the chain, body 1 first.
 M1, M2, K1, K2, C1, C2 = 1.0, 0.5, 4e3, 2e3, 3.0, 1.0
+# Laplace variable at the compared frequencies, rad/s.
 S = 2j * np.pi * np.array([0.5, 7.0, 40.0, 300.0, 2000.0])
 
 
 def scene_of(**parts: object) -> rig.Scene:
-    """Two bodies with dashpots."""
+    """Return a chain of two bodies with dashpots, and other parts of the scene."""
     structure = {"masses": [M1, M2], "springs": [K1, K2], "damping": {"dashpots": [C1, C2]}}
     return rig.Scene.model_validate({"structure": structure, **parts})
 
 
 def response(system: HybridSystem, column: int = 0) -> dict[str, np.ndarray]:
-    """Motion of every coordinate for one unit of drive at the frequencies of `S`, straight from the equations."""
+    """Return the response of each coordinate to a unit of an input at the frequencies of `S`."""
     n, extra = system.coordinates, len(system.rate_state)
     result = []
     for s in S:
@@ -39,21 +41,22 @@ def response(system: HybridSystem, column: int = 0) -> dict[str, np.ndarray]:
 
 
 def link(spring: float, dashpot: float) -> np.ndarray:
+    """Return the dynamic stiffness of a spring with a parallel dashpot."""
     return spring + dashpot * S
 
 
 def stiffness_of_body_2(extra: float = 0.0) -> np.ndarray:
-    """Force for each metre of body 2, the link to body 1 held there."""
-    above, hanging = link(K1, C1) + M1 * S**2, link(K2, C2)
-    return M2 * S**2 + above * hanging / (above + hanging) + extra
+    """Return the dynamic stiffness at body 2 (force / displacement), with an extra spring."""
+    body_1, link_2 = link(K1, C1) + M1 * S**2, link(K2, C2)
+    return M2 * S**2 + body_1 * link_2 / (body_1 + link_2) + extra
 
 
-def test_table_follows_critically_damped() -> None:
+def test_table_is_a_critically_damped_servo() -> None:
     scene = scene_of(shaker={"kind": "table", "body": 2, "spring": 6e3, "bandwidth": 150.0})
-    moves = response(assemble(scene))
+    motion = response(assemble(scene))
     table = 1.0 / (1.0 + S / (2 * np.pi * 150.0)) ** 2
-    np.testing.assert_allclose(moves["table"], table, rtol=1e-10)
-    np.testing.assert_allclose(moves["body 2"], 6e3 * table / stiffness_of_body_2(6e3), rtol=1e-9)
+    np.testing.assert_allclose(motion["table"], table, rtol=1e-10)
+    np.testing.assert_allclose(motion["body 2"], 6e3 * table / stiffness_of_body_2(6e3), rtol=1e-9)
 
 
 @pytest.mark.parametrize("mode", ["voltage", "current"])
@@ -65,16 +68,16 @@ def test_electrodynamic_shaker_obeys_its_equations(mode: str) -> None:
     shaker = {"body": 2, "spring": spring, "coil": coil, "armature": armature, "amplifier": amplifier}
     shaker["kind"] = "electrodynamic"
     system = assemble(scene_of(shaker=shaker))
-    moves = response(system)
+    motion = response(system)
     body = stiffness_of_body_2()
-    load = 0.3 * S**2 + 9.0 * S + 7e3 + spring * body / (spring + body)
+    armature_stiffness = 0.3 * S**2 + 9.0 * S + 7e3 + spring * body / (spring + body)
     if mode == "voltage":
         impedance = resistance + inductance * S
-        expected = factor * gain / (impedance * load + factor**2 * S)
+        expected = factor * gain / (impedance * armature_stiffness + factor**2 * S)
     else:
-        expected = factor * gain / load
-    np.testing.assert_allclose(moves["table"], expected, rtol=1e-9)
-    np.testing.assert_allclose(moves["body 2"], moves["table"] * spring / (spring + body), rtol=1e-9)
+        expected = factor * gain / armature_stiffness
+    np.testing.assert_allclose(motion["table"], expected, rtol=1e-9)
+    np.testing.assert_allclose(motion["body 2"], motion["table"] * spring / (spring + body), rtol=1e-9)
     row = spring_force_row(scene_of(shaker=shaker), system)
     assert row.tolist() == [0.0, -spring, spring, *[0.0] * (system.states - 3)]
 
@@ -84,13 +87,13 @@ def test_each_input_acts_on_its_body() -> None:
     scene = scene_of(shaker={"kind": "force", "body": [1, 2]}, test=test)
     system = assemble(scene)
     assert (system.inputs, system.drive_units) == (("shaker", "hammer"), ("N", "N"))
-    hit = 1.0 / stiffness_of_body_2()
-    above, hanging = link(K1, C1) + M1 * S**2, link(K2, C2)
-    first = 1.0 / (above + hanging * M2 * S**2 / (hanging + M2 * S**2))
-    np.testing.assert_allclose(response(system, 1)["body 2"], hit, rtol=1e-9)
-    across = hit * hanging / (above + hanging)
-    np.testing.assert_allclose(response(system, 0)["body 2"], hit + across, rtol=1e-9)
-    np.testing.assert_allclose(response(system, 0)["body 1"], first + across, rtol=1e-9)
+    receptance_22 = 1.0 / stiffness_of_body_2()
+    body_1, link_2 = link(K1, C1) + M1 * S**2, link(K2, C2)
+    receptance_11 = 1.0 / (body_1 + link_2 * M2 * S**2 / (link_2 + M2 * S**2))
+    receptance_12 = receptance_22 * link_2 / (body_1 + link_2)
+    np.testing.assert_allclose(response(system, 1)["body 2"], receptance_22, rtol=1e-9)
+    np.testing.assert_allclose(response(system, 0)["body 2"], receptance_22 + receptance_12, rtol=1e-9)
+    np.testing.assert_allclose(response(system, 0)["body 1"], receptance_11 + receptance_12, rtol=1e-9)
     assert not spring_force_row(scene, system).any()
 
 
@@ -118,23 +121,24 @@ def test_dampers_of_all_kinds_are_assembled() -> None:
     assert system.damper_mass.tolist() == [0.1, 0.05, 0.02]
     assert system.clearance.tolist() == [1e-3, 3e-3, 4e-3]
     assert system.restitution.tolist() == [0.0, 0.4, 0.7]
-    # Kinetic energy of bodies with what is fixed to them, and of beds that move at gap and body together.
+    # Twice the kinetic energy: of bodies with locked dampers, and of dampers whose coordinate is the gap.
     v = np.array([0.3, -0.2, 0.5, 0.7, -0.4, 0.9, -0.6])
-    fixed = np.add(masses, [0.2, 0.0, 0.0, 0.0, 0.01])
-    energy = fixed @ v[:5] ** 2 + 0.05 * (v[3] + v[5]) ** 2 + 0.02 * (v[2] + v[6]) ** 2
+    masses_with_locked = np.add(masses, [0.2, 0.0, 0.0, 0.0, 0.01])
+    energy = masses_with_locked @ v[:5] ** 2 + 0.05 * (v[3] + v[5]) ** 2 + 0.02 * (v[2] + v[6]) ** 2
     assert v @ system.mass @ v == pytest.approx(energy)
-    # Masses that are fixed or have their own coordinate always act with their weight.
+    # The weight of locked dampers, and of dampers with a coordinate, always acts.
     assert system.force_constant == pytest.approx([-2.0, 0.0, -0.2, -0.5, -0.1, -0.5, -0.2])
-    short, long = 1.0 / (1.0 / 0.05 + 1.0 / 0.6), 1.0 / (1.0 / 0.02 + 1.0 / 0.8)
-    for j, wall, mass, expected in ((1, 0, short, (1e-3, 0.4)), (1, 1, short, (1e-3, 0.4)), (2, 1, long, (2e-3, 0.7))):
-        result = duration_and_restitution(system.wall_stiffness[j, wall], system.wall_damping[j, wall], mass)
+    reduced_mass = {1: 1.0 / (1.0 / 0.05 + 1.0 / 0.6), 2: 1.0 / (1.0 / 0.02 + 1.0 / 0.8)}
+    for j, wall, expected in ((1, 0, (1e-3, 0.4)), (1, 1, (1e-3, 0.4)), (2, 1, (2e-3, 0.7))):
+        stiffness, damping = system.wall_stiffness[j, wall], system.wall_damping[j, wall]
+        result = duration_and_restitution(stiffness, damping, reduced_mass[j])
         assert result == pytest.approx(expected)
     assert (system.wall_stiffness[2, 0], system.wall_damping[2, 0]) == (5e5, 2.0)
     assert not system.wall_stiffness[0].any() and not system.wall_damping[0].any()
-    # At rest all weight hangs on the springs, and beds lie in their floors by their own.
+    # Static equilibrium: springs carry the weight of all dampers, and floors yield to the weight of their dampers.
     weight = np.array([2.0, 1.0, 0.2, 0.5, 0.1])
-    sag = -np.cumsum(np.cumsum(weight[::-1])[::-1] / springs)
-    assert system.initial[:7] == pytest.approx([*sag, -0.5 / system.wall_stiffness[1, 0], -0.2 / 5e5])
+    deflection = -np.cumsum(np.cumsum(weight[::-1])[::-1] / springs)
+    assert system.initial[:7] == pytest.approx([*deflection, -0.5 / system.wall_stiffness[1, 0], -0.2 / 5e5])
     assert not system.initial[7:].any()
 
 
@@ -146,7 +150,7 @@ def test_initial_displacement_adds_to_static_equilibrium() -> None:
     assert settled == pytest.approx([1e-3 - weight / K1, 2e-3 - weight / K1, 0.1, -0.2])
     empty = assemble(scene_of(dampers=[damper], test={**start, "start": "empty"})).initial
     assert empty == pytest.approx([1e-3, 2e-3, 0.1, -0.2])
-    # The lower mode of the chain: both bodies in phase, body 2 the larger.
+    # First mode of the chain, from its characteristic equation in the squared angular frequency.
     mode = {"kind": "free", "mode": 1, "amplitude": 3e-3, "duration": 1.0, "start": "empty"}
     shape = assemble(scene_of(test=mode)).initial[:2]
     squared = min(np.roots([M1 * M2, -(M1 * K2 + M2 * (K1 + K2)), K1 * K2]).real)
@@ -167,10 +171,10 @@ def test_too_many_moving_dampers_are_rejected(contact: dict[str, object], max_da
         assemble(with_dampers(max_dampers + 1))
 
 
-def test_stiff_contact_does_not_hide_the_support() -> None:
+def test_stiff_contact_does_not_affect_static_equilibrium() -> None:
     damper = {"body": 1, "mass": 0.1, "clearance": 1e-3, "contact": {"duration": 1e-15}, "restitution": 0.5}
-    sag = 0.1 * 9.80665 / K1
-    assert assemble(scene_of(dampers=[damper])).initial[:2] == pytest.approx([-sag, -sag])
+    deflection = 0.1 * 9.80665 / K1
+    assert assemble(scene_of(dampers=[damper])).initial[:2] == pytest.approx([-deflection, -deflection])
 
 
 def test_structure_without_support_is_rejected() -> None:

@@ -1,4 +1,4 @@
-"""The linear frequency response against independent closed forms."""
+"""Receptances, compared with independent closed forms."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 import rig
-import rig.system.structural_model as module
+import rig.system.structural_model as structural_model_module
 from rig.errors import SceneError
 from rig.scene.scene import Scene
 from rig.system.structural_model import receptance, structural_model
@@ -20,20 +20,23 @@ FREQUENCIES = np.linspace(1.0, 60.0, 60)
 def chain_response(
     masses: tuple[float, ...], springs: tuple[float, ...], dashpots: tuple[float, ...], frequencies: np.ndarray
 ) -> np.ndarray:
-    """Response to a force on body 1: what is above a body acts on it as one spring, a continued fraction."""
+    """Return the receptances of a chain for a force on body 1, as a continued fraction (bodies, frequencies).
+
+    The dynamic stiffness of all bodies above a body acts on it like a spring.
+    """
     omega = 2.0 * np.pi * frequencies
     above = np.zeros_like(omega, dtype=complex)
     links, stiffness_above = [], []
-    for m, k, c in zip(reversed(masses), reversed(springs), reversed(dashpots), strict=True):
-        link = k + 1j * omega * c
+    for mass, spring, dashpot in zip(reversed(masses), reversed(springs), reversed(dashpots), strict=True):
+        link = spring + 1j * omega * dashpot
         stiffness_above.append(above)
         links.append(link)
-        stiffness_at_body = above - m * omega**2
+        stiffness_at_body = above - mass * omega**2
         above = link * stiffness_at_body / (link + stiffness_at_body)
     links, stiffness_above = links[::-1], stiffness_above[::-1]
     response = [1.0 / (links[0] + stiffness_above[0] - masses[0] * omega**2)]
-    for m, link, hanging in zip(masses[1:], links[1:], stiffness_above[1:], strict=True):
-        response.append(response[-1] * link / (link + hanging - m * omega**2))
+    for mass, link, above in zip(masses[1:], links[1:], stiffness_above[1:], strict=True):
+        response.append(response[-1] * link / (link + above - mass * omega**2))
     return np.array(response)
 
 
@@ -76,11 +79,13 @@ def test_lightly_damped_peaks_are_at_natural_frequencies(attached: bool, peaks: 
 
 
 def test_table_response_follows_from_force_response() -> None:
-    # F_1 = k_0 (X_0 - X_1) turns X = R F_1 into X / X_0 = k_0 R / (1 + k_0 R_1).
+    # With the spring force F = k (X_0 - X_1), the receptances X = R F give X / X_0 = k R / (1 + k R_1).
     scene = rig.load("fig8-three-dampers")
-    free = receptance(scene, FREQUENCIES)
+    force_response = receptance(scene, FREQUENCIES)
     np.testing.assert_allclose(
-        receptance(scene, FREQUENCIES, attached=True), 6600.0 * free / (1.0 + 6600.0 * free[0]), rtol=1e-9
+        receptance(scene, FREQUENCIES, attached=True),
+        6600.0 * force_response / (1.0 + 6600.0 * force_response[0]),
+        rtol=1e-9,
     )
 
 
@@ -88,16 +93,16 @@ def test_block_size_does_not_change_the_response(monkeypatch: pytest.MonkeyPatch
     scene = rig.load("bare-structure")
     single_block = receptance(scene, FREQUENCIES)
     for elements in (1, 9, 70):
-        monkeypatch.setattr(module, "_MAX_ELEMENTS", elements)
+        monkeypatch.setattr(structural_model_module, "_MAX_ELEMENTS", elements)
         np.testing.assert_array_equal(receptance(scene, FREQUENCIES), single_block)
 
 
 def test_two_beds_in_one_body_add_up() -> None:
     scene = rig.load("bare-structure")
-    halves = scene.replace(dampers=[{"body": 3, "mass": "40 g", "clearance": "1 mm"}] * 2)
+    two_halves = scene.replace(dampers=[{"body": 3, "mass": "40 g", "clearance": "1 mm"}] * 2)
     single_bed = scene.replace(dampers=[{"body": 3, "mass": "80 g", "clearance": "1 mm"}])
     np.testing.assert_allclose(
-        receptance(halves, FREQUENCIES, riding=[1, 2]), receptance(single_bed, FREQUENCIES, riding=[1]), rtol=1e-12
+        receptance(two_halves, FREQUENCIES, riding=[1, 2]), receptance(single_bed, FREQUENCIES, riding=[1]), rtol=1e-12
     )
 
 
@@ -108,17 +113,17 @@ def test_undamped_resonance_is_reported() -> None:
         receptance(scene, [0.5, 1.0])
 
 
-def test_slow_response_is_static() -> None:
+def test_response_at_zero_frequency_is_static() -> None:
     scene = rig.load("bare-structure")
     np.testing.assert_allclose(receptance(scene, [0.0])[:, 0], 1.0 / 24300.0, rtol=1e-12)
     np.testing.assert_allclose(receptance(scene, [0.0], attached=True)[:, 0], 6600.0 / 30900.0, rtol=1e-12)
 
 
-def test_damped_driving_point_lags() -> None:
+def test_driving_point_response_lags_the_force() -> None:
     assert (receptance(rig.load("bare-structure"), FREQUENCIES)[0].imag < 0.0).all()
 
 
-def test_riding_dampers_add_their_mass() -> None:
+def test_dampers_at_rest_add_their_mass() -> None:
     scene = rig.load("fig9").replace(
         structure={"masses": (0.74, 0.71, 0.64), "springs": (24300.0, 21800.0, 19800.0)},
         dampers=[{"body": 2, "mass": 0.1, "clearance": 1e-3}, {"body": 3, "mass": 0.05, "clearance": 1e-3}],
@@ -136,12 +141,12 @@ def test_locked_damper_adds_its_mass(settings: dict[str, object]) -> None:
 
 def test_force_on_several_bodies_superposes() -> None:
     base = rig.load("reference-A").replace(dampers=())
-    alone = [receptance(base.replace(shaker={"kind": "force", "body": body}), FREQUENCIES) for body in (1, 3)]
+    single_forces = [receptance(base.replace(shaker={"kind": "force", "body": body}), FREQUENCIES) for body in (1, 3)]
     both = receptance(base.replace(shaker={"kind": "force", "body": [1, 3]}), FREQUENCIES)
-    np.testing.assert_allclose(both, alone[0] + alone[1], rtol=1e-11)
+    np.testing.assert_allclose(both, single_forces[0] + single_forces[1], rtol=1e-11)
 
 
-def test_hammer_position_sets_the_force() -> None:
+def test_hammer_force_acts_on_its_body() -> None:
     hammer = rig.load("fig10b-no-damper")
     np.testing.assert_array_equal(receptance(hammer, FREQUENCIES), receptance(rig.load("fig8-no-damper"), FREQUENCIES))
 

@@ -19,9 +19,9 @@ HEAVY = "{kind: electrodynamic, body: 2, spring: 6 kN/m, coil: {inductance: 1 mH
 CURRENT = "{kind: electrodynamic, body: 2, spring: 4 kN/m, amplifier: {mode: current, gain: 0.5 A/V}}"
 
 
-def scene(*shakers: str, more: str = "") -> rig.Scene:
-    listed = shakers[0] if len(shakers) == 1 else f"[{', '.join(shakers)}]"
-    return rig.loads(f"{STRUCTURE}shaker: {listed}\n{more}")
+def scene(*shakers: str, test: str = "") -> rig.Scene:
+    shaker_text = shakers[0] if len(shakers) == 1 else f"[{', '.join(shakers)}]"
+    return rig.loads(f"{STRUCTURE}shaker: {shaker_text}\n{test}")
 
 
 @pytest.mark.parametrize("shaker", [FORCE, TABLE, COIL, CURRENT])
@@ -53,9 +53,9 @@ def test_second_shaker_without_drive_has_no_effect() -> None:
     assert both_shakers.displacement == pytest.approx(alone.displacement, abs=1e-13 * np.abs(alone.displacement).max())
 
 
-def test_force_is_that_of_the_named_shaker() -> None:
+def test_force_acts_at_the_named_shaker() -> None:
     test = "test: {kind: sine, frequency: 20 Hz, force: 2 N, shaker: 2, duration: 4 s}\n"
-    named = scene(COIL, TABLE, more=test)
+    named = scene(COIL, TABLE, test=test)
     assert named.driven == 2 and named.at_driven("table") == "table 2"
     run = rig.simulate(named, duration=6.0, rate=2000.0)
     steady_samples = slice(8000, None)
@@ -66,14 +66,14 @@ def test_force_is_that_of_the_named_shaker() -> None:
 
 
 def test_response_without_named_shaker_is_rejected() -> None:
-    free = scene(COIL, FORCE)
+    without_test = scene(COIL, FORCE)
     with pytest.raises(SceneError, match=r"2 shakers\. Set test\.shaker"):
-        rig.frequency_response(free.replace(test=None), [20.0])
-    for loading in (free, scene(COIL, CURRENT), scene(FORCE, TABLE)):
+        rig.frequency_response(without_test.replace(test=None), [20.0])
+    for loaded in (without_test, scene(COIL, CURRENT), scene(FORCE, TABLE)):
         with pytest.raises(SceneError, match="coil springs add stiffness"):
-            receptance(loading, [20.0])
+            receptance(loaded, [20.0])
 
 
-def test_receptance_is_to_the_named_force() -> None:
-    named = scene(FORCE, "{kind: force, body: 2}", more="test: {kind: sine, frequency: 20 Hz, force: 2 N, shaker: 2}\n")
+def test_receptance_belongs_to_the_named_force() -> None:
+    named = scene(FORCE, "{kind: force, body: 2}", test="test: {kind: sine, frequency: 20 Hz, force: 2 N, shaker: 2}\n")
     assert np.array_equal(receptance(named, [20.0]), receptance(scene("{kind: force, body: 2}"), [20.0]))

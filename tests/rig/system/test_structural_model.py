@@ -1,4 +1,4 @@
-"""Matrices and modes of the structure against closed forms and the paper's figures."""
+"""Matrices and modes of the structure, compared with closed forms and the paper's values."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from rig.errors import SceneError
 from rig.scene.structure import Structure
 from rig.system.structural_model import chain_matrix, natural_modes, structural_model, structure_matrices
 
-MASSES = (0.74, 0.71, 0.64)
-SPRINGS = (24300.0, 21800.0, 19800.0)
+# The paper's structure.
+MASSES = (0.74, 0.71, 0.64)  # kg
+SPRINGS = (24300.0, 21800.0, 19800.0)  # N/m
 
 
 def test_paper_structure_has_known_modes() -> None:
     mass, _, stiffness = structure_matrices(Structure(masses=MASSES, springs=SPRINGS))
-    frequencies, shapes = natural_modes(mass, stiffness)
-    np.testing.assert_allclose(frequencies, [81.911, 218.512, 312.041], atol=5e-4)
+    omega, shapes = natural_modes(mass, stiffness)
+    np.testing.assert_allclose(omega, [81.911, 218.512, 312.041], atol=5e-4)
     np.testing.assert_allclose(
         shapes.T, [[0.4150, 0.7831, 1.0], [1.0, 0.4939, -0.9090], [-0.8400, 1.0, -0.4657]], atol=5e-5
     )
@@ -27,10 +28,10 @@ def test_uniform_chain_frequencies_are_closed_form() -> None:
     n, m, k = 40, 0.5, 2000.0
     structure = Structure(masses=(m,) * n, springs=(k,) * n)
     mass, _, stiffness = structure_matrices(structure)
-    frequencies, _ = natural_modes(mass, stiffness)
-    number = np.arange(1, n + 1)
-    expected = 2.0 * np.sqrt(k / m) * np.sin((2 * number - 1) * np.pi / (2 * (2 * n + 1)))
-    np.testing.assert_allclose(frequencies, expected, rtol=1e-11)
+    omega, _ = natural_modes(mass, stiffness)
+    mode = np.arange(1, n + 1)
+    expected = 2.0 * np.sqrt(k / m) * np.sin((2 * mode - 1) * np.pi / (2 * (2 * n + 1)))
+    np.testing.assert_allclose(omega, expected, rtol=1e-11)
 
 
 def test_spring_joins_neighboring_bodies() -> None:
@@ -43,11 +44,11 @@ def test_spring_joins_neighboring_bodies() -> None:
 def test_modal_damping_sets_each_ratio(ratio: float | tuple[float, ...]) -> None:
     structure = Structure(masses=MASSES, springs=SPRINGS, damping={"modal": ratio})
     mass, damping, stiffness = structure_matrices(structure)
-    frequencies, shapes = natural_modes(mass, stiffness)
-    in_modes = shapes.T @ damping @ shapes
+    omega, shapes = natural_modes(mass, stiffness)
+    modal_damping = shapes.T @ damping @ shapes
     modal_masses = np.diag(shapes.T @ mass @ shapes)
-    expected = np.diag(2.0 * np.broadcast_to(ratio, 3) * frequencies * modal_masses)
-    np.testing.assert_allclose(in_modes, expected, atol=1e-12 * np.abs(expected).max())
+    expected = np.diag(2.0 * np.broadcast_to(ratio, 3) * omega * modal_masses)
+    np.testing.assert_allclose(modal_damping, expected, atol=1e-12 * np.abs(expected).max())
     np.testing.assert_array_equal(damping, damping.T)
 
 
@@ -78,16 +79,16 @@ def test_given_matrices_are_used() -> None:
 
 def test_modal_damping_of_matrices_equals_the_chain() -> None:
     inline = {"mass": np.diag(MASSES), "stiffness": chain_matrix(SPRINGS)}
-    general = Structure(matrices=inline, damping={"modal": 0.01})
-    special = Structure(masses=MASSES, springs=SPRINGS, damping={"modal": 0.01})
-    np.testing.assert_array_equal(structure_matrices(general)[1], structure_matrices(special)[1])
+    matrix_structure = Structure(matrices=inline, damping={"modal": 0.01})
+    chain = Structure(masses=MASSES, springs=SPRINGS, damping={"modal": 0.01})
+    np.testing.assert_array_equal(structure_matrices(matrix_structure)[1], structure_matrices(chain)[1])
 
 
 def test_floating_chain_has_undamped_zero_frequency() -> None:
     structure = Structure(masses=(1.0, 2.0, 1.5), springs=(0.0, 1e4, 1e9), damping={"modal": 0.05})
     mass, damping, stiffness = structure_matrices(structure)
-    frequencies, shapes = natural_modes(mass, stiffness)
-    assert frequencies[0] == 0.0
+    omega, shapes = natural_modes(mass, stiffness)
+    assert omega[0] == 0.0
     np.testing.assert_allclose(shapes[:, 0], 1.0, rtol=1e-9)
     np.testing.assert_allclose(damping @ np.ones(3), 0.0, atol=1e-9 * np.abs(damping).max())
 
@@ -95,18 +96,18 @@ def test_floating_chain_has_undamped_zero_frequency() -> None:
 @pytest.mark.parametrize("n", [1, 9, 10, 11, 60])
 def test_floating_uniform_chain_is_closed_form(n: int) -> None:
     m, k = 0.5, 2e6
-    frequencies, shapes = natural_modes(m * np.eye(n), chain_matrix((0.0, *[k] * (n - 1))))
+    omega, shapes = natural_modes(m * np.eye(n), chain_matrix((0.0, *[k] * (n - 1))))
     expected = 2.0 * np.sqrt(k / m) * np.sin(np.arange(n) * np.pi / (2 * n))
-    assert frequencies[0] == 0.0
-    np.testing.assert_allclose(frequencies[1:], expected[1:], rtol=1e-9)
+    assert omega[0] == 0.0
+    np.testing.assert_allclose(omega[1:], expected[1:], rtol=1e-9)
     np.testing.assert_allclose(np.abs(shapes).max(axis=0), 1.0)
     np.testing.assert_array_equal(shapes.max(axis=0), 1.0)
 
 
-@pytest.mark.parametrize("push", [1e-9, 1e-3])
-def test_slightly_negative_stiffness_is_reported(push: float) -> None:
+@pytest.mark.parametrize("size", [1e-9, 1e-3])
+def test_slightly_negative_stiffness_is_reported(size: float) -> None:
     with pytest.raises(SceneError, match="not positive semidefinite"):
-        natural_modes(np.eye(3), np.diag([1.0, 2.0, -push]))
+        natural_modes(np.eye(3), np.diag([1.0, 2.0, -size]))
 
 
 def test_negative_stiffness_is_reported() -> None:

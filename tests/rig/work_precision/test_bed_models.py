@@ -1,4 +1,4 @@
-"""Models of a bed against its grains: required properties, and the written results."""
+"""Simplified models of a bed of grains, compared with the grains: required properties, and the written results."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.rig.grain_beds.scenes import with_grains
 
 @pytest.fixture(autouse=True)
 def short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Blocks that a test can wait for."""
+    """Shorten the simulated blocks."""
     monkeypatch.setattr(models, "PERIODS", 2)
 
 
@@ -37,7 +37,7 @@ def test_all_but_soft_contacts_agree_at_rest(tmp_path: Path) -> None:
     assert {file.suffix for file in files} == {".png", ".svg", ".csv"}
 
 
-def test_already_long_steps_are_left_out() -> None:
+def test_shorter_time_steps_are_omitted() -> None:
     scene = with_grains()
 
     assert models.with_step(scene, 0.05) is None

@@ -1,4 +1,4 @@
-"""The work-precision study: its reference, convergent alternatives, and files that document the result."""
+"""The work-precision study (`rig cost`): exact reference, convergence of other methods, and written results."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from rig.work_precision.steady_study import SteadyStudy, _approximate, steady_st
 from tests.rig.engine.exact import Segment
 
 PERIODS = 12
-#: Case B: the problem, its exact displacements and the engine's run.
+#: Reference case B: the problem, its exact displacements, and the simulation by the engine.
 CaseB = tuple[FirstOrderForm, np.ndarray, rig.Run]
 
 
@@ -50,6 +50,7 @@ def case() -> CaseB:
 
 
 def error(outcome: object, exact: np.ndarray) -> float:
+    """Return the largest error of the displacements, relative to the largest displacement."""
     true = exact.astype(float)
     return float(np.abs(outcome.displacement - true).max() / np.abs(true).max())
 
@@ -58,7 +59,7 @@ def test_reference_agrees_to_thirty_digits(case: CaseB) -> None:
     _, exact, run = case
     scene = run.scene
     on_floor = Segment(scene, (0,))
-    # The reference takes w = 2 pi f exactly; so does this one.
+    # Replace the rounded w of the segment by the exact 2 pi f of the reference.
     omega = 2 * mp.pi * mpf(scene.test.frequency)
     size = 2 * on_floor.n
     on_floor.generator[size, size + 1], on_floor.generator[size + 1, size] = -omega, omega
@@ -68,14 +69,14 @@ def test_reference_agrees_to_thirty_digits(case: CaseB) -> None:
         assert abs(mpf(str(exact[body, sample])) / state[body] - 1) < mpf("1e-30")
 
 
-def test_engine_is_right_to_rounding(case: CaseB) -> None:
+def test_engine_is_exact_to_rounding(case: CaseB) -> None:
     _, exact, run = case
     values = np.vectorize(Decimal, otypes=[object])(run.displacement)
     assert np.abs(values - exact).max() / np.abs(exact).max() < 1e-13
 
 
 @pytest.mark.parametrize(("scheme", "settings"), [(penalty, (30, 600)), (moreau_jean, (320, 6400))])
-def test_error_shrinks_with_the_step(scheme: object, settings: tuple[int, int], case: CaseB) -> None:
+def test_error_decreases_with_the_step(scheme: object, settings: tuple[int, int], case: CaseB) -> None:
     problem, exact, _ = case
     coarse, fine = (error(scheme(problem, steps), exact) for steps in settings)
     assert fine < 0.2 * coarse
@@ -99,12 +100,12 @@ def test_compiled_solver_finds_events_at_its_tolerance(case: CaseB, rtol: float,
 
 
 @pytest.mark.thorough
-def test_waiting_converges_to_the_orbit() -> None:
+def test_simulation_converges_to_the_orbit() -> None:
     study = steady_study(rig.load("fig9").replace(converter={}, channels=None), 49.6)
-    waits = [point.error for point in study.points if point.method == "waiting"]
+    errors = [point.error for point in study.points if point.method == "waiting"]
     assert study.motion_type == "II"
-    assert waits[0] > waits[2] > waits[-1]
-    assert waits[-1] < 1e-9
+    assert errors[0] > errors[2] > errors[-1]
+    assert errors[-1] < 1e-9
 
 
 @pytest.mark.parametrize(
@@ -124,7 +125,7 @@ def test_exact_orbit_confirms_shooting(name: str, force: float, frequency: float
 @pytest.mark.parametrize("contact", [{"duration": 4e-3}, {"stiffness": 1.8e3, "damping": 17.0}])
 def test_exact_orbit_confirms_finite_contact(contact: dict[str, float]) -> None:
     scene = rig.load("fig9")
-    scene = scene.replace(dampers=[d.replace(contact=contact) for d in scene.dampers])
+    scene = scene.replace(dampers=[damper.replace(contact=contact) for damper in scene.dampers])
     orbit = rig.periodic_orbit(scene, 49.7)
     exact = exact_orbit(with_ideal_force(scene), orbit)
     assert len(orbit.events) > 1
@@ -133,7 +134,7 @@ def test_exact_orbit_confirms_finite_contact(contact: dict[str, float]) -> None:
     assert exact.error(orbit.compliance) < 1e-12
 
 
-def test_engine_is_right_with_mixed_contacts() -> None:
+def test_engine_is_exact_with_mixed_contacts() -> None:
     scene = rig.load("fig8-two-dampers")
     dampers = [scene.dampers[0], scene.dampers[1].replace(contact={"duration": 3e-3}), *scene.dampers[2:]]
     study = motion_study(scene.replace(dampers=dampers), 34.5, periods=4)
@@ -178,11 +179,11 @@ def test_cost_without_shaker_is_rejected() -> None:
         hardest_frequency(without_shaker, assemble(without_shaker))
 
 
-def test_failing_peer_is_still_listed(case: CaseB, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
+def test_failing_solver_is_still_listed(case: CaseB, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
         raise RunError("too many events at one instant")
 
-    monkeypatch.setattr(DormandPrince, "follow", refuse)
+    monkeypatch.setattr(DormandPrince, "follow", fail)
     assert {name for name, _, _ in _compiled(case[0], 0.02)} == {"compiled DP5"}
 
 

@@ -31,6 +31,7 @@ class Case:
 
     @classmethod
     def read(cls, path: Path) -> Case:
+        """Read the header of a scene file."""
         lines = [line[2:] for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("# ")]
         sections: dict[str, str] = {}
         key = ""

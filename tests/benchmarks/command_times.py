@@ -78,9 +78,9 @@ class Command:
             (self.max_seconds, times.processor, " s"),
             (self.max_elapsed, times.elapsed, " s elapsed"),
         )
-        given = [(limit, value, unit) for limit, value, unit in limits if limit is not None]
-        exceeded = [f"{limit:.3g}{unit}" for limit, value, unit in given if value > limit]
-        return ", ".join(exceeded) if given else None
+        applicable = [(limit, value, unit) for limit, value, unit in limits if limit is not None]
+        exceeded = [f"{limit:.3g}{unit}" for limit, value, unit in applicable if value > limit]
+        return ", ".join(exceeded) if applicable else None
 
     def all_limits(self) -> str:
         """Return all limits as text."""

@@ -107,8 +107,8 @@ def command_startups() -> Iterator[ComparedTime]:
     numpy_import = command_time("-c", "import numpy", repeats=5)
     demo = str(Path("recordings/demo-impulse-no-damper.mcap").absolute())
     for words in ("rig --help", "rig scenes", f"daq info {demo}", "rig simulate reference-A"):
-        program, *rest = words.split()
-        seconds = command_time("-m", program, *rest, repeats=5)
+        program, *arguments = words.split()
+        seconds = command_time("-m", program, *arguments, repeats=5)
         yield ComparedTime(words.replace(demo, "REC"), seconds, "import of numpy", numpy_import)
 
 
@@ -154,9 +154,9 @@ def studies() -> Iterator[ComparedTime]:
     with tempfile.TemporaryDirectory() as folder:
         # Run in another folder, because a checkout contains stored results.
         for words, max_seconds in MAX_STUDY_SECONDS.items():
-            program, *rest = words.split()
+            program, *arguments = words.split()
             yield ComparedTime(
-                words, command_time("-m", program, *rest, folder=Path(folder)), "acceptable time", max_seconds
+                words, command_time("-m", program, *arguments, folder=Path(folder)), "acceptable time", max_seconds
             )
 
 

@@ -67,8 +67,9 @@ def measure(folder: Path, minutes: float) -> Iterator[str]:
                     f"{elapsed:.1f} s, {100 * cpu_time / elapsed:.1f} % of a core, {memories[-1]:.0f} MB in memory"
                 )
     with daq.open(path) as recording:
-        lost = sum(gap.samples for gap in recording.gaps)
-        yield f"recording: {recording.samples} samples per channel, {lost} lost, {path.stat().st_size / 1e6:.0f} MB"
+        lost_samples = sum(gap.samples for gap in recording.gaps)
+        size_mb = path.stat().st_size / 1e6
+        yield f"recording: {recording.samples} samples per channel, {lost_samples} lost, {size_mb:.0f} MB"
     if memories:
         yield f"change of memory from the first minute to the last: {memories[-1] - memories[0]:+.1f} MB"
 

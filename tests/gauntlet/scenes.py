@@ -143,6 +143,7 @@ def draw_chain(random: Draw) -> tuple[Settings, list[float]]:
 
 
 def _dampers(random: Draw, bodies: int) -> list[Settings]:
+    """Draw one or two dampers, with or without a ceiling."""
     dampers = []
     for body in sorted({random.integer(1, bodies) for _ in range(random.integer(1, 2))}):
         clearance = random.choice([".inf", f"{random.log_uniform(0.3, 3.0):.3g} mm"])
@@ -151,6 +152,7 @@ def _dampers(random: Draw, bodies: int) -> list[Settings]:
 
 
 def _shaker(random: Draw, chain: Settings, bodies: int, kind: str) -> Settings:
+    """Draw a shaker: an ideal force, a table or an electrodynamic shaker with a coil spring."""
     body = random.integer(1, bodies)
     shaker_kind = random.choice(["force", "table", "electrodynamic"])
     if shaker_kind == "force" or kind == "swept_sine_dampers":
@@ -220,6 +222,7 @@ def _open_loop_drive(settings: Settings, level: float) -> float:
 
 
 def _channels(random: Draw, settings: Settings, bodies: int) -> list[Settings]:
+    """Draw channels at one to three bodies and at the input, all with one kind of sensor."""
     shaker = settings.get("shaker")
     impulse = settings["test"]["kind"] == "impulse"
     measured_bodies = {random.integer(1, bodies) for _ in range(2)}
@@ -240,6 +243,7 @@ def _channels(random: Draw, settings: Settings, bodies: int) -> list[Settings]:
 
 
 def _sensor(random: Draw, sensors: str, impulse: bool) -> Settings:
+    """Draw an accelerometer of a kind, with or without an integrator."""
     if sensors == "ideal":
         return {}
     if sensors == "preset":
@@ -269,6 +273,7 @@ def _sensor(random: Draw, sensors: str, impulse: bool) -> Settings:
 
 
 def _force_sensor(random: Draw, sensors: str) -> Settings:
+    """Draw the force sensor of a hammer or shaker."""
     if sensors == "ideal":
         return {}
     if sensors == "preset":
@@ -284,6 +289,7 @@ def _force_sensor(random: Draw, sensors: str) -> Settings:
 
 
 def _converter(random: Draw, settings: Settings, natural_frequencies: list[float]) -> Settings:
+    """Draw a converter with at least 12 samples in a period of the highest mode, sometimes with faults."""
     min_rate = max(1024.0, 12.0 * natural_frequencies[-1])
     converter: Settings = {"rate": round(max(min_rate, random.choice([1024.0, 2048.0, 2560.0, 5120.0])), 1)}
     if settings["test"]["kind"] == "impulse":

@@ -61,6 +61,7 @@ def _export_and_import(path: Path, scene: rig.Scene, ending: str) -> Path:
 
 
 def _run_judge(name: str, judge: Judge, case: Case, kind: str) -> list[Verdict]:
+    """Return the verdicts of a judge; an exception becomes a verdict."""
     try:
         return judge(case, kind)
     except ShotrigError as error:

@@ -49,7 +49,7 @@ def main() -> int:
             code, text = message_of(mistake, Path(folder))
         missing = [name for name in mistake.facts if name not in " ".join(text.split())]
         failed += bool(missing or not code)
-        print(f"{number:2d}. {mistake.what}\n    $ {mistake.command}\n      {text.strip()}")
+        print(f"{number:2d}. {mistake.description}\n    $ {mistake.command}\n      {text.strip()}")
         if missing or not code:
             print(f"    LACKS {missing}, exit code {code}")
     print(f"{len(MISTAKES) - failed} of {len(MISTAKES)} messages contain all facts")

@@ -20,13 +20,13 @@ test: {kind: stepped_sine, force: 2 N, from: 40 Hz, to: 220 Hz, points: 12}
 class Mistake:
     """A mistake of a user.
 
-    what : description of the mistake
+    description : what the user did wrong
     command : the command line, typed in a folder with the recordings `sweep.mcap` and `hit.mcap`
     facts : texts that the message must contain
     files : contents of other files in the folder, by name
     """
 
-    what: str
+    description: str
     command: str
     facts: tuple[str, ...]
     files: dict[str, str] = field(default_factory=dict)

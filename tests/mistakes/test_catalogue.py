@@ -10,7 +10,7 @@ from tests.mistakes.__main__ import message_of
 from tests.mistakes.catalogue import MISTAKES, Mistake
 
 
-@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.what.replace(" ", "-"))
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.description.replace(" ", "-"))
 def test_message_names_place_and_remedy(mistake: Mistake, tmp_path: Path) -> None:
     code, text = message_of(mistake, tmp_path)
     printed = " ".join(text.split())

@@ -88,6 +88,7 @@ def try_place(place: str, count: int, seed: int) -> list[Trial]:
 
 
 def _try_mutation(place: str, module: str, mutation: MutationSpec, command: str, timeout: float) -> Trial:
+    """Make a mutation, run the tests of its module for at most `timeout` s, and undo the mutation."""
     result = mutate_and_test([mutation], command, timeout)
     if result.test_outcome not in (TestOutcome.KILLED, TestOutcome.SURVIVED):
         raise RuntimeError(f"{module}: {mutation} could not be tried:\n{result.output}")

@@ -67,6 +67,7 @@ def _port(server: subprocess.Popen[str]) -> int:
 
 
 def _run_suite(path: Path, arguments: list[str], port: int, folder: Path) -> int:
+    """Run pytest in NI's repository with the server at a port; return the exit code."""
     server_script, report = folder / "server", folder / "report.xml"
     # NI's fixture starts a server and reads its port. This script only prints the port of the running server.
     server_script.write_text(f"#!/bin/sh\necho Server listening on port {port}\nexec sleep 86400\n")

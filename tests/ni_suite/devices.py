@@ -52,6 +52,7 @@ def modules() -> list[Module]:
     )
 
     def in_chassis(name: str, product: str, slot: int, **settings: Any) -> Module:
+        """Return a module in a slot of a CompactDAQ or TestScale chassis."""
         chassis = "tsChassisTester" if product.startswith("TS") else "cdaqChassisTester"
         category = _TS_MODULE if product.startswith("TS") else _MODULE
         return replace(

@@ -12,6 +12,7 @@ BODIES = 205
 
 
 def chain_displacement() -> np.ndarray:
+    """Return the displacements of the chain with a damper in the driven body, m."""
     scene = rig.Scene(
         name="chain",
         structure={"masses": [1.0] * BODIES, "springs": [4e5] * BODIES, "damping": {"modal": 0.01}},

@@ -45,6 +45,7 @@ def optional(**choices: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, A
 
 @st.composite
 def excitations(draw: st.DrawFn) -> dict[str, Any]:
+    """Draw a test of any kind."""
     low, high = sorted(draw(st.tuples(frequency, frequency).filter(lambda pair: pair[0] != pair[1])))
     band = {"from": low, "to": high, draw(level): draw(positive)}
     return draw(
@@ -65,6 +66,7 @@ def excitations(draw: st.DrawFn) -> dict[str, Any]:
 
 @st.composite
 def scenes(draw: st.DrawFn) -> Scene:
+    """Draw a scene of one to five bodies with dampers, a shaker, a test and a channel."""
     n = draw(st.integers(1, 5))
     per_body = st.tuples(*[positive] * n)
     damper = st.fixed_dictionaries(

@@ -26,8 +26,8 @@ def scene(*shakers: str, test: str = "") -> rig.Scene:
 
 @pytest.mark.parametrize("shaker", [FORCE, TABLE, COIL, CURRENT])
 def test_list_of_one_shaker_equals_the_shaker(shaker: str) -> None:
-    alone, listed = scene(shaker), rig.loads(f"{STRUCTURE}shaker: [{shaker}]\n")
-    single_system, listed_system = assemble(alone), assemble(listed)
+    single, listed = scene(shaker), rig.loads(f"{STRUCTURE}shaker: [{shaker}]\n")
+    single_system, listed_system = assemble(single), assemble(listed)
     for name, value in vars(single_system).items():
         assert np.array_equal(value, getattr(listed_system, name)), name
 
@@ -48,9 +48,11 @@ def test_shakers_of_all_kinds_superpose() -> None:
 
 def test_second_shaker_without_drive_has_no_effect() -> None:
     drive = np.random.default_rng(2).standard_normal((1, 300))
-    alone = rig.simulate(scene(HEAVY), duration=0.1, rate=4000.0, drive=drive)
+    single_shaker = rig.simulate(scene(HEAVY), duration=0.1, rate=4000.0, drive=drive)
     both_shakers = rig.simulate(scene(FORCE, HEAVY), duration=0.1, rate=4000.0, drive=np.vstack([0.0 * drive, drive]))
-    assert both_shakers.displacement == pytest.approx(alone.displacement, abs=1e-13 * np.abs(alone.displacement).max())
+    assert both_shakers.displacement == pytest.approx(
+        single_shaker.displacement, abs=1e-13 * np.abs(single_shaker.displacement).max()
+    )
 
 
 def test_force_acts_at_the_named_shaker() -> None:

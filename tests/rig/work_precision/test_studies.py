@@ -40,6 +40,7 @@ CaseB = tuple[FirstOrderForm, np.ndarray, rig.Run]
 
 @pytest.fixture(scope="module")
 def case() -> CaseB:
+    """Compute reference case B by the engine and exactly."""
     scene = rig.load("reference-B")
     system = assemble(scene)
     tone = tone_drive(scene, system)

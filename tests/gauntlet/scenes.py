@@ -94,7 +94,7 @@ def draw(seed: int, number: int, kind: str) -> rig.Scene:
     settings["channels"] = _channels(random, settings, bodies)
     settings["converter"] = _converter(random, settings, natural_frequencies)
     if not any("preset" in channel.get("accelerometer", {}) for channel in settings["channels"]):
-        # Sensors of a data sheet need the current supply of a preset, which fixes the coupling.
+        # With sensors of a data sheet, the preset of the converter determines the coupling.
         has_preset = "preset" in settings["converter"]
         settings["converter"] |= draw_coupling(Draw(seed, number + _COUPLING_SEED_OFFSET), has_preset)
     if kind.startswith("imported_"):

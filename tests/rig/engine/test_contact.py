@@ -1,4 +1,8 @@
-"""Contact laws at an impact or a release, compared with explicit mechanics: momentum, separations and velocities."""
+"""Contact laws at an impact or a release, compared with explicit mechanics: momentum, separations and velocities.
+
+`state.z` has the displacements and velocities of the bodies; `state.height` and `state.speed` are those of dampers in
+flight; `state.mode` is the contact of each damper.
+"""
 
 from __future__ import annotations
 
@@ -111,40 +115,42 @@ def test_impact_obeys_the_contact_laws(
     modes[impacting] = FLIGHT
     state, model = randomize(engine, modes, seed), engine.tables.model
     position, body = state.z[model.position], state.z[model.velocity]
-    sign, speed = SIGN[wall], np.where(state.mode == FLIGHT, state.speed, body)
+    damper = np.where(state.mode == FLIGHT, state.speed, body)
+    sign, closing_speed = SIGN[wall], 0.1 + abs(damper[impacting])
     state.height[impacting] = height = position[impacting] + (CLEARANCE if wall == CEILING else 0.0)
-    closing = 0.1 + abs(speed[impacting])
-    speed[impacting] = state.speed[impacting] = body[impacting] - sign * closing
+    damper[impacting] = state.speed[impacting] = body[impacting] - sign * closing_speed
     apply_impact(engine, impacting, wall)
-    after = state.z[model.velocity]
-    speed_after = np.where(state.mode == FLIGHT, state.speed, after)
-    impulse = model.mass * (speed_after - speed)
-    np.testing.assert_allclose(engine.system.mass @ (after - body), -impulse, atol=1e-12)
+    body_after = state.z[model.velocity]
+    damper_after = np.where(state.mode == FLIGHT, state.speed, body_after)
+
+    # Momentum is conserved. Impulses are compressive, and act on other dampers only in contact with coupled bodies.
+    impulse = model.mass * (damper_after - damper)
+    np.testing.assert_allclose(engine.system.mass @ (body_after - body), -impulse, atol=1e-12)
     walls = np.array([wall if j == impacting else modes[j] for j in range(3)])
     for j in range(3):
         assert SIGN.get(walls[j], 0.0) * impulse[j] >= -1e-12
-        # Other dampers change their velocity only in contact, and only if the bodies are coupled.
         assert j == impacting or (coupled and walls[j] != FLIGHT) or impulse[j] == 0.0
-    assert sign * (speed_after[impacting] - after[impacting]) == pytest.approx(restitution * closing, abs=1e-12)
+
+    # The damper rebounds with the restitution, from its wall.
+    rebound_speed = sign * (damper_after[impacting] - body_after[impacting])
+    assert rebound_speed == pytest.approx(restitution * closing_speed, abs=1e-12)
     assert state.height[impacting] == height or not restitution
     if state.mode[impacting] == wall:
         assert state.multiplicity[impacting] == 0
     assert state.multiplicity[impacting] == sign or not restitution
+
+    # The log has the impact and all separations.
     log, count = engine.log, engine.log.filled[0]
-    (impact_index,) = np.flatnonzero(log.kind[:count] != SEPARATION)
-    logged = [int(column[impact_index]) for column in (log.segment, log.damper, log.kind)]
-    assert (
-        logged == [7, impacting, wall]
-        and log.offset[impact_index] == 0.25
-        and log.closing[impact_index] == pytest.approx(closing)
-    )
+    (k,) = np.flatnonzero(log.kind[:count] != SEPARATION)
+    assert (log.segment[k], log.damper[k], log.kind[k], log.offset[k]) == (7, impacting, wall, 0.25)
+    assert log.closing[k] == pytest.approx(closing_speed)
     separated = [int(j) for j in log.damper[:count][log.kind[:count] == SEPARATION]]
     rebounded = {impacting} if restitution else set()
     assert {j for j in range(3) if walls[j] != FLIGHT and state.mode[j] == FLIGHT} - rebounded == set(separated)
     for j in separated:
         # It keeps the velocity of its wall before the impact, or separates from a wall without relative velocity.
-        opening_speed = SIGN[walls[j]] * (speed_after[j] - after[j])
-        assert speed_after[j] == (after[j] if opening_speed == 0.0 else body[j])
+        opening_speed = SIGN[walls[j]] * (damper_after[j] - body_after[j])
+        assert damper_after[j] == (body_after[j] if opening_speed == 0.0 else body[j])
         assert opening_speed >= 0.0 and state.height[j] == position[j] + (CLEARANCE if walls[j] == CEILING else 0.0)
 
 

@@ -74,7 +74,7 @@ def with_long_test(scene: rig.Scene) -> rig.Scene:
         "random": lambda: {"duration": 10.0 * test.duration},
         "multisine": lambda: {"periods": 20, "realisations": 8},
         "impulse": lambda: {"repeats": 20, "interval": 20.0, "double_hit": None},
-        "stepped_sine": lambda: {"points": 100},
+        "stepped_sine": lambda: {"points": 60},
         "swept_sine": lambda: {"duration": 15.0 * test.duration},
     }
     return scene.replace(test=test.replace(**changes[test.kind]()))

@@ -100,6 +100,7 @@ def test_sweep_is_displayed_recorded_and_analyzed(bench, browser, tmp_path):
     element(browser, "record").click()
     element(browser, "start").click()
     wait_for(browser, lambda: element(browser, "state").text not in ("", "ready"))
+    wait_for(browser, lambda: "recording to" in element(browser, "file").text)
     # Another program reads a channel meanwhile, and the page shows its task.
     with open_channel(device) as channel, nidaqmx.Task("other", grpc_options=_options(channel)) as task:
         task.ai_channels.add_ai_accel_chan("cDAQ1Mod1/ai0")
@@ -107,7 +108,6 @@ def test_sweep_is_displayed_recorded_and_analyzed(bench, browser, tmp_path):
         task.start()
         wait_for(browser, lambda: "other" in element(browser, "clients").text)
         assert np.ptp(task.read(1024)) > 0.0
-    wait_for(browser, lambda: "recording to" in element(browser, "file").text)
     wait_for(browser, lambda: element(browser, "state").text == "ready")
     wait_for(browser, lambda: dict(browser.execute_script(CURVES, "Frequency response"))["arm"])
     curve = np.array(dict(browser.execute_script(CURVES, "Frequency response"))["arm"])

@@ -87,7 +87,7 @@ def check_simulation(scene: rig.Scene, settings: dict[str, Any], requirements: d
         assert kinds[0] == requirements["first"]
     if "first_time" in requirements:
         assert run.events["time"][0] == parse(requirements["first_time"], TIME)
-    if "unison" in requirements:
+    if "simultaneous" in requirements:
         # Three equal dampers have equal events at equal times, to the last bit.
         simultaneous = run.events[: len(run.events) // 3 * 3].reshape(-1, 3)
         assert np.ptp(simultaneous["time"], axis=1).max() < 1e-14

@@ -1,4 +1,8 @@
-"""Causes of a misfit: mistakes in channels, another form of damping, motions that cannot be computed."""
+"""Search for the cause of a misfit between a scene and recordings.
+
+Each trial corrects the curves for one supposed mistake, such as a reversed sign, and fits the structure again. The
+mistake that lowers the residual variance enough is reported. Points that a fit omits are listed with their reasons.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations, islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -27,7 +31,7 @@ from rig.system.structural_model import structural_model
 _EXPLAINED_RATIO = 0.02
 # Residual variance, relative to that of the stated noise, up to which a correction explains the misfit fully.
 _MAX_NOISE_VARIANCE = 4.0
-# Factors of common unit errors, with the error.
+# Common unit errors: the ratio of the reading to the true value, and its cause.
 _UNIT_ERRORS = {
     -1.0: "its sign is reversed",
     9.80665: "m/s² read as g, or the reverse",
@@ -44,10 +48,10 @@ _UNIT_TOLERANCE = 0.06
 _NO_UNIT_ERROR = (
     " (the factor does not correspond to a common unit error; the structure may also differ from the scene)"
 )
-# Delays of a channel for the first estimate, s.
-_DELAYS = np.arange(-1.2e-3, 1.21e-3, 2e-5)
+# Delays of a channel that are tried for the first estimate, s.
+_TRIAL_DELAYS = np.arange(-1.2e-3, 1.21e-3, 2e-5)
 # Largest error of the first estimate of a delay, s.
-_DELAY_ERROR = 1e-4
+_MAX_DELAY_ERROR = 1e-4
 # Smallest delay that is reported, s.
 _MIN_DELAY = 5e-6
 # Relative tolerance of a sensor whose sensitivity is fitted freely.
@@ -56,55 +60,55 @@ _FREE_TOLERANCE = 1e4
 _MAX_MASS_RATIO = 2.5
 # Largest number of pairs of channels that are tested for a swap.
 _MAX_PAIRS = 15
-# A fit to fewer responses always succeeds, so omitting a sensor would show nothing.
+# Smallest number of responses without the omitted sensor; a fit to fewer always succeeds.
 _MIN_RESPONSES = 2
 
 
 def cause(problem: Problem) -> tuple[bool, str]:
-    """Try single mistakes in the recordings without moving dampers, and name the mistake that explains the misfit best.
+    """Return whether a single mistake explains the misfit, and a text with the mistake or else with the next steps.
 
-    Returns whether a mistake explains the misfit; and a text with the mistake, or with the trials.
+    Only the recordings without moving dampers are searched.
     """
-    linear_curves = [group.curves for group in problem.groups if group.tones is None]
+    linear_curves = [group.curves for group in problem.groups if group.orbits is None]
     if not linear_curves:
         return False, (
-            "No recording without moving dampers is among them. Add one, so that the structure can be fitted alone."
+            "All recordings have moving dampers. Add one without, so that the structure can be fitted alone."
         )
-    uncorrected_fit = _fit_structure(problem, linear_curves)
-    uncorrected = uncorrected_fit.variance
-    if uncorrected < _MAX_NOISE_VARIANCE:
+    uncorrected = _fit_structure(problem, linear_curves)
+    if uncorrected.variance < _MAX_NOISE_VARIANCE:
         return False, (
-            "The recordings without moving dampers fit, so the dampers differ from the scene's, or the errors of their "
-            "initial values are too large."
+            "The recordings without moving dampers fit, so the dampers of the scene differ from those of the rig. "
+            "Correct their bodies and initial values."
         )
-    limit = max(_MAX_NOISE_VARIANCE, _EXPLAINED_RATIO * uncorrected)
-    explanations: list[tuple[float, str, bool]] = []
-    try_delays = partial(_try_delays, undelayed=uncorrected_fit)
+    limit = max(_MAX_NOISE_VARIANCE, _EXPLAINED_RATIO * uncorrected.variance)
+    explanations: list[_Explanation] = []
+    try_delays = partial(_try_delays, undelayed=uncorrected)
     for trials in (_try_reversed_signs, _try_swaps, _try_factors, _try_damping, try_delays):
-        explanations += [explanation for explanation in trials(problem, linear_curves) if explanation[0] < limit]
-        if any(variance < _MAX_NOISE_VARIANCE and is_named for variance, _, is_named in explanations):
+        explanations += [explanation for explanation in trials(problem, linear_curves) if explanation.variance < limit]
+        if any(item.variance < _MAX_NOISE_VARIANCE and item.is_known_mistake for item in explanations):
             break
     if explanations:
-        _, text, is_named = min(explanations)
-        return is_named, f"{text}: corrected, the rest fits."
+        _, text, is_known_mistake = min(explanations)
+        return is_known_mistake, f"{text}. With this correction the scene fits."
     contradicting = [
         sensor.name
         for sensor in _sensors(linear_curves)
-        if (others := _omit_sensor(linear_curves, sensor)) and _fit_structure(problem, others).variance < limit
+        if (remaining := _omit_sensor(linear_curves, sensor)) and _fit_structure(problem, remaining).variance < limit
     ]
     if len(contradicting) == 1:
         return True, (
             f"{contradicting[0]} contradicts the other channels: it may be delayed, loose, or mounted at another place "
-            "than in the scene. Without it the scene fits."
+            "than in the scene. Without it the scene fits. Check its mounting and its channel settings."
         )
     return False, (
-        "Tried without success: each channel's sign, unit and delay, two channels swapped, another form of damping. "
-        "Check the number of bodies, the driven body and further springs; the figure of the residuals shows where."
+        "Corrections of a channel's sign, unit or delay, of two swapped channels, and of the form of damping do not "
+        "explain the misfit. Check the number of bodies, the driven body and further springs at the frequencies of the "
+        "largest residuals in the figure."
     )
 
 
 def mass_scale_error(problem: Problem, x: Array) -> str:
-    """Describe the common factor of all fitted masses if it is so large that a unit must be wrong; "" otherwise."""
+    """Describe the mean factor of the fitted masses if it is so large that a unit must be wrong; "" otherwise."""
     masses = [k for k, parameter in enumerate(problem.parameters) if parameter.quantity == "masses"]
     if not masses:
         return ""
@@ -118,8 +122,15 @@ def mass_scale_error(problem: Problem, x: Array) -> str:
     )
 
 
-# Trials of corrections: the residual variance with each, its description, and whether it is a known mistake.
-_Explanations = Iterator[tuple[float, str, bool]]
+class _Explanation(NamedTuple):
+    """A supposed mistake whose correction was tried."""
+
+    variance: float  # residual variance with the correction
+    text: str
+    is_known_mistake: bool
+
+
+_Explanations = Iterator[_Explanation]
 
 
 def _try_reversed_signs(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
@@ -129,20 +140,22 @@ def _try_reversed_signs(problem: Problem, linear_curves: list[Curves]) -> _Expla
         for curves in linear_curves:
             signs = np.array([-1.0 if channel_sensor == sensor else 1.0 for channel_sensor in curves.sensors])[:, None]
             reversed_sign.append(_multiply(curves, -signs if curves.reference_sensor == sensor else signs))
-        yield _fit_structure(problem, reversed_sign).variance, f"The sign of {sensor.name} is reversed", True
+        variance = _fit_structure(problem, reversed_sign).variance
+        yield _Explanation(variance, f"The sign of {sensor.name} is reversed", True)
 
 
 def _try_swaps(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
     names = dict.fromkeys(sensor.name for curves in linear_curves for sensor in curves.sensors)
     for pair in islice(combinations(names, 2), _MAX_PAIRS):
-        swap_partner = dict(zip(pair, reversed(pair), strict=True))
+        partner = dict(zip(pair, reversed(pair), strict=True))
         swapped = []
         for curves in linear_curves:
             sensors = [sensor.name for sensor in curves.sensors]
             body = dict(zip(sensors, curves.bodies, strict=True))
-            places = [swap_partner.get(name, name) if body.keys() >= swap_partner.keys() else name for name in sensors]
-            swapped.append(replace(curves, bodies=tuple(body[name] for name in places)))
-        yield _fit_structure(problem, swapped).variance, f"{pair[0]} and {pair[1]} are swapped", True
+            has_both = body.keys() >= partner.keys()
+            swapped_names = [partner.get(name, name) if has_both else name for name in sensors]
+            swapped.append(replace(curves, bodies=tuple(body[name] for name in swapped_names)))
+        yield _Explanation(_fit_structure(problem, swapped).variance, f"{pair[0]} and {pair[1]} are swapped", True)
 
 
 def _try_factors(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
@@ -167,11 +180,11 @@ def _try_factors(problem: Problem, linear_curves: list[Curves]) -> _Explanations
         factor = 1.0 + refit.problem.deviation(refit.x, freed_sensor)
         unit_error = _unit_error(factor)
         text = f"{sensor.name} reads {factor:.4g} times the value that fits{unit_error or _NO_UNIT_ERROR}"
-        yield refit.variance, text, bool(unit_error)
+        yield _Explanation(refit.variance, text, bool(unit_error))
 
 
 def _try_damping(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
-    """Try the other form of damping of a chain, with equal damping of the modes."""
+    """Try dashpots instead of modal damping, or the reverse, on a chain of masses and springs."""
     structure = problem.model.structure
     if structure.masses is None or structure.springs is None:
         return
@@ -185,14 +198,12 @@ def _try_damping(problem: Problem, linear_curves: list[Curves]) -> _Explanations
         form = ModalDamping(modal=tuple(float(max(ratio, 1e-4)) for ratio in modes.damping_ratio))
         text = "a ratio for each mode fits: give structure.damping: {modal: [...]}"
     model = problem.model.replace(structure=structure.replace(damping=form))
-    yield (
-        _fit_structure(problem, linear_curves, model).variance,
-        f"The damping is not of the scene's form; {text}",
-        True,
-    )
+    variance = _fit_structure(problem, linear_curves, model).variance
+    yield _Explanation(variance, f"The damping is not of the scene's form; {text}", True)
 
 
 def _try_delays(problem: Problem, linear_curves: list[Curves], undelayed: _Refit) -> _Explanations:
+    """Yield the best-fitting delay of each sensor; `undelayed`: the fit without a correction."""
     for sensor in dict.fromkeys((*_sensors(linear_curves), *(curves.reference_sensor for curves in linear_curves))):
         initial_delay, trial = _estimate_delay(linear_curves, sensor), undelayed
         if initial_delay:
@@ -205,13 +216,13 @@ def _try_delays(problem: Problem, linear_curves: list[Curves], undelayed: _Refit
         def variance(delay: float, trial: _Refit = trial, sensor: Sensor = sensor) -> float:
             return trial.adjusted([_compensate_delay(curves, sensor, delay) for curves in linear_curves]).variance
 
-        bounds = (initial_delay - _DELAY_ERROR, initial_delay + _DELAY_ERROR)
+        bounds = (initial_delay - _MAX_DELAY_ERROR, initial_delay + _MAX_DELAY_ERROR)
         best = scipy.optimize.minimize_scalar(variance, bounds=bounds, options={"xatol": 1e-6})
         delay = float(best.x)
         if abs(delay) > _MIN_DELAY:
             direction = "late" if delay > 0.0 else "early"
             text = f"{sensor.name} reads {format_number(abs(delay) * 1e6)} µs {direction} (delay in the table)"
-            yield float(best.fun), text, True
+            yield _Explanation(float(best.fun), text, True)
 
 
 def _sensors(linear_curves: list[Curves]) -> list[Sensor]:
@@ -231,22 +242,22 @@ def _multiply(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
 
 
 def _estimate_delay(linear_curves: list[Curves], sensor: Sensor) -> float:
-    """Return the delay of a sensor, s, that aligns its phase best with the others.
+    """Return the delay of a sensor, s, with which its phase is closest to 0 or 180 degrees; 0 without its responses.
 
-    A delay adds a phase proportional to frequency; without a delay the phase away from resonances is 0 or 180 degrees.
+    Away from resonances the phase without delay has these values; a delay adds a phase proportional to frequency.
     """
-    alignment = np.zeros(_DELAYS.size)
+    alignment = np.zeros(_TRIAL_DELAYS.size)
     sign = -1.0 if any(curves.reference_sensor == sensor for curves in linear_curves) else 1.0
     for curves in linear_curves:
-        reference = curves.reference_sensor == sensor
-        rows = [k for k, channel_sensor in enumerate(curves.sensors) if reference or channel_sensor == sensor]
-        # The doubled phase does not depend on the sign.
-        rotation = np.exp(sign * 4j * np.pi * np.outer(_DELAYS, curves.frequency))
+        is_reference = curves.reference_sensor == sensor
+        rows = [k for k, channel_sensor in enumerate(curves.sensors) if is_reference or channel_sensor == sensor]
+        # The doubled phase is near 0 for both signs of the response.
+        rotation = np.exp(sign * 4j * np.pi * np.outer(_TRIAL_DELAYS, curves.frequency))
         for k in rows:
             direction = (curves.value[k] / np.maximum(abs(curves.value[k]), 1e-300)) ** 2
             weight = np.minimum(abs(curves.whiten[:, k, k] * curves.value[k]), 30.0)
             alignment += (rotation @ (weight * direction)).real
-    return float(_DELAYS[int(np.argmax(alignment))]) if alignment.any() else 0.0
+    return float(_TRIAL_DELAYS[int(np.argmax(alignment))]) if alignment.any() else 0.0
 
 
 def _compensate_delay(curves: Curves, sensor: Sensor, delay: float) -> Curves:
@@ -257,8 +268,8 @@ def _compensate_delay(curves: Curves, sensor: Sensor, delay: float) -> Curves:
 
 
 def _omit_sensor(linear_curves: list[Curves], sensor: Sensor) -> list[Curves]:
-    """Leave out the responses of a sensor; empty if fewer than two responses would remain."""
-    out = []
+    """Return the curves without the responses of a sensor; empty if fewer than two responses would remain."""
+    without_sensor = []
     for curves in linear_curves:
         rows = [k for k, channel_sensor in enumerate(curves.sensors) if channel_sensor != sensor]
         if len(rows) < _MIN_RESPONSES:
@@ -268,8 +279,9 @@ def _omit_sensor(linear_curves: list[Curves], sensor: Sensor) -> list[Curves]:
         remaining: dict[str, Any] = {name: getattr(curves, name)[rows] for name in ("value", "rough", "smooth")}
         for name in ("sensors", "bodies", "frfs"):
             remaining[name] = tuple(getattr(curves, name)[k] for k in rows)
-        out.append(replace(curves, whiten=inverse_root(covariance), errors=curves.errors.select(rows), **remaining))
-    return out
+        errors = curves.errors.select(rows)
+        without_sensor.append(replace(curves, whiten=inverse_root(covariance), errors=errors, **remaining))
+    return without_sensor
 
 
 def list_omitted_points(curves: Curves, used: NDArray[np.bool_], uncovered: Mapping[int, str]) -> list[str]:
@@ -285,19 +297,22 @@ def list_omitted_points(curves: Curves, used: NDArray[np.bool_], uncovered: Mapp
                 f"{uncovered[k]}, which a fit cannot compute (restitution 0 or contact: {{duration: ...}} avoids this)"
             )
         reasons.setdefault(reason, []).append(f"{curves.frequency[k]:.4g}")
-    return [f"{curves.label}: omitted {', '.join(at)} Hz, where {reason}." for reason, at in reasons.items()]
+    return [
+        f"{curves.label}: omitted {', '.join(frequencies)} Hz, where {reason}."
+        for reason, frequencies in reasons.items()
+    ]
 
 
 @dataclass(frozen=True)
 class _Refit:
-    """The scene fitted to curves that are corrected for a supposed mistake."""
+    """The structure fitted to curves that are corrected for a supposed mistake."""
 
     problem: Problem
-    x: Array
+    x: Array  # unknowns
 
     @property
     def variance(self) -> float:
-        """Residual variance, or the squared deviation of a sensor in tolerances if that is larger."""
+        """Residual variance or, if larger, the largest squared deviation of a sensor or clock from its prior."""
         problem = self.problem
         normalized_deviation = ((self.x - problem.start) / problem.prior_sd)[len(problem.parameters) :]
         return max(mean_square(problem, self.x, problem.groups), *(normalized_deviation**2), 0.0)
@@ -309,16 +324,15 @@ class _Refit:
 
 
 def _fit_structure(problem: Problem, curves: list[Curves], model: Scene | None = None) -> _Refit:
-    """Fit the structure of a scene to curves."""
+    """Fit the structure of a scene (by default the problem's) to curves."""
     parameters = [parameter for parameter in problem.parameters if parameter.place[0] != "dampers"]
     if model is not None:
-        # The free values stay free, and so are those of the new form of damping.
+        # The values of the new form of damping are free too.
         free_keys = {parameter.key for parameter in parameters}
-        new = ("structure", "damping")
         parameters = [
             parameter
             for parameter in free_parameters(model)
-            if parameter.key in free_keys or parameter.place[:2] == new
+            if parameter.key in free_keys or parameter.place[:2] == ("structure", "damping")
         ]
     trial = Problem(model or problem.model, parameters, curves)
     x = initial_unknowns(trial, trial.groups)

@@ -1,4 +1,8 @@
-"""Estimates of the unknowns, and their covariance."""
+"""Estimation of a fit's unknowns by nonlinear least squares, and of their covariance.
+
+The *model error* is an assumed error of the model, relative to the local peak of a curve. It is reduced in steps,
+because without it the fit of a narrow resonance far from the solution has no gradient toward the measured resonance.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +21,11 @@ Report = Callable[[str], None]
 
 # Coverage factor of 95 % intervals.
 COVERAGE_FACTOR = 1.96
-# Model errors, relative to the local peak, that successive fits assume: without them, the fit of a narrow resonance
-# far from the solution has no gradient toward the resonance that was measured.
+# Model errors of the successive fits of the structure.
 _MODEL_ERRORS = (0.1, 0.01, 0.0)
-# The same from random initial values, which are used if modes were not identified or led to no solution.
+# Model errors of fits from random initial values, which are used if the modes lead to no solution.
 _MODEL_ERRORS_RANDOM = (0.3, 0.1, 0.01, 0.0)
-# Standard deviation of the logarithms of random initial values from the guess.
+# Standard deviation of the logarithms of random initial values around the values of the scene.
 _RANDOM_SD = 0.15
 # Number of random initial values.
 _RANDOM_STARTS = 8
@@ -32,36 +35,33 @@ _MAX_STRUCTURE_VARIANCE = 4.0
 _MAX_NOISE_VARIANCE = 1.3
 # Model errors of the first fits of the dampers.
 _MODEL_ERRORS_DAMPERS = (0.2, 0.05)
-# The smallest model error: large residuals have little weight, so that a point in another motion has little effect.
+# A negligible model error that selects the Cauchy loss, with which a point on another orbit has little effect.
 _ROBUST_MODEL_ERROR = 1e-6
 # Factors of the initial masses and clearances of all dampers, tried if the values of the scene lead to no solution.
 _MASS_FACTORS = (1.0, 0.7, 0.4, 1.5)
 _CLEARANCE_FACTORS = (0.6, 1.7, 0.3)
-# Factor of the clearances with which no damper reaches its ceiling.
+# Factor of the clearances at which no damper reaches its ceiling.
 _UNREACHED_CLEARANCE_FACTOR = 30.0
 # Mean square of the residuals up to which the orbits explain the curves; noise alone leaves slightly below 1.
 _MAX_EXPLAINED_SQUARE = 1.5
 # Upper limit of each squared residual in the robust cost.
 _MAX_SQUARE = 9.0
-# Squared residual of a point without a motion.
+# Squared residual of a point without an orbit.
 _FAILED_SQUARE = 1e6
-# Robust cost of initial values that fail at about half of the points.
+# Robust cost if about half of the points have no orbit.
 _HALF_FAILED_COST = 4.5
-# Rounds of fitting all unknowns, each after a search for other motions at outliers.
-_ROUNDS = 4
-# Number of clusters of neighboring frequencies in a group whose residuals may have a common cause.
+# Largest number of fits of all unknowns, each after a search for other orbits at outliers.
+_MAX_ROUNDS = 4
+# Number of clusters of neighboring frequencies in a group, within which residuals may have a common cause.
 _CLUSTERS = 40
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A solution.
+    """Estimated unknowns with their covariance."""
 
-    `factor`: F of the covariance ``F F^T``, priors included, from the stated errors or from the residuals, whichever
-    is larger; shape (unknowns, columns).
-    """
-
-    x: Array  # shape (unknowns,)
+    x: Array  # unknowns of `Problem`, shape (unknowns,)
+    # F of the covariance ``F F^T``, from the stated errors or the residuals, the larger; shape (unknowns, columns)
     factor: Array
     # mean square of the residuals in standard deviations; 1 if the stated errors explain them
     variance: float
@@ -80,10 +80,10 @@ class Estimate:
 
 def estimate(problem: Problem, report: Report) -> Estimate:
     """Estimate the unknowns: first of the structure from linear recordings, then of the dampers, then all together."""
-    linear_groups = [group for group in problem.groups if group.tones is None]
+    linear_groups = [group for group in problem.groups if group.orbits is None]
     report("structure")
     x = _estimate_structure(problem, linear_groups) if linear_groups else problem.start.copy()
-    damper_groups = [group for group in problem.groups if group.tones is not None]
+    damper_groups = [group for group in problem.groups if group.orbits is not None]
     if damper_groups:
         report("dampers")
         x = _estimate_dampers(problem, x, damper_groups, bool(linear_groups), report)
@@ -93,51 +93,52 @@ def estimate(problem: Problem, report: Report) -> Estimate:
 def _estimate_dampers(
     problem: Problem, structure: Array, damper_groups: Sequence[Group], structure_known: bool, report: Report
 ) -> Array:
-    """Estimate all unknowns with the dampers from several starts, the scene's values first; the best result is kept.
+    """Estimate all unknowns from several initial values of the dampers, those of the scene first; return the best.
 
-    A ceiling with impacts and a ceiling out of reach are different optima, so that both are tried.
+    Clearances with ceiling impacts and clearances without them are different optima, so both are tried.
     """
-    best, lowest_cost, motions = structure, np.inf, [group.motions() for group in damper_groups]
-    begin = structure
+    best, lowest_cost, orbit_states = structure, np.inf, [group.orbit_state() for group in damper_groups]
     # Quantity of each unknown of a damper; "" for all others.
     names = ["" if parameter.damper is None else parameter.quantity for parameter in problem.parameters]
     names += [""] * (problem.size - len(names))
-    bounded = "clearance" in names
-    starts = [(1.0, 1.0), *product(_MASS_FACTORS, _CLEARANCE_FACTORS if bounded else (1.0,))]
-    for mass, clearance in [*starts, (1.0, _UNREACHED_CLEARANCE_FACTOR)] if bounded else starts:
-        if lowest_cost < _MAX_EXPLAINED_SQUARE and clearance < _UNREACHED_CLEARANCE_FACTOR:
+    has_ceiling = "clearance" in names
+    trials = [(1.0, 1.0), *product(_MASS_FACTORS, _CLEARANCE_FACTORS if has_ceiling else (1.0,))]
+    if has_ceiling:
+        trials.append((1.0, _UNREACHED_CLEARANCE_FACTOR))
+    for mass_factor, clearance_factor in trials:
+        is_unreached = clearance_factor == _UNREACHED_CLEARANCE_FACTOR
+        if lowest_cost < _MAX_EXPLAINED_SQUARE and not is_unreached:
             continue
-        is_unreached = clearance == _UNREACHED_CLEARANCE_FACTOR
-        if is_unreached:
-            begin = best
         report("all")
-        for group, state in zip(damper_groups, motions, strict=True):
+        for group, state in zip(damper_groups, orbit_states, strict=True):
             group.restore(state)
-        factors = {"mass": mass, "mass_ratio": mass, "clearance": clearance}
-        x = begin + np.log([factors.get(name, 1.0) for name in names])
-        # The prior would pull an unreached ceiling back.
+        factors = {"mass": mass_factor, "mass_ratio": mass_factor, "clearance": clearance_factor}
+        initial = best if is_unreached else structure
+        x = initial + np.log([factors.get(name, 1.0) for name in names])
+        # The prior would return an unreached clearance to its initial value, so it is fixed.
         active = [k for k, name in enumerate(names) if not is_unreached or name != "clearance"]
-        # First roughly, with the structure fixed if linear recordings determine it.
-        rough = [k for k in active if names[k] or not structure_known]
-        for model_error in _MODEL_ERRORS_DAMPERS if rough else ():
-            x = solve(problem, x, damper_groups, model_error, rough, 6)
-        if rough:
+        # The first fits keep the structure fixed if linear recordings determine it.
+        first_active = [k for k in active if names[k] or not structure_known]
+        if first_active:
+            for model_error in _MODEL_ERRORS_DAMPERS:
+                x = solve(problem, x, damper_groups, model_error, first_active, 6)
             problem.residual(x, damper_groups)
-        # If a ceiling explains the curves, an unreached ceiling that fails at half of the points is not refined.
-        refuted = lowest_cost < _MAX_EXPLAINED_SQUARE and _robust_cost(problem, x, damper_groups) > _HALF_FAILED_COST
-        for round_number in range(0 if refuted else _ROUNDS):
+        # If ceiling impacts explain the curves, a trial without them that fails at half of the points is not refined.
+        is_refuted = lowest_cost < _MAX_EXPLAINED_SQUARE and _robust_cost(problem, x, damper_groups) > _HALF_FAILED_COST
+        for round_number in range(0 if is_refuted else _MAX_ROUNDS):
             scene = problem.scene(x)
-            changed = [group.choose_motions(problem, x, scene) for group in damper_groups]
+            changed = [group.replace_outlier_orbits(problem, x, scene) for group in damper_groups]
             if not any(changed) and round_number > 0:
                 break
             model_error = _MODEL_ERRORS[-2] if round_number == 0 else _ROBUST_MODEL_ERROR
             x = solve(problem, x, problem.groups, model_error, active, 8)
             x = solve(problem, x, problem.groups, 0.0, active, 12)
         cost = _robust_cost(problem, x, damper_groups)
-        # A single point does not prove ceiling impacts, because its motion may be of another type.
-        if cost < lowest_cost + _MAX_SQUARE * is_unreached / min(group.used.size for group in damper_groups):
-            best, lowest_cost, motions = x, cost, [group.motions() for group in damper_groups]
-    for group, state in zip(damper_groups, motions, strict=True):
+        # A single outlier does not prove ceiling impacts, because its motion may be of another type.
+        cost_of_one_outlier = _MAX_SQUARE / min(group.used.size for group in damper_groups)
+        if cost < lowest_cost + cost_of_one_outlier * is_unreached:
+            best, lowest_cost, orbit_states = x, cost, [group.orbit_state() for group in damper_groups]
+    for group, state in zip(damper_groups, orbit_states, strict=True):
         group.restore(state)
     problem.residual(best, problem.groups)
     return best
@@ -151,14 +152,14 @@ def _robust_cost(problem: Problem, x: Array, damper_groups: Sequence[Group]) -> 
     scene, costs = problem.scene(x), []
     for group in damper_groups:
         residual = problem.predicted(x, group, scene) - group.curves.value
-        white = np.einsum("nij,jn->ni", group.curves.whiten, residual)
-        square = np.nan_to_num(abs(white) ** 2 / 2.0, nan=_FAILED_SQUARE)
+        whitened = np.einsum("nij,jn->ni", group.curves.whiten, residual)
+        square = np.nan_to_num(abs(whitened) ** 2 / 2.0, nan=_FAILED_SQUARE)
         costs.append((square / (1.0 + square / _MAX_SQUARE)).ravel())
     return float(np.mean(np.concatenate(costs)))
 
 
 def _estimate_structure(problem: Problem, linear_groups: Sequence[Group]) -> Array:
-    """Estimate the structure from linear recordings: from their modes, else from random starts around the guess."""
+    """Estimate the unknowns from linear recordings, from their modes first, then from random initial values."""
     best = initial_unknowns(problem, linear_groups)
     for model_error in _MODEL_ERRORS:
         best = solve(problem, best, linear_groups, model_error)
@@ -169,6 +170,7 @@ def _estimate_structure(problem: Problem, linear_groups: Sequence[Group]) -> Arr
         if lowest_square < _MAX_STRUCTURE_VARIANCE:
             break
         x = problem.start.copy()
+        # The first of these starts is the scene itself.
         x[active] += generator.normal(0.0, _RANDOM_SD * min(number, 1), len(active))
         for model_error in _MODEL_ERRORS_RANDOM:
             x = solve(problem, x, linear_groups, model_error, max_evaluations=15)
@@ -185,13 +187,13 @@ def solve(
     active: Sequence[int] | None = None,
     max_evaluations: int = 30,
 ) -> Array:
-    """Minimize the squared residuals over active unknowns, from x."""
+    """Minimize the squared residuals over active unknowns (by default all), from x; return all unknowns."""
     free_indices = list(range(problem.size) if active is None else active)
 
     def all_unknowns(values: Array) -> Array:
-        out = x.copy()
-        out[free_indices] = values
-        return out
+        unknowns = x.copy()
+        unknowns[free_indices] = values
+        return unknowns
 
     solution = scipy.optimize.least_squares(
         lambda values: problem.residual(all_unknowns(values), groups, model_error),
@@ -205,13 +207,13 @@ def solve(
         gtol=1e-10,
     )
     best = all_unknowns(solution.x)
-    # The last trial need not be the solution: evaluate it, so that the stored motions are those of the solution.
+    # The solver's last trial need not be the solution. This evaluation stores the orbits of the solution.
     problem.residual(best, groups, model_error)
     return best
 
 
 def mean_square(problem: Problem, x: Array, groups: Sequence[Group], model_error: float = 0.0) -> float:
-    """Compute the mean square of the residuals of some groups, in standard deviations."""
+    """Compute the mean square of the residuals of groups, in standard deviations."""
     residuals = problem.residual(x, groups, model_error)[: -problem.size]
     return float(np.mean(residuals**2)) if residuals.size else 0.0
 
@@ -219,76 +221,82 @@ def mean_square(problem: Problem, x: Array, groups: Sequence[Group], model_error
 def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
     """Return a factor of the covariance of the unknowns, as in `Estimate`, and the mean square of the residuals.
 
-    Systematic errors shift the unknowns; each shift is added. Residuals larger than the stated errors enlarge the
-    covariance by their mean square. Residuals with common causes, between responses and over neighboring
-    frequencies, are counted by cluster (K.-Y. Liang, S. L. Zeger, Longitudinal data analysis using generalized
-    linear models, Biometrika 73 (1986)); the larger covariance is used.
+    The covariance is the sum of a random and a systematic part. Residuals larger than the stated errors enlarge the
+    random part by their mean square. Residuals with common causes, between responses and over neighboring
+    frequencies, are summed by cluster before they are squared (K.-Y. Liang, S. L. Zeger, Longitudinal data analysis
+    using generalized linear models, Biometrika 73 (1986)); the larger standard deviation of each unknown is used.
     """
-    shifts: list[Array] = []
-    data, scores, square, count = np.zeros((0, problem.size)), [np.diag(1.0 / problem.prior_sd)], 0.0, 0
+    prior_root = np.diag(1.0 / problem.prior_sd)
+    # Triangular factor of the Jacobian; scores ``J^T r`` of clusters and of systematic errors; squared residuals.
+    triangular, cluster_scores, systematic_scores = np.zeros((0, problem.size)), [prior_root], list[Array]()
+    square, count = 0.0, 0
     score_covariance = np.zeros((problem.size, problem.size))
     for group in problem.groups:
         jacobian = problem.jacobian(x, [group])[: -problem.size]
         residuals = problem.residual(x, [group])[: -problem.size]
         used = int(group.used.sum())
-        data = np.asarray(np.linalg.qr(np.concatenate([data, jacobian]), mode="r"))
+        triangular = np.asarray(np.linalg.qr(np.concatenate([triangular, jacobian]), mode="r"))
         score_covariance += _score_covariance(group, jacobian)
-        shifts += [jacobian.T @ error for error in _systematic_errors(group)]
+        systematic_scores += [jacobian.T @ error for error in _systematic_errors(group)]
         square += float(residuals @ residuals)
         count += residuals.size
         order = np.argsort(group.curves.frequency[group.used], kind="stable")
         rank = np.empty(used, dtype=int)
         rank[order] = np.arange(used)
-        width = 1 if group.curves.level is not None else max(1, used // _CLUSTERS)
-        cluster = np.tile(np.repeat(rank // width, residuals.size // (2 * used)), 2)
+        # Steady tones are separate measurements; the lines of other tests are not.
+        cluster_size = 1 if group.curves.level is not None else max(1, used // _CLUSTERS)
+        cluster = np.tile(np.repeat(rank // cluster_size, residuals.size // (2 * used)), 2)
         clusters = range(cluster.max() + 1)
         columns = [jacobian[cluster == number].T @ residuals[cluster == number] for number in clusters]
-        scores.append(np.stack(columns, axis=1))
+        cluster_scores.append(np.stack(columns, axis=1))
     variance = square / max(count - problem.size, 1)
-    # Factor F of the inverse F F^T of the normal matrix with the prior precision.
-    bread = np.linalg.inv(np.linalg.qr(np.concatenate([data, np.diag(1.0 / problem.prior_sd)]), mode="r"))
-    size, axes = np.linalg.eigh(score_covariance)
-    root = axes * np.sqrt(np.maximum(size, 0.0) * max(variance, 1.0))
-    stated = bread @ (bread.T @ np.concatenate([root, np.diag(1.0 / problem.prior_sd)], axis=1))
+    # The normal matrix, with the prior, has the inverse F F^T: it converts scores to errors of the unknowns.
+    inverse_root = np.linalg.inv(np.linalg.qr(np.concatenate([triangular, prior_root]), mode="r"))
+
+    def errors_of_unknowns(scores: Array) -> Array:
+        return np.asarray(inverse_root @ (inverse_root.T @ scores))
+
+    eigenvalues, axes = np.linalg.eigh(score_covariance)
+    score_root = axes * np.sqrt(np.maximum(eigenvalues, 0.0) * max(variance, 1.0))
+    stated = errors_of_unknowns(np.concatenate([score_root, prior_root], axis=1))
     inflation = np.ones(problem.size)
     if variance > _MAX_NOISE_VARIANCE or all(group.curves.level is not None for group in problem.groups):
-        clustered = bread @ (bread.T @ np.concatenate(scores, axis=1))
+        clustered = errors_of_unknowns(np.concatenate(cluster_scores, axis=1))
         inflation = np.maximum(np.linalg.norm(clustered, axis=1) / np.linalg.norm(stated, axis=1), 1.0)
-    systematic = bread @ (bread.T @ np.array(shifts).T)
+    systematic = errors_of_unknowns(np.array(systematic_scores).T)
     return np.concatenate([inflation[:, None] * stated, systematic], axis=1), variance
 
 
 def _systematic_errors(group: Group) -> Iterator[Array]:
-    """Yield the whitened residuals of errors that are equal at all lines: gain and phase of each response.
+    """Yield the residuals, in standard deviations, of errors that are equal at all lines: gain and phase.
 
-    Each is uniformly distributed within its limit, so that its standard deviation is limit / sqrt(3).
+    Each error is uniformly distributed within its limit, so that its standard deviation is limit / sqrt(3).
     """
     curves, used = group.curves, group.used
 
-    def whitened(errors: ComplexArray) -> ComplexArray:
+    def whiten(errors: ComplexArray) -> ComplexArray:
         return np.asarray(np.einsum("nij,jn->ni", curves.whiten[used], errors[:, used]).ravel())
 
     for k in range(len(curves.sensors)):
         errors = np.zeros_like(curves.value)
-        size = np.maximum(abs(curves.value[k]), 1e-300)
-        errors[k] = curves.smooth[k] / np.sqrt(3.0) * curves.value[k] / size
-        white = whitened(errors)
-        yield np.concatenate([white.real, white.imag])
-        yield np.concatenate([-white.imag, white.real])
+        magnitude = np.maximum(abs(curves.value[k]), 1e-300)
+        errors[k] = curves.smooth[k] / np.sqrt(3.0) * curves.value[k] / magnitude
+        whitened = whiten(errors)
+        yield np.concatenate([whitened.real, whitened.imag])
+        yield np.concatenate([-whitened.imag, whitened.real])
     # Noise adds to the power of the reference: all responses are too small, without a phase error.
-    white = whitened(curves.common / np.sqrt(3.0) * curves.value)
-    yield np.concatenate([white.real, white.imag])
+    whitened = whiten(curves.common / np.sqrt(3.0) * curves.value)
+    yield np.concatenate([whitened.real, whitened.imag])
 
 
 def _score_covariance(group: Group, jacobian: Array) -> Array:
-    """Compute the covariance of the scores ``J^T r`` of a group from random errors, including common errors."""
+    """Compute the covariance of the scores ``J^T r`` of a group from its random errors, shape (unknowns, unknowns)."""
     curves, used = group.curves, group.used
     if curves.errors.reference is None:
-        # Whitened errors have unit variance; the uncertainty of the variance itself is in the weights.
+        # Whitened errors have unit variance.
         return np.asarray(curves.errors.shared * (jacobian.T @ jacobian))
-    slopes = jacobian.reshape(2, int(used.sum()), len(curves.sensors), -1)
-    white = slopes[0] + 1j * slopes[1]
-    weights = np.einsum("nij,nip->njp", curves.whiten[used].conj(), white)
+    real, imaginary = jacobian.reshape(2, int(used.sum()), len(curves.sensors), -1)
+    weights = np.einsum("nij,nip->njp", curves.whiten[used].conj(), real + 1j * imaginary)
     deviation = curves.rough[:, used].T[..., None] / np.sqrt(3.0)
     rough = (deviation * weights).reshape(-1, weights.shape[2])
     errors = curves.errors.at(used)

@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from analysis.fitting.fit import Compared, Fit
+    from analysis.fitting.fit import Comparison, Fit
 
 # Largest number of sweeps that are drawn.
 MAX_ROWS = 8
 # Height of a row of the figure, inches.
 _ROW_HEIGHT_IN = 2.4
-# A frequency step that exceeds its neighbors by this factor is a gap in a curve.
+# Smallest ratio of a frequency step to its neighboring steps that is a gap in a curve.
 _GAP_RATIO = 3.0
 
 
@@ -32,7 +32,7 @@ def fit_figure(result: Fit) -> Figure:
         axes = figure.subplots(len(rows), 2, squeeze=False)
         for compared, band, (curve_axes, residual_axes) in zip(rows, bands, axes, strict=True):
             _draw(curve_axes, residual_axes, compared)
-            # Only rows of the same band may share the numbers below the last.
+            # Rows of the same band share the frequency labels below the last row.
             labeled = compared is rows[-1] or any(band != other for other in bands)
             for ax in (curve_axes, residual_axes):
                 frequency_axis(ax, *band, labeled)
@@ -43,13 +43,13 @@ def fit_figure(result: Fit) -> Figure:
     return figure
 
 
-def _draw(curve_axes: Axes, residual_axes: Axes, compared: Compared) -> None:
+def _draw(curve_axes: Axes, residual_axes: Axes, compared: Comparison) -> None:
     curves, order = compared.curves, np.argsort(compared.curves.frequency, kind="stable")
     frequency, used = curves.frequency[order], compared.used[order]
     factor, unit = (1.0, "m/m") if curves.reference == "table" else (1e6, "µm/N")
     steps = np.diff(frequency)
-    neighbors = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
-    gaps = np.flatnonzero(steps > _GAP_RATIO * neighbors) + 1 if steps.size > 1 else np.empty(0, dtype=int)
+    neighboring_steps = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
+    gaps = np.flatnonzero(steps > _GAP_RATIO * neighboring_steps) + 1 if steps.size > 1 else np.empty(0, dtype=int)
     for k, sensor in enumerate(curves.sensors):
         magnitude, residual = factor * abs(curves.value[k, order]), compared.normalized_residuals[k, order]
         for ax, size in ((curve_axes, magnitude), (residual_axes, residual)):
@@ -63,6 +63,6 @@ def _draw(curve_axes: Axes, residual_axes: Axes, compared: Compared) -> None:
     log_axis(residual_axes, [compared.normalized_residuals], max_decades=5.0)
     residual_axes.axhline(2.0, color="#555555", lw=0.6)
     residual_axes.set_ylabel("residual / std. deviation")
-    missing = int((~used).sum())
-    left_out = f", {missing} point{'s' if missing > 1 else ''} left out" if missing else ""
-    add_title(residual_axes, f"Residual {format_number(100 * compared.relative)} % of the curve, rms{left_out}")
+    omitted = int((~used).sum())
+    omission = f", {omitted} point{'s' if omitted > 1 else ''} left out" if omitted else ""
+    add_title(residual_axes, f"Residual {format_number(100 * compared.relative)} % of the curve, rms{omission}")

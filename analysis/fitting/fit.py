@@ -1,4 +1,4 @@
-"""Fit of a scene to recordings of the real structure, with 95 % intervals of all values."""
+"""Fit of a scene to recordings of the real structure, with a 95 % interval of each fitted value."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ Progress = Callable[[str], None]
 
 # Largest relative half width of the 95 % interval of a value that is determined roughly.
 _MAX_HALF_WIDTH = 0.5
-# Clearance of a ceiling that is not reached, as a multiple of the largest gap.
+# Smallest clearance without ceiling impacts, as a multiple of the largest gap.
 _UNREACHED_RATIO = 1.2
 # Largest mean square of the normalized residuals that the errors of the curves explain.
 _MAX_NOISE_VARIANCE = 4.0
 # Relative residual above which the scene is not a model of the measured structure.
 _MAX_RESIDUAL_RATIO = 0.02
-# Largest plausible deviation of a sensor, in tolerances of its data sheet.
+# Largest plausible deviation of a sensor's sensitivity, in tolerances of its data sheet.
 _MAX_SENSOR_DEVIATION = 2.0
-# Largest share of the points with a steady motion in the model that a fit may omit.
+# Largest share that a fit may omit of the points with a steady motion in the model.
 _MAX_OMITTED_SHARE = 0.25
 # Largest share of points without a steady motion in the model. Dampers without a ceiling move irregularly over wide
-# ranges, in the model as on the rig.
+# ranges of frequency, in the model as on the rig.
 _MAX_IRREGULAR_SHARE = 0.5
 
 
@@ -53,18 +53,16 @@ _MAX_IRREGULAR_SHARE = 0.5
 class Fitted:
     """Fitted value of the scene.
 
-    `key`, `unit`: key as in `--set`, and unit; `start`, `value`: before and after the fit, in SI.
-
     `status`: 'determined' within a few per cent, 'roughly' within 50 %, or 'undetermined'. No value is 'determined' if
     the residuals exceed the errors of the curves.
     """
 
-    key: str
-    unit: str
-    start: float
-    value: float
-    low: float  # 95 % interval
-    high: float  # 95 % interval
+    key: str  # as in `--set`
+    unit: str  # SI; "" for a ratio
+    start: float  # before the fit
+    value: float  # after the fit
+    low: float  # lower end of the 95 % interval
+    high: float  # upper end of the 95 % interval
     status: str
 
     @property
@@ -77,24 +75,21 @@ class Fitted:
 class Mode:
     """A natural mode of the fitted structure without dampers and coil spring, with 95 % bounds."""
 
-    frequency: float
-    frequency_bound: float
-    damping: float
+    frequency: float  # undamped natural frequency, Hz
+    frequency_bound: float  # Hz
+    damping: float  # ratio
     damping_bound: float
 
 
 @dataclass(frozen=True)
-class Compared:
-    """Measured curves, and the prediction of the fitted scene as the sensors read it.
-
-    `relative`: root mean square of the residuals relative to that of the curve, both weighted by their errors; the
-    largest over the responses.
-    """
+class Comparison:
+    """Measured curves of one sweep or test, compared with the prediction of the fitted scene."""
 
     curves: Curves  # measured
-    predicted: ComplexArray  # NaN where the model has no steady motion, shape (responses, n)
+    predicted: ComplexArray  # as the sensors read it; NaN where the model has no steady motion, shape (responses, n)
     used: NDArray[np.bool_]  # fitted points, shape (n,)
     normalized_residuals: Array  # residuals in standard deviations, shape (responses, n)
+    # rms residual / rms of the curve, both weighted by their errors; the largest over the responses
     relative: float
 
 
@@ -105,27 +100,27 @@ class Fit(Result):
     Attributes
     ----------
     scene : Scene
-        Scene with the fitted values; undetermined values stay near their start.
+        Scene with the fitted values; undetermined values stay near their initial values.
     parameters : tuple of Fitted
         Fitted values with their 95 % intervals.
     correlation : ndarray, shape (parameters, parameters)
-        Correlation of the errors of their logarithms.
+        Correlation coefficients of the errors of the parameters' logarithms.
     sensitivities : mapping of str to (float, float)
         Relative deviation of the sensitivity of each sensor with a tolerance, and its 95 % bound.
     modes : tuple of Mode
         Modes of the fitted structure.
     damping : tuple of LevelDamping
-        Damping of the structure from each sweep alone, without the damping by the dampers.
-    compared : tuple of Compared
+        Damping of the structure from each sweep alone, without the dissipation of the dampers.
+    compared : tuple of Comparison
         Measured and predicted curves of each sweep or test.
     variance : float
         Mean square of the residuals in standard deviations: at most about 1 where the stated errors explain them.
     misfit : str
         Reason why the scene does not fit the recordings, so that no value is determined; "" if it fits.
     together : tuple of str
-        Combinations of values that the recordings cannot separate.
+        Sentences on clearances that are not reached, and on values that the recordings determine only in combination.
     warnings : tuple of str
-        Consequences for the results, in full sentences.
+        Sentences on limits of the results.
     """
 
     scene: Scene
@@ -134,7 +129,7 @@ class Fit(Result):
     sensitivities: dict[str, tuple[float, float]]
     modes: tuple[Mode, ...]
     damping: tuple[LevelDamping, ...]
-    compared: tuple[Compared, ...]
+    compared: tuple[Comparison, ...]
     variance: float
     misfit: str
     together: tuple[str, ...]
@@ -149,10 +144,12 @@ class Fit(Result):
         return by_key[key]
 
     def summary(self) -> str:
-        """Return whether the scene fits, and how many values are determined."""
+        """Return one line: whether the scene fits, and how many values are determined."""
         statuses = [parameter.status for parameter in self.parameters]
         texts = {"roughly": "roughly determined"}
-        counts = ", ".join(f"{statuses.count(kind)} {texts.get(kind, kind)}" for kind in dict.fromkeys(statuses))
+        counts = ", ".join(
+            f"{statuses.count(status)} {texts.get(status, status)}" for status in dict.fromkeys(statuses)
+        )
         return f"{self.scene.name}: {'does not fit; ' if self.misfit else ''}{counts}"
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -164,10 +161,9 @@ class Fit(Result):
         """Draw the largest residual over frequency, in standard deviations."""
         for compared in self.compared:
             order = np.argsort(compared.curves.frequency, kind="stable")
-            worst = np.where(compared.used, compared.normalized_residuals.max(axis=0), np.nan)[order]
-            ax.semilogy(
-                compared.curves.frequency[order], worst, ".-", **complete_style(style, label=compared.curves.label)
-            )
+            largest = np.where(compared.used, compared.normalized_residuals.max(axis=0), np.nan)[order]
+            line_style = complete_style(style, label=compared.curves.label)
+            ax.semilogy(compared.curves.frequency[order], largest, ".-", **line_style)
         ax.set(xlabel="frequency / Hz", ylabel="largest residual / standard deviation")
 
 
@@ -181,21 +177,22 @@ def fit(
 
     The responses of each sweep to the force or the table motion are compared, weighted by their stated errors; the
     sensitivities of sensors are free within their tolerances. Where dampers move, the model computes exact periodic
-    motions. Initial values come from the identified modes. Each free value has a prior: its value in the scene, within
-    a factor of e. The prior has an effect only on values that the recordings do not determine; these are reported.
+    motions. Initial values come from the identified modes. Each free value has a prior: its value in the scene, with a
+    standard deviation of a factor of e. It affects only values that the recordings do not determine; these are
+    reported.
 
     Parameters
     ----------
     recordings : sequence of daq.Recording, str or Path
         Recordings of one structure: stepped, swept, random, multisine or impulse tests; with moving dampers only
-        tones. The scene of each recording states which dampers were in place.
+        stepped-sine tests. The scene of each recording states which dampers were in place.
     scene : Scene, str, Path or mapping
         The model: structure and dampers with guessed values. Shaker, test and channels come from the recordings.
     free : sequence of str, optional
         Keys of the free values, such as ``structure.masses`` or ``dampers[1].clearance``; if omitted, masses,
         springs, damping, and all values of the dampers.
     progress : callable, optional
-        Called with the name of each stage.
+        Function that is called with the name of each stage.
 
     Returns
     -------
@@ -204,7 +201,7 @@ def fit(
     Raises
     ------
     SceneError
-        If the scene cannot be that of the recordings, or nothing is free.
+        If the scene has other bodies or dampers than the recordings, or no value is free.
     RecordingError
         If a recording has no response to fit.
 
@@ -230,8 +227,8 @@ def fit(
         if not isinstance(recording, str | Path) and not hasattr(recording, "channels"):
             raise RecordingError(f"fit: {recording!r:.60} is not a recording. Give paths, or recordings from daq.open.")
     paths = [Path(source) if isinstance(source, str | Path) else source.path for source in sources]
-    for first, again in duplicate_files(paths):
-        raise SceneError(f"{again}: the same content as {first}, which would count twice. Give each recording once.")
+    for first, duplicate in duplicate_files(paths):
+        raise SceneError(f"{duplicate}: same content as {first}, so it would count twice. Give each recording once.")
     curves = [sweep_curves for recording in sources for sweep_curves in _curves(recording)]
     if not curves:
         raise RecordingError("fit: no recordings. Give at least one.")
@@ -248,42 +245,41 @@ def _curves(recording: Any) -> list[Curves]:
 
 
 def _result(problem: Problem, estimated: Estimate, report: Progress) -> Fit:
-    limits = _clearance_limits(problem, estimated)
-    # A ceiling without impacts keeps its height, or moves just above the largest gap.
+    largest_gaps = _largest_gaps(problem, estimated)
+    # Without ceiling impacts, a clearance keeps its initial value unless the largest gap exceeds it.
     x = estimated.x.copy()
-    for k, limit in limits.items():
+    for k, gap in largest_gaps.items():
         clearance = problem.parameters[k]
-        x[k] = clearance.unknown(max(clearance.start, _UNREACHED_RATIO * limit))
+        x[k] = clearance.unknown(max(clearance.start, _UNREACHED_RATIO * gap))
     scene = problem.scene(x)
     compared = tuple(_compare(problem, x, scene, group) for group in problem.groups)
     warnings = [f"{comparison.curves.label}: {note}" for comparison in compared for note in comparison.curves.warnings]
     misfit = _misfit(estimated, compared) or _implausible_sensors(problem, x)
     if misfit:
         report("searching the cause of the misfit")
-        explains, text = cause(problem)
-        misfit = text if explains else f"{misfit} {text}"
+        is_explained, text = cause(problem)
+        misfit = text if is_explained else f"{misfit} {text}"
     else:
         misfit = mass_scale_error(problem, x)
     if not misfit and estimated.variance > _MAX_NOISE_VARIANCE:
-        worst = max(comparison.relative for comparison in compared)
+        largest = max(comparison.relative for comparison in compared)
         warnings.append(
-            f"The residuals reach {worst:.2%} of the curves, more than their errors explain (variance "
-            f"{estimated.variance:.3g}). "
-            "The intervals are widened accordingly."
+            f"The residuals reach {largest:.2%} of the curves, more than their errors explain (variance "
+            f"{estimated.variance:.3g}). The intervals are widened accordingly."
         )
     for comparison, group in zip(compared, problem.groups, strict=True):
-        uncovered = {} if group.tones is None else group.tones.uncovered
+        uncovered = {} if group.orbits is None else group.orbits.uncovered
         warnings += list_omitted_points(comparison.curves, comparison.used, uncovered)
     count, deviation = len(problem.parameters), estimated.deviation
-    unexplained = bool(misfit) or estimated.variance > _MAX_NOISE_VARIANCE
+    is_unexplained = bool(misfit) or estimated.variance > _MAX_NOISE_VARIANCE
     fitted = tuple(
-        _fitted(parameter, x[k], deviation[k], unexplained) for k, parameter in enumerate(problem.parameters)
+        _fitted_value(parameter, x[k], deviation[k], is_unexplained) for k, parameter in enumerate(problem.parameters)
     )
     if not misfit and all(value.status == "undetermined" for value in fitted):
         misfit = "The recordings determine none of the free values. `analysis frf` shows the uncertainty of the curves."
     clearances = [
-        f"{problem.parameters[k].key} is at least {1e3 * limit:.3g} mm: no ceiling impact is in the motions that fit."
-        for k, limit in limits.items()
+        f"{problem.parameters[k].key} is at least {1e3 * gap:.3g} mm: the fitted motions have no ceiling impacts."
+        for k, gap in largest_gaps.items()
         if not misfit
     ]
     return Fit(
@@ -304,46 +300,46 @@ def _result(problem: Problem, estimated: Estimate, report: Progress) -> Fit:
     )
 
 
-def _clearance_limits(problem: Problem, estimated: Estimate) -> dict[int, float]:
-    """Return lower limits of undetermined clearances of dampers in flight, by the number of the parameter."""
+def _largest_gaps(problem: Problem, estimated: Estimate) -> dict[int, float]:
+    """Return the largest gaps, m, of dampers in flight with undetermined clearance, by the index of the parameter."""
     deviation = estimated.deviation
-    limits = {
+    gaps = {
         k: problem.clearance_limit(estimated.x, parameter)
         for k, parameter in enumerate(problem.parameters)
         if parameter.quantity == "clearance" and COVERAGE_FACTOR * deviation[k] > _MAX_HALF_WIDTH
     }
-    return {k: limit for k, limit in limits.items() if limit > 0.0}
+    return {k: gap for k, gap in gaps.items() if gap > 0.0}
 
 
-def _fitted(parameter: Parameter, x: float, deviation: float, unexplained: bool) -> Fitted:
-    low, value, high = (parameter.value(x + step * COVERAGE_FACTOR * deviation) for step in (-1.0, 0.0, 1.0))
+def _fitted_value(parameter: Parameter, unknown: float, deviation: float, is_unexplained: bool) -> Fitted:
+    low, value, high = (parameter.value(unknown + sign * COVERAGE_FACTOR * deviation) for sign in (-1.0, 0.0, 1.0))
     half_width = COVERAGE_FACTOR * deviation * parameter.slope(value)
-    status = "determined" if half_width <= parameter.limit and not unexplained else "roughly"
+    status = "determined" if half_width <= parameter.max_half_width and not is_unexplained else "roughly"
     if half_width > _MAX_HALF_WIDTH:
         status = "undetermined"
     return Fitted(parameter.key, parameter.unit, parameter.start, value, low, high, status)
 
 
-def _compare(problem: Problem, x: Array, scene: Scene, group: Group) -> Compared:
+def _compare(problem: Problem, x: Array, scene: Scene, group: Group) -> Comparison:
     curves = group.curves
     predicted = problem.predicted(x, group, scene)
     residual = predicted - curves.value
     normalized = abs(np.einsum("nij,jn->in", curves.whiten, residual))
     used = group.used & np.isfinite(normalized).all(axis=0)
-    # Weighted by their errors, so that lines with much noise have little influence.
+    # Weights of 1 / standard deviation, so that lines with much noise have little influence.
     weight = abs(np.einsum("nii->in", curves.whiten))[:, used]
-    square = np.sum(abs(weight * residual[:, used]) ** 2, axis=1)
-    square /= np.sum(abs(weight * curves.value[:, used]) ** 2, axis=1)
-    relative = float(np.sqrt(square.max())) if used.any() else np.inf
-    return Compared(curves, predicted, used, normalized, relative)
+    relative_square = np.sum(abs(weight * residual[:, used]) ** 2, axis=1)
+    relative_square /= np.sum(abs(weight * curves.value[:, used]) ** 2, axis=1)
+    relative = float(np.sqrt(relative_square.max())) if used.any() else np.inf
+    return Comparison(curves, predicted, used, normalized, relative)
 
 
-def _misfit(estimated: Estimate, compared: Sequence[Compared]) -> str:
+def _misfit(estimated: Estimate, compared: Sequence[Comparison]) -> str:
     """Describe the recording that the scene does not fit, with the residual; "" if it fits all."""
     for comparison in compared:
-        regular = np.isfinite(comparison.predicted).all(axis=0)
-        omitted = int((regular & ~comparison.used).sum())
-        if omitted > _MAX_OMITTED_SHARE * regular.sum() or regular.mean() < 1.0 - _MAX_IRREGULAR_SHARE:
+        is_regular = np.isfinite(comparison.predicted).all(axis=0)
+        omitted = int((is_regular & ~comparison.used).sum())
+        if omitted > _MAX_OMITTED_SHARE * is_regular.sum() or is_regular.mean() < 1.0 - _MAX_IRREGULAR_SHARE:
             return (
                 f"{comparison.curves.label}: the scene does not reproduce the measured motion at "
                 f"{int((~comparison.used).sum())} of {comparison.used.size} points."
@@ -369,7 +365,7 @@ def _implausible_sensors(problem: Problem, x: Array) -> str:
 
 
 def _modes(problem: Problem, estimated: Estimate) -> tuple[Mode, ...]:
-    """Return the modes of the structure alone; bounds by first-order propagation of a square root of the covariance."""
+    """Return the modes of the structure alone, with bounds by first-order propagation of the covariance."""
 
     def modal_values(x: Array) -> Array:
         modes = structural_model(problem.scene(x)).modes

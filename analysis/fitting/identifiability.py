@@ -1,4 +1,4 @@
-"""Identifiability: combinations of values that leave the curves unchanged, and damping by sweep."""
+"""Identifiability of a fit: combinations of values that leave the curves unchanged, and the damping of each sweep."""
 
 from __future__ import annotations
 
@@ -13,38 +13,35 @@ from rig.arrays import Array
 
 # Smallest relative half width of a 95 % interval along a principal axis that is reported.
 _MIN_HALF_WIDTH = 0.02
-# Components of a principal axis above this ratio to the largest are named.
+# Smallest component of a principal axis whose value is named, relative to the largest component.
 _MIN_COMPONENT_RATIO = 0.3
-# A sensor limits a value if their errors have at least this correlation.
+# Smallest correlation of the errors of a value and a sensor at which the sensor is named.
 _MIN_CORRELATION = 0.7
-# Largest half width of a 95 % interval of damping, relative, that counts as determined.
+# Largest relative half width of a 95 % interval of damping that is determined.
 _MAX_HALF_WIDTH = 0.5
 
 
 @dataclass(frozen=True)
 class LevelDamping:
-    """Damping of the structure, estimated from one sweep.
+    """Damping of the structure without its dampers, estimated from one sweep."""
 
-    `value`, `bound`, shape (keys,): damping and its 95 % bound; NaN where the sweep does not determine it.
-    """
-
-    label: str  # recording and setting
-    damped: bool  # whether dampers moved. The model contains their dissipation; these values do not
+    label: str  # recording and level
+    damped: bool  # whether dampers could move in the sweep
     acceleration: float  # largest acceleration of a measured body, m/s²
     keys: tuple[str, ...]  # keys of the damping in the scene
-    value: Array
-    bound: Array
+    value: Array  # in SI; NaN where the sweep does not determine it, shape (keys,)
+    bound: Array  # half width of the 95 % interval, shape (keys,)
 
 
 def damping_by_level(problem: Problem, estimated: Estimate) -> tuple[LevelDamping, ...]:
     """Fit only the damping to each sweep; empty for a single sweep."""
     active = [k for k, parameter in enumerate(problem.parameters) if "damping" in parameter.place]
-    tones = [group for group in problem.groups if group.curves.level is not None]
-    if not active or len(tones) < 2:
+    sweeps = [group for group in problem.groups if group.curves.level is not None]
+    if not active or len(sweeps) < 2:
         return ()
     keys = tuple(problem.parameters[k].key for k in active)
-    out = []
-    for group in tones:
+    by_level = []
+    for group in sweeps:
         curves = group.curves
         assert curves.level is not None
         x = solve(problem, estimated.x, [group], 0.0, active, 8)
@@ -57,17 +54,18 @@ def damping_by_level(problem: Problem, estimated: Estimate) -> tuple[LevelDampin
         to_acceleration = (2.0 * np.pi * curves.frequency) ** (2 if curves.reference in ("table", "force") else 0)
         acceleration = float((to_acceleration * curves.level * abs(curves.value)).max())
         value, bound = np.where(is_determined, value, np.nan), np.where(is_determined, value * half_width, np.nan)
-        out.append(LevelDamping(curves.label, group.tones is not None, acceleration, keys, value, bound))
+        by_level.append(LevelDamping(curves.label, group.orbits is not None, acceleration, keys, value, bound))
+    # Restores the orbits of the estimate.
     problem.residual(estimated.x, problem.groups)
-    return tuple(out)
+    return tuple(by_level)
 
 
 def coupled_values(problem: Problem, estimated: Estimate, statuses: Sequence[str]) -> tuple[str, ...]:
-    """Describe the combinations of values that the data do not determine, widest interval first.
+    """Describe the values that the data do not determine, then the combinations, widest interval first.
 
-    The directions are the principal axes of the covariance of the parameters' logarithms.
+    The combinations are the principal axes of the covariance of the parameters' logarithms. `statuses`: as in `Fitted`.
     """
-    count, moving = len(problem.parameters), any(group.tones is not None for group in problem.groups)
+    count, moving = len(problem.parameters), any(group.orbits is not None for group in problem.groups)
     determined = [k for k in range(count) if statuses[k] != "undetermined"]
     undetermined = []
     for k in sorted({*range(count)} - {*determined}):
@@ -83,15 +81,19 @@ def coupled_values(problem: Problem, estimated: Estimate, statuses: Sequence[str
     axes, deviations, _ = np.linalg.svd(estimated.factor[determined], full_matrices=False)
     for deviation, axis in zip(deviations, axes.T, strict=True):
         half_width = COVERAGE_FACTOR * float(deviation) * float(abs(axis).max())
-        members = np.flatnonzero(abs(axis) > _MIN_COMPONENT_RATIO * abs(axis).max())
-        if half_width < _MIN_HALF_WIDTH or members.size == 1:
+        large = np.flatnonzero(abs(axis) > _MIN_COMPONENT_RATIO * abs(axis).max())
+        if half_width < _MIN_HALF_WIDTH or large.size == 1:
             continue
-        signs = np.sign(axis[members])
-        direction = "by the same factor" if abs(signs.sum()) == members.size else "in opposite directions"
-        related = estimated.correlation[determined[members[0]]][count:]
-        sensors = [s.name for s, r in zip(problem.sensors, related, strict=False) if abs(r) > _MIN_CORRELATION]
+        signs = np.sign(axis[large])
+        direction = "by the same factor" if abs(signs.sum()) == large.size else "in opposite directions"
+        correlations = estimated.correlation[determined[large[0]]][count:]
+        sensors = [
+            sensor.name
+            for sensor, correlation in zip(problem.sensors, correlations, strict=False)
+            if abs(correlation) > _MIN_CORRELATION
+        ]
         cause = f" (their values depend on the calibration of {', '.join(sensors)})" if sensors else ""
-        names = ", ".join(problem.parameters[determined[k]].key for k in members)
+        names = ", ".join(problem.parameters[determined[k]].key for k in large)
         line = f"{names} can change {direction} by up to {half_width:.1%} with no visible change of the curves{cause}."
         coupled.append((half_width, line))
     return *undetermined, *(line for _, line in sorted(coupled, key=lambda entry: -entry[0]))

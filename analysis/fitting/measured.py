@@ -1,4 +1,8 @@
-"""Data of a fit: responses to one reference with the covariance of their errors, and the sensors that measured them."""
+"""Measured data of a fit: responses to one reference, the covariance of their errors, and their sensors.
+
+The *reference* is the quantity that divides the responses: the force, or with a coil spring the displacement of the
+table.
+"""
 
 from __future__ import annotations
 
@@ -25,16 +29,16 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
 
-# Smallest error of a point, relative to its value.
+# Smallest standard deviation of a point, relative to its value.
 _MIN_RELATIVE_ERROR = 2e-5
-# Smallest error of a point, relative to the largest value of its curve.
+# Smallest standard deviation of a point, relative to the largest value of its curve.
 _MIN_ERROR_TO_LARGEST = 1e-7
-# Error of the separation of reference noise from the noise of several responses, as a share of the noise.
-_SEPARATION_ERROR_RATIO = 0.5
-# Systematic errors that are parameters of the fit.
-_FREE_PARTS = (SENSITIVITY, CLOCK)
+# Relative error with which several responses determine the noise of their reference.
+_REFERENCE_NOISE_ERROR = 0.5
+# Systematic errors that are unknowns of the fit.
+_FITTED_ERRORS = (SENSITIVITY, CLOCK)
 # Systematic errors that are not smooth errors of single responses.
-_EXCLUDED_FROM_SMOOTH = (*_FREE_PARTS, REFERENCE_NOISE, *ROUGH)
+_EXCLUDED_FROM_SMOOTH = (*_FITTED_ERRORS, REFERENCE_NOISE, *ROUGH)
 # Smallest number of points of a fit.
 _MIN_POINTS = 8
 
@@ -43,40 +47,34 @@ _MIN_POINTS = 8
 class Sensor:
     """A physical sensor; equal sensors in several recordings have the same deviation of their sensitivity."""
 
-    name: str
-    at: str
-    seed: int
-    """Seed of the recorded scene, which identifies the individual sensor."""
-    tolerance: float
-    """Relative tolerance of the sensitivity, from the data sheet."""
+    name: str  # of its channel
+    at: str  # place in the scene, such as 'body 2'
+    seed: int  # of the recorded scene, which identifies the individual sensor
+    tolerance: float  # relative tolerance of the sensitivity, from the data sheet
 
 
 @dataclass(frozen=True)
 class Curves:
-    """Responses of one sweep or test over one reference.
+    """Responses of one sweep or test over one reference, at n frequencies.
 
-    `rough`, `smooth`, shape (responses, n): limits of the systematic errors that differ from line to line, and of
-    those that do not. Sensor tolerances are not included, because they are parameters of the fit.
-
-    `whiten`: matrices that convert errors to components whose quadratures have variance 1, shape (n, responses,
-    responses).
+    The limits `rough` and `smooth` do not include tolerances of sensors, because these are unknowns of the fit.
     """
 
-    label: str  # recording, and setting where there are several
-    scene: Scene  # scene of the recording: shaker, test and places. Its structure's values are not used
-    frequency: Array  # Hz, as measured one after the other, shape (n,)
+    label: str  # recording, and level or part where it has several
+    scene: Scene  # scene of the recording: its shaker, test and dampers apply; the values of its structure do not
+    frequency: Array  # Hz, in the order of measurement, shape (n,)
     value: ComplexArray  # displacement / reference, as read by the sensors, shape (responses, n)
+    # matrices that convert errors to uncorrelated real and imaginary parts of variance 1, (n, responses, responses)
     whiten: ComplexArray
-    errors: Covariance  # of the random errors
-    rough: Array
-    smooth: Array
+    errors: Covariance  # covariance of the random errors
+    rough: Array  # limit of the systematic errors that differ from line to line, shape (responses, n)
+    smooth: Array  # limit of the systematic errors that are equal at all lines, shape (responses, n)
     common: Array  # limit of the relative error common to all responses, from noise of their reference, shape (n,)
-    sensors: tuple[Sensor, ...]  # sensor of each response; `reference_sensor` is that of the reference
+    sensors: tuple[Sensor, ...]  # sensor of each response
     reference_sensor: Sensor
-    bodies: tuple[int, ...]  # bodies of the responses, from 0
+    bodies: tuple[int, ...]  # body of each response, counted from 0
     reference: str  # 'force' or 'table'
-    # amplitude of the reference for tones, on which the motion of dampers depends, shape (n,)
-    level: Array | None
+    level: Array | None  # amplitude of the reference for steady tones, N or m, shape (n,)
     clock: float  # largest relative deviation of the sample clock
     frfs: tuple[Response, ...]
     warnings: tuple[str, ...]  # warnings of the estimation
@@ -91,7 +89,7 @@ def measured(rec: Recording, name: str, progress: CountProgress | None = None) -
     """Estimate the curves of a fit: one set for each sweep or test of a recording.
 
     With a coil spring the reference is the displacement of the table: the responses are those of the structure with
-    the spring to ground, without the small difference of two readings.
+    the spring to ground. The spring force would be a small difference of two readings.
 
     Raises `RecordingError` if the recording contains no responses, or moving dampers without steady tones.
     """
@@ -104,17 +102,17 @@ def measured(rec: Recording, name: str, progress: CountProgress | None = None) -
     names = responses(rec)
     if not names:
         raise RecordingError(
-            f"{name}: no channel on a body, so that there is no response to fit. Mount a sensor on one."
+            f"{name}: no channel on a body, so that there is no response to fit. Mount a sensor on a body."
         )
     spring = getattr(scene.driven_shaker, "spring", None)
     reference = "force" if spring is None or rec.test.kind is TestKind.HITS else "table"
-    tones = rec.test.kind is TestKind.TONES
-    if any(d.moves for d in scene.dampers) and not tones:
+    has_tones = rec.test.kind is TestKind.TONES
+    if any(damper.moves for damper in scene.dampers) and not has_tones:
         raise RecordingError(
             f"{name}: {rec.test.name} with dampers that move cannot be fitted, because their response depends on the "
             "level. Record test: {kind: stepped_sine, ...} at one or several levels."
         )
-    if tones:
+    if has_tones:
         force_sweeps = sweeps(rec, required_channels(rec, names, reference), progress)
         several = len(force_sweeps) > 1
         return [
@@ -134,21 +132,22 @@ def measured(rec: Recording, name: str, progress: CountProgress | None = None) -
 
 
 def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str) -> Curves:
-    measuring = [k for k, frf in enumerate(frfs) if np.any(frf.value != 0.0)]
+    nonzero = [k for k, frf in enumerate(frfs) if np.any(frf.value != 0.0)]
     zero_responses = [frf.response for frf in frfs if not np.any(frf.value != 0.0)]
-    if not measuring:
+    if not nonzero:
         raise RecordingError(
             f"{label}: all responses read zero throughout: dead or not connected ({', '.join(zero_responses)}). Check "
-            "them."
+            "the sensors and cables."
         )
     notes = [f"{name} reads zero throughout: dead or not connected. It is left out." for name in zero_responses]
-    frfs = [frfs[k] for k in measuring]
+    frfs = [frfs[k] for k in nonzero]
     value = np.stack([frf.value for frf in frfs])
-    bound = np.linalg.norm(np.vstack([_limits(frfs, without=_EXCLUDED_FROM_SMOOTH), _limits(frfs, ROUGH)]), axis=0)
-    unsteady = np.any(
-        [frf.unsteady for frf in frfs if frf.unsteady is not None] or [np.zeros(bound.size, bool)], axis=0
+    limits = np.vstack([_limits(frfs, without=_EXCLUDED_FROM_SMOOTH), _limits(frfs, ROUGH)])
+    is_bounded = np.isfinite(limits).all(axis=0)
+    is_unsteady = np.any(
+        [frf.unsteady for frf in frfs if frf.unsteady is not None] or [np.zeros(is_bounded.size, bool)], axis=0
     )
-    is_valid = np.isfinite(value).all(axis=0) & np.isfinite(bound) & ~unsteady & (frfs[0].frequency > 0.0)
+    is_valid = np.isfinite(value).all(axis=0) & is_bounded & ~is_unsteady & (frfs[0].frequency > 0.0)
     if is_valid.sum() < _MIN_POINTS:
         raise RecordingError(
             f"{label}: too few points with a value and a finite bound ({int(is_valid.sum())}). "
@@ -166,7 +165,7 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
         whiten=_whitening(frfs, errors),
         errors=errors,
         rough=_limits(frfs, ROUGH),
-        smooth=_limits(frfs, without=_FREE_PARTS if errors.reference is None else _EXCLUDED_FROM_SMOOTH),
+        smooth=_limits(frfs, without=_FITTED_ERRORS if errors.reference is None else _EXCLUDED_FROM_SMOOTH),
         common=common,
         sensors=sensors,
         reference_sensor=_sensor(rec, reference_of(rec, reference).channels[0]),
@@ -180,7 +179,10 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
 
 
 def _limits(frfs: Sequence[Response], names: Collection[str] | None = None, without: Collection[str] = ()) -> Array:
-    """Return the root sum of squares of selected systematic errors, by default of all; shape (responses, n)."""
+    """Return the root sum of squares of the limits of selected systematic errors; shape (responses, n).
+
+    `names`: errors that are included, by default all; `without`: errors that are excluded.
+    """
     rows = []
     for frf in frfs:
         selected = [part for name, part in frf.limits.items() if name in (names or frf.limits) and name not in without]
@@ -189,29 +191,29 @@ def _limits(frfs: Sequence[Response], names: Collection[str] | None = None, with
 
 
 def _reference_noise(frfs: Sequence[Response], errors: Covariance) -> tuple[Array, Array]:
-    """Return the relative bias of all responses by noise of the reference, and its limit of error; shape (n,)."""
-    size = np.stack([np.maximum(abs(frf.value), 1e-300) for frf in frfs])
-    # Noise of a response also lowers its coherence; the smallest share over the responses is that of the reference.
-    bias_limit: Array = np.asarray((_limits(frfs, [REFERENCE_NOISE]) / size).min(axis=0))
+    """Return the relative bias of all responses by noise of the reference, and the limit of its error; shape (n,)."""
+    magnitude = np.stack([np.maximum(abs(frf.value), 1e-300) for frf in frfs])
+    # A response's own noise lowers its coherence too, so the smallest limit over the responses is the closest.
+    bias_limit: Array = np.asarray((_limits(frfs, [REFERENCE_NOISE]) / magnitude).min(axis=0))
     if errors.reference is None or len(frfs) < 2:
         return np.zeros(bias_limit.size), bias_limit
     noise_ratio = np.minimum(errors.reference, 0.5)
-    return noise_ratio / (1.0 - noise_ratio), _SEPARATION_ERROR_RATIO * noise_ratio
+    return noise_ratio / (1.0 - noise_ratio), _REFERENCE_NOISE_ERROR * noise_ratio
 
 
 def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
-    """Return the inverse square root of the covariance of one quadrature, at each frequency."""
+    """Return the inverse square root of the covariance of the real or imaginary part, as in `Curves.whiten`."""
     quadrature_covariance = errors.lines / 2.0
     variance = np.einsum("nii->ni", quadrature_covariance).real.copy()
-    size = np.stack([abs(frf.value) for frf in frfs], axis=1)
-    # A single average has no scatter, so that the covariance is unknown.
+    magnitude = np.stack([abs(frf.value) for frf in frfs], axis=1)
+    # A single average has no scatter, so that the covariance is unknown. Then 1 % of the median is assumed.
     quadrature_covariance[~np.isfinite(quadrature_covariance).all(axis=(1, 2))] = 0.0
-    variance = np.where(np.isfinite(variance), variance, (0.01 * np.median(size, axis=0)) ** 2)
-    variance_floor = (_MIN_RELATIVE_ERROR * size) ** 2 + (_MIN_ERROR_TO_LARGEST * size.max(axis=0)) ** 2
-    # A variance estimated from few degrees of freedom is uncertain: Student's t.
+    variance = np.where(np.isfinite(variance), variance, (0.01 * np.median(magnitude, axis=0)) ** 2)
+    variance_floor = (_MIN_RELATIVE_ERROR * magnitude) ** 2 + (_MIN_ERROR_TO_LARGEST * magnitude.max(axis=0)) ** 2
+    # A variance from few degrees of freedom is itself uncertain: that of Student's t distribution is used.
     inflation, systematic = np.ones(variance.shape), _limits(frfs, ROUGH)
     if errors.reference is None:
-        systematic = _limits(frfs, without=_FREE_PARTS)
+        systematic = _limits(frfs, without=_FITTED_ERRORS)
         degrees = np.stack([frf.degrees for frf in frfs], axis=1)
         inflation = np.where(degrees > 4.0, degrees / np.maximum(degrees - 2.0, 1.0), 2.0)
     index = np.arange(len(frfs))

@@ -1,4 +1,8 @@
-"""Parameters of a fit: values of a scene by their keys, as in `--set`."""
+"""Parameters of a fit: the values of a scene that can be fitted, by their keys as in `--set`.
+
+A parameter is fitted as its *unknown*, on which no bounds are needed: its logarithm, or the log odds of a ratio below
+1.
+"""
 
 from __future__ import annotations
 
@@ -25,11 +29,12 @@ _UNITS = {
     "masses": "kg", "springs": "N/m", "alpha": "1/s", "beta": "s", "dashpots": "N s/m", "mass": "kg",
     "clearance": "m", "duration": "s", "spring": "N/m", "stiffness": "N/m", "damping": "N s/m",
 }  # fmt: skip
-# Largest relative half width of the 95 % interval of a determined value.
-_LIMITS = dict.fromkeys(("modal", "alpha", "beta", "dashpots"), 0.03)
-_LIMITS |= dict.fromkeys(("restitution", "duration", "stiffness", "damping"), 0.05)
-_LIMIT = 0.02
-# Largest fit variable, below the overflow of exp at 709: intervals of undetermined values are unbounded.
+# Largest relative half width of the 95 % interval of a determined value, by its quantity.
+_MAX_HALF_WIDTHS = dict.fromkeys(("modal", "alpha", "beta", "dashpots"), 0.03)
+_MAX_HALF_WIDTHS |= dict.fromkeys(("restitution", "duration", "stiffness", "damping"), 0.05)
+# The same for all other quantities.
+_MAX_HALF_WIDTH = 0.02
+# Largest unknown that is converted, below the overflow of exp at 709; intervals of undetermined values reach it.
 _MAX_UNKNOWN = 600.0
 
 
@@ -37,9 +42,9 @@ _MAX_UNKNOWN = 600.0
 class Parameter:
     """A positive value of a scene that can be fitted."""
 
-    key: str  # as `--set` names it: ``dampers[1].clearance``; lists count from 1
-    place: Place  # the key as steps; positions count from 0
-    start: float  # its value in the scene, in SI
+    key: str  # as in `--set`, such as ``dampers[1].clearance``; lists count from 1
+    place: Place  # the parts of the key; lists count from 0
+    start: float  # value in the scene, in SI
 
     @property
     def quantity(self) -> str:
@@ -52,9 +57,9 @@ class Parameter:
         return _UNITS.get(self.quantity, "")
 
     @property
-    def limit(self) -> float:
+    def max_half_width(self) -> float:
         """Largest relative half width of the 95 % interval of a determined value."""
-        return _LIMITS.get(self.quantity, _LIMIT)
+        return _MAX_HALF_WIDTHS.get(self.quantity, _MAX_HALF_WIDTH)
 
     @property
     def damper(self) -> int | None:
@@ -62,25 +67,25 @@ class Parameter:
         return int(self.place[1]) if self.place[0] == "dampers" else None
 
     @property
-    def below_one(self) -> bool:
+    def is_ratio_below_one(self) -> bool:
         """Whether the value is a ratio below 1."""
         return self.quantity in ("restitution", "modal")
 
     def slope(self, value: float) -> float:
         """Return the relative derivative of the value with respect to its unknown."""
-        return 1.0 - value if self.below_one else 1.0
+        return 1.0 - value if self.is_ratio_below_one else 1.0
 
     def unknown(self, value: float) -> float:
-        """Convert a value to its unknown: its logarithm, or the log odds of a ratio below 1."""
-        return float(np.log(value / (1.0 - value)) if self.below_one else np.log(value))
+        """Convert a value to its unknown."""
+        return float(np.log(value / (1.0 - value)) if self.is_ratio_below_one else np.log(value))
 
     def value(self, unknown: float) -> float:
         """Convert an unknown to its value."""
-        return float(expit(unknown) if self.below_one else np.exp(min(unknown, _MAX_UNKNOWN)))
+        return float(expit(unknown) if self.is_ratio_below_one else np.exp(min(unknown, _MAX_UNKNOWN)))
 
 
 def with_ratio_per_mode(scene: Scene) -> Scene:
-    """Return the scene with a damping ratio for each mode, also if it gives one for all modes."""
+    """Return the scene with one damping ratio for each mode; a common ratio is repeated."""
     damping = scene.structure.damping
     if isinstance(damping, ModalDamping) and not isinstance(damping.modal, tuple):
         ratios = (damping.modal,) * scene.structure.bodies
@@ -92,8 +97,8 @@ def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Par
     """List the free parameters.
 
     `scene`: from `with_ratio_per_mode`; `free`: keys, such as ``structure.masses`` for all masses or
-    ``dampers[1].clearance``; if omitted, `FREE`. Raises `SceneError` if a key names nothing that can be fitted; the
-    message lists the keys that can.
+    ``dampers[1].clearance``; if omitted, `FREE`. Raises `SceneError`, with the possible keys, if no value under a key
+    can be fitted.
 
     >>> import rig
     >>> [parameter.key for parameter in free_parameters(rig.load("fig9"), ["structure.masses[1]", "dampers"])]
@@ -112,10 +117,10 @@ def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Par
                 place = ("structure", "masses", names.index(str(change.steps[2])))
                 chosen[k] = change = replace(change, steps=place)
             if not any(change.covers(candidate.place) for candidate in candidates):
-                all_keys = (
+                fittable_keys = (
                     ".".join(step for step in candidate.place if isinstance(step, str)) for candidate in candidates
                 )
-                offered = ", ".join(dict.fromkeys(all_keys))
+                offered = ", ".join(dict.fromkeys(fittable_keys))
                 raise SceneError(
                     f"free: {change.key}: nothing in scene {scene.name!r} can be fitted under this key. Use one of "
                     f"{offered} ([1] and so on selects an item of a list; values of 0 or infinity cannot be fitted)."
@@ -130,26 +135,30 @@ def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Par
 
 
 def with_values(scene: Scene, values: Mapping[Place, float]) -> Scene:
-    """Insert valid values into a scene, at places counted from 0."""
-    parts: dict[str, dict[Place, float]] = {}
+    """Return a scene with other values at some places; the values must be valid."""
+    by_name: dict[str, dict[Place, float]] = {}
     for place, value in values.items():
-        parts.setdefault(str(place[0]), {})[place[1:]] = value
-    return scene.with_valid(**{name: _insert(getattr(scene, name), inside) for name, inside in parts.items()})
+        by_name.setdefault(str(place[0]), {})[place[1:]] = value
+    return scene.with_valid(**{name: _replace(getattr(scene, name), inner) for name, inner in by_name.items()})
 
 
-def _insert(node: Any, values: Mapping[Place, float]) -> Any:
+def _replace(setting: Any, values: Mapping[Place, float]) -> Any:
+    """Return a setting, such as a list of masses, with other values at places inside it."""
     if () in values:
         return values[()]
-    parts: dict[int | str, dict[Place, float]] = {}
+    by_name: dict[int | str, dict[Place, float]] = {}
     for place, value in values.items():
-        parts.setdefault(place[0], {})[place[1:]] = value
-    if isinstance(node, tuple):
-        return tuple(_insert(item, parts[k]) if k in parts else item for k, item in enumerate(node))
-    assert isinstance(node, Settings)
-    return node.with_valid(**{str(name): _insert(getattr(node, str(name)), inside) for name, inside in parts.items()})
+        by_name.setdefault(place[0], {})[place[1:]] = value
+    if isinstance(setting, tuple):
+        return tuple(_replace(item, by_name[k]) if k in by_name else item for k, item in enumerate(setting))
+    assert isinstance(setting, Settings)
+    return setting.with_valid(
+        **{str(name): _replace(getattr(setting, str(name)), inner) for name, inner in by_name.items()}
+    )
 
 
 def _candidates(scene: Scene) -> Iterator[Parameter]:
+    """Yield all parameters of a scene: its values that are positive and finite."""
     for place, value in _values(scene):
         if value is not None and 0.0 < value < np.inf:
             steps = [f"[{step + 1}]" if isinstance(step, int) else f".{step}" for step in place]
@@ -159,9 +168,9 @@ def _candidates(scene: Scene) -> Iterator[Parameter]:
 
 
 def _values(scene: Scene) -> Iterator[tuple[Place, float | None]]:
+    """Yield the values of masses, springs, damping, dampers and coil spring with their places."""
     structure, damping = scene.structure, scene.structure.damping
-    listed = {"masses": structure.masses, "springs": structure.springs}
-    for name, items in listed.items():
+    for name, items in {"masses": structure.masses, "springs": structure.springs}.items():
         yield from ((("structure", name, k), value) for k, value in enumerate(items or ()))
     damping_place = ("structure", "damping")
     if isinstance(damping, ModalDamping) and isinstance(damping.modal, tuple):

@@ -1,4 +1,4 @@
-"""Predicted response of a scene to the test of a recording, with all dampers at rest, in closed form."""
+"""Response that a scene predicts for the test of a recording with all dampers at rest, in closed form."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rig.system.open_loop_drive import riding_equations, riding_response
 
 
 def scene_of_test(model: Scene, curves: Curves) -> Scene:
-    """Give the model the shaker and test of a recording, and those of its dampers that were in the recording.
+    """Return the model with the shaker and test of a recording, and with those dampers that the recording has.
 
     Raises `SceneError` if the recording has bodies or dampers that the model lacks.
     """
@@ -38,70 +38,70 @@ def scene_of_test(model: Scene, curves: Curves) -> Scene:
             )
         remaining.remove(match)
         dampers.append(match[1].with_valid(locked=damper.locked))
-    # Both scenes are valid and have the same bodies, so this one is.
+    # Both scenes are valid and have the same bodies, so the result is valid.
     return model.with_valid(shaker=recorded.shaker, test=recorded.test, dampers=tuple(dampers), channels=None)
 
 
-def linear_response(bench: Scene, curves: Curves, frequency: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Return displacement / reference with all dampers at rest: of the bodies, and of the beds that could lift off.
+def linear_response(test_scene: Scene, curves: Curves, frequency: Array) -> tuple[ComplexArray, ComplexArray]:
+    """Return displacement / reference of the bodies and of the beds (the masses of dampers) that could lift off.
 
     A bed with finite-duration contact moves on the spring of its floor, so that it lifts off at another acceleration.
-
-    Returns `bodies`, shape (bodies, frequencies); `beds`, shape (beds, frequencies).
+    The shapes are (bodies, frequencies) and (beds, frequencies).
     """
-    system = assemble(bench)
-    states = riding_response(system, _drive(bench), 2.0 * np.pi * frequency)
+    system = assemble(test_scene)
+    states = riding_response(system, _drive(test_scene), 2.0 * np.pi * frequency)
     if curves.reference == "table":
-        states = states / states[system.points.index(bench.at_driven("table"))]
+        states = states / states[system.points.index(test_scene.at_driven("table"))]
     beds = states[system.damper_coordinate]
     beds[system.finite_contact] += states[system.bed[system.finite_contact]]
-    return states[: bench.structure.bodies], beds[system.clearance > 0.0]
+    return states[: test_scene.structure.bodies], beds[system.clearance > 0.0]
 
 
-def linear_slopes(
-    bench: Scene, curves: Curves, frequency: Array, changed: Sequence[tuple[Scene, Scene, float]]
+def linear_derivatives(
+    test_scene: Scene, curves: Curves, frequency: Array, changed: Sequence[tuple[Scene, Scene, float]]
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return the derivatives of the bodies' displacement with respect to values of the scene, and to the frequency.
+    """Return the derivatives of displacement / reference with respect to values of the scene, and to the frequency.
 
-    They follow from the derivatives of the matrices, in which masses and springs are linear. Differences of the
+    They follow from the derivatives of the matrices, which are linear in masses and springs. Differences of the
     response itself are too inaccurate near narrow resonances for combinations of values that hardly change it.
 
-    `changed`: for each value: the scene with a larger and with a smaller value, and their difference. Returns
-    `by_value`, shape (values, bodies, frequencies); `by_frequency`, shape (bodies, frequencies), per Hz.
+    `changed`: for each value, the scene with a larger and with a smaller value, and their difference. The shapes are
+    (values, bodies, frequencies) and (bodies, frequencies); the second is per Hz.
     """
-    system = assemble(bench)
-    inertia, matrix, _ = riding_equations(system, _drive(bench))
+    system = assemble(test_scene)
+    inertia, matrix, _ = riding_equations(system, _drive(test_scene))
     omega = 2.0 * np.pi * frequency
-    states = riding_response(system, _drive(bench), omega)
+    states = riding_response(system, _drive(test_scene), omega)
+    # Derivative of the equations (j omega inertia - matrix) states = inflow: by omega first, then by each value.
     right_sides = [-1j * (inertia @ states)]
-    for larger, smaller, distance in changed:
-        if bench.dampers:
-            by_inertia, by_matrix, by_inflow = _equation_slopes(larger, smaller, distance)
+    for larger, smaller, difference in changed:
+        if test_scene.dampers:
+            by_inertia, by_matrix, by_inflow = _equation_derivatives(larger, smaller, difference)
         else:
-            by_inertia, by_matrix, by_inflow = _matrix_slopes(larger, smaller, distance, system.states)
+            by_inertia, by_matrix, by_inflow = _matrix_derivatives(larger, smaller, difference, system.states)
         right_sides.append(by_matrix @ states + by_inflow[:, None] - 1j * omega * (by_inertia @ states))
-    dynamic = 1j * omega[:, None, None] * inertia - matrix
-    solution = np.linalg.solve(dynamic, np.array(right_sides).transpose(2, 1, 0)).transpose(2, 1, 0)
-    bodies = bench.structure.bodies
-    slopes = solution[:, :bodies]
+    dynamic_stiffness = 1j * omega[:, None, None] * inertia - matrix
+    solution = np.linalg.solve(dynamic_stiffness, np.array(right_sides).transpose(2, 1, 0)).transpose(2, 1, 0)
+    bodies = test_scene.structure.bodies
+    derivatives = solution[:, :bodies]
     if curves.reference == "table":
-        table = system.points.index(bench.at_driven("table"))
+        table = system.points.index(test_scene.at_driven("table"))
         ratio = states[:bodies] / states[table]
-        slopes = (slopes - ratio * solution[:, table, None]) / states[table]
-    return np.asarray(slopes[1:]), np.asarray(2.0 * np.pi * slopes[0])
+        derivatives = (derivatives - ratio * solution[:, table, None]) / states[table]
+    return np.asarray(derivatives[1:]), np.asarray(2.0 * np.pi * derivatives[0])
 
 
-def _equation_slopes(larger: Scene, smaller: Scene, distance: float) -> tuple[Array, Array, Array]:
-    """Differentiate the result of `riding_equations` with respect to a value."""
+def _equation_derivatives(larger: Scene, smaller: Scene, difference: float) -> tuple[Array, Array, Array]:
+    """Differentiate the result of `riding_equations` with respect to a value of the scene."""
     pairs = zip(*(riding_equations(assemble(scene), _drive(scene)) for scene in (larger, smaller)), strict=True)
-    by_inertia, by_matrix, by_inflow = ((high - low) / distance for high, low in pairs)
+    by_inertia, by_matrix, by_inflow = ((high - low) / difference for high, low in pairs)
     return by_inertia, by_matrix, by_inflow
 
 
-def _matrix_slopes(larger: Scene, smaller: Scene, distance: float, states: int) -> tuple[Array, Array, Array]:
-    """Do the same without dampers, in less time: only the matrices of the equations depend on fitted values."""
+def _matrix_derivatives(larger: Scene, smaller: Scene, difference: float, states: int) -> tuple[Array, Array, Array]:
+    """Return the same derivatives without dampers, faster: fitted values change only the structure's matrices."""
     pairs = zip(matrices_without_free_beds(larger), matrices_without_free_beds(smaller), strict=True)
-    by_mass, by_damping, by_stiffness = ((high - low) / distance for high, low in pairs)
+    by_mass, by_damping, by_stiffness = ((high - low) / difference for high, low in pairs)
     n = len(by_mass)
     by_inertia, by_matrix = np.zeros((2, states, states))
     by_inertia[n : 2 * n, n : 2 * n] = by_mass
@@ -109,6 +109,7 @@ def _matrix_slopes(larger: Scene, smaller: Scene, distance: float, states: int) 
     return by_inertia, by_matrix, np.zeros(states)
 
 
-def _drive(bench: Scene) -> str:
-    hammer = bench.test is not None and bench.test.kind == "impulse"
-    return "hammer" if hammer else bench.at_driven("shaker")
+def _drive(test_scene: Scene) -> str:
+    """Return the place that is driven: the hammer, or the shaker of the test."""
+    hammer = test_scene.test is not None and test_scene.test.kind == "impulse"
+    return "hammer" if hammer else test_scene.at_driven("shaker")

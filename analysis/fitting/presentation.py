@@ -31,7 +31,7 @@ def present_fit(
     the recordings; the figure is written nevertheless.
     """
     if output.suffix not in (".yaml", ".yml"):
-        raise SceneError(f"--output {output}: not the name of a scene file. Choose a name such as fitted.yaml.")
+        raise SceneError(f"--output {output}: not the name of a scene file. Give a name such as fitted.yaml.")
     with (
         allow_overwriting(overwrite),
         output_source("fit", scene.to_yaml(), *relative_paths(recordings, output.parent)),

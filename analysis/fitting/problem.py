@@ -1,4 +1,9 @@
-"""The least-squares problem of a fit: unknowns, their prior knowledge, weighted residuals and their derivatives."""
+"""The least-squares problem of a fit: unknowns, prior knowledge of them, weighted residuals and their derivatives.
+
+An *unknown* is the logarithm of a parameter, the relative deviation of a sensor's sensitivity, or that of the sample
+clock. A *group* contains the responses of one sweep or test. Where dampers move, a *periodic orbit* gives the response
+at each frequency; otherwise the response is linear.
+"""
 
 from __future__ import annotations
 
@@ -11,104 +16,117 @@ from numpy.typing import NDArray
 
 from analysis.fitting.measured import Curves, Sensor
 from analysis.fitting.parameters import Parameter, with_values
-from analysis.fitting.predicted import linear_response, linear_slopes, scene_of_test
+from analysis.fitting.predicted import linear_derivatives, linear_response, scene_of_test
 from rig.arrays import Array, ComplexArray
 from rig.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from analysis.fitting.steady_tones import SteadyTones, StoredOrbit
+    from analysis.fitting.sweep_orbits import StoredOrbit, SweepOrbits
 
 # Prior standard deviation of a value's logarithm: so wide that it matters only where the data determine nothing.
 PRIOR_SD = 1.0
 # Largest change of a value's logarithm from its initial value.
 _MAX_CHANGE = 6.0
-# Step for derivatives of orbits, whose values are accurate to about 1e-13.
-_STEP = 1e-6
-# Relative step for derivatives of the matrices, in which all values but modal damping are linear.
-_MATRIX_STEP = 1e-3
-# Residual assigned to a point where the model has no periodic solution, standard deviations.
+# Step of an unknown for finite differences of orbits, which are accurate to about 1e-13.
+_UNKNOWN_STEP = 1e-6
+# Relative step of a parameter for derivatives of the matrices, which are linear in all parameters but modal damping.
+_PARAMETER_STEP = 1e-3
+# Residual assigned to a point where the model has no periodic solution, in standard deviations.
 _FAILED_RESIDUAL = 30.0
-# A point with a larger residual is an outlier; in standard deviations, and in medians of the residuals.
+# Residual above which a point is an outlier, in standard deviations and in medians of the residuals.
 _OUTLIER_LIMIT = 6.0
 # Ratio of frequencies up to which points are neighbors.
-_NEIGHBORHOOD = 1.15
+_NEIGHBOR_FREQUENCY_RATIO = 1.15
 
 
-# State of a group: the fitted points, the orbit at each point, and the previous orbits.
-Motions = tuple[NDArray[np.bool_], "list[StoredOrbit | None]", "list[StoredOrbit | None]"]
+# State of a group: the fitted points, the current orbit at each point, and the earlier orbits.
+OrbitState = tuple[NDArray[np.bool_], "list[StoredOrbit | None]", "list[StoredOrbit | None]"]
 
 
-def _steady_tones(measured: Curves) -> SteadyTones:
-    # Loaded where dampers move: the equations of orbits take a tenth of the time of a fit without dampers.
-    from analysis.fitting.steady_tones import SteadyTones
+def _sweep_orbits(curves: Curves) -> SweepOrbits:
+    # Imported only where dampers move: this import takes a tenth of the time of a fit without dampers.
+    from analysis.fitting.sweep_orbits import SweepOrbits
 
-    return SteadyTones(measured)
+    return SweepOrbits(curves)
 
 
 @dataclass
 class Group:
-    """Curves with the motion at each of their points."""
+    """Responses of one sweep or test, and the orbits that the model has at their frequencies."""
 
     curves: Curves
-    tones: SteadyTones | None
+    orbits: SweepOrbits | None
     """Orbits where dampers move; None if the rig is linear."""
     used: NDArray[np.bool_]
     """Points that are fitted, shape (n,)."""
     local_peak: Array
-    """Largest whitened value near each point, shape (n, responses)."""
+    """Largest value near each point, in standard deviations, shape (n, responses)."""
     cached: tuple[tuple[float, ...], bool, ComplexArray] | None = field(default=None, repr=False)
+    """Last predicted displacement / reference, with the unknowns it depends on and whether orbits were searched."""
 
-    def motions(self) -> Motions:
-        """Return the state of the motions, for `restore`."""
-        assert self.tones is not None
-        return self.used.copy(), list(self.tones.orbits), list(self.tones.previous)
+    def orbit_state(self) -> OrbitState:
+        """Return the orbits and the fitted points, for `restore`."""
+        assert self.orbits is not None
+        return self.used.copy(), list(self.orbits.current), list(self.orbits.earlier)
 
-    def restore(self, motions: Motions) -> None:
-        """Restore a state of the motions."""
-        assert self.tones is not None
-        used, orbits, previous = motions
+    def restore(self, state: OrbitState) -> None:
+        """Restore orbits and fitted points from `orbit_state`."""
+        assert self.orbits is not None
+        used, current, earlier = state
         self.used, self.cached = used.copy(), None
-        self.tones.orbits, self.tones.previous = list(orbits), list(previous)
-        self.tones.failed.clear()
+        self.orbits.current, self.orbits.earlier = list(current), list(earlier)
+        self.orbits.failed.clear()
 
-    def choose_motions(self, problem: Problem, x: Array, scene: Scene) -> bool:
-        """Replace the orbit at outliers by one that fits better, and exclude points that remain outliers.
+    def replace_outlier_orbits(self, problem: Problem, x: Array, scene: Scene) -> bool:
+        """Replace the orbit at each outlier by one that fits better, and exclude points that remain outliers.
 
-        Returns whether anything changed.
+        `x`: unknowns; `scene`: the model with their values. Returns whether an orbit or a fitted point changed.
         """
-        assert self.tones is not None
-        self.tones.failed.clear()
-        curves, used_before = self.curves, self.used.copy()
+        assert self.orbits is not None
+        self.orbits.failed.clear()
+        curves, previously_used = self.curves, self.used.copy()
         predicted = problem.predicted(x, self, scene)
-        bench = scene_of_test(scene, curves)
+        test_scene = scene_of_test(scene, curves)
         level, frequency = problem.operating_points(x, curves)
-        channel_gains, gain = problem.gains(x, curves)
+        channel_gains, reference_gain = problem.gains(x, curves)
 
-        def residual(k: int, value: ComplexArray) -> float:
+        def largest_residual(k: int, value: ComplexArray) -> float:
             whitened = abs(curves.whiten[k] @ (value - curves.value[:, k]))
             return float(np.nan_to_num(whitened, nan=np.inf).max())
 
-        residuals = np.array([residual(k, predicted[:, k]) for k in range(frequency.size)])
+        residuals = np.array([largest_residual(k, predicted[:, k]) for k in range(frequency.size)])
         limit = _OUTLIER_LIMIT * max(1.0, float(np.median(residuals)))
         changed = False
         for k in np.flatnonzero(residuals > limit).tolist():
-            for orbit, bodies in self.tones.alternatives(bench, level, frequency, k):
-                smaller = residual(k, channel_gains / gain * bodies[list(curves.bodies)])
-                if smaller < 0.5 * residuals[k]:
-                    self.tones.orbits[k], residuals[k], changed = orbit, smaller, True
+            for orbit, ratio in self.orbits.alternatives(test_scene, level, frequency, k):
+                residual = largest_residual(k, channel_gains / reference_gain * ratio[list(curves.bodies)])
+                if residual < 0.5 * residuals[k]:
+                    self.orbits.current[k], residuals[k], changed = orbit, residual, True
                 if residuals[k] <= limit:
                     break
         self.used, self.cached = residuals <= limit, None
-        return changed or bool(np.any(self.used != used_before))
+        return changed or bool(np.any(self.used != previously_used))
 
 
 class Problem:
-    """Unknowns of a scene, and its residuals against the measured curves.
+    """Unknowns of a scene, and its residuals relative to the measured curves.
 
-    `model`: with one damping value for each mode; `parameters`: its free values; `curves`: measured responses;
-    `sensors`: sensors with a tolerance of sensitivity; their deviations are unknowns after the parameters; `clocks`:
-    largest deviation of the sample clock; if it is not zero, its deviation is the last unknown; `start`, `prior_sd`,
-    shape (unknowns,): prior mean and standard deviation. Values are represented by their logarithm.
+    The unknowns, shape (unknowns,), are those of the parameters, then the sensors, then the clock.
+
+    Attributes
+    ----------
+    model : Scene
+        The scene to fit, with one damping ratio for each mode.
+    parameters : list of Parameter
+        Its free values.
+    groups : list of Group
+        Measured curves of each sweep or test.
+    sensors : list of Sensor
+        Sensors with a tolerance of their sensitivity.
+    clock : float
+        Largest relative deviation of the sample clock; 0 if it is no unknown.
+    start, prior_sd : ndarray, shape (unknowns,)
+        Prior mean, which is the initial value, and prior standard deviation.
     """
 
     def __init__(self, model: Scene, parameters: Sequence[Parameter], curves: Sequence[Curves]) -> None:
@@ -116,7 +134,7 @@ class Problem:
         self.groups = [
             Group(
                 measured,
-                _steady_tones(measured) if measured.moving else None,
+                _sweep_orbits(measured) if measured.moving else None,
                 np.ones(measured.frequency.size, bool),
                 _local_peaks(measured),
             )
@@ -157,52 +175,61 @@ class Problem:
         return channel_gains, 1.0 + self.deviation(x, curves.reference_sensor)
 
     def operating_points(self, x: Array, curves: Curves) -> tuple[Array, Array]:
-        """Return the true level of the reference (NaN without tones) and the true frequency in Hz, shape (n,)."""
+        """Return the true amplitude of the reference and the true frequency in Hz, each of shape (n,).
+
+        The amplitude is in N for a force and in m for a table; it is NaN for tests other than steady tones.
+        """
         clock = 1.0 + (float(x[-1]) if self.clock > 0.0 else 0.0)
         level = np.nan if curves.level is None else curves.level
         return np.asarray(level / self.gains(x, curves)[1]), curves.frequency * clock
 
     def clearance_limit(self, x: Array, parameter: Parameter) -> float:
-        """Return the largest gap of a damper, m, a lower limit of its clearance; 0 with ceiling impacts."""
+        """Return the largest gap of a damper, m, which is a lower limit of its clearance; 0 with ceiling impacts."""
         scene, limit = self.scene(x), 0.0
         assert parameter.damper is not None
         body = self.model.dampers[parameter.damper].body
         for group in self.groups:
-            if group.tones is None:
+            if group.orbits is None:
                 continue
-            bench = scene_of_test(scene, group.curves)
-            for number, damper in enumerate(bench.dampers):
+            test_scene = scene_of_test(scene, group.curves)
+            for number, damper in enumerate(test_scene.dampers):
                 if damper.body == body and damper.moves:
                     points = self.operating_points(x, group.curves)
-                    limit = max(limit, group.tones.largest_gap(bench, *points, number))
+                    limit = max(limit, group.orbits.largest_gap(test_scene, *points, number))
         return limit if np.isfinite(limit) else 0.0
 
     def predicted(self, x: Array, group: Group, scene: Scene, search: bool = True) -> ComplexArray:
-        """Return the predicted readings, shape (responses, n); NaN where there is no steady motion."""
-        channel_gains, gain = self.gains(x, group.curves)
-        return (
-            channel_gains[:, None] / gain * self._displacement_ratio(x, group, scene, search)[list(group.curves.bodies)]
-        )
+        """Return displacement / reference as the sensors read it, shape (responses, n).
+
+        It is NaN where no steady motion exists. `search`: as in `SweepOrbits.response`.
+        """
+        channel_gains, reference_gain = self.gains(x, group.curves)
+        ratio = self._displacement_ratio(x, group, scene, search)[list(group.curves.bodies)]
+        return channel_gains[:, None] / reference_gain * ratio
 
     def _displacement_ratio(self, x: Array, group: Group, scene: Scene, search: bool = True) -> ComplexArray:
         """Return displacement of the bodies / reference, shape (bodies, n)."""
         curves = group.curves
         level, frequency = self.operating_points(x, curves)
-        gain = 0.0 if group.tones is None else self.gains(x, curves)[1]
-        key = (*x[: len(self.parameters)].tolist(), float(x[-1]) if self.clock > 0.0 else 0.0, gain)
+        # The gain of the reference changes the true level, on which only orbits depend.
+        reference_gain = 0.0 if group.orbits is None else self.gains(x, curves)[1]
+        key = (*x[: len(self.parameters)].tolist(), float(x[-1]) if self.clock > 0.0 else 0.0, reference_gain)
         if group.cached is None or group.cached[0] != key or (search and not group.cached[1]):
-            bench = scene_of_test(scene, curves)
-            if group.tones is None:
-                bodies = linear_response(bench, curves, frequency)[0]
+            test_scene = scene_of_test(scene, curves)
+            if group.orbits is None:
+                ratio = linear_response(test_scene, curves, frequency)[0]
             else:
-                bodies = group.tones.response(bench, level, frequency, search)
-            group.cached = (key, search, bodies)
+                ratio = group.orbits.response(test_scene, level, frequency, search)
+            group.cached = (key, search, ratio)
         return group.cached[2]
 
     def normalized_residuals(
         self, x: Array, group: Group, scene: Scene, model_error: float = 0.0, search: bool = True
     ) -> ComplexArray:
-        """Return the residuals of a group's used points in standard deviations; shape (used, responses)."""
+        """Return the residuals of a group's used points in standard deviations; shape (used, responses).
+
+        `model_error`, relative to the local peak, is added to the standard deviations.
+        """
         curves, used = group.curves, group.used
         residual = self.predicted(x, group, scene, search)[:, used] - curves.value[:, used]
         whitened = np.einsum("nij,jn->ni", curves.whiten[used], residual)
@@ -210,7 +237,10 @@ class Problem:
         return np.where(np.isfinite(whitened), whitened, _FAILED_RESIDUAL * (1 + 1j))
 
     def residual(self, x: Array, groups: Sequence[Group], model_error: float = 0.0, search: bool = True) -> Array:
-        """Return residuals of groups (real and imaginary parts), then deviations of the unknowns from their priors."""
+        """Return the residuals of groups, then of the priors, in standard deviations, shape (residuals,).
+
+        The order is: real parts, imaginary parts, deviations of the unknowns from their priors.
+        """
         scene = self.scene(x)
         parts = [self.normalized_residuals(x, group, scene, model_error, search) for group in groups]
         flat = np.concatenate([part.ravel() for part in parts]) if parts else np.zeros(0, dtype=complex)
@@ -221,14 +251,14 @@ class Problem:
     ) -> Array:
         """Differentiate `residual` with respect to active unknowns, shape (residuals, active).
 
-        It is exact where the rig is linear. Orbits are refined from those at x, with the same events.
+        Derivatives are in closed form where the rig is linear, and finite differences of refined orbits elsewhere.
         """
         indices = list(range(self.size)) if active is None else list(active)
         scene = self.scene(x)
-        moving = [group for group in groups if group.tones is not None]
-        following = iter(self._differences(x, moving, scene, model_error, indices))
+        moving = [group for group in groups if group.orbits is not None]
+        differences = iter(self._finite_differences(x, moving, scene, model_error, indices))
         parts = [
-            self._linear_slopes(x, group, scene, model_error, indices) if group.tones is None else next(following)
+            next(differences) if group.orbits else self._linear_derivatives(x, group, scene, model_error, indices)
             for group in groups
         ]
         flat = np.concatenate([np.zeros((0, len(indices))), *(part.reshape(-1, len(indices)) for part in parts)])
@@ -236,28 +266,27 @@ class Problem:
         prior[indices, range(len(indices))] = 1.0 / self.prior_sd[indices]
         return np.concatenate([flat.real, flat.imag, prior])
 
-    def _differences(
+    def _finite_differences(
         self, x: Array, groups: Sequence[Group], scene: Scene, model_error: float, indices: Sequence[int]
     ) -> list[ComplexArray]:
-        """Differentiate the residuals of each group by finite differences; shape (used, responses, chosen)."""
+        """Differentiate the residuals of each group by finite differences; shape (used, responses, indices)."""
         if not groups:
             return []
-        base = [self.normalized_residuals(x, group, scene, model_error, search=False) for group in groups]
+        initial = [self.normalized_residuals(x, group, scene, model_error, search=False) for group in groups]
         columns: list[list[ComplexArray]] = [[] for _ in groups]
         for k in indices:
             shifted = x.copy()
-            # A poorly determined unknown may lie where its value is already clipped.
-            shifted[k] += _STEP * max(1.0, abs(x[k]))
-            changed = self.scene(shifted)
-            for group, unchanged, column in zip(groups, base, columns, strict=True):
-                difference = self.normalized_residuals(shifted, group, changed, model_error, search=False) - unchanged
-                column.append(difference / (shifted[k] - x[k]))
+            shifted[k] += _UNKNOWN_STEP * max(1.0, abs(x[k]))
+            shifted_scene = self.scene(shifted)
+            for group, residual, column in zip(groups, initial, columns, strict=True):
+                shifted_residual = self.normalized_residuals(shifted, group, shifted_scene, model_error, search=False)
+                column.append((shifted_residual - residual) / (shifted[k] - x[k]))
         return [np.stack(column, axis=-1) for column in columns]
 
-    def _linear_slopes(
+    def _linear_derivatives(
         self, x: Array, group: Group, scene: Scene, model_error: float, indices: Sequence[int]
     ) -> ComplexArray:
-        """Differentiate the residuals of a group in which no damper moves; shape (used, responses, chosen)."""
+        """Differentiate the residuals of a group in which no damper moves; shape (used, responses, indices)."""
         curves, used, count = group.curves, group.used, len(self.parameters)
         # Of dampers at rest on their floors, only the masses have an effect.
         effective = [
@@ -266,46 +295,48 @@ class Problem:
             if k < count
             and (self.parameters[k].damper is None or self.parameters[k].quantity in ("mass", "mass_ratio"))
         ]
-        benches = [self._neighbors(x, k, scene, curves) for k in effective]
+        perturbed = [self._perturbed_scenes(x, k, scene, curves) for k in effective]
         frequency = self.operating_points(x, curves)[1]
-        by_value, by_frequency = linear_slopes(scene_of_test(scene, curves), curves, frequency, benches)
-        values, (channel_gains, gain) = self.values(x), self.gains(x, curves)
-        bodies, rows = self._displacement_ratio(x, group, scene), list(curves.bodies)
-        slopes = np.zeros((len(indices), *curves.value.shape), dtype=complex)
+        by_value, by_frequency = linear_derivatives(scene_of_test(scene, curves), curves, frequency, perturbed)
+        values, (channel_gains, reference_gain) = self.values(x), self.gains(x, curves)
+        channel_gains, bodies = channel_gains[:, None], list(curves.bodies)
+        ratio = self._displacement_ratio(x, group, scene)[bodies]
+        derivatives = np.zeros((len(indices), *curves.value.shape), dtype=complex)
         for column, k in enumerate(indices):
             if k in effective:
-                by_unknown = values[k] * self.parameters[k].slope(float(values[k]))
-                slopes[column] = channel_gains[:, None] / gain * by_value[effective.index(k)][rows] * by_unknown
+                value_by_unknown = values[k] * self.parameters[k].slope(float(values[k]))
+                by_parameter = by_value[effective.index(k)][bodies]
+                derivatives[column] = channel_gains / reference_gain * by_parameter * value_by_unknown
             elif count <= k < count + len(self.sensors):
                 sensor = self.sensors[k - count]
-                by_response_gain = np.array([float(channel_sensor == sensor) for channel_sensor in curves.sensors])[
-                    :, None
-                ]
-                by_gain = float(curves.reference_sensor == sensor)
-                slopes[column] = (by_response_gain - by_gain * channel_gains[:, None] / gain) / gain * bodies[rows]
+                measures_response = np.array([[float(other == sensor)] for other in curves.sensors])
+                measures_reference = float(curves.reference_sensor == sensor)
+                by_sensor = (measures_response - measures_reference * channel_gains / reference_gain) / reference_gain
+                derivatives[column] = by_sensor * ratio
             elif k >= count:
-                slopes[column] = channel_gains[:, None] / gain * by_frequency[rows] * curves.frequency
-        whitened = np.einsum("nij,cjn->nic", curves.whiten[used], slopes[:, :, used])
+                derivatives[column] = channel_gains / reference_gain * by_frequency[bodies] * curves.frequency
+        whitened = np.einsum("nij,cjn->nic", curves.whiten[used], derivatives[:, :, used])
         return whitened / np.sqrt(1.0 + (model_error * group.local_peak[used]) ** 2)[..., None]
 
-    def _neighbors(self, x: Array, k: int, scene: Scene, curves: Curves) -> tuple[Scene, Scene, float]:
-        """Return benches with a slightly larger and a slightly smaller value, and the difference of the values.
+    def _perturbed_scenes(self, x: Array, k: int, scene: Scene, curves: Curves) -> tuple[Scene, Scene, float]:
+        """Return the scene of a test with parameter k slightly larger and smaller, and the difference of its values.
 
-        `scene` has the values of the unknowns x.
+        `scene`: the model with the values of the unknowns x.
         """
         value, place = float(self.values(x)[k]), self.parameters[k].place
         larger, smaller = (
             scene_of_test(with_values(scene, {place: value * factor}), curves)
-            for factor in (1.0 + _MATRIX_STEP, 1.0 - _MATRIX_STEP)
+            for factor in (1.0 + _PARAMETER_STEP, 1.0 - _PARAMETER_STEP)
         )
-        return larger, smaller, 2.0 * _MATRIX_STEP * value
+        return larger, smaller, 2.0 * _PARAMETER_STEP * value
 
 
 def _local_peaks(curves: Curves) -> Array:
     """Return the largest value near each point in standard deviations, shape (n, responses)."""
     order = np.argsort(curves.frequency, kind="stable")
-    f, size = curves.frequency[order], abs(curves.value[:, order])
-    low, high = np.searchsorted(f, f / _NEIGHBORHOOD), np.searchsorted(f, f * _NEIGHBORHOOD, side="right")
-    largest = np.empty(size.T.shape)
-    largest[order] = np.stack([size[:, a:b].max(axis=1) for a, b in zip(low, high, strict=True)])
+    frequency, magnitude = curves.frequency[order], abs(curves.value[:, order])
+    first = np.searchsorted(frequency, frequency / _NEIGHBOR_FREQUENCY_RATIO)
+    stop = np.searchsorted(frequency, frequency * _NEIGHBOR_FREQUENCY_RATIO, side="right")
+    largest = np.empty(magnitude.T.shape)
+    largest[order] = np.stack([magnitude[:, a:b].max(axis=1) for a, b in zip(first, stop, strict=True)])
     return largest * abs(np.einsum("nii->ni", curves.whiten))

@@ -1,4 +1,7 @@
-"""Initial values of a fit: the model with these values has the modes identified from the linear recordings."""
+"""Initial values of a fit, with which the model has the modes that are identified from the linear recordings.
+
+A test band may contain only some of the model's modes, so the identified modes are assigned to model modes first.
+"""
 
 from __future__ import annotations
 
@@ -20,30 +23,29 @@ from rig.results.response import Response
 from rig.scene.scene import Scene
 from rig.system.structural_model import driven_bodies, structural_model
 
-# Standard deviations assumed for the identified modes: of frequency and damping, relative, and of a shape, relative to
-# its largest component.
+# Assumed relative standard deviations of identified frequencies and damping ratios.
 _FREQUENCY_SD = 3e-4
 _DAMPING_SD = 0.05
+# Assumed standard deviation of an identified mode shape, relative to its largest component.
 _SHAPE_SD = 0.05
 # Largest number of assignments of identified modes to model modes that are ranked.
 _MAX_RANKED = 2000
 # Largest number of these assignments that are fitted.
 _MAX_FITTED = 4
-# Relative model error that is assumed when assignments are compared.
+# Model error, relative to the local peak, that is assumed when assignments are compared.
 _MODEL_ERROR = 0.1
-# Larger residuals are clipped in this comparison, standard deviations.
+# Limit of the residuals in this comparison, standard deviations.
 _MAX_RESIDUAL = 30.0
-# Distance between an identified mode and a model mode: logarithm of the frequency ratio that counts as 1.
+# Difference of logarithmic frequencies that counts as a distance of 1 between an identified mode and a model mode.
 _LOG_FREQUENCY_SCALE = 0.1
-# Weight of 1 - MAC in this distance.
+# Weight of 1 - MAC in the squared distance.
 _MAC_WEIGHT = 4.0
 
 
 def initial_unknowns(problem: Problem, groups: Sequence[Group]) -> Array:
     """Return unknowns with which the model has the identified modes, or those of the scene if no mode is identified.
 
-    If the band of the test contains only some of the modes, the assignment with the smallest residual is used. The
-    k-th fit uses the k-th most likely assignment of every group.
+    The k-th fit uses the k-th most likely assignment of every group; the fit with the smallest residual is returned.
     """
     identified = [(group, _identify(group.curves.frfs, group.curves.scene.structure.bodies)) for group in groups]
     modal_groups = [(group, modes) for group, modes in identified if modes is not None]
@@ -65,7 +67,7 @@ def initial_unknowns(problem: Problem, groups: Sequence[Group]) -> Array:
 
 @lru_cache(maxsize=16)
 def _identify(frfs: tuple[Response, ...], bodies: int) -> Modes | None:
-    """Identify the modes of curves; cached, because every trial of `diagnosis` identifies the same curves."""
+    """Identify the modes of curves, or return None; cached, because most trials of `diagnosis` use the same curves."""
     try:
         return identify(frfs, bodies)
     except (RecordingError, SceneError, np.linalg.LinAlgError):
@@ -88,13 +90,13 @@ def _fit_modes(
         parts = [(values - problem.start[active]) / problem.prior_sd[active]]
         for (group, modes), assignment in zip(modal_groups, assignments, strict=True):
             frequency, damping, constants = _model_modes(scene, group)
-            numbers = list(assignment)
-            measured = (modes.residue * (-2.0 * 2.0 * np.pi * modes.frequency)).imag
-            scale = abs(measured).max(axis=0)
+            assigned = list(assignment)
+            measured_constants = (modes.residue * (-2.0 * 2.0 * np.pi * modes.frequency)).imag
+            largest = abs(measured_constants).max(axis=0)
             parts += [
-                np.log(frequency[numbers] / modes.frequency) / _FREQUENCY_SD,
-                np.log(np.maximum(damping[numbers], 1e-9) / modes.damping) / _DAMPING_SD,
-                ((constants[:, numbers] - measured) / scale / _SHAPE_SD).ravel(),
+                np.log(frequency[assigned] / modes.frequency) / _FREQUENCY_SD,
+                np.log(np.maximum(damping[assigned], 1e-9) / modes.damping) / _DAMPING_SD,
+                ((constants[:, assigned] - measured_constants) / largest / _SHAPE_SD).ravel(),
             ]
         return np.concatenate(parts)
 
@@ -105,19 +107,19 @@ def _fit_modes(
 
 
 def _model_modes(scene: Scene, group: Group) -> tuple[Array, Array, Array]:
-    """Return frequency in Hz, damping ratio, and modal constants (Ewins), shape (responses, modes).
+    """Return frequencies in Hz, damping ratios, and modal constants (Ewins), shape (responses, modes).
 
     A modal constant is -2 omega times the imaginary part of the residue.
     """
-    bench = scene_of_test(scene, group.curves)
-    spring = getattr(bench.driven_shaker, "spring", None)
-    model = structural_model(bench).with_bed_masses()
+    test_scene = scene_of_test(scene, group.curves)
+    spring = getattr(test_scene.driven_shaker, "spring", None)
+    model = structural_model(test_scene).with_bed_masses()
     if spring is not None:
-        model = model.with_ground_springs(driven_bodies(bench), spring)
+        model = model.with_ground_springs(driven_bodies(test_scene), spring)
     modes = model.modes
     shapes = modes.shapes / np.sqrt(modes.mass)
-    hammer = bench.test is not None and bench.test.kind == "impulse"
-    driven = [bench.test.body - 1] if hammer else driven_bodies(bench)  # type: ignore[union-attr]
+    has_hammer = test_scene.test is not None and test_scene.test.kind == "impulse"
+    driven = [test_scene.test.body - 1] if has_hammer else driven_bodies(test_scene)  # type: ignore[union-attr]
     force = spring if group.curves.reference == "table" and spring is not None else 1.0
     constants = shapes[list(group.curves.bodies)] * shapes[driven].sum(axis=0) * force
     return np.maximum(modes.frequency, 1e-6), modes.damping_ratio, constants

@@ -14,7 +14,7 @@ import daq
 import rig
 from analysis.fitting.estimate import Estimate
 from analysis.fitting.figure import fit_figure
-from analysis.fitting.fit import Compared, Fit, Fitted, _misfit
+from analysis.fitting.fit import Comparison, Fit, Fitted, _misfit
 from analysis.fitting.identifiability import LevelDamping
 from analysis.fitting.measured import measured
 from analysis.fitting.parameters import free_parameters, with_ratio_per_mode, with_values
@@ -117,7 +117,7 @@ def test_g_read_as_si_unit_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        ({"gain": -1.0}, "The sign of body2 is reversed: corrected, the rest fits"),
+        ({"gain": -1.0}, "The sign of body2 is reversed. With this correction the scene fits"),
         ({"delay": 4e-3}, "body2 contradicts the other channels"),
     ],
 )
@@ -201,7 +201,7 @@ def test_irregular_omitted_points_are_no_misfit(irregular, regular, is_misfit):
         [curves] = measured(recording, "demo")
     predicted, used = np.ones((3, 20), dtype=complex), np.ones(20, dtype=bool)
     predicted[:, :irregular], used[: irregular + regular] = np.nan, False
-    compared = Compared(curves, predicted, used, np.zeros((3, 20)), 0.0)
+    compared = Comparison(curves, predicted, used, np.zeros((3, 20)), 0.0)
     misfit = _misfit(Estimate(np.zeros(1), np.eye(1), 1.0), [compared])
     assert misfit == (
         f"demo: the scene does not reproduce the measured motion at {irregular + regular} of 20 points."
@@ -216,7 +216,7 @@ def test_omitted_points_are_drawn_as_crosses():
     with daq.open(DEMO) as recording:
         [demo] = measured(recording, "demo")
     curves = replace(demo, frequency=np.arange(10.0, 14.0), value=value, sensors=demo.sensors[:1])
-    result = SimpleNamespace(compared=[Compared(curves, value, used, np.ones((1, 4)), 1.0)])
+    result = SimpleNamespace(compared=[Comparison(curves, value, used, np.ones((1, 4)), 1.0)])
     axes = fit_figure(result).axes  # type: ignore[arg-type]
     assert axes[1].get_title(loc="left") == "Residual 100 % of the curve, rms, 1 point left out"
     for ax in axes:

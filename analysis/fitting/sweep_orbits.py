@@ -1,4 +1,10 @@
-"""Steady response of a scene with moving dampers to sinusoidal excitation, from exact periodic orbits."""
+"""Steady response of a scene with moving dampers to sinusoidal excitation, from exact periodic orbits.
+
+A *periodic orbit* is a motion with impacts that repeats with the period of the excitation. The *reference* of the
+response is the force or the displacement of the shaker's table; its *level* is its amplitude, in N or m. A fit needs
+the orbit for a given level. For an electrodynamic shaker, the level that a *drive* voltage gives depends on the
+dampers, so the drive is computed by the secant method.
+"""
 
 from __future__ import annotations
 
@@ -24,51 +30,48 @@ from rig.scene.structure import Structure
 from rig.system.open_loop_drive import riding_response
 from rig.system.structural_model import driven_bodies, structural_model
 
-# Newton corrections from the orbit of a nearby setting.
+# Largest number of Newton corrections from the orbit at a nearby frequency and drive.
 _MAX_CORRECTIONS = 8
-# Periods of simulation to search an orbit.
+# Largest number of simulated periods in which the motion must become periodic.
 _MAX_PERIODS = 1500
-# Steps of the continuation from the setting of a neighboring point, and corrections of the level in each step.
+# Steps of the continuation from a neighboring point, and corrections of the level in each step.
 _CONTINUATION_STEPS = 8
 _LEVEL_CORRECTIONS = 2
-# Secant steps to the drive that gives the level, and the smallest relative step.
+# Largest number of secant steps to the drive that gives the level, and the smallest relative step.
 _MAX_SECANT_STEPS = 8
 _MIN_RELATIVE_STEP = 1e-6
-# Relative deviation from the level at which the secant steps end; the rest is interpolated.
+# Relative error of the level at which the secant steps end; the remaining error is corrected linearly.
 _LEVEL_TOLERANCE = 1e-5
-# Drives at which an orbit is searched, each closer to the level.
+# Largest number of drives at which an orbit is searched; each gives a level closer to the required one.
 _MAX_SEARCHES = 5
 
 
 @dataclass(frozen=True)
 class StoredOrbit:
-    """An orbit: its events, the unknowns of its equations, and the amplitude of its drive.
+    """An orbit, as initial values for the orbit at a nearby frequency and drive."""
 
-    `slope`: derivative of displacement / reference with respect to the level of the reference, shape (bodies,); None
-    if the drive is the reference.
-    """
-
-    plan: Plan
-    unknowns: Array
-    drive: float
+    plan: Plan  # sequence of its impacts and separations
+    unknowns: Array  # solution of its equations
+    drive: float  # amplitude of the force in N or, for an electrodynamic shaker, of the voltage in V
+    # derivative of displacement / reference with respect to the level, shape (bodies,); None if the force is prescribed
     slope: ComplexArray | None = None
 
 
-# An orbit, and displacement / reference on it, shape (bodies,).
+# An orbit, and its displacement / reference, shape (bodies,).
 OrbitResponse = tuple[StoredOrbit, ComplexArray]
 
 
-class SteadyTones:
-    """Orbits at the points of a sweep of steady tones; each is refined from the orbit stored at its point.
+class SweepOrbits:
+    """Orbits at the points of a stepped-sine sweep; each is refined from the orbit stored at its point.
 
-    In these orbits dampers move; where all of them are *riding* (at rest on their floors), the rig is linear.
+    Where all dampers are *riding* (at rest on their floors), the rig is linear and no orbit is needed.
 
     Attributes
     ----------
-    orbits : list of StoredOrbit or None
-        Orbit at each point; None if all dampers are at rest on their floors, or if the motion is irregular.
-    previous : list of StoredOrbit or None
-        Last orbit at each point, from which a later trial may start again.
+    current : list of StoredOrbit or None
+        Orbit at each point; None if all dampers are riding, or if the motion is irregular.
+    earlier : list of StoredOrbit or None
+        The orbit before the current one at each point, from which a later trial may start again.
     failed : set of int
         Points without an orbit; they are not searched again until this set is cleared.
     uncovered : dict of int to str
@@ -81,44 +84,44 @@ class SteadyTones:
                 f"{curves.label}: several shakers drive a scene with dampers. Fit recordings of a single shaker."
             )
         self.curves = curves
-        self.orbits: list[StoredOrbit | None] = [None] * curves.frequency.size
-        self.previous = list(self.orbits)
+        self.current: list[StoredOrbit | None] = [None] * curves.frequency.size
+        self.earlier = list(self.current)
         self.failed: set[int] = set()
         self.uncovered: dict[int, str] = {}
 
-    def response(self, bench: Scene, level: Array, frequency: Array, search: bool = True) -> ComplexArray:
+    def response(self, test_scene: Scene, level: Array, frequency: Array, search: bool = True) -> ComplexArray:
         """Return displacement of the bodies / reference, shape (bodies, n); NaN where the motion is irregular.
 
-        `bench`: from `scene_of_test`; `level`, shape (n,): true amplitude of the reference; `frequency`, shape (n,):
-        Hz; `search`: whether orbits are checked and searched; otherwise the stored ones are refined as they are, for
-        derivatives.
+        `test_scene`: from `scene_of_test`; `level`, shape (n,): true amplitude of the reference; `frequency`, shape
+        (n,): Hz. If `search`, orbits are checked and, where they fail, searched. Otherwise, for derivatives, the stored
+        orbits are refined without checks.
         """
-        response, beds = linear_response(bench, self.curves, frequency)
+        response, beds = linear_response(test_scene, self.curves, frequency)
         # A damper lifts off where the acceleration amplitude of its bed exceeds gravity.
         acceleration = (2.0 * np.pi * frequency) ** 2 * level * abs(beds).max(axis=0, initial=0.0)
-        stored = np.array([orbit is not None for orbit in self.orbits])
-        solver = _OrbitSolver(bench)
-        for k in np.flatnonzero(acceleration > bench.gravity if search else stored).tolist():
-            orbit = self.orbits[k]
+        stored = np.array([orbit is not None for orbit in self.current])
+        solver = _OrbitSolver(test_scene)
+        for k in np.flatnonzero(acceleration > test_scene.gravity if search else stored).tolist():
+            orbit = self.current[k]
             if not search:
                 assert orbit is not None
                 refined = solver.refine_unchecked(orbit, frequency[k], level[k])
             else:
                 refined = None if orbit is None else solver.refine(orbit, frequency[k], level[k])
                 refined = refined or self._recover(solver, frequency, level, k)
-                self.previous[k] = orbit or self.previous[k]
-                self.orbits[k] = None if refined is None else refined[0]
+                self.earlier[k] = orbit or self.earlier[k]
+                self.current[k] = None if refined is None else refined[0]
             response[:, k] = np.nan if refined is None else refined[1]
         if search:
-            for k in np.flatnonzero(acceleration <= bench.gravity).tolist():
-                self.orbits[k] = None
+            for k in np.flatnonzero(acceleration <= test_scene.gravity).tolist():
+                self.current[k] = None
         return response
 
-    def alternatives(self, bench: Scene, level: Array, frequency: Array, k: int) -> Iterator[OrbitResponse]:
-        """Yield the stable orbits at a point that are reached from its neighbors, from riding, and from rest."""
-        solver = _OrbitSolver(bench)
+    def alternatives(self, test_scene: Scene, level: Array, frequency: Array, k: int) -> Iterator[OrbitResponse]:
+        """Yield the stable orbits at point k that are reached from its neighbors, riding dampers, and rest."""
+        solver = _OrbitSolver(test_scene)
         for neighbor in (k - 1, k + 1):
-            if 0 <= neighbor < frequency.size and (orbit := self.orbits[neighbor]) is not None:
+            if 0 <= neighbor < frequency.size and (orbit := self.current[neighbor]) is not None:
                 reached = solver.continue_orbit(orbit, frequency[[neighbor, k]], level[[neighbor, k]])
                 if reached is not None:
                     yield reached
@@ -127,20 +130,20 @@ class SteadyTones:
             if reached is not None:
                 yield reached
 
-    def largest_gap(self, bench: Scene, level: Array, frequency: Array, damper: int) -> float:
-        """Return the largest gap below a damper (from 0) on all orbits, m; infinite with ceiling impacts."""
-        solver = _OrbitSolver(bench)
+    def largest_gap(self, test_scene: Scene, level: Array, frequency: Array, damper: int) -> float:
+        """Return the largest gap below a damper (counted from 0) over all orbits, m; infinite with ceiling impacts."""
+        solver = _OrbitSolver(test_scene)
         gaps = [
             solver.largest_gap(orbit, frequency[k], level[k], damper)
-            for k, orbit in enumerate(self.orbits)
+            for k, orbit in enumerate(self.current)
             if orbit is not None
         ]
         return max(gaps, default=0.0)
 
     def _recover(self, solver: _OrbitSolver, frequency: Array, level: Array, k: int) -> OrbitResponse | None:
-        """Refine the previous orbit of a point or one of its neighbors; if all fail, search from riding."""
-        neighbors = [self.orbits[j] for j in (k - 1, k + 1) if 0 <= j < len(self.orbits)]
-        for orbit in (self.previous[k], *neighbors):
+        """Refine the earlier orbit of point k or that of a neighbor; if all fail, search from riding dampers."""
+        neighbors = [self.current[j] for j in (k - 1, k + 1) if 0 <= j < len(self.current)]
+        for orbit in (self.earlier[k], *neighbors):
             if orbit is not None and (refined := solver.refine(orbit, frequency[k], level[k])) is not None:
                 return refined
         if k in self.failed:
@@ -153,7 +156,7 @@ class SteadyTones:
     def _search(
         self, solver: _OrbitSolver, frequency: Array, level: Array, k: int, moving: bool
     ) -> OrbitResponse | None:
-        """Search the orbit of a point from riding or from rest; store the reason if it cannot be computed."""
+        """Search the orbit of point k, from rest unless `moving`; store the reason if it cannot be computed."""
         self.uncovered.pop(k, None)
         try:
             return solver.search(frequency[k], level[k], moving)
@@ -166,12 +169,10 @@ class _OrbitSolver:
     """Solver of a scene's orbits for given levels of the reference.
 
     A table with prescribed motion is replaced by a spring to ground and a force of stiffness times displacement.
-    The table of an electrodynamic shaker reacts to the dampers, so the drive that gives the table its level is
-    computed by secant steps.
     """
 
-    def __init__(self, bench: Scene) -> None:
-        shaker = bench.driven_shaker
+    def __init__(self, test_scene: Scene) -> None:
+        shaker = test_scene.driven_shaker
         assert shaker is not None
         self.driven = shaker.bodies[0] - 1
         self.spring = shaker.spring or 0.0
@@ -180,23 +181,26 @@ class _OrbitSolver:
         if shaker.kind == "electrodynamic":
             level = "drive"
         elif self.spring:
-            grounded = structural_model(bench).with_ground_springs(driven_bodies(bench), self.spring)
+            grounded = structural_model(test_scene).with_ground_springs(driven_bodies(test_scene), self.spring)
             matrices = Matrices(mass=grounded.mass, damping=grounded.damping, stiffness=grounded.stiffness)
-            bench = bench.replace(structure=Structure(matrices=matrices), shaker=ForceShaker(body=shaker.body))
-        self.bodies = bench.structure.bodies
-        self.problem = OrbitProblem(bench.replace(test={"kind": "sine", "frequency": 1.0, level: 1.0}))
+            test_scene = test_scene.replace(
+                structure=Structure(matrices=matrices), shaker=ForceShaker(body=shaker.body)
+            )
+        self.bodies = test_scene.structure.bodies
+        self.problem = OrbitProblem(test_scene.replace(test={"kind": "sine", "frequency": 1.0, level: 1.0}))
         if shaker.kind == "electrodynamic":
             self.table = self.problem.system.points.index("table")
 
     def search(self, frequency: float, level: float, moving: bool) -> OrbitResponse | None:
         """Search the orbit that is reached from the steady motion with riding dampers or, unless `moving`, from rest.
 
-        Raises `UncoveredMotionError` if the motion settles to a kind for which orbits are not computed.
+        Returns None if no stable orbit is reached. Raises `UncoveredMotionError` if the motion settles to a kind for
+        which orbits are not computed.
         """
         drive = self._force(level)
         if self.table is not None:
-            per_volt = riding_response(self.problem.system, "shaker", 2.0 * np.pi * frequency)[self.table]
-            drive = level / abs(per_volt)
+            displacement_per_volt = riding_response(self.problem.system, "shaker", 2.0 * np.pi * frequency)[self.table]
+            drive = level / abs(displacement_per_volt)
         orbit: Orbit | None = None
         for _ in range(_MAX_SEARCHES if self.table is not None else 1):
             setting = OperatingPoint(float(frequency), float(drive))
@@ -220,7 +224,7 @@ class _OrbitSolver:
         return None
 
     def refine_unchecked(self, start: StoredOrbit, frequency: float, level: float) -> OrbitResponse | None:
-        """Refine an orbit at a setting a small step away, without checks; None without convergence.
+        """Refine an orbit at a slightly different frequency and level, without checks; None without convergence.
 
         Finite differences for derivatives need the same orbit even where it is inadmissible.
         """
@@ -231,27 +235,31 @@ class _OrbitSolver:
         return stored, ratio if start.slope is None else ratio + start.slope * (level - reached)
 
     def refine(self, start: StoredOrbit, frequency: float, level: float, check: bool = True) -> OrbitResponse | None:
-        """Refine an orbit at a setting; None without convergence or, if `check`, if it is inadmissible or unstable."""
+        """Refine an orbit at a frequency and level by Newton's method and, for the drive, the secant method.
+
+        Returns None without convergence or, if `check`, if the orbit is inadmissible or unstable.
+        """
         if self.table is None:
             solution = self._refine_at_drive(start, frequency, self._force(level), check)
             return None if solution is None else solution[:2]
-        drive, last = start.drive, None
+        drive, previous = start.drive, None
         for _ in range(_MAX_SECANT_STEPS):
             solution = self._refine_at_drive(start, frequency, drive)
             if solution is None:
                 return None
             start, ratio, reached = solution
             level_per_drive = reached / drive
-            if last is not None:
-                level_per_drive = (reached - last[1]) / (drive - last[0])
-                slope = (ratio - last[2]) / (reached - last[1])
+            if previous is not None:
+                previous_drive, previous_level, previous_ratio = previous
+                level_per_drive = (reached - previous_level) / (drive - previous_drive)
+                slope = (ratio - previous_ratio) / (reached - previous_level)
                 if abs(reached / level - 1.0) < _LEVEL_TOLERANCE:
                     if check and self._refine_at_drive(start, frequency, drive, check) is None:
                         return None
                     return replace(start, slope=slope), ratio + slope * (level - reached)
             if not level_per_drive > 0.0:
                 return None
-            last = drive, reached, ratio
+            previous = drive, reached, ratio
             step = (level - reached) / level_per_drive / drive
             drive *= 1.0 + float(np.copysign(np.clip(abs(step), _MIN_RELATIVE_STEP, 0.5), step))
         return None
@@ -268,7 +276,7 @@ class _OrbitSolver:
         return np.inf if hits.any() else float(orbit.columns()[f"gap {damper + 1}_m"].max())
 
     def continue_orbit(self, orbit: StoredOrbit, frequency: Array, level: Array) -> OrbitResponse | None:
-        """Continue an orbit from the first setting to the second, with constant force in the coil spring."""
+        """Continue an orbit from the first frequency and level to the second, at constant force in the coil spring."""
         refined = self.refine(orbit, frequency[0], level[0], check=False)
         if refined is None:
             return None
@@ -297,7 +305,7 @@ class _OrbitSolver:
     def _refine_at_drive(
         self, start: StoredOrbit, frequency: float, drive: float, check: bool = False
     ) -> tuple[StoredOrbit, ComplexArray, float] | None:
-        """Return the orbit at a drive, displacement / reference, and the amplitude of the reference."""
+        """Return the orbit at a drive, its displacement / reference, and its level; None if `refine` would."""
         setting = OperatingPoint(float(frequency), float(drive))
         solution = self._newton(start, setting)
         if solution is None:
@@ -308,10 +316,11 @@ class _OrbitSolver:
             orbit = family.make_orbit(setting, x, equations, shooting)
             if orbit.flaw or not orbit.stable:
                 return None
-        instants = x[len(x) - len(sequence.kind) :]
-        harmonic = 2.0 / equations.period * evaluate_motion(equations, sequence, shooting, instants)[1]
-        driven = -1j * setting.force / (self.spring or 1.0)
-        reference = complex(driven if self.table is None else harmonic[self.table])
+        event_times = x[len(x) - len(sequence.kind) :]
+        integral = evaluate_motion(equations, sequence, shooting, event_times)[1]
+        harmonic = 2.0 / equations.period * integral
+        prescribed = -1j * setting.force / (self.spring or 1.0)
+        reference = complex(prescribed if self.table is None else harmonic[self.table])
         stored = replace(start, unknowns=x, drive=float(drive))
         return stored, harmonic[: self.bodies] / reference, abs(reference)
 

@@ -11,7 +11,7 @@ import daq
 from analysis.fitting.diagnosis import list_omitted_points
 from analysis.fitting.measured import measured
 from analysis.fitting.predicted import scene_of_test
-from analysis.fitting.steady_tones import SteadyTones
+from analysis.fitting.sweep_orbits import SweepOrbits
 from rig.orbits.orbit import OrbitFamily
 
 DAMPED = Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap"
@@ -28,27 +28,27 @@ def nearest_points(*requested_frequencies):
 
 def test_failed_trial_keeps_previous_motion():
     curves, frequency, level = nearest_points(49.66)
-    tones = SteadyTones(replace(curves, frequency=frequency, level=level))
-    bench = scene_of_test(curves.scene, curves)
-    expected = tones.response(bench, level, frequency)
-    assert np.isfinite(expected).all() and tones.orbits[0] is not None
-    assert np.isnan(tones.response(bench, 10.0 * level, frequency)).all()
-    np.testing.assert_allclose(tones.response(bench, level, frequency), expected, rtol=1e-9)
+    orbits = SweepOrbits(replace(curves, frequency=frequency, level=level))
+    test_scene = scene_of_test(curves.scene, curves)
+    expected = orbits.response(test_scene, level, frequency)
+    assert np.isfinite(expected).all() and orbits.current[0] is not None
+    assert np.isnan(orbits.response(test_scene, 10.0 * level, frequency)).all()
+    np.testing.assert_allclose(orbits.response(test_scene, level, frequency), expected, rtol=1e-9)
 
 
 def test_continued_motions_have_right_derivatives():
     # With `search=False` the response is continued linearly from the last periodic motion.
     curves, frequency, level = nearest_points(34.4, 48.0, 50.5)
     table_scene = curves.scene.replace(shaker={"kind": "electrodynamic", "body": 1, "spring": 6600.0})
-    tones = SteadyTones(replace(curves, scene=table_scene, frequency=frequency, level=level))
-    bench = scene_of_test(table_scene, tones.curves)
-    initial_response, step = tones.response(bench, level, frequency), 1e-5
+    orbits = SweepOrbits(replace(curves, scene=table_scene, frequency=frequency, level=level))
+    test_scene = scene_of_test(table_scene, orbits.curves)
+    initial_response, step = orbits.response(test_scene, level, frequency), 1e-5
     for relative_level, relative_frequency in ((step, 0.0), (0.0, step)):
         varied_point = level * (1.0 + relative_level), frequency * (1.0 + relative_frequency)
-        continued_change = tones.response(bench, *varied_point, search=False) - initial_response
-        initial_orbits = list(tones.orbits)
-        corrected_change = tones.response(bench, *varied_point) - initial_response
-        tones.orbits = initial_orbits
+        continued_change = orbits.response(test_scene, *varied_point, search=False) - initial_response
+        initial_orbits = list(orbits.current)
+        corrected_change = orbits.response(test_scene, *varied_point) - initial_response
+        orbits.current = initial_orbits
         assert (
             np.isfinite(corrected_change).all()
             and abs(continued_change - corrected_change).max() < 0.01 * abs(corrected_change).max()
@@ -60,26 +60,26 @@ def test_infinite_rebounds_are_explained():
     dampers = [damper.replace(restitution=0.3) for damper in curves.scene.dampers]
     bouncy_scene = curves.scene.replace(dampers=dampers)
     bouncy_curves = replace(curves, scene=bouncy_scene, frequency=frequency, level=level)
-    tones = SteadyTones(bouncy_curves)
-    assert np.isnan(tones.response(scene_of_test(bouncy_scene, bouncy_curves), level, frequency)).all()
-    assert "rebounds infinitely often" in tones.uncovered[0]
-    [message] = list_omitted_points(bouncy_curves, np.array([False]), tones.uncovered)
+    orbits = SweepOrbits(bouncy_curves)
+    assert np.isnan(orbits.response(scene_of_test(bouncy_scene, bouncy_curves), level, frequency)).all()
+    assert "rebounds infinitely often" in orbits.uncovered[0]
+    [message] = list_omitted_points(bouncy_curves, np.array([False]), orbits.uncovered)
     assert "another kind of motion" not in message and "which a fit cannot compute" in message
     assert "of another type than that of the model" in list_omitted_points(bouncy_curves, np.array([False]), {})[0]
-    tones.failed.clear()
-    assert np.isfinite(tones.response(scene_of_test(curves.scene, curves), level, frequency)).all()
-    assert not tones.uncovered
+    orbits.failed.clear()
+    assert np.isfinite(orbits.response(scene_of_test(curves.scene, curves), level, frequency)).all()
+    assert not orbits.uncovered
 
 
 def test_singular_matrix_yields_no_gap(monkeypatch):
     curves, frequency, level = nearest_points(49.66)
-    tones = SteadyTones(replace(curves, frequency=frequency, level=level))
-    bench = scene_of_test(curves.scene, curves)
-    tones.response(bench, level, frequency)
-    assert tones.orbits[0] is not None and tones.largest_gap(bench, level, frequency, 0) > 0.0
+    orbits = SweepOrbits(replace(curves, frequency=frequency, level=level))
+    test_scene = scene_of_test(curves.scene, curves)
+    orbits.response(test_scene, level, frequency)
+    assert orbits.current[0] is not None and orbits.largest_gap(test_scene, level, frequency, 0) > 0.0
 
     def raise_singular(*_):
         raise np.linalg.LinAlgError
 
     monkeypatch.setattr(OrbitFamily, "correct", raise_singular)
-    assert tones.largest_gap(bench, level, frequency, 0) == 0.0
+    assert orbits.largest_gap(test_scene, level, frequency, 0) == 0.0

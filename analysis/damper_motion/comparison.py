@@ -1,4 +1,7 @@
-"""Effect of dampers on resonance peaks: height and frequency without and with dampers, with bounds."""
+"""Effect of dampers on resonance peaks: height and frequency without and with dampers, with 95 % bounds.
+
+The *bare* structure is the structure without dampers. Its modes define a frequency band for each peak.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from rig.results.uncertainty import SENSITIVITY
 # Width of the band of a peak below the natural frequency of the bare structure, relative to that frequency. The band
 # above is half as wide.
 _BAND_BELOW_RATIO = 0.15
-# Maximum relative error with which neighbors predict a point; above it, the curve has a jump.
+# Maximum relative error with which neighboring points predict a point; above it, the curve has a jump.
 _MAX_PREDICTION_ERROR = 0.2
 # Number of frequencies of the interpolated curve between the neighbors of the highest point.
 _GRID_POINTS = 801
@@ -53,9 +56,9 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
     Around a resonance 1/H is nearly quadratic in frequency (k - m w^2 + i c w for one mode). Therefore 1/H is
     interpolated through the three points around the highest point, and through five points as a check. The bound
     contains the bounds of these points and twice the difference of the two interpolations. It also contains twice the
-    error with which neighbors predict the points: widely spaced points may miss the top of a peak with dampers. (In
-    a test with computed curves with dampers and one to nine points in the half-power bandwidth, the bound contained
-    the true peak in 98 % of cases.) The limits of the frequency enclose all frequencies at which the curve is within
+    error with which neighbors predict the points, because widely spaced points may miss the top of a peak with dampers.
+    In a test on computed curves with dampers, with one to nine points in the half-power bandwidth, the bound contained
+    the true peak in 98 % of cases. The limits of the frequency enclose all frequencies at which the curve is within
     the bound of its peak.
 
     `frf`: FRF with respect to force; `low`, `high`: limits of the band, Hz. Returns None if there are fewer than
@@ -64,7 +67,7 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
     in_band = frf.to("displacement").sorted()
     in_band = in_band.between(low, high)
     valid = np.isfinite(in_band.value) & (abs(in_band.value) > 0)
-    f, inverse, magnitude = in_band.frequency[valid], 1.0 / in_band.value[valid], abs(in_band.value[valid])
+    f, inverse_frf, magnitude = in_band.frequency[valid], 1.0 / in_band.value[valid], abs(in_band.value[valid])
     if f.size < 3:
         return None
     scatter = np.nan_to_num(in_band.random_bound()[valid])
@@ -75,20 +78,21 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
         return Peak(float(magnitude[highest]), inf, float(f[highest]), float(f[0]), float(f[-1]), at_end=True)
     three_points = slice(highest - 1, highest + 2)
     others = five_points[five_points != highest]
-    predicted = _interpolate(f[others], inverse[others], f[[highest]])
-    jump = five_points.size > 3 and abs(abs(1.0 / predicted[0]) / magnitude[highest] - 1.0) > _MAX_PREDICTION_ERROR
-    if jump or f.size < 4 or np.any((in_band.omitted > f[highest - 1]) & (in_band.omitted < f[highest + 1])):
+    predicted = _interpolate(f[others], inverse_frf[others], f[[highest]])
+    has_jump = five_points.size > 3 and abs(abs(1.0 / predicted[0]) / magnitude[highest] - 1.0) > _MAX_PREDICTION_ERROR
+    is_omitted_nearby = np.any((in_band.omitted > f[highest - 1]) & (in_band.omitted < f[highest + 1]))
+    if has_jump or f.size < 4 or is_omitted_nearby:
         return Peak(float(magnitude[highest]), inf, float(f[highest]), float(f[highest - 1]), float(f[highest + 1]))
     grid = np.linspace(f[highest - 1], f[highest + 1], _GRID_POINTS)
-    curve = abs(1.0 / _interpolate(f[three_points], inverse[three_points], grid))
-    curve_of_five = abs(1.0 / _interpolate(f[five_points], inverse[five_points], grid))
+    curve = abs(1.0 / _interpolate(f[three_points], inverse_frf[three_points], grid))
+    curve_of_five = abs(1.0 / _interpolate(f[five_points], inverse_frf[five_points], grid))
     peak_index = int(np.argmax(curve))
     # Sensitivity of the interpolated 1/H at the peak to each point; the bounds are propagated to the peak.
     sensitivity = abs(_interpolate(f[three_points], np.eye(3), grid[[peak_index]]))[:, 0]
     measured_bound = curve[peak_index] ** 2 * float(
         sensitivity @ (point_bound[three_points] / magnitude[three_points] ** 2)
     )
-    prediction_error = _prediction_error(f, inverse, scatter / magnitude**2, highest)
+    prediction_error = _prediction_error(f, inverse_frf, scatter / magnitude**2, highest)
     interpolation_bound = 2.0 * float(
         abs(curve_of_five.max() - curve[peak_index]) + prediction_error * curve[peak_index]
     )
@@ -108,40 +112,45 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
 
 
 def _highest_local_maximum(magnitude: np.ndarray, scatter: np.ndarray) -> int:
-    """Return the index of the highest significant local maximum, or of the highest point if there is none."""
-    highest, significant = int(np.argmax(magnitude)), -1
+    """Return the index of the highest significant local maximum, or of the highest point if there is none.
+
+    A maximum is significant if it exceeds the minima on both sides by more than their scatter.
+    """
+    highest, best_maximum = int(np.argmax(magnitude)), -1
     if 0 < highest < magnitude.size - 1:
         return highest
     for k in range(1, magnitude.size - 1):
-        if magnitude[k] < max(magnitude[k - 1], magnitude[k + 1]) or (
-            significant >= 0 and magnitude[k] <= magnitude[significant]
-        ):
+        is_maximum = magnitude[k] >= max(magnitude[k - 1], magnitude[k + 1])
+        if not is_maximum or (best_maximum >= 0 and magnitude[k] <= magnitude[best_maximum]):
             continue
-        valleys = [int(np.argmin(magnitude[: k + 1])), k + int(np.argmin(magnitude[k:]))]
-        if all(magnitude[k] - magnitude[valley] > scatter[k] + scatter[valley] for valley in valleys):
-            significant = k
-    return highest if significant < 0 else significant
+        minima = [int(np.argmin(magnitude[: k + 1])), k + int(np.argmin(magnitude[k:]))]
+        if all(magnitude[k] - magnitude[minimum] > scatter[k] + scatter[minimum] for minimum in minima):
+            best_maximum = k
+    return highest if best_maximum < 0 else best_maximum
 
 
-def _prediction_error(f: np.ndarray, inverse: np.ndarray, scatter: np.ndarray, highest: int) -> float:
-    """Estimate the relative error, beyond scatter, with which neighbors predict the points at the peak."""
+def _prediction_error(f: np.ndarray, inverse_frf: np.ndarray, scatter: np.ndarray, highest: int) -> float:
+    """Estimate the relative error, beyond scatter, with which neighbors predict the three points at the peak.
+
+    `inverse_frf`, `scatter`: 1/H and its scatter at the frequencies f; `highest`: index of the highest point.
+    """
     errors = [0.0]
     for k in (highest - 1, highest, highest + 1):
         others = np.array([i for i in range(max(k - 2, 0), min(k + 3, f.size)) if i != k])
         if others.size < 4 and k != highest:
             continue
         weights = _interpolate(f[others], np.eye(others.size), f[[k]])[:, 0]
-        predicted = weights @ inverse[others]
+        predicted = weights @ inverse_frf[others]
         explained = abs(weights) @ scatter[others] + scatter[k]
-        errors.append(float((abs(predicted - inverse[k]) - explained) / abs(predicted)))
+        errors.append(float((abs(predicted - inverse_frf[k]) - explained) / abs(predicted)))
     return max(errors)
 
 
 def _interpolate(f: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Interpolate complex values by the polynomial through all points."""
+    """Interpolate complex values, given at the frequencies f, by the polynomial through all of them."""
     middle, scale = f.mean(), np.ptp(f)
-    weights = np.polynomial.polynomial.polyvander((f - middle) / scale, f.size - 1)
-    return np.polynomial.polynomial.polyval((at - middle) / scale, np.linalg.solve(weights, values))
+    powers = np.polynomial.polynomial.polyvander((f - middle) / scale, f.size - 1)
+    return np.polynomial.polynomial.polyval((at - middle) / scale, np.linalg.solve(powers, values))
 
 
 @dataclass(frozen=True)
@@ -149,14 +158,12 @@ class PeakChange:
     """Change of one resonance peak of one response."""
 
     response: str
-    mode: float
-    """Natural frequency of the bare structure, Hz."""
-    damping: float
-    """Damping ratio of that mode."""
-    bare: Peak
-    damped: Peak
+    mode: float  # natural frequency of the mode of the bare structure, Hz
+    damping: float  # damping ratio of that mode
+    bare: Peak  # without dampers
+    damped: Peak  # with dampers
+    # both peaks without the sensitivity errors, which cancel in the change if the same sensors measured both
     without_sensitivity: tuple[Peak, Peak] | None = None
-    """Both peaks without the sensitivity errors, which cancel in the change if the same sensors measured both."""
 
     @property
     def _compared(self) -> tuple[Peak, Peak]:
@@ -180,7 +187,7 @@ class PeakChange:
 
     @property
     def equivalent_damping(self) -> float:
-        """Equivalent viscous damping ratio: it would lower the bare peak by the same amount."""
+        """Viscous damping ratio of the bare structure that would lower its peak by the same amount."""
         return self.damping * self.bare.value / self.damped.value
 
 
@@ -197,12 +204,12 @@ def peak_changes(
 
     `modes`: modes of the bare structure; `bare`, `damped`: all responses of a recording without dampers, and of a
     recording with dampers (or with two different sets); `same_sensors`: responses that were measured by the same
-    sensors in both recordings, with the same force sensor. Returns sorted by response, then by frequency.
+    sensors in both recordings, with the same force sensor. The changes are sorted by response, then by frequency.
     """
     frequency, low, high = peak_bands(modes)
     damping = modes.damping[np.argsort(modes.frequency)]
     by_name = {frf.response: frf for frf in bare}
-    out = []
+    changes = []
     for curve in damped:
         if curve.response not in by_name:
             continue
@@ -219,8 +226,8 @@ def peak_changes(
                 assert bare_as_read is not None
                 assert damped_as_read is not None
                 without_sensitivity = bare_as_read, damped_as_read
-            out.append(PeakChange(curve.response, float(f), float(zeta), before, after, without_sensitivity))
-    return out
+            changes.append(PeakChange(curve.response, float(f), float(zeta), before, after, without_sensitivity))
+    return changes
 
 
 def covers(curve: Response, frequency: float) -> bool:

@@ -44,7 +44,7 @@ class Dampers(Result):
     missing : tuple of str
         Bodies without a result, with the reason.
     warnings : tuple of str
-        Consequences for the results, in full sentences.
+        Sentences on limits of the results.
     """
 
     label: str
@@ -58,11 +58,11 @@ class Dampers(Result):
     def columns(self) -> Mapping[str, NDArray[Any]]:
         """Return one row for each frequency and body, as in the table of `analysis dampers`."""
         frequency = self.sweep.lines.frequency
-        undetermined = np.full(frequency.size, np.nan)
-        energies = [undetermined] * 4
+        unknown = np.full(frequency.size, np.nan)
+        energies = [unknown] * 4
         if self.energy is not None:
             energies = [self.energy.supplied, self.energy.structure, self.energy.dampers, self.energy.bound]
-        energies.append(undetermined if self.true_impact_energy is None else self.true_impact_energy)
+        energies.append(unknown if self.true_impact_energy is None else self.true_impact_energy)
         names = ("supplied_J", "structure_J", "dampers_J", "dampers_bound_J", "true_impacts_J")
         count, bodies = frequency.size, len(self.bodies)
         motions = [body[i] for i in range(count) for body in self.bodies]
@@ -118,11 +118,11 @@ def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress
     `rec`: recording of a sine or stepped-sine test; `label`: label instead of the scene name. Raises
     `RecordingError` if the recording contains no steady tone.
     """
-    numbers = sorted({damper.body for damper in rec.scene.dampers if not damper.locked})
-    out = []
+    bodies_with_dampers = sorted({damper.body for damper in rec.scene.dampers if not damper.locked})
+    results = []
     for sweep in sweeps(rec, progress=progress):
         bodies, missing, warnings = [], [], list(sweep.lines.warnings)
-        for number in numbers:
+        for number in bodies_with_dampers:
             info = motion_channel_at(rec, f"body {number}")
             if info is None:
                 name = rec.scene.structure.label(number)
@@ -137,7 +137,7 @@ def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress
             energy = energy_per_cycle(rec, sweep)
         except RecordingError as error:
             warnings.append(f"no energy balance: {error}")
-        out.append(
+        results.append(
             Dampers(
                 relabel(sweep.lines, rec.scene.name, label or rec.scene.name).label,
                 sweep,
@@ -148,4 +148,4 @@ def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress
                 tuple(warnings),
             )
         )
-    return out
+    return results

@@ -1,4 +1,4 @@
-"""Energy dissipated by the dampers per period of a steady tone: supplied work minus structural damping."""
+"""Energy dissipated by the dampers per period of a steady tone: supplied work minus dissipation of the structure."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
     # `driven_bodies` of the structural model rejects several coil springs; here the driven shaker alone counts.
     shaker = rec.scene.driven_shaker
     driven = [0] if shaker is None else [body - 1 for body in shaker.bodies]
-    supplied, structure, gradients, force_contributions = [], [], [], []
+    supplied, structure, gradients, force_shares = [], [], [], []
     compliance = np.empty(len(sweep.tones), dtype=complex)
     for index, tone in enumerate(sweep.tones):
         orders = np.arange(1, tone.amplitude.shape[1] + 1)
@@ -80,17 +80,17 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
         damping_force = damping @ motion
         supplied.append(np.pi * np.sum(orders * np.imag(force * driven_motion.conj())))
         structure.append(np.sum(dissipation_factor * np.sum(motion.conj() * damping_force, axis=0).real))
-        work = driven_row.conj() * force - force_row.conj() * driven_motion
-        gradients.append(
-            np.pi / 2j * orders * work - dissipation_factor * np.einsum("bck,bk->ck", motion_rows.conj(), damping_force)
-        )
+        # Gradients with respect to the amplitudes of the channels, shape (channels, harmonics).
+        supplied_gradient = np.pi / 2j * orders * (driven_row.conj() * force - force_row.conj() * driven_motion)
+        structure_gradient = dissipation_factor * np.einsum("bck,bk->ck", motion_rows.conj(), damping_force)
+        gradients.append(supplied_gradient - structure_gradient)
         compliance[index] = driven_motion[0] / force[0]
-        force_contributions.append((force_row * tone.amplitude)[:, 0] / force[0])
+        force_shares.append((force_row * tone.amplitude)[:, 0] / force[0])
     return CycleEnergy(
         sweep.lines.frequency,
         np.array(supplied),
         np.array(structure),
-        _bound(rec, sweep, gradients, compliance, np.transpose(force_contributions)),
+        _bound(rec, sweep, gradients, compliance, np.transpose(force_shares)),
     )
 
 
@@ -103,8 +103,8 @@ def _bound(
 ) -> Array:
     """Return the 95 % bound of the energy: root sum of squares of scatter and of all systematic errors.
 
-    `gradients`, shape (channels, harmonics): gradient g for each tone; `compliance`, shape (n,): compliance of the
-    driven body; `force_shares`, shape (channels, n): contribution of each channel to the force.
+    `gradients`: gradient g for each tone, shape (channels, harmonics); `compliance`, shape (n,): compliance of the
+    driven body; `force_shares`, shape (channels, n): contribution of each channel to the force, relative to the force.
     """
     lines = sweep.lines
     scatter, gain_sensitivity, phase_sensitivity, fundamental_sensitivity = [], [], [], []
@@ -136,9 +136,9 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
     """Compute the true energy lost in impacts per period of each tone, J, from the recorded truth.
 
     An instant impact dissipates (1 - e²) times half the reduced mass of damper and body times the closing speed
-    squared. For finite-duration contact the loss is the work of the walls in steady motion. Over whole periods the
-    inertia and weight of a bed do no net work. The work of the walls is therefore the integral of -m a v, with the
-    mass m of the bed, the acceleration a of its body, and the velocity v at which the gap opens.
+    squared. For finite-duration contact the loss is the work of the walls (floor and ceiling) in steady motion. Over
+    whole periods the inertia and weight of a bed do no net work. The work of the walls is therefore the integral of
+    -m a v, with the mass m of the bed, the acceleration a of its body, and the velocity v at which the gap opens.
 
     The result is NaN for beds of grains, whose impacts are not recorded. It is also NaN if an instant impact acts on
     other dampers, in the same body or through a full mass matrix.
@@ -151,26 +151,25 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
     model = structural_model(rec.scene)
     restitution = np.array([damper.restitution for damper in rec.scene.dampers])
     # Locked beds belong to the masses of their bodies.
-    damper, body = model.bed_mass, np.diag(model.with_bed_masses().mass)[model.bed_body]
-    factor = 0.5 * damper * body / (damper + body) * (1.0 - restitution**2)
+    damper_mass, body_mass = model.bed_mass, np.diag(model.with_bed_masses().mass)[model.bed_body]
+    loss_per_square = 0.5 * damper_mass * body_mass / (damper_mass + body_mass) * (1.0 - restitution**2)
     events = rec.events
     events = events[np.isin(events["kind"], ("floor", "ceiling"))]
-    loss = factor[events["damper"] - 1] * events["speed"] ** 2
-    out = []
+    loss = loss_per_square[events["damper"] - 1] * events["speed"] ** 2
+    has_finite_contact = [damper.moves and damper.contact is not None for damper in rec.scene.dampers]
+    losses = []
     for frequency, (first, stop) in zip(sweep.lines.frequency, sweep.windows, strict=True):
-        inside = (events["time"] >= first / rec.rate) & (events["time"] < stop / rec.rate)
-        out.append(loss[inside].sum() / ((stop - first) / rec.rate * frequency))
-        for j in np.flatnonzero(
-            [damper_settings.moves and damper_settings.contact is not None for damper_settings in rec.scene.dampers]
-        ):
-            out[-1] += damper[j] * _work_of_walls(rec, int(j), float(frequency), int(first), int(stop))
-    return np.array(out)
+        is_inside = (events["time"] >= first / rec.rate) & (events["time"] < stop / rec.rate)
+        losses.append(loss[is_inside].sum() / ((stop - first) / rec.rate * frequency))
+        for j in np.flatnonzero(has_finite_contact):
+            losses[-1] += damper_mass[j] * _work_of_walls(rec, int(j), float(frequency), int(first), int(stop))
+    return np.array(losses)
 
 
 def _work_of_walls(rec: Recording, j: int, frequency: float, first: int, stop: int) -> float:
-    """Integrate -a v over a period for damper `j` (from 0), from the recorded truth, J/kg.
+    """Integrate -a v over a period for damper `j` (from 0), from the recorded true motion between two samples, J/kg.
 
-    It is computed from the spectra of displacement and gap, whose aliasing is negligible.
+    It is computed from the spectra of displacement and gap, whose aliasing is negligible. NaN without a whole period.
     """
     periods = int((stop - first) / rec.rate * frequency)
     samples = round(periods / frequency * rec.rate)

@@ -1,4 +1,10 @@
-"""Free flights of a damper between impacts: coefficient of restitution, and whether the ceiling may be reached."""
+"""Free flights of a damper between impacts: coefficient of restitution, and whether the ceiling may be reached.
+
+A damper moves vertically in a cavity of its body, between *floor* and *ceiling*, which are the *walls*. Their distance
+from the damper at rest on the floor is the *clearance*. The *apparent gravity* is the body's acceleration plus g: the
+damper stays on the floor while it is positive. The *closing speed* of an impact is the speed of the damper toward the
+wall.
+"""
 
 from __future__ import annotations
 
@@ -29,15 +35,15 @@ _EXCLUDED_END_RATIO = 0.05
 _MIN_FLIGHTS = 6
 # Minimum share of flights among the intervals between impacts.
 _MIN_FLIGHT_RATIO = 0.25
-# A flight is consistent with the data if its computed end is this close to the wall, relative to its height.
+# Largest distance of the computed end of a flight from the wall, relative to its height, that is consistent.
 _MAX_HEIGHT_ERROR = 0.05
-# A flight determines the restitution if its uncertainty is below this.
+# Largest uncertainty of the restitution from one flight.
 _MAX_UNCERTAINTY = 0.1
 # For normal errors: ratio of standard deviation to median absolute deviation, times ratio of the standard deviations
 # of median and mean.
 _MEDIAN_ERROR = 1.4826 * 1.2533
-# A flight that comes within this share of the clearance of the ceiling may reach it. The accuracy of the height is
-# limited by the motion between samples and by the band limit, which smears the impact.
+# Largest distance from the ceiling of a flight that may reach it, relative to the clearance. The accuracy of the height
+# is limited by the motion between samples and by the band limit, which smears the impact.
 _CEILING_DISTANCE_RATIO = 0.03
 # Number of samples that the band limit smears around an impact.
 _SMEARED_SAMPLES = 2
@@ -78,8 +84,12 @@ class BodyMotion:
         """Relative uncertainty of the channel's sensitivity."""
         return tolerance(self.info)
 
-    def wall_at(self, time: float, wall: float, added_speed: float) -> _WallContact:
-        """Return position and speed of a wall at a time; at a jump the band-limited velocity has its mean value."""
+    def contact_at(self, time: float, wall: float, added_speed: float) -> _WallContact:
+        """Return position and speed of a wall at a time, s.
+
+        `wall`: height of the wall above the floor, m; `added_speed`: half the jump of an impact at this time, m/s,
+        because the band-limited velocity has its mean value there.
+        """
         sample = min(int(time * self.rec.rate), self.samples.size - 2)
         fraction = time * self.rec.rate - sample
         displacement, speed = (
@@ -98,16 +108,16 @@ class Restitution:
 
 
 class _WallContact(NamedTuple):
-    """Contact of a damper with a wall: time, height of the wall above the floor, position and speed; SI units."""
+    """Contact of a damper with a wall: an impact, or the begin of a flight."""
 
-    time: float
-    wall: float
-    position: float
-    speed: float
+    time: float  # s
+    wall: float  # height of the wall above the floor, m
+    position: float  # of the wall, m
+    speed: float  # of the wall, m/s
 
     @property
-    def away(self) -> float:
-        """Direction from the wall into the cavity."""
+    def inward(self) -> float:
+        """Direction from the wall into the cavity: 1 upward, -1 downward."""
         return 1.0 if self.wall == 0.0 else -1.0
 
 
@@ -130,12 +140,12 @@ def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
     detected, rate, gravity = motion.impacts, motion.rec.rate, motion.rec.scene.gravity
     if detected.contact_duration or detected.time.size < _MIN_FLIGHTS:
         return None
-    closing = inelastic_closing_speeds(motion.rec.scene, detected, damper)
-    if not np.isfinite(motion.samples).all() or not np.isfinite(closing).all():
+    closing_speed = inelastic_closing_speeds(motion.rec.scene, detected, damper)
+    if not np.isfinite(motion.samples).all() or not np.isfinite(closing_speed).all():
         return None
     # Speeds of rebounds that end within the time resolution of the channel.
-    weight = -np.sign(detected.jump) * (detected.acceleration + gravity)
-    hidden_rebound = 0.5 * detected.resolution * np.maximum(weight, 0.0)
+    apparent_gravity = -np.sign(detected.jump) * (detected.acceleration + gravity)
+    unresolved_rebound = 0.5 * detected.resolution * np.maximum(apparent_gravity, 0.0)
     wall = np.where(detected.jump < 0.0, 0.0, damper.clearance)
     time, length = detected.time - motion.start / rate, motion.samples.size / rate
     candidates = np.flatnonzero(
@@ -143,18 +153,18 @@ def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
     )
     estimates = []
     for k in candidates[np.isfinite(wall[candidates]) & np.isfinite(wall[candidates + 1])]:
-        departure = motion.wall_at(time[k], wall[k], 0.5 * detected.jump[k])
-        arrival = motion.wall_at(time[k + 1], wall[k + 1], -0.5 * detected.jump[k + 1])
+        departure = motion.contact_at(time[k], wall[k], 0.5 * detected.jump[k])
+        arrival = motion.contact_at(time[k + 1], wall[k + 1], -0.5 * detected.jump[k + 1])
         estimates.append(
-            _restitution_after_rest(motion, departure, arrival, closing[k + 1], hidden_rebound[k + 1])
-            or _restitution_after_rebound(motion, departure, arrival, closing[k : k + 2])
+            _restitution_after_rest(motion, departure, arrival, closing_speed[k + 1], unresolved_rebound[k + 1])
+            or _restitution_after_rebound(motion, departure, arrival, closing_speed[k : k + 2])
         )
     consistent = np.array([estimate for estimate in estimates if estimate is not None]).reshape(-1, 2)
     if len(consistent) < max(_MIN_FLIGHTS, _MIN_FLIGHT_RATIO * candidates.size):
         return None
     value, uncertainty = np.median(consistent, axis=0)
     scatter = _MEDIAN_ERROR * float(np.median(abs(consistent[:, 0] - value))) / np.sqrt(len(consistent))
-    # The residual share of a jump is a bound, taken as two standard deviations.
+    # The residual of a jump is a bound, taken as two standard deviations.
     jump_error = 0.5 * RESIDUAL_RATIO * (1.0 + value)
     error = float(np.sqrt(scatter**2 + uncertainty**2 + jump_error**2))
     # A value outside 0 to 1 is impossible, so the detected jumps are not impacts of this damper.
@@ -177,53 +187,70 @@ def _speed_per_jump(scene: Scene, damper: Damper) -> float:
 
 
 def _flight(gravity: float, departure: _WallContact, arrival: _WallContact) -> tuple[float, float, float]:
-    """Return duration, final height error and closing speed of a flight that starts with the speed of the wall."""
+    """Return duration, s, final height error, m, and closing speed, m/s, of a flight that begins without rebound."""
     time = arrival.time - departure.time
     height_error = departure.position + departure.speed * time - 0.5 * gravity * time**2 - arrival.position
-    return time, height_error, -arrival.away * (departure.speed - gravity * time - arrival.speed)
+    return time, height_error, -arrival.inward * (departure.speed - gravity * time - arrival.speed)
 
 
 def _restitution_after_rest(
-    motion: BodyMotion, departure: _WallContact, arrival: _WallContact, inelastic: float, hidden_rebound: float
+    motion: BodyMotion,
+    departure: _WallContact,
+    arrival: _WallContact,
+    inelastic_speed: float,
+    unresolved_rebound: float,
 ) -> tuple[float, float] | None:
-    """Estimate the restitution from a flight that began when the body fell away from a damper at rest."""
+    """Estimate the restitution from a flight that began when the body fell away from a damper at rest.
+
+    `inelastic_speed`: closing speed of the arrival for zero restitution; `unresolved_rebound`: largest rebound speed
+    that is not resolved, m/s. Returns value and uncertainty, or None if the flight is not consistent.
+    """
     rate, gravity = motion.rec.rate, motion.rec.scene.gravity
     between = slice(int(departure.time * rate) + 2, int(arrival.time * rate) - 1)
     if between.stop - between.start < 3:
         return None
-    weight = departure.away * (np.gradient(motion.velocity[between]) * rate + gravity)
+    apparent_gravity = departure.inward * (np.gradient(motion.velocity[between]) * rate + gravity)
     best_flight, relative_error = None, _MAX_HEIGHT_ERROR
-    for begin in between.start + np.flatnonzero((weight[:-1] > 0.0) & (weight[1:] <= 0.0)):
-        time, height_error, closing = _flight(gravity, motion.wall_at(begin / rate, departure.wall, 0.0), arrival)
-        deviation = abs(height_error) / max(closing * time / 4.0, 1e-300)
+    for begin in between.start + np.flatnonzero((apparent_gravity[:-1] > 0.0) & (apparent_gravity[1:] <= 0.0)):
+        departure_from_rest = motion.contact_at(begin / rate, departure.wall, 0.0)
+        time, height_error, closing_speed = _flight(gravity, departure_from_rest, arrival)
+        deviation = abs(height_error) / max(closing_speed * time / 4.0, 1e-300)
         if deviation < relative_error:
-            best_flight, relative_error = (closing, time), deviation
+            best_flight, relative_error = (closing_speed, time), deviation
     if best_flight is None:
         return None
-    closing, time = best_flight
-    upper = inelastic / closing - 1.0
+    closing_speed, time = best_flight
+    upper = inelastic_speed / closing_speed - 1.0
     lower = upper / (2.0 + upper) if upper > 0.0 else upper
     # An impact that is later by d changes the end height by w d, and the relative closing speed by 2 d / duration.
-    relative_error = 0.5 * relative_error + motion.tolerance * gravity * time / closing
-    uncertainty = 0.5 * float(np.maximum(upper - lower, hidden_rebound / closing)) + relative_error * (1.0 + upper)
+    relative_error = 0.5 * relative_error + motion.tolerance * gravity * time / closing_speed
+    uncertainty = 0.5 * float(np.maximum(upper - lower, unresolved_rebound / closing_speed)) + relative_error * (
+        1.0 + upper
+    )
     return (0.5 * (lower + upper), uncertainty) if uncertainty < _MAX_UNCERTAINTY else None
 
 
 def _restitution_after_rebound(
-    motion: BodyMotion, departure: _WallContact, arrival: _WallContact, inelastic: Array
+    motion: BodyMotion, departure: _WallContact, arrival: _WallContact, inelastic_speed: Array
 ) -> tuple[float, float] | None:
-    """Estimate the restitution from the speed of the rebound that begins a flight, and from the next closing speed."""
+    """Estimate the restitution from the speed of the rebound that begins a flight, and from the next closing speed.
+
+    `inelastic_speed`: closing speeds of departure and arrival for zero restitution. Returns as
+    `_restitution_after_rest`.
+    """
     gravity = motion.rec.scene.gravity
-    time, height_error, closing = _flight(gravity, departure, arrival)
+    time, height_error, closing_speed = _flight(gravity, departure, arrival)
+    # The rebound speed that removes the height error.
     rebound = -height_error / time
-    closing, rebound_ratio = closing - arrival.away * rebound, departure.away * rebound / inelastic[0]
-    if closing <= 0.0 or rebound_ratio >= 1.0:
+    closing_speed -= arrival.inward * rebound
+    rebound_ratio = departure.inward * rebound / inelastic_speed[0]
+    if closing_speed <= 0.0 or rebound_ratio >= 1.0:
         return None
-    from_jump, from_rebound = inelastic[1] / closing - 1.0, rebound_ratio / (1.0 - rebound_ratio)
+    from_jump, from_rebound = inelastic_speed[1] / closing_speed - 1.0, rebound_ratio / (1.0 - rebound_ratio)
     difference = abs(from_jump - from_rebound)
     if difference > _MAX_UNCERTAINTY:
         return None
-    relative_error = motion.tolerance * gravity * time / closing * (1.0 + from_jump)
+    relative_error = motion.tolerance * gravity * time / closing_speed * (1.0 + from_jump)
     return 0.5 * (from_jump + from_rebound), 0.5 * difference + relative_error
 
 
@@ -241,45 +268,50 @@ def may_reach_ceiling(motion: BodyMotion, damper: Damper) -> bool:
     detected, rate, gravity = motion.impacts, motion.rec.rate, motion.rec.scene.gravity
     largest_factor = 1.0 / max(1.0 - motion.tolerance, 1e-300)
     impact_sample, count = detected.time * rate - motion.start, motion.samples.size
-    chosen = (
+    is_evaluated = (
         (detected.jump < 0.0)
         & (impact_sample > _EXCLUDED_END_RATIO * count)
         & (impact_sample < (1.0 - _EXCLUDED_END_RATIO) * count)
     )
-    impact_sample = impact_sample[chosen]
-    weight = largest_factor * motion.acceleration + gravity
-    floor = _FloorMotion(largest_factor * motion.displacement, largest_factor * motion.velocity, weight, rate, gravity)
+    impact_sample = impact_sample[is_evaluated]
+    apparent_gravity = largest_factor * motion.acceleration + gravity
+    displacement, velocity = largest_factor * motion.displacement, largest_factor * motion.velocity
+    floor = _FloorMotion(displacement, velocity, apparent_gravity, rate, gravity)
     pulse, flights = landing_pulse(motion.rec.scene, motion.info.at, rate), pairwise(impact_sample)
     if pulse is None:
         heights = [floor.height_from_rest(int(start) + _SMEARED_SAMPLES, int(end)) for start, end in flights]
     else:
-        speeds = inelastic_closing_speeds(motion.rec.scene, detected, damper)[chosen]
-        closing = largest_factor * speeds[1:] / (1.0 + pulse.restitution)
+        inelastic_speeds = inelastic_closing_speeds(motion.rec.scene, detected, damper)[is_evaluated]
+        closing_speeds = largest_factor * inelastic_speeds[1:] / (1.0 + pulse.restitution)
         heights = [
-            floor.height_before(int(start), end, speed) for (start, end), speed in zip(flights, closing, strict=True)
+            floor.height_before(int(start), end, speed)
+            for (start, end), speed in zip(flights, closing_speeds, strict=True)
         ]
     return bool(heights) and float(np.median(heights)) > (1.0 - _CEILING_DISTANCE_RATIO) * damper.clearance
 
 
 @dataclass(frozen=True)
 class _FloorMotion:
-    """Motion of the floor of a cavity; `weight` is its acceleration plus g."""
+    """Motion of the floor of a cavity, sampled; arrays have the shape (samples,)."""
 
-    position: Array
-    speed: Array
-    weight: Array
-    rate: float
-    gravity: float
+    position: Array  # m
+    speed: Array  # m/s
+    apparent_gravity: Array  # acceleration plus g, m/s²
+    rate: float  # samples per second
+    gravity: float  # g, m/s²
 
     def height_from_rest(self, sample: int, last: int) -> float:
-        """Return the maximum height, m, of a damper that starts at rest on the floor and does not rebound."""
+        """Return the maximum height, m, of a damper that is at rest on the floor at `sample` and does not rebound.
+
+        The flights until sample `last` are computed one after the other.
+        """
         highest = 0.0
-        while sample < last and (falling := np.flatnonzero(self.weight[sample:last] < 0.0)).size:
+        while sample < last and (falling := np.flatnonzero(self.apparent_gravity[sample:last] < 0.0)).size:
             release, delay = sample + int(falling[0]), 0.0
             if release > sample:
-                # The damper left between two samples, at the interpolated zero of `weight`.
-                before = self.weight[release - 1]
-                delay = self.weight[release] / (self.weight[release] - before) / self.rate
+                # The damper left between two samples, at the interpolated zero of `apparent_gravity`.
+                before, after = self.apparent_gravity[release - 1 : release + 1]
+                delay = after / (after - before) / self.rate
             start = self.position[release] - self.speed[release] * delay - 0.5 * self.gravity * delay**2
             speed = self.speed[release] + self.gravity * delay
             time = delay + np.arange(1, last - release + 1) / self.rate
@@ -290,17 +322,18 @@ class _FloorMotion:
             sample = release + 1 + end
         return highest
 
-    def height_before(self, first: int, end_sample: float, closing: float) -> float:
+    def height_before(self, first: int, end_sample: float, closing_speed: float) -> float:
         """Return the maximum height, m, of a flight after `first` that ends at `end_sample` with a closing speed."""
         # The backward computation starts at the last sample that the impact does not smear.
         last = int(end_sample) - _SMEARED_SAMPLES
         remaining_time = (end_sample - last) / self.rate
-        height = remaining_time * closing - 0.5 * self.weight[last] * remaining_time**2
-        closing = closing - self.weight[last] * remaining_time
+        height = remaining_time * closing_speed - 0.5 * self.apparent_gravity[last] * remaining_time**2
+        closing_speed = closing_speed - self.apparent_gravity[last] * remaining_time
         time = np.arange(max(last - first, 0)) / self.rate
         damper_position = (
-            self.position[last] + height - (self.speed[last] - closing) * time - 0.5 * self.gravity * time**2
+            self.position[last] + height - (self.speed[last] - closing_speed) * time - 0.5 * self.gravity * time**2
         )
         height_above_floor = damper_position - self.position[last - np.arange(time.size)]
-        landed = np.flatnonzero(height_above_floor < 0.0)
-        return float(height_above_floor[: int(landed[0]) if landed.size else height_above_floor.size].max(initial=0.0))
+        on_floor = np.flatnonzero(height_above_floor < 0.0)
+        flight_samples = int(on_floor[0]) if on_floor.size else height_above_floor.size
+        return float(height_above_floor[:flight_samples].max(initial=0.0))

@@ -1,4 +1,8 @@
-"""Detection of damper impacts in motion channels: an impact is a velocity jump of the body, or a force pulse."""
+"""Detection of damper impacts in a motion channel.
+
+An impact is an instant velocity jump of the damper's body or, with *finite-duration contact*, the velocity change by a
+force pulse, which ends at the *release*.
+"""
 
 from __future__ import annotations
 
@@ -32,28 +36,27 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
 
 
-# A segment is rejected if less than this share of it can be searched.
-_MIN_SEARCHED_RATIO = 0.5
-# The weight of a bed delays the release after a finite-duration impact: a smaller jump within this number of contact
-# durations is attributed to the release ...
+# Minimum share of a segment that must be valid.
+_MIN_VALID_RATIO = 0.5
+# Longest time from a finite-duration impact to its release, in contact durations; the weight of a bed delays it.
 RELEASE_DURATIONS = 1.6
-# ... if it is below this ratio to the impact.
+# Largest jump that may be a release, relative to its impact.
 _MAX_RELEASE_RATIO = 0.5
-# While the sensor rings, a jump below this ratio is attributed to the residual of the impact.
+# Largest jump that may be a residual of a finite-duration impact while the sensor rings, relative to the impact.
 _CONTACT_RESIDUAL_RATIO = 0.15
 # Model error of a finite-duration impact, relative to the largest impact near it.
 _CONTACT_JUMP_ERROR = 0.03
-# Shift of the estimated time by that impact, relative to the pulse width.
+# Error of the estimated time caused by that impact, relative to the time to 90 % of the pulse.
 _CONTACT_TIME_ERROR = 0.04
-# Additional shift of that time, relative to a sample interval.
+# Additional error of that time, relative to a sample interval.
 _CONTACT_SAMPLE_ERROR = 0.05
-# Number of readings in 90 % of an impact pulse; samples at a higher rate are averaged.
+# Number of readings during 90 % of an impact pulse; samples at a higher rate are averaged.
 _PULSE_READINGS = 8
 # Lower limit of the frequency band in which the motion of a body is determined.
 _LOW_HZ = 2.0
 # Upper limit of that band, relative to the sample rate.
 _HIGH_RATE_RATIO = 0.4
-# The acceleration at an impact is estimated by a polynomial through the samples within this time on either side.
+# Time on either side of an impact whose samples determine the polynomial for the acceleration at the impact.
 _SIDE_TIME_S = 2e-3
 # Minimum number of these samples.
 _MIN_SIDE_SAMPLES = 8
@@ -61,7 +64,7 @@ _MIN_SIDE_SAMPLES = 8
 _DECAY_TIMES = 4.0
 # Order of the polynomial.
 _SIDE_ORDER = 3
-# If the largest jump is below this multiple of the noise, other jumps may have inflated the noise estimate.
+# Largest jump, in standard deviations of noise, at which frequent impacts may have raised the noise estimate.
 _UNCERTAIN_SIGMAS = 40.0
 # Quantile of the jump filter's output from which the noise is then estimated again.
 _LOW_NOISE_QUANTILE = 0.1
@@ -86,7 +89,7 @@ class Impacts:
     acceleration: Array
     """Smooth acceleration of the body at the impact, m/s²; NaN too close to the ends of the segment; shape (n,)."""
     noise: float
-    """Standard deviation of the estimated jump in the absence of an impact, m/s: 95th percentile over the segment."""
+    """Standard deviation of the estimated jump without an impact, m/s: 95th percentile over the segment."""
     resolution: float
     """Shortest interval between two impacts that the channel resolves, s."""
     ringing: float
@@ -138,7 +141,7 @@ def impacts(
     info, pulse, decimation = _impact_channel(rec, channel)
     stop = rec.samples if stop is None else min(stop, rec.samples)
     models = impact_models(info, pulse, decimation)
-    min_samples = 4 * models[0].separation * decimation
+    min_samples = 4 * models[0].min_separation * decimation
     if stop - start < min_samples:
         raise RecordingError(
             f"{info.name}: too few samples to distinguish impacts from noise ({stop - start}). Take at least "
@@ -146,8 +149,8 @@ def impacts(
         )
     if samples is None:
         samples = rec.read(info.name, start, stop)
-    valid_samples = _valid_samples(rec, info.name, samples, start, models[0].settling * decimation)
-    if np.sum(valid_samples) < max(min_samples, _MIN_SEARCHED_RATIO * valid_samples.size):
+    valid_samples = _valid_samples(rec, info.name, samples, start, models[0].settling_samples * decimation)
+    if np.sum(valid_samples) < max(min_samples, _MIN_VALID_RATIO * valid_samples.size):
         raise RecordingError(
             f"{info.name}: all but {np.sum(valid_samples)} of {valid_samples.size} samples in this segment are lost or "
             "overloaded. Choose another segment, or record at a lower level, with a larger converter range or longer "
@@ -155,9 +158,9 @@ def impacts(
         )
     if not valid_samples.all():
         samples = np.interp(np.arange(samples.size), np.flatnonzero(valid_samples), samples[valid_samples])
-    # The quantization of the converter is included in the noise, even if constant readings conceal it.
-    rounding = 0.0 if info.volts_per_count is None else info.unit_per_count / 12.0**0.5
-    noise_floor = max(rounding, 1e-14 * float(abs(samples).max()))
+    # Constant readings have quantization noise too.
+    quantization_noise = 0.0 if info.volts_per_count is None else info.unit_per_count / 12.0**0.5
+    noise_floor = max(quantization_noise, 1e-14 * float(abs(samples).max()))
     if noise_floor == 0.0:
         raise RecordingError(f"{info.name}: reads zero throughout this segment. Check what it is connected to.")
     rate, noise_floor = rec.rate / decimation, noise_floor / decimation**0.5
@@ -169,15 +172,15 @@ def impacts(
             "Choose another segment, or record at a lower level or with a larger converter range."
         )
     jumps = search.run()
-    largest = max((abs(jump.sizes[0]) for jump in jumps), default=0.0 if pulse else np.inf)
+    largest = max((abs(jump.amplitudes[0]) for jump in jumps), default=0.0 if pulse else np.inf)
     if largest < _UNCERTAIN_SIGMAS * search.jump_noise:
-        # Frequent impacts raise the noise estimate of most windows, and so mask each other.
         second_search = MatchingPursuit(models, readings, valid, noise_floor, rate, _LOW_NOISE_QUANTILE)
         second_jumps = second_search.run()
         if second_search.jump_noise < NOISE_REDUCTION * search.jump_noise:
             search, jumps = second_search, second_jumps
     noise = search.jump_noise
-    fitted = [(values.time, values.time_error, values.sizes[0], values.error) for values in jumps]
+    fitted = [(item.time, item.time_error, item.amplitudes[0], item.error) for item in jumps]
+    # Times in readings of the search, until they are converted to samples below.
     position, position_error, jump, error = np.array(fitted).reshape(-1, 4).T
     largest = float(abs(jump).max(initial=0.0))
     threshold = search.detection_limit(noise, largest)
@@ -189,7 +192,7 @@ def impacts(
     unresolved = search.unresolved()
     accepted &= ~((position[:, None] >= unresolved[:, 0]) & (position[:, None] < unresolved[:, 1])).any(axis=1)
     resolution, duration = search.resolution() / rate, 0.0 if pulse is None else pulse.duration
-    ringing = (search.model.separation + search.model.settling) / rate
+    ringing = (search.model.min_separation + search.model.settling_samples) / rate
     if pulse is not None:
         time = position / rate
         accepted &= ~_is_secondary(time, jump, resolution + RELEASE_DURATIONS * duration, ringing)
@@ -219,7 +222,10 @@ def impacts(
 
 
 def _impact_channel(rec: Recording, channel: str) -> tuple[ChannelInfo, Pulse | None, int]:
-    """Return a channel that responds to impacts, the force pulse of a finite-duration contact, and the decimation."""
+    """Return a channel that responds to impacts, the force pulse of a finite-duration contact, and the decimation.
+
+    The decimation is the number of samples that are averaged to one reading.
+    """
     info = find_channel(rec, channel)
     if info.quantity not in MOTIONS:
         raise RecordingError(
@@ -232,8 +238,7 @@ def _impact_channel(rec: Recording, channel: str) -> tuple[ChannelInfo, Pulse | 
     if decimation == 1 and info.quantity == "acceleration" and not between_samples:
         raise RecordingError(
             f"{info.name}: acceleration sampled at instants (sampling: point), so that impacts between two samples "
-            "leave no trace. Record with sampling: average, a filter, an integrator, a sensor resonance, or a higher "
-            "rate."
+            "leave no trace. Record with sampling: average, a filter, an integrator or a sensor resonance."
         )
     return info, pulse, decimation
 
@@ -258,28 +263,32 @@ def band(rate: float) -> tuple[float, float]:
     return _LOW_HZ, _HIGH_RATE_RATIO * rate
 
 
-def _valid_samples(rec: Recording, name: str, samples: Array, start: int, ring: int) -> NDArray[np.bool_]:
-    """Return whether each sample is valid: neither lost nor overloaded, and not ringing after an overload."""
+def _valid_samples(rec: Recording, name: str, samples: Array, start: int, settling_samples: int) -> NDArray[np.bool_]:
+    """Return whether each sample is valid: neither lost nor overloaded, and settled after an overload."""
     valid = np.isfinite(samples)
     for marker in rec.overloads:
         if marker.fields.get("channel") == name:
-            # The response after an overload cannot be modeled, because the overload hides its beginning.
-            valid[max(marker.first_sample - start, 0) : max(marker.end + 1 + ring - start, 0)] = False
+            # The ringing after an overload cannot be modeled, because the overload hides its beginning.
+            settled = marker.end + 1 + settling_samples
+            valid[max(marker.first_sample - start, 0) : max(settled - start, 0)] = False
     return valid
 
 
 def _acceleration(samples: Array, impact_samples: Array, info: ChannelInfo, duration: float) -> Array:
-    """Estimate the acceleration at jumps by a polynomial through samples on both sides; `duration` of contact in s."""
+    """Estimate the acceleration at jumps, m/s², by a polynomial through the samples on both sides.
+
+    `impact_samples`: times of the jumps, samples; `duration`: of contact, s. NaN too close to the ends.
+    """
     integrations = 2 - MOTIONS.index(info.quantity)
-    # The high-pass filters of integrators are corrected, because they distort slow motion.
-    zeros, poles = (tuple(r for r in roots if abs(r) < info.rate) for roots in (info.zeros, info.poles))
+    # The high-pass filters of integrators distort slow motion, so their slow poles and zeros are corrected.
+    zeros, poles = (tuple(root for root in roots if abs(root) < info.rate) for roots in (info.zeros, info.poles))
     without_fast_poles = replace(info, zeros=zeros, poles=poles, gain=1.0, average=False, filter={}, delay=0.0)
     samples = correct_motion(without_fast_poles, samples, info.quantity, _LOW_HZ, info.rate)
     # Samples during which the sensor rings are excluded. The average over an interval is assigned to its middle.
-    slowest = min((-pole.real for pole in info.poles if abs(pole) > info.rate), default=np.inf)
-    gap = 2 + int(np.ceil(_DECAY_TIMES * info.rate / slowest + duration * info.rate))
+    decay_rate = min((-pole.real for pole in info.poles if abs(pole) > info.rate), default=np.inf)
+    gap = 2 + int(np.ceil(_DECAY_TIMES * info.rate / decay_rate + duration * info.rate))
     side = max(_MIN_SIDE_SAMPLES, round(_SIDE_TIME_S * info.rate))
-    out = np.full(impact_samples.size, np.nan)
+    acceleration = np.full(impact_samples.size, np.nan)
     jump_sample = np.floor(impact_samples).astype(np.intp)
     evaluable = np.flatnonzero((jump_sample >= side) & (jump_sample + gap + side <= samples.size))
     offsets = np.concatenate([np.arange(-side, 0), np.arange(gap, gap + side)])
@@ -288,18 +297,21 @@ def _acceleration(samples: Array, impact_samples: Array, info: ChannelInfo, dura
         time = (indices - impact_samples[index] - 0.5 * info.average) / (side + gap)
         columns = [time**power for power in range(integrations + _SIDE_ORDER + 1)]
         if integrations:
+            # The jump of the velocity, or the kink of the displacement.
             columns.append(np.maximum(time, 0.0) ** (integrations - 1) * (time > 0))
-        fit = np.linalg.lstsq(np.stack(columns, axis=1), samples[indices], rcond=None)[0]
-        scale = (info.rate / (side + gap)) ** integrations
-        out[index] = fit[integrations] * (1.0, 1.0, 2.0)[integrations] * scale
-    return out
+        coefficients = np.linalg.lstsq(np.stack(columns, axis=1), samples[indices], rcond=None)[0]
+        # The acceleration is the derivative of this order at the impact: the coefficient times the factorial.
+        factorial = (1.0, 1.0, 2.0)[integrations]
+        acceleration[index] = coefficients[integrations] * factorial * (info.rate / (side + gap)) ** integrations
+    return acceleration
 
 
 def score(detected: Array, true: Array, tolerance: float) -> tuple[float, NDArray[np.bool_], NDArray[np.bool_]]:
     """Match detected with true times, each at most once, the closest pairs first.
 
-    `detected`, `true`: detected and true times, s; `tolerance`: maximum distance of a pair, s. Returns `f1`, F1 score,
-    2 × matches / (detected + true); 1 if both are empty; `detected_matched, true_matched`, which times are matched.
+    `detected`, `true`: detected and true times, s; `tolerance`: maximum distance of a pair, s. Returns the F1 score,
+    2 × matches / (detected + true), which is 1 if both are empty; then whether each detected and each true time is
+    matched.
 
     >>> score(np.array([1.0, 2.0, 5.0]), np.array([1.01, 2.0, 3.0]), 0.05)[0]
     0.6666666666666666

@@ -1,8 +1,12 @@
-"""Response of a channel to a velocity jump, and the matched filters that detect the jump.
+"""Reading of a channel at a velocity jump of its body, and the matched filters that detect the jump.
+
+A damper's impact causes a *jump* of the body's velocity, and a *step* and a *kink* (change of slope) of its
+acceleration. Their readings follow from the channel's data sheet. They are computed at *sub-sample times*, because an
+impact occurs between samples.
 
 Matched filters for a known signal in white noise: S. M. Kay, *Fundamentals of Statistical Signal Processing II:
-Detection Theory*, 1998, ch. 4. A step and a kink of the acceleration and a polynomial are nuisance signals; the
-filters are orthogonal to them.
+Detection Theory*, 1998, ch. 4. Step, kink and a polynomial for the smooth motion are nuisance signals; the filters are
+orthogonal to them.
 """
 
 from __future__ import annotations
@@ -32,14 +36,14 @@ _SIDE_SAMPLES = 6
 _SIDE_TIME_S = 1e-3
 # Maximum phase change of a resonance between two sub-sample times, rad.
 _MAX_PHASE_STEP = 0.5
-# Minimum number of sub-sample times in a sample.
-_MIN_INSTANTS = 8
+# Minimum number of sub-sample times in a sample interval.
+_MIN_INSTANTS_PER_SAMPLE = 8
 # The search uses every eighth sub-sample time if the sensor has a resonance.
 _RESONANCE_STRIDE = 8
 # The search uses every fourth sub-sample time with a decimation filter.
 _FILTER_STRIDE = 4
-# Poles above this angular frequency, rad per sample, affect the shape of a jump; slower poles only cause a slow
-# curvature after it.
+# Smallest angular frequency, rad per sample, of poles that affect the reading of a jump; slower poles cause a slow
+# curvature after it, which the polynomial represents.
 _FAST_POLE = 0.3
 # Number of decay times after which the response of a resonance has decayed to 1e-6.
 _DECAY_TIMES = 14.0
@@ -49,19 +53,19 @@ _WINDOW_DECAY_TIMES = 3.0
 _FILTER_SPAN_SAMPLES = 40
 # Part of that impulse response within the window.
 _FILTER_WINDOW_SAMPLES = 12
-# Singular values of the filters below this share of the largest are rounding errors.
+# Largest singular value of the filters that is a rounding error, relative to the largest of all.
 _RANK_TOLERANCE = 1e-12
 
 
 class UnitReadings(NamedTuple):
-    """Differenced readings of unit jump, step and kink at a sub-sample time."""
+    """Differenced readings of unit jump, step and kink at one time."""
 
     begin: int
     """Index of the first difference."""
     units: Array
-    """Shape (3, length)."""
-    slopes: Array
-    """Derivatives of `units` with respect to time, per sample; shape (3, length)."""
+    """Jump of 1 m/s, step of 1 m/s², kink of 1 m/s³; shape (3, length)."""
+    time_derivatives: Array
+    """Derivatives of `units` with respect to the time, per sample; shape (3, length)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,28 +74,30 @@ class ImpactModel:
 
     All arrays are differences of the readings, of an order two higher than the number of integrations in the channel,
     so that the response to a jump is short. The fit itself is least squares in the readings, whose noise is white.
+
+    The arrays have one row for each of 2 `MAX_SHIFT` `instants_per_sample` times. Row g is for a jump
+    (g + 1/2) / `instants_per_sample` - `MAX_SHIFT` samples after sample 0 of a window.
     """
 
-    difference: int
+    difference_order: int
     """Order of the differences."""
-    instants: int
-    """Number of sub-sample times in a sample."""
-    stride: int
-    """The search uses every `stride`-th sub-sample time."""
+    instants_per_sample: int
+    """Number of sub-sample times in a sample interval."""
+    search_stride: int
+    """Distance of the sub-sample times that the search uses; 1: it uses all."""
     filters: Array
     """Filters for the kink, for the step orthogonal to the kink, and for the jump orthogonal to both, each with unit
-    noise gain. Row g is for a jump (g + 1/2) / instants - MAX_SHIFT samples after the window's sample 0.
-    Shape (2 MAX_SHIFT instants, 3, window)."""
+    noise gain; shape (rows, 3, window)."""
     r_factors: Array
-    """Upper triangular matrices from kink, step and jump to filter outputs; shape (2 MAX_SHIFT instants, 3, 3)."""
+    """Upper triangular matrices from kink, step and jump to filter outputs; shape (rows, 3, 3)."""
     window_start: int
     """Index of the window's first difference relative to its sample 0."""
-    shapes: Array
-    """Differenced readings of unit jump, step and kink; shape (2 MAX_SHIFT instants, 3, length)."""
-    shape_start: int
-    """Index of the first difference of `shapes` relative to sample 0."""
-    order: int
-    """Polynomial order of the smooth motion in the readings of a window."""
+    unit_differences: Array
+    """Differenced readings of unit jump, step and kink until they have decayed; shape (rows, 3, length)."""
+    unit_start: int
+    """Index of the first of `unit_differences` relative to sample 0."""
+    polynomial_order: int
+    """Order of the polynomial for the smooth motion in the readings of a window."""
     contact_samples: int
     """Contact duration of an impact, samples; 0: instant."""
 
@@ -101,143 +107,151 @@ class ImpactModel:
 
         The numerical rank of a few dozen filters is about ten.
         """
-        first = MAX_SHIFT * self.instants + self.stride // 2
-        filters = self.filters[first : first + self.instants : self.stride, 2]
+        first = MAX_SHIFT * self.instants_per_sample + self.search_stride // 2
+        filters = self.filters[first : first + self.instants_per_sample : self.search_stride, 2]
         left, singular, basis = np.linalg.svd(filters, full_matrices=False)
         rank = int(np.sum(singular > _RANK_TOLERANCE * singular[0]))
         return np.ascontiguousarray(basis[:rank]), left[:, :rank] * singular[:rank]
 
     @cached_property
     def _coarse_filters(self) -> Array:
-        rows = self.filters[self.stride // 2 :: self.stride]
-        return np.ascontiguousarray(rows).reshape(-1, self.window)
+        """Filters at the times that the search uses; shape (3 times, window)."""
+        rows = self.filters[self.search_stride // 2 :: self.search_stride]
+        return np.ascontiguousarray(rows).reshape(-1, self.window_length)
 
     @cached_property
-    def _to_sizes(self) -> Array:
-        """Matrices from filter outputs to jump, step and kink; shape (2 MAX_SHIFT instants, 3, 3)."""
+    def _outputs_to_amplitudes(self) -> Array:
+        """Matrices from filter outputs to jump, step and kink; shape (rows, 3, 3)."""
         return np.asarray(np.linalg.inv(self.r_factors)[:, ::-1], dtype=np.float64)
 
     @cached_property
     def templates(self) -> Array:
-        """Readings of unit jump, step and kink without smooth motion; shape (2 MAX_SHIFT instants, 3, window)."""
-        begin = self.window_start - self.shape_start
-        return self.readings(self.shapes[..., begin : begin + self.window])
+        """Readings of unit jump, step and kink without smooth motion; shape (rows, 3, window)."""
+        begin = self.window_start - self.unit_start
+        return self.readings(self.unit_differences[..., begin : begin + self.window_length])
 
     @cached_property
-    def window(self) -> int:
+    def window_length(self) -> int:
         """Number of differences in one window."""
         return int(self.filters.shape[-1])
 
     @cached_property
-    def separation(self) -> int:
+    def min_separation(self) -> int:
         """Minimum distance of two jumps whose windows do not overlap, samples."""
-        return self.window + self.difference
+        return self.window_length + self.difference_order
 
     @cached_property
-    def settling(self) -> int:
+    def settling_samples(self) -> int:
         """Samples until the reading of a jump has decayed."""
-        return int(self.shapes.shape[-1])
+        return int(self.unit_differences.shape[-1])
 
     @cached_property
     def noise_gain(self) -> float:
-        """Standard deviation of a jump for unit noise of the readings at the worst sub-sample time, m/s."""
-        middle = slice(MAX_SHIFT * self.instants, (MAX_SHIFT + 1) * self.instants)
+        """Largest standard deviation of a jump over the sub-sample times, for readings with unit noise, m/s."""
+        middle = slice(MAX_SHIFT * self.instants_per_sample, (MAX_SHIFT + 1) * self.instants_per_sample)
         return float(1.0 / abs(self.r_factors[middle, 2, 2]).min())
 
     @cached_property
     def template_norm(self) -> float:
         """Root sum of squares of the readings of a 1 m/s jump in the middle of a window."""
-        row = np.zeros(self.window)
-        unit = self.placed(self.difference - self.window_start + 0.5)
-        low = max(0, -unit.begin)
-        part = unit.units[0, low : low + self.window - max(unit.begin, 0)]
-        row[max(unit.begin, 0) : max(unit.begin, 0) + part.size] = part
-        return float(np.linalg.norm(self.readings(row)))
+        window = np.zeros(self.window_length)
+        unit = self.unit_readings_at(self.difference_order - self.window_start + 0.5)
+        low, begin = max(0, -unit.begin), max(unit.begin, 0)
+        inside = unit.units[0, low : low + self.window_length - begin]
+        window[begin : begin + inside.size] = inside
+        return float(np.linalg.norm(self.readings(window)))
 
-    def order_over(self, length: int) -> int:
-        """Return the polynomial order for a number of differences: higher if they exceed a window."""
-        return self.order + max(0, (self.order - 1) * (length - self.window) // self.window)
+    def polynomial_order_for(self, length: int) -> int:
+        """Return the polynomial order for `length` differences: higher if they exceed a window."""
+        return self.polynomial_order + max(
+            0, (self.polynomial_order - 1) * (length - self.window_length) // self.window_length
+        )
 
     def readings(self, differences: Array, order: int | None = None) -> Array:
-        """Integrate differences to readings and remove the smooth motion; shape (..., differences).
+        """Integrate differences to readings, and subtract the smooth motion; shape (..., differences).
 
-        `order`: polynomial order; default: `order_over` for the length.
+        `order`: polynomial order; by default `polynomial_order_for` the length.
         """
         length = differences.shape[-1]
-        for _ in range(self.difference):
+        for _ in range(self.difference_order):
             differences = np.cumsum(differences, axis=-1)
-        smooth = legendre_basis(length, self.order_over(length) if order is None else order)
+        polynomials = legendre_basis(length, self.polynomial_order_for(length) if order is None else order)
         # A single projection leaves rounding errors, because the polynomials are much larger than the readings of a
         # jump.
         for _ in range(2):
-            differences = differences - (differences @ smooth) @ smooth.T
+            differences = differences - (differences @ polynomials) @ polynomials.T
         return differences
 
     def locate(self, time: Array | float) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-        """Return the sample before a time, the preceding row of `shapes`, and the weight of the following row."""
+        """Return the sample before a time, the preceding row of the arrays, and the weight of the following row.
+
+        `time`: samples; one or several.
+        """
         sample = np.floor(time)
-        position = (time - sample) * self.instants - 0.5 + MAX_SHIFT * self.instants
-        row = np.clip(np.floor(position), 0, len(self.shapes) - 2)
+        position = (time - sample) * self.instants_per_sample - 0.5 + MAX_SHIFT * self.instants_per_sample
+        row = np.clip(np.floor(position), 0, len(self.unit_differences) - 2)
         return sample.astype(np.intp), row.astype(np.intp), np.asarray(position - row)
 
-    def placed(self, time: float) -> UnitReadings:
-        """Return the differenced readings of unit jump, step and kink at a time in samples."""
+    def unit_readings_at(self, time: float) -> UnitReadings:
+        """Return the differenced readings of unit jump, step and kink at a time, in samples."""
         sample, row, weight = self.locate(np.float64(time))
-        left, right = self.shapes[row], self.shapes[row + 1]
+        left, right = self.unit_differences[row], self.unit_differences[row + 1]
         return UnitReadings(
-            int(sample) + self.shape_start - self.difference,
+            int(sample) + self.unit_start - self.difference_order,
             left + weight * (right - left),
-            (right - left) * self.instants,
+            (right - left) * self.instants_per_sample,
         )
 
-    def best_instant(self, window: Array, noise: float) -> tuple[float, Array, float, float]:
-        """Estimate the time of the jump that best explains a window of differences.
+    def fit_jump(self, window: Array, noise: float) -> tuple[float, Array, float, float]:
+        """Fit the jump that best explains a window of differences; `noise`: standard deviation of a reading.
 
-        Returns `instant`, time of the jump after the window's sample 0, samples; `sizes`, shape (3,), jump [m/s],
+        Returns `time`, time of the jump after the window's sample 0, samples; `amplitudes`, shape (3,), jump [m/s],
         step [m/s²], kink [m/s³]; `error`, standard deviation of the jump, m/s; `explained`, reduction of the sum of
         squares by jump, step and kink, in noise variances.
         """
-        stride = self.stride
-        outputs = (self._coarse_filters @ window).reshape(-1, 3)
-        best_row = int(np.argmax(np.einsum("ij,ij->i", outputs, outputs))) * stride + stride // 2
-        low = max(best_row - stride, 0)
-        rows = self.filters[low : best_row + stride + 1]
-        outputs_nearby = (rows.reshape(-1, self.window) @ window).reshape(-1, 3)
-        explained = np.einsum("ij,ij->i", outputs_nearby, outputs_nearby) / noise**2
-        best_row = int(np.argmax(explained))
-        row, offset = low + best_row, 0.0
-        if 0 < best_row < explained.size - 1:
-            left, middle, right = explained[best_row - 1 : best_row + 2]
+        stride = self.search_stride
+        coarse_outputs = (self._coarse_filters @ window).reshape(-1, 3)
+        coarse_row = int(np.argmax(np.einsum("ij,ij->i", coarse_outputs, coarse_outputs))) * stride + stride // 2
+        # All sub-sample times around the best time of the coarse search.
+        first_row = max(coarse_row - stride, 0)
+        filters = self.filters[first_row : coarse_row + stride + 1]
+        outputs = (filters.reshape(-1, self.window_length) @ window).reshape(-1, 3)
+        explained = np.einsum("ij,ij->i", outputs, outputs) / noise**2
+        best = int(np.argmax(explained))
+        row, offset = first_row + best, 0.0
+        if 0 < best < explained.size - 1:
+            # Vertex of the parabola through the highest value and its neighbors.
+            left, middle, right = explained[best - 1 : best + 2]
             curvature = left - 2.0 * middle + right
             offset = min(max(0.5 * (left - right) / curvature, -0.5), 0.5) if curvature < 0 else 0.0
-        sizes = self._to_sizes[row] @ outputs_nearby[best_row]
+        amplitudes = self._outputs_to_amplitudes[row] @ outputs[best]
         if offset:
             direction = 1 if offset > 0 else -1
-            neighbor = self._to_sizes[row + direction] @ outputs_nearby[best_row + direction]
-            sizes = (1.0 - abs(offset)) * sizes + abs(offset) * neighbor
+            neighbor_amplitudes = self._outputs_to_amplitudes[row + direction] @ outputs[best + direction]
+            amplitudes = (1.0 - abs(offset)) * amplitudes + abs(offset) * neighbor_amplitudes
         error = noise / abs(self.r_factors[row, 2, 2])
-        return (row + offset + 0.5) / self.instants - MAX_SHIFT, sizes, error, float(explained[best_row])
+        time = (row + offset + 0.5) / self.instants_per_sample - MAX_SHIFT
+        return time, amplitudes, error, float(explained[best])
 
 
 @lru_cache(maxsize=32)
 def with_order(model: ImpactModel, order: int) -> ImpactModel:
     """Return a model with another polynomial order in `readings`; the filters do not change."""
-    return model if order == model.order else replace(model, order=order)
+    return model if order == model.polynomial_order else replace(model, polynomial_order=order)
 
 
 @lru_cache(maxsize=256)
 def legendre_basis(length: int, degree: int) -> Array:
-    """Return an orthonormal polynomial basis on `length` points; its leading columns span the lower degrees."""
+    """Return an orthonormal polynomial basis, shape (length, degree + 1); leading columns span the lower degrees."""
     basis = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, length), degree)
     return np.asarray(np.linalg.qr(basis)[0], dtype=np.float64)
 
 
 def impact_models(info: ChannelInfo, pulse: Pulse | None = None, decimation: int = 1) -> tuple[ImpactModel, ...]:
-    """Compute the response of a channel to a jump from its data sheet; one model for each of `ORDERS`.
+    """Compute the model of a channel from its data sheet, for each polynomial order of `ORDERS`.
 
     `info`: acceleration, velocity or displacement channel; `pulse`: force pulse of finite-duration contact, which
-    smooths jump, step and kink alike. None: instant; `decimation`: number of samples that are averaged to one
-    reading.
+    smooths jump, step and kink alike (None: instant); `decimation`: number of samples that are averaged to one reading.
     """
     response = info.quantity, info.rate, info.gain, *map(tuple, (info.zeros, info.poles)), info.average
     return _impact_models(response, tuple(info.filter.items()), pulse, decimation)
@@ -259,45 +273,49 @@ def _impact_models(
     )  # fmt: skip
     integrations, rate = 2 - MOTIONS.index(quantity), full_rate / decimation
     # A decimation filter removes resonances above half the sample rate.
-    fastest = np.pi * full_rate if info.filter else np.inf
-    fast = [pole for pole in poles if _FAST_POLE * rate < abs(pole) < fastest]
-    phase_rate = max((abs(pole.imag) for pole in fast), default=0.0) / rate if pulse is None else 0.0
-    decay_samples = max((-rate / pole.real for pole in fast), default=0.0)
+    max_frequency = np.pi * full_rate if info.filter else np.inf
+    fast_poles = [pole for pole in poles if _FAST_POLE * rate < abs(pole) < max_frequency]
+    phase_per_sample = max((abs(pole.imag) for pole in fast_poles), default=0.0) / rate if pulse is None else 0.0
+    decay_samples = max((-rate / pole.real for pole in fast_poles), default=0.0)
     contact = 0 if pulse is None else int(np.ceil(pulse.duration * rate))
-    stride = _RESONANCE_STRIDE if phase_rate else _FILTER_STRIDE if info.filter and decimation == 1 else 1
-    instants = max(_MIN_INSTANTS, int(np.ceil(phase_rate / _MAX_PHASE_STEP))) * stride
+    stride = _RESONANCE_STRIDE if phase_per_sample else _FILTER_STRIDE if info.filter and decimation == 1 else 1
+    instants = max(_MIN_INSTANTS_PER_SAMPLE, int(np.ceil(phase_per_sample / _MAX_PHASE_STEP))) * stride
     side = _SIDE_SAMPLES if integrations == 0 else max(_SIDE_SAMPLES, round(_SIDE_TIME_S * rate))
     filter_samples = int(np.ceil(_FILTER_WINDOW_SAMPLES / decimation)) if info.filter else 0
     before = MAX_SHIFT + side + filter_samples
     after = MAX_SHIFT + side + integrations + filter_samples + contact
     after += int(np.ceil(min(_WINDOW_DECAY_TIMES * decay_samples, 4 * side)))
     margin = int(np.ceil(_FILTER_SPAN_SAMPLES / decimation)) if info.filter else 2
-    decayed = after + int(np.ceil(_DECAY_TIMES * decay_samples)) + margin
-    readings = _readings(info, integrations, instants, before + margin, decayed, pulse, decimation)
-    shapes = np.diff(readings, 2, axis=-1) / rate**integrations
-    inside = readings[..., margin : margin + before + after]
-    filters = _filters(inside, integrations, rate)
+    until_decayed = after + int(np.ceil(_DECAY_TIMES * decay_samples)) + margin
+    readings = _acceleration_readings(info, integrations, instants, before + margin, until_decayed, pulse, decimation)
+    unit_differences = np.diff(readings, 2, axis=-1) / rate**integrations
+    in_window = readings[..., margin : margin + before + after]
+    filters_of_orders = _filters(in_window, integrations, rate)
     return tuple(
         ImpactModel(
-            difference=integrations + 2,
-            instants=instants,
-            stride=stride,
-            filters=rows,
+            difference_order=integrations + 2,
+            instants_per_sample=instants,
+            search_stride=stride,
+            filters=filters,
             r_factors=r_factors,
             window_start=3 - before,
-            shapes=shapes,
-            shape_start=3 - before - margin,
-            order=order + integrations,
+            unit_differences=unit_differences,
+            unit_start=3 - before - margin,
+            polynomial_order=order + integrations,
             contact_samples=contact,
         )
-        for order, (rows, r_factors) in zip(ORDERS, filters, strict=True)
+        for order, (filters, r_factors) in zip(ORDERS, filters_of_orders, strict=True)
     )
 
 
-def _readings(
+def _acceleration_readings(
     info: ChannelInfo, integrations: int, instants: int, before: int, after: int, pulse: Pulse | None, decimation: int
 ) -> Array:
-    """Compute samples 1 - before to after of unit jump, step and kink at each sub-sample time, as acceleration."""
+    """Compute the readings of unit jump, step and kink, differentiated to acceleration.
+
+    `instants`: sub-sample times in a sample interval. Returns samples 1 - `before` to `after` for each time of a
+    jump; shape (rows, 3, before + after).
+    """
     from scipy import fft
 
     rate = info.rate / decimation
@@ -314,44 +332,46 @@ def _readings(
         # Velocity change within half a sub-sample interval on either side.
         edges = (np.arange(size * instants + 1) - 0.5) / (rate * instants)
         response *= fft.rfft(np.diff(pulse.velocity_change_ratio(edges)))
-    averages = integrations + int(info.average)
+    # A difference of the readings over one sample is an average of the derivative over a sample interval.
+    interval_averages = integrations + int(info.average)
     if not info.average:
         # The mean of interval averages is an average over a longer interval; point samples are summed explicitly.
         delays = np.exp(-2j * np.pi * np.outer(np.arange(decimation), frequency) / info.rate)
         response *= delays.mean(axis=0)
-    # Half a sub-sample interval for each average that is not applied: the sums below cover whole intervals.
-    response *= np.exp(2j * np.pi * frequency * 0.5 * (1 - averages) / (rate * instants))
-    impulse_response = fft.irfft(response, size * instants) * rate * instants
-    for _ in range(averages):
-        total = np.cumsum(np.concatenate([impulse_response[-instants:], impulse_response]))
-        impulse_response = (total[instants:] - total[:-instants]) / instants
-    impulse_response = np.roll(impulse_response, (before + MAX_SHIFT) * instants)
-    step = (np.cumsum(impulse_response) - 0.5 * impulse_response) / (rate * instants)
+    # A jump occurs in the middle of a sub-sample interval. Each running sum delays by half an interval too little.
+    response *= np.exp(2j * np.pi * frequency * 0.5 * (1 - interval_averages) / (rate * instants))
+    jump = fft.irfft(response, size * instants) * rate * instants
+    for _ in range(interval_averages):
+        total = np.cumsum(np.concatenate([jump[-instants:], jump]))
+        jump = (total[instants:] - total[:-instants]) / instants
+    jump = np.roll(jump, (before + MAX_SHIFT) * instants)
+    step = (np.cumsum(jump) - 0.5 * jump) / (rate * instants)
     kink = (np.cumsum(step) - 0.5 * step) / (rate * instants)
-    instant = np.arange(-MAX_SHIFT * instants, MAX_SHIFT * instants)
+    jump_time = np.arange(-MAX_SHIFT * instants, MAX_SHIFT * instants)
     sample = np.arange(1 - before, after + 1)
-    indices = (before + MAX_SHIFT + sample) * instants - instant[:, None] - 1
-    return np.stack([part[indices] for part in (impulse_response, step, kink)], axis=1)
+    indices = (before + MAX_SHIFT + sample) * instants - jump_time[:, None] - 1
+    return np.stack([reading[indices] for reading in (jump, step, kink)], axis=1)
 
 
-def _filters(readings: Array, integrations: int, rate: float) -> list[tuple[Array, Array]]:
-    """Compute least-squares filters for the differenced readings and their triangular matrices for each of `ORDERS`."""
-    shape = (*readings.shape[:-1], integrations)
-    rows = np.concatenate([np.zeros(shape), readings], axis=-1)
+def _filters(acceleration_readings: Array, integrations: int, rate: float) -> list[tuple[Array, Array]]:
+    """Compute `ImpactModel.filters` and `ImpactModel.r_factors` for each order of `ORDERS`."""
+    shape = (*acceleration_readings.shape[:-1], integrations)
+    readings = np.concatenate([np.zeros(shape), acceleration_readings], axis=-1)
     for _ in range(integrations):
-        rows = np.cumsum(rows, axis=-1) / rate
-    columns = np.swapaxes(rows[:, ::-1], 1, 2)
-    out = []
+        readings = np.cumsum(readings, axis=-1) / rate
+    columns = np.swapaxes(readings[:, ::-1], 1, 2)
+    filters_of_orders = []
     for order in ORDERS:
-        smooth = legendre_basis(rows.shape[-1], order + integrations)
+        polynomials = legendre_basis(readings.shape[-1], order + integrations)
         without_smooth = columns
         # A single projection leaves rounding errors, because the polynomials are much larger than the readings of a
         # jump.
         for _ in range(2):
-            without_smooth = without_smooth - smooth @ (smooth.T @ without_smooth)
+            without_smooth = without_smooth - polynomials @ (polynomials.T @ without_smooth)
         basis, r_factors = np.linalg.qr(without_smooth)
         filters = np.swapaxes(basis, 1, 2)
+        # Summation by parts: these filters give the same outputs from the differences as `basis` from the readings.
         for _ in range(integrations + 2):
             filters = -np.cumsum(filters, axis=-1)[..., :-1]
-        out.append((np.ascontiguousarray(filters), r_factors))
-    return out
+        filters_of_orders.append((np.ascontiguousarray(filters), r_factors))
+    return filters_of_orders

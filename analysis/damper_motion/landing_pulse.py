@@ -1,4 +1,8 @@
-"""Force pulse of a finite-duration impact: change of the body velocity from first contact to release."""
+"""Force pulse of a finite-duration impact: change of the body's velocity from first contact to release.
+
+Floor and ceiling of the damper's cavity act as springs with dashpots, so the pulse of each impact is known from the
+scene.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +21,9 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
 
-# An impact shorter than this share of a sample interval is treated as instant.
+# Longest duration of an impact that is treated as instant, relative to a sample interval.
 _MAX_INSTANT_RATIO = 0.25
-# Pulses are considered equal if they differ by less than this share of the velocity change.
+# Largest difference of equal pulses, relative to the velocity change.
 _MAX_PULSE_DIFFERENCE = 0.02
 # Offset from critical damping, at which both roots coincide and the closed form is singular.
 _CRITICAL_OFFSET = 1e-6
@@ -39,7 +43,7 @@ class Pulse:
     """Natural angular frequency of the mass on the contact, rad/s."""
 
     def velocity_change_ratio(self, time: Array) -> Array:
-        """Return the completed part of the velocity change of the body at a time after first contact, s.
+        """Return the velocity change of the body until a time after first contact, s, relative to that at release.
 
         >>> half_sine = Pulse(duration=2e-3, damping_ratio=0.0, angular_frequency=np.pi / 2e-3)
         >>> half_sine.velocity_change_ratio(np.array([-1.0, 0.0, 1e-3, 2e-3, 1.0])).round(12).tolist()
@@ -73,6 +77,8 @@ _INSTANT_PULSE = Pulse(duration=1e-9, damping_ratio=0.0, angular_frequency=np.pi
 def landing_pulse(scene: Scene, location: str, rate: float) -> Pulse | None:
     """Return the common pulse of all impacts in a location such as ``"body 2"``; None if they are instant.
 
+    `rate`: samples per second of the channel.
+
     Raises `RecordingError` if there are grains, or impacts with different pulses.
     """
     from rig.system.assembly import assemble
@@ -89,7 +95,6 @@ def landing_pulse(scene: Scene, location: str, rate: float) -> Pulse | None:
             "a body without grains."
         )
     walls = [wall for damper in dampers for wall in walls_of(damper.contact)]
-    # Impacts that are much shorter than a sample interval count as instant.
     if all(isinstance(wall, Landing) and wall.duration * rate <= _MAX_INSTANT_RATIO for wall in walls):
         return None
     system, pulses = assemble(scene), []
@@ -115,10 +120,10 @@ def landing_pulse(scene: Scene, location: str, rate: float) -> Pulse | None:
 
 
 def transmissibility(scene: Scene, number: int, frequency: Array) -> NDArray[np.complex128]:
-    """Return the transmissibility from the body to a damper at rest on its floor; dampers count from 1.
+    """Return the transmissibility from the body to a damper at rest on its floor, shape (frequencies,).
 
-    The damper leaves the floor when its own acceleration falls below -g. On a compliant floor this differs from the
-    acceleration of the body.
+    `number`: of the damper, from 1; `frequency`: Hz. The damper leaves the floor when its own acceleration falls below
+    -g. On a compliant floor this differs from the acceleration of the body.
     """
     if scene.dampers[number - 1].contact is None:
         return np.ones(frequency.size, dtype=complex)
@@ -127,6 +132,6 @@ def transmissibility(scene: Scene, number: int, frequency: Array) -> NDArray[np.
     system = assemble(scene)
     for j in np.flatnonzero((system.damper_number == number) & system.finite_contact):
         s = 2j * np.pi * frequency
-        push = system.wall_stiffness[j, 0] + s * system.wall_damping[j, 0]
-        return np.asarray(push / (push + system.damper_mass[j] * s**2))
+        dynamic_stiffness = system.wall_stiffness[j, 0] + s * system.wall_damping[j, 0]
+        return np.asarray(dynamic_stiffness / (dynamic_stiffness + system.damper_mass[j] * s**2))
     return np.ones(frequency.size, dtype=complex)

@@ -1,9 +1,11 @@
 """Orthogonal matching pursuit of velocity jumps in a segment of one channel, the largest first.
 
 Method: Y. C. Pati, R. Rezaiifar, P. S. Krishnaprasad, Asilomar 1993. The likelihood ratio of a jump (S. M. Kay,
-*Detection Theory*, 1998) is computed at every sample. Its maximum, if it exceeds the detection threshold, is a jump,
-which is fitted and subtracted. Overlapping jumps are fitted again jointly. The search is then repeated in the
-residual.
+*Detection Theory*, 1998) is computed at every sample. Each local maximum above the detection threshold is a jump, which
+is fitted and subtracted. Overlapping jumps are fitted again jointly. The search is then repeated in the residual.
+
+A *window* is a range of differenced readings in which one jump is fitted. A *step* and a *kink* are changes of the
+acceleration and of its slope (see `impact_model`).
 """
 
 from __future__ import annotations
@@ -40,42 +42,42 @@ MODEL_ERROR = 3e-3
 _CONTACT_MODEL_ERROR = 2e-2
 # Residual of a subtracted jump during its ringing, relative to the jump.
 RESIDUAL_RATIO = 0.02
-# An impact on a neighboring body causes a slightly curved kink of the acceleration. The fit can mistake it for a
-# jump of at most this ratio to the velocity that the kink causes within one sample.
+# An impact on a neighboring body causes a slightly curved kink of the acceleration, which the fit can mistake for a
+# jump. Largest such jump, relative to the velocity that the kink causes within one sample.
 _KINK_JUMP_RATIO = 1.0
-# For finite-duration contact: the time that replaces the sample, relative to the contact duration.
+# Time that replaces the sample for finite-duration contact, relative to the contact duration.
 _KINK_DURATION_RATIO = 1.0 / 6.0
 # Maximum number of searches of the residual.
 _MAX_ROUNDS = 12
 # Maximum number of iterations that center a window on a jump.
 _MAX_CENTERINGS = 4
-# Jumps at a smaller distance are treated as one, samples.
+# Minimum distance of two jumps in the search for single jumps, samples.
 _MIN_DISTANCE_SAMPLES = 4
 # Minimum distance at which two jumps may be resolved, samples.
 MIN_RESOLVED_SAMPLES = 6
 # Two jumps are resolved if the presence of one increases the standard deviation of the other by at most this factor.
 _MAX_RESOLVED_ERROR_RATIO = 1.1
-# A segment is searched for groups of jumps if its residual exceeds this multiple of the detection limit.
+# Residual above which a segment is searched for groups of jumps, in detection limits.
 _GROUP_SEARCH_RATIO = 3.0
 # Maximum number of windows in such a segment.
 _MAX_WINDOWS = 4
-# The search ends at a residual below this ratio to the detection limit.
+# Residual sum of squares at which that search ends, relative to that of a jump at the detection limit.
 _SUFFICIENT_RATIO = 0.1
-# A segment stays unresolved if its residual exceeds both this multiple of the detection limit ...
+# Residual above which a segment is unresolved, in detection limits ...
 _UNRESOLVED_LIMIT_RATIO = 10.0
-# ... and this ratio to its largest jump.
+# ... and relative to its largest jump; both are required.
 _UNRESOLVED_JUMP_RATIO = 0.5
 # Additional polynomial orders for the smooth motion.
 _HIGHER_ORDERS = (2, 4, 6)
-# A higher order is used if it reduces the residual variance by this factor.
-_ORDER_REDUCTION = 2.0
-# A filter of higher order is used if it reduces the noise of a jump below this ratio to that of the lower order.
+# Factor by which a higher order must reduce the residual variance.
+_MIN_VARIANCE_REDUCTION = 2.0
+# Largest noise of a jump with a filter of higher order, relative to that of the lower order, at which it is used.
 NOISE_REDUCTION = 0.7
 # Maximum number of jumps in a joint fit.
 _MAX_JOINT_JUMPS = 5
 # Offsets from which the time of a new jump is fitted, samples.
 _START_OFFSETS = (0.0, -2.5, 2.5, -5.0, 5.0)
-# Distance below which one of two jumps may be spurious.
+# Distance of two jumps below which one of them may be spurious.
 _SPURIOUS_DISTANCE_SAMPLES = 10.0
 # Prior standard deviation of steps, relative to the 90th percentile of the smoothed acceleration.
 _STEP_PRIOR_RATIO = 0.2
@@ -85,8 +87,7 @@ _SMOOTHING_SAMPLES = 8
 _KINK_PRIOR_HZ = 100.0
 # The weight of a bed causes steps of at most this multiple of their prior standard deviation.
 _MAX_STEP_SIGMAS = 3.0
-# An impact is not detected if its jump is below this share of the velocity that a step of one prior standard
-# deviation causes during contact.
+# Smallest detectable jump, relative to the velocity that a step of one prior standard deviation causes during contact.
 _MIN_JUMP_STEP_RATIO = 0.02
 # The noise is assumed constant over this number of windows.
 _NOISE_WINDOWS = 8
@@ -99,9 +100,24 @@ _BLOCK_SAMPLES = 256
 class MatchingPursuit:
     """Search of one segment: its differenced residual, and the jumps that were subtracted.
 
-    `models`: one model for each order of the smooth motion; the search chooses the order; `samples`, `is_valid`:
-    readings, and which of them are valid; `noise_floor`: minimum standard deviation of a reading; `noise_quantile`:
-    quantile of the filter output from which the noise is estimated.
+    `models`: one model for each order of the smooth motion, from which the search chooses; `samples`, `is_valid`:
+    readings, and whether each is valid; `noise_floor`: minimum standard deviation of a reading; `rate`: readings per
+    second; `noise_quantile`: quantile of the filter output from which the noise is estimated.
+
+    Attributes
+    ----------
+    model, window_model : ImpactModel
+        Models with the polynomial orders for the jump filters and for the residual of whole windows.
+    residual : ndarray, shape (differences,)
+        Differenced readings minus all jumps.
+    jumps : list of Jump
+        Subtracted jumps.
+    prior : (float, float)
+        Prior standard deviations of steps, m/s², and kinks, m/s³.
+    valid : ndarray of bool, shape (windows,)
+        Whether the window that begins at a difference contains only valid readings.
+    searchable : ndarray of bool, shape (windows,)
+        Whether a jump in the middle of that window can be detected.
     """
 
     def __init__(
@@ -115,19 +131,20 @@ class MatchingPursuit:
     ) -> None:
         from scipy.ndimage import minimum_filter1d
 
-        self.floor, self.rate, self.noise_quantile = noise_floor, rate, noise_quantile
+        self.noise_floor, self.rate, self.noise_quantile = noise_floor, rate, noise_quantile
         if not is_valid.all():
             samples = np.interp(np.arange(samples.size), np.flatnonzero(is_valid), samples[is_valid])
         self.model = model = models[0]
-        self.residual = np.diff(samples, model.difference)
+        self.residual = np.diff(samples, model.difference_order)
         self.prior = self._prior_deviations(samples)
         # Distance of a window's sample 0 from its first difference.
-        self.window_offset = model.difference - model.window_start
-        overlaps_invalid = np.convolve(~is_valid, np.ones(model.separation), mode="full")[model.separation - 1 :]
-        self.valid = (overlaps_invalid == 0)[: self.residual.size - model.window + 1]
+        self.window_offset = model.difference_order - model.window_start
+        invalid_in_window = np.convolve(~is_valid, np.ones(model.min_separation), mode="full")
+        has_invalid = invalid_in_window[model.min_separation - 1 :] != 0
+        self.valid = ~has_invalid[: self.residual.size - model.window_length + 1]
         # A jump in the last samples of a segment is outside all windows and appears in the nearest window as a jump at
         # another time.
-        self.searchable = minimum_filter1d(self.valid, model.window, mode="constant", cval=False)
+        self.searchable = minimum_filter1d(self.valid, model.window_length, mode="constant", cval=False)
         self.jumps: list[Jump] = []
         self._cache: dict[object, Array] = {}
         smallest_noise = np.inf
@@ -135,7 +152,6 @@ class MatchingPursuit:
             noise = model.noise_gain * float(np.median(self._noise_level(model, noise_quantile)))
             if noise < NOISE_REDUCTION * smallest_noise:
                 smallest_noise, self.model = noise, model
-        # Model for the residual of whole windows, which may need a higher polynomial order than the jump filters.
         self.window_model = self.model
 
     def run(self) -> list[Jump]:
@@ -143,13 +159,13 @@ class MatchingPursuit:
         for _ in range(_MAX_ROUNDS):
             if not self._subtract_jumps():
                 break
-        for jump in sorted(self.jumps, key=lambda jump: abs(jump.sizes[0])):
+        for jump in sorted(self.jumps, key=lambda jump: abs(jump.amplitudes[0])):
             nearest = min(self.jumps, key=lambda other: abs(other.time - jump.time))
             self._refine(nearest, self.noise(self.noise_quantile))
-        base, smallest_variance = self.model.order, np.inf
-        for order in (base, *(base + increase for increase in _HIGHER_ORDERS)):
-            variance = float(np.median(self._residual_squares(order))) / (self.model.window - order - 1)
-            if _ORDER_REDUCTION * variance < smallest_variance:
+        lowest_order, smallest_variance = self.model.polynomial_order, np.inf
+        for order in (lowest_order, *(lowest_order + increase for increase in _HIGHER_ORDERS)):
+            variance = float(np.median(self._residual_squares(order))) / (self.model.window_length - order - 1)
+            if _MIN_VARIANCE_REDUCTION * variance < smallest_variance:
                 smallest_variance, self.window_model = variance, with_order(self.model, order)
         limit = self._detection_limit
         for first, last in self._unexplained_segments(_GROUP_SEARCH_RATIO * limit):
@@ -162,14 +178,14 @@ class MatchingPursuit:
             jump
             for jump in self.jumps
             if self.searchable[self.window_of(jump)]
-            and (contact or abs(jump.sizes[0]) > DETECTION_SIGMAS * jump.error)
-            and abs(jump.sizes[0]) > _KINK_JUMP_RATIO * abs(jump.sizes[2]) * kink_time**2
+            and (contact or abs(jump.amplitudes[0]) > DETECTION_SIGMAS * jump.error)
+            and abs(jump.amplitudes[0]) > _KINK_JUMP_RATIO * abs(jump.amplitudes[2]) * kink_time**2
         ]
         noise = self.noise()[[self.window_of(jump) for jump in accepted]]
         fitted = estimate_errors(self.residual, self.model, accepted, noise, self.prior)
-        # During the first fit of finite-duration impacts, other impacts were still part of the noise, so that the
-        # threshold is applied only now.
-        return [jump for jump in fitted if not contact or abs(jump.sizes[0]) > DETECTION_SIGMAS * jump.error]
+        # In the first fit of finite-duration impacts the noise included other impacts, so the threshold is applied
+        # here.
+        return [jump for jump in fitted if not contact or abs(jump.amplitudes[0]) > DETECTION_SIGMAS * jump.error]
 
     def _subtract_jumps(self) -> bool:
         """Detect, fit and subtract the largest jump in each neighborhood; return whether a jump was detected."""
@@ -177,6 +193,7 @@ class MatchingPursuit:
 
         model = self.model
         ratio, noise = self._likelihood_ratio()
+        # Sum of squares that the subtracted jump of each window explains, in noise variances.
         explained, blocked = np.zeros(ratio.size), ~self.valid
         for jump in self.jumps:
             index = self.window_of(jump)
@@ -186,9 +203,9 @@ class MatchingPursuit:
         peaks = candidate_ratio > DETECTION_SIGMAS**2
         if not peaks.any():
             return False
-        peaks &= candidate_ratio >= maximum_filter1d(candidate_ratio, 2 * model.separation + 1)
+        peaks &= candidate_ratio >= maximum_filter1d(candidate_ratio, 2 * model.min_separation + 1)
         if self.jumps:
-            ringing = maximum_filter1d(explained, 2 * (model.separation + model.settling) + 1)
+            ringing = maximum_filter1d(explained, 2 * (model.min_separation + model.settling_samples) + 1)
             peaks &= candidate_ratio > RESIDUAL_RATIO**2 * ringing
         peak_windows = np.flatnonzero(peaks)
         added = False
@@ -209,13 +226,16 @@ class MatchingPursuit:
 
     def window_of(self, jump: Jump) -> int:
         """Return the index of the first difference of the window of a jump."""
-        return min(max(int(np.floor(jump.time)) - self.window_offset, 0), self.residual.size - self.model.window)
+        return min(max(int(np.floor(jump.time)) - self.window_offset, 0), self.residual.size - self.model.window_length)
 
     def _refine(self, jump: Jump, noise: Array, starts: tuple[float, ...] = (0.0,)) -> None:
-        """Fit a jump jointly with overlapping jumps from several starts; drop it if the fit is as good without it."""
+        """Fit a jump jointly with overlapping jumps; remove it if the others alone fit equally well.
+
+        `noise`: as from `noise`; `starts`: offsets of the initial time of the jump, samples. The best fit is used.
+        """
         model = self.model
-        group = [other for other in self.jumps if abs(other.time - jump.time) < model.separation]
-        if len(group) == 1 and not self._too_large_step(jump):
+        group = [other for other in self.jumps if abs(other.time - jump.time) < model.min_separation]
+        if len(group) == 1 and not self._step_exceeds_weight(jump):
             return
         group.sort(key=lambda other: abs(other.time - jump.time))
         group, others = group[:_MAX_JOINT_JUMPS], group[1:_MAX_JOINT_JUMPS]
@@ -251,7 +271,7 @@ class MatchingPursuit:
 
     @property
     def _detection_limit(self) -> float:
-        return self.detection_limit(self.jump_noise, max((abs(jump.sizes[0]) for jump in self.jumps), default=0.0))
+        return self.detection_limit(self.jump_noise, max((abs(jump.amplitudes[0]) for jump in self.jumps), default=0.0))
 
     def detection_limit(self, noise: float, largest: float) -> float:
         """Return the smallest jump that is reliably detected, m/s, except next to a larger jump.
@@ -268,24 +288,25 @@ class MatchingPursuit:
         noise = Deviations(float(np.median(self.noise())), *self.prior)
         max_error = _MAX_RESOLVED_ERROR_RATIO * jump_error(self.window_model, None, noise)
         distance = MIN_RESOLVED_SAMPLES
-        while distance < self.window_model.separation and jump_error(self.window_model, distance, noise) > max_error:
+        max_distance = self.window_model.min_separation
+        while distance < max_distance and jump_error(self.window_model, distance, noise) > max_error:
             distance += 1
         return distance
 
     def _windows(self) -> NDArray[np.int64]:
         """Return the index of the first difference of each window, with 50 % overlap."""
         first = np.flatnonzero(self.valid)
-        return first[first % (self.model.window // 2) == 0]
+        return first[first % (self.model.window_length // 2) == 0]
 
     def _residual_squares(self, order: int) -> Array:
-        """Return the residual sum of squares of each of `_windows` after subtraction of a polynomial."""
+        """Return the residual sum of squares of each of `_windows` after subtraction of a polynomial of an order."""
         if order not in self._cache:
             if "readings" not in self._cache:
-                windows = np.lib.stride_tricks.sliding_window_view(self.residual, self.model.window)
-                self._cache["readings"] = self.model.readings(windows[self._windows()], self.model.order)
+                windows = np.lib.stride_tricks.sliding_window_view(self.residual, self.model.window_length)
+                self._cache["readings"] = self.model.readings(windows[self._windows()], self.model.polynomial_order)
             rows = self._cache["readings"]
-            if order > self.model.order:
-                additional = legendre_basis(self.model.window, order)[:, self.model.order + 1 :]
+            if order > self.model.polynomial_order:
+                additional = legendre_basis(self.model.window_length, order)[:, self.model.polynomial_order + 1 :]
                 rows = rows - (rows @ additional) @ additional.T
             self._cache[order] = np.einsum("ij,ij->i", rows, rows)
         return self._cache[order]
@@ -294,52 +315,51 @@ class MatchingPursuit:
         """Return the first and last window of each segment with a residual larger than a jump of this size, m/s."""
         first = self._windows()
         above_threshold = (
-            self._residual_squares(self.window_model.order) > (jump * self.window_model.template_norm) ** 2
+            self._residual_squares(self.window_model.polynomial_order) > (jump * self.window_model.template_norm) ** 2
         )
         return [(int(first[begin]), int(first[end - 1])) for begin, end in runs_of(above_threshold)]
 
     def unresolved(self) -> Array:
         """Return the limits of segments with a residual far above the detection limit, samples; shape (n, 2)."""
-        model, limits = self.window_model, []
-        limit = self._detection_limit
+        model, limits = self.window_model, list[tuple[float, float]]()
+        limit, half_window = self._detection_limit, 0.5 * model.window_length
         for first, last in self._unexplained_segments(_UNRESOLVED_LIMIT_RATIO * limit):
-            ends = first + self.window_offset - model.window / 2, last + self.window_offset + model.window / 2
-            largest = max((abs(jump.sizes[0]) for jump in self.jumps if ends[0] <= jump.time < ends[1]), default=0.0)
-            residual_norm = np.linalg.norm(model.readings(self.residual[first : last + model.window]))
-            if residual_norm > _UNRESOLVED_JUMP_RATIO * largest * model.template_norm:
-                limits.append(ends)
-        half_window = 0.5 * model.window
+            begin, end = first + self.window_offset - half_window, last + self.window_offset + half_window
+            inside = [abs(jump.amplitudes[0]) for jump in self.jumps if begin <= jump.time < end]
+            residual_norm = np.linalg.norm(model.readings(self.residual[first : last + model.window_length]))
+            if residual_norm > _UNRESOLVED_JUMP_RATIO * max(inside, default=0.0) * model.template_norm:
+                limits.append((begin, end))
         limits += [
             (jump.time - half_window, jump.time + half_window)
             for jump in self.jumps
-            if self._too_large_step(jump) and abs(jump.sizes[0]) > limit
+            if self._step_exceeds_weight(jump) and abs(jump.amplitudes[0]) > limit
         ]
         return np.array(limits).reshape(-1, 2)
 
-    def _too_large_step(self, jump: Jump) -> bool:
+    def _step_exceeds_weight(self, jump: Jump) -> bool:
         """Return whether a finite-duration impact has a larger step than the weight of a bed causes.
 
         The contact may then have ended early, and the sign of its jump is undetermined.
         """
-        return self.model.contact_samples > 0 and abs(jump.sizes[1]) > _MAX_STEP_SIGMAS * self.prior[0]
+        return self.model.contact_samples > 0 and abs(jump.amplitudes[1]) > _MAX_STEP_SIGMAS * self.prior[0]
 
     def _search_jointly(self, first: int, last: int, limit: float) -> None:
-        """Search between two windows for all jumps jointly; keep the old or the new set, whichever fits better."""
+        """Search for all jumps between two windows jointly; use the set of lower cost, the old or the new."""
         model = self.window_model
-        half = model.window // 2
-        if last - first > _MAX_WINDOWS * model.window:
+        half = model.window_length // 2
+        if last - first > _MAX_WINDOWS * model.window_length:
             return
-        difference_range = max(first - half, 0), min(last + model.window + half, self.residual.size)
+        difference_range = max(first - half, 0), min(last + model.window_length + half, self.residual.size)
         time_range = (
             float(difference_range[0] + self.window_offset),
-            float(difference_range[1] - model.window + self.window_offset),
+            float(difference_range[1] - model.window_length + self.window_offset),
         )
         old_jumps = [jump for jump in self.jumps if time_range[0] <= jump.time <= time_range[1]]
         for jump in old_jumps:
             self._add(jump, 1.0)
         sufficient = _SUFFICIENT_RATIO * (limit * model.template_norm) ** 2
         # The tolerated residual is included in the noise; otherwise steps and kinks would have to explain it.
-        noise = max(float(self.noise()[first]), (sufficient / model.window) ** 0.5)
+        noise = max(float(self.noise()[first]), (sufficient / model.window_length) ** 0.5)
 
         def fit(jumps: list[Jump], iterations: int) -> tuple[list[Jump], float]:
             return fit_within(self.residual, model, jumps, difference_range, Deviations(noise, *self.prior), iterations)
@@ -353,17 +373,17 @@ class MatchingPursuit:
 
     def _prior_deviations(self, samples: Array) -> tuple[float, float]:
         """Estimate prior standard deviations of steps and kinks: a share of the acceleration, or of its rounding."""
-        order = self.model.difference - 2
-        motion = np.diff(samples, order) * self.rate**order
-        motion = motion - np.median(motion)
-        motion = np.convolve(motion, np.full(_SMOOTHING_SAMPLES, 1.0 / _SMOOTHING_SAMPLES), "valid")
+        integrations = self.model.difference_order - 2
+        acceleration = np.diff(samples, integrations) * self.rate**integrations
+        acceleration = acceleration - np.median(acceleration)
+        acceleration = np.convolve(acceleration, np.full(_SMOOTHING_SAMPLES, 1.0 / _SMOOTHING_SAMPLES), "valid")
         # If the reading is constant, the acceleration is at most that of its rounding.
-        large_motion = float(_quantile(abs(motion), 0.9))
-        step = _STEP_PRIOR_RATIO * max(large_motion, self.floor * self.rate**order)
+        large_acceleration = float(_quantile(abs(acceleration), 0.9))
+        step = _STEP_PRIOR_RATIO * max(large_acceleration, self.noise_floor * self.rate**integrations)
         return step, step * 2 * np.pi * _KINK_PRIOR_HZ
 
     def noise(self, noise_quantile: float = NOISE_QUANTILE) -> Array:
-        """Estimate the standard deviation of a reading at every sample from the jump filter output; shape (places,).
+        """Estimate the standard deviation of a reading in each window from the jump filter output; shape (windows,).
 
         The result is cached until the residual changes.
         """
@@ -373,15 +393,15 @@ class MatchingPursuit:
         return self._cache[key]
 
     def _noise_level(self, model: ImpactModel, noise_quantile: float) -> Array:
-        """Estimate the noise over a few windows from a quantile of the filter outputs that impacts hardly affect."""
+        """Estimate the standard deviation of a reading, over a few windows each, from a quantile of filter outputs."""
         from scipy.ndimage import maximum_filter1d
         from scipy.special import ndtri
 
-        middle_filter = model.filters[(2 * MAX_SHIFT + 1) * model.instants // 2, 2]
+        middle_filter = model.filters[(2 * MAX_SHIFT + 1) * model.instants_per_sample // 2, 2]
         magnitude = abs(np.correlate(self.residual, middle_filter, "valid"))
         typical = float(_quantile(magnitude[self.valid], noise_quantile))
         magnitude[~self.valid] = typical
-        parts = max(1, magnitude.size // (_NOISE_WINDOWS * model.window))
+        parts = max(1, magnitude.size // (_NOISE_WINDOWS * model.window_length))
         # The first parts have one sample more than the others.
         length, long_parts = divmod(magnitude.size, parts)
         lengths = np.full(parts, length) + (np.arange(parts) < long_parts)
@@ -389,7 +409,7 @@ class MatchingPursuit:
         rows = magnitude[:split].reshape(long_parts, length + 1), magnitude[split:].reshape(-1, length)
         levels = np.concatenate([_quantile(row, noise_quantile) for row in rows if row.size])
         local_level = np.maximum(maximum_filter1d(levels, 3), typical)
-        return np.maximum(np.repeat(local_level, lengths) / ndtri(0.5 + 0.5 * noise_quantile), self.floor)
+        return np.maximum(np.repeat(local_level, lengths) / ndtri(0.5 + 0.5 * noise_quantile), self.noise_floor)
 
     def _likelihood_ratio(self) -> tuple[Array, Array]:
         """Compute the generalized likelihood ratio of a jump at every sample, in noise variances, and the noise.
@@ -399,7 +419,7 @@ class MatchingPursuit:
         """
         noise = self.noise(self.noise_quantile)
         basis, weights = self.model.search_basis
-        windows = np.lib.stride_tricks.sliding_window_view(self.residual, self.model.window)
+        windows = np.lib.stride_tricks.sliding_window_view(self.residual, self.model.window_length)
         projected = np.empty((len(basis), len(windows)))
         for begin in range(0, len(windows), _BLOCK_SAMPLES):
             block_range = slice(begin, begin + _BLOCK_SAMPLES)
@@ -413,16 +433,16 @@ class MatchingPursuit:
 
     def _fit_centered(self, first: int, noise: float) -> Jump:
         """Fit the best jump near a window, in a window that is centered on the jump."""
-        last = self.residual.size - self.model.window
+        last = self.residual.size - self.model.window_length
         for _ in range(_MAX_CENTERINGS):
-            window = self.residual[first : first + self.model.window]
-            instant, sizes, error, explained = self.model.best_instant(window, noise)
+            window = self.residual[first : first + self.model.window_length]
+            instant, amplitudes, error, explained = self.model.fit_jump(window, noise)
             time = first + self.window_offset + instant
             centered = min(max(int(np.floor(time)) - self.window_offset, 0), last)
             if centered == first:
                 break
             first = centered
-        return Jump(time, sizes, error, explained)
+        return Jump(time, amplitudes, error, explained)
 
 
 def _quantile(rows: NDArray[np.floating[Any]], share: float) -> Array:

@@ -1,6 +1,8 @@
 """Type of damper motion in a stepped-sine test, estimated from the channels.
 
-The types are those of the paper: riding (at rest on the floor), types I to III, and other patterns of impacts.
+The types are those of the paper. Riding: at rest on the floor. Type I: one floor impact per period. Types II and III:
+one impact on each of floor and ceiling per period; the damper leaves the ceiling at once (II), or stays there until the
+body's acceleration rises to -g (III). Other patterns are described by their numbers of impacts.
 """
 
 from __future__ import annotations
@@ -29,12 +31,12 @@ if TYPE_CHECKING:
     from rig.scene.damper import Damper
 
 
-# Tolerance of "one impact per period": of about twenty impacts, one or two may be at the edge of a window or too
-# close to another impact.
+# Tolerance of one impact per period: of about twenty impacts, one or two may be at the edge of a window or too close to
+# another impact.
 _COUNT_TOLERANCE = 0.15
 # Maximum number of periods after which a pattern of impacts must recur.
 _MAX_PATTERN_PERIODS = 4
-# A restitution below this number of standard deviations is not significantly different from zero.
+# Smallest restitution that differs significantly from zero, in standard deviations.
 _RESTITUTION_SIGMAS = 3.0
 # Maximum number of samples searched in a window, to limit memory.
 _MAX_SEARCHED_SAMPLES = 1 << 20
@@ -65,7 +67,7 @@ class DamperMotion:
     restitution: Restitution | None = None
     """Coefficient of restitution, if the body has a single damper and its impacts determine it."""
     pattern_periods: int = 1
-    """Number of periods after which all impacts recur within the time resolution of the channel; 0: no pattern."""
+    """Number of periods after which all impacts recur within the time resolution of the channel; 0: they do not."""
     may_reach_ceiling_unseen: bool = False
     """Whether the damper may reach the ceiling with impacts that are too weak to be detected."""
 
@@ -99,9 +101,9 @@ def damper_motion(
 
     Several dampers in a body are treated as one. A type is assigned if the impacts recur every period. Impacts are
     counted if they recur after a few periods; otherwise some were missed, or the motion is irregular. Riding
-    requires that the minimum acceleration of the body proves it, because short flights may be undetectable. Type I
-    requires flights that stay below the ceiling. In a long window only the first million samples are searched, but at
-    least enough periods to determine a pattern.
+    requires that the body's acceleration stays above -g, because short flights may be undetectable. Type I requires
+    flights that stay below the ceiling. In a long window only the first million samples are searched, but at least
+    enough periods to determine a pattern.
 
     `rec`: recording of a stepped-sine test; `sweep`: result of `analysis.responses.stepped_sine.sweeps`; `channel`:
     channel on the body of the dampers. Returns the motion in each window.
@@ -112,7 +114,7 @@ def damper_motion(
         for number, damper in enumerate(rec.scene.dampers, 1)
         if not damper.locked and f"body {damper.body}" == location
     ]
-    out: list[DamperMotion] = []
+    motions: list[DamperMotion] = []
     info, lines = rec.channels[channel], sweep.lines
     reading = np.abs(lines.mean[lines.channels.index(channel)] / info.response(lines.frequency))
     # Acceleration amplitude, m/s².
@@ -122,10 +124,10 @@ def damper_motion(
     ):
         max_samples = max(_MAX_SEARCHED_SAMPLES, int(_MIN_SEARCHED_PERIODS * rec.rate / frequency))
         motion = BodyMotion(rec, channel, first, min(stop, first + max_samples, rec.samples))
-        out.append(_motion_in_window(motion, numbers, frequency, amplitude))
+        motions.append(_motion_in_window(motion, numbers, frequency, amplitude))
         if progress is not None:
-            progress(len(out), lines.frequency.size)
-    return out
+            progress(len(motions), lines.frequency.size)
+    return motions
 
 
 def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, amplitude: float) -> DamperMotion:
@@ -135,7 +137,7 @@ def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, 
     # The searched duration excludes the ends of the segment.
     periods = detected.searched * frequency
     ceiling = detected.kind == "ceiling"
-    begin, end = (at / rate for at in (motion.start, motion.start + motion.samples.size))
+    begin, end = motion.start / rate, (motion.start + motion.samples.size) / rate
     pattern_periods = _recurrence_periods(detected, frequency, begin, end) if detected.time.size else 1
     # Without a pattern, impacts may have been missed, so that free flights cannot be identified.
     estimate = restitution(motion, dampers[0]) if len(dampers) == 1 and pattern_periods else None
@@ -154,7 +156,7 @@ def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, 
         float(np.sum(ceiling)) / periods,
         stays_at_ceiling,
         detected.threshold,
-        _least_acceleration(motion, numbers, frequency) > -gravity,
+        _min_acceleration(motion, numbers, frequency) > -gravity,
         estimate,
         pattern_periods,
         not ceiling.any() and any(may_reach_ceiling(motion, damper) for damper in dampers),
@@ -165,35 +167,37 @@ def _recurrence_periods(detected: Impacts, frequency: float, begin: float, end: 
     """Return the smallest number of periods after which all impacts recur between two times, s; 0: no recurrence."""
     walls = [detected.time[detected.kind == wall] for wall in ("floor", "ceiling")]
     begin, end = begin + detected.ringing, end - detected.ringing
-    if any(wall.size and not np.any((wall > begin) & (wall < end)) for wall in walls):
+    if any(times.size and not np.any((times > begin) & (times < end)) for times in walls):
         return 0
     unsearched = detected.left_out + np.array([-1.0, 1.0]) * detected.resolution
     for periods in range(1, _MAX_PATTERN_PERIODS + 1):
         shift = periods / frequency
         recurs = True
-        for wall, time in ((wall, wall + sign * shift) for wall in walls for sign in (1.0, -1.0)):
-            time = time[(time > begin) & (time < end), None]
-            searched = ~((time > unsearched[:, 0]) & (time < unsearched[:, 1])).any(axis=1)
-            distance = abs(time[searched] - wall).min(axis=1, initial=np.inf)
+        for impact_times, expected in ((times, times + sign * shift) for times in walls for sign in (1.0, -1.0)):
+            expected = expected[(expected > begin) & (expected < end), None]
+            searched = ~((expected > unsearched[:, 0]) & (expected < unsearched[:, 1])).any(axis=1)
+            distance = abs(expected[searched] - impact_times).min(axis=1, initial=np.inf)
             recurs &= bool(np.all(distance < detected.resolution))
         if recurs:
             return periods
     return 0
 
 
-def _stays_at_ceiling(weight: Array, change: float, rebound: float, push: float) -> bool | None:
-    """Return whether a damper stays at the ceiling, from the body acceleration above -g at impact, known to ± `change`.
+def _stays_at_ceiling(apparent_gravity: Array, error: float, rebound_speed: float, push_time: float) -> bool | None:
+    """Return whether a damper stays at the ceiling after impacts; None if undetermined.
 
-    After a rebound of at most `rebound` m/s it stays only if it returns while the ceiling still pushes, for `push` s.
-    Under an acceleration that falls linearly from a to zero in a time t, a rebound slower than a t / 3 returns.
+    `apparent_gravity`: acceleration of the body plus g at each impact, m/s²; `error`: its largest error, m/s². After a
+    rebound of at most `rebound_speed` m/s the damper stays if it returns while the ceiling still pushes, for
+    `push_time` s. Under an acceleration that falls linearly from a to zero in a time t, a rebound slower than a t / 3
+    returns.
     """
-    finite = weight[np.isfinite(weight)]
+    finite = apparent_gravity[np.isfinite(apparent_gravity)]
     median = float(np.median(finite)) if finite.size else 0.0
-    if abs(median) <= change:
+    if abs(median) <= error:
         return None
     if median > 0.0:
         return False
-    return True if rebound <= -median * push / 3.0 else None
+    return True if rebound_speed <= -median * push_time / 3.0 else None
 
 
 def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restitution | None) -> float:
@@ -219,14 +223,17 @@ def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restit
 
 
 def _push_time(acceleration: Array, amplitude: float, gravity: float, frequency: float) -> float:
-    """Return a lower bound of the time for which the ceiling pushes, s, for a sinusoidal acceleration."""
+    """Return a lower bound of the time for which the ceiling pushes after impacts, s, for a sinusoidal acceleration.
+
+    `acceleration`: of the body at the impacts, m/s². The ceiling pushes until the acceleration rises to -g.
+    """
     finite = acceleration[np.isfinite(acceleration)]
     at_impact = float(np.median(finite)) if finite.size else 0.0
-    ends = np.arcsin(np.clip([at_impact / amplitude, -gravity / amplitude], -1.0, 1.0))
-    return max(float(ends[1] - ends[0]), 0.0) / (2 * np.pi * frequency)
+    begin_phase, end_phase = np.arcsin(np.clip([at_impact / amplitude, -gravity / amplitude], -1.0, 1.0))
+    return max(float(end_phase - begin_phase), 0.0) / (2 * np.pi * frequency)
 
 
-def _least_acceleration(motion: BodyMotion, numbers: list[int], frequency: float) -> float:
+def _min_acceleration(motion: BodyMotion, numbers: list[int], frequency: float) -> float:
     """Return a lower bound of the acceleration of dampers at rest in a body, m/s², including noise and tolerance."""
     scene, rows = motion.rec.scene, [motion.acceleration]
     count = rows[0].size

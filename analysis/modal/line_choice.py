@@ -1,4 +1,4 @@
-"""Selection of lines for the fit, and estimation of their scatter if a file does not state it."""
+"""Selection of spectral lines for a modal fit, and estimation of their scatter if a file does not state it."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from numpy.typing import NDArray
 from rig.arrays import Array, ComplexArray
 from rig.results.response import Response
 
-# A larger number of lines is reduced, to about half of this number between peaks.
+# Largest number of lines that are all fitted; more are reduced to about half of this number between peaks.
 MAX_LINES = 2000
 # Number of the highest peaks around which lines are kept.
 _MAX_PEAKS = 24
 # Number of lines that are kept around each peak.
 _LINES_PER_PEAK = 41
-# The flanks of a peak extend down to this ratio to its height.
+# Height of the ends of a peak's flanks, relative to the peak.
 _FLANK_RATIO = 0.1
-# A peak exceeds its neighborhood by this factor.
+# Smallest ratio of a peak to its neighborhood.
 _MIN_PEAK_RATIO = 2.0
-# A frequency step of this multiple of the steps on either side is a gap.
+# Smallest ratio of a frequency step to the steps on either side that is a gap.
 _GAP_RATIO = 5.0
 # Number of lines over which scatter is estimated.
 _SCATTER_LINES = 31
 
 
-def thin_out(curves: Sequence[Response]) -> list[Response]:
+def reduce_lines(curves: Sequence[Response]) -> list[Response]:
     """Remove lines that a fit does not need: far from peaks, and within wide peaks.
 
     `curves`: curves at equal, rising frequencies.
@@ -35,16 +35,17 @@ def thin_out(curves: Sequence[Response]) -> list[Response]:
     count = curves[0].frequency.size
     if count <= MAX_LINES or any(curve.frequency.size != count for curve in curves):
         return list(curves)
-    sizes = np.nan_to_num(np.stack([abs(curve.value) for curve in curves]))
-    # All curves have equal weight. The factor of frequency squared compensates the decrease of a receptance.
-    size = np.sqrt(np.mean((sizes / np.median(sizes, axis=1, keepdims=True).clip(1e-300)) ** 2, axis=0))
-    level = np.log(np.maximum(size, 1e-12 * size.max()))
+    magnitudes = np.nan_to_num(np.stack([abs(curve.value) for curve in curves]))
+    # Each curve is divided by its median, so that all have equal weight.
+    normalized = magnitudes / np.median(magnitudes, axis=1, keepdims=True).clip(1e-300)
+    magnitude = np.sqrt(np.mean(normalized**2, axis=0))
+    level = np.log(np.maximum(magnitude, 1e-12 * magnitude.max()))
     peaks, _ = scipy.signal.find_peaks(level, prominence=np.log(_MIN_PEAK_RATIO))
     highest = peaks[np.argsort(scipy.signal.peak_prominences(level, peaks)[0])[::-1][:_MAX_PEAKS]]
     selected = np.zeros(count, dtype=bool)
     selected[:: -(-2 * count // MAX_LINES)] = True
     for peak in highest:
-        below = np.flatnonzero(size < _FLANK_RATIO * size[peak])
+        below = np.flatnonzero(magnitude < _FLANK_RATIO * magnitude[peak])
         first = below[below < peak].max(initial=0)
         last = below[below > peak].min(initial=count - 1)
         selected[np.unique(np.linspace(first, last, _LINES_PER_PEAK).astype(int))] = True
@@ -81,16 +82,17 @@ def in_gaps(frequency: Array, poles: ComplexArray) -> NDArray[np.bool_]:
     array([False,  True, False, False])
     """
     steps = np.diff(frequency)
-    neighbors = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
+    neighboring_steps = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
     natural: Array = np.asarray(abs(poles) / (2 * np.pi), dtype=float)
     above = np.searchsorted(frequency, natural)
     in_band = (above > 0) & (above < frequency.size)
     step = np.clip(above - 1, 0, steps.size - 1)
     nearest = np.minimum(abs(natural - frequency[step]), abs(frequency[step + 1] - natural))
-    return np.asarray(in_band & (steps[step] > _GAP_RATIO * neighbors[step]) & (nearest > -poles.real / (2 * np.pi)))
+    is_gap = steps[step] > _GAP_RATIO * neighboring_steps[step]
+    return np.asarray(in_band & is_gap & (nearest > -poles.real / (2 * np.pi)))
 
 
-def is_peak(size: Array, line: int) -> bool:
-    """Return whether a line exceeds its neighbors by the factor that defines a peak."""
-    neighbors = size[max(line - _SCATTER_LINES // 2, 0) : line + _SCATTER_LINES // 2 + 1]
-    return bool(size[line] > _MIN_PEAK_RATIO * np.median(neighbors))
+def is_peak(magnitude: Array, line: int) -> bool:
+    """Return whether a line is a peak that exceeds the median of its neighborhood."""
+    neighborhood = magnitude[max(line - _SCATTER_LINES // 2, 0) : line + _SCATTER_LINES // 2 + 1]
+    return bool(magnitude[line] > _MIN_PEAK_RATIO * np.median(neighborhood))

@@ -1,4 +1,7 @@
-"""Least-squares complex frequency-domain estimation: poles of a common-denominator model, order by order."""
+"""Initial poles by least-squares complex frequency-domain estimation (LSCF), and their stabilization chart.
+
+The poles of common-denominator models of rising order are compared. A pole that recurs at the next order is *stable*.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,9 @@ import numpy as np
 
 from rig.arrays import Array, ComplexArray
 
-# Poles with a larger damping ratio are not resonances.
+# Largest damping ratio of a resonance.
 MAX_DAMPING = 0.25
-# A column of a chart is stable if it contains at least this number of stable poles.
+# Smallest number of stable poles in a stable column of a chart.
 _MIN_STABLE_POLES = 4
 
 
@@ -50,6 +53,7 @@ def poles_by_order(
         (basis * scale[:, None], -basis * (row * scale)[:, None]) for row, scale in zip(value, weight, strict=True)
     ]
     for order in orders:
+        # Normal matrix of the denominator; the numerators are eliminated.
         reduced = np.zeros((order + 1, order + 1), dtype=complex)
         for numerator, denominator in bases:
             orthogonal, _ = np.linalg.qr(numerator[:, : order + 1])
@@ -67,31 +71,34 @@ def poles_by_order(
         yield order, s[inside]
 
 
-def chart(frequency: Array, value: ComplexArray, weight: Array, max_order: int = 24) -> list[ChartPole]:
+def stabilization_chart(frequency: Array, value: ComplexArray, weight: Array, max_order: int = 24) -> list[ChartPole]:
     """Compute the stabilization chart of models with 2 to `max_order` poles."""
-    out: list[ChartPole] = []
+    chart: list[ChartPole] = []
     previous: list[complex] = []
     spacing = float(np.median(np.diff(frequency)))
     for order, poles in poles_by_order(frequency, value, weight, range(2, max_order + 1)):
         current = sorted((p for p in poles if -p.real < MAX_DAMPING * abs(p)), key=lambda p: p.imag)
         for p in current:
             stable = any(_same_pole(p, q, spacing) for q in previous)
-            out.append(ChartPole(order, float(abs(p) / (2 * np.pi)), float(-p.real / abs(p)), stable))
+            chart.append(ChartPole(order, float(abs(p) / (2 * np.pi)), float(-p.real / abs(p)), stable))
         previous = current
-    return out
+    return chart
 
 
 def merge_charts(frequency: Array, charts: Sequence[list[ChartPole]]) -> tuple[ComplexArray, ComplexArray]:
-    """Merge the poles of charts, rad/s; return the stable poles, the most frequent first, and all poles."""
+    """Merge equal poles of charts to columns; return the poles of stable columns and of all columns, rad/s.
+
+    Columns with the most stable poles are first.
+    """
     spacing = float(np.median(np.diff(frequency)))
-    columns: list[tuple[complex, int]] = []  # pole and number of stable poles of each column
+    columns: list[tuple[complex, int]] = []  # last pole and number of stable poles of each column
     for chart_pole in itertools.chain(*charts):
         p = chart_pole.pole
         same = [i for i, (q, _) in enumerate(columns) if _same_pole(p, q, spacing)]
         if same:
             index = min(same, key=lambda i: abs(columns[i][0] - p))
             q, n_stable = columns[index]
-            # The last pole is from the highest order, in which other poles represent the other modes and the noise.
+            # The last pole is the most accurate, because at its order other poles represent the noise.
             columns[index] = (p if chart_pole.stable else q, n_stable + chart_pole.stable)
         else:
             columns.append((p, int(chart_pole.stable)))

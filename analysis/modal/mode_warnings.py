@@ -11,11 +11,11 @@ from analysis.modal.pole_errors import LEAKAGE_FACTOR
 from rig.arrays import Array
 from rig.results.response import Response
 
-# A damping ratio with a larger relative standard uncertainty causes a warning.
+# Largest relative standard uncertainty of a damping ratio without a warning.
 _MAX_DAMPING_UNCERTAINTY = 0.02
-# Ratio of resolution to half of the half-power bandwidth at which leakage raises the damping ratio by this part.
+# Ratio of resolution to half of the half-power bandwidth at which leakage raises the damping ratio by this share.
 _WIDENING_RATIO = float(np.sqrt(_MAX_DAMPING_UNCERTAINTY / LEAKAGE_FACTOR))
-# A larger residual, relative to the peak height, indicates a nonlinear response.
+# Largest residual of a linear response, relative to the peak height.
 _MAX_LINEAR_RESIDUAL = 0.005
 
 
@@ -23,7 +23,7 @@ def mode_warnings(
     modes: Modes,
     curves: Sequence[Response],
     count: int | None,
-    dropped: Sequence[float],  # Hz: poles of undetermined damping or peak height
+    rejected: Sequence[float],  # Hz: poles of undetermined damping or peak height
     uncertain_poles: Array,  # Hz: poles where the uncertainty of the curves is too large
     unmeasured: Array,  # Hz: poles around which no line was measured
     unused_responses: Sequence[str],  # responses that were not used
@@ -44,9 +44,9 @@ def mode_warnings(
                 f"Small model error: {residual_text}, more than the {expected}. "
                 "The uncertainties of the modes include it."
             )
-    if dropped:
+    if rejected:
         yield (
-            f"Rejected the stable poles at {_listed(np.sort(dropped))} Hz: their damping or height is below the "
+            f"Rejected the stable poles at {_listed(np.sort(rejected))} Hz: their damping or height is below the "
             "uncertainty of these curves. Impacts of dampers make peaks without poles."
         )
     if uncertain_poles.size:

@@ -18,9 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-# Largest relative standard uncertainty of a determined damping ratio. With a larger uncertainty the ratio is less than
-# three standard deviations from zero. Then only its upper limit is stated, and its pole is a mode only if it has a
-# distinct peak.
+# Largest relative standard uncertainty of a determined damping ratio: a third, so that the ratio differs from zero by
+# three standard deviations. Otherwise only its upper limit is stated, and its pole is a mode only with a distinct peak.
 MAX_RELATIVE_UNCERTAINTY = 1.0 / 3.0
 
 
@@ -28,8 +27,8 @@ class BodyShapes(NamedTuple):
     """Mode shapes with an element for each body, scaled to largest element 1, with standard deviations."""
 
     names: tuple[str, ...]
-    shapes: ComplexArray
-    errors: Array
+    shapes: ComplexArray  # shape (bodies, modes)
+    errors: Array  # shape (bodies, modes)
 
 
 @dataclass(frozen=True, repr=False)
@@ -120,11 +119,11 @@ class Modes(Result):
     @property
     def shapes(self) -> ComplexArray:
         """Return the shapes scaled to largest element 1, shape (responses, modes)."""
-        top = np.argmax(abs(self.residue), axis=0)
-        return self.residue / self.residue[top, np.arange(self.residue.shape[1])]
+        largest = np.argmax(abs(self.residue), axis=0)
+        return self.residue / self.residue[largest, np.arange(self.residue.shape[1])]
 
     def of_bodies(self) -> BodyShapes:
-        """Return an element of each shape for each body, the weighted mean of several sensors on the same body."""
+        """Return an element of each shape for each body: the weighted mean of the sensors on the same body."""
         places = self.places or ("",) * len(self.responses)
         # A channel with an unknown position is a separate point.
         keys = [place or f"channel {name}" for place, name in zip(places, self.responses, strict=True)]
@@ -140,19 +139,19 @@ class Modes(Result):
             shapes.append((ratio * self.shapes[rows]).sum(axis=0))
             errors.append(np.sqrt(((ratio * self.shape_error[rows]) ** 2).sum(axis=0)))
         shape, error = np.array(shapes), np.array(errors)
-        top, modes = np.argmax(abs(shape), axis=0), np.arange(shape.shape[1])
-        error[top, modes] = 0.0
-        return BodyShapes(tuple(names), shape / shape[top, modes], error / abs(shape[top, modes]))
+        largest, modes = np.argmax(abs(shape), axis=0), np.arange(shape.shape[1])
+        error[largest, modes] = 0.0
+        return BodyShapes(tuple(names), shape / shape[largest, modes], error / abs(shape[largest, modes]))
 
     def receptance(self, frequency: Array) -> ComplexArray:
         """Compute the receptance of the modal model, m/N, shape (responses, frequencies); frequencies in Hz."""
         s = 2j * np.pi * np.asarray(frequency, dtype=float)
         omega = 2 * np.pi * self.frequency
         poles = omega * (-self.damping + 1j * np.sqrt(1.0 - self.damping**2))
-        out = np.column_stack([self.lower, self.upper]) @ np.stack(residual_terms(s))
+        receptance = np.column_stack([self.lower, self.upper]) @ np.stack(residual_terms(s))
         for p, residue in zip(poles, self.residue.T, strict=True):
-            out = out + residue[:, None] / (s - p) + residue.conj()[:, None] / (s - p.conjugate())
-        return np.asarray(out, dtype=complex)
+            receptance = receptance + residue[:, None] / (s - p) + residue.conj()[:, None] / (s - p.conjugate())
+        return np.asarray(receptance, dtype=complex)
 
     @property
     def collinearity(self) -> Array:

@@ -1,4 +1,6 @@
-"""Selection of the model order: poles are added while they reduce the misfit by more than noise and model error.
+"""Selection of the order of a modal model: poles are added while they reduce the misfit by more than noise explains.
+
+The *misfit* is the sum of squared residuals in standard deviations.
 
 References
 ----------
@@ -13,24 +15,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.modal.lscf import MAX_DAMPING
-from analysis.modal.pole_residue import Curves, Fit, fit, misfits_with, misfits_without
+from analysis.modal.pole_residue import Curves, ModalModel, fit, misfits_with, misfits_without
 from rig.arrays import Array, ComplexArray
 
 # Largest number of modes inside the band.
 MAX_MODES = 12
-# With fewer residual degrees of freedom, a model fits any data.
+# Smallest number of residual degrees of freedom; with fewer, a model fits any data.
 _MIN_DEGREES = 8
-# A pole must reduce the misfit by this multiple of the penalty in Schwarz's criterion [1]_.
+# Smallest reduction of the misfit by a pole, in penalties of Schwarz's criterion [1]_.
 _PENALTY_FACTOR = 2.0
-# Two poles are resolved if their distance is at least this multiple of their mean half-power bandwidth.
+# Smallest distance of two resolved poles, in mean half-power bandwidths.
 _MIN_DISTANCE_WIDTHS = 0.4
-# Poles at a smaller distance, in the same unit, are accepted only if they fit the curve to within its noise. Two close
-# poles can also fit the asymmetric peak of a nonlinear structure.
+# Distance of two poles, in the same unit, below which they must fit the curve to within its noise. Two close poles can
+# also fit the asymmetric peak of a nonlinear structure.
 _CLOSE_POLE_WIDTHS = 4.0
-# Largest misfit of close poles, as a multiple of the noise power.
+# Largest misfit of close poles, in noise powers.
 _MAX_NOISE_RATIO = 4.0
-# A window may split a narrow peak into two or three peaks one spectral line apart. Poles of such a peak at a smaller
-# distance, in units of the resolution, are a single pole.
+# Largest distance of two poles of one narrow peak that a window splits, in units of the resolution.
 _SAME_PEAK_LINES = 1.5
 # Number of candidates that are fully fitted at each step.
 _FITTED_CANDIDATES = 4
@@ -52,13 +53,18 @@ def narrower_than_resolution(curves: Curves, poles: ComplexArray) -> NDArray[np.
     return np.asarray(2.0 * half_width(poles) < curves.resolution)
 
 
-def select(curves: Curves, stable: ComplexArray, candidates: ComplexArray, max_modes: int = MAX_MODES) -> Fit:
-    """Select the best model with all significant poles [1]_, at most `max_modes` inside the band; poles in rad/s."""
+def select_model(
+    curves: Curves, stable: ComplexArray, candidates: ComplexArray, max_modes: int = MAX_MODES
+) -> ModalModel:
+    """Select the best model with all significant poles [1]_, at most `max_modes` inside the band.
+
+    `stable`, `candidates`: initial poles, and poles that may be added, rad/s.
+    """
     model = fit(curves, stable)
     # Spurious poles are removed, the least significant first.
     while (spurious := spurious_poles(curves, model)).size:
-        least_needed = spurious[int(np.argmin(misfits_without(curves, model.poles)[spurious]))]
-        model = fit(curves, np.delete(model.poles, least_needed))
+        least_significant = spurious[int(np.argmin(misfits_without(curves, model.poles)[spurious]))]
+        model = fit(curves, np.delete(model.poles, least_significant))
     current = _prune(curves, model)
     # Poles below and above the band represent curvature that residual terms cannot represent.
     low, high = curves.frequency[0], curves.frequency[-1]
@@ -67,21 +73,21 @@ def select(curves: Curves, stable: ComplexArray, candidates: ComplexArray, max_m
     while in_band(curves, current.poles).sum() < max_modes:
         if curves.degrees(current.poles.size + 1) < _MIN_DEGREES:
             break
-        pool = np.concatenate([candidates, _poles_at_residual(curves, current), outside])
-        better = _best_addition(curves, current, pool)
-        if better is None:
+        all_candidates = np.concatenate([candidates, _poles_at_residual(curves, current), outside])
+        larger = _with_best_added_pole(curves, current, all_candidates)
+        if larger is None:
             break
-        current = better
+        current = larger
     return _prune(curves, current)
 
 
-def _best_addition(curves: Curves, current: Fit, pool: ComplexArray) -> Fit | None:
-    """Return the best model with an additional pole that is significant and not spurious."""
-    misfits = misfits_with(curves, current.poles, pool)
-    best: Fit | None = None
+def _with_best_added_pole(curves: Curves, current: ModalModel, candidates: ComplexArray) -> ModalModel | None:
+    """Return the best model with an additional pole that is significant and not spurious; None if there is none."""
+    misfits = misfits_with(curves, current.poles, candidates)
+    best: ModalModel | None = None
     tried: list[complex] = []
     for index in np.argsort(misfits, kind="stable"):
-        p = pool[index]
+        p = candidates[index]
         if any(abs(p - q) < 0.5 * min(-p.real, -q.real) for q in tried):
             continue
         tried.append(p)
@@ -94,12 +100,12 @@ def _best_addition(curves: Curves, current: Fit, pool: ComplexArray) -> Fit | No
     return best
 
 
-def significant(curves: Curves, smaller: Fit, larger: Fit) -> bool:
+def significant(curves: Curves, smaller: ModalModel, larger: ModalModel) -> bool:
     """Return whether the additional poles of the larger model reduce the misfit by more than noise explains."""
     return _gain(curves, smaller.misfit, larger, smaller.poles.size) > 0
 
 
-def better_model(curves: Curves, first: Fit, second: Fit) -> Fit:
+def better_model(curves: Curves, first: ModalModel, second: ModalModel) -> ModalModel:
     """Return the model with more poles if they reduce the misfit by more than noise explains, otherwise the other."""
     smaller, larger = sorted((first, second), key=lambda model: model.poles.size)
     if smaller.poles.size == larger.poles.size:
@@ -107,7 +113,7 @@ def better_model(curves: Curves, first: Fit, second: Fit) -> Fit:
     return larger if significant(curves, smaller, larger) else smaller
 
 
-def _gain(curves: Curves, misfit: float, larger: Fit, poles: int) -> float:
+def _gain(curves: Curves, misfit: float, larger: ModalModel, poles: int) -> float:
     """Compute the misfit reduction from `poles` poles to a larger model, less the reduction that noise explains."""
     unknowns = curves.unknowns(larger.poles.size)
     added = unknowns - curves.unknowns(poles)
@@ -129,30 +135,32 @@ def correlation_length(residual: ComplexArray) -> float:
     return total
 
 
-def spurious_poles(curves: Curves, model: Fit) -> NDArray[np.intp]:
-    """Return poles that are too heavily damped, doubled, or fitted to the asymmetric peak of a nonlinear structure."""
+def spurious_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
+    """Return the indices of spurious poles.
+
+    They are too heavily damped, doubled, or fitted to the asymmetric peak of a nonlinear structure.
+    """
     poles, width = model.poles, half_width(model.poles)
-    inside = in_band(curves, poles)
-    spurious = {int(i) for i in np.flatnonzero(inside & (-poles.real > MAX_DAMPING * abs(poles)))}
-    order = [int(i) for i in np.argsort(poles.imag) if inside[i]]
+    is_inside = in_band(curves, poles)
+    spurious = {int(i) for i in np.flatnonzero(is_inside & (-poles.real > MAX_DAMPING * abs(poles)))}
+    order = [int(i) for i in np.argsort(poles.imag) if is_inside[i]]
     for low, high in pairwise(order):
         distance = (poles[high].imag - poles[low].imag) / (2 * np.pi)
         mean_width = width[low] + width[high]
-        # A narrow peak that the window splits is at most this wide.
-        same_peak = mean_width < 2.0 * curves.resolution and distance < _SAME_PEAK_LINES * curves.resolution
+        # A narrow peak that the window splits is at most two lines wide.
+        is_split_peak = mean_width < 2.0 * curves.resolution and distance < _SAME_PEAK_LINES * curves.resolution
+        is_unresolved = distance < _MIN_DISTANCE_WIDTHS * mean_width
+        is_close = distance < _CLOSE_POLE_WIDTHS * mean_width
         if (
-            same_peak
-            or distance < _MIN_DISTANCE_WIDTHS * mean_width
-            or (
-                distance < _CLOSE_POLE_WIDTHS * mean_width
-                and _local_misfit(curves, model, poles[[low, high]]) > _MAX_NOISE_RATIO
-            )
+            is_split_peak
+            or is_unresolved
+            or (is_close and _local_misfit(curves, model, poles[[low, high]]) > _MAX_NOISE_RATIO)
         ):
             spurious |= {low, high}
     return np.array(sorted(spurious), dtype=np.intp)
 
 
-def _local_misfit(curves: Curves, model: Fit, poles: ComplexArray) -> float:
+def _local_misfit(curves: Curves, model: ModalModel, poles: ComplexArray) -> float:
     """Compute the misfit around poles as a multiple of the noise power."""
     width = 2.0 * half_width(poles)
     f = poles.imag / (2 * np.pi)
@@ -162,17 +170,17 @@ def _local_misfit(curves: Curves, model: Fit, poles: ComplexArray) -> float:
     return float(np.sum(abs(model.residual[:, lines]) ** 2) / degrees)
 
 
-def _prune(curves: Curves, model: Fit) -> Fit:
+def _prune(curves: Curves, model: ModalModel) -> ModalModel:
     """Remove poles that are not significant."""
     while model.poles.size:
         poles = model.poles
         while poles.size:
             misfits = misfits_without(curves, poles)
-            least_needed = int(np.argmin(misfits))
-            fewer = np.delete(poles, least_needed)
+            least_significant = int(np.argmin(misfits))
+            fewer = np.delete(poles, least_significant)
             # Without a new fit of the other poles the increase of the misfit is overestimated. A pole that is not
             # significant here is therefore not significant after a new fit.
-            if _gain(curves, float(misfits[least_needed]), model, fewer.size) > 0:
+            if _gain(curves, float(misfits[least_significant]), model, fewer.size) > 0:
                 break
             poles = fewer
         if poles.size < model.poles.size:
@@ -185,13 +193,13 @@ def _prune(curves: Curves, model: Fit) -> Fit:
     return model
 
 
-def _poles_at_residual(curves: Curves, model: Fit) -> ComplexArray:
-    """Return candidate poles of several widths at the largest residual of the model."""
+def _poles_at_residual(curves: Curves, model: ModalModel) -> ComplexArray:
+    """Return candidate poles of several widths at the three lines of largest residual, rad/s."""
     frequency = curves.frequency
     power = np.sum(abs(model.residual) ** 2, axis=0)
-    out = []
+    candidates = []
     for index in np.argsort(power)[::-1][:3]:
         spacing = frequency[min(index + 1, frequency.size - 1)] - frequency[max(index - 1, 0)]
-        for width in (0.5 * spacing, 2.0 * spacing, 0.003 * frequency[index], 0.02 * frequency[index]):
-            out.append(2 * np.pi * (-width + 1j * frequency[index]))
-    return np.array(out, dtype=complex)
+        for half_width_hz in (0.5 * spacing, 2.0 * spacing, 0.003 * frequency[index], 0.02 * frequency[index]):
+            candidates.append(2 * np.pi * (-half_width_hz + 1j * frequency[index]))
+    return np.array(candidates, dtype=complex)

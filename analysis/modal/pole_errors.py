@@ -7,41 +7,38 @@ from collections.abc import Sequence
 import numpy as np
 
 from analysis.modal.order_selection import correlation_length, half_width
-from analysis.modal.pole_residue import Curves, Fit
+from analysis.modal.pole_residue import Curves, ModalModel
 from analysis.responses.systematic import ALIASING, MODEL, REFERENCE_NOISE, RESOLUTION
 from rig.arrays import Array, ComplexArray
 from rig.results.response import Response
 from rig.results.uncertainty import CLOCK, SENSITIVITY
 
-# Systematic parts that shift a pole like a stiffness error.
-_STIFFNESS_PARTS = (SENSITIVITY, CLOCK)
-# Systematic parts that shift a pole like a complex stiffness error, because aliases have an arbitrary phase.
-_PHASE_PARTS = (ALIASING,)
-# Systematic parts that may change the width of a peak.
-_WIDTH_PARTS = (ALIASING, RESOLUTION, MODEL, REFERENCE_NOISE)
-# Systematic parts are evaluated within this number of half-widths around a pole.
+# Systematic errors that shift a pole like a stiffness error.
+_STIFFNESS_ERRORS = (SENSITIVITY, CLOCK)
+# Systematic errors that shift a pole like a complex stiffness error, because aliases have an arbitrary phase.
+_PHASE_ERRORS = (ALIASING,)
+# Systematic errors that may change the width of a peak.
+_WIDTH_ERRORS = (ALIASING, RESOLUTION, MODEL, REFERENCE_NOISE)
+# Range around a pole in which systematic errors are evaluated, in halves of the half-power bandwidth (half-widths).
 _FLANK_HALF_WIDTHS = 10.0
-# Leakage of a Hann window widens a resonance. The fitted half of the half-power bandwidth is too large by this factor
-# times the squared resolution over the half-width.
+# Increase of a fitted half-width by leakage of a Hann window, relative to the squared resolution over the half-width.
 LEAKAGE_FACTOR = 0.16
 # Largest widening by leakage, as a multiple of the resolution.
 _MAX_WIDENING = 0.5
 # Largest frequency error of a peak that is narrower than the resolution, as a multiple of the resolution.
 _MAX_LINE_ERROR = 2.0 / 3.0
-# Lines within this multiple of the correlation length of the misfit may have common errors.
+# Distance of lines that may have common errors, in correlation lengths of the misfit.
 _CORRELATION_LENGTHS = 3.0
-
-# A misfit above this part of its expected value is due to the errors of the curves.
+# Smallest misfit that is due to the errors of the curves, relative to its expected value.
 _MIN_NOISE_RATIO = 0.3
-# Errors of a curve that resemble a mode (residual transients, phase errors of sensors) do not increase the misfit.
-# This is therefore the smallest uncertainty of a damping ratio, and of a frequency relative to half of the half-power
-# bandwidth.
+# Smallest relative uncertainty of a damping ratio, and of a frequency relative to the half-width. Errors of a curve
+# that resemble a mode (residual transients, phase errors of sensors) do not increase the misfit.
 _MIN_UNCERTAINTY = 5e-4
-# Eigenvalues of the information matrix below this part of the largest are rounding errors.
+# Smallest eigenvalue of the information matrix that is not a rounding error, relative to the largest.
 _MIN_EIGENVALUE_RATIO = 1e-15
 
 
-def pole_errors(curves: Curves, model: Fit) -> tuple[Array, Array]:
+def pole_errors(curves: Curves, model: ModalModel) -> tuple[Array, Array]:
     """Return the standard deviations of natural frequencies [Hz] and damping ratios, both of shape (modes,).
 
     They are the largest of three estimates. The first is for independent errors of all lines and responses, with the
@@ -53,39 +50,45 @@ def pole_errors(curves: Curves, model: Fit) -> tuple[Array, Array]:
     J. G. MacKinnon, H. White, Some heteroskedasticity-consistent covariance matrix estimators with improved finite
     sample properties, Journal of Econometrics 29 (1985) 305-325.
     """
-    f_error, z_error = propagate(model.poles, _covariance_factors(curves, model))
-    # Errors of random phase shift a pole in any direction; with few lines the estimate in one direction may be small
-    # by chance.
-    size = abs(model.poles)
-    f_error = np.maximum(f_error, np.hypot(f_error, z_error * size / (2 * np.pi)) / np.sqrt(2.0))
-    return _add_min_uncertainty(model.poles, f_error, z_error)
+    frequency_error, damping_error = propagate(model.poles, _covariance_factors(curves, model))
+    # Errors of random phase shift a pole in any direction. With few lines the estimate in one direction may be small
+    # by chance, so the frequency error is at least the mean over both directions.
+    decay_error = damping_error * abs(model.poles) / (2 * np.pi)
+    frequency_error = np.maximum(frequency_error, np.hypot(frequency_error, decay_error) / np.sqrt(2.0))
+    return _add_min_uncertainty(model.poles, frequency_error, damping_error)
 
 
 def refined_pole_errors(poles: ComplexArray, covariance: Array) -> tuple[Array, Array]:
     """Return the same standard deviations from the covariance of the poles' parameters, shape (2 modes, 2 modes)."""
-    size, axes = np.linalg.eigh(covariance)
-    return _add_min_uncertainty(poles, *propagate(poles, [axes * np.sqrt(np.maximum(size, 0.0))]))
+    eigenvalues, axes = np.linalg.eigh(covariance)
+    return _add_min_uncertainty(poles, *propagate(poles, [axes * np.sqrt(np.maximum(eigenvalues, 0.0))]))
 
 
-def _add_min_uncertainty(poles: ComplexArray, f_error: Array, z_error: Array) -> tuple[Array, Array]:
+def _add_min_uncertainty(poles: ComplexArray, frequency_error: Array, damping_error: Array) -> tuple[Array, Array]:
     min_uncertainty = -_MIN_UNCERTAINTY * poles.real
-    return np.hypot(f_error, min_uncertainty / (2 * np.pi)), np.hypot(z_error, min_uncertainty / abs(poles))
+    return np.hypot(frequency_error, min_uncertainty / (2 * np.pi)), np.hypot(
+        damping_error, min_uncertainty / abs(poles)
+    )
 
 
 def propagate(poles: ComplexArray, factors: Sequence[Array]) -> tuple[Array, Array]:
     """Return the largest standard deviations of frequencies [Hz] and damping ratios over covariances ``F F^T``.
 
-    The parameters are the logarithms of the decay rates, then the damped frequencies in units of the decay rates.
+    The parameters are the logarithms of the decay rates, then the damped frequencies in units of the decay_rate
+    rates.
     """
     count = poles.size
-    decay, damped, size = -poles.real, poles.imag, abs(poles)
-    f_error, z_error = np.empty(count), np.empty(count)
+    decay_rate, damped, size = -poles.real, poles.imag, abs(poles)
+    frequency_error, damping_error = np.empty(count), np.empty(count)
     for i in range(count):
-        to_f = np.array([decay[i], damped[i]]) * decay[i] / size[i] / (2 * np.pi)
-        to_z = np.array([damped[i] ** 2, -decay[i] * damped[i]]) * decay[i] / size[i] ** 3
+        # Derivatives of frequency and damping ratio with respect to the two parameters of a pole.
+        of_frequency = np.array([decay_rate[i], damped[i]]) * decay_rate[i] / size[i] / (2 * np.pi)
+        of_damping = np.array([damped[i] ** 2, -decay_rate[i] * damped[i]]) * decay_rate[i] / size[i] ** 3
         pairs = [factor[[i, i + count]] for factor in factors]
-        f_error[i], z_error[i] = (max(float(np.linalg.norm(to @ pair)) for pair in pairs) for to in (to_f, to_z))
-    return f_error, z_error
+        frequency_error[i], damping_error[i] = (
+            max(float(np.linalg.norm(derivative @ pair)) for pair in pairs) for derivative in (of_frequency, of_damping)
+        )
+    return frequency_error, damping_error
 
 
 def systematic_pole_errors(
@@ -95,38 +98,40 @@ def systematic_pole_errors(
 
     A reference that is the difference of two readings with gain errors contains a part of the response. To first order
     the effect is a stiffness error: a relative error d of the curve at s shifts the pole p by ``d |s - p|`` (no shift
-    if d is constant). An error at the peak alone, and the leakage of a window, may also change its width. The random
-    errors already contain the parts `included`.
+    if d is constant). An error at the peak alone, and the leakage of a window, may also change its width. The errors
+    `included` are omitted, because the random errors already contain them.
     """
-    width_parts = tuple(name for name in _WIDTH_PARTS if name not in included)
+    width_errors = tuple(name for name in _WIDTH_ERRORS if name not in included)
     half_width_hz = half_width(poles)
     resolution = max(curve.resolution for curve in frfs)
-    f_error = np.where(2.0 * half_width_hz < resolution, _MAX_LINE_ERROR * resolution, 0.0)
+    frequency_error = np.where(2.0 * half_width_hz < resolution, _MAX_LINE_ERROR * resolution, 0.0)
     widening = np.minimum(LEAKAGE_FACTOR * resolution**2 / half_width_hz, _MAX_WIDENING * resolution)
-    z_error = 2.0 * np.pi * widening / abs(poles)
+    damping_error = 2.0 * np.pi * widening / abs(poles)
     for curve in frfs:
-        stiffness, phase, width = (_relative(curve, names) for names in (_STIFFNESS_PARTS, _PHASE_PARTS, width_parts))
+        stiffness, phase, width = (
+            _relative(curve, names) for names in (_STIFFNESS_ERRORS, _PHASE_ERRORS, width_errors)
+        )
         for i, p in enumerate(poles):
-            natural = abs(p) / (2.0 * np.pi)
+            natural, half = abs(p) / (2.0 * np.pi), float(half_width_hz[i])
             distance = abs(curve.frequency - natural - 1j * half_width_hz[i])
-            real, complex_ = (_shift(error, distance, float(half_width_hz[i])) for error in (stiffness, phase))
-            peak = float(np.nan_to_num(width[int(np.argmin(distance))], nan=1.0, posinf=1.0)) * float(half_width_hz[i])
-            f_error[i] = max(f_error[i], float(np.linalg.norm([real, complex_, peak])))
-            decay = float(np.linalg.norm([half_width_hz[i] / natural * real, complex_, peak]))
-            z_error[i] = max(z_error[i], decay / natural)
-    return f_error, z_error
+            by_stiffness, by_phase = _shift(stiffness, distance, half), _shift(phase, distance, half)
+            by_width = float(np.nan_to_num(width[int(np.argmin(distance))], nan=1.0, posinf=1.0)) * half
+            frequency_error[i] = max(frequency_error[i], float(np.linalg.norm([by_stiffness, by_phase, by_width])))
+            decay_error = float(np.linalg.norm([half_width_hz[i] / natural * by_stiffness, by_phase, by_width]))
+            damping_error[i] = max(damping_error[i], decay_error / natural)
+    return frequency_error, damping_error
 
 
 def _relative(curve: Response, names: Sequence[str]) -> Array:
-    """Return the root sum of squares of some systematic parts, relative to the curve."""
-    parts = [curve.limits[name] for name in names if name in curve.limits]
+    """Return the root sum of squares of some systematic errors, relative to the curve; shape (n,)."""
+    limits = [curve.limits[name] for name in names if name in curve.limits]
     return np.asarray(
-        np.linalg.norm([np.zeros(curve.value.size), *parts], axis=0) / np.maximum(abs(curve.value), 1e-300)
+        np.linalg.norm([np.zeros(curve.value.size), *limits], axis=0) / np.maximum(abs(curve.value), 1e-300)
     )
 
 
 def _shift(error: Array, distance: Array, half_width_hz: float) -> float:
-    """Compute the shift of a pole, Hz, by the relative errors of a curve at some distances from the pole."""
+    """Compute the shift of a pole, Hz, by the relative errors of a curve at given distances from the pole, Hz."""
     bounded = np.isfinite(error)
     if not bounded.any():
         return float("inf")
@@ -136,7 +141,7 @@ def _shift(error: Array, distance: Array, half_width_hz: float) -> float:
     return float(np.quantile(shift[flanks], 0.75, method="higher"))
 
 
-def _covariance_factors(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
+def _covariance_factors(curves: Curves, model: ModalModel) -> tuple[Array, Array, Array]:
     """Return factors F of the covariance ``F F^T`` of the parameters by three kinds of errors, (parameters, columns).
 
     The kinds are independent errors, errors common to responses and neighboring lines, estimated from the misfit, and

@@ -1,4 +1,8 @@
-"""Modal model with common poles and a residue for each response, fitted by weighted least squares."""
+"""Modal model with common poles and a residue for each response, fitted by weighted least squares.
+
+A receptance is the sum of R/(s - p) + conj(R)/(s - conj(p)) over the modes, with pole p and residue R, and of *residual
+terms* for the modes outside the band. Poles are nonlinear parameters; residues and residual terms are linear.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +15,11 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array, ComplexArray
 
-# A fit from good initial values converges within this number of evaluations; a fit from poor values is stopped.
+# Largest number of evaluations; a fit from good initial values converges before, and a fit from poor values is stopped.
 _MAX_EVALUATIONS = 25
 # Number of terms of the series that represents modes above the band.
 UPPER_TERMS = 3
-# Fewer lines determine only the first of these terms.
+# Smallest number of lines that determine all of these terms; fewer determine only the first.
 _MIN_LINES = 20
 # Rounding error of the squared norm of a unit column.
 _ROUNDING = 1e-20
@@ -51,7 +55,7 @@ class Curves:
 
 
 @dataclass(frozen=True)
-class Fit:
+class ModalModel:
     """Best modal model of some curves for a number of poles."""
 
     poles: ComplexArray  # rad/s, by rising frequency; shape (modes,)
@@ -60,18 +64,18 @@ class Fit:
     upper: Array  # upper[0] + upper[1] s + upper[2] s² represents modes above the band; shape (responses, 3)
     misfit: float  # sum of squared weighted differences
     residual: ComplexArray  # weighted differences, measured less model; shape (responses, n)
-    # derivative of `residual` by the logarithms of the decay rates, then by the damped frequencies in units of the
-    # decay rates; shape (2 modes, responses, n)
+    # derivative of `residual` with respect to the logarithms of the decay rates, then to the damped frequencies in
+    # units of the decay rates; shape (2 modes, responses, n)
     jacobian: ComplexArray
 
 
-def fit(curves: Curves, start: ComplexArray) -> Fit:
-    """Fit the poles by weighted nonlinear least squares, with the linear unknowns eliminated (variable projection)."""
+def fit(curves: Curves, start: ComplexArray) -> ModalModel:
+    """Fit the poles, initially `start` in rad/s, by weighted nonlinear least squares with variable projection."""
     problem = Projection(curves, start)
     x = np.zeros(2 * start.size)
     if start.size:
         x = scipy.optimize.least_squares(
-            lambda x: problem.reduced(x)[:, -1], x, lambda x: problem.reduced(x)[:, :-1],
+            lambda x: problem.reduced_jacobian(x)[:, -1], x, lambda x: problem.reduced_jacobian(x)[:, :-1],
             xtol=1e-9, ftol=1e-9, gtol=1e-12, max_nfev=_MAX_EVALUATIONS,
         ).x  # fmt: skip
     poles = problem.poles(x)
@@ -84,10 +88,10 @@ def fit(curves: Curves, start: ComplexArray) -> Fit:
     jacobian = np.empty((0, *shape), dtype=complex)
     if count:
         columns = np.concatenate([order, order + count])
-        rows = np.moveaxis(problem.slopes(x)[:, :, columns], 2, 0)
+        rows = np.moveaxis(problem.jacobian(x)[:, :, columns], 2, 0)
         jacobian = rows[:, :, : shape[1]] + 1j * rows[:, :, shape[1] :]
     parts = residual.reshape(shape[0], 2, shape[1])
-    return Fit(
+    return ModalModel(
         poles[order], residue[:, order], unknown[:, 2 * count], upper, float(np.sum(residual**2)),
         parts[:, 0] + 1j * parts[:, 1], jacobian,
     )  # fmt: skip
@@ -159,7 +163,9 @@ class _Factors(NamedTuple):
 
 
 class Projection:
-    """Residual with the best linear unknowns for given poles, and its derivative (variable projection [1]_).
+    """Residual with the best linear parameters for given poles, and its derivative (variable projection [1]_).
+
+    The parameters x are those of `poles`, shape (2 poles,).
 
     References
     ----------
@@ -174,17 +180,21 @@ class Projection:
         self.residual_terms = np.stack(residual_terms(self.s)[: 1 + curves.upper_terms])
         self.scale = -start.real
         self._factorized: tuple[Array, _Factors] | None = None
-        self._reduced: tuple[Array, Array] | None = None
+        self._stored_jacobian: tuple[Array, Array] | None = None
 
     def poles(self, x: Array) -> ComplexArray:
-        """Convert parameters to poles: logarithms of the decay rates (for stability), frequencies in decay rates."""
+        """Convert parameters to poles, rad/s.
+
+        They are changes from the initial poles: of the logarithms of the decay rates, so that poles remain stable,
+        then of the frequencies in units of the initial decay rates.
+        """
         count = self.start.size
         return np.asarray(
             -self.scale * np.exp(np.clip(x[:count], -30.0, 30.0)) + 1j * (self.start.imag + self.scale * x[count:])
         )
 
     def columns(self, poles: ComplexArray) -> ComplexArray:
-        """Return the basis for real unknowns: Re R, Im R of each mode, then lower and upper residuals."""
+        """Return the factors of Re R and Im R of each mode, then of the residual terms; shape (n, unknowns)."""
         direct, mirror = 1.0 / (self.s - poles[:, None]), 1.0 / (self.s - poles.conj()[:, None])
         pairs = np.stack([direct + mirror, 1j * (direct - mirror)], axis=1)
         rows = [pairs.reshape(2 * poles.size, *self.s.shape), self.residual_terms]
@@ -200,7 +210,7 @@ class Projection:
         return self._factorized[1]
 
     def unknowns(self, x: Array) -> Array:
-        """Return the best linear unknowns, shape (responses, unknowns)."""
+        """Return the best linear parameters, shape (responses, unknowns)."""
         factors = self.factors(x)
         diagonal = abs(np.einsum("oii->oi", factors.triangle))
         if diagonal.min() > 1e-10 * diagonal.max():
@@ -211,24 +221,24 @@ class Projection:
         return np.asarray((unknown / np.swapaxes(factors.size, 1, 2))[..., 0])
 
     def residual(self, x: Array) -> Array:
-        """Return the weighted residuals of all responses in sequence."""
+        """Return the weighted residuals, shape (responses 2 n,): real and imaginary parts of each response."""
         factors = self.factors(x)
         return np.asarray((factors.target - factors.basis @ factors.projection).ravel())
 
-    def reduced(self, x: Array) -> Array:
-        """Return the triangular factor of the Jacobian with the residuals as last column, which suffices for a step.
+    def reduced_jacobian(self, x: Array) -> Array:
+        """Return the triangular factor of the Jacobian with the residuals as last column.
 
-        It has the same products of columns as the rows of all lines, including the norm of the residuals.
+        It suffices for a Gauss-Newton step, because its columns have the same products as those of all lines.
         """
-        if self._reduced is None or not np.array_equal(self._reduced[0], x):
-            slopes = self.slopes(x)
-            rows = np.concatenate([slopes, self.residual(x).reshape(*slopes.shape[:2], 1)], axis=2)
+        if self._stored_jacobian is None or not np.array_equal(self._stored_jacobian[0], x):
+            jacobian = self.jacobian(x)
+            rows = np.concatenate([jacobian, self.residual(x).reshape(*jacobian.shape[:2], 1)], axis=2)
             triangles = np.asarray(np.linalg.qr(rows, mode="r"))
             triangle = np.asarray(np.linalg.qr(triangles.reshape(-1, rows.shape[2]), mode="r"))
-            self._reduced = x.copy(), triangle
-        return self._reduced[1]
+            self._stored_jacobian = x.copy(), triangle
+        return self._stored_jacobian[1]
 
-    def slopes(self, x: Array) -> Array:
+    def jacobian(self, x: Array) -> Array:
         """Differentiate the residuals by the parameters, shape (responses, 2 n, parameters)."""
         unknown, q = self.unknowns(x), self.factors(x).basis
         count = self.start.size

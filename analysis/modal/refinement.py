@@ -16,53 +16,48 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.modal.pole_residue import UPPER_TERMS, Curves, Fit, residual_terms
+from analysis.modal.pole_residue import UPPER_TERMS, Curves, ModalModel, residual_terms
 from analysis.responses.systematic import MODEL, REFERENCE_NOISE
 from rig.arrays import Array, ComplexArray
 from rig.results.uncertainty import Covariance
 
-# Limit of Gauss-Newton steps.
+# Largest number of Gauss-Newton steps.
 _MAX_STEPS = 12
-# Limit of halvings of each step.
+# Largest number of halvings of each step.
 _MAX_HALVINGS = 6
-# The iteration has converged if a step is smaller than this number of standard deviations.
+# Largest step after which the iteration has converged, standard deviations.
 _MAX_FINAL_STEP = 1e-3
-# Limit of the elements of arrays of lines in memory.
+# Largest number of array elements in memory for a block of lines.
 _MAX_ELEMENTS = 1 << 20
-# The refinement is omitted if a step needs more multiplications.
+# Largest number of multiplications in a step; larger problems are not refined.
 _MAX_MULTIPLICATIONS = 5e10
 
 
 @dataclass(frozen=True)
 class Refinement:
-    """Modes fitted with the covariance of all responses.
+    """Modes fitted with the covariance of all responses."""
 
-    `covariance`: covariance of the logarithms of the decay rates, then of the damped frequencies in decay rates, shape
-    (2 modes, 2 modes).
-    """
-
-    model: Fit  # refined model, with `misfit`, `residual` and `jacobian` for the weights of the curves
+    model: ModalModel  # refined model; its `misfit`, `residual` and `jacobian` are those of the initial model
+    # of the logarithms of the decay rates, then of the damped frequencies in decay rates, shape (2 modes, 2 modes)
     covariance: Array
-    parts: tuple[str, ...]  # systematic parts of the curves that the covariance includes
+    included: tuple[str, ...]  # systematic errors of the curves that the covariance includes
 
 
-def refine(curves: Curves, model: Fit, errors: Covariance, rough: Array) -> Refinement | None:
-    """Refine a model; return None if the problem is too large, or if the iteration does not converge.
+def refine(curves: Curves, model: ModalModel, errors: Covariance, rough: Array) -> Refinement | None:
+    """Refine a model; return None if the problem is too large, or if the covariance is not finite.
 
-    `errors`: covariance of the random errors; `rough`, shape (responses, n): standard deviation of either quadrature of
-    other errors that differ from line to line.
+    `errors`: covariance of the random errors; `rough`, shape (responses, n): standard deviation of the real or
+    imaginary part of other errors that differ from line to line.
     """
     problem = Likelihood(curves, errors, rough)
     count = 2 * model.poles.size
-    if (
-        not count
-        or curves.value.size * curves.value.shape[0] * (count + 1 + curves.upper_terms) ** 2 > _MAX_MULTIPLICATIONS
-    ):
+    multiplications = curves.value.size * curves.value.shape[0] * (count + 1 + curves.upper_terms) ** 2
+    if not count or multiplications > _MAX_MULTIPLICATIONS:
         return None
     misfit = problem.misfit(model)
     for _ in range(_MAX_STEPS):
-        normal, right = problem.equations(model)
-        step = _inverse(normal) @ right
+        normal_matrix, right = problem.equations(model)
+        step = _inverse(normal_matrix) @ right
         for halving in range(_MAX_HALVINGS):
             next_model = take_step(curves, model, step * 0.5**halving)
             if (next_misfit := problem.misfit(next_model)) <= misfit:
@@ -77,17 +72,17 @@ def refine(curves: Curves, model: Fit, errors: Covariance, rough: Array) -> Refi
     scatter = errors.of_sums(weights)
     scatter += errors.shared * np.einsum("kap,kaq->pq", deviation.conj(), deviation).real
     covariance = scatter * max(1.0, misfit / curves.degrees(model.poles.size))
-    parts: tuple[str, ...] = (MODEL,)
+    included: tuple[str, ...] = (MODEL,)
     if errors.reference is not None:
         # Noise of the reference causes a bias of all responses, which may vary over a peak.
         bias = curves.value.T * errors.reference[:, None]
         shift = np.einsum("kap,ka->p", weights.conj(), bias).real / np.sqrt(3.0)
-        covariance, parts = covariance + np.outer(shift, shift), (MODEL, REFERENCE_NOISE)
-    return Refinement(model, covariance, parts) if np.isfinite(covariance).all() else None
+        covariance, included = covariance + np.outer(shift, shift), (MODEL, REFERENCE_NOISE)
+    return Refinement(model, covariance, included) if np.isfinite(covariance).all() else None
 
 
 class Likelihood:
-    """Weighted misfit of all responses and its normal equations."""
+    """Misfit of all responses, weighted by the inverse covariance of each line, and its normal equations."""
 
     def __init__(self, curves: Curves, errors: Covariance, rough: Array) -> None:
         self.curves = curves
@@ -98,7 +93,7 @@ class Likelihood:
         self.s = 2j * np.pi * curves.frequency
         self.terms = np.stack(residual_terms(self.s)[: 1 + curves.upper_terms], axis=1)
 
-    def residual(self, model: Fit) -> ComplexArray:
+    def residual(self, model: ModalModel) -> ComplexArray:
         """Compute measured less model values, shape (n, responses)."""
         direct = 1.0 / (self.s[:, None] - model.poles)
         mirror = 1.0 / (self.s[:, None] - model.poles.conj())
@@ -106,44 +101,46 @@ class Likelihood:
         predicted = direct @ model.residue.T + mirror @ model.residue.conj().T + self.terms @ factors.T
         return np.asarray(self.curves.value.T - predicted)
 
-    def misfit(self, model: Fit) -> float:
+    def misfit(self, model: ModalModel) -> float:
         """Compute the sum of squares in standard deviations."""
         residual = self.residual(model)
         return float(np.einsum("ka,kab,kb->", residual.conj(), self.information, residual, optimize=True).real)
 
-    def _slopes(self, model: Fit, part: slice) -> tuple[ComplexArray, ComplexArray]:
+    def _derivatives(self, model: ModalModel, lines: slice) -> tuple[ComplexArray, ComplexArray]:
         """Differentiate the model at some lines.
 
-        Returns the slopes by the poles, shape (lines, responses, 2 modes), and by the residues and residual terms,
-        shape (lines, unknowns of a response), which are equal for all responses.
+        Returns the derivatives with respect to the parameters of the poles, shape (lines, responses, 2 modes), and to
+        the residues and residual terms of a response, shape (lines, unknowns), which are equal for all responses.
         """
-        s = self.s[part, None]
+        s = self.s[lines, None]
         direct, mirror = 1.0 / (s - model.poles), 1.0 / (s - model.poles.conj())
-        direct_slope = direct[:, None] ** 2 * model.residue
-        mirror_slope = mirror[:, None] ** 2 * model.residue.conj()
-        by_pole = np.concatenate(
-            [model.poles.real * (direct_slope + mirror_slope), -1j * model.poles.real * (direct_slope - mirror_slope)],
-            axis=2,
-        )
-        return by_pole, np.concatenate([direct + mirror, 1j * (direct - mirror), self.terms[part]], axis=1)
+        by_pole = direct[:, None] ** 2 * model.residue
+        by_mirror = mirror[:, None] ** 2 * model.residue.conj()
+        by_decay = model.poles.real * (by_pole + by_mirror)
+        by_frequency = -1j * model.poles.real * (by_pole - by_mirror)
+        by_residue = np.concatenate([direct + mirror, 1j * (direct - mirror), self.terms[lines]], axis=1)
+        return np.concatenate([by_decay, by_frequency], axis=2), by_residue
 
-    def _parts(self, model: Fit) -> Iterator[slice]:
-        """Split the lines so that the arrays of each part remain small."""
+    def _line_blocks(self, model: ModalModel) -> Iterator[slice]:
+        """Split the lines so that the arrays of each block remain small."""
         responses = self.curves.value.shape[0]
         step = max(1, _MAX_ELEMENTS // (responses * (responses + 2 * model.poles.size)))
         return (slice(begin, begin + step) for begin in range(0, self.s.size, step))
 
-    def equations(self, model: Fit) -> tuple[Array, Array]:
-        """Compute the normal matrix and the right-hand side of a step."""
+    def equations(self, model: ModalModel) -> tuple[Array, Array]:
+        """Compute the normal matrix and the right-hand side of a step.
+
+        The unknowns are the parameters of the poles, then the residues and residual terms of each response.
+        """
         residual, responses = self.residual(model), self.curves.value.shape[0]
         poles = 2 * model.poles.size
         n_unknowns = poles + self.terms.shape[1]
         right_poles, right_residues = np.zeros(poles), np.zeros((responses, n_unknowns))
         pole_block, coupling_block = np.zeros((poles, poles)), np.zeros((poles, responses, n_unknowns))
         residue_block = np.zeros((n_unknowns, n_unknowns, responses, responses))
-        for part in self._parts(model):
-            by_pole, by_residue = self._slopes(model, part)
-            information = self.information[part]
+        for lines in self._line_blocks(model):
+            by_pole, by_residue = self._derivatives(model, lines)
+            information = self.information[lines]
             weighted = information @ by_pole
             flat = by_pole.reshape(-1, poles)
             pole_block += (weighted.conj().reshape(-1, poles).T @ flat).real
@@ -152,39 +149,43 @@ class Likelihood:
             ).real.reshape(coupling_block.shape)
             # The information is Hermitian, so the real part of the product needs two real products only.
             pairs = (by_residue.conj()[:, :, None] * by_residue[:, None]).reshape(len(by_residue), -1).T
-            lines = information.reshape(len(by_residue), -1)
-            residue_block += (pairs.real @ lines.real - pairs.imag @ lines.imag).reshape(residue_block.shape)
-            weighted_residual = (information @ residual[part, :, None])[..., 0]
+            flat_information = information.reshape(len(by_residue), -1)
+            block = pairs.real @ flat_information.real - pairs.imag @ flat_information.imag
+            residue_block += block.reshape(residue_block.shape)
+            weighted_residual = (information @ residual[lines, :, None])[..., 0]
             right_poles += (flat.conj().T @ weighted_residual.ravel()).real
             right_residues += (weighted_residual.T @ by_residue.conj()).real
         size = responses * n_unknowns
-        normal = np.empty((poles + size,) * 2)
-        normal[:poles, :poles] = pole_block
-        normal[:poles, poles:] = coupling_block.reshape(poles, size)
-        normal[poles:, :poles] = normal[:poles, poles:].T
-        normal[poles:, poles:] = residue_block.transpose(2, 0, 3, 1).reshape(size, size)
-        return normal, np.concatenate([right_poles, right_residues.ravel()])
+        matrix = np.empty((poles + size,) * 2)
+        matrix[:poles, :poles] = pole_block
+        matrix[:poles, poles:] = coupling_block.reshape(poles, size)
+        matrix[poles:, :poles] = matrix[:poles, poles:].T
+        matrix[poles:, poles:] = residue_block.transpose(2, 0, 3, 1).reshape(size, size)
+        return matrix, np.concatenate([right_poles, right_residues.ravel()])
 
-    def weights(self, model: Fit, rows: Array) -> ComplexArray:
-        """Compute the weights of the errors in combinations of the parameters; shape (n, responses, combinations)."""
+    def weights(self, model: ModalModel, rows: Array) -> ComplexArray:
+        """Compute the weights of the readings' errors in combinations of the unknowns.
+
+        `rows`: combinations, shape (unknowns, combinations). Returns the shape (n, responses, combinations).
+        """
         poles, responses = 2 * model.poles.size, self.curves.value.shape[0]
         pole_rows, residue_rows = rows[:poles], rows[poles:].reshape(responses, -1, rows.shape[1])
-        out = []
-        for part in self._parts(model):
-            by_pole, by_residue = self._slopes(model, part)
+        weights = []
+        for lines in self._line_blocks(model):
+            by_pole, by_residue = self._derivatives(model, lines)
             change = by_pole @ pole_rows + (by_residue @ residue_rows).transpose(1, 0, 2)
-            out.append(self.information[part] @ change)
-        return np.concatenate(out)
+            weights.append(self.information[lines] @ change)
+        return np.concatenate(weights)
 
 
-def _inverse(normal: Array) -> Array:
-    """Invert a normal matrix, scaled to unit diagonal; dependent unknowns get the smallest values."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return np.asarray(scale[:, None] * np.linalg.pinv(normal * np.outer(scale, scale), hermitian=True) * scale)
+def _inverse(normal_matrix: Array) -> Array:
+    """Invert a normal matrix by its pseudoinverse, scaled to unit diagonal, because unknowns may be dependent."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal_matrix), 1e-300))
+    return np.asarray(scale[:, None] * np.linalg.pinv(normal_matrix * np.outer(scale, scale), hermitian=True) * scale)
 
 
-def take_step(curves: Curves, model: Fit, step: Array) -> Fit:
-    """Change poles, residues and residual terms by a step of the parameters."""
+def take_step(curves: Curves, model: ModalModel, step: Array) -> ModalModel:
+    """Change poles, residues and residual terms by a step of the unknowns, in the order of `Likelihood.equations`."""
     modes, responses = model.poles.size, curves.value.shape[0]
     decay = -model.poles.real
     poles = -decay * np.exp(np.clip(step[:modes], -1.0, 1.0)) + 1j * (

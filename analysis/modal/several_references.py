@@ -18,7 +18,7 @@ import numpy as np
 from analysis.modal.modes import Modes
 from rig.arrays import ComplexArray
 
-# A further singular value of a residue is significant above this multiple of its standard uncertainty.
+# Smallest significant further singular value of a residue, in standard uncertainties.
 _DETECTION_SIGMAS = 5.0
 # Smallest ratio of a significant singular value to the largest; smaller values are errors of the model.
 _MIN_RATIO = 0.02
@@ -30,23 +30,23 @@ def separate(modes: Modes, outputs: tuple[str, ...], inputs: tuple[str, ...], pl
     `modes`: identified from all elements of a matrix, in the order of the outputs; `places`: positions of the
     outputs. Returns modes with the residues of the input that excites all modes best.
     """
-    o, i = len(outputs), len(inputs)
+    n_outputs, n_inputs = len(outputs), len(inputs)
     poles: list[int] = []
-    parts: list[tuple[ComplexArray, ComplexArray]] = []  # shape and participation of each mode
+    vectors: list[tuple[ComplexArray, ComplexArray]] = []  # shape and participation of each mode
     for k in range(modes.frequency.size):
-        residue = modes.residue[:, k].reshape(o, i)
+        residue = modes.residue[:, k].reshape(n_outputs, n_inputs)
         noise = float(np.linalg.norm(modes.shape_error[:, k])) * float(abs(residue).max())
         left, singular, right = np.linalg.svd(residue, full_matrices=False)
         for r in range(singular.size):
             if r == 0 or singular[r] > max(_DETECTION_SIGMAS * noise, _MIN_RATIO * singular[0]):
                 poles.append(k)
-                parts.append((left[:, r] * singular[r], right[r]))
-    shapes, participation = (np.stack(vectors, axis=1) for vectors in zip(*parts, strict=True))
+                vectors.append((left[:, r] * singular[r], right[r]))
+    shapes, participation = (np.stack(columns, axis=1) for columns in zip(*vectors, strict=True))
     reference = int(np.argmax(np.min(abs(participation), axis=1)))
-    rows = np.arange(o) * i + reference
-    error = np.sqrt(np.mean(np.square(modes.shape_error[:, poles].reshape(o, i, -1)), axis=1))
-    top = np.argmax(abs(shapes), axis=0)
-    error[top, np.arange(len(parts))] = 0.0
+    rows = np.arange(n_outputs) * n_inputs + reference
+    error = np.sqrt(np.mean(np.square(modes.shape_error[:, poles].reshape(n_outputs, n_inputs, -1)), axis=1))
+    largest = np.argmax(abs(shapes), axis=0)
+    error[largest, np.arange(len(vectors))] = 0.0
     repeated = [f"{modes.frequency[k]:.5g} Hz" for k in dict.fromkeys(poles) if poles.count(k) > 1]
     notes = (f"Repeated modes, with one pole each: {', '.join(repeated)}.",) if repeated else ()
     return replace(

@@ -57,8 +57,8 @@ def test_normal_equations_equal_dense_ones(curves: Curves, monkeypatch: pytest.M
 def test_reduced_problem_has_the_same_normal_matrix(curves: Curves) -> None:
     problem = Projection(curves, 2 * np.pi * np.array([12.1, 20.8]) * (-0.03 + 1j))
     x = np.array([0.1, -0.05, 0.02, 0.03])
-    rows = np.column_stack([problem.slopes(x).reshape(-1, 4), problem.residual(x)])
-    reduced = problem.reduced(x)
+    rows = np.column_stack([problem.jacobian(x).reshape(-1, 4), problem.residual(x)])
+    reduced = problem.reduced_jacobian(x)
     assert reduced.shape == (5, 5)
     expected = rows.T @ rows
     np.testing.assert_allclose(reduced.T @ reduced, expected, rtol=1e-9, atol=1e-12 * abs(expected).max())

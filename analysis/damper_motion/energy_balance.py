@@ -124,7 +124,7 @@ def _bound(
     )
     for sensitivity, error_ratio in (
         (phase_sensitivity, aliased),
-        (fundamental_sensitivity, lines.remainder),
+        (fundamental_sensitivity, lines.residual_transient),
         (fundamental_sensitivity, lines.resolution),
     ):
         if error_ratio is not None:

@@ -57,21 +57,21 @@ def estimate(estimator: str, sxx: Array, sff: Array, sxf: ComplexArray) -> Compl
 
 
 @dataclass(frozen=True)
-class Averages:
+class AveragedSpectra:
     """Spectral matrix of the recorded channels, averaged over blocks."""
 
     channels: tuple[str, ...]  # names, in the order of rows and columns
     frequency: Array  # Hz; shape (n,)
     # mean of Y_i conj(Y_j) as recorded, without correction for the sensors; shape (n, channels, channels)
     cross: ComplexArray
-    averages: float  # number of independent blocks; overlapping blocks count as fewer
+    n_averages: float  # number of independent blocks; overlapping blocks count as fewer
     resolution: float  # bandwidth of the window in Hz; 0 without leakage (bursts that end inside their block)
     label: str = ""  # for legends
     warnings: tuple[str, ...] = ()  # in full sentences
     # largest relative change of each channel's gain by rounding, as in `rounding_part`; shape (channels, n)
     gain: Array = field(default_factory=lambda: np.zeros((1, 1)))
-    # the same test without windows, if windows cause leakage; the difference of the two curves is the leakage
-    unsmeared: SegmentFits | None = None
+    # local fits to the same test if windows cause leakage; the difference of the two curves is the leakage
+    leakage_free: SegmentFits | None = None
 
     estimator: str = "H1"  # or ``"H2"``, ``"Hv"``
 
@@ -81,6 +81,7 @@ class Averages:
         response_weights = numerator.row(rec, self.channels, self.frequency)
         denominator = reference_of(rec, reference)
         reference_weights = denominator.row(rec, self.channels, self.frequency)
+        # Square roots of the spectra, so that all powers below are sums of squares.
         factor = square_root(self.cross)
         x, f = (np.einsum("in,nir->nr", row, factor) for row in (response_weights, reference_weights))
         sxx, sff = (np.sum(np.square(np.abs(amplitude)), axis=1) for amplitude in (x, f))
@@ -93,26 +94,26 @@ class Averages:
         coherence = 1.0 / (1.0 + incoherence)
         # Reading of each channel per unit of the reference.
         readings = np.einsum("nij,jn->in", self.cross, reference_weights.conj()) / sff
-        # Coherence from few blocks is biased towards 1; the scatter has averages - 1 degrees of freedom.
-        n_free = self.averages - 1.0
+        # Coherence from few blocks is biased towards 1; the scatter has one degree of freedom less than averages.
+        n_free = self.n_averages - 1.0
         error = np.full(value.shape, np.nan)
         if n_free > 0.0:
             error = abs(value) * np.sqrt(incoherence / (2.0 * n_free))
         limits: dict[str, Array] = {}
-        if self.unsmeared is not None:
-            sharp = self.unsmeared.frf(rec, response, reference, motion)
-            limits[LEAKAGE] = leakage(self.frequency, value, error, sharp)
+        if self.leakage_free is not None:
+            leakage_free = self.leakage_free.frf(rec, response, reference, motion)
+            limits[LEAKAGE] = leakage(self.frequency, value, error, leakage_free)
         shares = ReadingShares(
             self.channels, self.frequency, motion, value, response_weights * readings, reference_weights * readings
         )
         difference = response_weights - value * reference_weights
-        incoherent = reference_noise_part(value, coherence)
+        noise_bias = reference_noise_part(value, coherence)
         if len(denominator.channels) > 1:
             noise = self._incoherent_power(denominator.channels)
-            incoherent = np.maximum(incoherent, shared_noise_part(noise, difference, reference_weights, sff))
-        limits[REFERENCE_NOISE] = incoherent
+            noise_bias = np.maximum(noise_bias, shared_noise_part(noise, difference, reference_weights, sff))
+        limits[REFERENCE_NOISE] = noise_bias
         limits |= rounding_part(self.gain, shares)
-        # Weights of the part that is not coherent with the reference, relative to its power (Bendat and Piersol,
+        # Weights of the incoherent part of the response, relative to the power of the reference (Bendat and Piersol,
         # chapter 7).
         residual_weights = difference.T / np.sqrt(sff * max(n_free, 1e-300))[:, None]
         degrees = np.full(value.shape, max(2.0 * n_free, 0.0))
@@ -137,19 +138,19 @@ class Averages:
             common = np.sum(reading * other.conj(), axis=1) / np.maximum(power, 1e-300)
             noise[row] = np.sum(np.square(np.abs(reading - common[:, None] * other)), axis=1)
         # With few blocks, the coherent power is too large by chance.
-        return np.asarray(noise * self.averages / max(self.averages - 1.0, 1e-300))
+        return np.asarray(noise * self.n_averages / max(self.n_averages - 1.0, 1e-300))
 
 
-def leakage(frequency: Array, value: ComplexArray, error: Array, sharp: Response) -> Array:
-    """Estimate the leakage of block averages by their difference from a curve without leakage.
+def leakage(frequency: Array, value: ComplexArray, error: Array, leakage_free: Response) -> Array:
+    """Estimate the leakage of block averages, shape (lines,), by their difference from a curve without leakage.
 
     The mean square of the difference over three lines, the bandwidth of a Hann window, contains the random errors of
     both curves. Their known variances are subtracted.
     """
-    difference = value - np.interp(frequency, sharp.frequency, sharp.value)
-    scatter = sharp.uncertainty.scatter
-    sharp_error = 0.0 if scatter is None else np.interp(frequency, sharp.frequency, scatter.size)
-    excess = np.square(np.abs(difference)) - 2.0 * np.nan_to_num(np.square(error) + np.square(sharp_error))
+    difference = value - np.interp(frequency, leakage_free.frequency, leakage_free.value)
+    scatter = leakage_free.uncertainty.scatter
+    leakage_free_error = 0.0 if scatter is None else np.interp(frequency, leakage_free.frequency, scatter.size)
+    excess = np.square(np.abs(difference)) - 2.0 * np.nan_to_num(np.square(error) + np.square(leakage_free_error))
     return np.sqrt(np.maximum(np.convolve(np.pad(excess, 1, "edge"), np.full(3, 1.0 / 3.0), "valid"), 0.0))
 
 
@@ -184,12 +185,12 @@ def independent_blocks(window: Array, step: int, blocks: int) -> float:
 
 
 class BlockSpectra(NamedTuple):
-    """Averages over the blocks without flaws."""
+    """AveragedSpectra over the blocks without flaws."""
 
-    averages: Averages
+    spectra: AveragedSpectra
     used: int  # number of averaged blocks
     flaws: Sequence[Flaw]  # flaws of the blocks that were left out
-    remaining: float  # largest ratio, in any channel, of the motion at the end of a block to its maximum
+    end_ratio: float  # largest ratio, in any channel, of the motion at the end of a block to its maximum
     mean_squares: Array  # mean square of each channel within a block, less its mean; shape (channels,)
 
 
@@ -209,7 +210,7 @@ def block_spectra(
     """
     names, size = list(channels), window.size
     all_flaws = flaws(rec, names, starts[0], starts[-1] + size)
-    edges = np.array([[flaw.first, flaw.stop] for flaw in all_flaws]).reshape(-1, 2)
+    flaw_bounds = np.array([[flaw.first, flaw.stop] for flaw in all_flaws]).reshape(-1, 2)
     frequency = fft.rfftfreq(size, 1.0 / rec.rate)
     in_band = (frequency >= low) & (frequency <= min(high, 0.45 * rec.rate)) & (frequency > 0)
     cross: ComplexArray = np.zeros((int(in_band.sum()), len(names), len(names)), dtype=complex)
@@ -218,7 +219,7 @@ def block_spectra(
     for n_completed, (begin, samples) in enumerate(zip(starts, blocks, strict=True), 1):
         if progress is not None:
             progress(n_completed, len(starts))
-        if np.any((edges[:, 0] < begin + size) & (edges[:, 1] > begin)):
+        if np.any((flaw_bounds[:, 0] < begin + size) & (flaw_bounds[:, 1] > begin)):
             continue
         samples = samples - samples.mean(axis=1, keepdims=True)
         spectra = fft.rfft(samples * window, axis=1)[:, in_band]
@@ -227,11 +228,11 @@ def block_spectra(
         power += np.mean(np.square(samples), axis=1)
         largest = np.maximum(abs(samples).max(axis=1), 1e-300)
         end_ratio = max(end_ratio, float(np.max(abs(samples[:, -max(1, size // 50) :]).max(axis=1) / largest)))
-    averages = Averages(
+    averaged = AveragedSpectra(
         tuple(names), frequency[in_band], np.asarray(cross / max(used, 1e-300), dtype=complex),
         independent_blocks(window, step, used) if used else 0.0, 0.0, rec.scene.name,
     )  # fmt: skip
-    return BlockSpectra(averages, used, all_flaws, end_ratio, power / max(used, 1))
+    return BlockSpectra(averaged, used, all_flaws, end_ratio, power / max(used, 1))
 
 
 def sampled_window(name: str, size: int) -> Array:

@@ -112,7 +112,7 @@ def _random(request: Request) -> list[Response]:
     overlap, window = 0.5 if blocks.overlap is None else blocks.overlap, blocks.window or "hann"
     return request.compute(
         replace(
-            random.averages(rec, marker, channels, blocks.block, overlap, request.progress, window),
+            random.averaged_spectra(rec, marker, channels, blocks.block, overlap, request.progress, window),
             estimator=blocks.estimator or "H1",
         )
         for marker in request.measured
@@ -132,7 +132,7 @@ def _hits(request: Request) -> list[Response]:
     blocks = request.blocks
     if blocks == Blocks():
         return request.compute([impact.segment_fits(request.rec, request.channels)])
-    averages = impact.averages(request.rec, request.channels, blocks.block, blocks.window or "none")
+    averages = impact.averaged_spectra(request.rec, request.channels, blocks.block, blocks.window or "none")
     return request.compute([replace(averages, estimator=blocks.estimator or "H1")])
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import fft
 
 from analysis.responses.clean_segments import describe_flaws, remedy
-from analysis.responses.estimators import Averages, block_spectra, noise_bandwidth_bins, sampled_window
+from analysis.responses.estimators import AveragedSpectra, block_spectra, noise_bandwidth_bins, sampled_window
 from analysis.responses.hits import Hits
 from analysis.responses.local_models.local_spectra import SIDE
 from analysis.responses.segment_fits import SegmentFits, warn_of_dampers
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# The hit begins after one of this number of equal parts of a block.
-_LEAD_PARTS = 50
-# A larger response at the end of a block, relative to its maximum, causes leakage that is reported.
-_MAX_REMAINING_RATIO = 0.02
+# Length of a block, relative to the pretrigger: the samples of the block before its hit.
+_BLOCK_PER_PRETRIGGER = 50
+# Largest response at the end of a block without leakage, relative to its maximum.
+_MAX_END_RATIO = 0.02
 
 
 def segment_fits(rec: Recording, channels: Sequence[str]) -> SegmentFits:
@@ -37,7 +37,9 @@ def segment_fits(rec: Recording, channels: Sequence[str]) -> SegmentFits:
     )  # fmt: skip
 
 
-def averages(rec: Recording, channels: Sequence[str], block: float | None = None, window: str = "none") -> Averages:
+def averaged_spectra(
+    rec: Recording, channels: Sequence[str], block: float | None = None, window: str = "none"
+) -> AveragedSpectra:
     """Average the spectra of one block for each hit, as most programs do.
 
     `block`: length of a block in s; if omitted, the shortest time from a hit to the next hit, or to the end.
@@ -45,8 +47,8 @@ def averages(rec: Recording, channels: Sequence[str], block: float | None = None
     hits = Hits.of(rec)
     begins = [begin for begin, _ in hits.arrivals]
     size = hits.interval if block is None else round(block * rec.rate)
-    lead = min(size // _LEAD_PARTS, begins[0])
-    starts = [begin - lead for begin in begins if begin - lead + size <= rec.samples]
+    pretrigger = min(size // _BLOCK_PER_PRETRIGGER, begins[0])
+    starts = [begin - pretrigger for begin in begins if begin - pretrigger + size <= rec.samples]
     if size < 16 or not starts:
         raise SceneError(
             f"blocks of {size / rec.rate:.3g} s: expected at least 16 samples, and no more than the "
@@ -64,21 +66,21 @@ def averages(rec: Recording, channels: Sequence[str], block: float | None = None
         notes.append(f"{len(begins) - averaged.used} of {len(begins)} hits left out: {reasons}.")
     if averaged.used == 1:
         notes.append("One block: its coherence is 1 for any noise, and the scatter is unknown. Record more hits.")
-    leaks = averaged.remaining > _MAX_REMAINING_RATIO
-    if leaks:
+    has_leakage = averaged.end_ratio > _MAX_END_RATIO
+    if has_leakage:
         notes.append(
-            f"{averaged.remaining:.0%} of the peak response remains at the end of a block, so the curve has leakage. "
+            f"{averaged.end_ratio:.0%} of the peak response remains at the end of a block, so the curve has leakage. "
             "Use longer blocks, or leave out --estimator for a response without leakage."
         )
     segments = [(start, start + size) for start in starts]
     blocks = [np.stack([rec.read(name, *bounds) for name in channels]) for bounds in segments]
     blocks = [np.nan_to_num(block - np.nanmean(block, axis=1, keepdims=True)) for block in blocks]
     spectra = [fft.rfft(block, axis=1) for block in blocks]
-    lines = np.rint(averaged.averages.frequency * size / rec.rate).astype(np.int64)
+    lines = np.rint(averaged.spectra.frequency * size / rec.rate).astype(np.int64)
     return replace(
-        averaged.averages,
-        resolution=noise_bandwidth_bins(weights) * rec.rate / size if leaks else 0.0,
+        averaged.spectra,
+        resolution=noise_bandwidth_bins(weights) * rec.rate / size if has_leakage else 0.0,
         warnings=tuple(notes),
         gain=hits.rounding(rec, channels, segments, blocks, spectra, lines, SIDE),
-        unsmeared=segment_fits(rec, channels) if leaks else None,
+        leakage_free=segment_fits(rec, channels) if has_leakage else None,
     )

@@ -15,7 +15,7 @@ from analysis.responses.clean_segments import describe_flaws, flaws
 from analysis.responses.local_models.local_spectra import SIDE
 from analysis.responses.measurands import motion_channel_at, reference_of
 from analysis.responses.scatter import Scatter
-from analysis.responses.spectral_lines import Lines, remainder
+from analysis.responses.spectral_lines import Lines, residual_transient
 from analysis.responses.systematic import counts_of, in_counts, reproducible_rounding, tone_gain
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
@@ -84,7 +84,7 @@ def best_linear_approximation(
         np.asarray(np.concatenate(noises) / count, dtype=complex),
         np.full(frequency.size, 2.0 * sum(len(spectra.spectra) - 1 for spectra in complete)),
     )
-    unsettled = np.mean([remainder(spectra.spectra) for spectra in complete], axis=0)
+    unsettled = np.mean([residual_transient(spectra.spectra) for spectra in complete], axis=0)
     counts = counts_of(rec, names)
     samples = rec.rate / (frequency[1] - frequency[0]) if frequency.size > 1 else rec.rate / frequency[0]
     # Rounding to counts resembles noise of 1/12 count², and 95 % of its amplitudes at a line are below
@@ -194,7 +194,7 @@ def _without_drift(periods: Array, numbers: NDArray[np.int64]) -> Array:
 def _distorted(measured: Lines, noise: Lines) -> bool:
     """Return whether realisations scatter more than by noise, residual transients and rounding to counts."""
     scatter, expected = (np.linalg.norm(lines.scatter.rows, axis=0) for lines in (measured, noise))
-    limits = [part for part in (measured.remainder, measured.resolution) if part is not None]
+    limits = [part for part in (measured.residual_transient, measured.resolution) if part is not None]
     distorted = scatter > _NOISE_RATIO * expected + np.sum(limits, axis=0)
     distorted &= scatter > _MEAN_RATIO * abs(measured.mean)
     return bool(np.max(distorted.mean(axis=1)) > _MIN_DISTORTED_LINES)

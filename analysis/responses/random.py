@@ -1,4 +1,4 @@
-"""Random and burst random: spectra averaged over blocks (Welch)."""
+"""Random and burst random tests: local fits to whole segments, or spectra averaged over blocks (Welch)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.responses.clean_segments import describe_flaws, remedy, settling_flaws
-from analysis.responses.estimators import Averages, block_spectra, noise_bandwidth_bins, sampled_window
+from analysis.responses.estimators import AveragedSpectra, block_spectra, noise_bandwidth_bins, sampled_window
 from analysis.responses.segment_fits import SegmentFits, warn_of_dampers
 from analysis.responses.systematic import in_counts, noise_gain
 from rig.errors import RecordingError, SceneError
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 # Default number of blocks: error bars of about 10 % at a coherence of 0.7, with the finest possible resolution.
 DEFAULT_BLOCKS = 30
-# A larger response at the end of a block, relative to its maximum, causes leakage into the next burst.
-_MAX_REMAINING_RATIO = 0.02
+# Largest response at the end of a block without leakage into the next burst, relative to its maximum.
+_MAX_END_RATIO = 0.02
 
 
 def segment_fits(rec: Recording, marker: Marker, channels: Sequence[str]) -> SegmentFits:
@@ -40,7 +40,7 @@ def segment_fits(rec: Recording, marker: Marker, channels: Sequence[str]) -> Seg
     )  # fmt: skip
 
 
-def averages(
+def averaged_spectra(
     rec: Recording,
     marker: Marker,
     channels: Sequence[str],
@@ -48,7 +48,7 @@ def averages(
     overlap: float = 0.5,
     progress: CountProgress | None = None,
     window: str = "hann",
-) -> Averages:
+) -> AveragedSpectra:
     """Average the spectra of a random test.
 
     `block`: length of a block in s, for about 30 averages if omitted; `overlap`: as a fraction of the block. Bursts
@@ -89,23 +89,23 @@ def averages(
             f"{rec.path}: fewer than two blocks are complete ({reasons}). {remedy(rec, averaged.flaws)}, or choose "
             "shorter blocks (--block)."
         )
-    width = noise_bandwidth_bins(weights) * rec.rate / size
-    leaks = burst is None or averaged.remaining > _MAX_REMAINING_RATIO
+    resolution = noise_bandwidth_bins(weights) * rec.rate / size
+    has_leakage = burst is None or averaged.end_ratio > _MAX_END_RATIO
     if burst is None:
         notes.append(
-            f"Blocks of {size / rec.rate:.3g} s resolve {width:.3g} Hz: peaks narrower than that are smeared and too "
-            "low, by the stated leakage. Leave out --block and --estimator for a response without leakage."
+            f"Blocks of {size / rec.rate:.3g} s resolve {resolution:.3g} Hz: narrower peaks are widened and too low, "
+            "by the stated leakage. Leave out --block and --estimator for a response without leakage."
         )
-    elif leaks:
+    elif has_leakage:
         notes.append(
-            f"{averaged.remaining:.0%} of the response to a burst remain when the next begins: the curve has leakage. "
-            "Use longer blocks, a smaller burst share, multisine or stepped sine."
+            f"{averaged.end_ratio:.0%} of the response to a burst remains when the next begins, so the curve has "
+            "leakage. Use longer blocks, a smaller burst share, multisine or stepped sine."
         )
     gain = noise_gain(in_counts(rec, channels, averaged.mean_squares))
     return replace(
-        averaged.averages,
-        resolution=width if leaks else 0.0,
+        averaged.spectra,
+        resolution=resolution if has_leakage else 0.0,
         warnings=tuple(notes),
-        gain=np.repeat(gain[:, None], averaged.averages.frequency.size, axis=1),
-        unsmeared=segment_fits(rec, marker, channels) if leaks else None,
+        gain=np.repeat(gain[:, None], averaged.spectra.frequency.size, axis=1),
+        leakage_free=segment_fits(rec, marker, channels) if has_leakage else None,
     )

@@ -22,14 +22,14 @@ import numpy as np
 
 from analysis.responses import random
 from analysis.responses.budget import assemble_budget
-from analysis.responses.estimators import Averages, leakage
+from analysis.responses.estimators import AveragedSpectra, leakage
 from analysis.responses.local_models.local_rational import local_fit
 from analysis.responses.local_models.local_spectra import SIDE
 from analysis.responses.measurands import Measurand, location_of, motion_of
 from analysis.responses.multisine import period_spectra
 from analysis.responses.random_errors import MatrixErrors
 from analysis.responses.scatter import moderate
-from analysis.responses.spectral_lines import remainder
+from analysis.responses.spectral_lines import residual_transient
 from analysis.responses.systematic import (
     LEAKAGE,
     MODEL,
@@ -51,11 +51,11 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Inputs cannot be separated if the condition number of their spectra, scaled to unit power, is larger.
+# Largest condition number of the inputs' spectra, scaled to unit power, at which the inputs can be separated.
 MAX_CONDITION_NUMBER = 1e3
-# A shaker is off if the mean square of its force is a smaller part of the largest.
+# Smallest mean square of the force of a shaker that is driven, relative to the largest.
 _MIN_FORCE_POWER_RATIO = 1e-4
-# A pair of responses is not reciprocal if a smaller part of the lines agrees within the uncertainties.
+# Smallest share of the lines at which reciprocal responses agree within their uncertainties.
 _MIN_RECIPROCAL_LINES = 0.8
 COHERENT_INPUTS = (
     "The inputs are coherent at {lines} of {all} lines: their responses cannot be separated there and "
@@ -82,7 +82,8 @@ def driven_forces(rec: Recording) -> tuple[Point, ...]:
         forces.append(Point(name, "force", " and ".join(bodies)))
     stop = min(marker.stop, rec.samples)
     power = [float(np.nanvar(rec.read(point.name, marker.first_sample, stop))) for point in forces]
-    return tuple(p for p, square in zip(forces, power, strict=True) if square > _MIN_FORCE_POWER_RATIO * max(power))
+    min_power = _MIN_FORCE_POWER_RATIO * max(power)
+    return tuple(force for force, force_power in zip(forces, power, strict=True) if force_power > min_power)
 
 
 def response_matrix(
@@ -100,58 +101,57 @@ def response_matrix(
     if rec.test.kind is TestKind.MULTISINE:
         return _from_experiments(rec, markers, names, inputs, motion)
     if estimator is None and block is None:
-        return _by_local_fits(rec, markers[0], names, inputs, motion)
-    averages = input_output_spectra(rec, names, inputs, motion, block, overlap, window)
-    return averages.response(rec, estimator or "H1")
+        return _from_local_fits(rec, markers[0], names, inputs, motion)
+    spectra = input_output_spectra(rec, names, inputs, motion, block, overlap, window)
+    return spectra.response(rec, estimator or "H1")
 
 
 @dataclass(frozen=True)
 class SpectralMatrix:
-    """Spectra of outputs and several inputs, averaged over blocks.
-
-    `power`: auto and cross spectra, outputs first, corrected for the sensors; shape (n, outputs + inputs, outputs +
-    inputs). `sharp`: the same responses by the local rational method, without leakage.
-    """
+    """Spectra of outputs and several inputs, averaged over blocks."""
 
     outputs: tuple[Point, ...]
     inputs: tuple[Point, ...]
+    # auto and cross spectra, outputs first, corrected for the sensors; shape (n, points, points)
     power: ComplexArray
-    averages: Averages  # spectra of the channels as recorded, with their averages and resolution
-    sharp: Response
+    spectra: AveragedSpectra  # spectra of the channels as recorded, with their number of averages and resolution
+    leakage_free: Response  # the same responses by the local rational method
 
     @property
     def frequency(self) -> Array:
-        """Hz."""
-        return self.averages.frequency
+        """Frequencies of the lines, Hz."""
+        return self.spectra.frequency
 
-    def _parts(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    def _spectra_blocks(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Return the spectra of outputs with outputs, outputs with inputs, and inputs with inputs."""
         o = len(self.outputs)
         return self.power[:, :o, :o], self.power[:, :o, o:], self.power[:, o:, o:]
 
     def condition(self) -> Array:
         """Compute the condition number of the input spectra at unit power, shape (n,); 1 for uncorrelated inputs."""
-        return np.asarray(np.linalg.cond(_unit_power(self._parts()[2])[0]))
+        return np.asarray(np.linalg.cond(_unit_power(self._spectra_blocks()[2])[0]))
 
-    def _inverse(self) -> ComplexArray:
-        inputs = self._parts()[2].copy()
+    def _inverse_inputs(self) -> ComplexArray:
+        """Invert the spectra of the inputs, shape (n, inputs, inputs); NaN where the inputs are coherent."""
+        inputs = self._spectra_blocks()[2].copy()
         inputs[self.condition() > MAX_CONDITION_NUMBER] = np.nan
         return np.asarray(np.linalg.inv(inputs))
 
     def residual(self) -> ComplexArray:
         """Compute the spectra of the outputs conditioned on all inputs, shape (n, outputs, outputs)."""
-        xx, xf, _ = self._parts()
-        return np.asarray(xx - xf @ self._inverse() @ xf.conj().swapaxes(1, 2))
+        xx, xf, _ = self._spectra_blocks()
+        return np.asarray(xx - xf @ self._inverse_inputs() @ xf.conj().swapaxes(1, 2))
 
     def multiple_coherence(self) -> Array:
         """Compute the share of each output's power that is coherent with all inputs, shape (n, outputs)."""
-        total = np.einsum("naa->na", self._parts()[0]).real
+        total = np.einsum("naa->na", self._spectra_blocks()[0]).real
         residual = np.einsum("naa->na", self.residual()).real
         return np.clip(1.0 - residual / np.maximum(total, 1e-300), 0.0, 1.0)
 
     def partial_coherence(self) -> Array:
         """Compute the coherence of output and input conditioned on the other inputs, shape (n, outputs, inputs)."""
-        xx, xf, ff = self._parts()
-        out = np.empty(xf.shape)
+        xx, xf, ff = self._spectra_blocks()
+        coherence = np.empty(xf.shape)
         for k in range(len(self.inputs)):
             others = [m for m in range(len(self.inputs)) if m != k]
             inverse = np.linalg.inv(ff[:, others][:, :, others])
@@ -159,53 +159,53 @@ class SpectralMatrix:
             cross = xf[:, :, k] - (from_x @ inverse @ from_f.conj().swapaxes(1, 2))[:, :, 0]
             output = np.einsum("naa->na", xx - from_x @ inverse @ from_x.conj().swapaxes(1, 2)).real
             force = ff[:, k, k].real - (from_f @ inverse @ from_f.conj().swapaxes(1, 2))[:, 0, 0].real
-            out[:, :, k] = abs(cross) ** 2 / np.maximum(output * force[:, None], 1e-300)
-        return np.clip(out, 0.0, 1.0)
+            coherence[:, :, k] = abs(cross) ** 2 / np.maximum(output * force[:, None], 1e-300)
+        return np.clip(coherence, 0.0, 1.0)
 
     def value(self, estimator: str) -> ComplexArray:
         """Estimate the response by H1 or Hv, shape (n, outputs, inputs); NaN where the inputs are coherent."""
         if estimator not in ("H1", "Hv"):
             raise SceneError(f"unknown estimator {estimator!r} for several inputs: expected H1 or Hv")
-        _, xf, _ = self._parts()
-        h1 = np.asarray(xf @ self._inverse())
+        _, xf, _ = self._spectra_blocks()
+        h1 = np.asarray(xf @ self._inverse_inputs())
         if estimator == "H1":
             return h1
-        o, out = len(self.outputs), np.empty_like(h1)
+        o, hv = len(self.outputs), np.empty_like(h1)
         for a in range(o):
             rows = [a, *range(o, o + len(self.inputs))]
             unit, scale = _unit_power(self.power[:, rows][:, :, rows])
             # The combination of output and inputs with the least power is noise. Its coefficients determine the
             # response.
             noise = np.linalg.eigh(unit)[1][:, :, 0].conj() / scale
-            out[:, a] = -noise[:, 1:] / noise[:, :1]
-        return np.where(np.isfinite(h1), out, np.nan)
+            hv[:, a] = -noise[:, 1:] / noise[:, :1]
+        return np.where(np.isfinite(h1), hv, np.nan)
 
     def response(self, rec: Recording, estimator: str = "H1") -> Response:
         """Return the response with its budget; error covariance after Bendat and Piersol, section 7.3."""
-        value, averages = self.value(estimator), self.averages
-        count = max(averages.averages - len(self.inputs), 1e-300)
-        inverse, residual = self._inverse(), self.residual()
+        value = self.value(estimator)
+        n_free = max(self.spectra.n_averages - len(self.inputs), 1e-300)
+        inverse, residual = self._inverse_inputs(), self.residual()
         n, o, i = value.shape
-        covariance = np.einsum("nab,nlk->nakbl", residual, inverse).reshape(n, o * i, o * i) / count
+        covariance = np.einsum("nab,nlk->nakbl", residual, inverse).reshape(n, o * i, o * i) / n_free
         variance = np.maximum(np.einsum("npp->np", covariance).real, 0.0).reshape(n, o, i)
         residual_power = np.einsum("naa->na", residual).real[:, :, None]
         noise = np.minimum(
             np.min(residual_power / np.maximum(abs(value) ** 2, 1e-300), axis=1),
-            np.einsum("nkk->nk", self._parts()[2]).real,
+            np.einsum("nkk->nk", self._spectra_blocks()[2]).real,
         )
         bias = np.einsum("nam,nm,nmk->nak", abs(value), noise, abs(inverse))
         error = np.sqrt(variance / 2.0)
         leakages = np.empty(value.shape)
         for a, output in enumerate(self.outputs):
             for k, force in enumerate(self.inputs):
-                sharp = self.sharp[output.name, force.name]
-                leakages[:, a, k] = leakage(self.frequency, value[:, a, k], error[:, a, k], sharp)
-        points, degrees = (self.outputs, self.inputs), np.full(value.shape, 2.0 * count)
+                leakage_free = self.leakage_free[output.name, force.name]
+                leakages[:, a, k] = leakage(self.frequency, value[:, a, k], error[:, a, k], leakage_free)
+        points, degrees = (self.outputs, self.inputs), np.full(value.shape, 2.0 * n_free)
         limits = {REFERENCE_NOISE: bias, LEAKAGE: leakages}
         budget = _matrix_budget(rec, self.frequency, value, points, error, degrees, limits, MatrixErrors(covariance))
         response = Response(
             self.frequency, value, *points, budget, self.multiple_coherence(),
-            label=averages.label, resolution=averages.resolution, warnings=averages.warnings,
+            label=self.spectra.label, resolution=self.spectra.resolution, warnings=self.spectra.warnings,
         )  # fmt: skip
         return _add_warnings(response)
 
@@ -222,13 +222,13 @@ def input_output_spectra(
     """Average the spectra of a random test with several shakers; arguments as in `response_matrix`."""
     marker = next(marker for marker in rec.markers if marker.kind == "measure")
     channels = [*dict.fromkeys([*names, *(point.name for point in inputs)])]
-    averages = random.averages(rec, marker, channels, block, overlap, window=window)
+    spectra = random.averaged_spectra(rec, marker, channels, block, overlap, window=window)
     rows = np.stack(
-        [quantity.row(rec, channels, averages.frequency) for quantity in _measurands(rec, names, inputs, motion)]
+        [quantity.row(rec, channels, spectra.frequency) for quantity in _measurands(rec, names, inputs, motion)]
     )
-    power = np.einsum("acn,ncd,bdn->nab", rows, averages.cross, rows.conj(), optimize=True)
-    sharp = _by_local_fits(rec, marker, names, inputs, motion)
-    return SpectralMatrix(_outputs(rec, names, motion), tuple(inputs), power, averages, sharp)
+    power = np.einsum("acn,ncd,bdn->nab", rows, spectra.cross, rows.conj(), optimize=True)
+    leakage_free = _from_local_fits(rec, marker, names, inputs, motion)
+    return SpectralMatrix(_outputs(rec, names, motion), tuple(inputs), power, spectra, leakage_free)
 
 
 def _unit_power(spectra: ComplexArray) -> tuple[ComplexArray, Array]:
@@ -272,7 +272,7 @@ def _element_shares(output: str, force: str, frequency: Array, motion: str, valu
     return ReadingShares([output, force], frequency, motion, value, *shares)
 
 
-def _by_local_fits(
+def _from_local_fits(
     rec: Recording, marker: Marker, names: Sequence[str], inputs: Sequence[Point], motion: str
 ) -> Response:
     """Estimate by the local rational method with one numerator for each input."""
@@ -288,8 +288,8 @@ def _by_local_fits(
     side = min(spectra.side, (spectra.frequency.size - 1) // 2)
     residuals, influences = [], []
     for a, name in enumerate(names):
-        upper = motion_of(rec, name, motion).row(rec, [name], frequency)[0]
-        channel_to_motion = upper * rec.channels[name].response(frequency)
+        reading_to_motion = motion_of(rec, name, motion).row(rec, [name], frequency)[0]
+        channel_to_motion = reading_to_motion * rec.channels[name].response(frequency)
         reading = spectra.reading(rec, name)
         for k in range(len(inputs)):
             others = np.delete(forces, k, axis=0)
@@ -303,7 +303,7 @@ def _by_local_fits(
             rounding[:, a, k] = rounding_part(spectra.gain[rows], shares).get(RESOLUTION, 0.0)
             influences.append(fit.influence.reshape(frequency.size, -1) * channel_to_motion[:, None])
         residuals.append(fit.residual.reshape(frequency.size, -1))
-        noise[:, a] = fit.noise * abs(upper) ** 2
+        noise[:, a] = fit.noise * abs(reading_to_motion) ** 2
         local_power = _mean_square(reading.spectra, spectra.side)[spectra.lines]
         coherence[:, a] = np.clip(1.0 - fit.noise / np.maximum(local_power, 1e-300), 0.0, 1.0)
     # Upper limit of the noise power of each force: its power that is not coherent with an output.
@@ -374,7 +374,7 @@ def _from_experiments(
             output_power += np.square(abs(outputs[:, :, e]))
             part = np.einsum("nab,nk,nl->nakbl", cross, inverse[:, e], inverse[:, e].conj())
             noise += part.reshape(noise.shape)
-            change = np.einsum("nac,cn->na", abs(weights), remainder(experiment.spectra))
+            change = np.einsum("nac,cn->na", abs(weights), residual_transient(experiment.spectra))
             transient += change[:, :, None] * abs(inverse[:, e])[:, None]
         values.append(value)
         noises.append(noise)

@@ -54,7 +54,7 @@ class Lines:
     label: str = ""  # setting, for legends
     warnings: tuple[str, ...] = field(default=())  # in full sentences
     # largest error of each mean by residual transients; shape (channels, n)
-    remainder: Array | None = None
+    residual_transient: Array | None = None
     # lines at which steady state was not reached; shape (n,). None for tests without held tones
     unsteady: NDArray[np.bool_] | None = None
     # frequencies of discarded measurements, Hz
@@ -91,7 +91,7 @@ class Lines:
         limits: dict[str, Array] = {}
         reference_limits = [self._reference_noise(reference_weights, noise) / abs(f)]
         # Residual transients and rounding add up in the worst case.
-        unsettled = None if self.remainder is None else _TRANSIENT_FACTOR * self.remainder
+        unsettled = None if self.residual_transient is None else _TRANSIENT_FACTOR * self.residual_transient
         for name, limit in ((RESOLUTION, self.resolution), (UNSETTLED, unsettled)):
             if limit is not None:
                 limits[name] = np.sum(abs(weights) * limit, axis=0)
@@ -151,7 +151,7 @@ def _sum_of_neighbors(values: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, _COMMON_DECAY_LINES, axis=1).sum(axis=-1))
 
 
-def remainder(successive: ComplexArray) -> Array:
+def residual_transient(successive: ComplexArray) -> Array:
     """Estimate the largest error of the mean of successive parts by a decaying transient, shape (channels, lines).
 
     Between successive parts, shape (parts, channels, lines), a transient is multiplied by a constant complex factor r.
@@ -160,7 +160,7 @@ def remainder(successive: ComplexArray) -> Array:
     noise would otherwise hide r.
 
     >>> amplitudes = 1.0 + 0.1 * 0.8 ** np.arange(5.0)[:, None, None] + 0j
-    >>> float(round(remainder(amplitudes)[0, 0] / (abs(amplitudes.mean()) - 1.0), 6))
+    >>> float(round(residual_transient(amplitudes)[0, 0] / (abs(amplitudes.mean()) - 1.0), 6))
     1.0
     """
     if len(successive) >= 2 * _AVERAGED_PARTS:

@@ -18,7 +18,7 @@ from scipy import linalg
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_segments import describe_flaws, flaws
 from analysis.responses.scatter import Scatter, stacked
-from analysis.responses.spectral_lines import Lines, remainder
+from analysis.responses.spectral_lines import Lines, residual_transient
 from analysis.responses.systematic import counts_of, reproducible_rounding
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
@@ -419,9 +419,9 @@ def _sweep(
         ),
         label=f"{rec.scene.name}{f', {format_number(level)} N {direction}' if several else ''}",
         warnings=tuple(notes),
-        remainder=np.stack(
+        residual_transient=np.stack(
             [
-                np.maximum(remainder(tone.parts[:, :, None])[:, 0], undetected * abs(tone.amplitude[:, 0]))
+                np.maximum(residual_transient(tone.parts[:, :, None])[:, 0], undetected * abs(tone.amplitude[:, 0]))
                 for tone in tones
             ],
             axis=1,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.responses.estimators import Averages, square_root
+from analysis.responses.estimators import AveragedSpectra, square_root
 from analysis.responses.local_models.jitter import jitter_part
 from analysis.responses.scatter import Scatter, moderate
 from analysis.responses.stepped_sine import LockIn, parts_of_whole_periods
@@ -63,7 +63,7 @@ def test_coherence_of_dependent_channels_is_one(seed, tmp_path):
     readings = np.array([1.0, 0.3, 0.2, 1.0 + 1e-7])
     cross = abs(motion)[:, None, None] ** 2 * np.outer(readings, readings) + 0j
     with Recording(path) as recording:
-        averages = Averages(tuple(recording.channels), np.linspace(10.0, 50.0, 40), cross, 30.0, 0.0)
+        averages = AveragedSpectra(tuple(recording.channels), np.linspace(10.0, 50.0, 40), cross, 30.0, 0.0)
 
         frf = averages.frf(recording, "body3")
 

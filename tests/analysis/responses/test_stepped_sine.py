@@ -10,7 +10,7 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.responses.spectral_lines import remainder
+from analysis.responses.spectral_lines import residual_transient
 from analysis.responses.stepped_sine import sweeps
 from daq.measurement.run_report import summary
 from daq.recording.recorder import Recorder
@@ -214,7 +214,7 @@ def test_lost_samples_omit_only_their_frequency(tmp_path):
 def test_rotating_transient_is_bounded(parts, rotation):
     factor = 0.9 * np.exp(1j * rotation * 5.0 / parts)
     amplitudes = 1.0 + 0.1 * factor ** np.arange(parts)
-    bound = remainder(amplitudes[:, None, None])[0, 0]
+    bound = residual_transient(amplitudes[:, None, None])[0, 0]
     assert abs(np.mean(amplitudes) - 1.0) == pytest.approx(bound, rel=1e-6)
 
 
@@ -250,7 +250,7 @@ def complex_noise(seed, shape):
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_alone_has_no_transient(seed):
     deviation = np.sqrt(2.0 / PARTS)
-    assert np.median(remainder(complex_noise(seed, (PARTS, 1, LINES)))) < 0.15 * deviation
+    assert np.median(residual_transient(complex_noise(seed, (PARTS, 1, LINES)))) < 0.15 * deviation
 
 
 @pytest.mark.parametrize("decay_per_period", [0.3, 2.0, 8.0])
@@ -259,7 +259,7 @@ def test_transient_of_a_mode_is_bounded(decay_per_period):
     pole = (-decay_per_period + 2j * np.pi * 60.3) / (2j * np.pi)
     first = 40.0 / (np.arange(LINES) - pole)
     transient = first * np.exp(2j * np.pi * pole * np.arange(PARTS))[:, None, None]
-    bound = remainder(transient + 0.05 * complex_noise(1, (PARTS, 1, LINES)))[0]
+    bound = residual_transient(transient + 0.05 * complex_noise(1, (PARTS, 1, LINES)))[0]
     error = abs(transient.mean(axis=0)[0])
     significant = error > 0.2
     assert np.mean(bound[significant] > 0.8 * error[significant]) > 0.9

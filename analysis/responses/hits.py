@@ -27,25 +27,24 @@ if TYPE_CHECKING:
 
 # Interval before a hit, s, in which residual motion is detected and the channel's zero is measured.
 PRE_HIT_S = 0.2
-# The rig is at rest if the readings change in this interval by less than this ratio to the following response.
+# Largest change of the readings of a rig at rest in this interval, relative to the following response.
 _MAX_REST_RATIO = 2e-3
 # Detection limit of motion, in standard deviations of its estimate from noise.
 _DETECTION_SIGMAS = 4.0
-# A marker whose largest force is a smaller part of the largest force until the next hit does not mark the hit.
+# Smallest force at the marker of a hit, relative to the largest force until the next hit.
 _MIN_MARKED_RATIO = 0.5
-# Smallest ratio of a rebound of the hammer to the first force.
+# Smallest rebound of the hammer, relative to the first force.
 _MIN_REBOUND_RATIO = 0.05
-# Smallest ratio of a rebound to the standard deviation of the noise.
+# Smallest rebound in standard deviations of the noise.
 _REBOUND_SIGMAS = 8.0
-# The usable force spectrum ends where the power is below this ratio to its maximum (-20 dB).
+# Power at the end of the usable force spectrum, relative to its maximum (-20 dB).
 _MIN_POWER_RATIO = 1e-2
-
 # Coarser converters: step size in counts, and mean square of the changes that they cause, relative to that of the
 # original rounding (1/12).
-_COARSER = ((2.0, 6.0), (3.0, 8.0))
-# A coarser converter does not resolve a signal of fewer counts, unless it is dithered by noise.
+_COARSER_CONVERTERS = ((2.0, 6.0), (3.0, 8.0))
+# Smallest signal, in counts, that a coarser converter resolves without dither by noise.
 _MIN_COUNTS = 6.0
-# Noise dithers a signal if at most this part of the rounding error is equal in every hit (half a count of noise).
+# Largest share of the rounding error that is equal in every hit if noise dithers the signal (half a count of noise).
 _MAX_REPRODUCIBLE = 0.007
 
 
@@ -83,7 +82,8 @@ class Hits:
             force = rec.read(channel, begin, stop)
             noise = np.sqrt(np.nanmedian(np.diff(force) ** 2))
             force = abs(force - np.nanmedian(force))
-            marked, largest = (float(np.nanmax(part, initial=0.0)) for part in (force[: end - begin + 1], force))
+            marked = float(np.nanmax(force[: end - begin + 1], initial=0.0))
+            largest = float(np.nanmax(force, initial=0.0))
             if marked < _MIN_MARKED_RATIO * largest:
                 reason = (
                     f"reads at most {marked:.3g} N at the marker of the hit, {begin / rec.rate:.4g} s, and "
@@ -91,9 +91,10 @@ class Hits:
                 )
                 unmarked.append(Flaw(begin, stop, channel, reason))
             # Rebounds of the hammer are part of the hit.
-            last = int(np.flatnonzero(force > max(_MIN_REBOUND_RATIO * marked, _REBOUND_SIGMAS * noise))[-1:].sum())
-            spread = 2 * int(np.ceil(info.filter.get("delay", 0.0))) + 2
-            windows.append((begin, min(max(end, begin + last + spread), stop - 1)))
+            min_rebound = max(_MIN_REBOUND_RATIO * marked, _REBOUND_SIGMAS * noise)
+            last = int(np.flatnonzero(force > min_rebound)[-1:].sum())
+            filter_length = 2 * int(np.ceil(info.filter.get("delay", 0.0))) + 2
+            windows.append((begin, min(max(end, begin + last + filter_length), stop - 1)))
         arrivals = windows
         return cls(channel, tuple(arrivals), tuple(unmarked), interval)
 
@@ -104,7 +105,7 @@ class Hits:
     def prior_motion(self, rec: Recording, names: Sequence[str], start: int, stop: int) -> float:
         """Estimate the largest motion or drift before the first hit of a segment, relative to the response after it.
 
-        The result is infinite if the record before the hit is too short.
+        The result, over the channels `names`, is infinite if the record before the hit is too short.
         """
         begin = self.inside(start, stop)[0][0]
         first = max(start, begin - int(PRE_HIT_S * rec.rate))
@@ -131,10 +132,14 @@ class Hits:
         return bool(np.isfinite(motion) and len(inside) == 1 and 2 * SIDE * (inside[0][0] - start) < samples)
 
     def isolate(self, rec: Recording, names: Sequence[str], block: Array, start: int, at_rest: bool) -> Array:
-        """Subtract the zero of all channels; restrict the force to the hits and invert its high-pass filters."""
+        """Subtract the zero of all channels; restrict the force to the hits and invert its high-pass filters.
+
+        `block`: readings of the channels `names` from sample `start` on, shape (channels, samples). If `at_rest`, the
+        result begins shortly before the first hit.
+        """
         inside = self.inside(start, start + block.shape[1])
-        quiet = slice(max(inside[0][0] - start - int(PRE_HIT_S * rec.rate), 0), max(inside[0][0] - start, 1))
-        out = block - (block[:, quiet] if at_rest else block).mean(axis=1, keepdims=True)
+        pre_hit = slice(max(inside[0][0] - start - int(PRE_HIT_S * rec.rate), 0), max(inside[0][0] - start, 1))
+        isolated = block - (block[:, pre_hit] if at_rest else block).mean(axis=1, keepdims=True)
         row = names.index(self.channel)
         force = np.zeros(block.shape[1])
         for begin, end in inside:
@@ -143,20 +148,20 @@ class Hits:
             # The mean before the hit is the tail of earlier hits, which is nearly constant during this hit.
             force_after = block[row, first:] - (before.mean() if before.size else 0.0)
             force[first:] += isolate_pulse(rec.channels[self.channel], force_after, 0, end - begin)
-        out[row] = force
+        isolated[row] = force
         if at_rest:
             # A sudden onset of integrator drift is a step, whose smooth spectrum decreases more slowly than that of a
             # displacement. The readings are therefore faded in over the first half of the samples before the hit.
             # In the second half a filter may already show the hit.
-            out, n_fade = out[:, quiet.start :], (quiet.stop - quiet.start) // 2
+            isolated, n_fade = isolated[:, pre_hit.start :], (pre_hit.stop - pre_hit.start) // 2
             fade_in = 0.5 - 0.5 * np.cos(np.pi * (np.arange(n_fade) + 0.5) / max(n_fade, 1))
-            out = np.concatenate([out[:, :n_fade] * fade_in, out[:, n_fade:]], axis=1)
-        return out
+            isolated = np.concatenate([isolated[:, :n_fade] * fade_in, isolated[:, n_fade:]], axis=1)
+        return isolated
 
     def force_noise(self, rec: Recording, segments: Sequence[tuple[int, int]], frequency: Array) -> Array:
         """Compute the relative variance of either quadrature component of the force, due to noise during the hits.
 
-        A hit has this error at all lines, so the scatter between lines does not show it.
+        A hit has this error at all lines, so the scatter between lines does not show it. The shape is (lines,).
         """
         power, noise = np.zeros(frequency.size), []
         info = rec.channels[self.channel]
@@ -189,6 +194,9 @@ class Hits:
         resembles a response. It is estimated from the change of the readings when they are rounded again, to every
         second and every third count (coarser converters). Noise of s counts reduces the error by ``exp(-2 pi^2 s^2)``
         (as in `noise_gain`). The result is infinite for readings of too few counts to be rounded again.
+
+        `blocks`, `spectra`: readings and their spectra for each of `segments`; `lines`: bins of the result; `side`:
+        bins on either side of a line that a local fit uses.
         """
         count = counts_of(rec, names)[:, None]
         step = np.where(count > 0.0, count, 1.0)
@@ -196,14 +204,15 @@ class Hits:
         # Low-order polynomials cannot separate errors within this number of samples after a hit from the response.
         after_hit = int(size * (ORDER + 1) / side)
         power = np.sum([abs(spectrum) ** 2 for spectrum in spectra], axis=0)
-        errors, noise, largest = np.zeros((len(_COARSER), *power.shape)), [], np.zeros(count.shape)
+        errors, noise, largest = np.zeros((len(_COARSER_CONVERTERS), *power.shape)), [], np.zeros(count.shape)
         for block, (start, stop) in zip(blocks, segments, strict=True):
             for begin, _ in self.inside(start, stop):
                 first = begin - (stop - block.shape[1])
                 counts = np.rint(block[:, first : first + after_hit] / step)
                 largest = np.maximum(largest, abs(counts).max(axis=1, keepdims=True))
-                for error, (steps, ratio) in zip(errors, _COARSER, strict=True):
-                    error += abs(fft.rfft(steps * np.rint(counts / steps) - counts, size, axis=1)) ** 2 / ratio
+                for error, (coarse_step, ratio) in zip(errors, _COARSER_CONVERTERS, strict=True):
+                    change = coarse_step * np.rint(counts / coarse_step) - counts
+                    error += abs(fft.rfft(change, size, axis=1)) ** 2 / ratio
                 before = [rec.read(name, max(start, begin - int(PRE_HIT_S * rec.rate)), begin) for name in names]
                 if before[0].size > 2:
                     noise.append(np.mean(np.diff(before, axis=1) ** 2, axis=1, keepdims=True) / 2.0)
@@ -228,8 +237,9 @@ class Hits:
             force = np.nan_to_num(force - np.nanmedian(force))
             power += abs(fft.rfft(force[: end - begin + 1], size)) ** 2
         peak = int(np.argmax(power))
-        faint = np.flatnonzero(power[peak:] < _MIN_POWER_RATIO * power[peak])
-        return float(min(peak + int(faint[0]) if faint.size else power.size, 0.4 * size) * rec.rate / size)
+        weak = np.flatnonzero(power[peak:] < _MIN_POWER_RATIO * power[peak])
+        last = peak + int(weak[0]) if weak.size else power.size
+        return float(min(last, 0.4 * size) * rec.rate / size)
 
 
 def _amplitude(reading: Array) -> float:

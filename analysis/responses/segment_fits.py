@@ -32,25 +32,25 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Shorter segments, relative to the longest, are omitted, because their transients need too many parameters.
+# Smallest length of a segment, relative to the longest; the transients of shorter segments need too many parameters.
 _MIN_LENGTH_RATIO = 0.25
-# Segments that contain a smaller part of a burst are omitted, because most of their vibration was excited before.
-_MIN_BURST = 0.5
-# More spectral lines than this are thinned out.
+# Smallest share of a burst in a segment; with less, most of the vibration was excited before the segment.
+_MIN_BURST_RATIO = 0.5
+# Largest number of lines at which a response is estimated.
 _MAX_LINES = 1000
 # Limit of the samples of all channels in segments with hits; with their spectra they use just under a gigabyte.
 _MAX_VALUES = 14_000_000
-#: The systematic part due to motion before a hit.
+#: Name of the systematic error due to motion before a hit.
 MOTION_BEFORE = "motion before the hit"
-# A larger amplitude of this motion, relative to the response to the hit, causes a warning.
+# Largest amplitude of this motion without a warning, relative to the response to the hit.
 _MAX_MOTION_RATIO = 0.01
 
 
 @dataclass(frozen=True)
 class SegmentFits:
-    """Samples and band of a recording for local fits."""
+    """Samples and band of a test that are fitted locally."""
 
-    # a flaw of one channel excludes the samples of all channels, so that the curves have equal lines
+    # a flaw of one of these channels excludes the samples of all, so that the curves have equal lines
     channels: tuple[str, ...]
     first: int  # first sample of the test
     stop: int  # one past its last sample
@@ -63,7 +63,7 @@ class SegmentFits:
     label: str = ""  # for legends
     warnings: tuple[str, ...] = ()  # in full sentences
     # stored spectra by channels, and the motion before the hits of each segment
-    computed: dict[tuple[str, ...], tuple[LocalSpectra, list[float]]] = field(default_factory=dict)
+    stored: dict[tuple[str, ...], tuple[LocalSpectra, list[float]]] = field(default_factory=dict)
 
     def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
         """Estimate the frequency response with coherence, random and systematic errors."""
@@ -84,7 +84,7 @@ class SegmentFits:
         """Return spectra, motion before the hits of each segment, the segments, and notes on them."""
         all_flaws = flaws(rec, self.channels, self.first, self.stop)
         all_flaws = sorted([*all_flaws, *self.other_flaws], key=lambda flaw: flaw.first)
-        segments, notes = self._select_segments(rec, clean_segments(all_flaws, self.first, self.stop))
+        segments, notes = self._sufficient_segments(rec, clean_segments(all_flaws, self.first, self.stop))
         segments, memory_notes = self._limit_memory(segments, rec.rate)
         notes += memory_notes
         if all_flaws:
@@ -101,30 +101,30 @@ class SegmentFits:
             elif others and not flawed & set(references):
                 advice += f", or use only the other channels: --response {' --response '.join(others)}"
             raise RecordingError(f"{rec.path}: {' '.join([*notes, f'No response can be estimated: {advice}.'])}")
-        if names not in self.computed:
+        if names not in self.stored:
             prior_motion = []
             if self.hits is not None:
                 prior_motion = [self.hits.prior_motion(rec, names, *bounds) for bounds in segments]
-            self.computed[names] = self._spectra(rec, names, segments, prior_motion), prior_motion
-        return *self.computed[names], segments, notes
+            self.stored[names] = self._spectra(rec, names, segments, prior_motion), prior_motion
+        return *self.stored[names], segments, notes
 
-    def _select_segments(
+    def _sufficient_segments(
         self, rec: Recording, clean: Sequence[tuple[int, int]]
     ) -> tuple[list[tuple[int, int]], list[str]]:
         """Select segments of sufficient length; for a hammer, only segments with a hit."""
         if self.hits is not None:
             clean = [segment for segment in clean if self.hits.inside(*segment)]
         if self.bursts is not None:
-            # The samples between bursts carry no information, because the force of an undriven spring follows from
-            # its response. A segment that begins late in a burst responds mainly to the force before it.
+            # The samples between bursts contain no information, because the force of an undriven spring follows from
+            # the response. A segment that begins late in a burst responds mainly to the force before it.
             period, on_samples = self.bursts
             clean = [
                 (start, stop)
                 for start, stop in clean
                 if np.sum((np.arange(start, stop) - self.first) % period < on_samples)
-                > max(4 * SIDE, _MIN_BURST * on_samples)
+                > max(4 * SIDE, _MIN_BURST_RATIO * on_samples)
             ]
-        # The frequency range of a fit must be smaller than the band.
+        # The frequency range of a fit must be smaller than the band. Segments with hits have at least 0.2 s.
         min_length_s = 2 * SIDE / (self.high - self.low) if self.hits is None else 0.2
         longest = max((stop - start for start, stop in clean), default=0)
         selected = [
@@ -156,7 +156,7 @@ class SegmentFits:
                 break
         if selected == segments or not selected:
             return segments, []
-        used, total = (sum(len(self.hits.inside(*bounds)) for bounds in group) for group in (selected, segments))
+        used, total = (sum(len(self.hits.inside(*bounds)) for bounds in chosen) for chosen in (selected, segments))
         return selected, [
             f"Only {used} of {total} hits are used, before {selected[-1][1] / rate:.4g} s, because all of them need "
             "more than a gigabyte of memory. Record at a lower rate or with a shorter interval between hits."
@@ -167,17 +167,19 @@ class SegmentFits:
     ) -> LocalSpectra:
         """Compute the spectra of all segments, zero-padded at the beginning to the length of the longest."""
         # Zeros before each segment separate the residual vibration at its end from the response to its hit.
-        lead = 0 if self.hits is None else self.hits.interval
+        leading_zeros = 0 if self.hits is None else self.hits.interval
         # The length does not depend on motion before the hits, so that all responses have the same lines.
-        size = fft.next_fast_len(max(stop - start for start, stop in segments) + lead, real=True)
-        # The spectrum of periodic hits is a comb of lines, without excitation between its teeth.
-        teeth = 1.0 if self.hits is None else max(1.0, size / lead)
-        lines, side = self._lines(rec, size), int(np.ceil(SIDE * teeth))
+        size = fft.next_fast_len(max(stop - start for start, stop in segments) + leading_zeros, real=True)
+        # The spectrum of periodic hits is a comb, without excitation between its teeth.
+        lines_per_tooth = 1.0 if self.hits is None else max(1.0, size / leading_zeros)
+        lines, side = self._lines(rec, size), int(np.ceil(SIDE * lines_per_tooth))
         # Range of bins of the fits.
         first = max(int(lines[0]) - side, 0)
         fitted_bins = slice(first, min(max(int(lines[-1]) + side, first + 2 * side), size // 2) + 1)
         bins = np.arange(fitted_bins.stop)
-        lengths, at_rest = [stop - start for start, stop in segments], [False] * len(segments)
+        lengths = [stop - start for start, stop in segments]
+        # Whether each segment is the response to its hits alone, without motion before them.
+        at_rest = [False] * len(segments)
         jitter = np.zeros((0, len(names)))
         if self.hits is None:
             pairs = [low_spectra(rec, names, *bounds, size, fitted_bins.stop) for bounds in segments]
@@ -222,6 +224,7 @@ class SegmentFits:
         )
 
     def _lines(self, rec: Recording, size: int) -> NDArray[np.int64]:
+        """Return the bins of a transform of `size` samples at which the response is estimated."""
         low, high = (edge * size / rec.rate for edge in (self.low, self.high))
         first, last = max(int(np.ceil(low - 1e-9)), 1), min(int(high + 1e-9), int(0.45 * size))
         if last <= first:
@@ -244,10 +247,11 @@ def _with_motion_before(frf: Response, prior_motion: Sequence[float]) -> Respons
     # The spectrum of a free decay decreases with the distance from its resonance in proportion to the response to the
     # hit. Every line is therefore treated as a resonance with the magnitude and width of the curve at this line.
     to_acceleration = (2.0 * np.pi * frf.frequency) ** {"displacement": 2, "velocity": 1, "acceleration": 0}[frf.motion]
-    skirt = 1.0 / (np.pi * (np.abs(np.arange(1 - frf.value.size, frf.value.size)) + 1.0))
-    error = largest * scipy.signal.fftconvolve(skirt, abs(frf.value) * to_acceleration, mode="valid") / to_acceleration
-    limited = frf.with_limits({MOTION_BEFORE: error})
-    return limited.warn(warning) if largest > _MAX_MOTION_RATIO else limited
+    decay_with_distance = 1.0 / (np.pi * (np.abs(np.arange(1 - frf.value.size, frf.value.size)) + 1.0))
+    accelerance = abs(frf.value) * to_acceleration
+    error = largest * scipy.signal.fftconvolve(decay_with_distance, accelerance, mode="valid") / to_acceleration
+    with_error = frf.with_limits({MOTION_BEFORE: error})
+    return with_error.warn(warning) if largest > _MAX_MOTION_RATIO else with_error
 
 
 def warn_of_dampers(rec: Recording) -> tuple[str, ...]:

@@ -1,4 +1,7 @@
-"""Aliasing: the effect of components above half the sample rate in channels without an anti-aliasing filter."""
+"""Aliasing: the error of a response by components above half the sample rate, in channels without anti-aliasing filter.
+
+An *image* is a component that the drive has at the sum of a multiple of the sample rate and its own frequency.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +22,11 @@ if TYPE_CHECKING:
 
 # Multiples of the sample rate whose images are summed.
 _MULTIPLES = np.array([k for k in range(-8, 9) if k])
-# Largest factor by which all further images increase the sum: exact for images that decrease as 1/k², smaller for
-# images that decrease faster.
+# Largest factor by which all further images increase the sum: exact for images that decrease as 1/k².
 _FURTHER_IMAGES = 1.08
 # Smallest ratio of the images of a force in the resulting motion to the motion times (frequency / sample rate)².
 _MIN_IMAGE_RATIO = 0.1
-# The top of the band begins at this ratio to the highest frequency.
+# Beginning of the top of the band, relative to the highest frequency.
 _TOP_OF_BAND = 0.8
 
 
@@ -94,7 +96,7 @@ def _free_acceleration(scene: Scene, body: int) -> float:
 
 
 def _impact_ratio(scene: Scene, body: int) -> float:
-    """Return the ratio of a body's acceleration by damper impacts to the whole: damper mass over the mass that it hits.
+    """Return the largest share of damper impacts in a body's acceleration: damper mass over the mass that it hits.
 
     A damper that follows the body within its clearance receives a force in proportion to its mass; impacts transmit at
     most this force.
@@ -120,7 +122,7 @@ def _image_ratio(
     A table motion X0 against a force F requires the drive P X0 + Q F. At an image frequency the structure is
     practically at rest, and the full spring force acts on the table. The image is smaller by the square of the
     frequency ratio; its acceleration per displacement is larger by the same factor. `share`: spring stiffness times
-    X0 / F.
+    X0 / F at each line.
     """
     per_motion, per_force = _required_drive(shaker, frequency)
     image_per_motion, image_per_force = _required_drive(shaker, images)

@@ -1,4 +1,7 @@
-"""Multisine with random phases: best linear approximation, with noise and nonlinear distortion separated."""
+"""Multisine with random phases: best linear approximation, with noise and nonlinear distortion separated.
+
+A *realisation* is a measurement of several periods with one set of random phases.
+"""
 
 from __future__ import annotations
 
@@ -40,11 +43,11 @@ LIFTED = (
 )
 # Assumed crest factor of a sum of tones, limited by the sum of their amplitudes.
 _CREST_FACTOR = 4.0
-# Distortion is detected if more than this part of the lines is distorted.
+# Smallest share of distorted lines at which distortion is detected.
 _MIN_DISTORTED_LINES = 0.2
-# Smallest ratio of the scatter of realisations at a distorted line to the noise.
+# Smallest scatter of realisations at a distorted line, relative to the noise.
 _NOISE_RATIO = 3.0
-# Smallest ratio of this scatter to the mean.
+# Smallest scatter of realisations at a distorted line, relative to the mean.
 _MEAN_RATIO = 2e-3
 
 
@@ -78,32 +81,32 @@ def best_linear_approximation(
         phase_factor /= np.maximum(abs(phase_factor), 1e-300)
         means.append(mean * phase_factor)
         noises.append((spectra.spectra - mean) * phase_factor / np.sqrt(periods * (periods - 1.0)))
-    stack = np.stack(means)
-    center = stack.mean(axis=0)
+    realisation_means = np.stack(means)
+    mean_spectrum = realisation_means.mean(axis=0)
     noise = Scatter(
         np.asarray(np.concatenate(noises) / count, dtype=complex),
         np.full(frequency.size, 2.0 * sum(len(spectra.spectra) - 1 for spectra in complete)),
     )
     unsettled = np.mean([residual_transient(spectra.spectra) for spectra in complete], axis=0)
     counts = counts_of(rec, names)
-    samples = rec.rate / (frequency[1] - frequency[0]) if frequency.size > 1 else rec.rate / frequency[0]
+    samples_per_period = rec.rate / (frequency[1] - frequency[0]) if frequency.size > 1 else rec.rate / frequency[0]
     # Rounding to counts resembles noise of 1/12 count², and 95 % of its amplitudes at a line are below
     # counts / sqrt(samples). With additional noise of s counts, only a part of this error is equal in every period
     # and therefore absent from the scatter.
     noise_power = np.mean([spectra.samples.var(axis=0, ddof=1).mean(axis=1) for spectra in complete], axis=0)
     reproducible = reproducible_rounding(noise_power / np.where(counts > 0.0, counts, 1.0) ** 2)
-    amplitude: Array = np.abs(center)
+    amplitude: Array = np.abs(mean_spectrum)
     # Worst case: a resonance reduces the reading to a single tone with the power of all lines.
     gain = np.minimum(tone_gain(in_counts(rec, names, np.sum(amplitude**2, axis=1) / 2.0)), 0.5)
-    rounding = reproducible[:, None] * (counts[:, None] / np.sqrt(samples) + gain[:, None] * amplitude)
+    rounding = reproducible[:, None] * (counts[:, None] / np.sqrt(samples_per_period) + gain[:, None] * amplitude)
     noise_only = Lines(
-        tuple(names), frequency, center, noise, rec.scene.name, tuple(notes), unsettled,
+        tuple(names), frequency, mean_spectrum, noise, rec.scene.name, tuple(notes), unsettled,
         n_neighbors=SIDE, n_rotated=count, resolution=rounding,
     )  # fmt: skip
     dampers_move = any(damper.moves for damper in rec.scene.dampers)
     if count == 1:
         return replace(noise_only, warnings=(*notes, ONE_REALISATION)) if dampers_move else noise_only
-    rows = (stack - center) / np.sqrt(count * (count - 1.0))
+    rows = (realisation_means - mean_spectrum) / np.sqrt(count * (count - 1.0))
     realisations = Scatter(rows, np.full(frequency.size, 2.0 * (count - 1.0)))
     with_distortion = replace(noise_only, scatter=realisations, noise=noise)
     if _distorted(with_distortion, noise_only):
@@ -131,13 +134,13 @@ def _undistorted(rec: Recording, averages: Lines, reference: str) -> str:
                 return LIFTED
             peak = int(np.argmax(accelerance))
             lifting_forces.append((rec.scene.gravity / accelerance[peak], averages.frequency[peak]))
-    least_force, frequency = min(lifting_forces)
-    levels = f"of more than {least_force:.2g} N at {frequency:.4g} Hz"
-    if np.isinf(least_force):
+    smallest_force, frequency = min(lifting_forces)
+    levels = f"of more than {smallest_force:.2g} N at {frequency:.4g} Hz"
+    if np.isinf(smallest_force):
         levels = "of a higher level"
     return (
-        f"No nonlinear distortion is detected at this level, but dampers can move: steady tones {levels} lift one. "
-        "Use stepped sine for the response to such tones."
+        "No nonlinear distortion is detected at this level, but dampers can move: steady tones "
+        f"{levels} lift one. Use stepped sine for the response to such tones."
     )
 
 
@@ -145,8 +148,8 @@ def _undistorted(rec: Recording, averages: Lines, reference: str) -> str:
 class PeriodSpectra:
     """Amplitudes of each clean period of a multisine."""
 
-    frequency: Array
-    spectra: ComplexArray  # shape (periods, channels, lines)
+    frequency: Array  # Hz, shape (lines,)
+    spectra: ComplexArray  # amplitudes as recorded, shape (periods, channels, lines)
     samples: Array  # shape (periods, channels, samples)
     notes: tuple[str, ...]
 
@@ -187,14 +190,14 @@ def _without_drift(periods: Array, numbers: NDArray[np.int64]) -> Array:
     A slowly settling bias changes each line from period to period. Noise may hide these changes although their sum is
     a significant error of the line. `numbers`: positions of the periods within the realisation.
     """
-    slopes = np.gradient(periods.mean(axis=2), numbers, axis=0, edge_order=2 if len(numbers) > 2 else 1)
-    return np.asarray(periods - slopes[:, :, None] * np.linspace(-0.5, 0.5, periods.shape[2]))
+    drifts = np.gradient(periods.mean(axis=2), numbers, axis=0, edge_order=2 if len(numbers) > 2 else 1)
+    return np.asarray(periods - drifts[:, :, None] * np.linspace(-0.5, 0.5, periods.shape[2]))
 
 
 def _distorted(measured: Lines, noise: Lines) -> bool:
     """Return whether realisations scatter more than by noise, residual transients and rounding to counts."""
     scatter, expected = (np.linalg.norm(lines.scatter.rows, axis=0) for lines in (measured, noise))
-    limits = [part for part in (measured.residual_transient, measured.resolution) if part is not None]
+    limits = [limit for limit in (measured.residual_transient, measured.resolution) if limit is not None]
     distorted = scatter > _NOISE_RATIO * expected + np.sum(limits, axis=0)
     distorted &= scatter > _MEAN_RATIO * abs(measured.mean)
     return bool(np.max(distorted.mean(axis=1)) > _MIN_DISTORTED_LINES)

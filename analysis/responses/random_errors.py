@@ -25,16 +25,16 @@ from rig.results.uncertainty import LineCovariance, Lines, RandomErrors
 
 # Number of widths of a local fit over which the noise level is assumed constant.
 _CONSTANT_NOISE_WIDTHS = 5
-# Iterations of the weighted fit that separates the noise of the reference from the noise of the responses.
+# Number of iterations of the weighted fit that separates the noise of the reference from that of the responses.
 _ITERATIONS = 4
 # Smallest noise power of a response, relative to the residual of a local fit.
 _MIN_NOISE_RATIO = 1e-6
-# Replaces zero power; its square does not underflow to zero.
+# Value that replaces zero power; its square does not underflow to zero.
 _ZERO_POWER = 1e-40
-# Part of each variance that is uncorrelated between responses, due to errors of second order and covariances of few
+# Share of each variance that is uncorrelated between responses, due to errors of second order and covariances of few
 # averages. Tuned on chains with 3 % of noise in the reference: with 0.1 % the scatter was twice the stated uncertainty.
 _UNCORRELATED = 0.05
-# Limit of the elements of the noise around lines in memory.
+# Largest number of elements in memory of the noise around lines.
 _MAX_ELEMENTS = 1 << 22
 
 
@@ -244,6 +244,7 @@ def _scale_to_variances(lines: ComplexArray, error: Array) -> ComplexArray:
 
 
 def _add_uncorrelated(lines: ComplexArray) -> ComplexArray:
+    """Add uncorrelated variances to covariances, shape (lines, elements, elements)."""
     index = np.arange(lines.shape[1])
     lines = lines.copy()
     lines[:, index, index] += _UNCORRELATED * np.einsum("kaa->ka", lines).real
@@ -257,12 +258,15 @@ def _separate_noise(
 
     The cross-powers of the residuals of local fits are the cross-powers of the curves times the noise of the reference,
     plus the noise of each response. Both are estimated by weighted least squares over the lines around each line.
-    Returns the noise of the reference, the noise of each response, and the ratio of the former to the power of the
-    reference.
+    Returns the noise power of the reference, shape (lines,), that of each response, shape (lines, elements), and the
+    ratio of the former to the power of the reference.
+
+    `power`: cross-powers of the residuals, shape (lines, elements, elements); `curve`, `drive`: as in `LocalErrors`;
+    `center`: bin at the middle of each fit.
     """
     lines, _, width = curve.shape
-    step = float(np.median(np.diff(center))) if lines > 1 else 1.0
-    n_lines = min(1 + 2 * int(np.ceil(_CONSTANT_NOISE_WIDTHS * width / step / 2.0)), max(lines, 1))
+    bins_per_line = float(np.median(np.diff(center))) if lines > 1 else 1.0
+    n_lines = min(1 + 2 * int(np.ceil(_CONSTANT_NOISE_WIDTHS * width / bins_per_line / 2.0)), max(lines, 1))
     curve_power = curve @ curve.conj().swapaxes(1, 2) / width
     variances = np.einsum("kaa->ka", power).real
     curve_variances = np.einsum("kaa->ka", curve_power).real
@@ -270,21 +274,21 @@ def _separate_noise(
     def local_mean(values: Array) -> Array:
         return np.asarray(scipy.ndimage.uniform_filter1d(values, n_lines, axis=0, mode="nearest"))
 
-    size = np.maximum(scipy.ndimage.uniform_filter1d(variances, 3, axis=0, mode="nearest"), _ZERO_POWER)
+    expected = np.maximum(scipy.ndimage.uniform_filter1d(variances, 3, axis=0, mode="nearest"), _ZERO_POWER)
     for _ in range(_ITERATIONS):
-        pairs = size[:, :, None] * size[:, None]
+        pairs = expected[:, :, None] * expected[:, None]
         # Normal equations of the noise of the reference and of each response; the latter are eliminated.
         a_reference = local_mean(np.sum(abs(curve_power) ** 2 / pairs, axis=(1, 2)))
-        a_mixed, a_response = local_mean(curve_variances / size**2), local_mean(1.0 / size**2)
+        a_mixed, a_response = local_mean(curve_variances / expected**2), local_mean(1.0 / expected**2)
         b_reference = local_mean(np.sum((power * curve_power.conj()).real / pairs, axis=(1, 2)))
-        b_response = local_mean(variances / size**2)
+        b_response = local_mean(variances / expected**2)
         reduced = a_reference - np.sum(a_mixed**2 / a_response, axis=1)
-        regular = reduced > 1e-6 * a_reference
-        reference = np.where(regular, b_reference - np.sum(a_mixed * b_response / a_response, axis=1), 0.0)
-        reference = np.maximum(reference / np.where(regular, reduced, 1.0), 0.0)
+        is_regular = reduced > 1e-6 * a_reference
+        reference = np.where(is_regular, b_reference - np.sum(a_mixed * b_response / a_response, axis=1), 0.0)
+        reference = np.maximum(reference / np.where(is_regular, reduced, 1.0), 0.0)
         min_noise = _MIN_NOISE_RATIO * local_mean(variances)
         response_noise = np.maximum((b_response - a_mixed * reference[:, None]) / a_response, min_noise)
-        size = np.maximum(reference[:, None] * curve_variances + response_noise, _ZERO_POWER)
+        expected = np.maximum(reference[:, None] * curve_variances + response_noise, _ZERO_POWER)
     drive_power = local_mean(drive)
     ratio = np.divide(reference, drive_power, out=np.zeros_like(drive), where=drive_power > 0.0)
     return np.asarray(reference), np.asarray(response_noise), ratio

@@ -32,13 +32,13 @@ _ASSUMED_DECAY = 0.5
 _MAX_DECAY = 0.99
 # Confidence with which a reference must exceed noise.
 _REFERENCE_CONFIDENCE = 0.999
-# Fewer lines do not determine the noise from their differences.
+# Smallest number of lines whose differences determine the noise.
 _MIN_LINES = 8
-# Width in lines of the median filter of this noise.
+# Width of the median filter of this noise, lines.
 _MEDIAN_LINES = 31
-# Many parts are averaged to this number of parts, which determine the decay of a transient.
+# Number of parts to which many parts are averaged to determine the decay of a transient.
 _AVERAGED_PARTS = 4
-# Safety factor: the residual transients are known to within 5 %.
+# Safety factor, because the residual transients are known to within 5 %.
 _TRANSIENT_FACTOR = 1.05
 
 
@@ -145,7 +145,7 @@ def _noise(changes: ComplexArray) -> Array:
 
 
 def _sum_of_neighbors(values: NDArray[Any]) -> NDArray[Any]:
-    """Sum each row of values over `_COMMON_DECAY_LINES` lines around each line."""
+    """Sum values, shape (rows, lines), over `_COMMON_DECAY_LINES` lines around each line."""
     side = _COMMON_DECAY_LINES // 2
     padded = np.pad(values, ((0, 0), (side, side)))
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, _COMMON_DECAY_LINES, axis=1).sum(axis=-1))

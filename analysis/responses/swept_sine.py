@@ -1,4 +1,4 @@
-"""Swept sine: local rational method on the segment around each frequency in which the tone is near it."""
+"""Swept sine: local rational method, for each frequency on the segment of the sweep whose frequencies are near it."""
 
 from __future__ import annotations
 
@@ -28,30 +28,29 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# A segment covers at least this frequency ratio of the sweep, which is small enough to exclude the harmonics of a
-# nonlinear structure.
+# Smallest ratio of the last to the first frequency of a segment. It excludes the harmonics of a nonlinear structure.
 _MIN_FREQUENCY_RATIO = 1.35
-# The ratio is increased by this factor until enough lines of the segment are excited on either side.
+# Factor by which the ratio is increased until enough lines of the segment are excited on either side.
 _RATIO_INCREASE = 1.1
 # Number of frequencies at which the response is estimated.
 _POINTS = 400
 # Lines of a spectrum per fitted value: lines of a fit over its number of parameters.
 _LINES_PER_VALUE = (2 * SIDE + 1) / (3 * ORDER + 2)
-# A damper lifts if the downward acceleration of its body exceeds g. Below this part of g it stays on the floor.
+# Largest acceleration of a body, in g, at which its dampers certainly stay on their floors; they lift at 1 g.
 _MAX_FLOOR_ACCELERATION = 0.7
-# With a larger relative error by the sweep rate, the sweep is too fast for dampers in flight.
+# Largest relative error by the sweep rate with dampers in flight.
 _MAX_LAG_RATIO = 0.3
-# The warning is given if this part of the lines is too fast.
+# Largest share of lines at which the sweep is too fast without a warning.
 _MAX_FAST_LINES = 0.05
 # Recommended factor for the duration of the sweep.
 _SLOWER = 10
-# The amplitude of readings in counts is evaluated over at least this number of periods.
+# Smallest number of periods over which the amplitude of readings in counts is evaluated.
 _MIN_PERIODS = 3.0
 
 
 @dataclass(frozen=True)
 class SweptTone:
-    """Spectra of a sweep: for each frequency, of the segment in which the tone is near it."""
+    """Spectra of a sweep: for each frequency, those of the segment whose frequencies are near it."""
 
     spectra: LocalSpectra
     speed: Array  # sweep rate at each frequency, Hz/s; shape (lines,)
@@ -102,8 +101,8 @@ def sweep_spectra(
 ) -> SweptTone:
     """Compute the spectra of a sweep around each frequency, over the segment in which the tone is near it.
 
-    The transients at the beginning and end of a segment are part of the fit, so that neither the sweep rate nor the
-    length of the segment limits the resolution. `marker`: the ``measure`` marker of the sweep.
+    The transients at the beginning and end of a segment are part of the fit. Neither the sweep rate nor the length of
+    the segment therefore limits the resolution. `marker`: the ``measure`` marker of the sweep.
     """
     first = marker.first_sample
     stop = rec.samples if marker.last_sample is None else min(rec.samples, marker.stop)
@@ -155,6 +154,7 @@ def sweep_spectra(
         begin, width = bounds[index][0], SIDE * rec.rate / size
         # A logarithmic sweep has only positive frequencies.
         edges = [max(frequency[index] + offset, 1e-6 * frequency[index]) for offset in (-width, width)]
+        # Samples at which the sweep passes the lines of the fit.
         passage = [first + _sample_at(marker, edge, rec.rate) - begin for edge in edges]
         variances[:, index] = _samples_between(block, passage, rec.rate / frequency[index]).var(axis=1)
         if has_noise:
@@ -232,17 +232,17 @@ def spectrum_at_lines(block: Array, lines: NDArray[np.int64], shift: float) -> C
         return np.exp(-2j * np.pi * (np.outer(lines, samples) % size + shift * samples) / size)
 
     by_row, by_column = phase_factors(columns * np.arange(rows)), phase_factors(np.arange(columns))
-    parts = np.concatenate([by_row.real, by_row.imag])
+    factors = np.concatenate([by_row.real, by_row.imag])
     folded = []
     for row in block:
-        real, imaginary = np.split(parts @ row[: rows * columns].reshape(rows, columns), 2)
+        real, imaginary = np.split(factors @ row[: rows * columns].reshape(rows, columns), 2)
         folded.append(np.sum((real + 1j * imaginary) * by_column, axis=1))
     last = np.arange(rows * columns, size)
     return np.array(folded) + block[:, last] @ phase_factors(last).T
 
 
 def _noise(spectra: ComplexArray) -> Array:
-    """Estimate the noise power of each channel from lines without excitation or leakage."""
+    """Estimate the noise power of each channel from lines without excitation or leakage, shape (channels,)."""
     windowed = 0.5 * spectra[:, 1:-1] - 0.25 * (spectra[:, :-2] + spectra[:, 2:])
     # A Hann window reduces the power to 3/8. The median of the power is ln 2 times its mean and excludes hum.
     return np.asarray(np.median(abs(windowed) ** 2, axis=1) / (0.375 * np.log(2.0)))

@@ -1,6 +1,7 @@
 """Systematic errors of a response, which averaging does not reduce.
 
-Each part is a limit of error, like a tolerance in a data sheet, and has a name for display.
+Each *part* is the limit of one error, like a tolerance in a data sheet, and has a name for display. The functions that
+end in `_part` return it in the unit of the response, shape (lines,), as a dictionary with its name.
 """
 
 from __future__ import annotations
@@ -34,12 +35,12 @@ JITTER = "jitter of the sampling instants"
 ROUGH = (UNSETTLED, RESOLUTION, MODEL, REFERENCE, JITTER)
 # Assumed ratio of transverse to axial motion, if the data sheet states only a transverse sensitivity.
 _LATERAL_RATIO = 0.1
-# Fewer lines do not determine the slope, which may be the slope of a peak.
+# Smallest number of lines that determine the slope of a curve.
 _MIN_SLOPE_LINES = 3
-# The slope is then assumed to be this multiple of value / frequency, which is sufficient for peaks with a half-width of
-# at least a twentieth of their frequency.
+# Slope that is assumed for fewer lines, as a multiple of value / frequency. It is sufficient for peaks with a
+# half-width of at least a twentieth of their frequency.
 _ASSUMED_SLOPE_RATIO = 10.0
-# The slope of a peak between lines is limited to this multiple of the slope of its chords.
+# Largest slope of a peak between lines, relative to the slope of its chords.
 _MAX_CHORD_RATIO = 10.0
 # Power of a quarter of a count, in counts²: rounding may hide a smaller signal.
 _MIN_POWER_COUNTS = 1.0 / 16.0
@@ -111,22 +112,23 @@ def relative_to_reading(deviation: Array) -> Array:
 def gain_error_limit(gain: Array, gain_reading: Array, shares: ReadingShares) -> Array:
     """Compute the largest error of a quotient of readings, each of which is 1 + e times its true value, shape (lines,).
 
-    With the contributions u and l of the channels, the quotient has the error ``sum (u - l sum(u)) e/(1+e)`` over
-    ``sum l/(1+e)``. A first limit follows directly. Others follow if both sums are divided by the gain of any single
-    channel, which reduces the error to e for a channel that is the entire denominator. All limits are valid; the
-    smallest is returned. `gain` and `gain_reading` are upper limits of ``abs(e)`` and ``abs(e / (1 + e))``, shape
-    (channels, lines) or (channels, 1). The result is infinite if the true denominator may be zero.
+    With the contributions u and l of the channels to numerator and denominator, the quotient has the error
+    ``sum (u - l sum(u)) e/(1+e)`` over ``sum l/(1+e)``. A first limit follows directly. Others follow if both sums are
+    divided by the gain of any single channel, which reduces the error to e for a channel that is the entire
+    denominator. All limits are valid; the smallest is returned. `gain` and `gain_reading` are upper limits of
+    ``abs(e)`` and ``abs(e / (1 + e))``, shape (channels, lines) or (channels, 1). The result is infinite if the true
+    denominator may be zero.
     """
-    parts: Array = np.asarray(abs(shares.difference), dtype=float)
+    in_quotient: Array = np.asarray(abs(shares.difference), dtype=float)
     in_reference: Array = np.asarray(abs(shares.reference), dtype=float)
     # Numerator and relative uncertainty of the denominator of each limit.
-    quotients = [[np.sum(zero_times(part, gain_reading), axis=0) for part in (parts, in_reference)]]
+    quotients = [[np.sum(zero_times(share, gain_reading), axis=0) for share in (in_quotient, in_reference)]]
     with np.errstate(divide="ignore", invalid="ignore"):
         for row, channel_gain in enumerate(gain):
             others = np.arange(len(gain)) != row
             other_error = gain_reading[others] * (1.0 + channel_gain)
             difference = (channel_gain + gain[others]) * (1.0 + gain_reading[others])
-            deviation = parts[row] * channel_gain + np.sum(zero_times(parts[others], other_error), axis=0)
+            deviation = in_quotient[row] * channel_gain + np.sum(zero_times(in_quotient[others], other_error), axis=0)
             quotients.append([deviation, np.sum(zero_times(in_reference[others], difference), axis=0)])
         limits = [
             np.where(uncertainty < 1.0, deviation / np.maximum(1.0 - uncertainty, 1e-300), np.inf)
@@ -135,9 +137,9 @@ def gain_error_limit(gain: Array, gain_reading: Array, shares: ReadingShares) ->
     return np.asarray(np.nanmin(limits, axis=0))
 
 
-def zero_times(part: Array, factor: Array) -> Array:
+def zero_times(share: Array, factor: Array) -> Array:
     """Multiply, with zero times infinity defined as zero."""
-    return np.asarray(np.where(part > 0.0, part * factor, 0.0))
+    return np.asarray(np.where(share > 0.0, share * factor, 0.0))
 
 
 def reference_noise_part(value: ComplexArray, coherence: Array) -> Array:
@@ -148,16 +150,18 @@ def reference_noise_part(value: ComplexArray, coherence: Array) -> Array:
     return np.asarray(abs(value) * (1.0 / np.maximum(coherence, 1e-6) - 1.0))
 
 
-def shared_noise_part(noise: Array, difference: ComplexArray, lower: ComplexArray, power: Array) -> Array:
+def shared_noise_part(
+    noise: Array, difference: ComplexArray, reference_weights: ComplexArray, reference_power: Array
+) -> Array:
     """Compute the largest error of H1 by noise of channels in the reference that may also be in the response.
 
     Noise of power N in a channel with the weights u in the response and l in the reference adds ``u l* N`` to their
     cross-spectrum and ``|l|^2 N`` to the reference's power: H1 has the error ``(u - H1 l) l* N`` over the noise-free
     part of that power. The coherence does not show this error, because noise common to both resembles a response.
-    `difference`: ``u - H1 l``.
+    `difference`: ``u - H1 l``; `reference_weights`: l, both of shape (channels, lines).
     """
-    noise_free = power - np.sum(abs(lower) ** 2 * noise, axis=0)
-    bias = np.sum(abs(difference * lower) * noise, axis=0)
+    noise_free = reference_power - np.sum(abs(reference_weights) ** 2 * noise, axis=0)
+    bias = np.sum(abs(difference * reference_weights) * noise, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.where(noise_free > 0.0, bias / noise_free, np.inf))
 
@@ -176,7 +180,7 @@ def uncertain_reference_part(bound: Array, deviation: Array) -> dict[str, Array]
 def rounding_part(gain: Array, shares: ReadingShares) -> dict[str, Array]:
     """Compute the largest deviation of a response by rounding, for readings of a few counts.
 
-    `gain`, shape (channels, lines): largest relative change of a channel's gain by rounding: `noise_gain` or
+    `gain`, shape (channels, lines): largest relative change of each channel's gain by rounding, from `noise_gain` or
     `tone_gain`.
     """
     if not gain.any():
@@ -239,15 +243,15 @@ def clock_part(rec: Recording, shares: ReadingShares) -> dict[str, Array]:
         return {}
     frequency, value = shares.frequency, shares.value
     order = np.argsort(frequency, kind="stable")
-    slope_part = np.empty(frequency.size)
-    slope_part[order] = _change_by_shift(frequency[order], value[order], deviation * frequency[order])
+    by_slope = np.empty(frequency.size)
+    by_slope[order] = _change_by_shift(frequency[order], value[order], deviation * frequency[order])
     if frequency.size < _MIN_SLOPE_LINES:
-        slope_part = np.maximum(slope_part, deviation * _ASSUMED_SLOPE_RATIO * abs(value))
+        by_slope = np.maximum(by_slope, deviation * _ASSUMED_SLOPE_RATIO * abs(value))
     measured = [rec.channels[name].quantity for name in shares.names]
     powers = np.array([[MOTIONS.index(name) if name in MOTIONS else 0.0] for name in measured])
-    order_part = np.sum((powers - MOTIONS.index(shares.motion)) * shares.response, axis=0)
-    order_part = order_part - value * np.sum(powers * shares.reference, axis=0)
-    return {CLOCK: slope_part + deviation * abs(order_part)}
+    by_conversion = np.sum((powers - MOTIONS.index(shares.motion)) * shares.response, axis=0)
+    by_conversion = by_conversion - value * np.sum(powers * shares.reference, axis=0)
+    return {CLOCK: by_slope + deviation * abs(by_conversion)}
 
 
 def clock_deviation(rec: Recording) -> float:
@@ -264,18 +268,18 @@ def _change_by_shift(frequency: Array, value: ComplexArray, shift: Array) -> Arr
     """
     spacing = np.diff(frequency)
     chords = np.divide(np.diff(value), spacing, out=np.zeros(spacing.size, dtype=complex), where=spacing > 0.0)
-    steps = abs(chords)
-    change = shift * np.maximum(np.append(steps, 0.0), np.append(0.0, steps))
+    steepness = abs(chords)
+    change = shift * np.maximum(np.append(steepness, 0.0), np.append(0.0, steepness))
     if frequency.size < 3 or np.any(spacing == 0.0):
         return np.asarray(change)
     left, right = chords[:-1], chords[1:]
-    span = (value[2:] - value[:-2]) / (frequency[2:] - frequency[:-2])
+    chord_across = (value[2:] - value[:-2]) / (frequency[2:] - frequency[:-2])
     with np.errstate(divide="ignore", invalid="ignore"):
         pole = (right * frequency[2:] - left * frequency[:-2]) / (right - left)
         pole_distance = frequency[1:-1] - pole
-        slope = shift[1:-1] * left * right / span
+        linear_change = shift[1:-1] * left * right / chord_across
         min_distance = np.minimum(abs(pole_distance + shift[1:-1]), abs(pole_distance - shift[1:-1]))
-        through_pole = np.nan_to_num(abs(slope * pole_distance) / min_distance, posinf=np.inf)
+        pole_change = np.nan_to_num(abs(linear_change * pole_distance) / min_distance, posinf=np.inf)
     # If the chords are mainly noise, the position of the pole is arbitrary.
-    change[1:-1] = np.clip(through_pole, change[1:-1], _MAX_CHORD_RATIO * change[1:-1])
+    change[1:-1] = np.clip(pole_change, change[1:-1], _MAX_CHORD_RATIO * change[1:-1])
     return np.asarray(change)

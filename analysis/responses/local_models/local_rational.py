@@ -37,11 +37,11 @@ Result = TypeVar("Result", "LocalFit", "_Unknown")
 ORDER = 2
 # Weight of the regularization towards small coefficients, and smallest magnitude of a denominator.
 _REGULARIZATION = 1e-10
-# Replaces zero power in a denominator.
+# Value that replaces zero power in a denominator.
 _ZERO_POWER = 1e-300
-#: The noise power is below this multiple of its mean in 95 % of lines (two degrees of freedom).
+#: 95th percentile of the noise power of a line, relative to its mean (two degrees of freedom).
 POWER_RATIO_95 = 3.0
-# Elements of the systems of equations that are solved at a time, which limits memory.
+# Largest number of elements of the systems of equations that are solved at a time, which limits memory.
 _MAX_ELEMENTS = 1 << 20
 
 
@@ -119,8 +119,8 @@ def local_fit(
         ]
         fits.append(LocalFit(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True))))
     polynomial, rational, higher_order = fits
-    simple = polynomial.criterion < rational.criterion
-    best = _select(simple, polynomial, rational)
+    prefers_polynomial = polynomial.criterion < rational.criterion
+    best = _select(prefers_polynomial, polynomial, rational)
     # The lower order is contained in the higher, so the variance of the difference is the difference of the
     # variances.
     change = abs(higher_order.value - best.value) ** 2
@@ -143,8 +143,12 @@ def _fit(
     poles: int,
     others: ComplexArray | None,
 ) -> LocalFit:
-    """Fit polynomials of one order, without the model error."""
+    """Fit polynomials of one order, without the model error.
+
+    `order`: of numerator and transients; `poles`: order of the denominator; other arguments as in `local_fit`.
+    """
     segments, width = len(reference), 2 * side + 1
+    # Segments with separate transients at their beginning and end.
     begins = [s for s in range(segments) if np.any(ends[s]) and not np.all(ends[s] == 1.0)]
     first = np.clip(lines - side, 0, reference.shape[1] - width)
     bins = first[:, None] + np.arange(width)
@@ -154,8 +158,8 @@ def _fit(
     )
     channel = reading.response[bins][:, None, :]
     reference_input = reference_input * channel
-    size, drive = (np.maximum(_rms(spectra), _ZERO_POWER) for spectra in (output, reference_input))
-    output, reference_input = output / size, reference_input / drive
+    output_rms, input_rms = (np.maximum(_rms(spectra), _ZERO_POWER) for spectra in (output, reference_input))
+    output, reference_input = output / output_rms, reference_input / input_rms
     powers = np.stack([offset**k for k in range(order + 1)], axis=-1)
     transients = [powers]
     transients += [((decay := slow[bins][:, None, :]) / _rms(decay))[..., None] for slow in reading.slow]
@@ -178,13 +182,13 @@ def _fit(
     residual = output - model
     if poles:
         divisor = denominator[..., None]
-        slope = terms._replace(shared=terms.shared / divisor, transient=terms.transient / divisor)
-        change, influence = _solve(slope, model / denominator, residual)
-        stepped = _Unknown(*(np.add(*pair) for pair in zip(unknown, change, strict=True)))
-        new_residual = output - terms.quotient(stepped)[0]
-        better = _power(new_residual) < _power(residual)
-        unknown = _select(better, stepped, unknown)
-        residual = np.where(better[:, None, None], new_residual, residual)
+        linearized = terms._replace(shared=terms.shared / divisor, transient=terms.transient / divisor)
+        step, influence = _solve(linearized, model / denominator, residual)
+        stepped = _Unknown(*(np.add(*pair) for pair in zip(unknown, step, strict=True)))
+        stepped_residual = output - terms.quotient(stepped)[0]
+        is_improved = _power(stepped_residual) < _power(residual)
+        unknown = _select(is_improved, stepped, unknown)
+        residual = np.where(is_improved[:, None, None], stepped_residual, residual)
     # Response at all lines of the fit: the model for a unit reference.
     reference_only = unknown._replace(numerator=unknown.numerator[:, : order + 1])
     curve = terms._replace(shared=powers).response(reference_only)
@@ -194,14 +198,14 @@ def _fit(
     polynomial = np.linalg.inv(np.swapaxes(powers[:, 0], 1, 2) @ powers[:, 0])[:, 0, 0] / segments
     variance, residual_power = _power(influence), _power(residual)
     independent = np.minimum(polynomial / np.maximum(variance, _ZERO_POWER), 1.0)
-    excited = np.where(drive > _ZERO_POWER, drive, np.nan)[:, 0, 0]
-    scale = size[:, 0, 0] / excited
+    excitation = np.where(input_rms > _ZERO_POWER, input_rms, np.nan)[:, 0, 0]
+    scale = output_rms[:, 0, 0] / excitation
     constant = unknown.numerator[:, 0]
     # Zero padding correlates neighboring lines and reduces the degrees of freedom.
     equations = segments * width
     unknowns = terms.shared.shape[-1] + poles + (segments + len(begins)) * (order + 1 + len(reading.slow))
-    free = max(used * equations - unknowns, 0.5)
-    noise = residual_power / free
+    n_free = max(used * equations - unknowns, 0.5)
+    noise = residual_power / n_free
     # Noise contributes to the magnitude of the estimate even if the true response is zero.
     explained = np.maximum(np.square(abs(constant)) - noise * variance, 0.0) * independent * equations
     penalty = unknowns * np.log(2 * used * equations)
@@ -210,13 +214,13 @@ def _fit(
         value=constant * scale,
         variance=0.5 * noise * variance * scale**2,
         coherence=explained / np.maximum(explained + residual_power, _ZERO_POWER),
-        degrees=np.full(lines.size, 2.0 * free),
-        noise_gain=noise_gain * (scale / excited) ** 2,
+        degrees=np.full(lines.size, 2.0 * n_free),
+        noise_gain=noise_gain * (scale / excitation) ** 2,
         independent=independent,
-        noise=noise * size[:, 0, 0] ** 2,
-        influence=influence / np.where(drive > _ZERO_POWER, drive, np.inf),
-        residual=residual * size,
-        curve=curve * channel * (size / drive),
+        noise=noise * output_rms[:, 0, 0] ** 2,
+        influence=influence / np.where(input_rms > _ZERO_POWER, input_rms, np.inf),
+        residual=residual * output_rms,
+        curve=curve * channel * (output_rms / input_rms),
         first=np.asarray(first),
         criterion=criterion,
         model_error=np.zeros(lines.size),
@@ -277,24 +281,24 @@ def _solve(terms: _Terms, model: ComplexArray, right: ComplexArray) -> tuple[_Un
     adjoint = np.conj(np.swapaxes(q, 2, 3))
     shared = np.concatenate([terms.shared, -model[..., None] * terms.powers], axis=-1)
     system = np.concatenate([shared, right[..., None]], axis=-1)
-    along = adjoint[..., :width] @ system
-    orthogonal = -(q @ along)
+    projection = adjoint[..., :width] @ system
+    orthogonal = -(q @ projection)
     orthogonal[..., :width, :] += system
     unknowns = shared.shape[-1]
     equations = orthogonal.reshape(lines, -1, unknowns + 1)
     q, r_shared = np.linalg.qr(_regularize(equations[..., :unknowns]))
     adjoint = np.conj(np.swapaxes(q[:, : equations.shape[1]], 1, 2))
     solved = np.linalg.solve(r_shared, adjoint @ equations[..., unknowns:])
-    transients = np.linalg.solve(r, along[..., unknowns:] - along[..., :unknowns] @ solved[:, None])[..., 0]
-    first = np.broadcast_to(np.eye(unknowns, 1), (lines, unknowns, 1))
-    row = np.swapaxes(np.linalg.solve(np.swapaxes(r_shared, 1, 2), first), 1, 2)
-    influence = (row @ adjoint).reshape(lines, segments, width + count)[..., :width]
+    transients = np.linalg.solve(r, projection[..., unknowns:] - projection[..., :unknowns] @ solved[:, None])[..., 0]
+    first_unit = np.broadcast_to(np.eye(unknowns, 1), (lines, unknowns, 1))
+    first_row = np.swapaxes(np.linalg.solve(np.swapaxes(r_shared, 1, 2), first_unit), 1, 2)
+    influence = (first_row @ adjoint).reshape(lines, segments, width + count)[..., :width]
     numerators = terms.shared.shape[-1]
     return _Unknown(solved[:, :numerators, 0], solved[:, numerators:, 0], transients), influence
 
 
 def _select(lines: NDArray[np.bool_], first: Result, second: Result) -> Result:
-    """Take the arrays of the first result at some lines, and of the second at all others."""
+    """Combine two results: the arrays of the first at the selected `lines`, of the second at all others."""
     pairs = zip(first, second, strict=True)
     return type(first)(*(np.where(lines.reshape(-1, *[1] * (pair[0].ndim - 1)), *pair) for pair in pairs))
 
@@ -307,8 +311,10 @@ def _regularize(system: ComplexArray | Array) -> ComplexArray:
 
 
 def _power(spectra: ComplexArray) -> Array:
+    """Return the sum of squares of each line, shape (lines,)."""
     return np.asarray(np.sum(abs(spectra) ** 2, axis=(1, 2)))
 
 
 def _rms(spectra: ComplexArray) -> Array:
+    """Return the root mean square of each line, shape (lines, 1, 1)."""
     return np.sqrt(np.mean(abs(spectra) ** 2, axis=(1, 2), keepdims=True))

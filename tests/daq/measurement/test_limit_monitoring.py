@@ -1,6 +1,6 @@
 """Overload and alarm markers, aborts, and the end of a test without valid inputs, against a check of every sample.
 
-In the scene, channels t and a have abort limits of 5 and 4 m/s^2, and channels t and b alarm limits of 3 and 2 m/s^2.
+In the scene, channels t and a have abort limits of 5 and 4 m/s^2. Channels t and b have alarm limits of 3 and 2 m/s^2.
 """
 
 from __future__ import annotations

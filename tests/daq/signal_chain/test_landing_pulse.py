@@ -15,11 +15,11 @@ DURATION = 2e-3  # s
 SENSITIVITY = 10e-3 / 9.80665  # V per m/s^2
 
 
-def record_impact(rate: float, input_range: float) -> tuple[Bench, np.ndarray, np.ndarray, float, float]:
+def simulate_impact(rate: float, input_range: float) -> tuple[Bench, np.ndarray, np.ndarray, float, float]:
     """Simulate a body that is hit by a hammer, and whose damper impacts 2 to 4 ms later; no other forces act.
 
-    Returns the bench, samples and overload flags of the accelerometer from the beginning of the contact, the time
-    of this beginning since the previous sample in samples, and the peak of the body's acceleration by the closed form.
+    Returns the bench; the samples and overload flags of the accelerometer during the contact; the time in samples from
+    the first of them to the beginning of the contact; and the peak acceleration of the body by the closed form.
     """
     scene = rig.loads(
         f"""
@@ -54,7 +54,7 @@ def record_impact(rate: float, input_range: float) -> tuple[Bench, np.ndarray, n
 
 @pytest.mark.parametrize("rate", [20480.0, 51200.0])
 def test_impact_pulse_has_closed_form(rate: float) -> None:
-    bench, samples, _, offset, peak = record_impact(rate, 10.0)
+    bench, samples, _, offset, peak = simulate_impact(rate, 10.0)
     pulse = np.abs(bench.physical(samples[None])[0])
     assert pulse.max() == pytest.approx(peak, rel=0.02)
     # The force begins with a step and decreases linearly to zero; extrapolate its last two samples.
@@ -66,6 +66,6 @@ def test_impact_pulse_has_closed_form(rate: float) -> None:
 
 @pytest.mark.parametrize(("relative_range", "clips"), [(0.9, True), (1.1, False)])
 def test_clipping_does_not_depend_on_rate(relative_range: float, clips: bool) -> None:
-    peak = record_impact(51200.0, 10.0)[-1]
+    peak = simulate_impact(51200.0, 10.0)[-1]
     for rate in (5120.0, 20480.0, 51200.0):
-        assert record_impact(rate, relative_range * peak * SENSITIVITY)[2].any() == clips
+        assert simulate_impact(rate, relative_range * peak * SENSITIVITY)[2].any() == clips

@@ -67,6 +67,7 @@ def test_data_sheet_tolerances_are_summed():
 
 
 def reading_shares(value, response, reference, frequency=None, motion="acceleration", names="ab"):
+    """Return shares: the contribution of each channel to the response `value`, and to its reference of 1."""
     return ReadingShares(names, frequency, motion, value, response, reference)
 
 

@@ -15,6 +15,7 @@ RESPONSES, LINES = 3, 60
 
 @pytest.fixture
 def curves() -> Curves:
+    """Return three responses with two modes and noise."""
     random = np.random.default_rng(7)
     frequency = np.linspace(8.0, 30.0, LINES)
     s = 2j * np.pi * frequency
@@ -34,23 +35,25 @@ def test_normal_equations_equal_dense_ones(curves: Curves, monkeypatch: pytest.M
     random = np.random.default_rng(3)
     root = random.standard_normal((LINES, RESPONSES, 5)) + 1j * random.standard_normal((LINES, RESPONSES, 5))
     problem = Likelihood(curves, LineCovariance(root @ root.conj().swapaxes(1, 2), 1.0), np.zeros((RESPONSES, LINES)))
-    normal, right = problem.equations(model)
-    step = 1e-7 / np.sqrt(np.diag(normal))
-    slopes = np.stack(
+    matrix, right_side = problem.equations(model)
+    # Derivatives of the residual with respect to each parameter, by central differences.
+    steps = 1e-7 / np.sqrt(np.diag(matrix))
+    derivatives = np.stack(
         [
-            (problem.residual(take_step(curves, model, -row)) - problem.residual(take_step(curves, model, row)))
+            (problem.residual(take_step(curves, model, -step)) - problem.residual(take_step(curves, model, step)))
             / (2 * size)
-            for row, size in zip(np.diag(step), step, strict=True)
+            for step, size in zip(np.diag(steps), steps, strict=True)
         ],
         axis=2,
     )
-    weighted = problem.information @ slopes
-    dense = np.einsum("kap,kaq->pq", weighted.conj(), slopes).real
-    scale = np.sqrt(np.outer(np.diag(dense), np.diag(dense)))
-    np.testing.assert_allclose(normal / scale, dense / scale, atol=1e-6)
-    expected_right = np.einsum("kap,ka->p", weighted.conj(), problem.residual(model)).real
-    np.testing.assert_allclose(right * step, expected_right * step, atol=1e-6 * abs(right * step).max())
-    rows = random.standard_normal((len(right), 2))
+    weighted = problem.information @ derivatives
+    dense_matrix = np.einsum("kap,kaq->pq", weighted.conj(), derivatives).real
+    scale = np.sqrt(np.outer(np.diag(dense_matrix), np.diag(dense_matrix)))
+    np.testing.assert_allclose(matrix / scale, dense_matrix / scale, atol=1e-6)
+    dense_right_side = np.einsum("kap,ka->p", weighted.conj(), problem.residual(model)).real
+    tolerance = 1e-6 * abs(right_side * steps).max()
+    np.testing.assert_allclose(right_side * steps, dense_right_side * steps, atol=tolerance)
+    rows = random.standard_normal((len(right_side), 2))
     np.testing.assert_allclose(problem.weights(model, rows / scale[0, 0]), weighted @ rows / scale[0, 0], rtol=1e-4)
 
 

@@ -2,9 +2,9 @@
 
     python -m tests.benchmarks.bed_convergence
 
-A single-mode structure at 50 Hz has a bed of a tenth of its mass: two layers in free flight, four layers that hit a
-ceiling, and six layers just after separation, whose motion depends most on their elasticity. Grains and structure are
-coupled at every time step. Each setting takes six minutes of one core.
+A single-mode structure at 50 Hz has a bed of a tenth of its mass. There are three settings: two layers in free flight,
+four layers that hit a ceiling, and six layers just after separation. The motion of the last depends most on elasticity.
+Grains and structure are coupled at every time step. Each setting takes six minutes of one core.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
     python -m tests.benchmarks.shared_bed [RANKS]
 
 Each bed starts at rest in its cavity, in a body that is shaken at 29 Hz. A step advances grains and structure. The time
-is the processor time of the first rank, including its waiting for the others. Steps are timed in groups of five, and
-the shortest time of each group over several runs counts: a rank whose core is busy with other programs delays all.
+is the processor time of the first rank, including its waiting for the others. Steps are timed in groups of five. The
+shortest time of each group over several runs counts, because a rank with a busy core delays all others.
 """
 
 from __future__ import annotations

@@ -25,8 +25,8 @@ from tests.gauntlet.verdict import Verdict
 # Smallest and largest fraction of the points within their 95 % intervals, over all scenes of a kind.
 MIN_COVERAGE = 0.90
 MAX_COVERAGE = 0.99
-# The largest fraction applies only to intervals without sensor tolerances: no sensor exceeds the limits of its data
-# sheet, so that intervals with tolerances contain more than 95 %.
+# The largest fraction applies only to intervals without sensor tolerances. No sensor exceeds its tolerance: intervals
+# with tolerances therefore contain more than 95 %.
 JUDGES_WITHOUT_TOLERANCES = ("responses, as built",)
 OUTCOMES = ("right", "warned", "refused", "wrong")
 

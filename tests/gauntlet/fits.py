@@ -1,10 +1,10 @@
 """Scenes fitted to recordings of random scenes: ``python -m tests.gauntlet.fits --benches 30 --seed 7``.
 
-Each random scene has two to five bodies, up to three dampers (some with finite-duration contact), noise, and sensors
-that deviate up to the limits of data sheets. It is recorded without and with its dampers, and fitted from a guess with
-errors up to 20 %. `analysis.fit` gives each value a status: determined, roughly (determined) or undetermined. Printed
-are the number of values and their coverage for each status. Exit code 1: too few true values lie in their 95 %
-intervals, or the error of a determined value is too large.
+Each random scene has two to five bodies and up to three dampers, some with finite-duration contact. Its sensors have
+noise, and deviate up to the limits of their data sheets. It is recorded without and with its dampers, and fitted from a
+guess with errors up to 20 %. `analysis.fit` gives each value a status: determined, roughly (determined) or
+undetermined. Printed are the number of values and their coverage for each status. Exit code 1: too few true values lie
+in their 95 % intervals, or the error of a determined value is too large.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Random scenes: structure, shaker, test, sensors and converter, all determined by a seed and a number.
 
-Every test takes about a second to record. Scenes are drawn as the content of a scene file, so that a scene with a wrong
-result can be written to a file and run by hand.
+Every test takes about a second to record. Scenes are drawn as the content of a scene file: a scene with a wrong result
+can be written to a file and run by hand.
 """
 
 from __future__ import annotations

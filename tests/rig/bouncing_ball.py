@@ -1,9 +1,9 @@
 """The completely inelastic bouncing ball in closed form: a damper of vanishing mass on a body with sinusoidal motion.
 
-The displacement of the body is G sin(p) in units of g/w^2, with the phase p = w t and the peak acceleration G in units
-of g. The ball is at rest on the body until the body accelerates downward by more than g, from sin(p) = 1/G on. It flies
-and lands without rebound. It sticks if the body's downward acceleration is then less than g. Otherwise it takes off at
-once, with the velocity of the body.
+The displacement of the body is G sin(p) in units of g/w^2. Here p = w t is the phase, and G the peak acceleration in
+units of g. The ball is at rest on the body until the body accelerates downward by more than g, from sin(p) = 1/G on. It
+flies and lands without rebound. It sticks if the body's downward acceleration is then less than g. Otherwise it takes
+off at once, with the velocity of the body.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Guards: functions of the state that are positive until a contact changes, such as gaps and contact forces.
 
-The engine proves from the values at the ends of a step that a guard stays positive (a positive margin), or examines the
-power series of the guard and locates its first zero. ``tau`` is the time relative to the step.
+The engine first tries to prove from the values at the ends of a step that a guard stays positive: its margin is then
+positive. Otherwise the engine examines the power series of the guard and locates its first zero. ``tau`` is the time
+relative to the step.
 """
 
 from __future__ import annotations

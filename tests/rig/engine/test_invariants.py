@@ -156,8 +156,8 @@ def test_impact_conserves_momentum(scene: rig.Scene, seed: int) -> None:
 
 #: Impacts within this time, s, are treated as simultaneous in these tests.
 SIMULTANEITY_S = 1e-9
-#: Wall velocities, m/s, below which the engine may keep a damper at rest through an impact and release it immediately
-#: after: the gap that they would open is within rounding.
+#: Separation speed, m/s, below which the engine may keep a damper in contact during an impact and release it afterwards:
+#: the gap would be within rounding.
 MIN_SEPARATION_SPEED = 1e-6
 
 

@@ -35,10 +35,11 @@ def assemble_budget(
 ) -> UncertaintyBudget:
     """Assemble the uncertainty budget of a response.
 
-    `error`: type A standard uncertainty of either quadrature component, shape (lines,). `estimator_limits`: limits of
-    error by name, which the estimator adds to those of the instrument. `reference_limits`: largest relative deviations
-    of the reference. A reference that is smaller than recorded increases the uncertainty beyond first-order
-    propagation. `scale`: from `common_scale`.
+    `error`, `degrees`: type A standard uncertainty of either quadrature component, and its degrees of freedom, shape
+    (lines,). `estimator_limits`: limits of error by name, which the estimator adds to those of the instrument.
+    `reference_limits`: largest relative deviations of the reference. A reference that is smaller than recorded
+    increases the uncertainty beyond first-order propagation. `shared`: number of neighboring lines with a common
+    error. `scale`: from `common_scale`.
     """
     limits = {**aliasing_part(rec, shares), **estimator_limits}
     if len(reference_limits):

@@ -16,15 +16,15 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-#: Flaw of a channel while the bias of its sensor has not settled.
+#: Reason of a flaw while the bias of a sensor has not settled.
 SETTLING = "settling"
-# Blocks of the second half of the test, from which the scatter of means after settling is estimated.
+# Number of blocks in the second half of the test from which the scatter of means after settling is estimated.
 _SETTLED_BLOCKS = 32
-# A test with fewer blocks has no result, because its second half may not be settled.
+# Smallest number of blocks of a test whose second half is certainly settled.
 _MIN_BLOCKS = 16
-# A block belongs to a drift if its mean deviates by more than this number of standard deviations of settled blocks.
+# Deviation of a block's mean above which the block belongs to a drift, in standard deviations of settled blocks.
 _DRIFT_SIGMAS = 5.0
-# Successive blocks without such a deviation that end the drift; a single one may be chance.
+# Number of successive blocks without such a deviation that end the drift.
 _SETTLED_IN_A_ROW = 3
 
 
@@ -35,18 +35,18 @@ class Flaw:
     first: int
     stop: int
     channel: str
-    reason: str
+    reason: str  # such as overloaded, lost or settling
 
 
 def flaws(rec: Recording, channels: Collection[str], first: int, stop: int) -> list[Flaw]:
-    """Find overloads and lost samples of the channels between two samples, sorted by their first sample."""
+    """Return overloads and lost samples of the channels between two samples, sorted by their first sample."""
     all_flaws = [
         Flaw(marker.first_sample, marker.stop, str(marker.fields.get("channel", "")), "overloaded")
         for marker in rec.overloads
         if marker.fields.get("channel") in channels
     ]
     all_flaws += [
-        Flaw(gap.first_sample, gap.last_sample + 1, next(n for n in gap.channels if n in channels), "lost")
+        Flaw(gap.first_sample, gap.last_sample + 1, next(name for name in gap.channels if name in channels), "lost")
         for gap in rec.gaps
         if set(gap.channels) & set(channels)
     ]
@@ -79,7 +79,7 @@ def describe_flaws(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
 
 
 def remedy(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
-    """Recommend a remedy for flaws: another level, range or sensor, or more time for sensors to settle."""
+    """Return a remedy for flaws, as a sentence without full stop: another level, range or sensor, or time to settle."""
     reasons = {flaw.reason for flaw in all_flaws}
     limits = []
     for name in dict.fromkeys(flaw.channel for flaw in all_flaws if flaw.reason == "overloaded"):
@@ -100,7 +100,7 @@ def remedy(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
 
 
 def settling_flaws(rec: Recording, names: Sequence[str], first: int, stop: int, lowest: float) -> list[Flaw]:
-    """Find the beginning of a test in which a channel's bias has not settled.
+    """Return a flaw at the beginning of a test for each channel whose bias has not settled there.
 
     `lowest`: lowest excited frequency, Hz. The motion has a zero mean over its period. A mean that differs from later
     means is therefore an error of the sensor, which in a reference channel is an apparent force.
@@ -112,15 +112,15 @@ def settling_flaws(rec: Recording, names: Sequence[str], first: int, stop: int, 
     blocks = [(first + k * size, first + (k + 1) * size) for k in range(count)]
     settled = np.unique(np.linspace(count // 2, count - 1, _SETTLED_BLOCKS).astype(int))
     means = [_means(block) for block in read_slices(rec, names, [blocks[k] for k in settled])]
-    # A channel without any valid sample has no result; the masked array avoids numpy's warning.
+    # A channel without any valid sample has no mean; the masked array avoids numpy's warning.
     settled_means = np.ma.masked_invalid(means)
     mean, scatter = settled_means.mean(axis=0).filled(np.nan), settled_means.std(axis=0).filled(np.nan)
     drift_blocks, blocks_in_a_row = np.zeros(len(names), dtype=int), np.zeros(len(names), dtype=int)
     settled_channels = np.zeros(len(names), dtype=bool)
     for number, block in enumerate(read_slices(rec, names, blocks[: count // 2]), 1):
-        drifting = abs(_means(block) - mean) > _DRIFT_SIGMAS * scatter
-        drift_blocks = np.where(drifting & ~settled_channels, number, drift_blocks)
-        blocks_in_a_row = np.where(drifting, 0, blocks_in_a_row + 1)
+        is_drifting = abs(_means(block) - mean) > _DRIFT_SIGMAS * scatter
+        drift_blocks = np.where(is_drifting & ~settled_channels, number, drift_blocks)
+        blocks_in_a_row = np.where(is_drifting, 0, blocks_in_a_row + 1)
         settled_channels |= blocks_in_a_row >= _SETTLED_IN_A_ROW
         if settled_channels.all():
             break
@@ -132,4 +132,5 @@ def settling_flaws(rec: Recording, names: Sequence[str], first: int, stop: int, 
 
 
 def _means(block: Array) -> Array:
+    """Return the mean of each channel's valid samples, shape (channels,); NaN without any."""
     return np.array([np.nanmean(row) if np.isfinite(row).any() else np.nan for row in block])

@@ -13,7 +13,7 @@ import numpy as np
 from daq.importing.driving_power import returns_energy
 from rig.results.response import Response
 
-# Only points with a smaller relative uncertainty are evaluated.
+# Largest relative uncertainty of points that are evaluated.
 _MAX_UNCERTAINTY = 0.3
 # A step of a curve is a jump if it exceeds each of three limits: an absolute value (nepers or radians), a multiple
 # of the steps on either side, and a multiple of its standard error.
@@ -34,26 +34,27 @@ def reversed_force(curves: Sequence[Response]) -> str:
     return (
         f"{names}: the phase at the driving point is that of a reversed channel (+90° instead of -90° at resonances): "
         "the structure would supply energy. Reverse the force, or this response if only it is wrong: "
-        "sign: -1 in the table of `daq import`, or turn the sensor round."
+        "give sign: -1 in the table of `daq import`, or turn the sensor round."
     )
 
 
 def absorbs_power(curve: Response) -> bool:
     """Return whether the reference absorbs power from the structure at the resonances of a driving-point response."""
     mobility = curve.to("velocity").sorted()
-    size = abs(mobility.value)
-    valid = np.isfinite(size) & (size > 0.0) & (np.nan_to_num(mobility.bound()) < _MAX_UNCERTAINTY * size)
-    frequency = np.log(mobility.frequency[valid])
-    spread = frequency.size > 1 and np.ptp(frequency) > 0.0
-    width = np.gradient(frequency) if spread else np.ones(frequency.size)
+    magnitude = abs(mobility.value)
+    is_precise = np.nan_to_num(mobility.bound()) < _MAX_UNCERTAINTY * magnitude
+    valid = np.isfinite(magnitude) & (magnitude > 0.0) & is_precise
+    log_frequency = np.log(mobility.frequency[valid])
+    has_several = log_frequency.size > 1 and np.ptp(log_frequency) > 0.0
+    width = np.gradient(log_frequency) if has_several else np.ones(log_frequency.size)
     return returns_energy(mobility.value[valid] * width)
 
 
 def jumps(frf: Response) -> list[tuple[float, str]]:
     """Find the frequencies at which a curve jumps from one branch to another.
 
-    `frf`: points in the order measured. Returns mean frequency of the two points in Hz, and ``"jump up"`` or ``"jump
-    down"`` in the order measured.
+    `frf`: points in the order of measurement. Returns the mean frequency of the two points, Hz, and ``"jump up"`` or
+    ``"jump down"`` in this order.
 
     >>> f = np.linspace(10.0, 20.0, 11)
     >>> value = np.where(f < 14.5, 1.0 + 0.02 * f, 0.5 + 0.02 * f).astype(complex)
@@ -63,10 +64,11 @@ def jumps(frf: Response) -> list[tuple[float, str]]:
     """
     if frf.frequency.size < 4:
         return []
-    steps = np.log(frf.value[1:] / frf.value[:-1])
-    step, width = abs(steps), np.maximum(abs(np.diff(frf.frequency)), 1e-12)
+    log_steps = np.log(frf.value[1:] / frf.value[:-1])
+    step, width = abs(log_steps), np.maximum(abs(np.diff(frf.frequency)), 1e-12)
     # Expected steps over the same width, from the slopes on either side.
-    before, after = (np.append(0.0, (step / width)[:-1]) * width, np.append((step / width)[1:], 0.0) * width)
+    slope = step / width
+    before, after = np.append(0.0, slope[:-1]) * width, np.append(slope[1:], 0.0) * width
     # Without an error bar a step cannot be distinguished from noise.
     relative = np.nan_to_num(frf.error / abs(frf.value), nan=np.inf)
     noise = np.hypot(relative[1:], relative[:-1])
@@ -74,6 +76,6 @@ def jumps(frf: Response) -> list[tuple[float, str]]:
         (step > _MIN_STEP) & (step > _MIN_RATIO_TO_NEIGHBORS * np.maximum(before, after)) & (step > _MIN_SIGMAS * noise)
     )
     return [
-        (float(0.5 * (frf.frequency[i] + frf.frequency[i + 1])), "jump up" if steps[i].real > 0 else "jump down")
+        (float(0.5 * (frf.frequency[i] + frf.frequency[i + 1])), "jump up" if log_steps[i].real > 0 else "jump down")
         for i in np.flatnonzero(is_jump)
     ]

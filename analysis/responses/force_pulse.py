@@ -13,43 +13,48 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
 
 
-# The force window stays open for this time after the last sample of the hit, and tapers over an equal time.
+# Time for which the force window is 1 after the last sample of the hit, and duration of its taper.
 TAPER_S = 2e-3
-# Fast poles ring after the hit. The window stays open for this number of their time constants.
+# Additional time for the ringing of fast poles, in their time constants.
 _RINGING_TIME_CONSTANTS = 7.0
 
 
 def isolate_pulse(info: ChannelInfo, force: Array, first: int, last: int) -> Array:
-    """Remove all but the hit, samples `first` to `last`, from a force channel in N, and invert its high-pass filters.
+    """Return the readings of a force channel, N, with its high-pass filters inverted, and zero outside the hit.
+
+    `first`, `last`: first and last sample of the hit.
 
     Sensor discharge and AC coupling of amplifier and converter add a long, small tail of opposite sign to a pulse. The
     tail is part of the signal and may be longer than the recording. The high-pass filters are therefore inverted first,
     and the window then removes the noise. `high_passes` returns their effect on the spectrum of the result.
     """
-    slow, fast = slow_and_fast(info)
-    ringing_s = _RINGING_TIME_CONSTANTS / min((abs(pole.real) for pole in fast), default=np.inf)
+    slow_poles, fast_poles = slow_and_fast(info)
+    ringing_s = _RINGING_TIME_CONSTANTS / min((abs(pole.real) for pole in fast_poles), default=np.inf)
     n_taper = max(2, int(TAPER_S * info.rate))
     taper_start = min(last + 1 + int(np.ceil(ringing_s * info.rate)) + n_taper, force.size)
     stop = min(taper_start + n_taper, force.size)
-    out = np.zeros(force.size, dtype=complex)
-    out[first:stop] = force[first:stop]
-    for numerator, denominator in (_high_pass(pole, info.rate) for pole in slow):
-        out[:stop] = scipy.signal.lfilter(denominator, numerator, out[:stop])
-    out[taper_start:stop] *= 0.5 + 0.5 * np.cos(np.pi * np.arange(1, stop - taper_start + 1) / (n_taper + 1))
+    pulse = np.zeros(force.size, dtype=complex)
+    pulse[first:stop] = force[first:stop]
+    for numerator, denominator in (_high_pass(pole, info.rate) for pole in slow_poles):
+        pulse[:stop] = scipy.signal.lfilter(denominator, numerator, pulse[:stop])
+    pulse[taper_start:stop] *= 0.5 + 0.5 * np.cos(np.pi * np.arange(1, stop - taper_start + 1) / (n_taper + 1))
     # Complex poles occur in conjugate pairs, so the imaginary part is rounding.
-    return np.ascontiguousarray(out.real)
+    return np.ascontiguousarray(pulse.real)
 
 
 def high_passes(info: ChannelInfo, frequency: Array) -> ComplexArray:
     """Compute the frequency response of the high-pass filters that `isolate_pulse` inverts; frequencies in Hz."""
-    out = np.ones(frequency.size, dtype=complex)
+    response = np.ones(frequency.size, dtype=complex)
     for pole in slow_and_fast(info)[0]:
-        out *= scipy.signal.freqz(*_high_pass(pole, info.rate), frequency, fs=info.rate)[1]
-    return out
+        response *= scipy.signal.freqz(*_high_pass(pole, info.rate), frequency, fs=info.rate)[1]
+    return response
 
 
 def slow_and_fast(info: ChannelInfo) -> tuple[list[complex], list[complex]]:
-    """Return the poles of the high-pass filters, the slowest, one for each zero at 0 Hz, and all other poles."""
+    """Return the poles of the high-pass filters, which are the slowest, and all other poles.
+
+    A channel has as many high-pass filters as zeros at 0 Hz.
+    """
     poles = sorted((pole for pole in info.poles if pole), key=abs)
     count = sum(1 for zero in info.zeros if zero == 0)
     return poles[:count], poles[count:]

@@ -30,12 +30,12 @@ _KINDS_WITHOUT_ESTIMATOR = (TestKind.NONE, TestKind.FREE)
 
 @dataclass(frozen=True)
 class Blocks:
-    """User options for block averaging."""
+    """User options for block averaging; None: the default of the kind of test."""
 
-    estimator: str | None = None
-    block: float | None = None
-    overlap: float | None = None
-    window: str | None = None
+    estimator: str | None = None  # H1, H2 or Hv
+    block: float | None = None  # length of a block, s
+    overlap: float | None = None  # share of a block
+    window: str | None = None  # name in `scipy.signal.get_window`
 
     def __post_init__(self) -> None:
         if self.estimator not in (None, *ESTIMATORS):
@@ -51,26 +51,25 @@ class Request:
     """Requested responses of a recording."""
 
     rec: Recording
-    names: Sequence[str]
-    reference: str
-    motion: str
+    names: Sequence[str]  # channels of the responses
+    reference: str  # force or table
+    motion: str  # quantity of the responses
     blocks: Blocks
     progress: CountProgress | None
-
     channels: Sequence[str]  # of the responses and their reference
     measured: Sequence[Marker]  # markers of the measured intervals
 
     def compute(self, sources: Iterable[Source]) -> list[Response]:
-        """Compute the response of each pass, with all outputs."""
-        out = []
+        """Compute the response of each pass (sweep or test), with all outputs."""
+        computed = []
         for source in sources:
             curves = []
             for n_completed, name in enumerate(self.names, 1):
                 curves.append(source.frf(self.rec, name, self.reference, self.motion))
                 if self.progress is not None:
                     self.progress(n_completed, len(self.names))
-            out.append(stack(annotate(self.rec, curves)))
-        return out
+            computed.append(stack(annotate(self.rec, curves)))
+        return computed
 
 
 class Source(Protocol):

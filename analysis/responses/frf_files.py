@@ -1,4 +1,4 @@
-"""Frequency responses estimated by other programs: Universal Files (58, 58b) and text tables."""
+"""Reading of frequency responses that other programs estimated: Universal Files (58, 58b) and text tables."""
 
 from __future__ import annotations
 
@@ -24,22 +24,23 @@ from rig.results.universal_file import DEVIATION_LINE, FRF, GENERAL, RESOLUTION_
 from rig.scene.quantities import FREQUENCY
 
 ENDINGS = (".uff", ".unv", ".csv", ".txt")
-_PART = re.compile(
+# Heading of a column: name of the response, component, and unit of an angle.
+_COLUMN_NAME = re.compile(
     r"(.*?)[\s_.:,|-]*\b(real|re|imaginary|imag|im|magnitude|mag|amplitude|amp|abs|phase|arg)"
     r"[\s_.]*(deg|rad|degrees|°)?",
     re.IGNORECASE,
 )
-# Lines come from a discrete Fourier transform if the relative spread of their spacing is smaller; the digits of a table
-# cause a small spread.
+# Largest relative spread of the line spacing of a discrete Fourier transform, due to the digits of a table.
 _MAX_SPACING_SPREAD = 0.05
-# Files do not state the window. Most programs use a Hann window, whose noise bandwidth is 1.5 lines.
+# Assumed noise bandwidth in lines, that of a Hann window, because files do not state the window.
 _HANN_BANDWIDTH_LINES = 1.5
 # Plausible range of the largest magnitude of a response, in SI units; both limits are far from any real structure.
 _MIN_MAGNITUDE = 1e-30
 _MAX_MAGNITUDE = 1e30
-# Lines whose relative frequency difference is below this limit are identical.
+# Smallest relative frequency difference of two distinct lines.
 _MIN_SPACING_RATIO = 1e-9
-_KINDS = {"r": "real", "i": "imag", "m": "size", "a": "size", "p": "phase"}
+# Components of a response by the first letter of their names.
+_COMPONENTS = {"r": "real", "i": "imag", "m": "magnitude", "a": "magnitude", "p": "phase"}
 
 
 def read_frfs(path: str | Path, reference: str | None = None, unit: str | None = None) -> Response:
@@ -104,6 +105,7 @@ def is_frf_file(path: Path) -> bool:
 
 
 def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Response]:
+    """Read the responses to one reference from a Universal File."""
     sets = uff.functions(path)
     frf_sets = [data_set for data_set in sets if int(data_set["func_type"]) == FRF]
     if not frf_sets:
@@ -174,7 +176,9 @@ def _names(sets: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _ratio(where: str, unit: str) -> tuple[str, float]:
-    """Return the motion quantity of a ratio to force, and the SI value of its unit.
+    """Return the motion quantity of a ratio of motion to force, and the SI value of its unit.
+
+    `where`: place in the file, for messages.
 
     >>> _ratio("a", "(1/N)*(m/s²)"), _ratio("a", "(g)/(N)"), _ratio("a", "m/N")
     (('acceleration', 1.0), ('acceleration', 9.80665), ('displacement', 1.0))
@@ -247,25 +251,25 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
         columns = [(signal.name, signal.unit, signal.read(0, signal.samples)) for signal in others]
     if not re.match(r"f|freq|hz", first.name, re.IGNORECASE) or (first.unit and first.unit.lower() != "hz"):
         raise RecordingError(f"{path}: the first column is {first.name!r}; expected frequencies in Hz")
-    parts: dict[str, dict[str, tuple[str, Array]]] = {}
+    components: dict[str, dict[str, tuple[str, Array]]] = {}
     for name, column_unit, values in columns:
-        match = _PART.fullmatch(name)
+        match = _COLUMN_NAME.fullmatch(name)
         if match is None:
             raise RecordingError(f"{path}: column {name!r}; expected names that end in real, imag, magnitude or phase")
-        kind = _KINDS[match[2][0].lower()]
-        parts.setdefault(match[1] or "response", {})[kind] = (match[3] or column_unit, values)
+        component = _COMPONENTS[match[2][0].lower()]
+        components.setdefault(match[1] or "response", {})[component] = (match[3] or column_unit, values)
     curves = []
-    for name, part in parts.items():
-        if part.keys() not in ({"real", "imag"}, {"size", "phase"}):
+    for name, pair in components.items():
+        if pair.keys() not in ({"real", "imag"}, {"magnitude", "phase"}):
             raise RecordingError(
-                f"{path}: {name} has {', '.join(part)}; expected real and imag, or magnitude and phase"
+                f"{path}: {name} has {', '.join(pair)}; expected real and imag, or magnitude and phase"
             )
-        column_unit, first_column = part["real"] if "real" in part else part["size"]
+        column_unit, first_column = pair["real"] if "real" in pair else pair["magnitude"]
         motion, scale = _ratio(f"{path}: {name}", unit or column_unit)
-        if "real" in part:
-            value = first_column + 1j * part["imag"][1]
+        if "real" in pair:
+            value = first_column + 1j * pair["imag"][1]
         else:
-            phase_unit, phase = part["phase"]
+            phase_unit, phase = pair["phase"]
             value = first_column * np.exp(1j * (phase if phase_unit.startswith("rad") else np.radians(phase)))
         curves.append(_curve(path, name, frequency, scale * value, motion))
     return curves
@@ -285,8 +289,8 @@ def _curve(
     lines = _valid_lines(f"{path}: {name}", frequency, value)
     if resolution is None:
         steps = np.diff(frequency[lines])
-        even = steps.size > 0 and np.ptp(steps) < _MAX_SPACING_SPREAD * steps.mean()
-        resolution = _HANN_BANDWIDTH_LINES * float(steps.mean()) if even else 0.0
+        is_even = steps.size > 0 and np.ptp(steps) < _MAX_SPACING_SPREAD * steps.mean()
+        resolution = _HANN_BANDWIDTH_LINES * float(steps.mean()) if is_even else 0.0
 
     def column(values: Array | None) -> Array:
         """Select the valid lines; NaN where the file has no value or an impossible value."""

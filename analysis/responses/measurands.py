@@ -1,4 +1,4 @@
-"""Mechanical quantities from channels: true motion of a point, force in the coil spring."""
+"""Selection of channels, and mechanical quantities computed from them: motion of a point, force on the structure."""
 
 from __future__ import annotations
 
@@ -77,15 +77,15 @@ class Measurand:
         The weights contain the inverse response of sensor, amplifier and converter, and the powers of j omega that
         convert between displacement, velocity and acceleration.
         """
-        out = np.zeros((len(names), frequency.size), dtype=complex)
+        row = np.zeros((len(names), frequency.size), dtype=complex)
         for name, weight in zip(self.channels, self.weights, strict=True):
             info = rec.channels[name]
             factor = weight / info.response(frequency)
             if self.motion in MOTIONS:
                 order = MOTIONS.index(self.motion) - MOTIONS.index(info.quantity)
                 factor = factor * (2j * np.pi * frequency) ** order
-            out[names.index(name)] = factor
-        return out
+            row[names.index(name)] = factor
+        return row
 
 
 def motion_channel(rec: Recording, name: str) -> ChannelInfo:
@@ -178,5 +178,6 @@ def reject_zero_reference(reference: str, amplitude: NDArray[np.generic]) -> Non
 
 
 def _places(rec: Recording) -> str:
+    """List the channels of a recording with their quantities and places, for messages."""
     channels = [f"{name}: {info.quantity} at {info.at}" for name, info in rec.channels.items()]
     return f"it has {', '.join(channels) or 'no channels'}"

@@ -1,4 +1,4 @@
-"""Residual free vibration of the previous step in the measurement window of a tone.
+"""Error of a stepped-sine response by residual free vibration of the previous step.
 
 Noise in the windows may hide a transient that decays slowly and is close to the frequency of the tone. The transient
 is therefore predicted from the response. Around each point, a quotient of two polynomials in frequency is fitted to
@@ -16,17 +16,17 @@ from rig.arrays import Array, ComplexArray
 _POINTS_TWO_POLES = 7
 # Number of points of a local fit with a single pole.
 _POINTS_ONE_POLE = 3
-# A second pole is omitted if the residual with the first is a smaller part of the response.
+# Smallest residual of a fit with one pole, relative to the response, that requires a second pole.
 _MIN_RESIDUAL_RATIO = 1e-3
-# A pole is resolved if the spacing of points is below this multiple of the distance to it.
+# Largest spacing of points that resolves a pole, relative to the distance to it.
 _MAX_SPACING_RATIO = 1.5
-# A resonance at a distance of more half-widths beats with the tone, which is visible in the window itself.
+# Largest distance of a resonance, in half-widths; a farther one beats with the tone, which is visible in the window.
 _MAX_HALF_WIDTHS = 4.0
-# A change below this number of standard uncertainties may be noise.
+# Largest change that may be noise, in standard uncertainties.
 _NOISE_SIGMAS = 4.0
-# A change below this part of the response may be rounding.
+# Largest change that may be rounding, relative to the response.
 _ROUNDING_RATIO = 1e-9
-# The transition to the next tone takes this part of a window; the free vibration begins after it.
+# Duration of the transition to the next tone, relative to the window; the free vibration begins after it.
 _TRANSITION_RATIO = 0.5
 
 
@@ -36,7 +36,7 @@ def ringing(value: ComplexArray, frequency: Array, wait_s: Array, window_s: Arra
     The initial value of a free vibration at the pole s is the difference c of the pole's contributions to the two
     steady responses. It shifts the mean over a window of length L (`window_s`) by
     ``c exp(Re(s) t) |exp(l L) - 1| / |l L|`` after a wait t (`wait_s`), with l = s - i w. The points are in the order
-    of measurement.
+    of measurement; `error`: standard uncertainty of each. All arrays have the shape (points,).
 
     >>> frequency = np.linspace(18.5, 19.5, 25)
     >>> value = 1.0 / (2j * np.pi * frequency - (-1.0 + 2j * np.pi * 19.0))
@@ -51,17 +51,18 @@ def ringing(value: ComplexArray, frequency: Array, wait_s: Array, window_s: Arra
         return deviation
     for k in range(1, frequency.size):
         first = min(max(k - points // 2, 0), frequency.size - points)
-        points_near = slice(first, first + points)
-        if not (np.isfinite(value[points_near]).all() and value[points_near].any()):
+        neighborhood = slice(first, first + points)
+        if not (np.isfinite(value[neighborhood]).all() and value[neighborhood].any()):
             continue
         noise = _NOISE_SIGMAS * float(np.nan_to_num(error[k]))
-        max_residual = max(noise, _MIN_RESIDUAL_RATIO * float(abs(value[points_near]).max()))
-        pole, residue = _local_poles(value[points_near], omega[points_near], omega[k], max_residual)
+        max_residual = max(noise, _MIN_RESIDUAL_RATIO * float(abs(value[neighborhood]).max()))
+        pole, residue = _local_poles(value[neighborhood], omega[neighborhood], omega[k], max_residual)
         distance = 1j * omega[k] - pole
         change = abs(residue) * abs(1.0 / distance - 1.0 / (1j * omega[k - 1] - pole))
-        limit = max(noise, _ROUNDING_RATIO * abs(value[k]))
-        relevant = (pole.real < 0.0) & (abs(distance.imag) < _MAX_HALF_WIDTHS * abs(distance.real)) & (change > limit)
-        relevant &= abs(omega[k] - omega[k - 1]) < _MAX_SPACING_RATIO * abs(distance)
+        is_near = abs(distance.imag) < _MAX_HALF_WIDTHS * abs(distance.real)
+        is_resolved = abs(omega[k] - omega[k - 1]) < _MAX_SPACING_RATIO * abs(distance)
+        is_significant = change > max(noise, _ROUNDING_RATIO * abs(value[k]))
+        relevant = (pole.real < 0.0) & is_near & is_resolved & is_significant
         wait = max(wait_s[k] - _TRANSITION_RATIO * window_s[k], 0.0)
         exponent = -distance[relevant] * window_s[k]
         amplitude = change[relevant] * np.exp(pole[relevant].real * wait)

@@ -21,15 +21,15 @@ from scipy import special
 
 from rig.arrays import Array, ComplexArray
 
-# Larger ratios of variances mean that one of the two has no noise.
+# Limit of the ratio of two variances, one of which may be zero.
 _MAX_RATIO = 1e30
-# Newton's method for the inverse of the trigamma function converges from below within this number of iterations.
+# Number of iterations within which Newton's method for the inverse of the trigamma function converges from below.
 _ITERATIONS = 20
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """Random deviation of means at some lines."""
+    """Random deviation of the channels' means at each line."""
 
     # factor S: the covariance of channels i and j is the sum over rows of ``S_i conj(S_j)``; complex, shape
     # (rows, channels, lines)
@@ -56,7 +56,7 @@ class Scatter:
 
 
 def stacked(parts: list[ComplexArray]) -> ComplexArray:
-    """Join factors of single lines, each of shape (rows, channels), padded with rows of zeros.
+    """Join the factors S of single lines, each of shape (rows, channels), padded with rows of zeros.
 
     >>> stacked([np.ones((1, 2)) + 0j, np.ones((3, 2)) + 0j]).shape
     (3, 2, 2)
@@ -68,14 +68,15 @@ def stacked(parts: list[ComplexArray]) -> ComplexArray:
 def moderate(variance: Array, degrees: Array, expected: Array, side: int) -> tuple[Array, Array]:
     """Moderate variances by the variances of `side` lines on either side; return them with their degrees of freedom.
 
-    The logarithms of ``variance / expected`` scatter between lines because of the finite degrees of freedom and because
-    the true ratios differ. The more similar the true ratios, the greater the weight of neighboring lines.
+    `expected`: variances up to a common factor, such as local means. The logarithms of ``variance / expected`` scatter
+    between lines because of the finite degrees of freedom and because the true ratios differ. The more similar the
+    true ratios, the greater the weight of neighboring lines. All arrays have the shape (lines,).
 
     >>> random = np.random.default_rng(1)
-    >>> alone = random.chisquare(2.0, 400) / 2.0
-    >>> better, degrees = moderate(alone, np.full(400, 2.0), np.ones(400), 12)
-    >>> f"least {alone.min():.3f} and {better.min():.2f}, {degrees[0]:.0f} degrees of freedom"
-    'least 0.007 and 0.52, 50 degrees of freedom'
+    >>> variance = random.chisquare(2.0, 400) / 2.0
+    >>> moderated, degrees = moderate(variance, np.full(400, 2.0), np.ones(400), 12)
+    >>> f"smallest: {variance.min():.3f} and {moderated.min():.2f}, {degrees[0]:.0f} degrees of freedom"
+    'smallest: 0.007 and 0.52, 50 degrees of freedom'
     """
     if variance.size < 2 or not (np.isfinite(variance).all() and np.all(expected > 0.0)):
         return variance, degrees
@@ -83,12 +84,17 @@ def moderate(variance: Array, degrees: Array, expected: Array, side: int) -> tup
     logarithm = np.log(np.clip(variance / expected, 1.0 / _MAX_RATIO, _MAX_RATIO))
     logarithm += np.log(half_degrees) - special.digamma(half_degrees)
     local_mean = scipy.ndimage.uniform_filter1d(logarithm, 2 * side + 1, mode="nearest")
-    spread = float(np.mean(np.square(logarithm - local_mean)) * width / (width - 1.0))
-    noise = float(np.mean(special.polygamma(1, half_degrees)))
-    limit = (width - 1.0) * degrees
-    prior = limit if spread <= noise else np.minimum(2.0 * _inverse_trigamma(spread - noise), limit)
-    moderated = (prior * expected * np.exp(local_mean) + degrees * variance) / (prior + degrees)
-    return np.asarray(moderated), np.asarray(prior + degrees)
+    observed_scatter = float(np.mean(np.square(logarithm - local_mean)) * width / (width - 1.0))
+    # Scatter due to the finite degrees of freedom; the rest is due to differences of the true ratios.
+    chance_scatter = float(np.mean(special.polygamma(1, half_degrees)))
+    max_prior_degrees = (width - 1.0) * degrees
+    prior_degrees = (
+        max_prior_degrees
+        if observed_scatter <= chance_scatter
+        else np.minimum(2.0 * _inverse_trigamma(observed_scatter - chance_scatter), max_prior_degrees)
+    )
+    moderated = (prior_degrees * expected * np.exp(local_mean) + degrees * variance) / (prior_degrees + degrees)
+    return np.asarray(moderated), np.asarray(prior_degrees + degrees)
 
 
 def _inverse_trigamma(value: float) -> float:

@@ -1,6 +1,7 @@
 """Stepped sine and constant tones: lock-in detection over every window marked as measured.
 
-A tone, its harmonics, offset and slope are fitted by least squares over whole periods of a window.
+A tone, its harmonics, offset and slope are fitted by least squares over whole periods of a *window*. A window is split
+into *parts*, whose scatter determines the uncertainty.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 HARMONICS = 10
 # Largest number of parts of a window, whose scatter determines the uncertainty of its mean.
 PARTS = 20
-# A transient below this part of the tolerance of settling is not detectable in the parts of a window.
+# Largest transient that is not detectable in the parts of a window, relative to the tolerance of settling.
 _UNDETECTED_TRANSIENT = 0.05
 # Reason for the omission of a window.
 _TOO_SHORT = "shorter than a period"
@@ -63,10 +64,10 @@ class ToneFit:
 
 @dataclass(frozen=True)
 class _Part:
-    """A part of the window: its samples `first` to `first + length`, and the least-squares fit to them alone."""
+    """A part of the window, and the least-squares fit to it alone."""
 
-    first: int
-    length: int
+    first: int  # first sample
+    length: int  # samples
     projection: Array  # products of the fitted terms with the samples, shape (terms, channels)
     coefficients: Array  # coefficients of the fit to this part, shape (terms, channels)
     residual: Array  # its sum of squares, shape (channels,)
@@ -77,7 +78,8 @@ class LockIn:
     """Lock-in detection of a tone and its harmonics, with samples added part by part.
 
     All parts have a common fit; the deviation of each part from it determines the scatter. The normal equations of
-    each part are stored, but not its samples.
+    each part are stored, but not its samples. `frequency`: of the tone, Hz; `rate`: samples per second; `harmonics`:
+    largest number of harmonics including the tone.
 
     >>> t = np.arange(4000) / 5120.0
     >>> lockin = LockIn(10.0, 5120.0, harmonics=3)
@@ -121,16 +123,17 @@ class LockIn:
 
     def tone(self) -> ToneFit:
         """Solve for the amplitudes over all parts added so far."""
-        size = 2 * self.harmonics + 2
+        n_terms = 2 * self.harmonics + 2
         firsts = np.array([part.first for part in self._parts])
         lengths = np.array([part.length for part in self._parts])
         projections = np.stack([part.projection for part in self._parts])
-        to_local = self._to_local(firsts, lengths)
+        window_to_part = self._window_to_part(firsts, lengths)
         grams, factors = (np.stack([self._gram(part.length)[index] for part in self._parts]) for index in range(2))
-        normal = (to_local.mT @ grams @ to_local).sum(axis=0)
-        solution = linalg.solve(normal, (to_local.mT @ projections).sum(axis=0), assume_a="pos")
+        normal_matrix = (window_to_part.mT @ grams @ window_to_part).sum(axis=0)
+        solution = linalg.solve(normal_matrix, (window_to_part.mT @ projections).sum(axis=0), assume_a="pos")
         amplitude = (solution[2::2] + 1j * solution[3::2]).T
-        common = to_local @ solution
+        # Coefficients of the common fit, for each part.
+        common = window_to_part @ solution
         # Offset and slope of a single part are nearly collinear with its tone, which would increase the scatter.
         # Only the residual of the common fit is therefore fitted, by the tones of the part alone.
         residual = (projections - grams @ common)[:, 2:]
@@ -143,14 +146,14 @@ class LockIn:
         # Residual of the common fit: residual of the part's own fit, and the difference of the two fits.
         deviation = factors.mT @ (np.stack([part.coefficients for part in self._parts]) - common)
         squares = np.sum([part.residual for part in self._parts], axis=0) + np.sum(np.square(deviation), axis=(0, 1))
-        return ToneFit(self.frequency, amplitude, parts, np.sqrt(squares / max(self._samples - size, 1)))
+        return ToneFit(self.frequency, amplitude, parts, np.sqrt(squares / max(self._samples - n_terms, 1)))
 
     def _edges(self, firsts: NDArray[np.int64], lengths: NDArray[np.int64], fits: Array) -> tuple[Array, Array]:
         """Return the sample at each edge of the parts, and the share of its residual that the part lacks.
 
-        Shapes (parts + 1,) and (parts + 1, channels); `fits`: the common fit of each part. The edges of parts are
-        rounded to samples, those of whole periods lie between two. Without this share, each part would contain another
-        fraction of the harmonics that are not fitted.
+        The shapes are (parts + 1,) and (parts + 1, channels); `fits`: coefficients of the common fit for each part. The
+        edges of parts are rounded to samples, but those of whole periods lie between two samples. Without this share,
+        each part would contain another fraction of the harmonics that are not fitted.
         """
         edges = np.append(firsts, self._samples)
         period = self.rate / self.frequency
@@ -162,8 +165,8 @@ class LockIn:
         ends = np.stack([part.ends for part in self._parts])[rows, np.where(after, 0, 1)]
         terms = np.column_stack([np.ones(edges.size), np.where(after, -1.0, 1.0), self._tones(samples)])
         residual = ends - (terms[:, None] @ fits[rows])[:, 0]
-        rounded = (np.abs(missing) > 0.0) & (np.abs(missing) <= 0.5)
-        return firsts[rows] + samples, np.where(rounded[:, None], missing[:, None] * residual, 0.0)
+        is_rounded = (np.abs(missing) > 0.0) & (np.abs(missing) <= 0.5)
+        return firsts[rows] + samples, np.where(is_rounded[:, None], missing[:, None] * residual, 0.0)
 
     def _tones(self, samples: NDArray[np.int64]) -> Array:
         """Return the rows cos k, -sin k of the tones at samples, shape (samples, 2 harmonics)."""
@@ -212,7 +215,7 @@ class LockIn:
         matrices[:, row, row], matrices[:, row, row + 1] = cos, -minus_sin
         matrices[:, row + 1, row], matrices[:, row + 1, row + 1] = minus_sin, cos
 
-    def _to_local(self, firsts: NDArray[np.int64], lengths: NDArray[np.int64]) -> Array:
+    def _window_to_part(self, firsts: NDArray[np.int64], lengths: NDArray[np.int64]) -> Array:
         """Return matrices from the coefficients of the whole window to those of parts from the samples `firsts` on."""
         matrices = np.zeros((firsts.size, 2 * self.harmonics + 2, 2 * self.harmonics + 2))
         # The slope of the window begins at 0 and increases by 1 per sample; that of a part ranges from -1 to 1.
@@ -246,7 +249,7 @@ def parts_of_whole_periods(
     return list(pairwise(edges))
 
 
-# Level and direction of a sweep.
+# Level, N, and direction of a sweep.
 _Setting = tuple[float, str]
 
 
@@ -345,30 +348,31 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
 def _notes(key: _Setting, points: list[_Point], omissions: list[_Omission], several: bool) -> list[str]:
     """Describe the discarded frequencies of a sweep, with reasons, and those without steady-state motion."""
     setting = f"{format_number(key[0])} N {key[1]}: " if several else ""
-    out = []
+    notes = []
     for reason in dict.fromkeys(omission.reason for omission in omissions):
         group = [omission for omission in omissions if omission.reason == reason]
         low, high = (limit(omission.frequency for omission in group) for limit in (min, max))
         if len(group) == 1:
-            out.append(f"{setting}{low:.4g} Hz left out: {group[0].details} in its window.")
+            notes.append(f"{setting}{low:.4g} Hz left out: {group[0].details} in its window.")
         elif low == high:
-            out.append(f"{setting}{low:.4g} Hz left out {len(group)} times: {reason} in their windows.")
+            notes.append(f"{setting}{low:.4g} Hz left out {len(group)} times: {reason} in their windows.")
         else:
             frequencies = f"{len(group)} frequencies from {low:.4g} to {high:.4g} Hz"
-            out.append(f"{setting}{frequencies} left out: {reason} in their windows.")
+            notes.append(f"{setting}{frequencies} left out: {reason} in their windows.")
     if not points:
-        out.append(f"{setting}no frequency of this sweep is usable.")
+        notes.append(f"{setting}no frequency of this sweep is usable.")
     unsteady = [not point.steady for point in points]
     if any(unsteady):
         frequencies = format_frequencies([point.tone.frequency for point in points], unsteady)
-        out.append(
+        notes.append(
             f"{setting}No steady state at {frequencies}: these points are marked. The motion is irregular or needs a "
             "longer test.settle."
         )
-    return out
+    return notes
 
 
 def _reason_without_result(rec: Recording, reasons: list[str]) -> str:
+    """Describe why no window was evaluated, and the remedy; `reasons`: those of the omitted windows."""
     duration = f"{rec.samples / rec.rate:.3g} s"
     for marker in rec.markers:
         if marker.kind == "abort":
@@ -402,6 +406,7 @@ def _sweep(
     several: bool,
     names: tuple[str, ...],
 ) -> Sweep:
+    """Combine the windows of one level and direction to a sweep."""
     level, direction = key
     tones = tuple(point.tone for point in points)
     windows = np.array([point.window for point in points])

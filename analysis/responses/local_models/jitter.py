@@ -16,10 +16,9 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Coverage factor: a normal error exceeds it with less than 5 % probability, an error with two components with less
-# than 2 %.
+# Coverage factor, which a normal error exceeds with a probability below 5 %, one with two components below 2 %.
 _COVERAGE = 2.0
-# A quotient of two polynomials has the curvature of a polynomial whose order is the sum of both orders.
+# Order of a polynomial with the curvature of the fitted quotient: the sum of the orders of its two polynomials.
 _FIT_ORDER = 2 * ORDER
 
 
@@ -29,7 +28,7 @@ def jitter_factor(rec: Recording, names: Sequence[str], hits: Sequence[tuple[int
     A sample with a delay t has an error of t times the slope of its signal. Slopes are steepest during a hit and
     shortly after it. The errors of these samples are as smooth over the lines as the response, so that the scatter does
     not show them. Each sample is weighted by its effect on a local fit to `side` lines on either side. All channels
-    have the same delay.
+    have the same delay. `hits`: first and last sample of each hit; `size`: samples of the Fourier transform.
     """
     deviation = (rec.scene.converter.jitter or 0.0) * rec.rate
     factor = np.zeros((0, len(names)))

@@ -1,4 +1,4 @@
-"""Spectra of segments of a recording, and their response by the local rational method."""
+"""Spectra of segments of a recording, and responses with their uncertainty by the local rational method."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Resolved lines on either side that a local fit uses.
+# Number of resolved lines on either side of a line that a local fit uses.
 SIDE = 12
 
 
@@ -43,7 +43,7 @@ class LocalSpectra:
     """Spectra of segments, without windows."""
 
     channels: tuple[str, ...]
-    samples: ComplexArray  # complex, shape (segments, channels, bins)
+    samples: ComplexArray  # spectra of the channels as recorded, shape (segments, channels, bins)
     ends: ComplexArray  # as in `local_fit`; complex, shape (segments, bins)
     frequency: Array  # Hz; shape (bins,)
     lines: NDArray[np.int64]  # bins at which the response is estimated; shape (lines,)
@@ -118,20 +118,20 @@ class LocalSpectra:
         reference_limits = []
         if noise.any():
             # The relative change of the fit by noise of the reference is the effective uncertainty of the reference.
+            # If the fitted value is zero, the whole reference may be noise.
             squared = abs(main_fit.value) ** 2
-            # Without a fit, the whole reference may be noise.
             noise_ratio = np.full(squared.shape, np.inf)
             np.divide(2.0 * main_fit.noise_gain * noise, squared, out=noise_ratio, where=squared > 0.0)
             reference_limits.append(np.sqrt(POWER_RATIO_95 * noise_ratio))
         if reference_noise is None:
-            incoherent = reference_noise_part(value, main_fit.coherence)
+            noise_bias = reference_noise_part(value, main_fit.coherence)
             if len(denominator.channels) > 1:
                 power = np.minimum(self._power(force, 1), self._power(force, self.side)) * main_fit.independent
                 channel_noise = self._reference_noise(rec, denominator)
-                incoherent = np.maximum(
-                    incoherent, shared_noise_part(channel_noise, difference, reference_weights, power)
+                noise_bias = np.maximum(
+                    noise_bias, shared_noise_part(channel_noise, difference, reference_weights, power)
                 )
-            limits[REFERENCE_NOISE] = incoherent
+            limits[REFERENCE_NOISE] = noise_bias
             common = np.zeros(frequency.size, dtype=complex)
         else:
             variance, common = variance + abs(value) ** 2 * reference_noise, value * np.sqrt(reference_noise)
@@ -185,7 +185,7 @@ class LocalSpectra:
         return np.asarray(scipy.ndimage.uniform_filter1d(np.mean(abs(spectra) ** 2, axis=0), 2 * side + 1)[self.lines])
 
     def _fit(self, rec: Recording, name: str, to: Measurand) -> LocalFit:
-        """Fit the response of a channel's measured quantity to a measurand."""
+        """Fit the response of a channel's measured quantity to a measurand; the fit is stored."""
         if (name, to) not in self.fits:
             reading = self.reading(rec, name)
             side = min(self.side, (self.frequency.size - 1) // 2)

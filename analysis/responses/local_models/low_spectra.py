@@ -1,4 +1,4 @@
-"""Spectra of a long segment at its lowest frequencies; a test usually excites only a small part of the band.
+"""Spectra of a long segment at its lowest frequencies, because a test usually excites only a small part of the band.
 
 Higher frequencies are removed by a low-pass filter before decimation, and the spectrum is divided by the filter's
 response (Crochiere and Rabiner, Multirate Digital Signal Processing, 1983, chapter 2). Memory hardly depends on the
@@ -27,16 +27,17 @@ _MAX_FREQUENCY_RATIO = 0.15
 _FILTER_LENGTH = 24
 # Parameter of its Kaiser window, which attenuates aliasing in these bins by 240 dB.
 _KAISER_BETA = 25.5
-# BLAS computes matrix products of up to this number of multiplications in a single thread, without synchronization.
+# Largest number of multiplications of a matrix product that BLAS computes in a single thread, without synchronization.
 _MAX_MULTIPLICATIONS = 1 << 18
 
 
 def low_spectra(
     rec: Recording, names: Sequence[str], start: int, stop: int, size: int, bins: int
 ) -> tuple[ComplexArray, Array]:
-    """Compute spectra and mean square of a clean segment without its mean, after zeros that extend it to `size`.
+    """Compute spectra and mean square of a clean segment, less its mean and zero-padded at the beginning to `size`.
 
-    The spectra equal those of `numpy.fft.rfft`, shape (channels, bins); the mean squares have the shape (channels,).
+    The spectra equal the first bins of `numpy.fft.rfft`, shape (channels, bins); the mean squares have the shape
+    (channels,).
     """
     max_step = max(1, int(_MAX_FREQUENCY_RATIO * size / bins))
     step = max(divisor for divisor in range(1, max_step + 1) if size % divisor == 0)

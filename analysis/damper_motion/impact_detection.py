@@ -172,14 +172,14 @@ def impacts(
             "Choose another segment, or record at a lower level or with a larger converter range."
         )
     jumps = search.run()
-    largest = max((abs(jump.amplitudes[0]) for jump in jumps), default=0.0 if pulse else np.inf)
+    largest = max((abs(jump.size) for jump in jumps), default=0.0 if pulse else np.inf)
     if largest < _UNCERTAIN_SIGMAS * search.jump_noise:
         second_search = MatchingPursuit(models, readings, valid, noise_floor, rate, _LOW_NOISE_QUANTILE)
         second_jumps = second_search.run()
         if second_search.jump_noise < NOISE_REDUCTION * search.jump_noise:
             search, jumps = second_search, second_jumps
     noise = search.jump_noise
-    fitted = [(item.time, item.time_error, item.amplitudes[0], item.error) for item in jumps]
+    fitted = [(item.time, item.time_error, item.size, item.error) for item in jumps]
     # Times in readings of the search, until they are converted to samples below.
     position, position_error, jump, error = np.array(fitted).reshape(-1, 4).T
     largest = float(abs(jump).max(initial=0.0))

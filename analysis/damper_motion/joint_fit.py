@@ -41,6 +41,21 @@ class Jump:
     time_error: float = np.inf
     """Standard deviation of `time`, samples."""
 
+    @property
+    def size(self) -> float:
+        """Jump of the velocity, m/s."""
+        return float(self.amplitudes[0])
+
+    @property
+    def step(self) -> float:
+        """Step of the acceleration, m/s²."""
+        return float(self.amplitudes[1])
+
+    @property
+    def kink(self) -> float:
+        """Change of the slope of the acceleration, m/s³."""
+        return float(self.amplitudes[2])
+
 
 class Deviations(NamedTuple):
     """Standard deviations of the noise of a reading, and of the Gaussian priors of steps and kinks."""

@@ -159,9 +159,10 @@ class MatchingPursuit:
         for _ in range(_MAX_ROUNDS):
             if not self._subtract_jumps():
                 break
-        for jump in sorted(self.jumps, key=lambda jump: abs(jump.amplitudes[0])):
-            nearest = min(self.jumps, key=lambda other: abs(other.time - jump.time))
-            self._refine(nearest, self.noise(self.noise_quantile))
+        for jump in sorted(self.jumps, key=lambda jump: abs(jump.size)):
+            # An earlier refinement may have replaced the jump by a new fit of it.
+            current = min(self.jumps, key=lambda other: abs(other.time - jump.time))
+            self._refine(current, self.noise(self.noise_quantile))
         lowest_order, smallest_variance = self.model.polynomial_order, np.inf
         for order in (lowest_order, *(lowest_order + increase for increase in _HIGHER_ORDERS)):
             variance = float(np.median(self._residual_squares(order))) / (self.model.window_length - order - 1)
@@ -178,14 +179,13 @@ class MatchingPursuit:
             jump
             for jump in self.jumps
             if self.searchable[self.window_of(jump)]
-            and (contact or abs(jump.amplitudes[0]) > DETECTION_SIGMAS * jump.error)
-            and abs(jump.amplitudes[0]) > _KINK_JUMP_RATIO * abs(jump.amplitudes[2]) * kink_time**2
+            and (contact or abs(jump.size) > DETECTION_SIGMAS * jump.error)
+            and abs(jump.size) > _KINK_JUMP_RATIO * abs(jump.kink) * kink_time**2
         ]
         noise = self.noise()[[self.window_of(jump) for jump in accepted]]
         fitted = estimate_errors(self.residual, self.model, accepted, noise, self.prior)
-        # In the first fit of finite-duration impacts the noise included other impacts, so the threshold is applied
-        # here.
-        return [jump for jump in fitted if not contact or abs(jump.amplitudes[0]) > DETECTION_SIGMAS * jump.error]
+        # The noise of earlier fits included other finite-duration impacts, so their threshold is applied here.
+        return [jump for jump in fitted if not contact or abs(jump.size) > DETECTION_SIGMAS * jump.error]
 
     def _subtract_jumps(self) -> bool:
         """Detect, fit and subtract the largest jump in each neighborhood; return whether a jump was detected."""
@@ -271,7 +271,7 @@ class MatchingPursuit:
 
     @property
     def _detection_limit(self) -> float:
-        return self.detection_limit(self.jump_noise, max((abs(jump.amplitudes[0]) for jump in self.jumps), default=0.0))
+        return self.detection_limit(self.jump_noise, max((abs(jump.size) for jump in self.jumps), default=0.0))
 
     def detection_limit(self, noise: float, largest: float) -> float:
         """Return the smallest jump that is reliably detected, m/s, except next to a larger jump.
@@ -325,14 +325,14 @@ class MatchingPursuit:
         limit, half_window = self._detection_limit, 0.5 * model.window_length
         for first, last in self._unexplained_segments(_UNRESOLVED_LIMIT_RATIO * limit):
             begin, end = first + self.window_offset - half_window, last + self.window_offset + half_window
-            inside = [abs(jump.amplitudes[0]) for jump in self.jumps if begin <= jump.time < end]
+            inside = [abs(jump.size) for jump in self.jumps if begin <= jump.time < end]
             residual_norm = np.linalg.norm(model.readings(self.residual[first : last + model.window_length]))
             if residual_norm > _UNRESOLVED_JUMP_RATIO * max(inside, default=0.0) * model.template_norm:
                 limits.append((begin, end))
         limits += [
             (jump.time - half_window, jump.time + half_window)
             for jump in self.jumps
-            if self._step_exceeds_weight(jump) and abs(jump.amplitudes[0]) > limit
+            if self._step_exceeds_weight(jump) and abs(jump.size) > limit
         ]
         return np.array(limits).reshape(-1, 2)
 
@@ -341,7 +341,7 @@ class MatchingPursuit:
 
         The contact may then have ended early, and the sign of its jump is undetermined.
         """
-        return self.model.contact_samples > 0 and abs(jump.amplitudes[1]) > _MAX_STEP_SIGMAS * self.prior[0]
+        return self.model.contact_samples > 0 and abs(jump.step) > _MAX_STEP_SIGMAS * self.prior[0]
 
     def _search_jointly(self, first: int, last: int, limit: float) -> None:
         """Search for all jumps between two windows jointly; use the set of lower cost, the old or the new."""

@@ -227,10 +227,11 @@ def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
     using generalized linear models, Biometrika 73 (1986)); the larger standard deviation of each unknown is used.
     """
     prior_root = np.diag(1.0 / problem.prior_sd)
-    # Triangular factor of the Jacobian; scores ``J^T r`` of clusters and of systematic errors; squared residuals.
-    triangular, cluster_scores, systematic_scores = np.zeros((0, problem.size)), [prior_root], list[Array]()
+    # A score is the product J^T r of Jacobian and residuals or errors; `triangular` is the R factor of the Jacobian.
+    triangular, score_covariance = np.zeros((0, problem.size)), np.zeros((problem.size, problem.size))
+    cluster_scores: list[Array] = [prior_root]
+    systematic_scores: list[Array] = []
     square, count = 0.0, 0
-    score_covariance = np.zeros((problem.size, problem.size))
     for group in problem.groups:
         jacobian = problem.jacobian(x, [group])[: -problem.size]
         residuals = problem.residual(x, [group])[: -problem.size]
@@ -250,10 +251,10 @@ def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
         columns = [jacobian[cluster == number].T @ residuals[cluster == number] for number in clusters]
         cluster_scores.append(np.stack(columns, axis=1))
     variance = square / max(count - problem.size, 1)
-    # The normal matrix, with the prior, has the inverse F F^T: it converts scores to errors of the unknowns.
     inverse_root = np.linalg.inv(np.linalg.qr(np.concatenate([triangular, prior_root]), mode="r"))
 
     def errors_of_unknowns(scores: Array) -> Array:
+        # Multiplication by the inverse of the normal matrix, which includes the prior.
         return np.asarray(inverse_root @ (inverse_root.T @ scores))
 
     eigenvalues, axes = np.linalg.eigh(score_covariance)

@@ -43,10 +43,10 @@ _MAX_UNCERTAINTY = 0.1
 # of median and mean.
 _MEDIAN_ERROR = 1.4826 * 1.2533
 # Largest distance from the ceiling of a flight that may reach it, relative to the clearance. The accuracy of the height
-# is limited by the motion between samples and by the band limit, which smears the impact.
+# is limited by the motion between samples and by the band limit, which blurs the impact.
 _CEILING_DISTANCE_RATIO = 0.03
-# Number of samples that the band limit smears around an impact.
-_SMEARED_SAMPLES = 2
+# Number of samples around an impact that the band limit blurs.
+_BLURRED_SAMPLES = 2
 
 
 class BodyMotion:
@@ -279,7 +279,7 @@ def may_reach_ceiling(motion: BodyMotion, damper: Damper) -> bool:
     floor = _FloorMotion(displacement, velocity, apparent_gravity, rate, gravity)
     pulse, flights = landing_pulse(motion.rec.scene, motion.info.at, rate), pairwise(impact_sample)
     if pulse is None:
-        heights = [floor.height_from_rest(int(start) + _SMEARED_SAMPLES, int(end)) for start, end in flights]
+        heights = [floor.height_from_rest(int(start) + _BLURRED_SAMPLES, int(end)) for start, end in flights]
     else:
         inelastic_speeds = inelastic_closing_speeds(motion.rec.scene, detected, damper)[is_evaluated]
         closing_speeds = largest_factor * inelastic_speeds[1:] / (1.0 + pulse.restitution)
@@ -324,8 +324,8 @@ class _FloorMotion:
 
     def height_before(self, first: int, end_sample: float, closing_speed: float) -> float:
         """Return the maximum height, m, of a flight after `first` that ends at `end_sample` with a closing speed."""
-        # The backward computation starts at the last sample that the impact does not smear.
-        last = int(end_sample) - _SMEARED_SAMPLES
+        # The backward computation starts at the last sample that is not blurred by the impact.
+        last = int(end_sample) - _BLURRED_SAMPLES
         remaining_time = (end_sample - last) / self.rate
         height = remaining_time * closing_speed - 0.5 * self.apparent_gravity[last] * remaining_time**2
         closing_speed = closing_speed - self.apparent_gravity[last] * remaining_time

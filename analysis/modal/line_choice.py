@@ -13,9 +13,9 @@ from rig.results.response import Response
 
 # Largest number of lines that are all fitted; more are reduced to about half of this number between peaks.
 MAX_LINES = 2000
-# Number of the highest peaks around which lines are kept.
+# Number of the highest peaks around which all lines are selected.
 _MAX_PEAKS = 24
-# Number of lines that are kept around each peak.
+# Number of lines that are selected around each peak.
 _LINES_PER_PEAK = 41
 # Height of the ends of a peak's flanks, relative to the peak.
 _FLANK_RATIO = 0.1

@@ -162,7 +162,7 @@ def impacts(
     quantization_noise = 0.0 if info.volts_per_count is None else info.unit_per_count / 12.0**0.5
     noise_floor = max(quantization_noise, 1e-14 * float(abs(samples).max()))
     if noise_floor == 0.0:
-        raise RecordingError(f"{info.name}: reads zero throughout this segment. Check what it is connected to.")
+        raise RecordingError(f"{info.name}: reads zero throughout this segment. Check its sensor and cable.")
     rate, noise_floor = rec.rate / decimation, noise_floor / decimation**0.5
     readings, valid = _average_groups(samples, decimation), _average_groups(valid_samples, decimation) == 1.0
     search = MatchingPursuit(models, readings, valid, noise_floor, rate, NOISE_QUANTILE)

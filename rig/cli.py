@@ -115,10 +115,10 @@ def explain(
 ) -> None:
     """List expected maxima, effects and states of a scene."""
     import rig
-    from rig.effects.extensions import foresights
+    from rig.effects.extensions import test_predictions
 
     setting = load_scene(scene, changes)
-    for prediction in foresights(setting):
+    for prediction in test_predictions(setting):
         print(f"{prediction}\n")
     print(rig.explain(setting))
     if measure:
@@ -400,7 +400,7 @@ def design(
     """
     from rig.damper_design.design import design as find_design
     from rig.damper_design.figure import describe_check, summary, write
-    from rig.effects.extensions import foresights
+    from rig.effects.extensions import test_predictions
     from rig.output_files import create_folder, file_stem
     from rig.provenance import allow_overwriting, output_source, reject_foreign_files
 
@@ -435,7 +435,7 @@ def design(
     print(setting.structure.relabel(summary(result)))
     report_written(*files, table)
     print(setting.structure.relabel(describe_check(result, files[0])))
-    for prediction in foresights(result.scene):
+    for prediction in test_predictions(result.scene):
         print(f"\n{prediction}")
 
 

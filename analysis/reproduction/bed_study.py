@@ -22,7 +22,7 @@ from analysis.reproduction.store import Arrays
 from analysis.reproduction.stored_table import Row, Table, complete
 from rig.arrays import Array
 from rig.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
-from rig.grain_beds.packing import highest, settled
+from rig.grain_beds.packing import bed_top, settled_positions
 from rig.grain_beds.spheres import rayleigh_time, spheres_of
 from rig.scene.damper import Grains
 from rig.scene.excitation import Sine
@@ -148,7 +148,7 @@ def compare_beds(setting: Setting) -> Row:
     """Simulate the bed of a setting as grains and as one mass; return a row of the table."""
     scene = scene_of_bed(setting)
     (spheres,) = spheres_of(scene).values()
-    depth = highest(spheres, settled(spheres)) / spheres.settings.diameter
+    depth = bed_top(spheres, settled_positions(spheres)) / spheres.settings.diameter
     row = [repr(float(value)) for value in (setting.frequency, setting.level, setting.clearance)]
     row += [str(setting.layers), str(setting.seed), f"{depth:.2f}"]
     block = BLOCK_PERIODS if math.isinf(setting.clearance) else BLOCK_PERIODS_WITH_CEILING

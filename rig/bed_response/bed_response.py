@@ -1,4 +1,7 @@
-"""Beds of grains over frequency, compared with the same beds as one mass; workers compute and store each frequency."""
+"""Steady motion of beds of grains over frequency, compared with the same beds as one mass, for `rig grains`.
+
+A *bed* is the particles of one damper. Worker processes compute the frequencies and store each in a table.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from numpy.typing import NDArray
 from rig.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
 from rig.errors import SceneError
 from rig.grain_beds.lammps_library import lammps_version
-from rig.grain_beds.packing import settled
+from rig.grain_beds.packing import settled_positions
 from rig.grain_beds.spheres import spheres_of
 from rig.progress import CountProgress
 from rig.results import Result, complete_style
@@ -26,15 +29,17 @@ from rig.study import Study, digest
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Periods of a block over which a motion is averaged.
+#: Periods of the drive in a block, over which a motion is averaged.
 PERIODS = 20
 #: Largest number of blocks until the motion is steady.
 MAX_BLOCKS = 20
 
 
-class _Piece(NamedTuple):
+class _Case(NamedTuple):
+    """Arguments of `steady_grains` at one frequency."""
+
     scene: Scene
-    frequency: float
+    frequency: float  # Hz
     periods: int
 
 
@@ -55,22 +60,22 @@ class BedResponse(Result):
     mass: tuple[SteadyBed, ...]
 
     def summary(self) -> str:
-        """Return the largest difference of the two in words."""
+        """Return the largest difference of the compliances with grains and with one mass, in words."""
         grains, mass = (np.abs([each.compliance for each in motions]) for motions in (self.grains, self.mass))
         deviation = mass / grains - 1.0
-        at, body = np.unravel_index(np.argmax(np.abs(deviation)), deviation.shape)
-        steady = [sum(each.steady for each in motions) for motions in (self.grains, self.mass)]
+        k, body = np.unravel_index(np.argmax(np.abs(deviation)), deviation.shape)
+        n_steady = [sum(each.steady for each in motions) for motions in (self.grains, self.mass)]
         return (
-            f"{len(deviation)} frequencies, steady at {steady[0]} of them with grains and at {steady[1]} as one mass; "
-            f"as one mass the compliance is at most {100 * abs(deviation[at, body]):.3g} % "
-            f"{'below' if deviation[at, body] < 0 else 'above'} that with grains (body {body + 1}, "
-            f"{self.frequency[at]:.6g} Hz)"
+            f"{len(deviation)} frequencies, steady at {n_steady[0]} of them with grains and at {n_steady[1]} as one "
+            f"mass; as one mass the compliance is at most {100 * abs(deviation[k, body]):.3g} % "
+            f"{'below' if deviation[k, body] < 0 else 'above'} that with grains (body {body + 1}, "
+            f"{self.frequency[k]:.6g} Hz)"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return all quantities of both models, named with unit and number of the body or bed."""
         table: dict[str, NDArray[Any]] = {"frequency_Hz": self.frequency}
-        for who, motions in (("grains", self.grains), ("mass", self.mass)):
+        for model, motions in (("grains", self.grains), ("mass", self.mass)):
             for name, attribute in (
                 ("compliance_m/N", "compliance"),
                 ("floor_impulse_N*s", "floor_impulse"),
@@ -82,8 +87,8 @@ class BedResponse(Result):
             ):
                 values = np.array([getattr(each, attribute) for each in motions])
                 for row in range(values.shape[1]):
-                    table[f"{who} {name} {row + 1}"] = values[:, row]
-            table[f"{who} steady"] = np.array([each.steady for each in motions])
+                    table[f"{model} {name} {row + 1}"] = values[:, row]
+            table[f"{model} steady"] = np.array([each.steady for each in motions])
         return table
 
     def draw(self, ax: Axes, **style: Any) -> None:
@@ -121,19 +126,19 @@ def bed_response(
         raise SceneError(
             f"scene {scene.name!r} has no bed of grains that can move. Add grains: {{diameter: 2 mm}} to a damper."
         )
-    cases = [_Piece(scene, float(frequency), periods) for frequency in requested]
+    cases = [_Case(scene, float(frequency), periods) for frequency in requested]
 
     def pack() -> None:
-        # Packed here once and stored, the beds are available to all workers.
+        # The beds are packed once and stored, so that all workers can read them.
         for spheres in spheres_of(scene).values():
-            settled(spheres)
+            settled_positions(spheres)
 
     motions = _STUDY.run(cases, table, cluster, progress, pack)
     return BedResponse(requested, tuple(grains for grains, _ in motions), tuple(mass for _, mass in motions))
 
 
 def text(response: BedResponse) -> str:
-    """Return a response as text: grains, and one mass below, for the first bed and the body that moves most."""
+    """Return a response as text: two lines for each frequency, with grains and with one mass."""
     titles = ("floor N s", 12), ("ceiling N s", 12), ("J/period", 11), ("landing", 9), ("flies", 7)
     lines = [f"{'Hz':>9}  {'bed':6}{'m/N':>11}{''.join(f'{title:>{width}}' for title, width in titles)}  type"]
     for frequency, *motions in zip(response.frequency, response.grains, response.mass, strict=True):
@@ -144,15 +149,17 @@ def text(response: BedResponse) -> str:
                 f"{motion.ceiling_impulse[0]:12.4g}{motion.energy[0]:11.4g}{motion.landing[0]:8.1f}°"
                 f"{100 * motion.flight[0]:6.1f}%  {motion.motion_type[0]}{'' if motion.steady else ', not steady'}"
             )
-    return "\n".join([*lines, "m/N: of the body that moves most; the rest: of the first bed", "", response.summary()])
+    return "\n".join(
+        [*lines, "m/N: of the body with the largest motion; other columns: of the first bed", "", response.summary()]
+    )
 
 
-def _compute(case: _Piece) -> tuple[SteadyBed, SteadyBed]:
+def _compute(case: _Case) -> tuple[SteadyBed, SteadyBed]:
     scene, frequency, periods = case
     return steady_grains(scene, frequency, periods, MAX_BLOCKS), steady_mass(scene, frequency)
 
 
-def _key(case: _Piece) -> tuple[str, float]:
+def _key(case: _Case) -> tuple[str, float]:
     inputs = case.scene.to_si_yaml(), case.frequency, case.periods, lammps_version()
     return digest(inputs), case.frequency
 
@@ -170,7 +177,7 @@ def _parse_motion(stored: str) -> SteadyBed:
     return SteadyBed(**(values | lists))
 
 
-_STUDY: Study[_Piece, tuple[SteadyBed, SteadyBed]] = Study(
+_STUDY: Study[_Case, tuple[SteadyBed, SteadyBed]] = Study(
     "beds",
     ("question", "frequency_hz", "grains", "mass"),
     _compute,

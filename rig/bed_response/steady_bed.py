@@ -1,4 +1,7 @@
-"""Steady motion of a bed under a tone, and its effect on the structure: as grains, and as one mass."""
+"""Steady motion of beds under a tone, and of the structure with them: with grains, and with each bed as one mass.
+
+A *bed* is the particles of one damper. Grains are simulated in blocks of periods until two blocks agree.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +20,13 @@ from rig.system.assembly import assemble, spring_force_row
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import tone_drive, with_ideal_force
 
-#: Sample intervals in a period.
+#: Sample intervals in a period of the drive.
 _SAMPLES_PER_PERIOD = 50
 #: Largest relative difference of the compliances of two blocks of periods in steady motion.
 MAX_STEADY_CHANGE = 0.01
-#: Periods in which the transient of the mass decays.
+#: Periods in which the transient decays, for beds as one mass.
 _SETTLING_PERIODS = 200
-#: Periods that are averaged after that.
+#: Following periods that are averaged.
 _AVERAGED_PERIODS = 100
 #: Smallest share of a period in flight, or of the weight at a wall, that determines the motion type.
 _MIN_SIGNIFICANT_RATIO = 0.01
@@ -46,7 +49,7 @@ class SteadyBed:
     flight: Array  # share of the time without contact with a wall, shape (beds,)
     motion_type: NDArray[np.str_]  # shape (beds,)
     spread: float  # relative difference of the last two blocks' compliances
-    periods: int  # simulated in total
+    periods: int  # total number of simulated periods
 
     @property
     def steady(self) -> bool:
@@ -77,10 +80,10 @@ def steady_grains(scene: Scene, frequency: float, block: int, max_blocks: int, m
     coupled.set_state(_initial_state(scene, system, frequency, tone.state), drive[:, 0])
     blocks: list[SteadyBed] = []
     while len(blocks) < min_blocks or (not blocks[-1].steady and len(blocks) < max_blocks):
-        trajectory, beds = coupled.march(drive)
+        trajectory, beds = coupled.propagate_steps(drive)
         states, conjugate_factor = trajectory.state[:, : system.states], phase_factor[1:].conj()
         harmonics = 2.0 * (states.T @ conjugate_factor) / steps
-        # Forces at the ends of the steps, as the states are; a periodic motion has the same integrals over both.
+        # Forces and states are those at the ends of the steps; the sums over a period are the integrals.
         force = beds.force[:, :, 1:]
         on_body = -force.sum(axis=1)
         velocity = states[:, system.coordinates + coupled.bodies].T
@@ -171,9 +174,12 @@ def _driving_force(scene: Scene, system: HybridSystem, harmonics: ComplexArray, 
 
 
 def _phase(moment: ComplexArray, amplitudes: ComplexArray) -> Array:
-    """Return the phase of a moment (sum times e^{i w t}) after the rising zero of the drive A e^{i w t}, degrees."""
-    zero = amplitudes[np.argmax(np.abs(amplitudes))] * 1j
-    return np.asarray(np.degrees(np.angle(moment * zero)) % 360.0)
+    """Return the mean phase of a force after the rising zero of the drive Re(A e^{i w t}), degrees.
+
+    `moment`: sum of the force times e^{i w t}; `amplitudes`: A of each input, of which one is not zero.
+    """
+    zero_factor = amplitudes[np.argmax(np.abs(amplitudes))] * 1j
+    return np.asarray(np.degrees(np.angle(moment * zero_factor)) % 360.0)
 
 
 def _motion_types(force: Array, weight: Array) -> NDArray[np.str_]:
@@ -183,10 +189,10 @@ def _motion_types(force: Array, weight: Array) -> NDArray[np.str_]:
     return np.where(ceiling, "II/III", np.where(resting, "riding", "I"))
 
 
-def _relative_change(before: ComplexArray | None, now: ComplexArray) -> float:
-    if before is None:
+def _relative_change(previous: ComplexArray | None, current: ComplexArray) -> float:
+    if previous is None:
         return float("inf")
-    return float(np.abs(now - before).max() / np.abs(now).max())
+    return float(np.abs(current - previous).max() / np.abs(current).max())
 
 
 def _mean(first: SteadyBed, second: SteadyBed) -> SteadyBed:

@@ -1,4 +1,7 @@
-"""CPU time of effects: they are added to the bare structure of a scene one at a time, and measured."""
+"""CPU time of the effects of a scene, for `rig cost`.
+
+The simulation is measured with the structure alone, and again after each further effect of the scene is added.
+"""
 
 from __future__ import annotations
 
@@ -28,14 +31,14 @@ REPEATS = 3
 
 @dataclass(frozen=True)
 class EffectStep:
-    """A scene with some of its effects, to be measured."""
+    """A simulation to be measured: the effects of the previous step, and one more."""
 
     name: str
-    """The effect that this step adds."""
+    """The added effect."""
     states: int  # Total number of states
     start: Callable[[], AbstractContextManager[Callable[[Array], object]]]
-    """Context manager that starts the simulation and returns a function, which advances by drive samples (inputs,
-    samples)."""
+    """Returns a context manager that starts the simulation. Its value is a function that advances the simulation by
+    drive samples of shape (inputs, samples)."""
     drive: Array
     """`SECONDS` + 1 seconds of drive at `rate`; shape (inputs, samples)."""
     rate: float  # Hz
@@ -43,22 +46,22 @@ class EffectStep:
 
 @dataclass(frozen=True)
 class EffectCost:
-    """A measured effect: added states, and CPU time per simulated second [s], total and added."""
+    """Measured cost of an effect."""
 
     name: str
-    states: int
-    total: float
-    added: float
+    states: int  # Number of added states
+    total: float  # CPU time per simulated second with this and all previous effects [s]
+    added: float  # Difference of `total` from that of the previous effect [s]
 
 
 def effect_costs(scene: Scene, progress: Callable[[str], None] | None = None) -> tuple[EffectCost, ...]:
-    """Add a scene's effects one at a time and measure each.
+    """Measure the CPU time of a scene's effects, which are added one at a time.
 
     The order is that of the signal: motion, measurement chain, recording.
     """
     steps: list[EffectStep] = list(motion_steps(scene))
-    for steps_of in registered_functions("shotrig.effect_costs"):
-        steps += steps_of(scene)
+    for registered_steps in registered_functions("shotrig.effect_costs"):
+        steps += registered_steps(scene)
     times = np.full(len(steps), np.inf)
     for repeat in range(REPEATS):
         for k, step in enumerate(steps):
@@ -107,15 +110,17 @@ def motion_steps(scene: Scene) -> Iterator[EffectStep]:
     shaker = scene.driven_shaker
     without_dampers = scene.replace(dampers=(), **channels)
     if shaker is not None and (len(scene.shakers) > 1 or not isinstance(shaker, ForceShaker)):
-        test = None if scene.test is None or not isinstance(scene.test, Impulse) else scene.test
-        yield _step(
-            "structure", without_dampers.replace(shaker=ForceShaker(body=shaker.bodies[0]), test=_of_one_shaker(test))
+        test = scene.test if isinstance(scene.test, Impulse) else None
+        yield _motion_step(
+            "structure",
+            without_dampers.replace(shaker=ForceShaker(body=shaker.bodies[0]), test=_without_shaker_number(test)),
         )
-        yield _step("shaker", without_dampers)
+        yield _motion_step("shaker", without_dampers)
     else:
-        yield _step("structure", without_dampers)
+        yield _motion_step("structure", without_dampers)
     if not scene.dampers:
         return
+    # Settings that are removed from the dampers for each step.
     variants: dict[str, dict[str, object]] = {
         "particle dampers": {"clearance": np.inf, "restitution": 0.0, "contact": None},
         "ceilings": {"restitution": 0.0, "contact": None},
@@ -126,16 +131,16 @@ def motion_steps(scene: Scene) -> Iterator[EffectStep]:
     for name, removed in variants.items():
         dampers = tuple(damper.replace(**removed) for damper in scene.dampers)
         if dampers != previous:
-            yield _step(name, scene.replace(dampers=dampers, **channels))
+            yield _motion_step(name, scene.replace(dampers=dampers, **channels))
         previous = dampers
 
 
-def _of_one_shaker(test: Test | None) -> Test | None:
+def _without_shaker_number(test: Test | None) -> Test | None:
     """Remove the shaker number from a test with only one shaker."""
     return test if getattr(test, "shaker", None) is None else test.replace(shaker=None)  # type: ignore[union-attr]
 
 
-def _step(name: str, scene: Scene) -> EffectStep:
+def _motion_step(name: str, scene: Scene) -> EffectStep:
     rate = scene.converter.sample_rate
 
     def start() -> AbstractContextManager[Callable[[Array], object]]:

@@ -1,4 +1,7 @@
-"""Effects that a scene turns on, and the states that each adds; effects not in the scene are not modeled."""
+"""Effects that a scene turns on, and the number of states that each adds to the simulation, for `rig explain`.
+
+Effects that are not in the scene are not modeled.
+"""
 
 from __future__ import annotations
 
@@ -111,7 +114,7 @@ def explain(scene: SceneLike) -> Explanation:
     Parameters
     ----------
     scene : Scene, str, Path or mapping
-        A scene, or what `rig.load` takes.
+        A scene, or an argument of `rig.load`.
 
     Examples
     --------
@@ -131,8 +134,8 @@ def explain(scene: SceneLike) -> Explanation:
         "coil spring and table",
         "coil current",
     )
-    for effects_of in registered_functions("shotrig.effects"):
-        effects += effects_of(scene)
+    for registered_effects in registered_functions("shotrig.effects"):
+        effects += registered_effects(scene)
     return Explanation(scene.name, tuple(effects), tuple(name for name in possible if name not in names))
 
 
@@ -143,26 +146,26 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
     noun = "body" if bodies == 1 else "bodies"
     form = "by matrices" if scene.structure.matrices is not None else "on springs"
     names = "" if scene.structure.names is None else f" ({', '.join(scene.structure.names[:_MAX_LISTED])})"
-    detail = f"{bodies} {noun} {form}{names}, {_natural_frequencies(scene)}, {_damping(scene)}"
+    detail = f"{bodies} {noun} {form}{names}, {_natural_frequencies_text(scene)}, {_damping_text(scene)}"
     yield Effect("motion", "structure", 2 * bodies, detail)
     if system.coupled and system.dampers:
-        several = np.unique(system.damper_coordinate).size < system.dampers
-        reason = "several dampers in a body" if several else "full mass matrix"
+        share_a_body = np.unique(system.damper_coordinate).size < system.dampers
+        reason = "several dampers in a body" if share_a_body else "full mass matrix"
         yield Effect("motion", "coupled impacts", 0, f"{reason}: all contacts of an instant are solved together")
     for shaker in scene.shakers:
-        yield from _shaker(shaker, scene.structure)
-    yield from _dampers(scene, system)
+        yield from _shaker_effects(shaker, scene.structure)
+    yield from _damper_effects(scene, system)
 
 
-def _natural_frequencies(scene: Scene) -> str:
-    """List the natural frequencies of the structure alone; a wrong unit shows in them."""
+def _natural_frequencies_text(scene: Scene) -> str:
+    """List the natural frequencies of the structure alone, in which a wrong unit is obvious."""
     texts = [f"{frequency:.4g}" for frequency in structural_model(scene).modes.frequency]
     if len(texts) > _MAX_LISTED:
         texts = [*texts[: _MAX_LISTED - 1], "...", texts[-1]]
     return f"{', '.join(texts)} Hz"
 
 
-def _damping(scene: Scene) -> str:
+def _damping_text(scene: Scene) -> str:
     match scene.structure.damping:
         case ModalDamping(modal=ratio):
             ratios = ratio if isinstance(ratio, tuple) else (ratio,)
@@ -175,7 +178,7 @@ def _damping(scene: Scene) -> str:
     return "undamped" if matrices is None or matrices.damping is None else "a damping matrix"
 
 
-def _shaker(shaker: Shaker, structure: Structure) -> Iterable[Effect]:
+def _shaker_effects(shaker: Shaker, structure: Structure) -> Iterable[Effect]:
     bodies = structure.listed(shaker.bodies)
     if isinstance(shaker, ForceShaker):
         yield Effect("motion", "force", 0, f"on {bodies}, nothing attached")
@@ -198,7 +201,7 @@ def _shaker(shaker: Shaker, structure: Structure) -> Iterable[Effect]:
         yield Effect("motion", "amplifier clipping", 0, f"at {shaker.amplifier.limit:.4g} {unit}")
 
 
-def _dampers(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
+def _damper_effects(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
     locked = len(scene.dampers) - system.dampers
     if locked:
         yield Effect("motion", "locked dampers", 0, f"{locked}, part of their bodies' masses")
@@ -228,10 +231,10 @@ def _dampers(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
         ratios = ", ".join(f"{ratio:.3g}" for ratio in system.restitution)
         yield Effect("motion", "restitution", 0, ratios)
     if system.finite_contact.any():
-        yield Effect("motion", "finite-duration contact", 0, "; ".join(_walls(system, scene.structure)))
+        yield Effect("motion", "finite-duration contact", 0, "; ".join(_wall_texts(system, scene.structure)))
 
 
-def _walls(system: HybridSystem, structure: Structure) -> Iterable[str]:
+def _wall_texts(system: HybridSystem, structure: Structure) -> Iterable[str]:
     """Describe floor and ceiling of each damper with finite-duration contact."""
     for j in np.flatnonzero(system.finite_contact):
         texts = []

@@ -1,4 +1,4 @@
-"""Load the functions that other packages register as entry points: effects, cost estimates, test predictions."""
+"""Functions that other packages register as entry points (effects, cost estimates, test predictions), when needed."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from rig.scene.scene import Scene
 
 
 def registered_functions(group: str) -> list[Any]:
-    """Load the functions of a group of entry points, in the order of their names."""
+    """Load the functions of a group of entry points such as "shotrig.effects", in the order of their names."""
     return [point.load() for point in sorted(entry_points(group=group), key=lambda point: point.name)]
 
 
-def foresights(scene: Scene) -> list[str]:
-    """Return each package's predictions about a scene's test, as text."""
+def test_predictions(scene: Scene) -> list[str]:
+    """Return the predictions that each package prints about a scene's test, such as overloads and durations."""
     texts = [predict(scene) for predict in registered_functions("shotrig.foresight")]
     return [text for text in texts if text]

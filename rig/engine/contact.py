@@ -1,9 +1,12 @@
-"""Contact laws: landing, rebound, separation, and their effect on other dampers.
+"""Contact laws of dampers with instant contact: impact, rebound, separation, and their effect on other dampers.
 
 A damper is in `FLIGHT`, or at rest on the `FLOOR` or at the `CEILING` of its cavity. Contact is unilateral: its force
 is never tensile. With a diagonal mass matrix and one damper in each body, every contact is independent. With a full
-mass matrix, or several dampers in a body, an impact may lift other dampers at rest, and all contacts of the instant are
-solved together (`rig.numerics.complementarity`).
+mass matrix, or several dampers in a body, an impact may separate other dampers from their walls. Then all contacts of
+the instant are solved together (`rig.numerics.complementarity`).
+
+A Zeno sequence is an infinite number of ever lower rebounds in a finite time. It ends where a rebound is within
+rounding.
 
 References
 ----------
@@ -17,14 +20,14 @@ from rig.arrays import Array
 from rig.engine.finite_contact import wall_force
 from rig.engine.flow import Flow, Model
 from rig.engine.state import CEILING, FLIGHT, FLOOR, SEPARATION, Log, State, log_event, toggle_contact
-from rig.numerics.complementarity import ROUNDING, ContactWork, complementarity, contact_matrix, solve_active
+from rig.numerics.complementarity import ROUNDING, ContactWorkspace, contact_matrix, solve_active, solve_complementarity
 from rig.numerics.jit import inlined_kernel, kernel
-from rig.numerics.simd import combine
+from rig.numerics.simd import affine_product
 
 
 @inlined_kernel
 def _set_flying(flow: Flow, model: Model, state: State, j: int, speed: float, multiplicity: int) -> None:
-    """Let damper j leave its wall with the given velocity."""
+    """Set damper j, which is at its wall, in flight with a velocity `speed`, m/s."""
     height = state.z[model.position[j]]
     if state.mode[j] == CEILING:
         height += model.clearance[j]
@@ -38,31 +41,32 @@ def _set_flying(flow: Flow, model: Model, state: State, j: int, speed: float, mu
 
 @inlined_kernel
 def separate(flow: Flow, model: Model, state: State, log: Log, j: int, multiplicity: int) -> None:
-    """Let damper j leave its wall at the velocity of the wall."""
+    """Separate damper j from its wall, at the velocity of the wall."""
     _set_flying(flow, model, state, j, state.z[model.velocity[j]], multiplicity)
     log_event(log, j, SEPARATION, 0.0)
 
 
 @inlined_kernel
-def _sign(mode: int) -> float:
+def _contact_direction(mode: int) -> float:
+    """Return the direction in which a wall pushes a damper: 1 (up) for the floor, -1 for the ceiling."""
     return -1.0 if mode == CEILING else 1.0
 
 
 @inlined_kernel
-def _forces(model: Model, state: State, force: Array) -> None:
-    """Sum the forces on every coordinate: of springs, dashpots, drive and finite-duration contacts."""
-    combine(model.force, model.force_constant, 0, state.z, model.force.shape[1], force)
+def _sum_forces(model: Model, state: State, force: Array) -> None:
+    """Sum the forces on every coordinate, N: of springs, dashpots, drive and finite-duration contacts."""
+    affine_product(model.force, model.force_constant, 0, state.z, model.force.shape[1], force)
     for j in range(model.mass.shape[0]):
         if model.bed[j] >= 0 and state.mode[j] != FLIGHT:
-            force[model.bed[j]] += _sign(state.mode[j]) * wall_force(model, state.z, j, state.mode[j])
+            force[model.bed[j]] += _contact_direction(state.mode[j]) * wall_force(model, state.z, j, state.mode[j])
 
 
 @inlined_kernel
-def _rebound_is_negligible(model: Model, state: State, j: int, rebound: float, force: Array) -> bool:
-    """Return whether a rebound is too low to be distinguished from rest on the wall; this ends a Zeno sequence.
+def _rebound_is_negligible(model: Model, state: State, j: int, rebound_speed: float, force: Array) -> bool:
+    """Return whether the height of a rebound is below the rounding of the gap; this ends a Zeno sequence.
 
     With a full mass matrix other contacts also act on the body, so the magnitude of the accelerations is used. A damper
-    that is kept at rest wrongly has a tensile contact force and is released immediately.
+    that is wrongly set to rest has a tensile contact force and is released immediately.
     """
     row = model.position[j]
     if model.coupled:
@@ -70,23 +74,26 @@ def _rebound_is_negligible(model: Model, state: State, j: int, rebound: float, f
         for c in range(model.inverse_mass.shape[0]):
             approach_acceleration += abs(model.inverse_mass[row, c] * force[c])
     else:
-        approach_acceleration = _sign(state.mode[j]) * (force[row] * model.inverse_mass[row, row] + model.gravity)
+        body_acceleration = force[row] * model.inverse_mass[row, row]
+        approach_acceleration = _contact_direction(state.mode[j]) * (body_acceleration + model.gravity)
     magnitude = 2.0 * abs(state.z[row])
     if state.mode[j] == CEILING:
         magnitude += model.clearance[j]
-    return approach_acceleration > 0.0 and rebound * rebound < 2.0 * approach_acceleration * ROUNDING * magnitude
+    # A rebound at speed v reaches the height v^2 / (2 a).
+    lowest_square = 2.0 * approach_acceleration * ROUNDING * magnitude
+    return approach_acceleration > 0.0 and rebound_speed * rebound_speed < lowest_square
 
 
 @inlined_kernel
-def _land(flow: Flow, model: Model, state: State, j: int, rebound: float) -> None:
-    """Let damper j, whose `mode` is its wall, come to rest there, or rebound at the given speed."""
-    sign = _sign(state.mode[j])
-    if rebound > 0.0:
+def _end_impact(flow: Flow, model: Model, state: State, j: int, rebound_speed: float) -> None:
+    """Set damper j, whose `mode` is the wall that it hit, in flight at its rebound speed, or at rest for speed 0."""
+    sign = _contact_direction(state.mode[j])
+    if rebound_speed > 0.0:
         height = state.z[model.position[j]]
         if state.mode[j] == CEILING:
             height += model.clearance[j]
         state.height[j] = height
-        state.speed[j] = state.z[model.velocity[j]] + sign * rebound
+        state.speed[j] = state.z[model.velocity[j]] + sign * rebound_speed
         state.mode[j] = FLIGHT
         state.multiplicity[j] = 1 if sign > 0.0 else -1
     else:
@@ -99,37 +106,39 @@ def _touched_wall(model: Model, state: State, j: int) -> int:
     """Return the wall that a flying damper touches within rounding while approaching it, or FLIGHT."""
     position = state.z[model.position[j]]
     gap = state.height[j] - position
-    closing = state.z[model.velocity[j]] - state.speed[j]
+    floor_approach_speed = state.z[model.velocity[j]] - state.speed[j]
     rounding = ROUNDING * (abs(position) + abs(state.height[j]))
-    if closing > 0.0 and state.multiplicity[j] <= 0 and gap <= rounding:
+    if floor_approach_speed > 0.0 and state.multiplicity[j] <= 0 and gap <= rounding:
         return FLOOR
-    if closing < 0.0 and state.multiplicity[j] >= 0 and gap >= model.clearance[j] - rounding:
+    if floor_approach_speed < 0.0 and state.multiplicity[j] >= 0 and gap >= model.clearance[j] - rounding:
         return CEILING
     return FLIGHT
 
 
 @inlined_kernel
-def _independent_impact(flow: Flow, model: Model, state: State, log: Log, j: int, wall: int, work: ContactWork) -> None:
+def _independent_impact(
+    flow: Flow, model: Model, state: State, log: Log, j: int, wall: int, work: ContactWorkspace
+) -> None:
     """Apply the impact of damper j if the mass matrix does not couple it to other dampers."""
     body = model.velocity[j]
     state.mode[j] = wall
-    sign = _sign(wall)
-    closing = sign * (state.z[body] - state.speed[j])
-    rebound = model.restitution[j] * closing
-    if rebound > 0.0 and _rebound_is_negligible(model, state, j, rebound, work.force):
-        rebound = 0.0
+    sign = _contact_direction(wall)
+    closing_speed = sign * (state.z[body] - state.speed[j])
+    rebound_speed = model.restitution[j] * closing_speed
+    if rebound_speed > 0.0 and _rebound_is_negligible(model, state, j, rebound_speed, work.force):
+        rebound_speed = 0.0
     inverse_mass = model.inverse_mass[model.position[j], model.position[j]]
-    impulse = (closing + rebound) / (inverse_mass + 1.0 / model.mass[j])
+    impulse = (closing_speed + rebound_speed) / (inverse_mass + 1.0 / model.mass[j])
     state.z[body] -= sign * impulse * inverse_mass
-    log_event(log, j, wall, closing)
-    _land(flow, model, state, j, rebound)
+    log_event(log, j, wall, closing_speed)
+    _end_impact(flow, model, state, j, rebound_speed)
 
 
 @kernel
-def _close_slow_openings(model: Model, state: State, work: ContactWork, count: int) -> None:
-    """Keep contacts closed that an impact would open too slowly for the gap to exceed rounding.
+def _close_slow_openings(model: Model, state: State, work: ContactWorkspace, count: int) -> None:
+    """Close the contacts that an impact opens too slowly for the gap to exceed rounding.
 
-    Two dampers coupled through the mass matrix can lift each other from their walls at ever shorter intervals. This
+    Two dampers coupled through the mass matrix can separate each other from their walls at ever shorter intervals. This
     Zeno sequence ends in the same way as that of rebounds.
     """
     changed = False
@@ -138,7 +147,7 @@ def _close_slow_openings(model: Model, state: State, work: ContactWork, count: i
             continue
         opening_speed = work.opening_speed[a]
         for b in range(count):
-            opening_speed += work.matrix[a, b] * work.pressure[b]
+            opening_speed += work.matrix[a, b] * work.reaction[b]
         if _rebound_is_negligible(model, state, work.damper[a], opening_speed, work.force):
             work.active[a] = True
             changed = True
@@ -147,7 +156,9 @@ def _close_slow_openings(model: Model, state: State, work: ContactWork, count: i
 
 
 @kernel
-def _coupled_impact(flow: Flow, model: Model, state: State, log: Log, j: int, wall: int, work: ContactWork) -> None:
+def _coupled_impact(
+    flow: Flow, model: Model, state: State, log: Log, j: int, wall: int, work: ContactWorkspace
+) -> None:
     """Apply the impact of damper j together with all dampers in contact or touching, through a full mass matrix."""
     count = 0
     for i in range(model.mass.shape[0]):
@@ -159,39 +170,40 @@ def _coupled_impact(flow: Flow, model: Model, state: State, log: Log, j: int, wa
             if contact == FLIGHT:
                 continue
             state.mode[i] = contact
-        sign = _sign(state.mode[i])
+        sign = _contact_direction(state.mode[i])
         work.damper[count] = i
         work.sign[count] = sign
         work.velocity_before[count] = state.z[model.velocity[i]]
         work.opening_speed[count] = sign * (state.speed[i] - work.velocity_before[count]) if work.flying[count] else 0.0
-        rebound = -model.restitution[i] * work.opening_speed[count]
-        if rebound > 0.0 and _rebound_is_negligible(model, state, i, rebound, work.force):
-            rebound = 0.0
-        work.rhs[count] = work.opening_speed[count] - rebound
+        rebound_speed = -model.restitution[i] * work.opening_speed[count]
+        if rebound_speed > 0.0 and _rebound_is_negligible(model, state, i, rebound_speed, work.force):
+            rebound_speed = 0.0
+        work.rhs[count] = work.opening_speed[count] - rebound_speed
         count += 1
     contact_matrix(model, work, count)
-    complementarity(work, count)
+    solve_complementarity(work, count)
     _close_slow_openings(model, state, work, count)
     for a in range(count):
         column = model.position[work.damper[a]]
         for row in range(model.inverse_mass.shape[0]):
-            change = model.inverse_mass[row, column] * work.sign[a] * work.pressure[a]
+            change = model.inverse_mass[row, column] * work.sign[a] * work.reaction[a]
             state.z[model.first_velocity + row] -= change
     for a in range(count):
         i = work.damper[a]
         body_velocity = state.z[model.velocity[i]]
         if work.flying[a]:
-            damper_velocity = state.speed[i] + work.sign[a] * work.pressure[a] / model.mass[i]
-            rebound = work.sign[a] * (damper_velocity - body_velocity)
-            if work.active[a] and work.rhs[a] == work.opening_speed[a]:
-                rebound = 0.0
+            damper_velocity = state.speed[i] + work.sign[a] * work.reaction[a] / model.mass[i]
+            rebound_speed = work.sign[a] * (damper_velocity - body_velocity)
+            has_no_rebound = work.rhs[a] == work.opening_speed[a]
+            if work.active[a] and has_no_rebound:
+                rebound_speed = 0.0
             # The guard of damper j is at zero and falling: unless another impact opens it, an opening is rounding.
-            if i == j and 0.0 < rebound <= work.opening_speed[a]:
-                rebound = 0.0
+            if i == j and 0.0 < rebound_speed <= work.opening_speed[a]:
+                rebound_speed = 0.0
             # Another impact may move the wall away before the damper touches it.
-            if work.pressure[a] > 0.0 or rebound <= 0.0:
+            if work.reaction[a] > 0.0 or rebound_speed <= 0.0:
                 log_event(log, i, state.mode[i], -work.opening_speed[a])
-            _land(flow, model, state, i, rebound)
+            _end_impact(flow, model, state, i, rebound_speed)
         elif not work.active[a]:
             opening_speed = work.sign[a] * (work.velocity_before[a] - body_velocity)
             if opening_speed > ROUNDING * (abs(work.velocity_before[a]) + abs(body_velocity)):
@@ -200,25 +212,29 @@ def _coupled_impact(flow: Flow, model: Model, state: State, log: Log, j: int, wa
 
 
 @inlined_kernel
-def _release_independent(flow: Flow, model: Model, state: State, log: Log, work: ContactWork) -> None:
+def _release_independent(flow: Flow, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
+    """Release each damper whose contact force is tensile; the contacts do not affect each other."""
     force = work.force
     for i in range(model.mass.shape[0]):
         if model.bed[i] >= 0 or state.mode[i] == FLIGHT:
             continue
         row = model.position[i]
-        pressure = force[row] * model.inverse_mass[row, row] + model.gravity
-        if _sign(state.mode[i]) * pressure >= 0.0:
+        floor_force_per_mass = force[row] * model.inverse_mass[row, row] + model.gravity
+        if _contact_direction(state.mode[i]) * floor_force_per_mass >= 0.0:
             continue
         magnitude = model.gravity
         for c in range(model.force.shape[1]):
             magnitude += abs(model.force[0, c, row] * state.z[c]) * model.inverse_mass[row, row]
-        if abs(pressure) > ROUNDING * magnitude:
+        if abs(floor_force_per_mass) > ROUNDING * magnitude:
             separate(flow, model, state, log, i, 2)
 
 
 @kernel
-def _release_coupled(flow: Flow, model: Model, state: State, log: Log, work: ContactWork) -> None:
-    """Solve for all contacts at rest together, from the accelerations of the bodies without them."""
+def _release_coupled(flow: Flow, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
+    """Release tensile contacts: solve for the forces of all contacts at rest together.
+
+    The solution starts from the accelerations of the bodies without these contacts.
+    """
     count = 0
     for i in range(model.mass.shape[0]):
         if model.bed[i] >= 0 or state.mode[i] == FLIGHT:
@@ -231,25 +247,25 @@ def _release_coupled(flow: Flow, model: Model, state: State, log: Log, work: Con
             for column in range(model.force.shape[1]):
                 magnitude += abs(model.inverse_mass[row, c] * model.force[0, column, c] * state.z[column])
         work.damper[count] = i
-        work.sign[count] = _sign(state.mode[i])
+        work.sign[count] = _contact_direction(state.mode[i])
         work.rhs[count] = work.sign[count] * (-model.gravity - free_acceleration)
         work.magnitude[count] = magnitude
         count += 1
     contact_matrix(model, work, count)
-    complementarity(work, count)
+    solve_complementarity(work, count)
     for a in range(count):
-        if work.pressure[a] == 0.0:
-            acceleration = work.rhs[a]
+        if work.reaction[a] == 0.0:
+            opening_acceleration = work.rhs[a]
             for b in range(count):
-                acceleration += work.matrix[a, b] * work.pressure[b]
-            if acceleration > ROUNDING * work.magnitude[a]:
+                opening_acceleration += work.matrix[a, b] * work.reaction[b]
+            if opening_acceleration > ROUNDING * work.magnitude[a]:
                 separate(flow, model, state, log, work.damper[a], 2)
 
 
 @inlined_kernel
-def release_tensile(flow: Flow, model: Model, state: State, log: Log, work: ContactWork) -> None:
+def release_tensile(flow: Flow, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
     """Release every damper at rest whose contact force would be tensile by more than rounding."""
-    _forces(model, state, work.force)
+    _sum_forces(model, state, work.force)
     if model.coupled:
         _release_coupled(flow, model, state, log, work)
     else:
@@ -257,10 +273,10 @@ def release_tensile(flow: Flow, model: Model, state: State, log: Log, work: Cont
 
 
 @inlined_kernel
-def impact(flow: Flow, model: Model, state: State, log: Log, j: int, wall: int, work: ContactWork) -> None:
+def impact(flow: Flow, model: Model, state: State, log: Log, j: int, wall: int, work: ContactWorkspace) -> None:
     """Apply the impact of damper j with a wall: velocities jump. `release_tensile` must follow."""
     if model.coupled or model.restitution[j] > 0.0:
-        _forces(model, state, work.force)
+        _sum_forces(model, state, work.force)
     if model.coupled:
         _coupled_impact(flow, model, state, log, j, wall, work)
     else:

@@ -1,15 +1,16 @@
 """Finite-duration contact: floor and ceiling are spring-dampers without adhesion.
 
-The *bed* is the particles of a damper, modeled as one mass. The force on the bed is -k (z - o) - c z' (z the gap, o
-the height of the wall) while the bed overlaps the wall and the force points away from the wall. Only the force may
-jump. Three guards detect the changes:
+The *bed* is the particles of a damper, modeled as one mass. Its height above its floor, the gap g, is a coordinate.
+While the bed overlaps a wall at the height o and the force points away from the wall, the force on the bed is
+-k (g - o) - c g' (k stiffness, c damping of the wall). At a contact change the force may jump, but no velocity does.
+Three guards, which are linear in the state, detect the changes:
 
-- a free bed touches a wall when the gap falls to zero;
+- a free bed touches a wall when the gap to it falls to zero;
 - the wall releases the bed when the force falls to zero; with a dashpot this is before the overlap is zero;
 - a released bed that still overlaps the wall (`recovering`) is touched again if the force law rises to zero, and is
-  free when the overlap is zero. The latter does not change a force and is not an event.
+  free when the overlap is zero. Becoming free changes no force and is not an event.
 
-All three guards are linear in the state, in which the gap is a coordinate.
+Function arguments: `z` is the state, `j` the number of the damper from 0, `wall` is FLOOR or CEILING.
 """
 
 from __future__ import annotations
@@ -37,11 +38,11 @@ from rig.numerics.bernstein import N_COEFFICIENTS, first_crossing
 from rig.numerics.complementarity import ROUNDING
 from rig.numerics.jit import inlined_kernel, kernel
 
-#: Meaning of a guard's crossing, in addition to the walls `FLOOR` and `CEILING` that a bed touches.
+#: Kinds of changes, in addition to `FLOOR` and `CEILING`, which are the wall that a bed touches.
 RELEASED, FREE = 0, 3
-#: Largest force, relative to the forces of spring and dashpot, that is a rounding error of their sum.
+#: Largest force, relative to the forces of spring and dashpot, that may be a rounding error of their sum.
 MAX_ZERO_FORCE_RATIO = 1e-6
-#: Largest force, relative to speed times sqrt(stiffness mass), that is a rounding error of the gap.
+#: Largest force, relative to speed times sqrt(stiffness mass), that may be a rounding error of the gap.
 GAP_ROUNDING_RATIO = 1e-9
 
 
@@ -66,10 +67,10 @@ def overlap(model: Model, z: Array, j: int, wall: int) -> float:
 
 @inlined_kernel
 def wall_force(model: Model, z: Array, j: int, wall: int) -> float:
-    """Return the force law of a wall, N; negative where it would pull."""
-    closing = -gap_rate(model, z, j) if wall == FLOOR else gap_rate(model, z, j)
+    """Return the force law of a wall, N; negative where the force would be tensile."""
+    closing_speed = -gap_rate(model, z, j) if wall == FLOOR else gap_rate(model, z, j)
     stiffness, damping = model.wall_stiffness[j, wall - 1], model.wall_damping[j, wall - 1]
-    return stiffness * overlap(model, z, j, wall) + damping * closing
+    return stiffness * overlap(model, z, j, wall) + damping * closing_speed
 
 
 @inlined_kernel
@@ -87,11 +88,11 @@ def _is_zero_force(model: Model, z: Array, j: int, wall: int) -> bool:
     The force is zero at every touch and release, except where an impact of another damper opens or closes the contact
     through a full mass matrix. Without a dashpot, the force is the rounding error of the overlap times the stiffness.
     """
-    spring = model.wall_stiffness[j, wall - 1] * abs(overlap(model, z, j, wall))
-    dashpot = model.wall_damping[j, wall - 1] * abs(gap_rate(model, z, j))
-    return abs(wall_force(model, z, j, wall)) <= MAX_ZERO_FORCE_RATIO * (spring + dashpot) + _force_rounding(
-        model, z, j, wall
-    )
+    spring_force = model.wall_stiffness[j, wall - 1] * abs(overlap(model, z, j, wall))
+    dashpot_force = model.wall_damping[j, wall - 1] * abs(gap_rate(model, z, j))
+    return abs(wall_force(model, z, j, wall)) <= MAX_ZERO_FORCE_RATIO * (
+        spring_force + dashpot_force
+    ) + _force_rounding(model, z, j, wall)
 
 
 @inlined_kernel
@@ -104,7 +105,7 @@ def _force_rounding(model: Model, z: Array, j: int, wall: int) -> float:
 
 @inlined_kernel
 def lowest_guard(model: Model, state: State, z: Array, j: int) -> float:
-    """Return the smallest guard of a bed at a state; 0 for a recovering bed."""
+    """Return the smallest guard of a bed at a state: a gap, m, or a wall force, N; 0 for a recovering bed."""
     mode = state.mode[j]
     if mode != FLIGHT:
         return wall_force(model, z, j, mode)
@@ -118,17 +119,17 @@ def lowest_guard(model: Model, state: State, z: Array, j: int) -> float:
 def _guard_series(
     model: Model, workspace: Workspace, j: int, length: float, gap_factor: float, speed_factor: float, offset: float
 ) -> float:
-    """Fill the series of a guard over `length` steps; return the magnitude of its terms.
+    """Fill the series of the guard gap_factor (g - offset) + speed_factor g'; return the magnitude of its terms.
 
-    The guard is gap_factor (z - offset) + speed_factor z'.
+    `length`: duration relative to a full step.
     """
-    series = workspace.series
+    series = workspace.guard_series
     bed = model.bed[j]
     magnitude = abs(gap_factor) * offset
     power = 1.0
     for k in range(N_COEFFICIENTS):
-        gap_term = gap_factor * workspace.tableau[k, bed] * power
-        speed_term = speed_factor * workspace.tableau[k, model.first_velocity + bed] * power
+        gap_term = gap_factor * workspace.state_series[k, bed] * power
+        speed_term = speed_factor * workspace.state_series[k, model.first_velocity + bed] * power
         series[k] = gap_term + speed_term
         magnitude += abs(gap_term) + abs(speed_term)
         power *= length
@@ -137,18 +138,24 @@ def _guard_series(
 
 
 @inlined_kernel
-def find_crossing(workspace: Workspace, start: int, magnitude: float) -> tuple[float, int]:
-    """Find the first crossing of the guard in `workspace.series`, with terms of a magnitude: (tau, ambiguous)."""
-    return first_crossing(
-        workspace.series, start, ROUNDING * magnitude, workspace.work, workspace.spans, workspace.bernstein
-    )
+def find_crossing(workspace: Workspace, multiplicity: int, magnitude: float) -> tuple[float, int]:
+    """Find the first crossing of the guard in `workspace.guard_series`; return as `first_crossing`.
+
+    `multiplicity`: of its zero at tau = 0; `magnitude`: sum of the magnitudes of its terms.
+    """
+    rounding = ROUNDING * magnitude
+    subdivision, spans = workspace.subdivision, workspace.spans
+    return first_crossing(workspace.guard_series, multiplicity, rounding, subdivision, spans, workspace.bernstein)
 
 
 @kernel
 def first_contact_change(
     model: Model, state: State, workspace: Workspace, j: int, length: float
 ) -> tuple[float, int, int]:
-    """Find the first change of a finite-duration contact in a step: (fraction of the step, change, ambiguous)."""
+    """Find the first change of a finite-duration contact in a step of a length, relative to a full step.
+
+    Returns (fraction of the step, kind of change, number of ambiguous dips) as `first_crossing`.
+    """
     mode, wall = state.mode[j], state.recovering[j]
     multiplicity = state.multiplicity[j]
     clearance = model.clearance[j]
@@ -165,6 +172,7 @@ def first_contact_change(
         return tau, change, ambiguous
     wall = wall if mode == FLIGHT else mode
     outward = 1.0 if wall == FLOOR else -1.0
+    # The guard of a touching bed is the wall's force, that of a recovering bed its negative.
     sign = outward if mode == FLIGHT else -outward
     offset = 0.0 if wall == FLOOR else clearance
     stiffness, damping = model.wall_stiffness[j, wall - 1], model.wall_damping[j, wall - 1]
@@ -182,7 +190,7 @@ def first_contact_change(
 
 @kernel
 def change_contact(flow: Flow, model: Model, state: State, log: Log, j: int, change: int) -> None:
-    """Apply a change to damper j: it touches a wall, is released by it, or has no overlap any more."""
+    """Apply a change to damper j: it touches a wall, is released by it, or becomes free of it."""
     if change == FREE:
         state.multiplicity[j] = 1 if state.recovering[j] == FLOOR else -1
         state.recovering[j] = FLIGHT
@@ -192,17 +200,17 @@ def change_contact(flow: Flow, model: Model, state: State, log: Log, j: int, cha
     multiplicity = 1 if _is_zero_force(model, state.z, j, wall) else 0
     if change == RELEASED:
         state.mode[j] = FLIGHT
-        spring = model.wall_stiffness[j, wall - 1] * overlap(model, state.z, j, wall)
-        if spring > _force_rounding(model, state.z, j, wall):
+        spring_force = model.wall_stiffness[j, wall - 1] * overlap(model, state.z, j, wall)
+        if spring_force > _force_rounding(model, state.z, j, wall):
             state.recovering[j] = wall
             state.multiplicity[j] = multiplicity
         else:
             state.multiplicity[j] = -1 if ceiling else 1
         log_event(log, j, RELEASE, 0.0)
     else:
-        closing = gap_rate(model, state.z, j) if ceiling else -gap_rate(model, state.z, j)
+        closing_speed = gap_rate(model, state.z, j) if ceiling else -gap_rate(model, state.z, j)
         state.mode[j] = wall
         state.recovering[j] = FLIGHT
         state.multiplicity[j] = multiplicity
-        log_event(log, j, CEILING_TOUCH if ceiling else FLOOR_TOUCH, closing)
+        log_event(log, j, CEILING_TOUCH if ceiling else FLOOR_TOUCH, closing_speed)
     toggle_contact(flow, model, state, j + model.mass.shape[0] if ceiling else j)

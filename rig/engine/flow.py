@@ -1,6 +1,7 @@
-"""Input of the kernel: exact flow of a system by contact configuration, and the constants of its contacts.
+"""Input of the kernel: tables of the exact flow for each contact configuration, and the constants of the contacts.
 
-`rig.engine.flow_tables` computes both.
+A contact configuration states which dampers are in contact with which wall. The flow maps a state to a later state.
+`rig.engine.flow_tables` computes both inputs.
 """
 
 from __future__ import annotations
@@ -9,37 +10,40 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Number of terms of the matrix exponential; more than those of the series of guards.
+#: Number of terms of the matrix exponential of a step; more than those of a guard's power series.
 TERMS = 25
 
 
 class Flow(NamedTuple):
-    """Tables by slot; matrices are stored [column, row] with padded rows.
+    """Tables of a system; the first index of each is the table index of a configuration.
 
-    A is the state matrix, h the step length, tau = t / h the time in a step.
+    The state obeys z' = A z + b, h is the step length, tau = t / h the time in a step. A guard is a gap or contact
+    force, whose zero is a contact change. Matrices are stored [column, row] with padded rows. The table X and its
+    constant part represent the affine map X z + X_constant.
 
-    tabulated: whether `series` is filled. stepping: whether all other tables are.
-    smooth: the drive has no corners, so the derivatives of the accelerations are continuous from step to step.
-    enveloping: whether steps are so short that an envelope saves time.
-    propagate: state after a full step; its accelerations follow, then as far as there is room their derivatives with
+    has_series: whether `series` is filled. has_step_matrix: whether all other tables are.
+    drive_is_smooth: the drive has no corners, so the derivatives of the accelerations are continuous from step to step.
+    uses_envelope: whether steps are so short that the envelope of `rig.engine.screening` saves time.
+    step_matrix: state after a full step; its accelerations follow, then as far as there is room their derivatives with
     respect to tau. derivative: both for a state itself. series: (A h)^k / k! for every k.
-    margin: times |z|, largest decrease of each damper's guard below its values at the ends of a step (an eighth of the
-    bound of its second derivative, and rounding).
-    bound: times |z|, for each damper the bound of the fourth derivative of its guard with respect to tau over the step,
-    then the sum of the magnitudes of the guard's terms.
-    rates: nonzero elements of A in compressed rows (pointer, column).
-    neighbor[slot, i]: slot after the change i of `HybridSystem.toggles`, or -1.
+    margin: applied to |z|, largest decrease of each damper's guard below its values at the ends of a step (an eighth of
+    the bound of its second derivative, and rounding).
+    bound: applied to |z|, for each damper the bound of the fourth derivative of its guard with respect to tau over the
+    step, then the sum of the magnitudes of the guard's terms.
+    rates: nonzero elements of A, in compressed sparse rows (row_pointer, column). rates_constant: b.
+    after_toggle[k, i]: table index after the change i of `HybridSystem.toggles` to the configuration with table index
+    k, or -1 if it is not yet computed.
 
     The guard of a damper depends on the position of its body in flight, and on the body's acceleration at rest. The
     guard of a finite-duration contact depends on the gap in flight, and on the wall's force in contact.
     """
 
-    tabulated: bool
-    stepping: bool
-    smooth: bool
-    enveloping: bool
-    propagate: np.ndarray
-    propagate_constant: np.ndarray
+    has_series: bool
+    has_step_matrix: bool
+    drive_is_smooth: bool
+    uses_envelope: bool
+    step_matrix: np.ndarray
+    step_matrix_constant: np.ndarray
     series: np.ndarray
     series_constant: np.ndarray
     margin: np.ndarray
@@ -48,18 +52,21 @@ class Flow(NamedTuple):
     bound_constant: np.ndarray
     derivative: np.ndarray
     derivative_constant: np.ndarray
-    pointer: np.ndarray
+    row_pointer: np.ndarray
     column: np.ndarray
     rates: np.ndarray
     rates_constant: np.ndarray
-    neighbor: np.ndarray
+    after_toggle: np.ndarray
 
 
 class Model(NamedTuple):
-    """Constants of a system for the contact laws and the guards.
+    """Constants of a system for the contact laws and the guards, in SI units as in `HybridSystem`.
 
-    position, velocity: indices of the body of each damper in the state. first_velocity: index of the first velocity.
-    first_acceleration: index of the accelerations that are stored after the state.
+    step: step length, s. mass: of each damper. toggles: changes of the configuration bits by each contact.
+    position, velocity: indices in the state of the position and velocity of each damper's body. first_velocity: index
+    of the first velocity, which equals the number of coordinates. first_acceleration: index of the accelerations that
+    are stored after the state. inverse_mass: inverse of the mass matrix. force, force_constant: forces on the
+    coordinates. coupled: whether the contacts of one instant affect each other.
     """
 
     gravity: float

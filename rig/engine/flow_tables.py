@@ -1,17 +1,18 @@
 """The exact flow: tables for each contact configuration, computed when the configuration is first visited.
 
-The configuration states which dampers are at rest on a wall. With the drive included as states, z' = A z + b, and
+The configuration states which dampers are in contact with which wall. With the drive included as states,
+z' = A z + b, and the matrix exponential is the power series
 
     z(t + tau h) = sum_k tau^k (A h)^k / k! z + ...
 
-converges to rounding at degree `rig.numerics.bernstein.DEGREE` because the step is chosen so that h times the largest
-rate of the system is at most `MAX_RATE_TIMES_STEP`. There are no eigenvectors and no particular solution, so that
-repeated, zero and critically damped eigenvalues, and a drive at exact resonance, are not special cases.
+It converges to rounding at degree `rig.numerics.bernstein.DEGREE`, because the step h is chosen so that h times the
+largest rate of the system is at most `MAX_RATE_TIMES_STEP`. There are no eigenvectors and no particular solution, so
+that repeated, zero and critically damped eigenvalues, and a drive at exact resonance, are not special cases.
 
-What is tabulated depends on the number of states and of possible configurations. For a small system all matrix powers
-are tabulated. For a larger one the matrix of a full step is tabulated; where a contact may change, the series is summed
-from the sparse matrix A as A z, A (A z), ..., at a cost proportional to the number of springs. A large system with many
-dampers is propagated by this series only.
+The number of states and of possible configurations determines which tables are computed. For a small system all matrix
+powers are tabulated. For a larger system the matrix of a full step is tabulated; where a contact may change, the series
+is summed from the sparse matrix A as A z, A (A z), ..., at a cost proportional to the number of springs. A large system
+with many dampers is propagated by this series only.
 """
 
 from __future__ import annotations
@@ -29,27 +30,27 @@ from rig.numerics.complementarity import ROUNDING
 from rig.numerics.simd import SUMS, aligned_zeros, padded_length
 from rig.system.hybrid_system import Drive, HybridSystem
 
-#: Largest product of step length and rate; 0.7^16 / 16! is below the rounding of float64.
+#: Largest product of step length (s) and rate (rad/s); 0.7^16 / 16! is below the rounding of float64.
 MAX_RATE_TIMES_STEP = 0.7
 #: Largest number of states, drive included, for which the matrix powers are tabulated.
 MAX_TABULATED_STATES = 16
-#: The same for systems with at most `FEW_DAMPERS`, which have at most eight configurations.
+#: The same limit for systems with at most `FEW_DAMPERS` dampers.
 MAX_TABULATED_STATES_FEW_DAMPERS = 40
-FEW_DAMPERS = 3  # with 2^3 configurations
+FEW_DAMPERS = 3  # with instant contact they have 2^3 configurations
 #: Largest number of states for which the matrix of a full step is always tabulated.
 MAX_STEP_MATRIX_STATES = 400
 #: Largest number of dampers for which the matrix of a full step is tabulated.
 MAX_STEP_MATRIX_DAMPERS = 6
-#: Largest memory of these matrices in a system with more states. They are faster than the series if A is dense (modal
-#: damping, given matrices).
+#: Largest memory of the step matrices of a system with more states. They are faster than the series if A is dense
+#: (modal damping, given matrices).
 MAX_STEP_MATRIX_BYTES = 1 << 29
-#: Memory of a matrix element, with its derivatives and bounds.
+#: Memory of an element of the step matrix, including the tables of derivatives and bounds.
 ELEMENT_BYTES = 20
-#: Largest number of bits of a configuration for which slots are found in an array of all configurations.
-MAX_DIRECT_BITS = 12
+#: Largest number of configuration bits for which an array contains the table index of every possible configuration.
+MAX_DIRECT_LOOKUP_BITS = 12
 #: Largest phase advance of the drive per step with which the coarse bounds of an envelope are useful.
 MAX_ENVELOPE_PHASE_RAD = 0.2
-#: Number of systems whose tables are cached for the next run; only those of small systems are.
+#: Number of small systems whose tables are cached for the next run.
 MAX_CACHED_SYSTEMS = 32
 
 _CACHE: OrderedDict[tuple[Any, ...], FlowTables] = OrderedDict()
@@ -67,21 +68,21 @@ class FlowTables:
         self.drive = drive
         self.step = step
         self.size = system.states + drive.states
-        self.slots: dict[int, int] = {}
+        self.indices: dict[int, int] = {}  # table index by configuration bits
         self._lock = Lock()
         self._toggles = system.toggles
         bits = len(self._toggles)
-        self._direct = np.full(1 << bits, -1, dtype=np.int64) if bits <= MAX_DIRECT_BITS else None
-        limit = MAX_TABULATED_STATES_FEW_DAMPERS if system.dampers <= FEW_DAMPERS else MAX_TABULATED_STATES
-        self.tabulated = self.size <= limit
+        self._direct_lookup = np.full(1 << bits, -1, dtype=np.int64) if bits <= MAX_DIRECT_LOOKUP_BITS else None
+        max_states = MAX_TABULATED_STATES_FEW_DAMPERS if system.dampers <= FEW_DAMPERS else MAX_TABULATED_STATES
+        self.has_series = self.size <= max_states
         # Tables are applied millions of times, so they are computed in extended precision.
-        self._precision = np.longdouble if self.tabulated else np.float64
-        self._pointer, self._column = self._pattern()
-        self.stepping = self.tabulated or (
+        self._precision = np.longdouble if self.has_series else np.float64
+        self._row_pointer, self._column = self._sparsity_pattern()
+        self.has_step_matrix = self.has_series or (
             system.dampers <= MAX_STEP_MATRIX_DAMPERS and self._step_matrix_is_faster(bits)
         )
         self.model = self._model()
-        self.flow = self._empty(4)
+        self.flow = self._allocate(4)
 
     def _step_matrix_is_faster(self, bits: int) -> bool:
         """Return whether the matrix of a full step is faster than the series, within the memory limit."""
@@ -90,46 +91,48 @@ class FlowTables:
         dense = len(self._column) * TERMS > self.size**2
         return dense and self.size**2 * ELEMENT_BYTES << bits <= MAX_STEP_MATRIX_BYTES
 
-    def slot(self, configuration: int) -> int:
-        """Return the slot of a configuration (bit j set: damper j in contact); compute its tables if it is new."""
+    def table_index(self, configuration: int) -> int:
+        """Return the table index of a configuration (its bits: `HybridSystem.toggles`); compute its tables if new."""
         with self._lock:
-            existing = self.slots.get(configuration)
+            existing = self.indices.get(configuration)
             if existing is not None:
                 return existing
-            slot = len(self.slots)
-            if slot == self.flow.neighbor.shape[0]:
-                self._grow()
-            self._fill(slot, configuration)
-            self.slots[configuration] = slot
-            if self._direct is not None:
-                self._direct[configuration] = slot
-            return slot
+            table_index = len(self.indices)
+            if table_index == self.flow.after_toggle.shape[0]:
+                self._double_capacity()
+            self._fill(table_index, configuration)
+            self.indices[configuration] = table_index
+            if self._direct_lookup is not None:
+                self._direct_lookup[configuration] = table_index
+            return table_index
 
-    def slots_of(self, configurations: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the slots of many configurations, in their shape; compute the tables of new ones."""
+    def table_indices(self, configurations: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the table indices of many configurations, in their shape; compute the tables of new configurations."""
         if not configurations.size:
             return configurations
-        if self._direct is None:
+        if self._direct_lookup is None:
             distinct, index = np.unique(configurations, return_inverse=True)
-            slots = np.array([self.slot(int(configuration)) for configuration in distinct], dtype=np.int64)
-            return slots[index].reshape(configurations.shape)
-        slots = self._direct[configurations]
-        if (slots < 0).any():
-            for configuration in np.unique(configurations[slots < 0]):
-                self.slot(int(configuration))
-            slots = self._direct[configurations]
-        return slots
+            table_indices = np.array(
+                [self.table_index(int(configuration)) for configuration in distinct], dtype=np.int64
+            )
+            return table_indices[index].reshape(configurations.shape)
+        table_indices = self._direct_lookup[configurations]
+        if (table_indices < 0).any():
+            for configuration in np.unique(configurations[table_indices < 0]):
+                self.table_index(int(configuration))
+            table_indices = self._direct_lookup[configurations]
+        return table_indices
 
     def generator(self, configuration: int) -> tuple[np.ndarray, np.ndarray]:
         """Return matrix A (size, size) and vector b (size,) of z' = A z + b in one configuration."""
         system, drive = self.system, self.drive
         nq, ns = system.coordinates, system.states
         dtype = self._precision
-        on_floor = [j for j in range(system.dampers) if configuration >> j & 1 and not system.finite_contact[j]]
+        at_rest = [j for j in range(system.dampers) if configuration >> j & 1 and not system.finite_contact[j]]
         contact_matrix, contact_constant = system.contact_forces(configuration)
         mass = system.mass.astype(dtype)
         constant = system.force_constant.astype(dtype) + contact_constant
-        for j in on_floor:
+        for j in at_rest:
             row = system.damper_coordinate[j]
             mass[row, row] += system.damper_mass[j]
             constant[row] -= dtype(system.damper_mass[j]) * dtype(system.gravity)
@@ -174,101 +177,105 @@ class FlowTables:
             coupled=bool(system.coupled),
         )
 
-    def _pattern(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the elements of A that may be nonzero in any configuration, as compressed rows."""
-        everything = self.generator(0)[0] != 0
-        for change in self._toggles if self.system.finite_contact.any() else ():
-            everything |= self.generator(change)[0] != 0
+    def _sparsity_pattern(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the elements of A that may be nonzero in any configuration: row pointers (size + 1,) and columns."""
+        may_be_nonzero = self.generator(0)[0] != 0
+        for toggle in self._toggles if self.system.finite_contact.any() else ():
+            may_be_nonzero |= self.generator(toggle)[0] != 0
         if self.system.coupled:
             n = self.system.coordinates
-            everything[n : 2 * n] |= everything[n : 2 * n].any(axis=0)
-        pointer = np.concatenate([[0], np.cumsum(everything.sum(axis=1))]).astype(np.int64)
-        return pointer, np.nonzero(everything)[1].astype(np.int64)
+            may_be_nonzero[n : 2 * n] |= may_be_nonzero[n : 2 * n].any(axis=0)
+        row_pointer = np.concatenate([[0], np.cumsum(may_be_nonzero.sum(axis=1))]).astype(np.int64)
+        return row_pointer, np.nonzero(may_be_nonzero)[1].astype(np.int64)
 
-    def _shapes(self) -> dict[str, tuple[int, ...]]:
+    def _table_shapes(self) -> dict[str, tuple[int, ...]]:
+        """Return the shape of each table of `Flow` for one configuration."""
         rows = padded_length(self.size)
         shapes: dict[str, tuple[int, ...]] = {}
         widths = {
-            "propagate": padded_length(self.size + self.system.coordinates),
+            "step_matrix": padded_length(self.size + self.system.coordinates),
             "margin": padded_length(self.system.dampers),
             "series": (N_COEFFICIENTS + 1) * rows,
             "bound": padded_length(2 * self.system.dampers),
             "derivative": padded_length(2 * self.system.coordinates),
         }
         for name, width in widths.items():
-            needed = self.tabulated if name == "series" else self.stepping
-            # Columns of zeros up to a multiple of SUMS make the product of every step faster.
-            columns = -(-self.size // SUMS) * SUMS if name == "propagate" else self.size
+            needed = self.has_series if name == "series" else self.has_step_matrix
+            # The product of every step is faster with columns of zeros up to a multiple of SUMS.
+            columns = -(-self.size // SUMS) * SUMS if name == "step_matrix" else self.size
             shapes[name] = (columns if needed else 0, width)
             shapes[f"{name}_constant"] = (width,)
         shapes["rates"] = (len(self._column),)
         shapes["rates_constant"] = (self.size,)
         return shapes
 
-    def _empty(self, capacity: int) -> Flow:
-        arrays = {name: aligned_zeros(capacity, *shape) for name, shape in self._shapes().items()}
-        neighbor = np.full((capacity, max(1, len(self._toggles))), -1, dtype=np.int64)
+    def _allocate(self, capacity: int) -> Flow:
+        """Return tables of zeros for a number of configurations."""
+        arrays = {name: aligned_zeros(capacity, *shape) for name, shape in self._table_shapes().items()}
+        after_toggle = np.full((capacity, max(1, len(self._toggles))), -1, dtype=np.int64)
         return Flow(
-            tabulated=self.tabulated,
-            stepping=self.stepping,
-            smooth=self.drive.max_rate > 0.0,
-            enveloping=self.step * self.drive.max_rate < MAX_ENVELOPE_PHASE_RAD,
-            pointer=self._pointer,
+            has_series=self.has_series,
+            has_step_matrix=self.has_step_matrix,
+            drive_is_smooth=self.drive.max_rate > 0.0,
+            uses_envelope=self.step * self.drive.max_rate < MAX_ENVELOPE_PHASE_RAD,
+            row_pointer=self._row_pointer,
             column=self._column,
-            neighbor=neighbor,
+            after_toggle=after_toggle,
             **arrays,
         )
 
-    def _grow(self) -> None:
+    def _double_capacity(self) -> None:
         old = self.flow
-        self.flow = self._empty(2 * len(old.neighbor))
-        for name in (*self._shapes(), "neighbor"):
+        self.flow = self._allocate(2 * len(old.after_toggle))
+        for name in (*self._table_shapes(), "after_toggle"):
             source, target = getattr(old, name), getattr(self.flow, name)
             target[: len(source)] = source
 
-    def _fill(self, slot: int, configuration: int) -> None:
+    def _fill(self, table_index: int, configuration: int) -> None:
+        """Compute all tables of a configuration."""
         flow = self.flow
         matrix, offset = self.generator(configuration)
-        row = np.repeat(np.arange(self.size), np.diff(self._pointer))
-        flow.rates[slot] = matrix[row, self._column]
-        flow.rates_constant[slot] = offset
-        if self.stepping:
-            self._tabulate(slot, configuration, matrix, offset)
-        for i, change in enumerate(self._toggles):
-            other = self.slots.get(configuration ^ change)
+        row = np.repeat(np.arange(self.size), np.diff(self._row_pointer))
+        flow.rates[table_index] = matrix[row, self._column]
+        flow.rates_constant[table_index] = offset
+        if self.has_step_matrix:
+            self._fill_step_tables(table_index, configuration, matrix, offset)
+        for i, toggle in enumerate(self._toggles):
+            other = self.indices.get(configuration ^ toggle)
             if other is not None:
-                flow.neighbor[slot, i] = other
-                flow.neighbor[other, i] = slot
+                flow.after_toggle[table_index, i] = other
+                flow.after_toggle[other, i] = table_index
 
-    def _tabulate(self, slot: int, configuration: int, matrix: np.ndarray, offset: np.ndarray) -> None:
+    def _fill_step_tables(self, table_index: int, configuration: int, matrix: np.ndarray, offset: np.ndarray) -> None:
+        """Compute step matrix, series, derivatives and bounds from A (`matrix`) and b (`offset`)."""
         flow, system, size = self.flow, self.system, self.size
         nq = system.coordinates
         h = self._precision(self.step)
         scaled = matrix * h
-        terms = _power_terms(scaled)
+        terms = _exponential_terms(scaled)
         constants = np.zeros((TERMS, size), dtype=self._precision)
         constants[1:] = terms[:-1] @ offset * h / np.arange(1, TERMS)[:, None]
         rows = slice(0, size)
         # Small terms first, so that the sum is accurate to its last bits.
         step_matrix, step_constant = terms[::-1].sum(axis=0), constants[::-1].sum(axis=0)
-        flow.propagate[slot][:size, rows] = step_matrix.T
-        flow.propagate_constant[slot][rows] = step_constant
-        if self.tabulated:
-            series = flow.series[slot].reshape(size, N_COEFFICIENTS + 1, -1)
+        flow.step_matrix[table_index][:size, rows] = step_matrix.T
+        flow.step_matrix_constant[table_index][rows] = step_constant
+        if self.has_series:
+            series = flow.series[table_index].reshape(size, N_COEFFICIENTS + 1, -1)
             series[:, :, rows] = terms[: N_COEFFICIENTS + 1].transpose(2, 0, 1)
-            flow.series_constant[slot].reshape(N_COEFFICIENTS + 1, -1)[:, rows] = constants[: N_COEFFICIENTS + 1]
-        second = matrix[nq : 2 * nq]
-        derivative = np.concatenate([second, second @ scaled])
-        constant = np.concatenate([offset[nq : 2 * nq], second @ offset * h])
-        following = slice(size, size + 2 * nq)
-        room = flow.propagate.shape[2] - size
-        flow.propagate[slot][:size, following] = (derivative @ step_matrix).T[:, :room]
-        flow.propagate_constant[slot][following] = (derivative @ step_constant + constant)[:room]
-        flow.derivative[slot][:, : 2 * nq] = derivative.T
-        flow.derivative_constant[slot][: 2 * nq] = constant
-        self._fill_bounds(slot, configuration, terms, constants)
+            flow.series_constant[table_index].reshape(N_COEFFICIENTS + 1, -1)[:, rows] = constants[: N_COEFFICIENTS + 1]
+        acceleration = matrix[nq : 2 * nq]
+        derivative = np.concatenate([acceleration, acceleration @ scaled])
+        derivative_constant = np.concatenate([offset[nq : 2 * nq], acceleration @ offset * h])
+        after_state = slice(size, size + 2 * nq)
+        room = flow.step_matrix.shape[2] - size
+        flow.step_matrix[table_index][:size, after_state] = (derivative @ step_matrix).T[:, :room]
+        flow.step_matrix_constant[table_index][after_state] = (derivative @ step_constant + derivative_constant)[:room]
+        flow.derivative[table_index][:, : 2 * nq] = derivative.T
+        flow.derivative_constant[table_index][: 2 * nq] = derivative_constant
+        self._fill_bounds(table_index, configuration, terms, constants)
 
-    def _fill_bounds(self, slot: int, configuration: int, terms: np.ndarray, constants: np.ndarray) -> None:
+    def _fill_bounds(self, table_index: int, configuration: int, terms: np.ndarray, constants: np.ndarray) -> None:
         """Fill the tables of bounds and margins, from the series of every guard."""
         flow, system, dampers = self.flow, self.system, self.system.dampers
         at_rest = np.array([configuration >> j & 1 for j in range(dampers)], dtype=bool)
@@ -276,34 +283,36 @@ class FlowTables:
         guard_terms, guard_constants = (np.abs(part[:, rows]).astype(np.float64) for part in (terms, constants))
         # The acceleration's series is (k + 1) terms[k + 1] / h.
         k = np.arange(TERMS)[:, None]
-        size = np.where(at_rest, k / self.step, 1.0)
+        magnitude = np.where(at_rest, k / self.step, 1.0)
         power = np.where(at_rest, k - 1, k)
-        fourth = size * np.abs(power * (power - 1) * (power - 2) * (power - 3))
-        # Between its values at both ends a guard falls by at most an eighth of its second derivative's bound.
-        decrease = size * np.abs(power * (power - 1)) / 8 + 2 * ROUNDING * size
+        fourth_derivative = magnitude * np.abs(power * (power - 1) * (power - 2) * (power - 3))
+        # Between the ends of the step a guard falls by at most an eighth of its second derivative's bound.
+        decrease = magnitude * np.abs(power * (power - 1)) / 8 + 2 * ROUNDING * magnitude
         free_fall = np.where(at_rest, 0.0, float(system.gravity) * self.step**2 / 8)
         for table, constant, weight, columns in (
-            (flow.bound, flow.bound_constant, fourth, slice(0, dampers)),
-            (flow.bound, flow.bound_constant, size, slice(dampers, 2 * dampers)),
+            (flow.bound, flow.bound_constant, fourth_derivative, slice(0, dampers)),
+            (flow.bound, flow.bound_constant, magnitude, slice(dampers, 2 * dampers)),
             (flow.margin, flow.margin_constant, decrease, slice(0, dampers)),
         ):
-            table[slot][:, columns] = np.einsum("kj,kjc->cj", weight, guard_terms)
-            constant[slot][columns] = np.einsum("kj,kj->j", weight, guard_constants)
-        flow.margin_constant[slot][:dampers] += free_fall
+            table[table_index][:, columns] = np.einsum("kj,kjc->cj", weight, guard_terms)
+            constant[table_index][columns] = np.einsum("kj,kj->j", weight, guard_constants)
+        flow.margin_constant[table_index][:dampers] += free_fall
         for j in np.flatnonzero(system.finite_contact):
-            self._fill_finite_contact_bounds(slot, configuration, int(j), terms, constants)
+            self._fill_finite_contact_bounds(table_index, configuration, int(j), terms, constants)
 
     def _fill_finite_contact_bounds(
-        self, slot: int, configuration: int, j: int, terms: np.ndarray, constants: np.ndarray
+        self, table_index: int, configuration: int, j: int, terms: np.ndarray, constants: np.ndarray
     ) -> None:
         """Fill bounds and margins of a finite-duration contact: of its gap, or of the force of the touched wall."""
         flow, system = self.flow, self.system
         closed, wall = configuration >> j & 1, configuration >> system.dampers + j & 1
-        on_gap, on_speed = (system.wall_stiffness[j, wall], system.wall_damping[j, wall]) if closed else (1.0, 0.0)
+        gap_factor, speed_factor = 1.0, 0.0
+        if closed:
+            gap_factor, speed_factor = system.wall_stiffness[j, wall], system.wall_damping[j, wall]
         guard = np.zeros(self.size)
-        guard[[system.bed[j], system.coordinates + system.bed[j]]] = on_gap, on_speed
-        height = system.clearance[j] if wall or not closed else 0.0
-        # Terms that cancel in the guard leave their rounding errors.
+        guard[[system.bed[j], system.coordinates + system.bed[j]]] = gap_factor, speed_factor
+        wall_height = system.clearance[j] if wall or not closed else 0.0
+        # The magnitudes bound the rounding errors, also of terms that cancel in the guard.
         rows = terms.swapaxes(1, 2)
         guard_terms, guard_constants = (
             np.abs(rows @ guard).astype(np.float64),
@@ -311,14 +320,15 @@ class FlowTables:
         )
         magnitude = (np.abs(rows) @ np.abs(guard)).astype(np.float64).sum(axis=0)
         magnitude_constant = float((np.abs(constants) @ np.abs(guard)).sum())
-        magnitude_constant += on_gap * height if np.isfinite(height) else 0.0
+        magnitude_constant += gap_factor * wall_height if np.isfinite(wall_height) else 0.0
         k = np.arange(TERMS)
-        fourth, second = k * (k - 1) * (k - 2) * (k - 3), k * (k - 1) / 8
-        size = system.dampers + j
-        flow.bound[slot][:, j], flow.bound_constant[slot][j] = fourth @ guard_terms, fourth @ guard_constants
-        flow.bound[slot][:, size], flow.bound_constant[slot][size] = magnitude, magnitude_constant
-        flow.margin[slot][:, j] = second @ guard_terms + 2 * ROUNDING * magnitude
-        flow.margin_constant[slot][j] = second @ guard_constants + 2 * ROUNDING * magnitude_constant
+        fourth_derivative, decrease = k * (k - 1) * (k - 2) * (k - 3), k * (k - 1) / 8
+        flow.bound[table_index][:, j] = fourth_derivative @ guard_terms
+        flow.bound_constant[table_index][j] = fourth_derivative @ guard_constants
+        flow.bound[table_index][:, system.dampers + j] = magnitude
+        flow.bound_constant[table_index][system.dampers + j] = magnitude_constant
+        flow.margin[table_index][:, j] = decrease @ guard_terms + 2 * ROUNDING * magnitude
+        flow.margin_constant[table_index][j] = decrease @ guard_constants + 2 * ROUNDING * magnitude_constant
 
 
 def tables_for(system: HybridSystem, drive: Drive, step: float) -> FlowTables:
@@ -327,15 +337,15 @@ def tables_for(system: HybridSystem, drive: Drive, step: float) -> FlowTables:
     key = (step, drive.max_rate, system.gravity, *(array.tobytes() for array in arrays))
     with _LOCK:
         tables = _CACHE.pop(key, None) or FlowTables(system, drive, step)
-        if tables.tabulated:
+        if tables.has_series:
             _CACHE[key] = tables
         while len(_CACHE) > MAX_CACHED_SYSTEMS:
             _CACHE.popitem(last=False)
     return tables
 
 
-def _power_terms(matrix: np.ndarray) -> np.ndarray:
-    """Return matrix^k / k! for k below TERMS, in the precision of the matrix."""
+def _exponential_terms(matrix: np.ndarray) -> np.ndarray:
+    """Return the terms matrix^k / k! of the exponential, shape (TERMS, n, n), in the precision of the matrix."""
     powers = np.empty((TERMS, *matrix.shape), dtype=matrix.dtype)
     powers[0] = np.eye(len(matrix), dtype=matrix.dtype)
     powers[1] = matrix

@@ -1,7 +1,7 @@
-"""First crossing over a step of the guards that screening did not prove free of zeros, from power series.
+"""First zero crossing of the guards within a step, located on their power series.
 
-A guard is the gap of a damper in flight to a wall, or the contact force of a damper at rest on a wall.
-`rig.numerics.bernstein.first_crossing` isolates the crossing of its power series.
+A guard is the gap of a damper in flight to a wall, or the contact force of a damper at rest on a wall. Only the guards
+that screening did not prove free of zeros are examined. `rig.numerics.bernstein.first_crossing` isolates the crossing.
 """
 
 from __future__ import annotations
@@ -12,37 +12,42 @@ from rig.arrays import Array
 from rig.engine.finite_contact import find_crossing, first_contact_change
 from rig.engine.flow import Flow, Model
 from rig.engine.screening import CEILING_GAP, CONTACT_FORCE, FLOOR_GAP
-from rig.engine.state import AMBIGUOUS, FLIGHT, FLOOR, State
+from rig.engine.state import AMBIGUOUS_CROSSINGS, FLIGHT, FLOOR, State
 from rig.engine.workspace import Workspace
 from rig.numerics.bernstein import N_COEFFICIENTS, NO_CROSSING
 from rig.numerics.jit import inlined_kernel, kernel
-from rig.numerics.simd import combine
+from rig.numerics.simd import affine_product
 
 
 @inlined_kernel
-def bound_by_tables(flow: Flow, slot: int, z: Array, workspace: Workspace) -> None:
-    """Compute the bounds of the guards over the step, from the tables."""
-    for i in range(workspace.size.shape[0]):
-        workspace.size[i] = abs(z[i])
-    combine(flow.bound, flow.bound_constant, slot, workspace.size, flow.rates_constant.shape[1], workspace.bound)
+def bound_by_tables(flow: Flow, table_index: int, z: Array, workspace: Workspace) -> None:
+    """Compute the bounds of each guard's fourth derivative and terms over the step, from the tables."""
+    for i in range(workspace.magnitude.shape[0]):
+        workspace.magnitude[i] = abs(z[i])
+    affine_product(
+        flow.bound, flow.bound_constant, table_index, workspace.magnitude, flow.rates_constant.shape[1], workspace.bound
+    )
 
 
 @kernel
 def bound_by_series(
     model: Model,
     mode: Array,
-    tableau: Array,
+    state_series: Array,
     length: float,
     z: Array,
-    new: Array,
+    end_state: Array,
     first_acceleration: int,
     bound: Array,
 ) -> None:
-    """Compute the bounds of the guards over the step from the series, and the accelerations of dampers at rest."""
+    """Compute the bounds of the guards over the step from the series, and the accelerations of dampers at rest.
+
+    `length`: length of the step, relative to a full step. `bound`: filled as by `bound_by_tables`.
+    """
     dampers, points = model.mass.shape[0], model.first_velocity
     for j in range(dampers):
         if model.bed[j] >= 0:
-            # Without a bound, the series is always examined.
+            # An infinite bound proves nothing, so that the series is always examined.
             bound[j] = np.inf
             continue
         at_rest = mode[j] != FLIGHT
@@ -54,8 +59,8 @@ def bound_by_series(
         fourth_derivative = 0.0
         magnitude = 0.0
         for k in range(N_COEFFICIENTS - 1 - shift, -1, -1):
-            # The acceleration's series is (k + 1) tableau[k + 1] / h.
-            term = tableau[k + 1, row] * (k + 1) / model.step if at_rest else tableau[k, row]
+            # The acceleration's series is (k + 1) state_series[k + 1] / h.
+            term = state_series[k + 1, row] * (k + 1) / model.step if at_rest else state_series[k, row]
             end_slope = end_slope * length + end_value
             end_value = end_value * length + term
             fourth_derivative += k * (k - 1) * (k - 2) * (k - 3) * abs(term)
@@ -63,8 +68,8 @@ def bound_by_series(
             if at_rest and k <= 1:
                 z[index + k * points] = term
         if at_rest:
-            new[index] = end_value
-            new[index + points] = end_slope
+            end_state[index] = end_value
+            end_state[index + points] = end_slope
         bound[j] = fourth_derivative
         bound[dampers + j] = magnitude
 
@@ -73,13 +78,13 @@ def bound_by_series(
 def _gap_series(
     model: Model, state: State, workspace: Workspace, j: int, length: float, ceiling: bool
 ) -> tuple[int, float]:
-    """Fill the series of a gap in flight; return its multiplicity and the magnitude of its terms."""
-    series = workspace.series
+    """Fill the series of a gap in flight; return the multiplicity of its zero at tau = 0, and its terms' magnitude."""
+    series = workspace.guard_series
     row = model.position[j]
     duration = model.step * length
     power = 1.0
     for k in range(N_COEFFICIENTS):
-        series[k] = -workspace.tableau[k, row] * power
+        series[k] = -workspace.state_series[k, row] * power
         power *= length
     series[0] += state.height[j]
     series[1] += state.speed[j] * duration
@@ -96,13 +101,13 @@ def _gap_series(
 
 @inlined_kernel
 def _force_series(model: Model, state: State, workspace: Workspace, j: int, length: float) -> tuple[int, float]:
-    """Fill the series of a contact force per mass; return its multiplicity and the magnitude of its terms."""
-    series = workspace.series
+    """Fill the series of a contact force per mass; return as `_gap_series`."""
+    series = workspace.guard_series
     row = model.velocity[j]
     sign = 1.0 if state.mode[j] == FLOOR else -1.0
     power = sign / model.step
     for k in range(N_COEFFICIENTS):
-        series[k] = (k + 1) * workspace.tableau[k + 1, row] * power
+        series[k] = (k + 1) * workspace.state_series[k + 1, row] * power
         power *= length
     series[0] += sign * model.gravity
     return state.multiplicity[j], model.gravity + workspace.bound[model.mass.shape[0] + j]
@@ -112,9 +117,11 @@ def _force_series(model: Model, state: State, workspace: Workspace, j: int, leng
 def first_event(
     model: Model, state: State, workspace: Workspace, length: float, unproven: int, unproven_ceilings: int
 ) -> tuple[float, int, int]:
-    """Find the earliest event of the step among the guards that `screen` marked; the tableau must be filled for these.
+    """Find the earliest event of the step among the guards that `screen` did not prove free of zeros.
 
-    Return (fraction of `length` or NO_CROSSING, damper, guard).
+    `unproven`, `unproven_ceilings`: see `screen`; unless both are 0, the series of the state must be filled.
+
+    Returns (fraction of `length` or NO_CROSSING, damper from 0, guard or change of a finite-duration contact).
     """
     first_tau, damper, crossed = NO_CROSSING, -1, 0
     for j in range(model.mass.shape[0]):
@@ -122,7 +129,7 @@ def first_event(
             continue
         if model.bed[j] >= 0:
             tau, guard, ambiguous = first_contact_change(model, state, workspace, j, length)
-            state.counters[AMBIGUOUS] += ambiguous
+            state.counters[AMBIGUOUS_CROSSINGS] += ambiguous
             if tau < first_tau:
                 first_tau, damper, crossed = tau, j, guard
             continue
@@ -136,7 +143,7 @@ def first_event(
                 guard = CONTACT_FORCE
                 multiplicity, magnitude = _force_series(model, state, workspace, j, length)
             tau, ambiguous = find_crossing(workspace, max(multiplicity, 0), magnitude)
-            state.counters[AMBIGUOUS] += ambiguous
+            state.counters[AMBIGUOUS_CROSSINGS] += ambiguous
             if tau < first_tau:
                 first_tau, damper, crossed = tau, j, guard
     return first_tau, damper, crossed

@@ -1,9 +1,10 @@
-"""The kernel: it propagates a compiled system through flights, contacts and impacts.
+"""The kernel: compiled code that propagates a system through flights, contacts and impacts.
 
-Between contact changes the state z = (coordinates, velocities, coil current, drive) obeys z' = A z + b exactly,
-with A and b of the contact configuration. A step of length h is a matrix product. Every guard (gap, contact force) is
-proven free of zeros over the step (`rig.engine.screening`), or its first crossing is isolated (`rig.engine.guards`)
-and the step ends there. Each proof is rigorous, so the motion does not depend on which proof succeeded.
+Between contact changes the state z = (coordinates, velocities, coil current, drive) obeys z' = A z + b exactly, where
+A and b depend on the contact configuration. A step of length h is a matrix product. Every guard (gap, contact force)
+is proven free of zeros over the step (`rig.engine.screening`), or its first crossing is isolated
+(`rig.engine.guards`) and the step ends there. Each proof is rigorous, so the motion does not depend on which proof
+succeeded.
 
 All numbers are float64, and no memory is allocated. The tables are described in `rig.engine.flow`, the contact laws in
 `rig.engine.contact`. Inlined functions have a single call site, because the compile time is proportional to the code.
@@ -15,17 +16,37 @@ from rig.engine.contact import impact, release_tensile, separate
 from rig.engine.finite_contact import FREE, change_contact
 from rig.engine.flow import Flow, Model
 from rig.engine.guards import bound_by_series, bound_by_tables, first_event
-from rig.engine.power_series import CLEAR, CURRENT, STALE, UNSETTLED, differentiate, expand, sum_series
+from rig.engine.power_series import (
+    ABOVE_MARGINS,
+    CONTACTS_UNCHECKED,
+    STATE_ONLY,
+    WITH_ACCELERATIONS,
+    expand_state,
+    store_accelerations,
+    sum_state_series,
+)
 from rig.engine.screening import CONTACT_FORCE, above_margins, screen, widen_envelope
-from rig.engine.state import EVENTS_IN_ROW, FLIGHT, SLOT, Log, State, close_break, open_break
+from rig.engine.state import (
+    EVENTS_AT_INSTANT,
+    FLIGHT,
+    N_BREAKS,
+    N_EVENTS,
+    PRESENT_SEGMENT,
+    TABLE_INDEX,
+    Log,
+    State,
+    close_break,
+    open_break,
+)
 from rig.engine.workspace import Workspace
 from rig.numerics.bernstein import NO_CROSSING
 from rig.numerics.jit import inlined_kernel
-from rig.numerics.simd import combine_many, copy, exceeds
+from rig.numerics.simd import affine_product_many, copy, exceeds
 
-#: Reasons for which the kernel returns.
-DONE, NEED_TABLE, LOG_FULL, STUCK = 0, 1, 2, 3
-#: Largest number of events at one instant, per damper; more contradict the contact law.
+#: Reasons for the kernel's return: segment completed; tables of the configuration missing; log full; too many events at
+#: one instant.
+DONE, TABLES_MISSING, LOG_FULL, STUCK = 0, 1, 2, 3
+#: Largest number of events at one instant, per damper; a larger number contradicts the contact law.
 MAX_EVENTS_AT_INSTANT = 100
 #: Number of events at one instant, per damper, after which each event halves the step. A shorter step resolves a motion
 #: that is below the rounding of a longer one.
@@ -36,7 +57,7 @@ _NOTHING, _CLOSE_BREAK, _RELEASE = 0, 1, 2
 
 @inlined_kernel
 def _advance_flights(model: Model, state: State, duration: float) -> None:
-    """Propagate every flying damper, and reset the multiplicities of all guards."""
+    """Propagate every flying damper by a duration, s, and reset the multiplicities of all guards."""
     for j in range(model.mass.shape[0]):
         if state.mode[j] == FLIGHT and model.bed[j] < 0:
             state.height[j] += duration * (state.speed[j] - 0.5 * model.gravity * duration)
@@ -60,102 +81,121 @@ def advance(
     """Propagate to the end of a segment, or return earlier if the caller must act.
 
     `segment`: number of the segment, for the log.
-    `steps`, `remaining`: step lengths in the segment (a real number), and those not yet done. The times of events are
-    computed from both, so that they have the same bits wherever the kernel returned in between.
-    `status`: `UNSETTLED`, `STALE`, `CURRENT` or `CLEAR` of the state.
+    `steps`, `remaining`: duration of the segment and of its part still to be propagated, in step lengths (real
+    numbers). The times of events are computed from both, so that they have the same bits wherever the kernel returned
+    in between.
+    `status`: of the state, see `rig.engine.power_series`.
     `accelerations`: whether the accelerations at the end are needed; they are stored after the state.
 
-    Returns `reason`, `DONE`, or `NEED_TABLE`, `LOG_FULL`, `STUCK`: after the caller has acted, call again with the
-    remaining steps; `remaining`; `status` of the state now.
+    Returns (reason, remaining, status). `reason`: `DONE`, or `TABLES_MISSING`, `LOG_FULL`, `STUCK`; after the caller
+    has removed the cause, call again with the remaining steps.
     """
     columns = flow.rates_constant.shape[1]
     dampers = model.mass.shape[0]
-    has_room = columns + 2 * model.first_velocity <= flow.propagate_constant.shape[1]
+    # Whether a full step also computes the derivatives of the accelerations.
+    has_derivatives = columns + 2 * model.first_velocity <= flow.step_matrix_constant.shape[1]
     pending = _NOTHING
-    if status == UNSETTLED:
+    if status == CONTACTS_UNCHECKED:
         pending = _RELEASE
     while True:
         if pending != _NOTHING:
             if pending == _RELEASE:
                 release_tensile(flow, model, state, log, workspace.contact)
-            if status != UNSETTLED:
+            if status != CONTACTS_UNCHECKED:
                 close_break(model, state, log)
             pending = _NOTHING
-            status = STALE
+            status = STATE_ONLY
         finished = remaining <= 0.0
-        if finished and not (accelerations and status == STALE):
+        if finished and not (accelerations and status == STATE_ONLY):
             return DONE, 0.0, status
-        slot = state.counters[SLOT]
-        if slot < 0:
-            return NEED_TABLE, remaining, STALE
+        table_index = state.counters[TABLE_INDEX]
+        if table_index < 0:
+            return TABLES_MISSING, remaining, STATE_ONLY
         length = min(remaining, 1.0)
-        halvings = state.counters[EVENTS_IN_ROW] - STEP_HALVING_EVENTS * dampers
+        halvings = state.counters[EVENTS_AT_INSTANT] - STEP_HALVING_EVENTS * dampers
         if halvings > 0:
             length *= 0.5**halvings
         duration = length * model.step
-        full_step = flow.stepping and length == 1.0
+        full_step = flow.has_step_matrix and length == 1.0
         if full_step:
-            padded_columns = flow.propagate.shape[1]
-            combine_many(flow.propagate, flow.propagate_constant, slot, state.z, padded_columns, workspace.new)
+            padded_columns = flow.step_matrix.shape[1]
+            affine_product_many(
+                flow.step_matrix, flow.step_matrix_constant, table_index, state.z, padded_columns, workspace.end_state
+            )
             if (
-                status == CLEAR
+                status == ABOVE_MARGINS
                 and not exceeds(state.z, workspace.envelope)
-                and above_margins(model, state, workspace.margin, workspace.new, columns, duration)
+                and above_margins(model, state, workspace.margin, workspace.end_state, columns, duration)
             ):
-                copy(workspace.new, state.z)
+                copy(workspace.end_state, state.z)
                 _advance_flights(model, state, duration)
                 remaining -= 1.0
                 continue
         if not finished and (
-            log.filled[0] + 4 * dampers > log.segment.shape[0] or log.filled[1] == log.before.shape[0]
+            log.counts[N_EVENTS] + 4 * dampers > log.event_segment.shape[0]
+            or log.counts[N_BREAKS] == log.state_before.shape[0]
         ):
-            return LOG_FULL, remaining, STALE
+            return LOG_FULL, remaining, STATE_ONLY
         if finished:
-            differentiate(flow, model, slot, state.z, workspace.derivative, STALE)
-            return DONE, 0.0, STALE
+            store_accelerations(flow, model, table_index, state.z, workspace.derivative, STATE_ONLY)
+            return DONE, 0.0, STATE_ONLY
         if not full_step:
-            expand(flow, model, slot, state.z, workspace.tableau)
-            sum_series(workspace, length, workspace.new)
-        if flow.stepping:
-            if status == STALE or not flow.smooth:
-                differentiate(flow, model, slot, state.z, workspace.derivative, status)
-            if not (full_step and has_room):
-                differentiate(flow, model, slot, workspace.new, workspace.derivative, CURRENT if full_step else STALE)
-            bound_by_tables(flow, slot, state.z, workspace)
+            expand_state(flow, model, table_index, state.z, workspace.state_series)
+            sum_state_series(workspace, length, workspace.end_state)
+        if flow.has_step_matrix:
+            if status == STATE_ONLY or not flow.drive_is_smooth:
+                store_accelerations(flow, model, table_index, state.z, workspace.derivative, status)
+            if not (full_step and has_derivatives):
+                store_accelerations(
+                    flow,
+                    model,
+                    table_index,
+                    workspace.end_state,
+                    workspace.derivative,
+                    WITH_ACCELERATIONS if full_step else STATE_ONLY,
+                )
+            bound_by_tables(flow, table_index, state.z, workspace)
         else:
             bound_by_series(
-                model, state.mode, workspace.tableau, length, state.z, workspace.new, columns, workspace.bound
+                model,
+                state.mode,
+                workspace.state_series,
+                length,
+                state.z,
+                workspace.end_state,
+                columns,
+                workspace.bound,
             )
         unproven, unproven_ceilings = screen(model, state, workspace, columns, length, duration)
         if full_step and unproven | unproven_ceilings != 0:
-            expand(flow, model, slot, state.z, workspace.tableau)
-        tau, j, guard = first_event(model, state, workspace, length, unproven, unproven_ceilings)
+            expand_state(flow, model, table_index, state.z, workspace.state_series)
+        tau, j, guard = first_event(model, state, workspace, length, unproven, unproven_ceilings)  # j: damper
         if tau == NO_CROSSING:
-            copy(workspace.new, state.z)
+            copy(workspace.end_state, state.z)
             _advance_flights(model, state, duration)
-            state.counters[EVENTS_IN_ROW] = 0
+            state.counters[EVENTS_AT_INSTANT] = 0
             remaining -= length
-            if flow.stepping and not flow.enveloping:
-                status = CURRENT
-            elif flow.stepping:
-                if status == STALE or exceeds(state.z, workspace.envelope):
-                    widen_envelope(flow, slot, state.z, workspace)
+            if flow.has_step_matrix and not flow.uses_envelope:
+                status = WITH_ACCELERATIONS
+            elif flow.has_step_matrix:
+                if status == STATE_ONLY or exceeds(state.z, workspace.envelope):
+                    widen_envelope(flow, table_index, state.z, workspace)
                 clear = above_margins(model, state, workspace.margin, state.z, columns, 0.0)
-                status = CLEAR if clear else CURRENT
+                status = ABOVE_MARGINS if clear else WITH_ACCELERATIONS
             continue
-        status = STALE
+        status = STATE_ONLY
         if tau > 0.0:
-            sum_series(workspace, tau * length, workspace.new)
-            copy(workspace.new, state.z)
+            sum_state_series(workspace, tau * length, workspace.end_state)
+            copy(workspace.end_state, state.z)
             _advance_flights(model, state, tau * duration)
             remaining -= tau * length
-            state.counters[EVENTS_IN_ROW] = 0
+            state.counters[EVENTS_AT_INSTANT] = 0
         else:
-            state.counters[EVENTS_IN_ROW] += 1
-            if state.counters[EVENTS_IN_ROW] > MAX_EVENTS_AT_INSTANT * dampers:
+            state.counters[EVENTS_AT_INSTANT] += 1
+            if state.counters[EVENTS_AT_INSTANT] > MAX_EVENTS_AT_INSTANT * dampers:
                 return STUCK, remaining, status
-        log.filled[2] = segment
-        log.now[0] = (steps - remaining) * model.step
+        log.counts[PRESENT_SEGMENT] = segment
+        log.present_offset[0] = (steps - remaining) * model.step
         finite_contact = model.bed[j] >= 0
         if not (finite_contact and guard == FREE):
             open_break(model, state, log)
@@ -163,7 +203,7 @@ def advance(
         if finite_contact:
             change_contact(flow, model, state, log, j, guard)
             if guard != FREE:
-                # In contact the gap has another magnitude.
+                # The gap has another order of magnitude in contact than in flight.
                 workspace.envelope[model.bed[j]] = workspace.envelope[model.first_velocity + model.bed[j]] = 0.0
                 if model.coupled:
                     pending = _RELEASE

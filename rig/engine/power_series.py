@@ -1,6 +1,7 @@
-"""The state over one step: its power series, the sum of the series, and the derivatives that guards need.
+"""The state within one step: its power series in time, the sum of the series, and the accelerations.
 
-They are computed from the tables of `rig.engine.flow`, or for a system without tables from the sparse matrix.
+They are computed from the tables of `rig.engine.flow`, or for a system without tables from the sparse matrix A of
+z' = A z + b. The time in a step of length h is tau h, 0 <= tau <= 1.
 """
 
 from __future__ import annotations
@@ -10,34 +11,35 @@ from rig.engine.flow import Flow, Model
 from rig.engine.workspace import Workspace
 from rig.numerics.bernstein import N_COEFFICIENTS
 from rig.numerics.jit import inlined_kernel
-from rig.numerics.simd import combine, combine_many
+from rig.numerics.simd import affine_product, affine_product_many
 
-#: Status of the present state. UNSETTLED: contact forces may be tensile. STALE: its accelerations are unknown. CURRENT:
-#: its accelerations follow it. CLEAR: in addition, every guard exceeds its margin.
-UNSETTLED, STALE, CURRENT, CLEAR = -1, 0, 1, 2
+#: Status of the present state. CONTACTS_UNCHECKED: contact forces may be tensile. STATE_ONLY: the accelerations are not
+#: computed. WITH_ACCELERATIONS: they are stored after the state. ABOVE_MARGINS: in addition, every guard exceeds its
+#: margin (`rig.engine.screening`).
+CONTACTS_UNCHECKED, STATE_ONLY, WITH_ACCELERATIONS, ABOVE_MARGINS = -1, 0, 1, 2
 
 
 @inlined_kernel
-def expand(flow: Flow, model: Model, slot: int, z: Array, tableau: Array) -> None:
-    """Compute the power series of the state over one step: tableau[k] = (A h)^k z / k!, plus the constant part."""
+def expand_state(flow: Flow, model: Model, table_index: int, z: Array, state_series: Array) -> None:
+    """Compute the power series of the state over one step: state_series[k] = (A h)^k z / k!, plus the part of b."""
     size = flow.rates_constant.shape[1]
-    if flow.tabulated:
-        combine_many(flow.series, flow.series_constant, slot, z, size, tableau)
+    if flow.has_series:
+        affine_product_many(flow.series, flow.series_constant, table_index, z, size, state_series)
         return
     for i in range(size):
-        tableau[0, i] = z[i]
+        state_series[0, i] = z[i]
     for k in range(N_COEFFICIENTS):
         factor = model.step / (k + 1)
         for i in range(size):
-            rate = flow.rates_constant[slot, i] if k == 0 else 0.0
-            for entry in range(flow.pointer[i], flow.pointer[i + 1]):
-                rate += flow.rates[slot, entry] * tableau[k, flow.column[entry]]
-            tableau[k + 1, i] = factor * rate
+            rate = flow.rates_constant[table_index, i] if k == 0 else 0.0
+            for entry in range(flow.row_pointer[i], flow.row_pointer[i + 1]):
+                rate += flow.rates[table_index, entry] * state_series[k, flow.column[entry]]
+            state_series[k + 1, i] = factor * rate
 
 
 @inlined_kernel
-def sum_series(workspace: Workspace, tau: float, out: Array) -> None:
-    """Compute the state at the fraction tau of the step: the rows of the tableau times the powers of tau."""
+def sum_state_series(workspace: Workspace, tau: float, out: Array) -> None:
+    """Compute the state at the fraction tau of the step: the sum of the series' rows times the powers of tau."""
     powers = workspace.powers
     square = tau * tau
     powers[0] = 1.0
@@ -46,24 +48,25 @@ def sum_series(workspace: Workspace, tau: float, out: Array) -> None:
         powers[k] = powers[k - 2] * square
     for k in range(3, N_COEFFICIENTS + 1, 2):
         powers[k] = powers[k - 2] * square
-    combine(workspace.series_rows, workspace.zero_constant, 0, powers, N_COEFFICIENTS + 1, out)
+    affine_product(workspace.series_matrix, workspace.zero_constant, 0, powers, N_COEFFICIENTS + 1, out)
 
 
 @inlined_kernel
-def differentiate(flow: Flow, model: Model, slot: int, z: Array, work: Array, status: int) -> None:
-    """Store the accelerations after a state, unless they are known, and their derivatives with respect to tau.
+def store_accelerations(flow: Flow, model: Model, table_index: int, z: Array, work: Array, status: int) -> None:
+    """Store the accelerations after a state, unless they are stored already, and their derivatives with respect to tau.
 
-    For a system without tables for full steps, the derivatives are computed from its series instead.
+    For a system without tables for full steps, only the accelerations are stored; `bound_by_series` computes the
+    derivatives.
     """
     columns = flow.rates_constant.shape[1]
     points = model.first_velocity
-    if flow.stepping:
-        combine(flow.derivative, flow.derivative_constant, slot, z, columns, work)
-        for i in range(points if status != STALE else 0, 2 * points):
+    if flow.has_step_matrix:
+        affine_product(flow.derivative, flow.derivative_constant, table_index, z, columns, work)
+        for i in range(points if status != STATE_ONLY else 0, 2 * points):
             z[columns + i] = work[i]
         return
     for i in range(points, 2 * points):
-        rate = flow.rates_constant[slot, i]
-        for entry in range(flow.pointer[i], flow.pointer[i + 1]):
-            rate += flow.rates[slot, entry] * z[flow.column[entry]]
+        rate = flow.rates_constant[table_index, i]
+        for entry in range(flow.row_pointer[i], flow.row_pointer[i + 1]):
+            rate += flow.rates[table_index, entry] * z[flow.column[entry]]
         z[columns + i - points] = rate

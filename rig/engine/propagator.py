@@ -1,8 +1,9 @@
-"""Propagation of a system in time: the kernel's state, its log, and the two kinds of drive.
+"""Propagation of a system in time, under one of two kinds of drive; the entry point of the engine.
 
-Sampled drive: one segment for each sample interval; the linear interpolation of the drive (first-order hold) is
-integrated exactly. Pure tone: segments between marks. A mark is a sample instant, or the start of a period, where the
-phase of the drive is reset, so that it is still exact after a million periods.
+Time is divided into segments. Sampled drive: one segment for each sample interval; the linear interpolation of the
+drive (first-order hold) is integrated exactly. Pure tone: segments between marks. A mark is a sample instant, or the
+start of a period. At the start of a period the phase of the drive is reset, so that it is exact after any number of
+periods.
 """
 
 from __future__ import annotations
@@ -14,11 +15,19 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array
 from rig.engine.flow_tables import MAX_RATE_TIMES_STEP, FlowTables, tables_for
-from rig.engine.kernel import DONE, LOG_FULL, NEED_TABLE, STUCK, advance
-from rig.engine.power_series import STALE, UNSETTLED, differentiate
+from rig.engine.kernel import DONE, LOG_FULL, STUCK, TABLES_MISSING, advance
+from rig.engine.power_series import CONTACTS_UNCHECKED, STATE_ONLY, store_accelerations
 from rig.engine.samples import MotionSamples, StateSamples, store_motion, store_state
 from rig.engine.screening import reset_envelope
-from rig.engine.state import AMBIGUOUS, CONFIGURATION, SLOT, Log, empty_log, state_at_rest
+from rig.engine.state import (
+    AMBIGUOUS_CROSSINGS,
+    CONFIGURATION,
+    N_EVENTS,
+    TABLE_INDEX,
+    Log,
+    empty_log,
+    state_at_rest,
+)
 from rig.engine.trajectory import Trajectory
 from rig.engine.workspace import Workspace, workspace_for
 from rig.errors import RunError, SceneError
@@ -32,26 +41,26 @@ from rig.system.hybrid_system import Drive, HybridSystem, first_order_hold, pure
 LOG_ROWS = 1024
 # Largest number of steps in a sample interval or a period; they take some seconds.
 MAX_STEPS = 1e7
-#: Every segment sets the drive at its start.
-ALL_SEGMENTS = np.ones(1, dtype=bool)
-#: The row of the only segment.
+# `Segments.sets_drive`: every segment, or no segment, sets the drive at its start.
+_EVERY_SEGMENT = np.ones(1, dtype=bool)
+_NO_SEGMENT = np.zeros(1, dtype=bool)
+# `Segments.row`: the only segment is stored in the first row, or is not stored.
 _FIRST_ROW = np.zeros(1, dtype=np.int64)
-# Fields of a segment of zero duration, whose motion is not stored.
-_ZERO_STEPS = np.zeros(1)
-_NO_RENEWAL = np.zeros(1, dtype=bool)
 _NO_ROW = np.full(1, -1)
+# `Segments.steps` of a segment of zero duration.
+_ZERO_STEPS = np.zeros(1)
 
 
 class Segments(NamedTuple):
     """Time segments between the columns of a drive.
 
-    steps, renew: duration in step lengths, and whether the drive and its change over the segment are set as drive
-    states at the start; one entry, or one for each segment. drive (inputs, segments + 1). row (segments,): row in which
-    the motion at the end of each segment is stored, or -1.
+    steps: durations in step lengths. sets_drive: whether the drive states are set to the drive and its change over the
+    segment at the start. Both have one entry for all segments, or one for each. drive: shape (inputs, segments + 1).
+    row: row in which the motion at the end of each segment is stored, or -1; shape (segments,).
     """
 
     steps: Array
-    renew: NDArray[np.bool_]
+    sets_drive: NDArray[np.bool_]
     drive: Array
     row: NDArray[np.int64]
 
@@ -66,33 +75,33 @@ def _propagate(
     flow: Any, model: Any, state: Any, workspace: Any, log: Any, segments: Segments, begin: int, remaining: float,
     states: StateSamples, motion: MotionSamples, status: int,
 ) -> tuple[int, int, float]:  # fmt: skip
-    """Propagate through segments, and fill the rows of `states` and the columns of `motion`.
+    """Propagate through segments from number `begin` on, and fill the rows of `states` and the columns of `motion`.
 
-    Returns early, with the segment and its remaining steps (negative: not begun), if a table or space in the log is
-    needed, or a contact is stuck.
+    Returns (reason, segment, remaining). The reason is `DONE` after the last segment. Otherwise it is another reason of
+    `advance`, with the segment and its remaining steps (negative: not begun), from which to continue.
     """
-    steps, renew, drive, row = segments
+    steps, sets_drive, drive, row = segments
     inputs, count = drive.shape[0], drive.shape[1] - 1
-    first = flow.rates_constant.shape[1] - 2 * inputs
+    first_drive_state = flow.rates_constant.shape[1] - 2 * inputs
     stride = 1 if steps.shape[0] > 1 else 0
     reset_envelope(flow, workspace)
     for k in range(begin, count):
         segment_steps, stored = steps[stride * k], row[k] >= 0
         if remaining < 0.0:
             remaining = segment_steps
-            if renew[stride * k]:
+            if sets_drive[stride * k]:
                 for i in range(inputs):
-                    state.z[first + i] = drive[i, k]
-                    state.z[first + inputs + i] = drive[i, k + 1] - drive[i, k]
+                    state.z[first_drive_state + i] = drive[i, k]
+                    state.z[first_drive_state + inputs + i] = drive[i, k + 1] - drive[i, k]
         reason, remaining, status = advance(
             flow, model, state, workspace, log, k, segment_steps, remaining, status, stored
         )
         if reason != DONE:
             return reason, k, remaining
-        if state.counters[SLOT] < 0:
-            return NEED_TABLE, k, 0.0
+        if state.counters[TABLE_INDEX] < 0:
+            return TABLES_MISSING, k, 0.0
         if stored:
-            if states.slot.shape[0] > 0:
+            if states.table_index.shape[0] > 0:
                 store_state(state, row[k], states)
             if motion.rows.shape[1] > 0:
                 store_motion(flow, model, state, motion, row[k], k == count - 1)
@@ -101,19 +110,19 @@ def _propagate(
 
 
 @kernel
-def _accelerations(flow: Any, model: Any, states: Array, slots: NDArray[np.int64], work: Array) -> None:
+def _store_accelerations(flow: Any, model: Any, states: Array, table_indices: NDArray[np.int64], work: Array) -> None:
     for k in range(states.shape[0]):
-        differentiate(flow, model, slots[k], states[k], work, STALE)
+        store_accelerations(flow, model, table_indices[k], states[k], work, STATE_ONLY)
 
 
-#: Largest displacement; a larger motion has diverged, because no length in a scene is larger.
+#: Largest displacement. A motion with a larger displacement has diverged, because no length in a scene is larger.
 MAX_DISPLACEMENT_M = LENGTH.maximum
 
 
 class Propagator:
     """Propagates a system in time.
 
-    `step`: step length in seconds, see `step_for`.
+    `drive`: how the inputs evolve within a segment; `step`: step length in seconds, see `step_for`.
     """
 
     def __init__(self, system: HybridSystem, drive: Drive, step: float) -> None:
@@ -133,34 +142,37 @@ class Propagator:
         self._window = aligned_zeros(LANES, padded_length(3 * system.coordinates + dampers))
         self._no_motion, self._no_states = self.motion_samples(0), self.state_samples(0)
         self._no_drive = np.zeros((len(system.inputs), 2))
-        self._elapsed = 0.0
+        self._elapsed_s = 0.0
         self._empty_log = _copied_log(self.log, 0, 0, self.tables)
-        self._find_table()
+        self._look_up_tables()
 
     @property
     def ambiguous(self) -> int:
         """Number of contact decisions so far that depended on rounding."""
-        return int(self.state.counters[AMBIGUOUS])
+        return int(self.state.counters[AMBIGUOUS_CROSSINGS])
 
     @property
-    def work(self) -> int:
+    def multiplications_per_step(self) -> int:
         """Approximate number of multiplications of a step."""
         flow = self.tables.flow
-        return self.tables.size**2 if flow.stepping else flow.column.size * N_COEFFICIENTS
+        return self.tables.size**2 if flow.has_step_matrix else flow.column.size * N_COEFFICIENTS
 
     def set_state(self, state: Array, drive: Array) -> NDArray[np.int64]:
         """Set the state, with every damper on its floor; dampers whose contact force would be tensile separate.
 
-        Returns the dampers (from 0) that have separated.
+        `state`: shape (states,), SI units; `drive`: drive states. Returns the dampers (from 0) that have separated.
         """
         self.state.z[: self.system.states] = state
         self.state.z[self.system.states : self.tables.size] = drive
         self._advance(
-            Segments(_ZERO_STEPS, _NO_RENEWAL, self._no_drive, _NO_ROW), self._no_states, self._no_motion, UNSETTLED
+            Segments(_ZERO_STEPS, _NO_SEGMENT, self._no_drive, _NO_ROW),
+            self._no_states,
+            self._no_motion,
+            CONTACTS_UNCHECKED,
         )
-        separated = self.log.damper[: self.log.filled[0]].copy()
-        self.log.filled[:] = 0
-        self._find_table()
+        separated = self.log.event_damper[: self.log.counts[N_EVENTS]].copy()
+        self.log.counts[:] = 0
+        self._look_up_tables()
         return separated
 
     def snapshot(self) -> tuple[Array, ...]:
@@ -171,42 +183,46 @@ class Propagator:
         """Continue from a state of motion of this system; the drive may be different."""
         for current, copy in zip(self.state, snapshot, strict=True):
             current[...] = copy
-        self._find_table()
+        self._look_up_tables()
 
     def start_period(self, level: float) -> None:
-        """Set the tone to the start of a period."""
+        """Set the tone to the start of a period; `level`: factor on its amplitudes."""
         self.state.z[self.system.states : self.tables.size] = (level, 0.0)
 
     def current_state(self) -> Trajectory:
         """Return the present state as a trajectory of one sample without events."""
         return Trajectory(
             self.state.z[None].copy(),
-            self.state.counters[SLOT : SLOT + 1].copy(),
+            self.state.counters[TABLE_INDEX : TABLE_INDEX + 1].copy(),
             self.state.height[None].copy(),
             self.state.mode[None].astype(np.int8),
             *self._take_log(),
         )
 
-    def through_samples(self, drive: Array, interval_steps: float) -> Trajectory:
-        """Propagate through the sample intervals between the columns of a sampled drive (inputs, samples + 1)."""
+    def propagate_samples(self, drive: Array, interval_steps: float) -> Trajectory:
+        """Propagate through the sample intervals between the columns of a sampled drive (inputs, samples + 1).
+
+        `interval_steps`: sample interval in step lengths.
+        """
         intervals = drive.shape[1] - 1
-        segments = Segments(np.array([interval_steps]), ALL_SEGMENTS, drive, np.arange(intervals))
+        segments = Segments(np.array([interval_steps]), _EVERY_SEGMENT, drive, np.arange(intervals))
         return self._run(segments, self.state_samples(intervals), self._no_motion)
 
-    def through_interval(self, drive: Array, interval_steps: Array, states: StateSamples) -> Trajectory | None:
+    def propagate_interval(self, drive: Array, interval_steps: Array, states: StateSamples) -> Trajectory | None:
         """Propagate through one sample interval; fast, because the caller provides reusable arrays.
 
-        `states`: of one sample, for the state at the end; see `state_samples`. Returns None if there was no event.
+        `drive`: shape (inputs, 2). `interval_steps`: sample interval in step lengths, shape (1,). `states`: of one
+        sample, for the state at the end; see `state_samples`. Returns None if there was no event.
         """
-        self._advance(Segments(interval_steps, ALL_SEGMENTS, drive, _FIRST_ROW), states, self._no_motion)
-        self._elapsed += float(interval_steps[0]) * self.tables.step
-        return Trajectory(*states, *self._take_log()) if self.log.filled[:2].any() else None
+        self._advance(Segments(interval_steps, _EVERY_SEGMENT, drive, _FIRST_ROW), states, self._no_motion)
+        self._elapsed_s += float(interval_steps[0]) * self.tables.step
+        return Trajectory(*states, *self._take_log()) if self.log.counts[:2].any() else None
 
     def sample_motion(self, drive: Array, interval_steps: float, motion: MotionSamples, column: int) -> Trajectory:
-        """Propagate through sample intervals, and store the motion from a column on, but no states."""
+        """Propagate as `propagate_samples`, and store the motion from a column on, but no states."""
         motion.begin[0] = column
         rows = np.arange(column, column + drive.shape[1] - 1)
-        return self._run(Segments(np.array([interval_steps]), ALL_SEGMENTS, drive, rows), self._no_states, motion)
+        return self._run(Segments(np.array([interval_steps]), _EVERY_SEGMENT, drive, rows), self._no_states, motion)
 
     def motion_samples(self, samples: int) -> MotionSamples:
         """Allocate the motion at a number of samples."""
@@ -218,17 +234,17 @@ class Propagator:
         )
 
     def motion_parts(self, motion: MotionSamples) -> tuple[Array, Array, Array, Array]:
-        """Return displacements, velocities and accelerations (points, samples) and gaps (dampers, samples)."""
+        """Return displacements, velocities, accelerations (points, samples) and gaps (dampers, samples), SI units."""
         n, points, rows = self.system.coordinates, len(self.system.points), motion.rows
         displacement, velocity, acceleration = (rows[k * n : k * n + points] for k in range(3))
         return displacement, velocity, acceleration, rows[3 * n : 3 * n + self.system.dampers]
 
-    def sample_present(self, motion: MotionSamples, column: int) -> None:
+    def store_present_motion(self, motion: MotionSamples, column: int) -> None:
         """Store the present motion in one column."""
         motion.begin[0] = column
-        self._advance(Segments(_ZERO_STEPS, _NO_RENEWAL, self._no_drive, np.array([column])), self._no_states, motion)
+        self._advance(Segments(_ZERO_STEPS, _NO_SEGMENT, self._no_drive, np.array([column])), self._no_states, motion)
 
-    def through_marks(
+    def propagate_marks(
         self, steps: Array, sample_row: NDArray[np.int64], new_period: NDArray[np.bool_], level: float = 1.0
     ) -> Trajectory:
         """Propagate through segments of given durations under a tone.
@@ -242,11 +258,11 @@ class Propagator:
         states = self.state_samples(int(sample_row.max(initial=-1)) + 1)
         return self._run(Segments(steps, new_period, drive, sample_row), states, self._no_motion)
 
-    def accelerations(self, states: Array, slots: NDArray[np.int64]) -> Array:
-        """Return the acceleration of every coordinate for rows of a `Trajectory`, shape (coordinates, samples)."""
+    def accelerations(self, states: Array, table_indices: NDArray[np.int64]) -> Array:
+        """Return the acceleration of every coordinate for rows of a `Trajectory`, m/s^2, (coordinates, samples)."""
         if not len(states):
             return np.zeros((self.system.coordinates, 0))
-        _accelerations(self.tables.flow, self.tables.model, states, slots, self.workspace.derivative)
+        _store_accelerations(self.tables.flow, self.tables.model, states, table_indices, self.workspace.derivative)
         first = self.tables.size
         return np.ascontiguousarray(states[:, first : first + self.system.coordinates].T)
 
@@ -255,7 +271,7 @@ class Propagator:
         size, dampers = self.state.z.shape[0], self.system.dampers
         return StateSamples(
             state=np.zeros((samples, size)),
-            slot=np.zeros(samples, dtype=np.int64),
+            table_index=np.zeros(samples, dtype=np.int64),
             height=np.zeros((samples, dampers)),
             mode=np.zeros((samples, dampers), dtype=np.int8),
         )
@@ -263,24 +279,27 @@ class Propagator:
     def _run(self, segments: Segments, states: StateSamples, motion: MotionSamples) -> Trajectory:
         self._advance(segments, states, motion)
         self._check_divergence(segments, states, motion)
-        self._elapsed += float(segments.steps.sum()) * (segments.row.size // segments.steps.size) * self.tables.step
+        segments_per_entry = segments.row.size // segments.steps.size
+        self._elapsed_s += float(segments.steps.sum()) * segments_per_entry * self.tables.step
         return Trajectory(*states, *self._take_log())
 
-    def _advance(self, segments: Segments, states: StateSamples, motion: MotionSamples, status: int = STALE) -> None:
+    def _advance(
+        self, segments: Segments, states: StateSamples, motion: MotionSamples, status: int = STATE_ONLY
+    ) -> None:
         begin, remaining = 0, -1.0
         while True:
             reason, begin, remaining = _propagate(
                 self.tables.flow, self.tables.model, self.state, self.workspace, self.log, segments, begin, remaining,
                 states, motion, status,
             )  # fmt: skip
-            status = STALE
-            if reason == NEED_TABLE:
-                self._find_table()
+            status = STATE_ONLY
+            if reason == TABLES_MISSING:
+                self._look_up_tables()
             elif reason == LOG_FULL:
                 self._double_log()
             elif reason == STUCK:
                 self._check_divergence(segments, states, motion)
-                damper = self.system.damper_number[self.log.damper[self.log.filled[0] - 1]]
+                damper = self.system.damper_number[self.log.event_damper[self.log.counts[N_EVENTS] - 1]]
                 raise RunError(
                     f"damper {damper} separates and lands repeatedly at one instant, which contradicts "
                     "the contact law. Report this with the scene."
@@ -290,56 +309,64 @@ class Propagator:
 
     def _double_log(self) -> None:
         old = self.log
-        self.log = empty_log(2 * len(old.segment), self.state.z.size, self.system.dampers)
+        self.log = empty_log(2 * len(old.event_segment), self.state.z.size, self.system.dampers)
         for source, target in zip(old, self.log, strict=True):
             target[: len(source)] = source
 
     def _check_divergence(self, segments: Segments, states: StateSamples, motion: MotionSamples) -> None:
-        """Raise `RunError` if the motion has diverged, with the first sample at which it had."""
+        """Raise `RunError` with the time of the first diverged sample if the motion has diverged."""
         n = self.system.coordinates
         if np.abs(self.state.z[:n]).max() <= MAX_DISPLACEMENT_M:
             return
         displacement = self.state.z[:n]
-        row, ends = segments.row, self._elapsed + segments.ends(self.tables.step)
+        row, ends = segments.row, self._elapsed_s + segments.ends(self.tables.step)
         time = ends[-1]
         for samples in (states.state[:, :n], motion.rows[:n].T):
             stored = samples[row[row >= 0]] if len(samples) else samples
             diverged = np.flatnonzero(~(np.abs(stored) <= MAX_DISPLACEMENT_M).all(axis=1))
             if diverged.size:
                 displacement, time = stored[diverged[0]], ends[row >= 0][diverged[0]]
-        q = int(np.argmax(np.where(np.isfinite(displacement), np.abs(displacement), np.inf)))
-        name = self.system.points[q] if q < len(self.system.points) else "a damper in its cavity"
+        largest = int(np.argmax(np.where(np.isfinite(displacement), np.abs(displacement), np.inf)))
+        points = self.system.points
+        name = points[largest] if largest < len(points) else "a damper in its cavity"
         raise RunError(
-            f"the motion diverges: {name} is {abs(displacement[q]):.3g} m away from rest {time:.4g} s after the "
+            f"the motion diverges: {name} is {abs(displacement[largest]):.3g} m away from rest {time:.4g} s after the "
             "start. Check for negative damping, with riding dampers or with the coil spring attached, "
             "and for a drive that is too large."
         )
 
-    def _find_table(self) -> None:
-        self.state.counters[SLOT] = self.tables.slot(int(self.state.counters[CONFIGURATION]))
+    def _look_up_tables(self) -> None:
+        self.state.counters[TABLE_INDEX] = self.tables.table_index(int(self.state.counters[CONFIGURATION]))
 
     def _take_log(self) -> tuple[Any, ...]:
         """Return the content of the log, and empty it."""
-        log, (events, breaks, _) = self.log, self.log.filled.tolist()
+        log, (events, breaks, _) = self.log, self.log.counts.tolist()
         if not events and not breaks:
             return self._empty_log
         content = _copied_log(log, events, breaks, self.tables)
-        log.filled[:2] = 0
+        log.counts[:2] = 0
         return content
 
 
 def _copied_log(log: Log, events: int, breaks: int, tables: FlowTables) -> tuple[Any, ...]:
     """Copy the first events and breaks of a log, in the order of the fields of `Trajectory`."""
     return (
-        *(part[:events].copy() for part in (log.segment, log.offset, log.damper, log.kind, log.closing)),
-        *(part[:breaks].copy() for part in (log.break_segment, log.break_offset, log.before, log.after)),
+        *(
+            part[:events].copy()
+            for part in (log.event_segment, log.event_offset, log.event_damper, log.event_kind, log.event_speed)
+        ),
+        *(part[:breaks].copy() for part in (log.break_segment, log.break_offset, log.state_before, log.state_after)),
         *(part[:breaks].copy() for part in (log.speed_before, log.speed_after)),
-        *tables.slots_of(log.configuration[:breaks]).T,
+        *tables.table_indices(log.configuration[:breaks]).T,
     )
 
 
 def step_for(span: float, max_rate: float) -> tuple[float, float]:
-    """Return a step length that divides a time span and is short enough for the series; (step, steps in the span)."""
+    """Return a step length that divides a time span and is short enough for the series.
+
+    `span`: s; `max_rate`: largest rate of the system, rad/s. Returns the step length, s, and the number of steps in the
+    span. Raises `RunError` if this number exceeds `MAX_STEPS`.
+    """
     steps = max(1.0, float(np.ceil(span * max_rate / MAX_RATE_TIMES_STEP)))
     if not steps <= MAX_STEPS:
         raise RunError(
@@ -351,7 +378,7 @@ def step_for(span: float, max_rate: float) -> tuple[float, float]:
 
 
 def sampled_propagator(system: HybridSystem, interval: float) -> tuple[Propagator, float]:
-    """Return a propagator under a sampled drive, and the number of steps in a sample interval."""
+    """Return a propagator under a sampled drive, and the number of steps in a sample interval (`interval`, s)."""
     step, steps = step_for(interval, system.max_rate)
     return Propagator(system, first_order_hold(len(system.inputs), interval), step), steps
 
@@ -359,7 +386,10 @@ def sampled_propagator(system: HybridSystem, interval: float) -> tuple[Propagato
 def tone_propagator(
     system: HybridSystem, amplitudes: NDArray[np.complex128], omega: float, interval: float | None = None
 ) -> tuple[Propagator, float]:
-    """Return a propagator under a tone u(t) = Re(U e^{i omega t}), and the number of steps in a period or interval."""
+    """Return a propagator under a tone u(t) = Re(U e^{i omega t}), and the number of steps in a period or interval.
+
+    `amplitudes`: U of each input; `omega`: rad/s; `interval`: time that the steps divide, s; None: a period.
+    """
     span = 2.0 * np.pi / omega if interval is None else interval
     step, steps = step_for(span, max(system.max_rate, omega))
     return Propagator(system, pure_tone(amplitudes, omega), step), steps

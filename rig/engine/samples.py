@@ -1,6 +1,6 @@
-"""Results of a propagation at its samples: states, or the motion (displacements, velocities, accelerations, gaps).
+"""Results of a propagation at its sample instants: states, or the motion (displacement, velocity, acceleration, gap).
 
-The compiled code fills both sample by sample, so that a propagation of any length is one call.
+The kernel fills both sample by sample, so that a propagation of any length is one call of compiled code.
 """
 
 from __future__ import annotations
@@ -13,25 +13,26 @@ from numpy.typing import NDArray
 from rig.arrays import Array
 from rig.engine.finite_contact import bed_gap
 from rig.engine.flow import Flow, Model
-from rig.engine.state import FLIGHT, FLOOR, SLOT, State
+from rig.engine.state import FLIGHT, FLOOR, TABLE_INDEX, State
 from rig.numerics.jit import inlined_kernel
 from rig.numerics.simd import LANES, transpose
 
 
 class StateSamples(NamedTuple):
-    """States at samples, as the rows of a `Trajectory`; without rows no state is stored."""
+    """States at sample instants, one row each; fields as in `Trajectory`. Without rows no state is stored."""
 
     state: Array
-    slot: NDArray[np.int64]
+    table_index: NDArray[np.int64]
     height: Array
     mode: NDArray[np.int8]
 
 
 class MotionSamples(NamedTuple):
-    """Motion at samples, as in `rig.simulation.motion.Motion`; without columns no motion is stored.
+    """Motion at sample instants, as in `rig.simulation.motion.Motion`; without columns no motion is stored.
 
-    rows (displacements, velocities, accelerations, gaps; samples); contact (dampers, samples); begin (1,), the first
-    column of this propagation; window (LANES, rows), the last samples, which are not yet transposed.
+    rows: displacements, velocities, accelerations and gaps in SI units, shape (rows, samples). contact: FLIGHT, FLOOR
+    or CEILING, shape (dampers, samples). begin: first column of this propagation, shape (1,). window: the last samples,
+    which are not yet transposed into `rows`, shape (LANES, rows).
     """
 
     rows: Array
@@ -43,7 +44,7 @@ class MotionSamples(NamedTuple):
 @inlined_kernel
 def store_state(state: State, row: int, states: StateSamples) -> None:
     """Store the present state in a row."""
-    states.slot[row] = state.counters[SLOT]
+    states.table_index[row] = state.counters[TABLE_INDEX]
     for i in range(states.state.shape[1]):
         states.state[row, i] = state.z[i]
     for j in range(states.height.shape[1]):
@@ -53,7 +54,11 @@ def store_state(state: State, row: int, states: StateSamples) -> None:
 
 @inlined_kernel
 def store_motion(flow: Flow, model: Model, state: State, motion: MotionSamples, column: int, last: bool) -> None:
-    """Store the present motion in a column; a window collects samples, because the rows are far apart in memory."""
+    """Store the present motion in a column.
+
+    A window collects `LANES` samples before they are written, because the rows are far apart in memory. `last`: whether
+    this is the last sample of the propagation.
+    """
     row, points = column % LANES, model.first_velocity
     first_acceleration = flow.rates_constant.shape[1]
     for i in range(2 * points):

@@ -1,9 +1,12 @@
 """Proofs that guards have no zero over a step, from values and slopes at its ends.
 
-The proof is by Hermite interpolation: the cubic through a guard's values and slopes at both ends of the step exceeds
-the error of the interpolation, which is limited by a bound of the guard's fourth derivative. For short steps, an
-envelope of the state is tested first: while the state stays inside it, margins that were computed once prove every
-guard positive.
+A guard is a gap or a contact force; its zero is a contact change. The proof is by cubic Hermite interpolation: the
+cubic through a guard's values and slopes at both ends of the step exceeds the error of the interpolation. This error
+has a bound that is proportional to the bound of the guard's fourth derivative.
+
+For short steps, an envelope of the state is tested first. While the magnitude of every state is below its envelope, a
+guard that exceeds its margin at both ends of a step is positive over the step. The margins are computed once for an
+envelope.
 """
 
 from __future__ import annotations
@@ -17,41 +20,46 @@ from rig.engine.state import FLIGHT, FLOOR, State
 from rig.engine.workspace import Workspace
 from rig.numerics.complementarity import ROUNDING
 from rig.numerics.jit import inlined_kernel
-from rig.numerics.simd import combine
+from rig.numerics.simd import affine_product
 
 #: Guards of a damper.
 FLOOR_GAP, CEILING_GAP, CONTACT_FORCE = 1, 2, 0
 #: Ratio of the bound of a fifth derivative, times the step length, to the bound of the fourth derivative.
 FIFTH_DERIVATIVE_FACTOR = TERMS - 5
-#: Ratio of an envelope to the magnitudes of the state.
+#: Ratio of a new envelope to the magnitudes of the state.
 ENVELOPE_FACTOR = 2.0
-# Divisions take longer than multiplications.
+# A factor, because divisions take longer than multiplications.
 _THIRD = 1.0 / 3.0
 # Largest error of the cubic Hermite interpolant, relative to the bound of the fourth derivative.
 _HERMITE_ERROR = 1.0 / 384.0
-# The same after division by tau^2.
+# The same error after division of guard and cubic by tau^2.
 _DEFLATED_HERMITE_ERROR = 1.0 / 72.0
 
 
 @inlined_kernel
 def _margin(value: float, slope: float, value_new: float, slope_new: float, error: float, multiplicity: int) -> float:
-    """Return a margin that is positive only if a guard with these values and slopes has no zero on (0, 1].
+    """Return a margin that is positive only if a guard with these values and slopes has no zero on 0 < tau <= 1.
 
-    The interpolant differs from the guard by at most tau^2 (1 - tau)^2 / 24 times the bound `error` of the guard's
-    fourth derivative. The Bernstein coefficients of the interpolant bound it from below. For a guard that starts with a
-    zero of multiplicity 2 or more, the first two coefficients are zero, and tau^2 is divided out.
+    `value`, `slope`: at the start of the step; `value_new`, `slope_new`: at its end; `error`: bound of the guard's
+    fourth derivative; all derivatives are with respect to tau.
+
+    The interpolant differs from the guard by at most tau^2 (1 - tau)^2 / 24 times `error`. The Bernstein coefficients
+    of the interpolant bound it from below. For a guard that starts with a zero of multiplicity 2 or more, the first two
+    coefficients are zero, and tau^2 is divided out.
     """
-    inner = value_new - slope_new * _THIRD
+    third_coefficient = value_new - slope_new * _THIRD
     end = value_new - error * _HERMITE_ERROR
     if multiplicity >= 2:
-        return min(inner - error * _DEFLATED_HERMITE_ERROR, end)
-    return min(min(value, value + slope * _THIRD), inner) - error * _HERMITE_ERROR if end > 0.0 else end
+        return min(third_coefficient - error * _DEFLATED_HERMITE_ERROR, end)
+    if not end > 0.0:
+        return end
+    return min(min(value, value + slope * _THIRD), third_coefficient) - error * _HERMITE_ERROR
 
 
 @inlined_kernel
-def _may_recover(model: Model, state: State, workspace: Workspace, j: int, duration: float, error: float) -> bool:
+def _recovery_may_end(model: Model, state: State, workspace: Workspace, j: int, duration: float, error: float) -> bool:
     """Return whether a recovering bed may be touched by its wall again, or become free."""
-    wall, z, new = state.recovering[j], state.z, workspace.new
+    wall, z, new = state.recovering[j], state.z, workspace.end_state
     slope, slope_new = (
         -wall_force_rate(model, z, j, wall) * duration,
         -wall_force_rate(model, new, j, wall) * duration,
@@ -67,9 +75,11 @@ def _may_recover(model: Model, state: State, workspace: Workspace, j: int, durat
 
 
 @inlined_kernel
-def _may_change(model: Model, state: State, workspace: Workspace, j: int, duration: float, error: float) -> bool:
+def _contact_may_change(
+    model: Model, state: State, workspace: Workspace, j: int, duration: float, error: float
+) -> bool:
     """Return whether a guard of a finite-duration contact is not proven free of zeros."""
-    mode, z, new = state.mode[j], state.z, workspace.new
+    mode, z, new = state.mode[j], state.z, workspace.end_state
     if mode != FLIGHT:
         slope, slope_new = (
             wall_force_rate(model, z, j, mode) * duration,
@@ -79,7 +89,7 @@ def _may_change(model: Model, state: State, workspace: Workspace, j: int, durati
             _margin(wall_force(model, z, j, mode), slope, wall_force(model, new, j, mode), slope_new, error, 0) <= 0.0
         )
     if state.recovering[j] != FLIGHT:
-        return _may_recover(model, state, workspace, j, duration, error)
+        return _recovery_may_end(model, state, workspace, j, duration, error)
     gap, gap_new = bed_gap(model, z, j), bed_gap(model, new, j)
     slope, slope_new = gap_rate(model, z, j) * duration, gap_rate(model, new, j) * duration
     multiplicity = state.multiplicity[j]
@@ -97,6 +107,8 @@ def screen(
 ) -> tuple[int, int]:
     """Return the dampers whose guards are not proven free of zeros over the step.
 
+    `length`, `duration`: of the step, relative to a full step and in seconds.
+
     Returns `unproven`: bit j is set if the gap to the floor, the contact force, or any guard of a finite-duration
     contact of damper j may have a zero; `unproven_ceilings`: the same for the gap to the ceiling.
     """
@@ -108,15 +120,17 @@ def screen(
         mode = state.mode[j]
         multiplicity = 0
         if model.bed[j] >= 0:
-            if _may_change(model, state, workspace, j, duration, error):
+            if _contact_may_change(model, state, workspace, j, duration, error):
                 unproven |= 1 << j
             continue
         if mode == FLIGHT:
             position, velocity = model.position[j], model.velocity[j]
             value = state.height[j] - state.z[position]
             slope = (state.speed[j] - state.z[velocity]) * duration
-            value_new = state.height[j] + duration * (state.speed[j] - 0.5 * speed_change) - workspace.new[position]
-            slope_new = (state.speed[j] - speed_change - workspace.new[velocity]) * duration
+            value_new = (
+                state.height[j] + duration * (state.speed[j] - 0.5 * speed_change) - workspace.end_state[position]
+            )
+            slope_new = (state.speed[j] - speed_change - workspace.end_state[velocity]) * duration
             multiplicity = state.multiplicity[j]
             clearance = model.clearance[j]
             if clearance < np.inf:
@@ -126,9 +140,9 @@ def screen(
         else:
             index = first_acceleration + model.position[j]
             value = model.gravity + state.z[index]
-            value_new = model.gravity + workspace.new[index]
+            value_new = model.gravity + workspace.end_state[index]
             slope = state.z[index + model.first_velocity] * length
-            slope_new = workspace.new[index + model.first_velocity] * length
+            slope_new = workspace.end_state[index + model.first_velocity] * length
             if mode != FLOOR:
                 value, slope, value_new, slope_new = -value, -slope, -value_new, -slope_new
         if _margin(value, slope, value_new, slope_new, error, multiplicity) <= 0.0:
@@ -144,17 +158,17 @@ def reset_envelope(flow: Flow, workspace: Workspace) -> None:
 
 
 @inlined_kernel
-def widen_envelope(flow: Flow, slot: int, z: Array, workspace: Workspace) -> None:
+def widen_envelope(flow: Flow, table_index: int, z: Array, workspace: Workspace) -> None:
     """Widen the envelope to contain a state, and compute the margins for it and the configuration."""
     columns = flow.rates_constant.shape[1]
     for i in range(columns):
         workspace.envelope[i] = max(workspace.envelope[i], ENVELOPE_FACTOR * abs(z[i]))
-    combine(flow.margin, flow.margin_constant, slot, workspace.envelope, columns, workspace.margin)
+    affine_product(flow.margin, flow.margin_constant, table_index, workspace.envelope, columns, workspace.margin)
 
 
 @inlined_kernel
 def above_margins(model: Model, state: State, margin: Array, z: Array, columns: int, duration: float) -> bool:
-    """Return whether every guard exceeds its margin at a state with its accelerations, `duration` from now."""
+    """Return whether every guard exceeds its margin at a state z with its accelerations, `duration` (s) from now."""
     for j in range(model.mass.shape[0]):
         if model.bed[j] >= 0:
             lowest = lowest_guard(model, state, z, j)

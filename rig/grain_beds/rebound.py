@@ -1,8 +1,8 @@
-"""The restitution to set in LAMMPS so that grains rebound with the desired restitution.
+"""The restitution setting of LAMMPS with which grains rebound with the desired restitution.
 
-For the dashpot of a contact, LAMMPS uses the closing speed half a step before the force. With about fifty steps in a
-contact, the rebound is therefore slower, by 1 % for lead. Here the same scheme is applied to one central contact, and
-the restitution setting that gives the desired rebound is computed.
+For the dashpot of a contact, LAMMPS uses the closing speed half a step before that of the force. With about fifty
+steps in a contact, the rebound is therefore slower, by 1 % for lead. This module applies the same scheme to one central
+contact, and computes the setting that gives the desired restitution.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _MAX_STEPS = 100_000
 
 
 def restitution_at_step(grains: Grains, mass: float, radius: float, step: float) -> float:
-    """Compute the restitution to set in LAMMPS.
+    """Compute the restitution setting of LAMMPS.
 
     `mass`, `radius`: reduced mass [kg] and radius [m] of the contact: of a grain at a wall its own, of two grains
     half of that; `step`: time step, s.
@@ -35,7 +35,7 @@ def restitution_at_step(grains: Grains, mass: float, radius: float, step: float)
     """
 
     def deviation(setting: float) -> float:
-        return float(_rebounds(grains, setting, mass, radius, step).mean()) - grains.restitution
+        return float(_restitutions(grains, setting, mass, radius, step).mean()) - grains.restitution
 
     max_restitution = 1.0 - 1e-9
     if deviation(max_restitution) <= 0.0:
@@ -43,8 +43,8 @@ def restitution_at_step(grains: Grains, mass: float, radius: float, step: float)
     return float(brentq(deviation, 0.5 * grains.restitution, max_restitution, xtol=1e-7))
 
 
-def _rebounds(grains: Grains, setting: float, mass: float, radius: float, step: float) -> Array:
-    """Compute the restitutions of contacts that begin at different instants of a step."""
+def _restitutions(grains: Grains, setting: float, mass: float, radius: float, step: float) -> Array:
+    """Compute the restitutions of contacts that begin at different instants of a step, shape (_START_COUNT,)."""
     modulus = grains.modulus / (2.0 * (1.0 - grains.poisson_ratio**2))
     damping_ratio = -math.log(setting) / math.hypot(math.log(setting), math.pi)
     damping = 2.0 * math.sqrt(5.0 / 6.0) * damping_ratio * math.sqrt(2.0 * modulus * math.sqrt(radius) * mass)

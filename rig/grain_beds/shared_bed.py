@@ -1,4 +1,4 @@
-"""A bed of grains on several ranks of MPI: LAMMPS gives each rank the grains of a part of the cavity."""
+"""A bed of grains on several ranks (processes) of MPI: each rank computes the grains of a part of the cavity."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from rig.grain_beds.spheres import Spheres
 from rig.ranks import OneRankError, Shared, communicators, ranks_on_machine, size, sum_over_ranks
 from rig.workers import cores
 
-#: Steps between checks of how evenly the grains are distributed over the ranks.
+#: Steps between checks of the distribution of the grains over the ranks.
 _BALANCE_STEPS = 10_000
-#: Largest ratio of the fullest part to the mean.
+#: Largest number of grains of a rank, relative to the mean, without a new distribution.
 _MAX_IMBALANCE = 1.05
 
 
@@ -48,8 +48,8 @@ class PartOfBed(Bed):
     def advance(self, steps: int = 1) -> None:
         """Advance by a number of steps."""
         super().advance(steps)
-        # Grains may have moved to other ranks; LAMMPS moves its arrays only to enlarge them.
-        if self._sizes() != self._viewed:
+        # Grains may have moved to other ranks. LAMMPS changes the addresses of its arrays only to enlarge them.
+        if self._array_sizes() != self._viewed_sizes:
             self._view()
 
     @property
@@ -60,17 +60,17 @@ class PartOfBed(Bed):
         return sum_over_ranks(positions)
 
     def _initialize(self) -> None:
-        # Recursive bisection across the longest dimension gives every rank the same number of grains.
+        # Recursive bisection of the longest dimension (rcb) gives every rank the same number of grains.
         self._command(
             "comm_style tiled", "balance 1.0 rcb", f"fix even all balance {_BALANCE_STEPS} {_MAX_IMBALANCE!r} rcb"
         )
         super()._initialize()
 
     def _view(self) -> None:
-        self._viewed = self._sizes()
+        self._viewed_sizes = self._array_sizes()
         super()._view()
 
-    def _sizes(self) -> tuple[int, int]:
+    def _array_sizes(self) -> tuple[int, int]:
         """Return the number of grains on this rank, and the capacity of its arrays."""
         return self._lammps.extract_setting("nlocal"), self._lammps.extract_setting("nmax")
 

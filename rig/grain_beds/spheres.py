@@ -1,4 +1,4 @@
-"""Number, size, mass and contact times of the grains of a bed."""
+"""Number, diameters, density and time step of the grains of a bed (the particles of one damper)."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from rig.system.structural_model import structural_model
 #: Default time step, relative to Rayleigh's time of the smallest grain. A step ten times as long is still stable; this
 #: step gives a rebound within 1 % of the restitution.
 STEP_RATIO = 0.03
-#: Restitution below which the time step is reduced in proportion to the restitution.
+#: Restitution below which the time step is proportional to the restitution.
 _REDUCED_STEP_RESTITUTION = 0.2
-#: Restitution below which the time step is not reduced further, because the rebound is negligible.
+#: Restitution below which the time step is constant, because the rebound is negligible.
 _MIN_STEP_RESTITUTION = 0.1
 #: Longest permitted time step, relative to Rayleigh's time: with a longer step a contact has too few steps.
 MAX_STEP_RATIO = 0.2
@@ -65,8 +65,8 @@ def spheres_of(scene: Scene) -> dict[int, Spheres]:
         count = round(float(mass) / (grain_mass * (1.0 + damper.grains.spread**2)))
         if count < 1:
             raise SceneError(
-                f"scene {scene.name!r}: dampers[{row + 1}] of {mass:.3g} kg has grains of {grain_mass:.3g} kg; "
-                "expected at least the mass of one grain"
+                f"scene {scene.name!r}: dampers[{row + 1}]: {mass:.3g} kg is less than the mass of one grain "
+                f"({grain_mass:.3g} kg). Set a larger mass, or a smaller grains.diameter."
             )
         spheres = Spheres(damper.grains, float(mass), damper.clearance, count, scene.seed + row)
         longest = MAX_STEP_RATIO * rayleigh_time(damper.grains, spheres.density())

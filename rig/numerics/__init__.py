@@ -1,5 +1,5 @@
-"""Mathematics that knows no rig: SIMD loops, fused sums, Bernstein polynomials, complementarity, continuation.
+"""Numerical methods: SIMD loops, fused sums, Bernstein polynomials, linear complementarity, continuation; compilation.
 
-Nothing here may know what a scene, a body or a damper is. Start with `bernstein` for how a first contact is isolated,
-and with `simd` for how a compiled loop is written.
+No module of this folder depends on scenes, bodies or dampers. Start with `bernstein` for the location of the first zero
+of a function, and with `simd` for the form of a compiled loop.
 """

@@ -1,8 +1,9 @@
-"""First downward crossing of a guard, isolated in Bernstein form so that no root can be stepped over.
+"""First downward zero crossing of a function, isolated in Bernstein form so that no root can be stepped over.
 
-A guard (gap, contact force) is, over one step, a power series in tau = t/h that has converged to rounding at
-degree `DEGREE`. Its Bernstein coefficients on an interval are lower and upper bounds of the guard there. Repeated
-halving from the left either proves an interval free of zeros, or ends at the first zero.
+The function is called a *guard* (in the engine a gap or a contact force). Over one step of length h it is a power
+series in tau = t/h, which has converged to rounding at degree `DEGREE`. The smallest and largest Bernstein coefficients
+on an interval are bounds of the guard there. Repeated halving from the left either proves an interval free of zeros, or
+ends at the first zero.
 
 References
 ----------
@@ -18,11 +19,11 @@ import numpy as np
 
 from rig.arrays import Array
 from rig.numerics.jit import inlined_kernel, kernel
-from rig.numerics.simd import combine, minimum, negative_bits
+from rig.numerics.simd import affine_product, minimum, negative_bits
 
 #: Degree at which the power series of a guard over one step has converged to rounding.
 DEGREE = 15
-#: Number of coefficients of such a series.
+#: Number of coefficients of this series.
 N_COEFFICIENTS = DEGREE + 1
 #: Largest number of halvings of an interval; after these it is shorter than the rounding of tau.
 MAX_HALVINGS = 56
@@ -31,7 +32,7 @@ NO_CROSSING = 2.0
 
 
 def _bernstein_matrices() -> np.ndarray:
-    """Return the matrices from power to Bernstein basis after division by tau^start: [start, power, coefficient]."""
+    """Return the matrices from power to Bernstein basis after division by tau^start; [start, power, coefficient]."""
     matrices = np.zeros((N_COEFFICIENTS, N_COEFFICIENTS, N_COEFFICIENTS))
     for start in range(N_COEFFICIENTS):
         degree = DEGREE - start
@@ -42,7 +43,8 @@ def _bernstein_matrices() -> np.ndarray:
 
 
 BERNSTEIN = _bernstein_matrices()
-#: Infinity in the places after the coefficients of a deflated series, 0 elsewhere.
+#: Constant parts of the conversion: infinity after the last coefficient of a deflated series, 0 elsewhere. A series is
+#: deflated by division by tau^start, the factor of its zero at tau = 0.
 PADDING = np.where(np.add.outer(np.arange(N_COEFFICIENTS), np.arange(N_COEFFICIENTS)) > DEGREE, np.inf, 0.0)
 
 
@@ -116,10 +118,10 @@ def _estimate_single_root(coefficients: Array, degree: int) -> float:
 
 
 @kernel
-def _split(work: Array, level: int, degree: int) -> None:
-    """Split at the middle by de Casteljau's algorithm: right half in work[level], left half in work[level + 1]."""
-    right = work[level]
-    left = work[level + 1]
+def _split(subdivision: Array, level: int, degree: int) -> None:
+    """Halve an interval by de Casteljau's algorithm: left half in row level + 1, right half in row level."""
+    right = subdivision[level]
+    left = subdivision[level + 1]
     left[0] = right[0]
     for i in range(1, degree + 1):
         for k in range(degree - i + 1):
@@ -132,15 +134,18 @@ def _split(work: Array, level: int, degree: int) -> None:
 
 @kernel
 def first_crossing(
-    series: Array, start: int, rounding: float, work: Array, spans: Array, bernstein: Array
+    series: Array, start: int, rounding: float, subdivision: Array, spans: Array, bernstein: Array
 ) -> tuple[float, int]:
     """Find where a guard first falls below zero on (0, 1].
 
     `series`: power-series coefficients in tau of a guard that should stay positive; `start`: number of leading
     coefficients known to be exactly zero (multiplicity of the root at tau = 0); `rounding`: largest
-    value of the guard that is a rounding error of zero; `work`: scratch space; `bernstein`: the conversion matrices
-    `BERNSTEIN`. Returns `tau`, the crossing; 0 if the guard is at zero within rounding and falling; `NO_CROSSING` if
-    there is none; `ambiguous`, number of dips whose depth is within rounding; they are not crossings.
+    value of the guard that is a rounding error of zero; `bernstein`: the conversion matrices `BERNSTEIN`.
+    `subdivision`, `spans`: scratch arrays; their row k contains the Bernstein coefficients on the interval of level k,
+    and its ends.
+
+    Returns (tau, ambiguous). `tau`: the crossing; 0 if the guard is at zero within rounding and falling; `NO_CROSSING`
+    if there is none. `ambiguous`: number of dips whose depth is within rounding; they are not crossings.
     """
     while start < N_COEFFICIENTS and abs(series[start]) <= rounding:
         start += 1
@@ -149,16 +154,16 @@ def first_crossing(
     if series[start] < 0.0:
         return 0.0, 0
     degree = DEGREE - start
-    combine(bernstein, PADDING, start, series, N_COEFFICIENTS, work[0])
-    if minimum(work[0]) > rounding:
+    affine_product(bernstein, PADDING, start, series, N_COEFFICIENTS, subdivision[0])
+    if minimum(subdivision[0]) > rounding:
         return NO_CROSSING, 0
     ambiguous = 0
-    touch_end = -1.0
+    previous_dip_end = -1.0
     spans[0, 0] = 0.0
     spans[0, 1] = 1.0
     level = 0
     while level >= 0:
-        coefficients = work[level]
+        coefficients = subdivision[level]
         left = spans[level, 0]
         right = spans[level, 1]
         lower_bound = minimum(coefficients)
@@ -167,9 +172,9 @@ def first_crossing(
         if lower_bound >= -deflated_rounding:
             # There is no dip below rounding; a dip that touches zero within rounding is counted once.
             if lower_bound <= rounding and right < 1.0:
-                if left != touch_end:
+                if left != previous_dip_end:
                     ambiguous += 1
-                touch_end = right
+                previous_dip_end = right
             level -= 1
             continue
         if coefficients[degree] < -deflated_rounding and coefficients[0] > rounding:
@@ -180,7 +185,7 @@ def first_crossing(
         if level >= MAX_HALVINGS or right - left < 1e-15 * max(right, 1e-3):
             return left, ambiguous
         middle = 0.5 * (left + right)
-        _split(work, level, degree)
+        _split(subdivision, level, degree)
         spans[level, 0] = middle
         spans[level + 1, 0] = left
         spans[level + 1, 1] = middle

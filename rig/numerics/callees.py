@@ -1,7 +1,8 @@
-"""Faster compilation and faster kernels with the same bits, by internals of numba; see `rig.numerics.jit`.
+"""Faster compilation and faster kernels with the same results to the last bit; see `rig.numerics.jit`.
 
-A callee has no wrapper for Python, is optimized in its callers, and is compiled once for each type, not for each
-constant. Kernels create no arrays, so they need no reference counting (`_nrt`) and no registries of numba at loading.
+This module uses internals of numba. A compiled function that a kernel calls (a callee) gets no wrapper for Python, is
+optimized only in its callers, and is compiled once for each type, not for each constant. Kernels create no arrays, so
+they need no reference counting (`_nrt`) and no registries of numba at loading.
 """
 
 import functools
@@ -14,7 +15,7 @@ from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
-# An `AttributeError` here selects the public options of numba.
+# Without these internals, this `AttributeError` makes `rig.numerics.jit` use the public options of numba.
 getattr(JITCodeLibrary, "_optimize_final_module"), getattr(FunctionCache, "_load_overload")  # noqa: B009
 
 
@@ -45,7 +46,7 @@ def _callee(function: Callable[..., object], options: dict[str, Any]) -> Any:
 
 
 def njit(function: Callable[..., object], kernel: bool, cache: bool, **options: Any) -> Any:
-    """Compile a function; a kernel creates no arrays."""
+    """Compile a function as `numba.njit` does; `kernel`: whether it creates no arrays."""
     options |= {"_nrt": False} if kernel else {}
     dispatcher: Any = numba.njit(cache=cache, **options)(function)
     callee = functools.cache(lambda: _callee(function, options))

@@ -4,9 +4,10 @@ Find p >= 0 with A p + q >= 0 and p (A p + q) = 0, where
 
     A_ik = s_i s_k (M^-1)_{b_i b_k} + delta_ik / md_i,      s = +1 floor, -1 ceiling
 
-(b_i the body of damper i, md_i its mass). The same matrix serves impulses at an impact and contact forces right
-after it. A is positive definite, so the solution exists and is unique; Murty's least-index principal pivoting
-reaches it in finitely many steps.
+(b_i the body of damper i, md_i its mass). At an impact p are the impulses, and A p + q are the speeds at which the
+contacts open. Right after it p are the contact forces, and A p + q are the accelerations at which they open. A is
+positive definite, so the solution exists and is unique; Murty's least-index principal pivoting reaches it in finitely
+many steps.
 
 References
 ----------
@@ -22,14 +23,22 @@ import numpy as np
 
 from rig.numerics.jit import kernel
 
-#: Largest ratio of a value to its terms that is a rounding error of zero.
+#: Largest ratio of a sum to the magnitudes of its terms that is a rounding error of zero.
 ROUNDING = 16 * 2.3e-16
 #: Largest number of pivots; in practice about as many are needed as there are contacts.
 MAX_PIVOTS = 100_000
 
 
-class ContactWork(NamedTuple):
-    """Work space of the contact laws, one entry per contact of the instant."""
+class ContactWorkspace(NamedTuple):
+    """Work space of the contact laws, with one entry for each contact of the instant.
+
+    `force`: forces on all coordinates, N. `damper`: from 0. `sign`: s. `flying`: whether the damper was in flight.
+    `velocity_before`: of the body, m/s. `opening_speed`: of the gap before the impact, m/s. `magnitude`: sum of the
+    magnitudes of the terms of the acceleration, m/s^2.
+
+    `matrix`, `rhs`, `reaction`: A, q and the solution p; `reaction` is a force or an impulse. `active`: whether the
+    contact is closed (p may be positive). `block`: scratch space.
+    """
 
     force: np.ndarray
     damper: np.ndarray
@@ -39,15 +48,15 @@ class ContactWork(NamedTuple):
     magnitude: np.ndarray
     opening_speed: np.ndarray
     rhs: np.ndarray
-    pressure: np.ndarray
+    reaction: np.ndarray
     active: np.ndarray
     matrix: np.ndarray
     block: np.ndarray
 
 
-def allocate_contact_work(dampers: int, forces: int) -> ContactWork:
+def allocate_contact_workspace(dampers: int, forces: int) -> ContactWorkspace:
     """Allocate the work space for a number of dampers and of padded force rows."""
-    return ContactWork(
+    return ContactWorkspace(
         force=np.zeros(forces),
         damper=np.zeros(dampers + 1, dtype=np.int64),
         sign=np.zeros(dampers + 1),
@@ -56,7 +65,7 @@ def allocate_contact_work(dampers: int, forces: int) -> ContactWork:
         magnitude=np.zeros(dampers + 1),
         opening_speed=np.zeros(dampers + 1),
         rhs=np.zeros(dampers + 1),
-        pressure=np.zeros(dampers + 1),
+        reaction=np.zeros(dampers + 1),
         active=np.zeros(dampers + 1, dtype=np.bool_),
         matrix=np.zeros((dampers + 1, dampers + 1)),
         block=np.zeros((dampers + 1, dampers + 2)),
@@ -64,7 +73,7 @@ def allocate_contact_work(dampers: int, forces: int) -> ContactWork:
 
 
 @kernel
-def contact_matrix(model: Any, work: ContactWork, count: int) -> None:
+def contact_matrix(model: Any, work: ContactWorkspace, count: int) -> None:
     """Fill `work.matrix` for the contacts listed in `work.damper` with signs `work.sign`."""
     for a in range(count):
         i = work.damper[a]
@@ -76,12 +85,12 @@ def contact_matrix(model: Any, work: ContactWork, count: int) -> None:
 
 
 @kernel
-def solve_active(work: ContactWork, count: int) -> None:
-    """Compute the pressures that close the active contacts, by elimination; the pressures of the others are 0."""
+def solve_active(work: ContactWorkspace, count: int) -> None:
+    """Solve A p + q = 0 for the active contacts, by Gaussian elimination; the reactions p of the others are 0."""
     block = work.block
     n_active = 0
     for a in range(count):
-        work.pressure[a] = 0.0
+        work.reaction[a] = 0.0
         if work.active[a]:
             column = 0
             for b in range(count):
@@ -103,29 +112,29 @@ def solve_active(work: ContactWork, count: int) -> None:
     n_active = 0
     for a in range(count):
         if work.active[a]:
-            work.pressure[a] = block[n_active, count]
+            work.reaction[a] = block[n_active, count]
             n_active += 1
 
 
 @kernel
-def complementarity(work: ContactWork, count: int) -> None:
-    """Solve for `work.pressure` from `work.matrix` and the right-hand side q in `work.rhs`."""
+def solve_complementarity(work: ContactWorkspace, count: int) -> None:
+    """Solve the problem with `work.matrix` A and `work.rhs` q for `work.reaction` p, by principal pivoting."""
     for a in range(count):
         work.active[a] = False
-        work.pressure[a] = 0.0
+        work.reaction[a] = 0.0
     for _ in range(MAX_PIVOTS):
         violated = -1
         for a in range(count):
             if work.active[a]:
-                is_violated = work.pressure[a] < 0.0
+                is_violated = work.reaction[a] < 0.0
             else:
-                value = work.rhs[a]
-                magnitude = abs(value)
+                opening_speed = work.rhs[a]
+                magnitude = abs(opening_speed)
                 for b in range(count):
-                    term = work.matrix[a, b] * work.pressure[b]
-                    value += term
+                    term = work.matrix[a, b] * work.reaction[b]
+                    opening_speed += term
                     magnitude += abs(term)
-                is_violated = value < -ROUNDING * magnitude
+                is_violated = opening_speed < -ROUNDING * magnitude
             if is_violated:
                 violated = a
                 break

@@ -2,7 +2,12 @@
 
 The curve is defined by n equations in n + 1 unknowns, the last of which is the parameter (a frequency, a force, a
 clearance). Steps are measured along the curve, so that a fold, where the curve reverses its direction in the parameter,
-is a regular point. A trace always states why it ended; a failure also states the parameter of the last point.
+is a regular point. A curve may end at a *border*, beyond which its solutions have no meaning; the distance from a
+border is a *margin*. The result always states why the curve ended.
+
+References
+----------
+Seydel, R., "Practical Bifurcation and Stability Analysis", Springer 2010, chapter 4.
 """
 
 from __future__ import annotations
@@ -21,7 +26,8 @@ Equations = Callable[[Vector], tuple[Vector, Vector]]
 Monitor = Callable[[Vector, Vector], float]
 # x (n + 1,) -> margin to each border (negative outside), and the borders' names
 Margins = Callable[[Vector], tuple[Vector, Sequence[str]]]
-
+# A point (n + 1,) and the curve's unit tangent there (n + 1,)
+PointWithTangent = tuple[Vector, Vector]
 
 # Distance of the last point from a border, relative to the step length.
 BORDER_TOLERANCE = 1e-9
@@ -57,6 +63,7 @@ class Curve:
     ``"closed"`` (back at the start), ``"points"`` (largest number of points), ``"no convergence: ..."``, or the name of
     a border."""
     scale: Vector = field(default_factory=lambda: np.ones(0))
+    """Magnitude of each unknown; unknowns divided by it are the scaled unknowns; shape (n + 1,)."""
 
     @property
     def folds(self) -> NDArray[np.int64]:
@@ -161,7 +168,7 @@ def trace(
     return Curve(*_columns(reverse + forward), (begin, end), scale)
 
 
-def _columns(pairs: list[tuple[Vector, Vector]]) -> tuple[Vector, Vector]:
+def _columns(pairs: list[PointWithTangent]) -> tuple[Vector, Vector]:
     return np.array([x for x, _ in pairs]), np.array([t for _, t in pairs])
 
 
@@ -173,18 +180,18 @@ def _trace_one_way(
     scale: Vector,
     steps: Steps,
     margins: Margins,
-) -> tuple[list[tuple[Vector, Vector]], str]:
-    """Compute the curve in one direction; return its points with tangents, the start included, and why it ends."""
+) -> tuple[list[PointWithTangent], str]:
+    """Compute the curve in one direction; return its points with tangents from the start on, and why it ends."""
     path = [(start, direction)]
     step, arclength = steps.first_step, 0.0
-    margin, names = margins(start)
+    margin, border_names = margins(start)
     while len(path) < steps.max_points:
         x, x_tangent = path[-1]
         if margin.min() < 0:
-            return path, names[int(margin.argmin())]
+            return path, border_names[int(margin.argmin())]
         try:
             new, new_tangent, iterations = newton(equations, _predict(path, step, scale), scale, steps, x_tangent)
-            # After a correction as long as the step, the point may be on another curve.
+            # After a correction of more than half the step, the point may be on another curve.
             left_curve = float(np.linalg.norm((new - x) / scale - step * x_tangent)) > 0.5 * step
             if left_curve and step > steps.min_step:
                 raise NoConvergence("the correction leads away from the curve")
@@ -219,7 +226,7 @@ def _trace_one_way(
                 step /= 4
                 continue
             path.append(border_point)
-            return path, names[index]
+            return path, border_names[index]
         to_start = (start - new) / scale
         if arclength > 4 * step and np.linalg.norm(to_start) < 0.6 * step and x_tangent @ direction > 0.5:
             return path, "closed"
@@ -235,8 +242,8 @@ def _trace_one_way(
     return path, "points"
 
 
-def _predict(path: list[tuple[Vector, Vector]], step: float, scale: Vector) -> Vector:
-    """Extrapolate the curve by a step, by the cubic through the last two points with their tangents."""
+def _predict(path: list[PointWithTangent], step: float, scale: Vector) -> Vector:
+    """Predict the point after a step, by extrapolation of the cubic through the last two points with their tangents."""
     x, x_tangent = path[-1]
     prediction = x + step * x_tangent * scale
     if len(path) > 1:
@@ -250,7 +257,7 @@ def _predict(path: list[tuple[Vector, Vector]], step: float, scale: Vector) -> V
     return prediction
 
 
-def _interpolate(left: tuple[Vector, Vector], right: tuple[Vector, Vector], parameter: float) -> Vector:
+def _interpolate(left: PointWithTangent, right: PointWithTangent, parameter: float) -> Vector:
     """Interpolate between two points of a curve at a value of the parameter."""
     fraction = (parameter - left[0][-1]) / (right[0][-1] - left[0][-1])
     return np.asarray(left[0] + fraction * (right[0] - left[0]))
@@ -263,7 +270,7 @@ def _locate_border(
     scale: Vector,
     steps: Steps,
     margins: Margins,
-) -> tuple[tuple[Vector, Vector], int]:
+) -> tuple[PointWithTangent, int]:
     """Return the last point of a curve before a border, and the index of this border.
 
     `inside` and `outside` are points on both sides, with their margins. Points of the chord between them are corrected
@@ -273,7 +280,7 @@ def _locate_border(
     length = float(np.linalg.norm(chord))
     normal = chord / length
 
-    def correct(distance: float) -> tuple[Vector, Vector]:
+    def correct(distance: float) -> PointWithTangent:
         return newton(equations, inside[0] + distance * normal * scale, scale, steps, normal)[:2]
 
     def margin_at(distance: float, index: int) -> float:
@@ -310,7 +317,7 @@ def locate(
     length = float(np.linalg.norm(chord))
     normal = chord / length
 
-    def correct(distance: float) -> tuple[Vector, Vector]:
+    def correct(distance: float) -> PointWithTangent:
         return newton(equations, first + distance * normal * scale, scale, steps, normal)[:2]
 
     values = [monitor(curve.points[i], curve.tangents[i]) for i in (index, index + 1)]

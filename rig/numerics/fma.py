@@ -1,6 +1,7 @@
-"""Sums of products in vector registers, by fused multiply-add (a single rounding of product and sum).
+"""Sums of products in vector registers, by fused multiply-add (FMA, a single rounding of product and sum).
 
-The order of every sum is fixed, so that a sample of a signal has the same bits at every position in a block.
+Filters and resamplers of signals use them. The order of every sum is fixed, so that a sample of a signal has the same
+bits at every position in a block.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from rig.numerics.jit import inlined_kernel, kernel
 from rig.numerics.simd import LANES, WIDE, broadcast, load, store
 
 #: Number of sums that are computed in parallel: enough to hide the latency of an addition, and few enough for the
-#: registers. Without AVX-512 eight lanes need two of sixteen registers, and eight sums would be stored in memory.
+#: registers. Without AVX-512, eight lanes need two of the sixteen registers, so that eight sums would not fit.
 SUMS_AT_ONCE = 8 if get_host_cpu_features().get("avx512f") else 4
 #: `weighted_sums` computes a multiple of this number of sums.
 SUM_BLOCK = SUMS_AT_ONCE * LANES
@@ -138,23 +139,23 @@ def factored_sums(
 
 
 @intrinsic
-def _update_states(typing_context: Any, states: Any, keep: Any, weights: Any, value: Any) -> Any:
-    """Return the sum of weights times states; then states = keep states + value."""
-    signature = types.float64(states, keep, weights, types.float64)
+def _update_states(typing_context: Any, states: Any, factors: Any, weights: Any, value: Any) -> Any:
+    """Return the sum of weights times states; then states = factors states + value."""
+    signature = types.float64(states, factors, weights, types.float64)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        states, keep, weights, value = arguments
+        states, factors, weights, value = arguments
         kinds, fma = signature.args, _fused_lanes(builder)
-        everywhere = broadcast(builder, value)
+        value_lanes = broadcast(builder, value)
         total = cgutils.alloca_once_value(builder, ir.Constant(WIDE, [0.0] * LANES))
         size = context.make_array(kinds[0])(context, builder, states).nitems
         begin, step = ir.Constant(size.type, 0), ir.Constant(size.type, LANES)
         with cgutils.for_range_slice(builder, begin, size, step, size.type) as (place, _):
             before = load(context, builder, kinds[0], states, place)
             weight = load(context, builder, kinds[2], weights, place)
-            keep_factor = load(context, builder, kinds[1], keep, place)
+            factor = load(context, builder, kinds[1], factors, place)
             builder.store(builder.call(fma, [weight, before, builder.load(total)]), total)
-            store(context, builder, kinds[0], states, place, builder.call(fma, [keep_factor, before, everywhere]))
+            store(context, builder, kinds[0], states, place, builder.call(fma, [factor, before, value_lanes]))
         sums = builder.load(total)
         for distance in (4, 2, 1):
             order = [(lane + distance) % LANES for lane in range(LANES)]
@@ -166,9 +167,9 @@ def _update_states(typing_context: Any, states: Any, keep: Any, weights: Any, va
 
 
 @inlined_kernel
-def update_states(states: Any, keep: Any, weights: Any, value: float) -> float:
-    """Return the sum of weights times states; then set states = keep * states + value.
+def update_states(states: Any, factors: Any, weights: Any, value: float) -> float:
+    """Return the sum of weights times states; then set states = factors * states + value.
 
-    All arrays are float64 of shape (multiple of LANES,); `states` is updated.
+    This is a step of parallel first-order recursive filters. All arrays are float64 of shape (multiple of LANES,).
     """
-    return _update_states(states, keep, weights, value)  # type: ignore[call-arg]
+    return _update_states(states, factors, weights, value)  # type: ignore[call-arg]

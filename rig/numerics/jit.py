@@ -1,10 +1,11 @@
 """Decorators that compile kernels with numba, and store the machine code on disk.
 
-A kernel is a function that is called once a block, or one of its callees, with the decorator `kernel`, `inlined_kernel`
-or `unfused_kernel`. Kernels release the GIL, may fuse multiplications with additions (but never reorder them), and
-create no arrays. The name of the folder of machine code contains a digest of all source files that a kernel may
-contain. numba checks only the file of the function that is called, not those of its callees; after a change of a
-callee it would run outdated code.
+A kernel is a compiled function with the decorator `kernel`, `inlined_kernel` or `unfused_kernel`. Kernels release the
+GIL, may fuse multiplications with additions (but never reorder them), and create no arrays.
+
+The name of the folder of machine code contains a digest of all source files that a kernel may contain. numba itself
+checks only the file of the function that is called, not those of its callees; after a change of a callee it would run
+outdated code.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ _MAX_UNUSED_S = 30 * 86400.0
 try:
     from rig.numerics import callees
 except (ImportError, AttributeError):
-    # Another version of numba: its public options give the same bits, but slower kernels and longer compile times.
+    # In another version of numba, the public options give the same bits, but slower kernels and longer compile times.
     callees = None  # type: ignore[assignment]
 
 
@@ -70,6 +71,7 @@ def _digest(folder: Path) -> str:
 
 @functools.cache
 def _has_kernels(folder: Path) -> bool:
+    """Return whether a module of a folder defines compiled functions."""
     return any(b"from rig.numerics.jit import" in file.read_bytes() for file in folder.glob("*.py"))
 
 
@@ -173,14 +175,14 @@ def kernel(function: F) -> F:
 
 
 def inlined_kernel(function: F) -> F:
-    """Compile a kernel into each of its callers, because passing hundreds of arrays takes longer."""
+    """Compile a kernel into each of its callers: a call that passes hundreds of arrays would take longer."""
     return _njit(function, is_kernel=True, forceinline=True, nogil=True, fastmath={"contract"})
 
 
 def unfused_kernel(function: F) -> F:
     """Compile a kernel in which multiplications and additions are not fused.
 
-    It is for loops over samples: the processor handles most samples in groups and the others one by one. Both must give
-    the same bits for every block size.
+    It is for loops over samples. The processor computes most samples in groups and the others individually. Both must
+    give the same bits, so that results do not depend on the block size.
     """
     return _njit(function, is_kernel=True, nogil=True, fastmath=False)

@@ -7,7 +7,7 @@ import re
 
 from rig.errors import RunError
 
-# Memory limit of a command, unless the environment variable sets another.
+# Memory limit of a command without the environment variable.
 DEFAULT_LIMIT_BYTES = 1e9
 # Memory of a process that reads files, before it reads one; measured.
 PROGRAM_BYTES = 0.2e9
@@ -19,8 +19,8 @@ _PREFIXES = {"": 1.0, "M": 1e6, "G": 1e9, "T": 1e12}
 def require_memory(size: float, purpose: str) -> None:
     """Reject a computation that would exceed the memory limit.
 
-    `size`: bytes; `purpose`: name of the computation. Raises `RunError` if `size` exceeds 1 GB, or the limit in the
-    environment variable `SHOTRIG_MEMORY`.
+    `size`: bytes; `purpose`: what needs the memory, as the subject of the message. Raises `RunError` if `size` exceeds
+    1 GB, or the limit in the environment variable `SHOTRIG_MEMORY`.
 
     >>> require_memory(1e15, "a motion")  # doctest: +ELLIPSIS
     Traceback (most recent call last):

@@ -1,8 +1,9 @@
-"""Matrix times vector in vector registers; the instructions are chosen explicitly, as in `rig.numerics.fma`.
+"""Products of a matrix and a vector, and elementwise operations, in vector registers of the processor (SIMD).
 
-The kernel multiplies small matrices with a vector millions of times a second. With plain loops numba stores the sums in
-memory; with eight lanes of a register the product takes half the time. The order of the sums is fixed, so that results
-do not depend on the number of columns, the block size or the optimizer.
+The engine multiplies small matrices with a vector millions of times a second. With plain loops numba stores the sums in
+memory; in registers of eight values (lanes) the product takes half the time. The instructions are therefore generated
+explicitly with llvmlite, as in `rig.numerics.fma`. The order of the sums is fixed, so that results do not depend on the
+number of columns, the block size or the optimizer.
 """
 
 from __future__ import annotations
@@ -36,16 +37,16 @@ def padded_length(count: int) -> int:
 def aligned_zeros(*shape: int) -> np.ndarray:
     """Return zeros that are aligned to registers in memory, so that no register is read in two parts."""
     count = math.prod(shape)
-    room = np.zeros(count + LANES)
-    start = -(room.__array_interface__["data"][0] // room.itemsize) % LANES
-    return room[start : start + count].reshape(shape)
+    with_margin = np.zeros(count + LANES)
+    start = -(with_margin.__array_interface__["data"][0] // with_margin.itemsize) % LANES
+    return with_margin[start : start + count].reshape(shape)
 
 
 #: LLVM type of a register.
 WIDE = ir.VectorType(ir.DoubleType(), LANES)
 
 
-def _place(context: Any, builder: Any, kind: Any, array: Any, index: Any) -> Any:
+def _register_pointer(context: Any, builder: Any, kind: Any, array: Any, index: Any) -> Any:
     """Return a pointer to eight lanes of an array, from a flat index on."""
     data = context.make_array(kind)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [index]), WIDE.as_pointer())
@@ -53,14 +54,14 @@ def _place(context: Any, builder: Any, kind: Any, array: Any, index: Any) -> Any
 
 def load(context: Any, builder: Any, kind: Any, array: Any, index: Any) -> Any:
     """Load eight lanes of an array, from a flat index on."""
-    register = builder.load(_place(context, builder, kind, array, index))
+    register = builder.load(_register_pointer(context, builder, kind, array, index))
     register.align = 8
     return register
 
 
 def store(context: Any, builder: Any, kind: Any, array: Any, index: Any, register: Any) -> None:
     """Store eight lanes in an array, from a flat index on."""
-    builder.store(register, _place(context, builder, kind, array, index)).align = 8
+    builder.store(register, _register_pointer(context, builder, kind, array, index)).align = 8
 
 
 def broadcast(builder: Any, value: Any) -> Any:
@@ -75,13 +76,13 @@ _INDEX = ir.IntType(64)
 
 
 def _add_product(builder: Any, arguments: list[Any], row: Any, registers: int) -> None:
-    """Add the code of a product for the rows of a number of registers, a divisor of `SUMS`.
+    """Generate the code of a product for the rows of a number of registers, a divisor of `SUMS`.
 
     out[row + i] = constant[row + i] + sum_c matrix[c rows + row + i] vector[c]. The latency of an addition
     is hidden by `SUMS` parallel sums, of several registers or of several columns.
     """
     matrix, constant, vector, out, columns, rows = arguments
-    at_once = SUMS // registers
+    columns_at_once = SUMS // registers
 
     def number(value: int) -> Any:
         return ir.Constant(_INDEX, value)
@@ -98,16 +99,16 @@ def _add_product(builder: Any, arguments: list[Any], row: Any, registers: int) -
             product = builder.fmul(builder.load(lanes(matrix, place, register), align=8), factors, flags=("contract",))
             builder.store(builder.fadd(builder.load(total), product, flags=("contract",)), total)
 
-    others = [ir.Constant(WIDE, [0.0] * LANES)] * (at_once - 1)
+    zero_sums = [ir.Constant(WIDE, [0.0] * LANES)] * (columns_at_once - 1)
     totals = []
     for register in range(registers):
         first = builder.load(lanes(constant, row, register), align=8)
-        totals.append([cgutils.alloca_once_value(builder, value) for value in (first, *others)])
-    vector_columns = builder.sub(columns, builder.srem(columns, number(at_once)))
-    with cgutils.for_range_slice(builder, number(0), vector_columns, number(at_once), _INDEX) as (column, _):
-        for count in range(at_once):
+        totals.append([cgutils.alloca_once_value(builder, value) for value in (first, *zero_sums)])
+    vector_columns = builder.sub(columns, builder.srem(columns, number(columns_at_once)))
+    with cgutils.for_range_slice(builder, number(0), vector_columns, number(columns_at_once), _INDEX) as (column, _):
+        for count in range(columns_at_once):
             add_column(builder.add(column, number(count)), count)
-    if at_once > 1:
+    if columns_at_once > 1:
         with cgutils.for_range_slice(builder, vector_columns, columns, number(1), _INDEX) as (column, _):
             add_column(column, 0)
     for register in range(registers):
@@ -303,38 +304,41 @@ def exceeds(vector: Any, bound: Any) -> bool:
 
 
 @inlined_kernel
-def combine(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, out: Any) -> None:
-    """Compute out = matrix[slot]^T vector + constant[slot].
+def affine_product(matrix: Any, constant: Any, index: int, vector: Any, columns: int, out: Any) -> None:
+    """Compute out = matrix[index]^T vector[:columns] + constant[index].
 
-    The product is fastest if `columns` is a multiple of SUMS.
+    `matrix`: shape (matrices, columns, rows); `constant`: shape (matrices, rows); the number of rows is a multiple of
+    LANES. The product is fastest if `columns` is a multiple of SUMS.
     """
-    _combine_from(matrix, constant, slot, vector, columns, out, 0)
+    _affine_product_from(matrix, constant, index, vector, columns, out, 0)
 
 
 @inlined_kernel
-def combine_many(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, out: Any) -> None:
-    """Compute out = matrix[slot]^T vector + constant[slot] for many rows; more code, but fewer reads of the vector."""
+def affine_product_many(matrix: Any, constant: Any, index: int, vector: Any, columns: int, out: Any) -> None:
+    """Compute `affine_product` for many rows; this is more code, but reads the vector less often."""
     rows = constant.shape[1]
-    start, n_vector_rows = slot * matrix.shape[1] * rows, rows - rows % (SUMS * LANES)
+    start, n_vector_rows = index * matrix.shape[1] * rows, rows - rows % (SUMS * LANES)
     if n_vector_rows > 0:
-        _many_registers(matrix, start, constant, slot * rows, vector, columns, rows, out, n_vector_rows)
-    _combine_from(matrix, constant, slot, vector, columns, out, n_vector_rows)
+        _many_registers(matrix, start, constant, index * rows, vector, columns, rows, out, n_vector_rows)
+    _affine_product_from(matrix, constant, index, vector, columns, out, n_vector_rows)
 
 
 @inlined_kernel
-def _combine_from(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, out: Any, first: int) -> None:
+def _affine_product_from(
+    matrix: Any, constant: Any, index: int, vector: Any, columns: int, out: Any, first: int
+) -> None:
     rows = constant.shape[1]
-    start = slot * matrix.shape[1] * rows
+    start = index * matrix.shape[1] * rows
     for row in range(first, rows, LANES):
-        _one_register(matrix, start, constant, slot * rows, vector, columns, rows, out, row)
+        _one_register(matrix, start, constant, index * rows, vector, columns, rows, out, row)
 
 
 @kernel
-def multiply(matrix: Any, slot: int, vector: Any, constant: Any, out: Any) -> None:
-    """Compute out = matrix[slot]^T vector + constant, with the same constant for all slots.
+def multiply(matrix: Any, index: int, vector: Any, constant: Any, out: Any) -> None:
+    """Compute out = matrix[index]^T vector + constant, with the same constant for all indices.
 
     `constant` and `out` must be different arrays.
     """
     columns, rows = matrix.shape[1], matrix.shape[2]
     for row in range(0, rows, LANES):
-        _one_register(matrix, slot * columns * rows, constant, 0, vector, columns, rows, out, row)
+        _one_register(matrix, index * columns * rows, constant, 0, vector, columns, rows, out, row)

@@ -17,12 +17,12 @@ from rig.orbits.orbit_equations import Equations, Sequence
 from rig.orbits.shooting import ShootingResult
 from rig.orbits.track import Track, track_orbit, turning_value
 
-# In radians of the drive; for a shorter flight the peak acceleration is within 1e-5 of 1 g.
+# Shortest flight, in radians of the drive. In a shorter flight the peak acceleration is within 1e-5 of 1 g.
 MIN_FLIGHT_RAD = 0.02
 
-# Kinds of borders: the first three belong to an event, the others to a damper.
+# Kinds of borders: the first three belong to an event, the others to a damper. Their texts are in `Plan.borders`.
 ORDER, NOT_RELEASED, MISSES_WALL = 0, 1, 2
-FLIGHT_ENDS, HITS_FLOOR, HITS_CEILING, LEAVES_WALL, STAYS_AT_WALL, THROWN_OFF = 3, 4, 5, 6, 7, 8
+FLIGHT_VANISHES, HITS_FLOOR, HITS_CEILING, LEAVES_WALL, STAYS_AT_WALL, SEPARATED_BY_IMPACT = 3, 4, 5, 6, 7, 8
 N_BORDER_KINDS = 9  # number of these kinds
 
 
@@ -43,21 +43,25 @@ def _lowest_minimum(track: Track, s: int, j: int, offset: float, sign: float, fi
 
 @cached_njit
 def _reduce_margin(margins: Array, border: int, index: int, margin: float) -> None:
+    """Replace the margin of a border if the new one is smaller; `index`: event or damper."""
     margins[border, index] = min(margins[border, index], margin)
 
 
 @cached_njit
-def _contact_force(equations: Equations, j: int, ceiling: bool, overlap: float, closing: float) -> float:
+def _contact_force(equations: Equations, j: int, ceiling: bool, overlap: float, closing_speed: float) -> float:
     """Return the contact force [N] from overlap and closing speed, or its rate from their rates."""
     wall = 1 if ceiling else 0
-    return equations.stiffness[j, wall] * overlap + equations.damping[j, wall] * closing
+    return equations.stiffness[j, wall] * overlap + equations.damping[j, wall] * closing_speed
 
 
 @cached_njit
 def _crossing_rate(
-    equations: Equations, sequence: Sequence, track: Track, event: int, closing: float, acc_unit: float
+    equations: Equations, sequence: Sequence, track: Track, event: int, closing_speed: float, acc_unit: float
 ) -> float:
-    """Return the rate at which a finite-duration contact crosses its event: speed in g/w, or force slope in g w."""
+    """Return the rate of a finite-duration contact's guard at its event: speed in g/w, or force per mass in g w.
+
+    `acc_unit`: g, or a unit of acceleration that replaces it without gravity, m/s^2.
+    """
     kind, j, omega = sequence.kind[event], sequence.damper[event], equations.omega
     guard = track.guards[event - 1, -1, j]
     if kind == kinds.RELEASE:
@@ -66,7 +70,7 @@ def _crossing_rate(
         sign = -1.0 if kind == kinds.PRESS_FLOOR else 1.0
         force_rate = _contact_force(equations, j, kind == kinds.PRESS_CEILING, sign * guard[1], sign * guard[2])
         return min(1.0, force_rate / (equations.mass[j] * acc_unit * omega))
-    return min(1.0, closing * omega / acc_unit)
+    return min(1.0, closing_speed * omega / acc_unit)
 
 
 @cached_njit
@@ -76,43 +80,44 @@ def _finite_contact_margins(
     """Compute the margins of a damper with finite-duration contact: pressed, free, or overlapping without force.
 
     A released bed may still overlap a wall. It must not be pressed again before it leaves the wall, which is not an
-    event. The overlap at the start of a segment follows from the previous segment. The segments are therefore passed
-    twice, and only the second lap counts.
+    event. The overlap at the start of a segment follows from the previous segment. Therefore all segments are examined
+    twice in order, and only the second round determines the margins.
     """
     events, acc_unit = sequence.kind.shape[0], length_unit * equations.omega**2
     clearance = equations.clearance[j]
     overlapped_wall = 0
-    for visit in range(2 * track.times.shape[0]):
-        lap, s = visit // track.times.shape[0], visit % track.times.shape[0]
+    segments = track.times.shape[0]
+    for visit in range(2 * segments):
+        is_second_round, s = visit >= segments, visit % segments
         k, end_event = (s + 1, (s + 1) % events) if events > 0 else (0, 0)
         wall, guard = sequence.wall[k, j], track.guards[s, :, j]
-        own_start = events > 0 and sequence.damper[s] == j
-        own_end = events > 0 and sequence.damper[end_event] == j
+        starts_with_own_event = events > 0 and sequence.damper[s] == j
+        ends_with_own_event = events > 0 and sequence.damper[end_event] == j
         if wall >= kinds.ON_FLOOR:
             lowest_force = _lowest_minimum(track, s, j, 0.0, 1.0)
-            if not own_start:
+            if not starts_with_own_event:
                 lowest_force = min(lowest_force, guard[0, 0])
-            if not own_end:
+            if not ends_with_own_event:
                 lowest_force = min(lowest_force, guard[-1, 0])
-            if lap == 1:
+            if is_second_round:
                 _reduce_margin(distances, LEAVES_WALL, j, lowest_force / acc_unit)
             continue
-        if own_start:
+        if starts_with_own_event:
             overlapped_wall = sequence.wall[s, j]
         # The first point of the segment at which the bed does not overlap a wall.
         first_free, highest_force, previous_force, is_rising = 0, -np.inf, np.inf, False
         while overlapped_wall != 0 and first_free < guard.shape[0]:
             sign, height = (-1.0, 0.0) if overlapped_wall == kinds.ON_FLOOR else (1.0, clearance)
-            overlap, closing = sign * (guard[first_free, 0] - height), sign * guard[first_free, 1]
+            overlap, closing_speed = sign * (guard[first_free, 0] - height), sign * guard[first_free, 1]
             if overlap <= 0.0 and first_free > 0:
                 overlapped_wall = 0
                 break
-            force = _contact_force(equations, j, overlapped_wall != kinds.ON_FLOOR, overlap, closing)
+            force = _contact_force(equations, j, overlapped_wall != kinds.ON_FLOOR, overlap, closing_speed)
             if is_rising and force < previous_force:
                 highest_force = max(highest_force, previous_force / equations.mass[j])
             is_rising, previous_force = force > previous_force, force
             first_free += 1
-        if lap == 0:
+        if not is_second_round:
             continue
         _reduce_margin(distances, STAYS_AT_WALL, j, -highest_force / acc_unit)
         floor_gap, ceiling_gap = np.inf, np.inf
@@ -120,7 +125,7 @@ def _finite_contact_margins(
             floor_gap = _lowest_minimum(track, s, j, 0.0, 1.0, first_free)
             if np.isfinite(clearance):
                 ceiling_gap = _lowest_minimum(track, s, j, clearance, -1.0, first_free)
-            if not own_start and first_free == 0:
+            if not starts_with_own_event and first_free == 0:
                 floor_gap = min(floor_gap, guard[0, 0])
                 ceiling_gap = min(ceiling_gap, clearance - guard[0, 0])
         _reduce_margin(distances, HITS_FLOOR, j, floor_gap / length_unit)
@@ -128,8 +133,10 @@ def _finite_contact_margins(
 
 
 @cached_njit
-def margins(equations: Equations, sequence: Sequence, track: Track, instants: Array, closing: Array) -> Array:
+def margins(equations: Equations, sequence: Sequence, track: Track, instants: Array, closing_speed: Array) -> Array:
     """Compute the margin of an orbit at each border beyond which it is impossible as a motion.
+
+    `instants`, `closing_speed`: of the events, s and m/s, shape (events,).
 
     Returns shape (kinds of borders, max(events, dampers)), gaps in g/w^2, accelerations in g, times in 1/w; at most
     1, negative beyond the border. The second index is an event for the kinds ORDER, NOT_RELEASED and MISSES_WALL,
@@ -144,60 +151,60 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
     for s in range(track.times.shape[0]):
         k = s + 1 if events > 0 else 0
         end_event = (s + 1) % max(events, 1)
-        if events > 0 and sequence.kind[end_event] != kinds.WITH_PREVIOUS:
+        if events > 0 and sequence.kind[end_event] != kinds.INDUCED_SEPARATION:
             distances[ORDER, s] = min(1.0, (track.times[s, -1] - track.times[s, 0]) * omega)
         for j in range(nd):
-            own_start = events > 0 and sequence.damper[s] == j
-            own_end = events > 0 and sequence.damper[end_event] == j
+            starts_with_own_event = events > 0 and sequence.damper[s] == j
+            ends_with_own_event = events > 0 and sequence.damper[end_event] == j
             wall, guard = sequence.wall[k, j], track.guards[s, :, j]
             if wall >= kinds.FORCELESS:
                 continue
             if wall == kinds.FLYING:
                 lowest = _lowest_minimum(track, s, j, 0.0, 1.0)
-                if not own_start:
+                if not starts_with_own_event:
                     lowest = min(lowest, guard[0, 0])
                 _reduce_margin(distances, HITS_FLOOR, j, lowest / length_unit)
                 clearance = equations.clearance[j]
                 if np.isfinite(clearance):
                     lowest = _lowest_minimum(track, s, j, clearance, -1.0)
-                    if not own_start:
+                    if not starts_with_own_event:
                         lowest = min(lowest, clearance - guard[0, 0])
                     _reduce_margin(distances, HITS_CEILING, j, lowest / length_unit)
                 continue
             sign = 1.0 if wall == kinds.RIDES_FLOOR else -1.0
             lowest = _lowest_minimum(track, s, j, 0.0, sign)
             lowest = min(lowest, sign * guard[0, 0])
-            if not own_end:
+            if not ends_with_own_event:
                 lowest = min(lowest, sign * guard[-1, 0])
             _reduce_margin(distances, LEAVES_WALL, j, lowest / acc_unit)
     for event in range(events):
         kind, j = sequence.kind[event], sequence.damper[event]
         if equations.bed[j] >= 0:
             distances[MISSES_WALL if kind != kinds.RELEASE else NOT_RELEASED, event] = _crossing_rate(
-                equations, sequence, track, event, closing[event], acc_unit
+                equations, sequence, track, event, closing_speed[event], acc_unit
             )
             continue
-        separates = kind in (kinds.SEPARATION, kinds.WITH_PREVIOUS)
+        separates = kind in (kinds.SEPARATION, kinds.INDUCED_SEPARATION)
         left_ceiling = separates and sequence.wall[event, j] == kinds.RIDES_CEILING
         ceiling = kind in (kinds.CEILING, kinds.CEILING_BOUNCE) or left_ceiling
         is_bounce = kind in (kinds.CEILING_BOUNCE, kinds.FLOOR_BOUNCE)
         away_sign = -1.0 if ceiling else 1.0
-        if kind == kinds.WITH_PREVIOUS or (is_bounce and equations.restitution[j] == 0.0):
+        if kind == kinds.INDUCED_SEPARATION or (is_bounce and equations.restitution[j] == 0.0):
             # The gap's curvature right after the event must lead away from the wall.
             _reduce_margin(distances, STAYS_AT_WALL, j, away_sign * track.guards[event, 0, j, 2] / acc_unit)
         if kind == kinds.SEPARATION:
             jerk = track.guards[event - 1, -1, j, 1]
             distances[NOT_RELEASED, event] = min(1.0, -away_sign * jerk / (acc_unit * omega))
-        elif kind != kinds.WITH_PREVIOUS:
-            distances[MISSES_WALL, event] = min(1.0, closing[event] * omega / acc_unit)
-            # With a full mass matrix, an impact presses riding dampers on their walls or throws them from the walls.
+        elif kind != kinds.INDUCED_SEPARATION:
+            distances[MISSES_WALL, event] = min(1.0, closing_speed[event] * omega / acc_unit)
+            # With a full mass matrix, an impact presses riding dampers on their walls or separates them.
             for i in range(nd):
                 body = body_of[i]
                 coupling = equations.inverse_mass[sequence.configuration[event], body, body_of[j]]
                 if i != j and sequence.wall[event, i] in (kinds.RIDES_FLOOR, kinds.RIDES_CEILING) and coupling != 0.0:
                     speed_change = track.motion[event, 0, nq + body] - track.motion[event - 1, -1, nq + body]
                     sign = 1.0 if sequence.wall[event, i] == kinds.RIDES_FLOOR else -1.0
-                    _reduce_margin(distances, THROWN_OFF, i, sign * speed_change * omega / acc_unit)
+                    _reduce_margin(distances, SEPARATED_BY_IMPACT, i, sign * speed_change * omega / acc_unit)
         if separates:
             # At zero flight time the equations are singular, so a curve ends before.
             next_event = (event + 1) % events
@@ -206,7 +213,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             next_period = equations.period if next_event <= event else 0.0
             flight_time = instants[next_event] - instants[event] + next_period
             if sequence.kind[next_event] == (kinds.CEILING if ceiling else kinds.FLOOR):
-                _reduce_margin(distances, FLIGHT_ENDS, j, flight_time * omega - MIN_FLIGHT_RAD)
+                _reduce_margin(distances, FLIGHT_VANISHES, j, flight_time * omega - MIN_FLIGHT_RAD)
     for j in range(nd):
         if equations.bed[j] >= 0:
             _finite_contact_margins(equations, sequence, track, j, length_unit, distances)
@@ -219,4 +226,8 @@ def evaluate_motion(
 ) -> tuple[Array, NDArray[np.complex128], Array]:
     """Return `extremes` and `harmonic` of a converged orbit as in `Track`, and its flattened `margins`."""
     track = track_orbit(equations, sequence, instants, shooting.states)
-    return (track.extremes, track.harmonic, margins(equations, sequence, track, instants, shooting.closing).ravel())
+    return (
+        track.extremes,
+        track.harmonic,
+        margins(equations, sequence, track, instants, shooting.closing_speed).ravel(),
+    )

@@ -1,9 +1,9 @@
-"""Curves of exact orbits over frequency, force, clearance or mass ratio: stable and unstable, across borders.
+"""Curves of exact orbits (periodic motions) over frequency, force, clearance or mass ratio, stable and unstable.
 
-Continuation follows a sequence of events through folds to the end of the range or to a border, where the sequence
-becomes impossible: a grazing impact, a release, a contact of zero duration, or two events that change order. Beyond
-the border another sequence is valid. It is identified by simulation of the exact motion from the border and then
-continued in the same way.
+A *branch* is a curve of orbits with one sequence of events. Continuation follows it through folds to the end of the
+range or to a *border*, where the sequence becomes impossible: a grazing impact, a release, a contact of zero duration,
+or two events that change order. Beyond the border another sequence is valid. It is identified by simulation of the
+exact motion from the border, and is then continued in the same way.
 """
 
 from __future__ import annotations
@@ -144,17 +144,17 @@ class _Explorer:
         )
 
     def _stability_losses(self, branch: OrbitBranch) -> list[int]:
-        """Return the points just after a loss of stability that is not at a fold."""
-        points = []
+        """Return the indices of the unstable orbits next to a loss of stability that is not at a fold."""
+        unstable_indices = []
         for value in (*branch.doublings, *branch.toruses):
             for i in np.flatnonzero((branch.value[:-1] - value) * (branch.value[1:] - value) <= 0).tolist():
                 stable = branch.orbits[i].stable, branch.orbits[i + 1].stable
                 if stable[0] != stable[1]:
-                    points.append(i + 1 if stable[0] else i)
-        return points
+                    unstable_indices.append(i + 1 if stable[0] else i)
+        return unstable_indices
 
     def _simulate_perturbed(self, orbit: Orbit) -> list[Orbit]:
-        """Simulate from a perturbed unstable orbit and return the orbit to which it settles, if any."""
+        """Simulate from a perturbed unstable orbit; return the orbit to which the motion settles, or an empty list."""
         propagator, _ = start_propagator(self.problem, orbit.setting)
         set_to_orbit(propagator, orbit)
         n = propagator.system.states
@@ -172,7 +172,7 @@ class _Explorer:
             return False
         offset = branch.value - getattr(orbit.setting, self.parameter)
         segments = np.flatnonzero(offset[:-1] * offset[1:] <= 0).tolist()
-        # The search from an adjacent branch's border starts just beyond an end of this branch.
+        # An orbit found across the border of an adjacent branch is just beyond an end of this branch.
         if abs(offset[0]) < 1e-3 * abs(branch.value[0]):
             segments.append(0)
         if abs(offset[-1]) < 1e-3 * abs(branch.value[-1]):
@@ -256,6 +256,7 @@ def _locate_bifurcations(
     orbits: tuple[Orbit, ...],
     test: Callable[[NDArray[np.complex128]], float],
 ) -> Array:
+    """Return the parameter values at which a test function of the Floquet multipliers changes sign."""
     values = np.array([test(orbit.multipliers) for orbit in orbits])
     segments = np.flatnonzero(values[:-1] * values[1:] < 0)
     return _locate(family, curve, segments, lambda x, tangent: test(family.multipliers(x)))

@@ -1,9 +1,9 @@
 """Kinds of events of an orbit, and wall states of a damper between them."""
 
-# Kinds of events. In a bounce, a damper separates at the instant of impact, with the common velocity (osculating
-# contact) or with its rebound velocity. `WITH_PREVIOUS` is a separation that the previous event causes at the same
-# instant.
-SEPARATION, FLOOR, CEILING, FLOOR_BOUNCE, CEILING_BOUNCE, WITH_PREVIOUS = 0, 1, 2, 3, 4, 5
+# Kinds of events: separation from a wall, impact on a wall after which the damper rides (FLOOR, CEILING), and bounces.
+# In a bounce, a damper separates at the instant of impact, with the common velocity (osculating contact) or with its
+# rebound velocity. `INDUCED_SEPARATION` is a separation that the previous event causes at the same instant.
+SEPARATION, FLOOR, CEILING, FLOOR_BOUNCE, CEILING_BOUNCE, INDUCED_SEPARATION = 0, 1, 2, 3, 4, 5
 # Finite-duration contact: a gap falls to zero (touch), a contact force falls to zero (release), or it rises from zero
 # again before the overlap has recovered (press). All conditions are linear in the state. Only the force law changes.
 TOUCH_FLOOR, TOUCH_CEILING, PRESS_FLOOR, PRESS_CEILING, RELEASE = 6, 7, 8, 9, 10

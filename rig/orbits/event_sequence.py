@@ -1,4 +1,7 @@
-"""The sequence of events of a periodic orbit: derivation from a simulated cycle, and labels."""
+"""The sequence of events of a periodic orbit: derived from a simulated cycle, and with a label for users.
+
+An event is a contact change of one damper. Beyond a *border* in the parameter, the sequence is impossible.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ BOUNCE = {kinds.FLOOR: kinds.FLOOR_BOUNCE, kinds.CEILING: kinds.CEILING_BOUNCE}
 #: Wall state of a damper after an event.
 WALL_AFTER_EVENT = {
     kinds.SEPARATION: kinds.FLYING,
-    kinds.WITH_PREVIOUS: kinds.FLYING,
+    kinds.INDUCED_SEPARATION: kinds.FLYING,
     kinds.FLOOR_BOUNCE: kinds.FLYING,
     kinds.CEILING_BOUNCE: kinds.FLYING,
     kinds.FLOOR: kinds.RIDES_FLOOR,
@@ -38,11 +41,11 @@ MIN_RELATIVE_OVERLAP = 1e-9
 
 @dataclass(frozen=True)
 class Plan:
-    """An orbit's sequence of events, with the configurations of its slots."""
+    """An orbit's sequence of events, with the different contact configurations between them."""
 
     sequence: Sequence
-    configurations: tuple[int, ...]  # As in `HybridSystem.toggles`
-    repetition: int  # Length in periods of the drive
+    configurations: tuple[int, ...]  # Bits as in `HybridSystem.toggles`
+    repetition: int  # Duration in periods of the drive
 
     @property
     def flying(self) -> NDArray[np.int64]:
@@ -50,7 +53,7 @@ class Plan:
         return np.flatnonzero(self.sequence.wall[0] == kinds.FLYING)
 
     def instants(self, unknowns: Array) -> Array:
-        """Return the instants of the events from the unknowns of an orbit."""
+        """Return the instants of the events, s, which are the last of an orbit's unknowns."""
         return unknowns[len(unknowns) - len(self.sequence.kind) :]
 
     @property
@@ -66,7 +69,7 @@ class Plan:
             kinds.CEILING: "=",
             kinds.FLOOR_BOUNCE: "v",
             kinds.CEILING_BOUNCE: "-",
-            kinds.WITH_PREVIOUS: "~",
+            kinds.INDUCED_SEPARATION: "~",
             kinds.TOUCH_FLOOR: "u",
             kinds.TOUCH_CEILING: "n",
             kinds.PRESS_FLOOR: "w",
@@ -93,7 +96,7 @@ class Plan:
             "damper {} hits the ceiling early",
             "damper {} leaves its wall early",
             "damper {} stays at the wall that it should leave at once",
-            "damper {} is thrown off its wall by the impact of another",
+            "damper {} separates from its wall by the impact of another damper",
         ):
             names.append([template.format(number) for number in range(1, count + 1)])
         return tuple(name for row in names for name in [*row, *[""] * (count - len(row))])
@@ -111,12 +114,12 @@ def derive_plan(
 
     `start`, shape (dampers,): contact state at the start of the cycle; `repetition`: number of drive periods in the
     cycle. Also returns the indices of the plan's events among the events of the cycle. Raises `UncoveredMotionError`
-    if a damper with rebound comes to rest on a wall after infinitely many impacts, or if the impact of another
-    damper throws a damper off its wall, through a full mass matrix or a common body.
+    if a damper with rebound comes to rest on a wall after infinitely many impacts, or if the impact of a damper
+    separates another damper from its wall, through a full mass matrix or a common body.
     """
     events: list[int] = []
     dampers: list[int] = []
-    order: list[int] = []
+    order: list[int] = []  # index of each event of the plan in the trajectory
     instants = list(zip(trajectory.event_segment.tolist(), trajectory.event_offset.tolist(), strict=True))
     for k, (damper, kind) in enumerate(
         zip(trajectory.event_damper.tolist(), trajectory.event_kind.tolist(), strict=True)
@@ -142,7 +145,7 @@ def derive_plan(
                 f"damper {damper + 1} rebounds infinitely often in every period until it rests on a wall"
             )
         else:
-            events.append(kinds.WITH_PREVIOUS if simultaneous else kinds.SEPARATION)
+            events.append(kinds.INDUCED_SEPARATION if simultaneous else kinds.SEPARATION)
         dampers.append(damper)
         order.append(k)
     return make_plan(events, dampers, walls_from_modes(start, system), repetition), np.array(order, dtype=np.int64)
@@ -156,7 +159,7 @@ def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSyste
     is_event = (trajectory.break_segment == trajectory.event_segment[event]) & (
         trajectory.break_offset == trajectory.event_offset[event]
     )
-    gaps = trajectory.before[:, system.bed[damper]]
+    gaps = trajectory.state_before[:, system.bed[damper]]
     gap, min_overlap = gaps[np.flatnonzero(is_event)[0]], MIN_RELATIVE_OVERLAP * np.abs(gaps).max()
     if kind == FLOOR_TOUCH:
         return kinds.PRESS_FLOOR if gap < -min_overlap else kinds.TOUCH_FLOOR

@@ -19,8 +19,8 @@ def exponential(matrix: Array, time: float, rate: float) -> Array:
         norm *= 0.5
         halvings += 1
     x = matrix * (time * 0.5**halvings)
-    # Series to degree 12, as three products of cubes. The sum excludes the identity to avoid cancellation at
-    # small times: squaring maps s to 2 s + s s.
+    # Series to degree 12, in groups of three powers, by Horner's method in the cube. The sum excludes the identity to
+    # avoid cancellation at small times; squaring of 1 + s then maps s to 2 s + s s.
     square = x @ x
     cube = square @ x
     total = x / 3628800.0 + square / 39916800.0 + cube / 479001600.0
@@ -35,32 +35,38 @@ def exponential(matrix: Array, time: float, rate: float) -> Array:
 
 
 @cached_njit
-def exponential_slope(matrix: Array, change: Array, start: Array, slope: Array, time: float, rate: float) -> Array:
-    """Differentiate exp(matrix time) start, matrix and start both changing: s' = A s + E z, s(0) = slope."""
+def exponential_derivative(
+    matrix: Array, matrix_derivative: Array, start: Array, start_derivative: Array, time: float, rate: float
+) -> Array:
+    """Differentiate exp(A t) z(0) with respect to a parameter on which both A and z(0) depend.
+
+    `matrix`, `start`: A and z(0); `time`: t, s; `rate`: as in `exponential`. The derivative s of z obeys
+    s' = A s + (dA) z, which is integrated by Taylor series over substeps.
+    """
     n = matrix.shape[0]
     entries, row, column = 0, np.empty(n * n, dtype=np.int64), np.empty(n * n, dtype=np.int64)
-    matrix_values, change_values = np.empty(n * n), np.empty(n * n)
+    matrix_values, derivative_values = np.empty(n * n), np.empty(n * n)
     for i in range(n):
         for j in range(n):
-            if matrix[i, j] != 0.0 or change[i, j] != 0.0:
+            if matrix[i, j] != 0.0 or matrix_derivative[i, j] != 0.0:
                 row[entries], column[entries] = i, j
-                matrix_values[entries], change_values[entries] = matrix[i, j], change[i, j]
+                matrix_values[entries], derivative_values[entries] = matrix[i, j], matrix_derivative[i, j]
                 entries += 1
-    z, s = start.copy(), slope.copy()
+    z, s = start.copy(), start_derivative.copy()
     substeps = max(1, int(np.ceil(0.5 * rate * abs(time))))
     h = time / substeps
-    term, slope_term, next_term, next_slope_term = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    z_term, s_term, next_z_term, next_s_term = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     for _ in range(substeps):
-        term[:], slope_term[:] = z, s
+        z_term[:], s_term[:] = z, s
         # The truncation error 2^20 / 20! = 4e-13 is sufficient for a derivative.
         for k in range(1, 21):
-            next_term[:], next_slope_term[:] = 0.0, 0.0
+            next_z_term[:], next_s_term[:] = 0.0, 0.0
             for m in range(entries):
                 i, j = row[m], column[m]
-                next_term[i] += matrix_values[m] * term[j]
-                next_slope_term[i] += matrix_values[m] * slope_term[j] + change_values[m] * term[j]
+                next_z_term[i] += matrix_values[m] * z_term[j]
+                next_s_term[i] += matrix_values[m] * s_term[j] + derivative_values[m] * z_term[j]
             for i in range(n):
-                term[i], slope_term[i] = h / k * next_term[i], h / k * next_slope_term[i]
-                z[i] += term[i]
-                s[i] += slope_term[i]
+                z_term[i], s_term[i] = h / k * next_z_term[i], h / k * next_s_term[i]
+                z[i] += z_term[i]
+                s[i] += s_term[i]
     return s

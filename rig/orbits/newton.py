@@ -6,7 +6,7 @@ import numpy as np
 
 from rig.arrays import Array
 from rig.numerics.jit import cached_njit
-from rig.orbits.orbit_equations import Change, Equations, Sequence
+from rig.orbits.orbit_equations import EquationDerivatives, Equations, Sequence
 from rig.orbits.shooting import ShootingResult, shoot
 
 # Largest correction and residual, relative to the motion, of an accepted solution.
@@ -16,7 +16,7 @@ CONVERGENCE_TOLERANCE = 3e-13
 @cached_njit
 def newton_solve(
     equations: Equations,
-    change: Change,
+    derivatives: EquationDerivatives,
     sequence: Sequence,
     unknowns: Array,
     scale: Array,
@@ -31,7 +31,7 @@ def newton_solve(
     the last correction, and the number of corrections. This number is -1 if the iteration did not converge.
     """
     x, slope, last_size = unknowns.copy(), np.zeros(unknowns.size), np.inf
-    shooting = shoot(equations, change, sequence, x)
+    shooting = shoot(equations, derivatives, sequence, x)
     for corrections in range(max_corrections):
         system = shooting.jacobian[:, : x.size].copy()
         rhs = np.empty((x.size, 2))
@@ -54,7 +54,7 @@ def newton_solve(
             return x, slope, shooting, size, -1
         x += correction * scale
         last_size = size
-        shooting = shoot(equations, change, sequence, x)
+        shooting = shoot(equations, derivatives, sequence, x)
     return x, slope, shooting, last_size, -1
 
 
@@ -66,7 +66,10 @@ def distance(first: Array, second: Array, scale: Array) -> float:
 
 @cached_njit
 def monodromy(shooting: ShootingResult, events: int, scale: Array, residual_scale: Array) -> Array:
-    """Compute the scaled monodromy matrix; the event conditions are solved for the instants."""
+    """Compute the scaled monodromy matrix: the derivative of the state after a period with respect to its start.
+
+    The event conditions are solved for the instants of the events.
+    """
     size = scale.size
     initial = size - events
     jacobian = shooting.jacobian[:, :size].copy()

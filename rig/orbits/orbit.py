@@ -18,7 +18,7 @@ from rig.orbits import event_kinds as kinds
 from rig.orbits.admissibility import evaluate_motion
 from rig.orbits.event_sequence import Plan
 from rig.orbits.newton import monodromy, newton_solve
-from rig.orbits.orbit_equations import Change, Equations
+from rig.orbits.orbit_equations import EquationDerivatives, Equations
 from rig.orbits.problem import OperatingPoint, OrbitProblem, Parameter, vary
 from rig.orbits.shooting import ShootingResult, shoot
 from rig.orbits.track import track_orbit
@@ -70,7 +70,7 @@ class Orbit(Result):
     closing : ndarray, shape (events,)
         Closing speed of each event of the plan [m/s].
     period_map : ndarray
-        Scaled monodromy matrix, whose eigenvalues are the multipliers.
+        Scaled monodromy matrix, whose eigenvalues are the Floquet multipliers.
     border_index : int
         Index of the nearest border among those of the plan.
     unknowns : ndarray
@@ -108,8 +108,8 @@ class Orbit(Result):
         """Return time over a cycle from its first event, displacement of each body, and gap of each moving damper."""
         sequence, system = self.plan.sequence, self.problem.varied_system(self.setting)
         family = OrbitFamily(self.problem, self.plan, self.setting, "frequency", self.unknowns)
-        equations, change = family.equations(self.frequency)
-        states = shoot(equations, change, sequence, self.unknowns).states
+        equations, derivatives = family.equations(self.frequency)
+        states = shoot(equations, derivatives, sequence, self.unknowns).states
         instants = self.plan.instants(self.unknowns)
         track = track_orbit(equations, sequence, instants, states)
         wall = sequence.wall[len(sequence.wall) - len(track.times) :, None, :]
@@ -137,7 +137,7 @@ class Orbit(Result):
         """Frequency of the drive [Hz]."""
         return self.setting.frequency
 
-    # Most orbits of a search are rejected by their margin alone, so the following quantities are computed when needed.
+    # A search rejects most orbits by their margin alone, so the following quantities are computed when first used.
     @cached_property
     def multipliers(self) -> NDArray[np.complex128]:
         """Floquet multipliers: one for each state and two for each damper in flight at the start."""
@@ -209,7 +209,7 @@ def solve(
 
 
 class OrbitFamily:
-    """The equations of an orbit with one free parameter, for `rig.numerics.continuation`.
+    """The orbits with one sequence of events over one free parameter: equations for `rig.numerics.continuation`.
 
     `plan`: events of the orbit; `setting`: values of all other parameters; `parameter`: 'frequency', 'force',
     'clearance' or 'mass_ratio'; `unknowns`: initial guess; it also sets the scales.
@@ -231,12 +231,12 @@ class OrbitFamily:
         start = np.concatenate([np.full(nq, length), np.full(nq, omega * length), other_states, flights])
         value = getattr(setting, parameter)
         self.scale = np.concatenate([start, times, [abs(value) * (0.02 if parameter == "frequency" else 0.2)]])
-        guard_scales = {kinds.WITH_PREVIOUS: 1 / omega, kinds.SEPARATION: system.gravity or omega**2 * length}
+        guard_scales = {kinds.INDUCED_SEPARATION: 1 / omega, kinds.SEPARATION: system.gravity or omega**2 * length}
         event_scales = [guard_scales.get(int(kind), length) for kind in plan.sequence.kind]
         self.residual_scale = np.concatenate([start, event_scales])
         self.bodies = problem.scene.structure.bodies
 
-    def equations(self, value: float) -> tuple[Equations, Change]:
+    def equations(self, value: float) -> tuple[Equations, EquationDerivatives]:
         """Return the equations at a value of the parameter, and their derivatives."""
         return self.problem.equations(self.setting_at(value), self.plan, self.parameter)
 
@@ -244,25 +244,27 @@ class OrbitFamily:
         self, value: float, guess: Array, max_corrections: int
     ) -> tuple[Equations, Array, Array, ShootingResult, float, int]:
         """Return the equations at a value of the parameter and their solution, as `newton_solve` returns it."""
-        equations, change = self.equations(value)
+        equations, derivatives = self.equations(value)
         scale, sequence = self.scale[:-1], self.plan.sequence
-        return equations, *newton_solve(equations, change, sequence, guess, scale, self.residual_scale, max_corrections)
+        return equations, *newton_solve(
+            equations, derivatives, sequence, guess, scale, self.residual_scale, max_corrections
+        )
 
     def __call__(self, x: Array) -> tuple[Array, Array]:
-        """Return the scaled residual and Jacobian."""
+        """Return the scaled residual (unknowns,) and Jacobian (unknowns, unknowns + 1); `x`: unknowns and parameter."""
         shooting = shoot(*self.equations(float(x[-1])), self.plan.sequence, x[:-1])
         return shooting.residual / self.residual_scale, shooting.jacobian / self.residual_scale[:, None]
 
     def orbit(self, x: Array) -> Orbit:
-        """Return the orbit at a solution."""
-        equations, change = self.equations(float(x[-1]))
-        shooting = shoot(equations, change, self.plan.sequence, x[:-1])
+        """Return the orbit at a solution `x` (unknowns and parameter)."""
+        equations, derivatives = self.equations(float(x[-1]))
+        shooting = shoot(equations, derivatives, self.plan.sequence, x[:-1])
         return self.make_orbit(self.setting_at(float(x[-1])), x[:-1], equations, shooting)
 
     def margins(self, x: Array) -> tuple[Array, tuple[str, ...]]:
         """Return the margin at each border and the borders' names, for `rig.numerics.continuation.trace`."""
-        equations, change = self.equations(float(x[-1]))
-        shooting = shoot(equations, change, self.plan.sequence, x[:-1])
+        equations, derivatives = self.equations(float(x[-1]))
+        shooting = shoot(equations, derivatives, self.plan.sequence, x[:-1])
         distances = evaluate_motion(equations, self.plan.sequence, shooting, self.plan.instants(x[:-1]))[2]
         return distances + MARGIN_ROUNDING, self.plan.borders
 
@@ -294,7 +296,7 @@ class OrbitFamily:
             margin=float(distances[nearest_border]),
             border_index=nearest_border,
             residual=float(np.abs(shooting.residual / self.residual_scale).max()),
-            closing=shooting.closing,
+            closing=shooting.closing_speed,
             period_map=self._period_map(shooting),
             unknowns=unknowns.copy(),
             plan=plan,
@@ -320,7 +322,7 @@ def _events(
             events.append((damper, _CONTACT_EVENTS[int(kind)], time, speed))
         if kind == kinds.RELEASE:
             events.append((damper, RELEASE, time, 0.0))
-        elif kind in (kinds.SEPARATION, kinds.WITH_PREVIOUS) or (
+        elif kind in (kinds.SEPARATION, kinds.INDUCED_SEPARATION) or (
             kind in (kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE) and not problem.system.restitution[damper]
         ):
             events.append((damper, SEPARATION, time, 0.0))

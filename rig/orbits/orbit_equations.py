@@ -1,4 +1,8 @@
-"""The equations of an orbit: equations of motion in each configuration, and the sequence of events."""
+"""The equations of an orbit (a periodic motion): equations of motion in each configuration, and sequence of events.
+
+The state is (coordinates, velocities, further states such as the coil current). It is extended by cos wt, sin wt and 1,
+so that the equations of motion are x' = A x with the *generator* A. Quantities are in SI units.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,7 @@ IndexArray = NDArray[np.int64]
 
 
 class Equations(NamedTuple):
-    """The equations of motion in every configuration that an orbit visits, for one set of parameters."""
+    """The equations of motion in every configuration of an orbit, for one set of parameters."""
 
     generator: Array  # shape (configurations, states + 3, states + 3)
     rate: Array  # Bound on the norm of each generator [1/s]; shape (configurations,)
@@ -27,11 +31,11 @@ class Equations(NamedTuple):
     stiffness: Array
     damping: Array  # stiffness, damping: of floor and ceiling for finite-duration contact; shape (dampers, 2)
     gravity: float
-    omega: float
-    period: float  # Length of the orbit, a multiple of the drive's period [s]
+    omega: float  # Angular frequency of the drive [rad/s]
+    period: float  # Duration of the orbit, a multiple of the drive's period [s]
 
 
-class Change(NamedTuple):
+class EquationDerivatives(NamedTuple):
     """Derivatives of the fields of `Equations` with respect to the continuation parameter."""
 
     generator: Array

@@ -1,4 +1,8 @@
-"""Exact periodic motions of a scene with all its modes and dampers, stable or not."""
+"""Exact periodic motions (orbits) of a scene with all its modes and dampers, stable or not.
+
+The motion is simulated until it almost repeats, and is then refined by Newton's iteration for the equations of
+`rig.orbits.shooting`. A *cycle* is one repetition of the motion, which takes one or more periods of the drive.
+"""
 
 from __future__ import annotations
 
@@ -19,18 +23,18 @@ from rig.steady_response.steady_state import MAX_REPETITION, settle
 
 # Number of simulated periods after which a search classifies the motion as irregular.
 MAX_PERIODS = 4000
-# Numbers of periods after which a search tries Newton's iteration for a nearby orbit.
+# Numbers of simulated periods after each of which a search attempts Newton's iteration before the motion is steady.
 EARLY_PERIODS = (16, 64, 256)
-# Largest number of Newton corrections of such a try. From a motion that settles to an orbit, at most 5 were needed in
-# the designs of the bundled scenes; iterations that do not converge wander, at a high cost.
+# Largest number of Newton corrections of an early attempt. From a motion that settles to an orbit, at most 5 were
+# needed in the designs of the bundled scenes; an iteration that does not converge is expensive.
 MAX_EARLY_CORRECTIONS = 8
-# Largest relative change from period to period of a motion that counts as almost periodic.
+# Largest relative change from period to period of an almost periodic motion.
 MAX_ALMOST_PERIODIC_CHANGE = 1e-6
 # Largest relative distance of a motion from the orbit to which it settles.
 MAX_ORBIT_DISTANCE = 0.05
 # Periods over which the distance from the orbit must decrease.
 CONFIRMATION_PERIODS = 16
-# Relative distance below which the motion has reached the orbit, so that it need not decrease.
+# Relative distance below which the motion has reached the orbit. It then need not decrease further.
 CLOSE_DISTANCE = 1e-6
 
 
@@ -134,16 +138,16 @@ def _distance(propagator: Propagator, orbit: Orbit) -> float:
 def _simulate(propagator: Propagator, steps: float, periods: int) -> Trajectory:
     """Simulate whole periods."""
     rows, starts_period = np.full(periods, -1), np.ones(periods, dtype=bool)
-    return propagator.through_marks(np.full(periods, steps), rows, starts_period)
+    return propagator.propagate_marks(np.full(periods, steps), rows, starts_period)
 
 
 def start_propagator(
     problem: OrbitProblem, setting: OperatingPoint, from_linear_response: bool = False
 ) -> tuple[Propagator, float]:
-    """Return a propagator at the start of a period, all dampers on their floors, and its steps per period.
+    """Return a propagator at the start of a period, with all dampers on their floors, and its steps per period.
 
-    The initial state is rest or, if `from_linear_response`, the steady state of the linear structure with all dampers
-    riding on their floors.
+    The initial state is that of the scene or, if `from_linear_response`, the steady state of the linear structure
+    with all dampers riding on their floors.
     """
     system = problem.varied_system(setting)
     propagator, steps = tone_propagator(system, problem.amplitudes(setting), 2 * np.pi * setting.frequency)
@@ -202,7 +206,7 @@ def shortest_cycle(orbit: Orbit) -> tuple[Plan, OperatingPoint, Array] | None:
 
 
 def simulate_cycle(propagator: Propagator, steps: float, repetition: int) -> tuple[Plan, Array]:
-    """Simulate one cycle and return its events and the unknowns at its start."""
+    """Simulate one cycle; return the plan of its events, and the orbit's unknowns (see `rig.orbits.shooting`)."""
     system, state = propagator.system, propagator.state
     modes = state.mode.astype(np.int8)
     heights, speeds = state.height.copy(), state.speed.copy()

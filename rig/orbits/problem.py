@@ -1,4 +1,8 @@
-"""The periodic-orbit problem of a scene: its equations for any value of the continuation parameter."""
+"""The periodic-orbit problem of a scene: the equations of motion and their derivatives at any operating point.
+
+One of the operating point's values is the *parameter*, over which orbits are continued. A contact *configuration*
+states which dampers are in contact with which wall (bits as in `HybridSystem.toggles`).
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,7 @@ from scipy.linalg import matrix_balance
 from rig.arrays import Array
 from rig.errors import SceneError
 from rig.orbits.event_sequence import Plan
-from rig.orbits.orbit_equations import Change, Equations
+from rig.orbits.orbit_equations import EquationDerivatives, Equations
 from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, RATIO, Kind, positive_value, positive_values
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
@@ -31,7 +35,7 @@ AXES = {
     "clearance": ("clearance / mm", 1e3),
     "mass_ratio": ("factor on the damper masses", 1.0),
 }
-# Largest number of entries in a cache: sets of configurations, and systems with other damper masses.
+# Largest number of entries in each cache: the matrices of sets of configurations, and systems with other damper masses.
 MAX_CACHED = 200
 # Relative step of finite differences.
 RELATIVE_STEP = 1e-6
@@ -39,11 +43,11 @@ RELATIVE_STEP = 1e-6
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """A setting: values of the continuation parameters."""
+    """Values of all continuation parameters."""
 
     frequency: float  # Hz
     force: float  # Level of the drive, in the unit of the scene's test (N for a force)
-    clearance: float = np.nan  # Clearance of all dampers [m], or NaN: as in the scene
+    clearance: float = np.nan  # Clearance of all dampers [m]; NaN: the clearances of the scene
     mass_ratio: float = 1.0  # Factor on all damper masses of the scene
 
 
@@ -75,11 +79,11 @@ def base_frequency(parameter: Parameter, frequency: float | str | None, first: f
 
 
 class _ConfigurationMatrices(NamedTuple):
-    """State matrices of configurations, with input matrices whose last column is the constant forces.
+    """State and input matrices of configurations; the last column of an input matrix is for the constant forces.
 
-    `clearance_input` is the derivative of the constant input with respect to each damper's clearance while the damper
-    is pressed on its ceiling. `rate` bounds the norm of the state matrix. The last four fields are derivatives with
-    respect to the factor on the damper masses.
+    `clearance_input`: derivative of the accelerations by constant forces with respect to each damper's clearance while
+    the damper is pressed on its ceiling. `rate`: bound of the norm of the state matrix, 1/s. The last four fields are
+    derivatives with respect to the factor on the damper masses. The first index of each array is the configuration.
     """
 
     state_matrix: Array
@@ -87,10 +91,10 @@ class _ConfigurationMatrices(NamedTuple):
     inverse_mass: Array
     clearance_input: Array
     rate: Array
-    state_matrix_change: Array
-    input_matrix_change: Array
-    inverse_mass_change: Array
-    clearance_input_change: Array
+    state_matrix_derivative: Array
+    input_matrix_derivative: Array
+    inverse_mass_derivative: Array
+    clearance_input_derivative: Array
 
 
 class OrbitProblem:
@@ -148,40 +152,42 @@ class OrbitProblem:
 
     def equations(
         self, setting: OperatingPoint, plan: Plan, parameter: Parameter = "frequency"
-    ) -> tuple[Equations, Change]:
-        """Return the equations of motion in a plan's configurations, and their derivatives."""
+    ) -> tuple[Equations, EquationDerivatives]:
+        """Return the equations of motion in a plan's configurations, and their derivatives by the parameter."""
         system, ratio = self.varied_system(setting), setting.mass_ratio
         nq, n, omega = system.coordinates, system.states, 2 * np.pi * setting.frequency
         amplitudes = self.amplitudes(setting)
         drive = np.column_stack([amplitudes.real, -amplitudes.imag])
-        drive_change = self._drive_change(setting, parameter, drive)
+        drive_derivative = self._drive_derivative(setting, parameter, drive)
         matrices = self._configurations(plan.configurations, ratio)
-        generator, change = np.zeros((2, len(plan.configurations), n + 3, n + 3))
+        generator, generator_derivative = np.zeros((2, len(plan.configurations), n + 3, n + 3))
         generator[:, :n, :n] = matrices.state_matrix
         generator[:, :n, n : n + 2] = matrices.input_matrix[:, :, :-1] @ drive
-        pressable = self._finite_contact & np.isfinite(system.clearance)
+        has_soft_ceiling = self._finite_contact & np.isfinite(system.clearance)
         generator[:, :n, n + 2] = matrices.input_matrix[:, :, -1]
-        if pressable.any():
-            generator[:, nq : 2 * nq, n + 2] += matrices.clearance_input[:, :, pressable] @ system.clearance[pressable]
-        generator[:, n, n + 1], generator[:, n + 1, n] = -omega, omega
-        inverse_mass_change = np.zeros_like(matrices.inverse_mass)
-        if parameter == "frequency":
-            change[:, n, n + 1], change[:, n + 1, n] = -2 * np.pi, 2 * np.pi
-        if drive_change is not None:
-            change[:, :n, n : n + 2] = matrices.input_matrix[:, :, :-1] @ drive_change
-        if parameter == "mass_ratio":
-            change[:, :n, :n] = matrices.state_matrix_change
-            change[:, :n, n : n + 2] = matrices.input_matrix_change[:, :, :-1] @ drive
-            change[:, :n, n + 2] = matrices.input_matrix_change[:, :, -1]
-            change[:, nq : 2 * nq, n + 2] += (
-                matrices.clearance_input_change[:, :, pressable] @ system.clearance[pressable]
+        if has_soft_ceiling.any():
+            generator[:, nq : 2 * nq, n + 2] += (
+                matrices.clearance_input[:, :, has_soft_ceiling] @ system.clearance[has_soft_ceiling]
             )
-            inverse_mass_change = matrices.inverse_mass_change
+        generator[:, n, n + 1], generator[:, n + 1, n] = -omega, omega
+        inverse_mass_derivative = np.zeros_like(matrices.inverse_mass)
+        if parameter == "frequency":
+            generator_derivative[:, n, n + 1], generator_derivative[:, n + 1, n] = -2 * np.pi, 2 * np.pi
+        if drive_derivative is not None:
+            generator_derivative[:, :n, n : n + 2] = matrices.input_matrix[:, :, :-1] @ drive_derivative
+        if parameter == "mass_ratio":
+            generator_derivative[:, :n, :n] = matrices.state_matrix_derivative
+            generator_derivative[:, :n, n : n + 2] = matrices.input_matrix_derivative[:, :, :-1] @ drive
+            generator_derivative[:, :n, n + 2] = matrices.input_matrix_derivative[:, :, -1]
+            generator_derivative[:, nq : 2 * nq, n + 2] += (
+                matrices.clearance_input_derivative[:, :, has_soft_ceiling] @ system.clearance[has_soft_ceiling]
+            )
+            inverse_mass_derivative = matrices.inverse_mass_derivative
         if parameter == "clearance":
-            change[:, nq : 2 * nq, n + 2] = matrices.clearance_input.sum(axis=2)
+            generator_derivative[:, nq : 2 * nq, n + 2] = matrices.clearance_input.sum(axis=2)
         damper_zeros, wall_zeros = np.zeros(system.dampers), np.zeros((system.dampers, 2))
-        stiffness_change, damping_change = (
-            self._wall_changes(ratio) if parameter == "mass_ratio" else (wall_zeros, wall_zeros)
+        stiffness_derivative, damping_derivative = (
+            self._wall_derivatives(ratio) if parameter == "mass_ratio" else (wall_zeros, wall_zeros)
         )
         period = plan.repetition / setting.frequency
         return Equations(
@@ -198,18 +204,18 @@ class OrbitProblem:
             gravity=float(system.gravity),
             omega=omega,
             period=period,
-        ), Change(
-            generator=change,
-            inverse_mass=inverse_mass_change,
+        ), EquationDerivatives(
+            generator=generator_derivative,
+            inverse_mass=inverse_mass_derivative,
             mass=self.system.damper_mass if parameter == "mass_ratio" else damper_zeros,
             clearance=np.ones(system.dampers) if parameter == "clearance" else damper_zeros,
-            stiffness=stiffness_change,
-            damping=damping_change,
+            stiffness=stiffness_derivative,
+            damping=damping_derivative,
             omega=2 * np.pi if parameter == "frequency" else 0.0,
             period=-period / setting.frequency if parameter == "frequency" else 0.0,
         )
 
-    def _drive_change(self, setting: OperatingPoint, parameter: Parameter, drive: Array) -> Array | None:
+    def _drive_derivative(self, setting: OperatingPoint, parameter: Parameter, drive: Array) -> Array | None:
         """Differentiate the drive amplitudes (cosine, sine); return None if they do not depend on the parameter."""
         if parameter == "force":
             return np.asarray(drive / setting.force)
@@ -243,7 +249,7 @@ class OrbitProblem:
         mass, constant = _riding_mass_and_forces(system, configuration)
         # The matrices are linear in the factor: any two values determine the slope.
         heavier, lighter = (self._system_at(factor * mass_ratio) for factor in (1.5, 0.5))
-        mass_change, constant_change = (
+        mass_derivative, constant_derivative = (
             (above - below) / mass_ratio
             for above, below in zip(
                 _riding_mass_and_forces(heavier, configuration),
@@ -252,32 +258,34 @@ class OrbitProblem:
             )
         )
         inverse_mass = np.asarray(np.linalg.inv(mass), dtype=np.float64)
-        inverse_mass_change = -inverse_mass @ mass_change @ inverse_mass
+        inverse_mass_derivative = -inverse_mass @ mass_derivative @ inverse_mass
         wall_force, clearance_force = _finite_contact_forces(system, configuration)
-        stiffness_change, damping_change = self._wall_changes(mass_ratio)
-        changes = replace(system, wall_stiffness=stiffness_change, wall_damping=damping_change)
-        wall_force_change, clearance_force_change = _finite_contact_forces(changes, configuration)
+        stiffness_derivative, damping_derivative = self._wall_derivatives(mass_ratio)
+        derivative_system = replace(system, wall_stiffness=stiffness_derivative, wall_damping=damping_derivative)
+        wall_force_derivative, clearance_force_derivative = _finite_contact_forces(derivative_system, configuration)
         force = system.force_state + wall_force
         state_matrix, input_matrix = np.zeros((n, n)), np.zeros((n, len(system.inputs) + 1))
-        state_matrix_change, input_matrix_change = np.zeros_like(state_matrix), np.zeros_like(input_matrix)
+        state_matrix_derivative, input_matrix_derivative = np.zeros_like(state_matrix), np.zeros_like(input_matrix)
         state_matrix[:nq, nq : 2 * nq] = np.eye(nq)
         state_matrix[nq : 2 * nq] = inverse_mass @ force
         state_matrix[2 * nq :] = system.rate_state
         input_matrix[nq : 2 * nq, :-1] = inverse_mass @ system.force_drive
         input_matrix[2 * nq :, :-1] = system.rate_drive
         input_matrix[nq : 2 * nq, -1] = inverse_mass @ constant
-        state_matrix_change[nq : 2 * nq] = inverse_mass_change @ force + inverse_mass @ wall_force_change
-        input_matrix_change[nq : 2 * nq, :-1] = inverse_mass_change @ system.force_drive
-        input_matrix_change[nq : 2 * nq, -1] = inverse_mass_change @ constant + inverse_mass @ constant_change
+        state_matrix_derivative[nq : 2 * nq] = inverse_mass_derivative @ force + inverse_mass @ wall_force_derivative
+        input_matrix_derivative[nq : 2 * nq, :-1] = inverse_mass_derivative @ system.force_drive
+        input_matrix_derivative[nq : 2 * nq, -1] = (
+            inverse_mass_derivative @ constant + inverse_mass @ constant_derivative
+        )
         rate = np.array(float(np.linalg.norm(matrix_balance(state_matrix, permute=False)[0], 1)))
         parts = (
             state_matrix, input_matrix, inverse_mass, inverse_mass @ clearance_force, rate,
-            state_matrix_change, input_matrix_change, inverse_mass_change,
-            inverse_mass_change @ clearance_force + inverse_mass @ clearance_force_change,
+            state_matrix_derivative, input_matrix_derivative, inverse_mass_derivative,
+            inverse_mass_derivative @ clearance_force + inverse_mass @ clearance_force_derivative,
         )  # fmt: skip
         return _ConfigurationMatrices(*(part[None] for part in parts))
 
-    def _wall_changes(self, mass_ratio: float) -> tuple[Array, Array]:
+    def _wall_derivatives(self, mass_ratio: float) -> tuple[Array, Array]:
         """Differentiate wall stiffness and damping by the mass ratio, which matters for a given contact duration."""
         if not self.system.finite_contact.any():
             return np.zeros((self.system.dampers, 2)), np.zeros((self.system.dampers, 2))

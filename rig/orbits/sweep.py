@@ -1,4 +1,4 @@
-"""Steady motion at many values of a parameter, computed as exact stable orbits where they exist.
+"""Steady motion at many values of a parameter, computed as exact stable orbits (periodic motions) where they exist.
 
 At each value the orbit is predicted from the previous orbits and corrected by Newton's iteration. Every orbit is
 checked for admissibility and stability. If a check fails, the motion is simulated as in a slow sweep, until it
@@ -47,14 +47,14 @@ if TYPE_CHECKING:
     from rig.results.response import Response
 
 
-# Largest number of steps, shortened ones included, from one value to the next.
+# Largest number of continuation steps, including shortened steps, from one value to the next.
 MAX_STEPS = 6
 # Largest number of Newton corrections after a prediction.
 MAX_CORRECTIONS = 6
 # Largest error of a prediction, relative to the change from the previous point.
 MAX_PREDICTION_ERROR = 0.3
-# Largest change of an unknown by a prediction, relative to the scale of the unknown. Otherwise closely
-# spaced points could predict event instants millions of periods ahead, and the propagation would not finish.
+# Largest change of an unknown by a prediction, relative to the scale of the unknown. Without this limit, closely spaced
+# points could predict event instants millions of periods ahead, and the propagation would not finish.
 MAX_PREDICTION_RATIO = 10.0
 # Number of points used for extrapolation.
 EXTRAPOLATION_POINTS = 4
@@ -95,7 +95,7 @@ class OrbitResponse(Result):
     labels: tuple[str, ...]
     dampers: int
 
-    # A search for peaks requires only the compliance, so the following quantities are computed when needed.
+    # A search for peaks requires only the compliance, so the following quantities are computed when first used.
     @cached_property
     def damper_motion(self) -> NDArray[np.str_]:
         """Type of motion of each damper that moves, shape (dampers, values)."""
@@ -239,6 +239,8 @@ def sweep(
 
 @dataclass(frozen=True)
 class _Point:
+    """Steady motion at one value of the parameter; fields as in `OrbitResponse`."""
+
     compliance: NDArray[np.complex128]
     peak: Array
     orbit: Orbit | None
@@ -378,7 +380,7 @@ def _mean_period(initial: Array, states: Array, bodies: int) -> tuple[Array, Arr
 
 
 def _average(problem: OrbitProblem, setting: OperatingPoint, propagator: Propagator, reason: str) -> _Point:
-    """Compute the mean response of an irregular motion."""
+    """Compute the response of an irregular motion, averaged over `AVERAGED_PERIODS`."""
     bodies = problem.scene.structure.bodies
     steps = period_steps(propagator, setting)
     initial = propagator.state.z.copy()

@@ -1,4 +1,7 @@
-"""The motion of an orbit between its events: guard functions of its dampers, extremes and first harmonic."""
+"""The motion of an orbit between its events: guard functions of its dampers, extremes and first harmonic.
+
+A guard function is the gap or contact force of a damper, which must stay positive between events.
+"""
 
 from __future__ import annotations
 
@@ -57,23 +60,31 @@ def turning_value(left_value: float, right_value: float, slopes: Array, curvatur
 
 @cached_njit
 def _segments(equations: Equations, sequence: Sequence, instants: Array) -> tuple[Array, Array, int]:
-    """Return start and duration of the segments and their points; the last ends at the next period's first event."""
+    """Return start and duration of each segment, s, and the number of steps in a segment.
+
+    The last segment ends at the first event of the next period.
+    """
     events = sequence.kind.shape[0]
     segments = max(events, 1)
     starts, durations = np.zeros(segments), np.full(segments, equations.period)
-    longest = 0.0
+    largest_rate_times_duration = 0.0
     for s in range(segments):
         if events > 0:
             starts[s] = instants[s]
             segment_end = instants[s + 1] if s + 1 < events else equations.period + instants[0]
             durations[s] = segment_end - starts[s]
-        longest = max(longest, abs(durations[s]) * equations.rate[sequence.configuration[min(s + 1, events)]])
-    return (starts, durations, max(8, min(MAX_POINTS, int(np.ceil(longest / MAX_RATE_TIMES_STEP)))))
+        rate = equations.rate[sequence.configuration[min(s + 1, events)]]
+        largest_rate_times_duration = max(largest_rate_times_duration, abs(durations[s]) * rate)
+    points = int(np.ceil(largest_rate_times_duration / MAX_RATE_TIMES_STEP))
+    return starts, durations, max(8, min(MAX_POINTS, points))
 
 
 @cached_njit
 def _sample_states(a: Array, flow: Array, start: Array, x: Array, rate: Array) -> None:
-    """Compute the states x (points + 1, states + 3) at even times by the flow of one step, and A x."""
+    """Compute the states x (points + 1, states + 3) at evenly spaced times, and their rates A x.
+
+    `flow`: matrix that propagates a state by one step.
+    """
     x[0] = start
     for i in range(x.shape[0]):
         for m in range(x.shape[1]):

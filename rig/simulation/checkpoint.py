@@ -35,7 +35,7 @@ def write_checkpoint(path: Path, settings: Mapping[str, Any], state: GrainsState
         np.savez(
             file,
             code=code_digest("rig"),
-            begin=coupled.begin,
+            begin=coupled.initial_momentum,
             impulse=coupled.impulse,
             counts=(coupled.elapsed_steps, state.ambiguous),
             energy=[astuple(energy) for energy in state.energy],

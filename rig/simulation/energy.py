@@ -156,8 +156,8 @@ def energy_balance(
     after; `segment_states`: states at which the segments begin; `durations`: lengths of the segments, s.
     """
     forms = quadratic_forms(scene, tables.system, tables.drive.output)
-    states, slots, lengths, _ = _intervals(tables, trajectory, segment_states, durations)
-    work, dissipated, dashpots, to_grains = _integrate(tables, forms, states, slots, lengths)
+    states, table_indices, lengths, _ = _intervals(tables, trajectory, segment_states, durations)
+    work, dissipated, dashpots, to_grains = _integrate(tables, forms, states, table_indices, lengths)
     return Energy(
         work=work,
         stored=_stored_energy(tables, forms, end),
@@ -176,20 +176,20 @@ def fourier_integral(
 
     The jumps at impacts are ends of intervals, so quadrature has its full order.
     """
-    states, slots, lengths, starts = _intervals(tables, trajectory, segment_states, durations)
+    states, table_indices, lengths, starts = _intervals(tables, trajectory, segment_states, durations)
     total = np.zeros(tables.size, dtype=np.complex128)
     nodes, node_weights = _GAUSS_NODES
     powers = np.vander(nodes, N_COEFFICIENTS + 1, increasing=True).T * node_weights
     ratio, max_rows = lengths / tables.step, max(1, _MAX_VALUES // (tables.size * (N_COEFFICIENTS + 1)))
-    for slot in np.unique(slots):
-        indices = np.flatnonzero(slots == slot)
+    for table_index in np.unique(table_indices):
+        indices = np.flatnonzero(table_indices == table_index)
         for rows in np.split(indices, range(max_rows, indices.size, max_rows)):
             # Sum over the nodes first, because the series has many terms but few weights.
             phase_factors = np.exp(-1j * omega * (starts[rows] + nodes[:, None] * lengths[rows]))
             weights = (powers @ phase_factors) * (
                 np.vander(ratio[rows], N_COEFFICIENTS + 1, increasing=True).T * lengths[rows]
             )
-            integrals = np.stack([weights.real, weights.imag], axis=1) @ _series(tables, int(slot), states[rows])
+            integrals = np.stack([weights.real, weights.imag], axis=1) @ _series(tables, int(table_index), states[rows])
             total += [1.0, 1.0j] @ integrals.sum(axis=0)
     return total
 
@@ -197,29 +197,29 @@ def fourier_integral(
 def _intervals(
     tables: FlowTables, trajectory: Trajectory, segment_states: Array, durations: Array
 ) -> tuple[Array, NDArray[np.int64], Array, Array]:
-    """Return initial states, slots, durations and start times of the intervals between segment ends and breaks."""
+    """Return the intervals between segment ends and breaks: initial states, table indices, durations, start times."""
     size = tables.size
     segments = len(durations)
     segment = np.concatenate([np.arange(segments), trajectory.break_segment])
     offset = np.concatenate([np.zeros(segments), trajectory.break_offset])
-    states = np.concatenate([segment_states[:, :size], trajectory.after[:, :size]])
+    states = np.concatenate([segment_states[:, :size], trajectory.state_after[:, :size]])
     # Preserve the order of breaks, because several may occur at one instant.
     order = np.lexsort((np.arange(len(segment)), offset, segment))
     segment, offset = segment[order], offset[order]
-    first_slot = trajectory.before_slot[0] if len(trajectory.before_slot) else trajectory.slot[0]
-    segment_slots = np.concatenate([np.full(segments, -1), trajectory.after_slot])[order]
-    segment_slots[0] = first_slot if segment_slots[0] < 0 else segment_slots[0]
-    source = np.where(segment_slots >= 0, np.arange(len(segment_slots)), 0)
-    slots = segment_slots[np.maximum.accumulate(source)]
+    first_index = trajectory.table_index_before[0] if len(trajectory.table_index_before) else trajectory.table_index[0]
+    segment_indices = np.concatenate([np.full(segments, -1), trajectory.table_index_after])[order]
+    segment_indices[0] = first_index if segment_indices[0] < 0 else segment_indices[0]
+    source = np.where(segment_indices >= 0, np.arange(len(segment_indices)), 0)
+    table_indices = segment_indices[np.maximum.accumulate(source)]
     next_offset = np.append(offset[1:], 0.0)
     has_next = np.append(segment[1:] == segment[:-1], False)
     lengths = np.where(has_next, next_offset, durations[segment]) - offset
     segment_starts = np.concatenate([[0.0], np.cumsum(durations)[:-1]])
-    return states[order], slots, np.maximum(lengths, 0.0), segment_starts[segment] + offset
+    return states[order], table_indices, np.maximum(lengths, 0.0), segment_starts[segment] + offset
 
 
 def _integrate(
-    tables: FlowTables, forms: QuadraticForms, states: Array, slots: NDArray[np.int64], lengths: Array
+    tables: FlowTables, forms: QuadraticForms, states: Array, table_indices: NDArray[np.int64], lengths: Array
 ) -> tuple[float, float, float, float]:
     """Integrate power, dissipation in structure and contacts, and power into grains over the intervals."""
     h = tables.step
@@ -230,11 +230,11 @@ def _integrate(
     while len(states):
         ratio = np.minimum(lengths, h) / h
         ends = np.empty_like(states)
-        for slot in np.unique(slots):
-            rows = slots == slot
-            terms = _series(tables, int(slot), states[rows])
-            in_contact = np.flatnonzero(system.finite_contact & (walls[slot] != FLIGHT))
-            damping = system.wall_damping[in_contact, walls[slot, in_contact] - 1]
+        for table_index in np.unique(table_indices):
+            rows = table_indices == table_index
+            terms = _series(tables, int(table_index), states[rows])
+            in_contact = np.flatnonzero(system.finite_contact & (walls[table_index] != FLIGHT))
+            damping = system.wall_damping[in_contact, walls[table_index, in_contact] - 1]
             for node, weight in zip(*_GAUSS_NODES, strict=True):
                 at_node = _sum_series(terms, ratio[rows] * node)
                 node_weights = weight * ratio[rows] * h
@@ -247,14 +247,14 @@ def _integrate(
                 )
             ends[rows] = _sum_series(terms, ratio[rows])
         remaining = lengths > h * (1.0 + 1e-12)
-        states, slots, lengths = ends[remaining], slots[remaining], lengths[remaining] - h
+        states, table_indices, lengths = ends[remaining], table_indices[remaining], lengths[remaining] - h
     return work, dissipated, dashpots, to_grains
 
 
 def _walls(tables: FlowTables) -> NDArray[np.int64]:
-    """Return each damper's finite-duration contact (slots, dampers): FLIGHT, FLOOR or CEILING."""
+    """Return each damper's finite-duration contact (configurations, dampers): FLIGHT, FLOOR or CEILING."""
     system = tables.system
-    configurations = np.array(sorted(tables.slots, key=tables.slots.__getitem__), dtype=np.int64)[:, None]
+    configurations = np.array(sorted(tables.indices, key=tables.indices.__getitem__), dtype=np.int64)[:, None]
     bits = np.arange(system.dampers)
     in_contact = configurations >> bits & 1
     if not system.finite_contact.any():
@@ -275,27 +275,27 @@ def _contact_energy(system: HybridSystem, walls: NDArray[Any], states: Array) ->
 def _release_losses(tables: FlowTables, trajectory: Trajectory) -> float:
     """Return the energy that contact springs lose at breaks [J]: after release, a wall recovers without force."""
     walls = _walls(tables)
-    before = _contact_energy(tables.system, walls[trajectory.before_slot], trajectory.before)
-    after = _contact_energy(tables.system, walls[trajectory.after_slot], trajectory.after)
+    before = _contact_energy(tables.system, walls[trajectory.table_index_before], trajectory.state_before)
+    after = _contact_energy(tables.system, walls[trajectory.table_index_after], trajectory.state_after)
     return float((before - after).sum())
 
 
-def _series(tables: FlowTables, slot: int, states: Array) -> Array:
+def _series(tables: FlowTables, table_index: int, states: Array) -> Array:
     """Return the power series of states over a step, shape (terms, states, size)."""
     flow, size = tables.flow, tables.size
-    if tables.tabulated:
-        matrix = flow.series[slot].reshape(size, N_COEFFICIENTS + 1, -1)[:, :, :size]
-        constant = flow.series_constant[slot].reshape(N_COEFFICIENTS + 1, -1)[:, :size]
+    if tables.has_series:
+        matrix = flow.series[table_index].reshape(size, N_COEFFICIENTS + 1, -1)[:, :, :size]
+        constant = flow.series_constant[table_index].reshape(N_COEFFICIENTS + 1, -1)[:, :size]
         return np.tensordot(states, matrix, 1).transpose(1, 0, 2) + constant[:, None]
     from scipy.sparse import csr_array
 
-    rates = csr_array((flow.rates[slot], flow.column, flow.pointer), shape=(size, size))
+    rates = csr_array((flow.rates[table_index], flow.column, flow.row_pointer), shape=(size, size))
     terms = np.empty((N_COEFFICIENTS + 1, len(states), size))
     terms[0] = states
     for k in range(N_COEFFICIENTS):
         terms[k + 1] = (rates @ terms[k].T).T * (tables.step / (k + 1))
         if k == 0:
-            terms[1] += flow.rates_constant[slot] * tables.step
+            terms[1] += flow.rates_constant[table_index] * tables.step
     return terms
 
 
@@ -329,8 +329,8 @@ def _impact_losses(system: HybridSystem, trajectory: Trajectory) -> float:
     masses = np.where(system.finite_contact, 0.0, system.damper_mass)
     loss = 0.0
     for sign, states, damper_speeds in (
-        (1.0, trajectory.before, trajectory.speed_before),
-        (-1.0, trajectory.after, trajectory.speed_after),
+        (1.0, trajectory.state_before, trajectory.speed_before),
+        (-1.0, trajectory.state_after, trajectory.speed_after),
     ):
         velocity = states[:, n : 2 * n]
         loss += sign * 0.5 * float(np.einsum("bi,ij,bj->", velocity, system.mass, velocity))

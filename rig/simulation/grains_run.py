@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.arrays import Array
 from rig.engine.trajectory import EVENT, event_table
-from rig.grain_beds.coupling import CoupledPropagator, CoupledState, interpolated
+from rig.grain_beds.coupling import CoupledPropagator, CoupledState, interpolate_drive
 from rig.scene.scene import Scene
 from rig.simulation.energy import Energy, complete_state, energy_balance
 from rig.system.open_loop_drive import ToneDrive
@@ -44,7 +44,7 @@ class GrainsRun:
     """Simulation of a scene with beds of grains in sections.
 
     `samples`: number of samples of the whole run, including the sample at its start; `rate`: sample rate, Hz;
-    `drive`, shape (inputs, samples): a tone is evaluated at every grain time step; a sampled drive is interpolated
+    `drive`, shape (inputs, samples): a tone is evaluated at every grain time step; a sampled drive is interpolate_drive
     linearly.
     """
 
@@ -63,7 +63,7 @@ class GrainsRun:
         coupled = self.coupled
         separated = coupled.set_state(self._initial, self._drive(0, 0)[:, 0])
         buffer = coupled.motion_samples(1)
-        coupled.sample_present(buffer, 0)
+        coupled.store_present_motion(buffer, 0)
         zeros = np.zeros(len(separated))
         events = event_table(zeros, separated, zeros.astype(np.int64), zeros, coupled.system)
         return GrainsState(coupled.state(), buffer.rows, buffer.contact, events, (), coupled.ambiguous)
@@ -81,7 +81,7 @@ class GrainsRun:
         first = state.samples - 1
         drive = self._drive(first, samples - 1)
         start, initial = complete_state(structure), structure.current_state()
-        trajectory, bed_motion = coupled.march(drive)
+        trajectory, bed_motion = coupled.propagate_steps(drive)
         buffer = coupled.motion_samples(samples - state.samples)
         coupled.fill_samples(buffer, 0, trajectory, bed_motion)
         inputs = np.vstack([drive, -bed_motion.force.sum(axis=1)])
@@ -127,4 +127,4 @@ class GrainsRun:
         return columns
 
     def _sampled(self, drive: Array) -> Callable[[int, int], Array]:
-        return lambda first, last: interpolated(drive[:, first : last + 1], self.coupled.substeps)
+        return lambda first, last: interpolate_drive(drive[:, first : last + 1], self.coupled.substeps)

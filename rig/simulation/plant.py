@@ -95,7 +95,7 @@ class Plant:
             separated = self._propagator.set_state(
                 self.system.initial, np.concatenate([block[:, 0], np.zeros(len(self.inputs))])
             )
-            self._propagator.sample_present(buffer, 0)
+            self._propagator.store_present_motion(buffer, 0)
         drive_in = np.concatenate([self._last, block[:, offset:]], axis=1)
         trajectory = self._propagator.sample_motion(drive_in, self._steps, buffer, offset)
         self._last = drive_in[:, -1:].copy()
@@ -108,7 +108,9 @@ class Plant:
         """Return the motion of a block; segment s of the trajectory ends at sample `first_end` + s."""
         system, interval = self.system, 1.0 / self.rate
         displacement, velocity, acceleration, gap = self._propagator.motion_parts(buffer)
-        breaks = self._breaks(trajectory) if self._no_breaks is None or len(trajectory.before) else self._no_breaks
+        breaks = (
+            self._breaks(trajectory) if self._no_breaks is None or len(trajectory.state_before) else self._no_breaks
+        )
         times = (first_end + trajectory.event_segment - 1) * interval + trajectory.event_offset
         events = event_table(times, trajectory.event_damper, trajectory.event_kind, trajectory.event_speed, system)
         if len(separated):
@@ -133,9 +135,10 @@ class Plant:
     def _breaks(self, trajectory: Trajectory) -> tuple[Array, Array, Array]:
         """Return displacements, velocities and accelerations at the breaks of a block, as in `Motion`."""
         n, points = self.system.coordinates, len(self.system.points)
-        before, after = trajectory.before, trajectory.after
+        before, after = trajectory.state_before, trajectory.state_after
         accelerations = self._propagator.accelerations(
-            np.concatenate([before, after]), np.concatenate([trajectory.before_slot, trajectory.after_slot])
+            np.concatenate([before, after]),
+            np.concatenate([trajectory.table_index_before, trajectory.table_index_after]),
         )
         breaks = (
             np.ascontiguousarray(before[:, :points].T),

@@ -207,7 +207,7 @@ def _simulate_tone(
     segment_steps = durations / propagator.tables.step
     if is_dense:
         segment_steps[is_sample[:-1] & is_sample[1:]] = steps
-    trajectory = propagator.through_marks(segment_steps, np.arange(len(durations)), new_period[:-1])
+    trajectory = propagator.propagate_marks(segment_steps, np.arange(len(durations)), new_period[:-1])
     starts = times[:-1].astype(np.float64)
     begins = np.concatenate([initial.state, trajectory.state[:-1]])
     rows = np.flatnonzero(is_sample[1:])
@@ -237,7 +237,7 @@ def _simulate_sampled(scene: Scene, system: HybridSystem, drive: Array, rate: fl
     separated = propagator.set_state(system.initial, np.concatenate([drive[:, 0], np.zeros(len(system.inputs))]))
     start = complete_state(propagator)
     initial = propagator.current_state()
-    trajectory = propagator.through_samples(drive, steps)
+    trajectory = propagator.propagate_samples(drive, steps)
     intervals = drive.shape[1] - 1
     begins = np.concatenate([initial.state, trajectory.state[:-1]])
     inputs, ns = len(system.inputs), system.states
@@ -306,7 +306,7 @@ def _assemble_run(
     system, end = propagator.system, complete_state(propagator)
     n, points = system.coordinates, len(system.points)
     states = np.concatenate([initial.state, trajectory.state[sample_rows]])
-    slots = np.concatenate([initial.slot, trajectory.slot[sample_rows]])
+    table_indices = np.concatenate([initial.table_index, trajectory.table_index[sample_rows]])
     initial_gap, initial_contact = gaps_and_contacts(initial, system)
     gap, contact = gaps_and_contacts(trajectory, system)
     zeros = np.zeros(len(separated))
@@ -323,7 +323,7 @@ def _assemble_run(
         time=np.arange(len(states)) / rate,
         displacement=np.ascontiguousarray(states[:, :points].T),
         velocity=np.ascontiguousarray(states[:, n : n + points].T),
-        acceleration=propagator.accelerations(states, slots)[:points],
+        acceleration=propagator.accelerations(states, table_indices)[:points],
         gap=np.concatenate([initial_gap, gap[:, sample_rows]], axis=1),
         contact=np.concatenate([initial_contact, contact[:, sample_rows]], axis=1),
         events=events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": propagator.ambiguous})),

@@ -1,4 +1,9 @@
-"""Admissibility and stability of periodic motions: contact conditions between events, and Floquet multipliers."""
+"""Admissibility and stability of the periodic motions of one mode, and their harmonics and extremes.
+
+A solution of the periodicity conditions is admissible if no further contact event occurs between its events. It is
+stable if its Floquet multipliers are inside the unit circle. Quantities are dimensionless, as in
+`rig.single_mode.periodic_motion`.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +23,7 @@ MAX_ROUNDING_ERROR = 1e-9
 
 @dataclass(frozen=True)
 class Batch:
-    """Solutions of one motion type, evaluated as a batch."""
+    """Solutions of one motion type, which are evaluated together in arrays."""
 
     kind: MotionType  # Motion type: 'I', 'II' or 'III'
     unknowns: Array  # shape (4 + instants, solutions)
@@ -29,7 +34,7 @@ class Batch:
         """All motions of the batch."""
         return PeriodicMotion(self.kind, self.unknowns, self.setting)
 
-    def take(self, indices: NDArray[np.int64]) -> PeriodicMotion:
+    def select(self, indices: NDArray[np.int64]) -> PeriodicMotion:
         """Return the motions of selected solutions; indices may repeat."""
         return PeriodicMotion(
             self.kind, self.unknowns[:, indices], MotionParameters(*(field[indices] for field in self.setting))
@@ -40,11 +45,13 @@ Quantity = Callable[[PeriodicMotion, MotionPhase, Array], tuple[Array, Array]]
 
 
 def _gap(motion: PeriodicMotion, phase: MotionPhase, t: Array) -> tuple[Array, Array]:
+    """Return the gap below the damper, and its rate."""
     state = motion.advance(phase, t)
     return state.y - state.q, state.v - state.u
 
 
 def _coordinate(motion: PeriodicMotion, phase: MotionPhase, t: Array) -> tuple[Array, Array]:
+    """Return the modal coordinate, and its rate."""
     state = motion.advance(phase, t)
     return state.q, state.u
 
@@ -69,13 +76,13 @@ def extremes(batch: Batch, index: int, quantity: Quantity) -> tuple[Array, Array
     low, high = value.min(axis=0), value.max(axis=0)
     row, column = np.nonzero(slope[:-1] * slope[1:] < 0)
     if row.size:
-        selected = batch.take(column)
+        selected = batch.select(column)
         selected_phase = selected.phases[index]
         left, right = t[row, column], t[row + 1, column]
-        rising = slope[row, column] > 0
+        is_maximum = slope[row, column] > 0
         for _ in range(48):
             middle = 0.5 * (left + right)
-            is_before_extremum = (quantity(selected, selected_phase, middle)[1] > 0) == rising
+            is_before_extremum = (quantity(selected, selected_phase, middle)[1] > 0) == is_maximum
             left, right = (np.where(is_before_extremum, middle, left), np.where(is_before_extremum, right, middle))
         extremum = quantity(selected, selected_phase, left)[0]
         np.minimum.at(low, column, extremum)
@@ -102,10 +109,10 @@ def flaws(batch: Batch) -> NDArray[np.str_]:
     record_flaw(low < -MAX_ROUNDING_ERROR, "hits the floor early")
     record_flaw(high > motion.height + MAX_ROUNDING_ERROR, "hits the ceiling early")
     if kind != "I":
-        down = motion.phases[-1]
+        last_flight = motion.phases[-1]
         if kind == "II":
-            start = motion.acceleration(down, np.zeros_like(down.length), down.start)
-            record_flaw(start < -1 - MAX_ROUNDING_ERROR, "stays at the ceiling")
+            acceleration = motion.acceleration(last_flight, np.zeros_like(last_flight.length), last_flight.start)
+            record_flaw(acceleration < -1 - MAX_ROUNDING_ERROR, "stays at the ceiling")
         else:
             record_flaw(extremes(batch, 2, _contact)[1] > MAX_ROUNDING_ERROR, "leaves the ceiling early")
             record_flaw(_initial_jerk(motion, 3) < -MAX_ROUNDING_ERROR, "does not leave the ceiling")
@@ -174,17 +181,15 @@ def _saltation(motion: PeriodicMotion, before: MotionPhase, end: ModeState, afte
     """Return the saltation matrix of the impact between two phases, (solutions, 2 if riding follows, else 4, 4)."""
     mu = motion.setting.mass_ratio
     mass_fraction, ones, zeros = mu / (1 + mu), np.ones_like(end.q), np.zeros_like(end.q)
-    common_velocity = [zeros, ones - mass_fraction, zeros, mass_fraction]
-    keep_q, keep_y = [ones, zeros, zeros, zeros], [zeros, zeros, ones, zeros]
-    reset = np.moveaxis(
-        np.array([keep_q, common_velocity] if after.riding else [keep_q, common_velocity, keep_y, common_velocity]),
-        -1,
-        0,
-    )
+    # Rows of the reset map on (q, u, y, v): positions are continuous, and both velocities become the common velocity.
+    q_row, y_row = [ones, zeros, zeros, zeros], [zeros, zeros, ones, zeros]
+    velocity_row = [zeros, ones - mass_fraction, zeros, mass_fraction]
+    rows = [q_row, velocity_row] if after.riding else [q_row, velocity_row, y_row, velocity_row]
+    reset = np.moveaxis(np.array(rows), -1, 0)
     velocity = after.start.u
     acceleration = motion.acceleration(after, np.zeros_like(after.length), after.start)
     rate_before = np.array([end.u, motion.acceleration(before, before.length, end), end.v, -ones]).T
     rate_after = np.array([velocity, acceleration] + ([] if after.riding else [velocity, -ones])).T
     normal = np.array([-1.0, 0.0, 1.0, 0.0])
-    mismatch = rate_after - np.einsum("nij,nj->ni", reset, rate_before)
-    return reset + mismatch[:, :, None] * normal / (rate_before @ normal)[:, None, None]
+    rate_jump = rate_after - np.einsum("nij,nj->ni", reset, rate_before)
+    return reset + rate_jump[:, :, None] * normal / (rate_before @ normal)[:, None, None]

@@ -1,9 +1,9 @@
 """The paper's approximate method: all periodic motions of Types I, II and III of one mode, over frequency.
 
 At selected frequencies all solutions of each type are computed (`rig.single_mode.motion_search`). Each solution is
-continued over frequency, through folds, and every point of a branch is checked for admissibility and stability.
-Inadmissible solutions are continued too, because a branch may become admissible at another frequency. Branches
-without an admissible point are discarded.
+continued over frequency, through folds, as a *branch*. Every point of a branch is checked for admissibility (the motion
+is possible) and stability. Inadmissible solutions are continued too, because a branch may become admissible at another
+frequency. Branches without an admissible point are discarded.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ _CONTINUATION_STEPS = continuation.Steps(first_step=3e-3, max_step=0.1, max_angl
 class Branch:
     """Periodic motions of one type along a continuous curve.
 
-    `tau_0`, `tau_1`, `tau_2`, shape (points,): take-off from the floor, ceiling impact, take-off from the ceiling,
-    counted from the floor impact [rad]; NaN where the type has none.
+    `tau_0`, `tau_1`, `tau_2`, shape (points,): take-off from the floor, ceiling impact, take-off from the ceiling, in
+    radians of the drive after the floor impact; NaN for an event that the type does not have.
 
     `compliance`: first harmonic of the mode's coordinate over the force, with the force's phase as reference [m/N],
     shape (points,); `phi`: phase lag of the force with respect to the floor impact, force = F sin(tau - phi) [rad, 0
@@ -182,10 +182,10 @@ def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13)
     if not 0 < low < high:
         raise SceneError(f"band: got {band[0]:g} to {band[1]:g} Hz. Give two rising frequencies above 0.")
     if not mode.mass_ratio > 0:
-        raise SceneError("mode: no damper of this mode can leave its floor. Choose another mode, or release a damper.")
+        raise SceneError("mode: no damper of this mode can leave its floor. Choose another mode, or unlock a damper.")
     if not mode.force > 0 or mode.participation == 0:
         raise SceneError("mode: no force acts on this mode. Choose another mode, or drive another body.")
-    riding = leaving_band(mode, band)
+    riding = take_off_band(mode, band)
     curves: dict[MotionType, list[continuation.Curve]] = {"I": [], "II": [], "III": []}
     kinds: list[MotionType] = ["I"] if np.isinf(mode.clearance) else ["I", "II", "III"]
     if mode.clearance > 0:
@@ -196,7 +196,7 @@ def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13)
                 )
                 if not any(_passes_through(mode, kind, curve, solution) for curve in curves[kind]):
                     curves[kind].append(_follow(mode, kind, solution, (low, high)))
-        for solution in _short_stays(mode, curves["II"]):
+        for solution in _motions_with_short_stay(mode, curves["II"]):
             if not any(_passes_through(mode, "III", curve, solution) for curve in curves["III"]):
                 curves["III"].append(_follow(mode, "III", solution, (low, high)))
     branches, failures = [], []
@@ -208,12 +208,12 @@ def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13)
             branches.append(branch)
             for end, index in zip(branch.ends, (0, -1), strict=True):
                 if end.startswith("no convergence") or end == "points":
-                    failures.append(f"Type {kind}, last good point {branch.frequency[index]:.6g} Hz: {end}")
+                    failures.append(f"Type {kind}, last converged point {branch.frequency[index]:.6g} Hz: {end}")
     return Approximation(mode, tuple(branches), riding, tuple(failures))
 
 
 def dimensionless(mode: SingleMode, ratio: float | Array) -> MotionParameters:
-    """Return the dimensionless parameters at a ratio of driving to natural frequency."""
+    """Return the dimensionless parameters at the ratio of driving frequency to natural frequency."""
     return MotionParameters(
         ratio=ratio,
         damping=mode.damping_ratio,
@@ -223,12 +223,14 @@ def dimensionless(mode: SingleMode, ratio: float | Array) -> MotionParameters:
     )
 
 
-def leaving_band(mode: SingleMode, band: tuple[float, float]) -> tuple[float, float] | None:
-    """Compute the band [Hz] in which a riding damper exceeds 1 g; None if it never does."""
+def take_off_band(mode: SingleMode, band: tuple[float, float]) -> tuple[float, float] | None:
+    """Compute the band [Hz] in which the acceleration of a riding damper exceeds 1 g; None without such a band."""
     frequency = np.union1d(np.linspace(*band, 2001), np.clip(mode.riding_frequency, *band))
-    level = np.abs(mode.receptance(frequency, riding=True)) * mode.force * (2 * np.pi * frequency) ** 2
-    exceeding = np.flatnonzero(level > mode.gravity)
-    return (float(frequency[exceeding[0]]), float(frequency[exceeding[-1]])) if exceeding.size else None
+    acceleration = np.abs(mode.receptance(frequency, riding=True)) * mode.force * (2 * np.pi * frequency) ** 2
+    exceeds_gravity = np.flatnonzero(acceleration > mode.gravity)
+    if not exceeds_gravity.size:
+        return None
+    return float(frequency[exceeds_gravity[0]]), float(frequency[exceeds_gravity[-1]])
 
 
 def _equations(mode: SingleMode, kind: MotionType) -> continuation.Equations:
@@ -238,8 +240,11 @@ def _equations(mode: SingleMode, kind: MotionType) -> continuation.Equations:
     return equations
 
 
-def _short_stays(mode: SingleMode, curves: list[continuation.Curve]) -> list[Array]:
-    """Locate Type III motions with short stays at the ceiling, starting from Type II; a grid may miss them."""
+def _motions_with_short_stay(mode: SingleMode, curves: list[continuation.Curve]) -> list[Array]:
+    """Locate Type III motions with short stays at the ceiling, which a search on a grid may miss.
+
+    Newton's iteration starts from the points of Type II curves at which the damper begins to stay at the ceiling.
+    """
     located = []
     for curve in curves:
         points = curve.points.T
@@ -265,17 +270,18 @@ def _short_stays(mode: SingleMode, curves: list[continuation.Curve]) -> list[Arr
 def _scale(mode: SingleMode, kind: MotionType) -> Array:
     """Return the scale of the unknowns and of the frequency ratio, for the arclength."""
     setting = dimensionless(mode, 1.0)
-    size = max(1.0, setting.force)
+    amplitude = max(1.0, setting.force)
+    # Relative width of the resonance.
     width = max(mode.damping_ratio, 0.3 * mode.mass_ratio, 1e-3)
-    return np.array([size, size, setting.force, setting.force, *[1.0] * INSTANTS[kind], 5 * width])
+    return np.array([amplitude, amplitude, setting.force, setting.force, *[1.0] * INSTANTS[kind], 5 * width])
 
 
 def _search_ratios(mode: SingleMode, low: float, high: float, count: int) -> Array:
     """Distribute the searches over the take-off band, and half as many over the rest of the range."""
-    take_off_band = leaving_band(mode, (low * mode.frequency, high * mode.frequency))
-    if take_off_band is None:
+    band = take_off_band(mode, (low * mode.frequency, high * mode.frequency))
+    if band is None:
         return np.linspace(low, high, count + 2)[1:-1]
-    first, last = (f / mode.frequency for f in take_off_band)
+    first, last = (f / mode.frequency for f in band)
     inside = np.linspace(first, last, count + 2)[1:-1]
     outside = np.linspace(low, high, count // 2 + 2)[1:-1]
     return np.concatenate([inside, outside[(outside < first) | (outside > last)]])
@@ -306,6 +312,7 @@ def _passes_through(mode: SingleMode, kind: MotionType, curve: continuation.Curv
 
 
 def _branch(mode: SingleMode, kind: MotionType, curve: continuation.Curve) -> Branch:
+    """Evaluate response, admissibility and stability at every point of a curve."""
     points = curve.points.T
     ratio = points[-1]
     setting = MotionParameters(*(np.broadcast_to(f, ratio.shape) for f in dimensionless(mode, ratio)))

@@ -68,8 +68,8 @@ class MotionPhase:
     """A phase of the motion between two events: duration, initial state, and whether the damper rides."""
 
     riding: bool  # Whether the damper's mass moves with the mode
-    begin: Array
-    length: Array  # Start and duration in tau
+    begin: Array  # Start in tau
+    length: Array  # Duration in tau
     start: ModeState  # Initial state, after the impact if the phase begins with an impact
     offset: Any  # Height of the damper over the floor while riding (0 or the clearance)
 
@@ -132,9 +132,9 @@ class PeriodicMotion:
         inertia, decay, stiffness = self._oscillator(phase)
         # sqrt(stiffness - decay**2); the direct difference may round to zero near critical damping.
         s = np.sqrt(inertia - self.setting.damping**2) / (self.setting.ratio * inertia)
-        fading = np.exp(-decay * t)
-        c, si = fading * np.cos(s * t), fading * np.sin(s * t) / s
-        return c + decay * si, si, -stiffness * si, c - decay * si
+        envelope = np.exp(-decay * t)
+        cosine, sine = envelope * np.cos(s * t), envelope * np.sin(s * t) / s
+        return cosine + decay * sine, sine, -stiffness * sine, cosine - decay * sine
 
     def advance(self, phase: MotionPhase, t: Array) -> ModeState:
         """Compute the state at time `t` after the start of a phase, in closed form."""
@@ -142,12 +142,13 @@ class PeriodicMotion:
         q_q, q_u, u_q, u_u = self.homogeneous(phase, t)
         # Responses from rest to cos(t) and sin(t): the steady response minus its homogeneous part. As in the paper,
         # the steady response (A_p and beta) is singular at an undamped resonance.
-        d_r, d_i = stiffness - 1, 2 * decay
-        size = inertia * (d_r**2 + d_i**2)
-        nc, ns = np.cos(t) - q_q, np.sin(t) - q_u
-        mc, ms = -np.sin(t) - u_q, np.cos(t) - u_u
-        q_c, q_s = (nc * d_r + ns * d_i) / size, (ns * d_r - nc * d_i) / size
-        u_c, u_s = (mc * d_r + ms * d_i) / size, (ms * d_r - mc * d_i) / size
+        d_r, d_i = stiffness - 1, 2 * decay  # real and imaginary part of the dynamic stiffness over inertia
+        squared = inertia * (d_r**2 + d_i**2)
+        cosine, sine = np.cos(t) - q_q, np.sin(t) - q_u
+        cosine_rate, sine_rate = -np.sin(t) - u_q, np.cos(t) - u_u
+        q_c, q_s = (cosine * d_r + sine * d_i) / squared, (sine * d_r - cosine * d_i) / squared
+        u_c = (cosine_rate * d_r + sine_rate * d_i) / squared
+        u_s = (sine_rate * d_r - cosine_rate * d_i) / squared
         sin_part, cos_part = self._local_force(phase.begin)
         q0, u0, y0, v0 = phase.start
         q = q_q * q0 + q_u * u0 + q_c * cos_part + q_s * sin_part
@@ -228,7 +229,7 @@ def jacobian(kind: MotionType, unknowns: Array, setting: MotionParameters, param
     n = len(unknowns)
     step = 1e-40
     shifted = unknowns[:, None] + 1j * step * np.eye(n, n + 1)
-    at = np.full(n + 1, complex(getattr(setting, parameter)))
-    at[n] += 1j * step
-    values = PeriodicMotion(kind, shifted, setting._replace(**{parameter: at})).conditions()
+    parameter_values = np.full(n + 1, complex(getattr(setting, parameter)))
+    parameter_values[n] += 1j * step
+    values = PeriodicMotion(kind, shifted, setting._replace(**{parameter: parameter_values})).conditions()
     return values[:, 0].real, values.imag / step

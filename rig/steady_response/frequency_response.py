@@ -1,4 +1,4 @@
-"""Steady frequency response of a scene with dampers, by exact integration and continuation in frequency."""
+"""Steady frequency response of a scene with dampers: exact integration until steady, from frequency to frequency."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.simulation.energy import fourier_integral
 from rig.steady_response.motion_type import combined_type, motion_types
-from rig.steady_response.steady_state import INSTANTS_PER_PERIOD, Steady, one_cycle, settle
+from rig.steady_response.steady_state import INSTANTS_PER_PERIOD, SteadyState, integrate_cycle, settle
 from rig.system.assembly import assemble, spring_force_row
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import level_of, tone_drive
@@ -159,7 +159,7 @@ def draw_compliance(
 
 @dataclass(frozen=True)
 class SteadyPoint:
-    """Steady motion at one frequency; `end` is the initial state for the next frequency.
+    """Steady motion at one frequency; `end_state` is the initial state for the next frequency.
 
     The attributes are those of `SteadyResponse` at one frequency, the motion types of all dampers, the result of
     `settle`, and the drive level relative to the level of the linear structure.
@@ -172,8 +172,8 @@ class SteadyPoint:
     types: list[str]
     impacts: Array
     closing_speed: Array
-    steady: Steady
-    end: tuple[Array, ...]
+    steady: SteadyState
+    end_state: tuple[Array, ...]
     level: complex
 
 
@@ -259,6 +259,7 @@ def _compute_in_two_sections(
     compute_section: Callable[[Array], list[SteadyPoint]],
     order: Array,
 ) -> list[SteadyPoint]:
+    """Compute two halves of the frequencies in parallel; recompute the second until it continues the first."""
     middle = len(order) // 2
     if middle == 0:
         return compute_section(order)
@@ -289,7 +290,7 @@ class SteadyContinuation:
         self.tolerance, self.longest = tolerance, longest
         #: Set when no more points are required.
         self.stopped = Event()
-        self.holds_spring_force = not isinstance(scene.driven_shaker, ForceShaker) and (
+        self.controls_spring_force = not isinstance(scene.driven_shaker, ForceShaker) and (
             getattr(scene.test, "force", None) is not None
         )
 
@@ -308,8 +309,8 @@ class SteadyContinuation:
         if previous is None:
             propagator.set_state(tone.state, np.array([1.0, 0.0]))
         else:
-            propagator.resume(previous.end)
-        if not self.holds_spring_force:
+            propagator.resume(previous.end_state)
+        if not self.controls_spring_force:
             return self._measure(propagator, steps, frequency, 1.0, self.tolerance)
         return self._reach_spring_force(propagator, steps, frequency, previous)
 
@@ -337,14 +338,16 @@ class SteadyContinuation:
     def _measure(
         self, propagator: Propagator, steps: float, frequency: float, level: float, tolerance: float
     ) -> SteadyPoint:
+        """Integrate until the motion is steady at a drive level, and compute its response over one repetition."""
         system, n, omega = self.system, self.system.coordinates, 2.0 * np.pi * frequency
         propagator.start_period(level)
         steady = settle(propagator, steps, level, tolerance, self.longest, self.stopped.is_set)
+        # A motion that does not repeat is averaged over 16 periods.
         repetition = steady.repetition or 16
-        trajectory, begins = one_cycle(propagator, steps, level, repetition)
-        end = propagator.snapshot()
-        durations = np.full(len(begins), steps / INSTANTS_PER_PERIOD * propagator.tables.step)
-        harmonic = fourier_integral(propagator.tables, trajectory, begins, durations, omega) / (
+        trajectory, initial_states = integrate_cycle(propagator, steps, level, repetition)
+        end_state = propagator.snapshot()
+        durations = np.full(len(initial_states), steps / INSTANTS_PER_PERIOD * propagator.tables.step)
+        harmonic = fourier_integral(propagator.tables, trajectory, initial_states, durations, omega) / (
             np.pi * repetition / omega
         )
         positions = trajectory.state[:, :n]
@@ -366,13 +369,13 @@ class SteadyContinuation:
             impacts=np.bincount(impact_dampers, minlength=system.dampers)[: system.dampers] / repetition,
             closing_speed=closing_speed,
             steady=steady,
-            end=end,
+            end_state=end_state,
             level=level,
         )
 
 
 def _next_level(trials: list[tuple[float, float]]) -> float:
-    """Compute the next logarithm of the level, limited to a factor of two."""
+    """Compute the logarithm of the next level, limited to a factor of two; `trials`: logarithms of level and error."""
     log_level, log_error = trials[-1]
     step = -log_error
     if len(trials) > 1:

@@ -30,8 +30,10 @@ def sweep_frequencies(
         first = first if first is not None else getattr(stepped, "from_", None)
         last = last if last is not None else getattr(stepped, "to", None)
         points = count(points if points is not None else getattr(stepped, "points", None) or 101, 2, "points")
-        if first is None or last is None or not 0.0 < first < last:
-            raise SceneError("frequencies: expected --from below --to, both above zero")
+        if first is None or last is None:
+            raise SceneError(f"frequencies: {'--from' if first is None else '--to'} is missing. Give --from and --to.")
+        if not 0.0 < first < last:
+            raise SceneError(f"frequencies: --from {first:g} Hz is not between 0 and --to {last:g} Hz. Change --from.")
         return spaced_frequencies(first, last, points, "linear"), direction or "up"
     if isinstance(test, SteppedSine):
         return tuple(sorted(set(test.order))), direction or test.direction
@@ -84,7 +86,7 @@ def write_csv(response: SteadyResponse, path: Path) -> None:
 
 
 def format_response(response: SteadyResponse, every_frequency: bool = False) -> str:
-    """Format the range, the motion of the dampers and the peaks of each body; on request every frequency as well."""
+    """Return a response as text: range, motion of the dampers, peaks of each body; on request every frequency."""
     lines = [response.summary()]
     kinds = list(dict.fromkeys(map(str, response.motion_type)))
     if len(kinds) > 1:

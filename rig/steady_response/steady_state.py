@@ -1,8 +1,9 @@
 """Steady motion under a sinusoidal drive: integration until the residual of the period map is small enough.
 
-At intervals, the state at the start of a period is compared with the states 1, 2, ... periods before. For a linear
-decay with ratio q per period, the residual r corresponds to an error of r q / (1 - q). A motion is steady when this
-error is below the tolerance, relative to the motion. A motion that never repeats is irregular.
+At intervals, the state at the start of a period is compared with the states 1, 2, ... periods before. The change r over
+p periods is the residual. If the residual decays with the ratio q per p periods, the distance from the steady state is
+r q / (1 - q). A motion is steady when this distance is below the tolerance, relative to the motion. A motion that never
+repeats is irregular.
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ from rig.numerics.jit import cached_njit
 
 #: Longest repetition that is detected, in periods of the drive.
 MAX_REPETITION = 8
-#: Number of periods in a comparison; more than four times the longest repetition.
+#: Number of periods in a comparison, which must exceed four times the longest repetition.
 COMPARED_PERIODS = 40
 #: Largest number of periods between two comparisons.
 MAX_SKIPPED_PERIODS = 400
-#: A motion that changes by less than this many tolerances per repetition is assumed to converge to that repetition.
+#: Change per repetition, in tolerances, below which the motion is assumed to converge to this repetition.
 SETTLING_TOLERANCES = 1e4
 #: Relative changes below this value are rounding errors.
 CHANGE_ROUNDING = 2e-14
@@ -39,7 +40,7 @@ INSTANTS_PER_PERIOD = 256
 
 
 @dataclass(frozen=True)
-class Steady:
+class SteadyState:
     """A motion after the decay of its transient."""
 
     converged: bool
@@ -58,7 +59,7 @@ def settle(
     tolerance: float,
     max_periods: int,
     is_stopped: Callable[[], bool] = lambda: False,
-) -> Steady:
+) -> SteadyState:
     """Integrate the motion from the start of a period until it is steady.
 
     `propagator`: at the start of a period; `steps`: period of the drive in steps; `level`: level of the drive;
@@ -77,9 +78,9 @@ def settle(
         # A motion that settles to a short repetition satisfies the tolerance for a longer repetition first.
         settling = np.flatnonzero(changes < SETTLING_TOLERANCES * tolerance)
         if len(steady) and steady[0] == settling[0]:
-            return Steady(True, int(steady[0]) + 1, float(distances[steady[0]]), completed)
+            return SteadyState(True, int(steady[0]) + 1, float(distances[steady[0]]), completed)
         if completed >= max_periods:
-            return Steady(False, 0, float(changes.min()), completed)
+            return SteadyState(False, 0, float(changes.min()), completed)
 
 
 class _Comparison(NamedTuple):
@@ -94,20 +95,23 @@ def _integrate(
     propagator: Propagator, steps: float, level: float, skipped: int, is_stopped: Callable[[], bool]
 ) -> _Comparison:
     """Integrate the skipped periods and those of a comparison, in calls short enough for interrupts."""
-    max_count = max(1, int(MAX_WORK_PER_CALL / (steps * propagator.work)))
+    max_count = max(1, int(MAX_WORK_PER_CALL / (steps * propagator.multiplications_per_step)))
     comparisons: list[_Comparison] = []
     for begin in range(0, skipped + COMPARED_PERIODS, max_count):
         if is_stopped():
             raise RunError("stopped: another section failed. See its error.")
         count = min(max_count, skipped + COMPARED_PERIODS - begin)
         rows = np.maximum(np.arange(count) + min(begin - skipped, 0), -1)
-        trajectory = propagator.through_marks(np.full(count, steps), rows, np.ones(count, dtype=bool), level)
+        trajectory = propagator.propagate_marks(np.full(count, steps), rows, np.ones(count, dtype=bool), level)
         comparisons.append(_Comparison(trajectory.state, trajectory.height, trajectory.mode))
     return _Comparison(*(np.concatenate(field) for field in zip(*comparisons, strict=True)))
 
 
 def _distances(comparison: _Comparison, state_scales: Array) -> tuple[Array, Array]:
-    """Compute relative changes over 1, 2, ... periods, and estimated distances from motions with that repetition."""
+    """Compute relative changes over 1, 2, ... periods, and estimated distances from motions with these repetitions.
+
+    Both have the shape (MAX_REPETITION,).
+    """
     heights = np.where(comparison.mode == FLIGHT, comparison.height, 0.0)
     vectors = np.concatenate([comparison.state[:, : state_scales.size] * state_scales, heights], axis=1)
     scale = max(float(np.abs(vectors).max()), 1e-300)
@@ -127,8 +131,11 @@ def _distances(comparison: _Comparison, state_scales: Array) -> tuple[Array, Arr
 
 @cached_njit
 def _changes(vectors: Array, modes: NDArray[np.int8]) -> Array:
-    """Compute changes over 1, 2, ... periods at the end and middle of a comparison; infinite if contacts differ."""
-    # The ratio of both identifies a slow decay, which faster decays mask from period to period.
+    """Compute changes over 1, 2, ... periods at the end and middle of a comparison; infinite if contacts differ.
+
+    Returns shape (MAX_REPETITION, 2). The ratio of both identifies a slow decay, which faster decays hide in the
+    changes from period to period.
+    """
     changes = np.zeros((MAX_REPETITION, 2))
     rows = vectors.shape[0]
     for p in range(1, MAX_REPETITION + 1):
@@ -156,7 +163,7 @@ def _state_scales(propagator: Propagator) -> Array:
     return state_scales
 
 
-def one_cycle(propagator: Propagator, steps: float, level: float, repetition: int) -> tuple[Trajectory, Array]:
+def integrate_cycle(propagator: Propagator, steps: float, level: float, repetition: int) -> tuple[Trajectory, Array]:
     """Integrate one repetition of a steady motion, with states stored at `INSTANTS_PER_PERIOD` instants per period.
 
     Returns the trajectory, and the initial state of each segment.
@@ -170,4 +177,6 @@ def sample_periods(propagator: Propagator, steps: float, level: float, periods: 
     """Integrate whole periods, with the state stored at the end of each of `INSTANTS_PER_PERIOD` intervals."""
     count = INSTANTS_PER_PERIOD * periods
     starts_period = np.arange(count) % INSTANTS_PER_PERIOD == 0
-    return propagator.through_marks(np.full(count, steps / INSTANTS_PER_PERIOD), np.arange(count), starts_period, level)
+    return propagator.propagate_marks(
+        np.full(count, steps / INSTANTS_PER_PERIOD), np.arange(count), starts_period, level
+    )

@@ -29,9 +29,10 @@ MAX_CONDITION = 1e13
 def assemble(scene: Scene) -> HybridSystem:
     """Compile a scene.
 
-    The coordinates are the bodies, then the tables of the shakers that have one, then the beds with finite-duration
-    contact. Dampers that are locked or have no clearance are part of the mass matrix. Raises `SceneError` if there are
-    more free dampers than `MAX_DAMPERS`, or the test starts from the static equilibrium of a structure without support.
+    The coordinates are the bodies, then the tables (heads) of the shakers that have one, then the beds with
+    finite-duration contact. Dampers that are locked or have no clearance are part of the mass matrix; the others are
+    free. Raises `SceneError` if there are more free dampers than `MAX_DAMPERS`, or the test starts from the static
+    equilibrium of a structure without support.
     """
     model = structural_model(scene)
     bodies = len(model.mass)
@@ -42,13 +43,15 @@ def assemble(scene: Scene) -> HybridSystem:
     limit = MAX_DAMPERS // 2 if finite_contact else MAX_DAMPERS
     if len(free) > limit:
         condition = " with finite-duration contact" if finite_contact else ""
-        raise SceneError(f"{len(free)} dampers that move; expected at most {limit}{condition}")
+        raise SceneError(
+            f"dampers: {len(free)} are not locked. Lock or remove some; at most {limit}{condition} may move."
+        )
     weight = np.zeros(bodies)
     np.subtract.at(weight, body[locked], masses[locked] * scene.gravity)
     equations = _without_free_beds(scene, model, weight)
     clearance = np.array([scene.dampers[j].clearance for j in free], dtype=np.float64)
     restitution = np.array([scene.dampers[j].restitution for j in free], dtype=np.float64)
-    walls = _walls(equations.mass, [scene.dampers[j] for j in free], masses[free])
+    walls = _stiffness_and_damping(equations.mass, [scene.dampers[j] for j in free], masses[free])
     bed = np.full(len(free), -1, dtype=np.intp)
     for row, j in enumerate(free):
         if scene.dampers[j].contact is not None:
@@ -86,7 +89,10 @@ def _without_free_beds(scene: Scene, model: StructuralModel, weight: Array) -> _
 
 
 class _Coil(NamedTuple):
-    """A coil fed by a voltage amplifier, the row of its table, and the column of its drive."""
+    """The coil of an electrodynamic shaker with a voltage amplifier; its current is a state.
+
+    `gain`: of the amplifier, V/V; `table`: row of its table; `column`: column of its drive among the inputs.
+    """
 
     coil: Coil
     gain: float
@@ -112,7 +118,7 @@ class _Equations:
         return self._add_coordinate(mass)
 
     def add_bed(self, body: int, mass: float, gravity: float) -> int:
-        """Add a bed in free fall whose coordinate is the gap above its body; return its row."""
+        """Add a bed in free fall, whose coordinate is its height above the floor of its cavity; return its row."""
         row = self._add_coordinate(mass)
         self.mass[body, body] += mass
         self.mass[body, row] = self.mass[row, body] = mass
@@ -144,15 +150,15 @@ class _Equations:
         restitution: Array, number: NDArray[np.intp], bed: NDArray[np.intp], walls: tuple[Array, Array],
         grains: NDArray[np.bool_],
     ) -> HybridSystem:  # fmt: skip
-        """Return the first-order form."""
-        n, extra = len(self.mass), len(self.coils)
-        force_state = np.hstack([-self.stiffness, -self.damping, np.zeros((n, extra))])
+        """Return the system; the arguments are the fields of `HybridSystem` for the free dampers."""
+        n, n_coils = len(self.mass), len(self.coils)
+        force_state = np.hstack([-self.stiffness, -self.damping, np.zeros((n, n_coils))])
         force_drive = np.zeros((n, len(self.inputs)))
         for column, forces in enumerate(self.input_forces):
             for row, value in forces.items():
                 force_drive[row, column] = value
-        rate_state = np.zeros((extra, 2 * n + extra))
-        rate_drive = np.zeros((extra, len(self.inputs)))
+        rate_state = np.zeros((n_coils, 2 * n + n_coils))
+        rate_drive = np.zeros((n_coils, len(self.inputs)))
         for k, (coil, gain, table, column) in enumerate(self.coils):
             force_state[table, 2 * n + k] = coil.force_factor
             rate_state[k, n + table] = -coil.force_factor / coil.inductance
@@ -178,7 +184,7 @@ class _Equations:
             wall_stiffness=walls[0],
             wall_damping=walls[1],
             grains=grains,
-            initial=np.zeros(2 * n + extra),
+            initial=np.zeros(2 * n + n_coils),
         )
 
 
@@ -188,7 +194,8 @@ def _add_shaker(equations: _Equations, shaker: Shaker, drive: str, table_name: s
         case ForceShaker():
             equations.add_input(drive, "N", {body - 1: 1.0 for body in shaker.bodies})
         case TableShaker():
-            # The position servo is ideally stiff: the spring acts on the body, but not on the table.
+            # The position servo is ideally stiff, so that the spring acts on the body, but not on the table. It is a
+            # critically damped second-order low-pass filter of the drive.
             table = equations.add_table(table_name, 1.0)
             body = shaker.body - 1
             corner_rate = 2.0 * np.pi * shaker.bandwidth
@@ -212,7 +219,7 @@ def _add_shaker(equations: _Equations, shaker: Shaker, drive: str, table_name: s
             assert_never(never)
 
 
-def _walls(mass: Array, dampers: list[Damper], bed_mass: Array) -> tuple[Array, Array]:
+def _stiffness_and_damping(mass: Array, dampers: list[Damper], bed_mass: Array) -> tuple[Array, Array]:
     """Return stiffness and damping of floor and ceiling of each damper, (dampers, 2); 0 for instant contact.
 
     `mass` is the mass matrix without the dampers that move.
@@ -228,11 +235,13 @@ def _walls(mass: Array, dampers: list[Damper], bed_mass: Array) -> tuple[Array, 
         walls = (contact.floor, contact.ceiling) if isinstance(contact, Walls) else (contact, contact)
         reduced_mass = 1.0 / (1.0 / bed_mass[row] + mobility[damper.body - 1])
         for side, wall in enumerate(walls):
-            stiffness[row, side], damping[row, side] = _wall(wall, damper.restitution, reduced_mass)
+            stiffness[row, side], damping[row, side] = _wall_stiffness_and_damping(
+                wall, damper.restitution, reduced_mass
+            )
     return stiffness, damping
 
 
-def _wall(wall: Wall, restitution: float, mass: float) -> tuple[float, float]:
+def _wall_stiffness_and_damping(wall: Wall, restitution: float, mass: float) -> tuple[float, float]:
     """Return stiffness and damping of a wall; `mass` is the reduced mass of bed and body."""
     if isinstance(wall, Landing):
         return spring_damper(wall.duration, restitution, mass)

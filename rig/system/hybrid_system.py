@@ -1,6 +1,7 @@
-"""A compiled scene: the linear system between contact changes, its dampers, and its drive.
+"""A compiled scene, which the engine simulates: the linear system between contact changes, its dampers, and its drive.
 
-A damper's *bed* is its particles, modeled as one mass. A damper *rides* while its bed is at rest on the floor.
+A damper's *bed* is its particles, modeled as one mass. A damper *rides* while its bed is at rest on the floor or at the
+ceiling of its cavity. A contact *configuration* states which dampers are in contact with which wall.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ FORCE_OF_BED = "grains"
 class HybridSystem:
     """The hybrid linear system of a scene, in SI units.
 
-    The state is (coordinates q, velocities q', further states such as the coil current). In every contact
-    configuration (M + riding damper masses) q'' = F_q state + F_u u + F_1 - (riding dampers' weight), and the
-    further states obey r' = R_q state + R_u u.
+    The state is (coordinates q, velocities q', further states r such as the coil current), and u are the inputs. In
+    every contact configuration (M + riding damper masses) q'' = F_q state + F_u u + F_1 - (riding dampers' weight), and
+    r' = R_q state + R_u u.
 
     `inputs`, `drive_units`: names and units of the inputs.
     `force_state`, `force_drive`, `force_constant`: F_q (coordinates, states), F_u (coordinates, inputs) and F_1
@@ -35,6 +36,7 @@ class HybridSystem:
     instant contact.
     `grains`: whether a damper is a bed of grains. Here the bed is one mass at rest; `rig.grain_beds` computes its
     motion.
+    `initial`: state at t = 0 without drive, with all dampers on their floors.
     """
 
     # names of the coordinates: "body 1" ... "body n", then "table" if the scene has one
@@ -77,8 +79,9 @@ class HybridSystem:
     @property
     def coupled(self) -> bool:
         """Whether an impact of a damper instantly affects another damper in the same body, or another coordinate."""
-        hit = self.damper_coordinate[~self.finite_contact]
-        return bool(np.count_nonzero(self.mass[hit]) > np.unique(hit).size)
+        coordinates = self.damper_coordinate[~self.finite_contact]
+        # Without coupling, each of these rows of the mass matrix has one nonzero element, and belongs to one damper.
+        return bool(np.count_nonzero(self.mass[coordinates]) > np.unique(coordinates).size)
 
     @property
     def finite_contact(self) -> np.ndarray:
@@ -98,10 +101,10 @@ class HybridSystem:
 
     @property
     def toggles(self) -> list[int]:
-        """Bit masks that change a configuration: contact of each damper (with its floor), then with its ceiling.
+        """Bit masks that change a configuration: contact of each damper with its floor, then with its ceiling.
 
-        Bit j of a configuration is set while damper j is in contact, and bit `dampers` + j while a finite-duration
-        contact is with the ceiling.
+        A configuration is an integer. Its bit j is set while damper j is in contact, and bit `dampers` + j while a
+        finite-duration contact is with the ceiling.
         """
         floors = [1 << j for j in range(self.dampers)]
         ceilings = [1 << j | 1 << self.dampers + j for j in range(self.dampers)]
@@ -113,7 +116,10 @@ class HybridSystem:
         return (1 << self.dampers) - 1
 
     def contact_forces(self, configuration: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the matrix (coordinates, states) and the constant forces (coordinates,) of closed contacts."""
+        """Return the forces of closed finite-duration contacts.
+
+        Returns the matrix (coordinates, states) that multiplies the state, and constant forces (coordinates,), N.
+        """
         n = self.coordinates
         force, constant = np.zeros((n, self.states)), np.zeros(n)
         for j in np.flatnonzero(self.finite_contact):
@@ -160,7 +166,10 @@ class HybridSystem:
 
 @dataclass(frozen=True)
 class Drive:
-    """Evolution of the inputs within a segment: p' = generator p, u = output p."""
+    """Evolution of the inputs u within a time segment by drive states p: p' = generator p, u = output p.
+
+    `max_rate`: largest rate of the drive states, rad/s; 0 for a sampled drive.
+    """
 
     generator: np.ndarray
     output: np.ndarray
@@ -183,7 +192,10 @@ def pure_tone(amplitudes: np.ndarray, angular_frequency: float) -> Drive:
 
 
 def first_order_hold(inputs: int, interval: float) -> Drive:
-    """Return the drive of linearly interpolated samples: p = (u, change of u over the sample interval)."""
+    """Return the drive of linearly interpolated samples: p = (u, change of u over the sample interval).
+
+    `inputs`: number of inputs; `interval`: sample interval, s.
+    """
     generator = np.zeros((2 * inputs, 2 * inputs))
     generator[:inputs, inputs:] = np.eye(inputs) / interval
     return Drive(generator, np.hstack([np.eye(inputs), np.zeros((inputs, inputs))]), 0.0)

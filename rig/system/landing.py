@@ -1,4 +1,4 @@
-"""Landing on a wall that is a spring-damper without adhesion: duration and restitution, stiffness and damping.
+"""Impact of a bed on a wall that is a spring-damper without adhesion: duration and restitution, stiffness and damping.
 
 A bed of mass m_d hits a wall of a body of mass m_b at the relative speed v; no other force acts on either. With the
 reduced mass m = m_d m_b / (m_d + m_b), w^2 = k / m and the damping ratio z = c / (2 m w), the wall's force is
@@ -21,9 +21,9 @@ from __future__ import annotations
 
 import math
 
-#: Time constant c / k with which a wall of restitution 0 recovers from an overlap. A contact without adhesion cannot
-#: reach restitution 0 exactly, as its dashpot would be infinitely strong. With this time constant, the wall recovers
-#: unless landings follow within about 5 ms, and the restitution is small: 5 % for a landing of 2 ms, 0.15 % for 0.1 ms.
+#: Time constant c / k with which a wall of restitution 0 recovers from an overlap, s. A contact without adhesion cannot
+#: reach restitution 0 exactly, because its dashpot would be infinitely strong. With this time constant, the wall has
+#: recovered after about 5 ms, and the restitution is small: 5 % for a landing of 2 ms, 0.15 % for 0.1 ms.
 RECOVERY_TIME_S = 5e-3
 
 
@@ -41,7 +41,7 @@ def damping_ratio(duration: float, restitution: float) -> float:
     >>> damping_ratio(2e-3, 1.0), round(damping_ratio(2e-3, math.exp(-2.0)), 12), damping_ratio(RECOVERY_TIME_S, 0.0)
     (0.0, 1.0, 1.0)
     """
-    # Imported here, because the import is slow and few scenes need it.
+    # This import is slow and few scenes need it.
     from scipy.optimize import brentq
 
     if restitution == 0.0:

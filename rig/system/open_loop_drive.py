@@ -1,6 +1,7 @@
-"""The drive of a scene's test without a controller, and the validation of a sampled drive.
+"""The drive of a scene's test without a controller (open loop), and the validation of a sampled drive.
 
-A damper *rides* while its bed of particles is at rest on its floor.
+The *level* of a test is its force, or its drive in the unit of the shaker's input. The drive per level is computed from
+the linear structure with all dampers *riding*: with their beds of particles at rest on their floors.
 """
 
 from __future__ import annotations
@@ -84,7 +85,7 @@ def level_of(scene: Scene) -> float:
 
 
 def drive_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> Any:
-    """Return the complex drive amplitude per unit of level at omega (rad/s), with all dampers riding."""
+    """Return the complex drive amplitude per unit of level at omega (rad/s), in the shape of omega."""
     shaker = scene.driven_shaker
     level_is_drive = getattr(scene.test, "drive", None) is not None
     if isinstance(shaker, ForceShaker):
@@ -101,7 +102,7 @@ def _servo_inverse(shaker: TableShaker, omega: float | Array) -> Any:
 
 
 def force_per_drive(scene: Scene, system: HybridSystem, omega: float | Array) -> Any:
-    """Return the spring force per unit of drive, with all dampers riding."""
+    """Return the complex amplitude of the spring force per unit of drive at omega (rad/s)."""
     return spring_force_row(scene, system) @ riding_response(system, scene.at_driven("shaker"), omega)
 
 
@@ -181,9 +182,9 @@ def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float)
     test = scene.test
     time = np.arange(samples) / rate
     if isinstance(test, Impulse):
-        drive[system.inputs.index("hammer")] = _hits(test, time)
+        drive[system.inputs.index("hammer")] = _hammer_force(test, time)
     elif isinstance(test, SweptSine):
-        drive[system.inputs.index(scene.at_driven("shaker"))] = _sweep(scene, system, test, time)
+        drive[system.inputs.index(scene.at_driven("shaker"))] = _sweep_drive(scene, system, test, time)
     elif test is not None and test.kind != "free":
         raise SceneError(
             f"a {test.kind} test is generated during the recording (daq.record). To simulate open loop, "
@@ -192,7 +193,7 @@ def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float)
     return drive
 
 
-def _hits(test: Impulse, time: Array) -> Array:
+def _hammer_force(test: Impulse, time: Array) -> Array:
     """Return the half-sine pulses of the hammer, N."""
     force = np.zeros_like(time)
     for hit in range(test.repeats):
@@ -202,7 +203,7 @@ def _hits(test: Impulse, time: Array) -> Array:
     return force
 
 
-def _sweep(scene: Scene, system: HybridSystem, test: SweptSine, time: Array) -> Array:
+def _sweep_drive(scene: Scene, system: HybridSystem, test: SweptSine, time: Array) -> Array:
     """Return the drive of a sweep, with the amplitude that gives the level at each frequency."""
     first, last = test.from_, test.to
     progress = np.minimum(time / test.duration, 1.0)

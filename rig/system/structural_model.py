@@ -1,4 +1,4 @@
-"""The structure as matrices with its dampers' masses: natural modes and the linear frequency response.
+"""The structure as matrices M, C, K with its dampers' masses: natural modes and the linear frequency response.
 
 A damper's *bed* is its particles, modeled as one mass. A bed that *rides* is at rest on the floor of its cavity, and
 moves with its body.
@@ -27,7 +27,7 @@ _MAX_ELEMENTS = 1_000_000
 
 @dataclass(frozen=True, eq=False)
 class NaturalModes:
-    """Modes of the undamped structure, and their modal damping without coupling by damping.
+    """Modes of the undamped structure, with the diagonal of the modal damping matrix (coupling by damping neglected).
 
     `mass`, `damping`, shape (modes,): modal mass, kg, and the diagonal of the modal damping matrix, N s/m.
     """
@@ -97,7 +97,7 @@ class StructuralModel:
         numbers = list(riding)
         missing = [number for number in numbers if not 1 <= number <= count]
         if missing:
-            raise SceneError(f"riding: damper {missing[0]} of {count}; expected 1 to {count}")
+            raise SceneError(f"riding: damper {missing[0]} does not exist. Give numbers of dampers from 1 to {count}.")
         beds = sorted({*np.flatnonzero(self.locked).tolist(), *(number - 1 for number in numbers)})
         if not beds:
             return self
@@ -184,7 +184,7 @@ def receptance(
     """
     frequencies = np.asarray(frequencies_hz, dtype=np.float64)
     if frequencies.ndim != 1 or not np.isfinite(frequencies).all() or (frequencies < 0.0).any():
-        raise SceneError("frequencies: expected a list of finite frequencies in Hz, none negative")
+        raise SceneError("frequencies: not a list of finite numbers of at least 0. Give frequencies in Hz.")
     model, driven = structural_model(scene).with_bed_masses(riding), driven_bodies(scene)
     force = np.zeros(len(model.mass))
     if not attached:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rig.bed_response.steady_bed import as_one_mass, steady_grains
 from rig.errors import ShotrigError
-from rig.grain_beds.packing import settled
+from rig.grain_beds.packing import settled_positions
 from rig.grain_beds.spheres import rayleigh_time, spheres_of
 from rig.scene.damper import Grains, Landing
 from rig.scene.scene import Scene
@@ -51,7 +51,7 @@ def bed_models(scene: Scene, frequency: float, progress: Callable[[str], None] |
     # Packings are stored in the cache, so they are not part of the cost of the motion.
     for packing in (scene, repacked(scene), softened(scene)):
         for spheres in spheres_of(packing).values():
-            settled(spheres)
+            settled_positions(spheres)
     report("reference: grains")
     cpu, reference = timed(partial(steady_grains, scene, frequency, PERIODS, MAX_BLOCKS))
     points = []

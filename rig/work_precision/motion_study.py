@@ -217,7 +217,7 @@ def _warm(system: HybridSystem, tone: ToneDrive, periods: int) -> Callable[[], O
 
     def compute() -> Outcome:
         propagator.resume(begin)
-        trajectory = propagator.through_marks(lengths, rows, np.ones(periods, dtype=bool))
+        trajectory = propagator.propagate_marks(lengths, rows, np.ones(periods, dtype=bool))
         return Outcome(trajectory.state[:, : len(system.points)].T, [])
 
     compute()

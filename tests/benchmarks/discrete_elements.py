@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from analysis.reproduction.bed_study import BEDS, FREQUENCY, Setting, scene_of_bed, summary_row
 from rig.arrays import Array
 from rig.bed_response.steady_bed import steady_grains
-from rig.grain_beds.packing import highest, settled
+from rig.grain_beds.packing import bed_top, settled_positions
 from rig.grain_beds.spheres import Spheres, rayleigh_time, spheres_of
 from rig.scene.excitation import Sine
 from rig.scene.scene import STANDARD_GRAVITY
@@ -204,7 +204,7 @@ def simulate_bed(spheres: Spheres, amplitude: float, block: int) -> Array:
     per period, relative to the weight times 1 mm.
     """
     grains = spheres.settings
-    positions = settled(spheres)
+    positions = settled_positions(spheres)
     rayleigh_step = STEP_RAYLEIGH_TIMES * rayleigh_time(grains, spheres.density())
     steps_per_period = math.ceil(1.0 / (FREQUENCY * rayleigh_step))
     step, omega = 1.0 / (FREQUENCY * steps_per_period), 2.0 * math.pi * FREQUENCY
@@ -216,7 +216,7 @@ def simulate_bed(spheres: Spheres, amplitude: float, block: int) -> Array:
         positions.copy(), 0.5 * grains.diameter, spheres.mass / spheres.count,
         np.array([normal_modulus, shear_modulus, damping_ratio]),
         np.array([grains.friction, grains.friction, side_friction]),
-        np.array([0.5 * grains.cavity, highest(spheres, positions) + spheres.clearance]),
+        np.array([0.5 * grains.cavity, bed_top(spheres, positions) + spheres.clearance]),
         step, 3 * block * steps_per_period, amplitude, omega, STANDARD_GRAVITY,
     )[block * steps_per_period :]  # fmt: skip
     weight = spheres.mass * STANDARD_GRAVITY

@@ -45,7 +45,7 @@ def scene_of(mass: float, cavity: float) -> Scene:
 def print_step_times(positions_path: str, mass: float, cavity: float, steps: int) -> None:
     """Run one rank: print the times of all groups of steps, s, as JSON."""
     ranks.join()
-    coupling.settled = lambda _: np.load(positions_path)
+    coupling.settled_positions = lambda _: np.load(positions_path)
     coupled = coupling.CoupledPropagator(scene_of(mass, cavity), 1e-3)
     periods = 29.0 * coupled.step * np.arange(steps + 1)
     drive = 70.0 * mass * np.sin(2.0 * np.pi * periods)[None]
@@ -53,7 +53,7 @@ def print_step_times(positions_path: str, mass: float, cavity: float, steps: int
     times = []
     for first in range(0, steps, STEPS_PER_GROUP):
         start = time.process_time()
-        coupled.march(drive[:, first : first + STEPS_PER_GROUP + 1])
+        coupled.propagate_steps(drive[:, first : first + STEPS_PER_GROUP + 1])
         times.append(time.process_time() - start)
     print(json.dumps(times))
 

@@ -62,7 +62,7 @@ EQUIVALENT = {
     "for c in range(model.inverse_mass.shape[ 1]):": "the matrix is square",
     "state.multiplicity[j] = 1 if sign >= 0.0 else -1": "a sign is one or minus one",
     "state.multiplicity[j] = 1 if sign > -1.0 else -1": "a sign is one or minus one",
-    "for i in range(workspace.size.shape[ -1]):": "the array has one dimension",
+    "for i in range(workspace.magnitude.shape[ -1]):": "the array has one dimension",
     "reached = -1": "no sample has a number below zero",
     "dampers, points = model.mass.shape[ -1], model.first_velocity": "the array has one dimension",
     "min_gap = max(1, round(_MIN_GAP_S * self._channels[ -1].rate))": "rows of one array have one rate",

@@ -43,7 +43,7 @@ def _too_long(*_: object) -> None:
     raise TimeoutError(f"more than {TIME_LIMIT_S} s")
 
 
-def _combine(matrix: Array, constant: Array, index: int, vector: Array, columns: int, out: Array) -> None:
+def _affine_product(matrix: Array, constant: Array, index: int, vector: Array, columns: int, out: Array) -> None:
     out.reshape(-1)[: constant.shape[1]] = constant[index] + vector[:columns] @ matrix[index, :columns]
 
 
@@ -70,11 +70,11 @@ def _transpose(window: Array, rows: Array, column: int) -> None:
 
 if config.DISABLE_JIT:
     for name, function in {
-        "combine": _combine,
-        "combine_many": _combine,
+        "affine_product": _affine_product,
+        "affine_product_many": _affine_product,
         "multiply": _multiply,
-        "negatives": _negatives,
-        "lowest": np.min,
+        "negative_bits": _negatives,
+        "minimum": np.min,
         "copy": _copy,
         "exceeds": _exceeds,
         "transpose": _transpose,

@@ -10,7 +10,7 @@ from rig.engine import flow_tables
 
 
 @pytest.fixture(params=["series and steps", "steps", "nothing"])
-def tabulated(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+def each_table_size(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run a test with all tables, with fewer and without: the engine omits tables for large structures."""
     monkeypatch.setattr(flow_tables, "_CACHE", OrderedDict())
     if request.param != "series and steps":

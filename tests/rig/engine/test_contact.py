@@ -14,16 +14,16 @@ from hypothesis import strategies as st
 import rig
 from rig.engine.contact import (
     _close_slow_openings,
-    _forces,
     _rebound_is_negligible,
     _release_coupled,
     _release_independent,
+    _sum_forces,
     _touched_wall,
     impact,
     release_tensile,
 )
 from rig.engine.propagator import Propagator
-from rig.engine.state import CEILING, FLIGHT, FLOOR, SEPARATION, State
+from rig.engine.state import CEILING, FLIGHT, FLOOR, N_EVENTS, PRESENT_SEGMENT, SEPARATION, TABLE_INDEX, State
 from rig.numerics.complementarity import ROUNDING
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import pure_tone
@@ -64,7 +64,7 @@ def propagator(coupling: float, restitution: float = 0.0, finite_contacts: int =
 def apply_impact(engine: Propagator, damper: int, wall: int) -> None:
     """Apply the impact of a damper on a wall 0.25 s after the start of segment 7."""
     flow, model, work = engine.tables.flow, engine.tables.model, engine.workspace.contact
-    engine.log.filled[2], engine.log.now[0] = 7, 0.25
+    engine.log.counts[PRESENT_SEGMENT], engine.log.present_offset[0] = 7, 0.25
     impact(flow, model, engine.state, engine.log, damper, wall, work)
     release_tensile(flow, model, engine.state, engine.log, work)
 
@@ -78,7 +78,7 @@ def randomize(engine: Propagator, modes: list[int], seed: int) -> State:
     state.mode[:] = modes
     state.height[:] = state.z[model.position] + random.uniform(0.2, 0.8, 3) * CLEARANCE
     state.speed[:] = random.standard_normal(3)
-    state.counters[0] = -1
+    state.counters[TABLE_INDEX] = -1
     return state
 
 
@@ -95,7 +95,7 @@ def test_finite_contact_forces_equal_the_system_matrices(modes: list[int], finit
     expected = (system.force_state + force) @ z + constant + system.force_constant
     expected += system.force_drive @ (engine.drive.output @ drive)
     work = engine.workspace.contact
-    _forces(model, state, work.force)
+    _sum_forces(model, state, work.force)
     np.testing.assert_allclose(work.force[: system.coordinates], expected, rtol=1e-9, atol=1e-9)
 
 
@@ -140,11 +140,16 @@ def test_impact_obeys_the_contact_laws(
     assert state.multiplicity[impacting] == sign or not restitution
 
     # The log has the impact and all separations.
-    log, count = engine.log, engine.log.filled[0]
-    (k,) = np.flatnonzero(log.kind[:count] != SEPARATION)
-    assert (log.segment[k], log.damper[k], log.kind[k], log.offset[k]) == (7, impacting, wall, 0.25)
-    assert log.closing[k] == pytest.approx(closing_speed)
-    separated = [int(j) for j in log.damper[:count][log.kind[:count] == SEPARATION]]
+    log, count = engine.log, engine.log.counts[N_EVENTS]
+    (k,) = np.flatnonzero(log.event_kind[:count] != SEPARATION)
+    assert (log.event_segment[k], log.event_damper[k], log.event_kind[k], log.event_offset[k]) == (
+        7,
+        impacting,
+        wall,
+        0.25,
+    )
+    assert log.event_speed[k] == pytest.approx(closing_speed)
+    separated = [int(j) for j in log.event_damper[:count][log.event_kind[:count] == SEPARATION]]
     rebounded = {impacting} if restitution else set()
     assert {j for j in range(3) if walls[j] != FLIGHT and state.mode[j] == FLIGHT} - rebounded == set(separated)
     for j in separated:
@@ -160,18 +165,18 @@ def test_release_agrees_with_enumeration(coupled: bool, modes: list[int], seed: 
     engine = propagator(0.15 if coupled else 0.0)
     state, model, system = randomize(engine, modes, seed), engine.tables.model, engine.system
     work = engine.workspace.contact
-    _forces(model, state, work.force)
+    _sum_forces(model, state, work.force)
     in_contact = np.flatnonzero(np.array(modes) != FLIGHT)
     sign = np.array([SIGN[modes[j]] for j in in_contact])
     inverse = np.linalg.inv(system.mass)
     free = inverse @ work.force[:3]
     bias = sign * (-model.gravity - free[in_contact])
     matrix = sign[:, None] * inverse[np.ix_(in_contact, in_contact)] * sign + np.diag(1.0 / model.mass[in_contact])
-    pressure = solve_by_enumeration(matrix, bias)
+    reaction = solve_by_enumeration(matrix, bias)
     release_tensile(engine.tables.flow, model, state, engine.log, work)
-    released = in_contact[(pressure == 0.0) & (matrix @ pressure + bias > 1e-9)]
+    released = in_contact[(reaction == 0.0) & (matrix @ reaction + bias > 1e-9)]
     assert set(np.flatnonzero(state.mode == FLIGHT)) - set(np.flatnonzero(np.array(modes) == FLIGHT)) == set(released)
-    assert engine.log.damper[: engine.log.filled[0]].tolist() == released.tolist()
+    assert engine.log.event_damper[: engine.log.counts[N_EVENTS]].tolist() == released.tolist()
     for j in released:
         floor = modes[j] == FLOOR
         assert state.speed[j] == state.z[model.velocity[j]]
@@ -219,12 +224,12 @@ def test_tension_within_rounding_does_not_release(wall: int, coupled: bool, rati
     work = engine.workspace.contact
     work.force[:3] = 0.0, (acceleration - model.gravity) / inverse[1], 0.0
     release = _release_coupled if coupled else _release_independent
-    engine.log.filled[2], engine.log.now[0] = 7, 0.25
+    engine.log.counts[PRESENT_SEGMENT], engine.log.present_offset[0] = 7, 0.25
     release(engine.tables.flow, model, state, engine.log, work)
-    assert (state.mode[1] == FLIGHT) == releases and engine.log.filled[0] == releases
+    assert (state.mode[1] == FLIGHT) == releases and engine.log.counts[N_EVENTS] == releases
     if releases:
         log = engine.log
-        assert (log.segment[0], log.offset[0], log.damper[0]) == (7, 0.25, 1)
+        assert (log.event_segment[0], log.event_offset[0], log.event_damper[0]) == (7, 0.25, 1)
 
 
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
@@ -233,7 +238,7 @@ def test_tension_within_rounding_does_not_release(wall: int, coupled: bool, rati
 def test_low_rebound_comes_to_rest(wall: int, coupled: bool, closing: float, stays: bool) -> None:
     engine = propagator(0.2 if coupled else 0.0, restitution=0.4)
     state, model = engine.state, engine.tables.model
-    state.mode[:], state.counters[0] = FLIGHT, -1
+    state.mode[:], state.counters[TABLE_INDEX] = FLIGHT, -1
     # The wall of body 1 accelerates towards its damper; the other dampers are far from their walls.
     state.z[model.position] = -1e-3 if wall == FLOOR else 1e-2
     state.z[model.velocity] = 0.25
@@ -254,12 +259,12 @@ def test_low_rebound_comes_to_rest(wall: int, coupled: bool, closing: float, sta
 def test_uncoupled_damper_stays_at_rest() -> None:
     engine = propagator(0.2, uncoupled=1)
     state, model = engine.state, engine.tables.model
-    state.mode[:], state.counters[0] = (FLIGHT, FLIGHT, FLOOR), -1
+    state.mode[:], state.counters[TABLE_INDEX] = (FLIGHT, FLIGHT, FLOOR), -1
     state.height[:], state.speed[:] = state.z[model.position] + 0.5 * CLEARANCE, 0.0
     state.height[0], state.speed[0] = state.z[model.position[0]], -0.5
     apply_impact(engine, 0, FLOOR)
     assert state.z[model.velocity[2]] == 0.0 and state.mode.tolist() == [FLOOR, FLIGHT, FLOOR]
-    assert engine.log.filled[0] == 1
+    assert engine.log.counts[N_EVENTS] == 1
 
 
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
@@ -272,15 +277,15 @@ def test_slowly_opened_contact_stays_closed(wall: int, ratio: float, closed: boo
     work.force[:3] = 3.0, -20.0, 5.0
     acceleration_limit = model.gravity + np.abs(np.linalg.inv(engine.system.mass)[1] * work.force[:3]).sum()
     speed_limit = np.sqrt(2 * acceleration_limit * ROUNDING * coordinate_scale)
-    matrix, pressure = np.array([[3.0, -0.5], [-0.5, 2.0]]), np.array([0.0, 0.25])
+    matrix, reaction = np.array([[3.0, -0.5], [-0.5, 2.0]]), np.array([0.0, 0.25])
     work.damper[:2], work.active[:2] = (1, 2), (False, True)
-    work.matrix[:2, :2], work.pressure[:2] = matrix, pressure
-    work.opening_speed[:2] = ratio * speed_limit - matrix[0] @ pressure, -0.5
+    work.matrix[:2, :2], work.reaction[:2] = matrix, reaction
+    work.opening_speed[:2] = ratio * speed_limit - matrix[0] @ reaction, -0.5
     work.rhs[:2] = work.opening_speed[:2]
     _close_slow_openings(model, state, work, 2)
     assert work.active[:2].tolist() == [closed, True]
-    expected = np.linalg.solve(matrix, -work.rhs[:2]) if closed else pressure
-    np.testing.assert_allclose(work.pressure[:2], expected, rtol=1e-12)
+    expected = np.linalg.solve(matrix, -work.rhs[:2]) if closed else reaction
+    np.testing.assert_allclose(work.reaction[:2], expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

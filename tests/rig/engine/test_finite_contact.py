@@ -60,7 +60,7 @@ def random_scene(seed: int, bodies: int) -> rig.Scene:
     )  # fmt: skip
 
 
-@pytest.mark.usefixtures("tabulated")
+@pytest.mark.usefixtures("each_table_size")
 @pytest.mark.parametrize(("seed", "bodies"), [(0, 1), (4, 1), (5, 2), (7, 1), (7314, 1)])
 def test_finite_contact_motion_agrees_to_forty_digits(seed: int, bodies: int) -> None:
     scene = random_scene(seed, bodies)

@@ -18,7 +18,7 @@ from scipy.interpolate import BPoly
 
 import rig
 from rig.engine.guards import bound_by_series, bound_by_tables, first_event
-from rig.engine.power_series import expand
+from rig.engine.power_series import expand_state
 from rig.engine.propagator import Propagator, sampled_propagator
 from rig.engine.screening import _margin, above_margins, reset_envelope, screen, widen_envelope
 from rig.engine.state import CEILING, FLIGHT, FLOOR
@@ -77,12 +77,12 @@ def test_series_bounds_contain_the_guard(length: float) -> None:
     state.mode[:] = FLIGHT, FLOOR, CEILING
     rows = model.position.copy()
     rows[1:] = model.velocity[1:]
-    tableau = engine.workspace.tableau
-    tableau[:] = np.random.default_rng(5).standard_normal(tableau.shape)
-    new, first_acceleration = engine.workspace.new, engine.tables.size
-    bound_by_series(model, state.mode, tableau, length, state.z, new, first_acceleration, bound)
+    state_series = engine.workspace.state_series
+    state_series[:] = np.random.default_rng(5).standard_normal(state_series.shape)
+    new, first_acceleration = engine.workspace.end_state, engine.tables.size
+    bound_by_series(model, state.mode, state_series, length, state.z, new, first_acceleration, bound)
     for j in range(3):
-        series = np.polynomial.Polynomial(tableau[:N_COEFFICIENTS, rows[j]])
+        series = np.polynomial.Polynomial(state_series[:N_COEFFICIENTS, rows[j]])
         if state.mode[j] != FLIGHT:
             series = series.deriv() / model.step
             index = first_acceleration + model.position[j]
@@ -98,7 +98,7 @@ def test_finite_contact_has_no_series_bound() -> None:
     engine = propagator("2 ms")
     model, work = engine.tables.model, engine.workspace
     bound_by_series(
-        model, engine.state.mode, work.tableau, 1.0, engine.state.z, work.new, engine.tables.size, work.bound
+        model, engine.state.mode, work.state_series, 1.0, engine.state.z, work.end_state, engine.tables.size, work.bound
     )
     assert (work.bound[:3] == np.inf).all()
 
@@ -132,9 +132,9 @@ class Step:
         for k in range(1, 25):
             self.terms.append(term / k)
             term = scaled @ term / k
-        self.slot = engine.tables.slot(self.bits)
-        bound = engine.tables.flow.bound[self.slot][:size]
-        self.bound = engine.tables.flow.bound_constant[self.slot] + np.abs(z) @ bound
+        self.table_index = engine.tables.table_index(self.bits)
+        bound = engine.tables.flow.bound[self.table_index][:size]
+        self.bound = engine.tables.flow.bound_constant[self.table_index] + np.abs(z) @ bound
 
     def guards(self, tau: np.ndarray) -> list[tuple[int, np.ndarray]]:
         """Return every guard with its damper: value, first and fourth derivative with respect to tau, (3, times)."""
@@ -173,18 +173,18 @@ class Step:
         engine, model, state, work, size = (
             self.engine, self.engine.tables.model, self.engine.state, self.engine.workspace, self.engine.tables.size,
         )  # fmt: skip
-        for z, tau in ((state.z, 0.0), (work.new, length)):
+        for z, tau in ((state.z, 0.0), (work.end_state, length)):
             z[:size] = sum(term * tau**k for k, term in enumerate(self.terms))
             rate = self.matrix @ z[:size] + self.offset
             accelerations = slice(model.first_velocity, 2 * model.first_velocity)
             derivatives = np.concatenate([rate[accelerations], model.step * (self.matrix @ rate)[accelerations]])
             z[size : size + len(derivatives)] = derivatives
         flow = engine.tables.flow
-        bound_by_tables(flow, self.slot, state.z, work)
+        bound_by_tables(flow, self.table_index, state.z, work)
         np.testing.assert_allclose(work.bound, self.bound, rtol=1e-12)
         unproven, unproven_ceilings = screen(model, state, work, size, length, length * model.step)
         if unproven | unproven_ceilings:
-            expand(flow, model, self.slot, state.z, work.tableau)
+            expand_state(flow, model, self.table_index, state.z, work.state_series)
         tau, j, _ = first_event(model, state, work, length, unproven, unproven_ceilings)
         return bool(unproven | unproven_ceilings), tau, j
 
@@ -278,9 +278,9 @@ def test_margins_are_compared_guard_by_guard(modes: list[int], seed: int, durati
 def test_envelope_contains_all_states_until_reset() -> None:
     engine = propagator()
     flow, work, columns = engine.tables.flow, engine.workspace, engine.tables.size
-    states = np.zeros((5, len(work.size)))
+    states = np.zeros((5, len(work.magnitude)))
     states[:, :columns] = np.random.default_rng(2).standard_normal((5, columns))
-    widen_envelope(flow, 0, np.ones(len(work.size)), work)
+    widen_envelope(flow, 0, np.ones(len(work.magnitude)), work)
     reset_envelope(flow, work)
     assert (work.envelope[:columns] == 0.0).all()
     for z in states:

@@ -45,7 +45,7 @@ def reference_events() -> list[tuple[mpf, int, str]]:
     return [(mpf(time), damper + 1, KINDS[kind]) for time, damper, kind in json.loads(data.read_text(encoding="utf-8"))]
 
 
-@pytest.mark.usefixtures("tabulated")
+@pytest.mark.usefixtures("each_table_size")
 def test_reference_case_a_events_are_exact() -> None:
     reference = reference_events()
     events = simulate_scene("reference-A").events
@@ -82,7 +82,7 @@ def test_case_a_positions_agree_to_forty_digits() -> None:
         assert abs(run.displacement[j, end] - float(state[j])) < 1e-12 * np.abs(run.displacement[j]).max()
 
 
-@pytest.mark.usefixtures("tabulated")
+@pytest.mark.usefixtures("each_table_size")
 @pytest.mark.parametrize(("name", "count"), [("reference-B", 273), ("reference-C", 984)])
 def test_reference_cases_b_and_c_event_counts(name: str, count: int) -> None:
     run = simulate_scene(name)

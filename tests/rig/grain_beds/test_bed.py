@@ -12,7 +12,7 @@ from rig.arrays import Array
 from rig.errors import RunError
 from rig.grain_beds import packing
 from rig.grain_beds.bed import Bed
-from rig.grain_beds.packing import settled
+from rig.grain_beds.packing import settled_positions
 from rig.grain_beds.spheres import Spheres, spheres_of
 from rig.scene.damper import Grains
 from tests.rig.grain_beds.scenes import with_grains
@@ -24,7 +24,7 @@ def test_grain_rebounds_with_its_restitution(restitution: float, speed: float) -
     grains = Grains(diameter=2e-3, restitution=restitution)
     spheres = Spheres(grains, 4.75e-5, np.inf, 1, 1)
     bed = Bed(spheres, np.array([[0.0, 0.0, 1.13e-3]]), np.inf, 0.0, spheres.longest_step())
-    bed.kick(-speed)
+    bed.add_velocity(-speed)
 
     while bed.momentum <= 0.0 or bed.forces().any():
         bed.advance()
@@ -56,7 +56,7 @@ def falling_grains(grains: Grains, count: int, speed: float) -> tuple[Bed, Array
     heights = grains.diameter * (0.5 + np.arange(count)) + speed * step * (20.3 + 3e3 * np.arange(count))
     positions = np.column_stack([0.0 * heights, 0.0 * heights, heights])
     bed = Bed(spheres, positions, np.inf, 0.0, step)
-    bed.kick(-speed)
+    bed.add_velocity(-speed)
     return bed, heights
 
 
@@ -93,12 +93,12 @@ def test_grains_separate_with_their_restitution(seed: int) -> None:
 
 def test_settled_bed_is_at_rest_and_stored() -> None:
     spheres = spheres_of(with_grains(grains={"spread": "10 %"}))[0]
-    positions = settled(spheres)
+    positions = settled_positions(spheres)
 
     bed = Bed(spheres, positions, np.inf, 9.80665, spheres.longest_step())
 
     assert bed.forces()[0] == pytest.approx(spheres.mass * 9.80665, rel=1e-3)
-    assert np.array_equal(settled(spheres), positions)
+    assert np.array_equal(settled_positions(spheres), positions)
     radii = 0.5 * spheres.diameters()
     distances = np.linalg.norm(positions[:, None] - positions, axis=2) + np.diag(np.full(len(radii), np.inf))
     assert (distances - radii[:, None] - radii).min() > -0.01 * radii.min()
@@ -109,7 +109,7 @@ def test_layered_bed_is_at_rest_from_the_start(count: int, cavity: float, seed: 
     grains = Grains(diameter=2e-3, cavity=cavity)
     spheres = Spheres(grains, count * 4.75e-5, np.inf, count, seed)
 
-    bed = Bed(spheres, settled(spheres), np.inf, 9.80665, spheres.longest_step())
+    bed = Bed(spheres, settled_positions(spheres), np.inf, 9.80665, spheres.longest_step())
 
     for _ in range(200):
         assert bed.forces()[0] == pytest.approx(spheres.mass * 9.80665, rel=1e-3)
@@ -122,16 +122,16 @@ def test_bed_that_never_rests_is_reported(monkeypatch: pytest.MonkeyPatch) -> No
     spheres = Spheres(Grains(diameter=2e-3, cavity=3e-3), 3 * 4.75e-5, np.inf, 3, 71)
 
     with pytest.raises(RunError, match="did not come to rest"):
-        settled(spheres)
+        settled_positions(spheres)
 
 
 def test_damaged_packing_is_packed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(packing, "folder", lambda: tmp_path)
     spheres = spheres_of(with_grains(mass="0.1 g", cavity="3 mm"))[0]
-    positions = settled(spheres)
+    positions = settled_positions(spheres)
     (cache_file,) = tmp_path.iterdir()
     complete = cache_file.read_bytes()
     for damaged in (complete[:-9], b"", b"PK\3\4" + complete):
         cache_file.write_bytes(damaged)
 
-        assert np.array_equal(settled(spheres), positions)
+        assert np.array_equal(settled_positions(spheres), positions)

@@ -24,7 +24,7 @@ def test_momentum_of_a_free_body_is_balanced() -> None:
     force = (0.4 * np.sin(188.5 * time) + 0.01 * 9.80665)[None]
     coupled.set_state(coupled.system.initial, force[:, 0])
 
-    trajectory, beds = coupled.march(force)
+    trajectory, beds = coupled.propagate_steps(force)
 
     assert beds.force[0, 1].min() < 0.0, "the bed did not hit the ceiling"
     body_momentum = 0.01 * trajectory.state[-1, 1]

@@ -77,7 +77,7 @@ def test_sections_conserve_momentum_and_energy() -> None:
 
     for start in range(0, drive.shape[1] - 1, coupled.substeps):
         coupled.state()
-        _, beds = coupled.march(drive[:, start : start + coupled.substeps + 1])
+        _, beds = coupled.propagate_steps(drive[:, start : start + coupled.substeps + 1])
         contact_impulse += float(np.abs(beds.force).sum()) * coupled.step
 
     assert np.abs(coupled.momentum_errors).max() < 1e-12 * contact_impulse
@@ -92,9 +92,9 @@ def test_restored_bed_has_its_tangential_displacements() -> None:
     (bed,) = coupled.beds
     bed.add_drag(1e-3)
     for _ in range(2000):
-        bed.kick(-0.15 * 9.80665 * bed.step)
+        bed.add_velocity(-0.15 * 9.80665 * bed.step)
         bed.advance()
-        bed.kick(-0.15 * 9.80665 * bed.step)
+        bed.add_velocity(-0.15 * 9.80665 * bed.step)
     before = bed.forces()
 
     bed.resume(bed.state_bytes())

@@ -25,9 +25,9 @@ def flying_grains() -> tuple[dict[str, NDArray[np.float64]], CoupledPropagator]:
     coupled = coupled_bed()
     force = np.repeat([1.5, -1.5], [150, 100])[None]
     coupled.set_state(coupled.system.initial, force[:, 0])
-    trajectory, beds = coupled.march(force)
+    trajectory, beds = coupled.propagate_steps(force)
     motion = {
-        "lift": beds.lift,
+        "gap": beds.gap,
         "force": beds.force,
         "displacement": trajectory.state[:, 0],
         "positions": coupled.beds[0].positions,
@@ -59,13 +59,13 @@ def test_two_ranks_move_and_restore_a_bed_equally(tmp_path: Path) -> None:
             "from tests.rig.grain_beds.test_shared_bed import coupled_bed, flying_grains",
             "(motion, coupled), (repeated, other) = flying_grains(), flying_grains()",
             "assert all(np.array_equal(motion[name], repeated[name]) for name in motion)",
-            f"np.savez({str(file)!r}, **motion, local=coupled.beds[0]._sizes()[0])",
+            f"np.savez({str(file)!r}, **motion, local=coupled.beds[0]._array_sizes()[0])",
             "push = -0.5 * np.ones((1, 60))",
             "state = other.state()",
-            "_, expected = other.march(push)",
+            "_, expected = other.propagate_steps(push)",
             "restored = coupled_bed()",
             "restored.resume(state)",
-            "_, resumed = restored.march(push)",
+            "_, resumed = restored.propagate_steps(push)",
             "print(np.array_equal(expected.force, resumed.force), np.ptp(expected.force) > 0.0)",
         )
     )
@@ -73,8 +73,8 @@ def test_two_ranks_move_and_restore_a_bed_equally(tmp_path: Path) -> None:
     assert (result.returncode, result.stdout, problems(result.stderr)) == (0, "True True\n", [])
     two_ranks = np.load(file)
     assert 0.3 < two_ranks["local"] / len(two_ranks["positions"]) < 0.7
-    assert one_rank["force"][0, 0, -1] == 0.0 and one_rank["lift"].max() > 1e-5, "the bed is not in flight"
-    for name in ("lift", "force", "displacement", "positions"):
+    assert one_rank["force"][0, 0, -1] == 0.0 and one_rank["gap"].max() > 1e-5, "the bed is not in flight"
+    for name in ("gap", "force", "displacement", "positions"):
         assert np.abs(two_ranks[name] - one_rank[name]).max() < 1e-9 * np.abs(one_rank[name]).max(), name
     assert np.abs(two_ranks["momentum_errors"]).max() < 1e-12
 

@@ -6,28 +6,28 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.numerics.complementarity import allocate_contact_work, complementarity
+from rig.numerics.complementarity import allocate_contact_workspace, solve_complementarity
 
 
 def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Return the pressures p >= 0 with matrix p + right >= 0, where one of both is zero for each contact."""
     count = len(right)
-    work = allocate_contact_work(count, 8)
+    work = allocate_contact_workspace(count, 8)
     work.matrix[:count, :count] = matrix
     work.rhs[:count] = right
-    complementarity(work, count)
-    return work.pressure[:count].copy()
+    solve_complementarity(work, count)
+    return work.reaction[:count].copy()
 
 
 def solve_by_enumeration(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Return the same by a search over all combinations of contacts."""
     for pattern in product([False, True], repeat=len(right)):
         active = np.array(pattern)
-        pressure = np.zeros(len(right))
+        reaction = np.zeros(len(right))
         if active.any():
-            pressure[active] = np.linalg.solve(matrix[np.ix_(active, active)], -right[active])
-        if (pressure >= -1e-12).all() and (matrix @ pressure + right >= -1e-9).all():
-            return pressure
+            reaction[active] = np.linalg.solve(matrix[np.ix_(active, active)], -right[active])
+        if (reaction >= -1e-12).all() and (matrix @ reaction + right >= -1e-9).all():
+            return reaction
     raise AssertionError("a positive definite problem has a solution")
 
 
@@ -38,10 +38,10 @@ def test_solution_agrees_with_every_combination(seed: int, count: int) -> None:
     matrix = factor @ factor.T + 0.1 * np.eye(count)
     right = rng.standard_normal(count)
 
-    pressure = solve(matrix, right)
+    reaction = solve(matrix, right)
 
-    assert (pressure >= 0.0).all()
-    np.testing.assert_allclose(pressure, solve_by_enumeration(matrix, right), atol=1e-9)
+    assert (reaction >= 0.0).all()
+    np.testing.assert_allclose(reaction, solve_by_enumeration(matrix, right), atol=1e-9)
 
 
 def test_separating_contacts_have_no_force() -> None:

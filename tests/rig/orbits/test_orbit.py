@@ -112,7 +112,7 @@ def test_multipliers_equal_finite_differences(scene: Scene, frequency: float) ->
         unknowns = orbit.unknowns.copy()
         unknowns[: len(change)] += change
         propagator, steps = propagator_on_orbit(scene, replace(orbit, unknowns=unknowns))
-        propagator.through_marks(
+        propagator.propagate_marks(
             np.full(orbit.repetition, steps), np.full(orbit.repetition, -1), np.ones(orbit.repetition, dtype=bool)
         )
         flights = [[propagator.state.height[j], propagator.state.speed[j]] for j in orbit.plan.flying]
@@ -295,7 +295,7 @@ def test_single_mode_motion_repeats_in_the_engine(kind: str, force: float, mass_
         # The cycle starts at the floor impact: start the tone at its phase.
         phase = np.arctan2(b, a)
         propagator.set_state(np.array([q, u]), np.array([np.cos(phase), np.sin(phase)]))
-        trajectory = propagator.through_marks(np.array([steps]), np.array([0]), np.zeros(1, dtype=bool))
+        trajectory = propagator.propagate_marks(np.array([steps]), np.array([0]), np.zeros(1, dtype=bool))
 
         instants = [branch.tau_0[i], branch.tau_1[i], *([branch.tau_2[i]] if kind == "III" else [branch.tau_1[i]])]
         events = trajectory.event_offset * omega

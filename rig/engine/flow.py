@@ -15,7 +15,7 @@ TERMS = 25
 
 
 class Flow(NamedTuple):
-    """Tables of a system; the first index of each is the table index of a configuration.
+    """Tables of a system; the first index of each table of numbers is the table index of a configuration.
 
     The state obeys z' = A z + b, h is the step length, tau = t / h the time in a step. A guard is a gap or contact
     force, whose zero is a contact change. Matrices are stored [column, row] with padded rows. The table X and its

@@ -5,9 +5,9 @@ Find p >= 0 with A p + q >= 0 and p (A p + q) = 0, where
     A_ik = s_i s_k (M^-1)_{b_i b_k} + delta_ik / md_i,      s = +1 floor, -1 ceiling
 
 (b_i the body of damper i, md_i its mass). At an impact p are the impulses, and A p + q are the speeds at which the
-contacts open. Right after it p are the contact forces, and A p + q are the accelerations at which they open. A is
-positive definite, so the solution exists and is unique; Murty's least-index principal pivoting reaches it in finitely
-many steps.
+contacts open, minus their rebound speeds. Right after it p are the contact forces, and A p + q are the accelerations at
+which they open. A is positive definite, so the solution exists and is unique; Murty's least-index principal pivoting
+reaches it in finitely many steps.
 
 References
 ----------

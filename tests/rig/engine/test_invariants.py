@@ -156,7 +156,7 @@ def test_impact_conserves_momentum(scene: rig.Scene, seed: int) -> None:
 
 #: Impacts within this time, s, are treated as simultaneous in these tests.
 SIMULTANEITY_S = 1e-9
-#: Separation speed, m/s, below which the engine may keep a damper in contact during an impact and release it afterwards:
+#: Separation speed, m/s, below which the engine may keep a damper in contact during an impact and release it later:
 #: the gap would be within rounding.
 MIN_SEPARATION_SPEED = 1e-6
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import lapack
 
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
@@ -257,7 +257,10 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     bodies), column i is the shape of mode i, its largest element +1. Raises `SceneError` if the structure is statically
     unstable (a negative eigenvalue larger than rounding errors).
     """
-    squares, shapes = scipy.linalg.eigh(stiffness, mass, check_finite=False)
+    # `scipy.linalg.eigh` calls the same routine but takes six times as long for a few bodies. A fit makes 10 000 calls.
+    squares, shapes, info = lapack.dsygvd(stiffness, mass)
+    if info:
+        raise np.linalg.LinAlgError("the mass matrix is not positive definite")
     rounding = 10 * len(squares) * np.finfo(float).eps * np.abs(squares).max(initial=0.0)
     if squares[0] < -rounding:
         raise SceneError(

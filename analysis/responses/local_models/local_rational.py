@@ -41,8 +41,8 @@ _REGULARIZATION = 1e-10
 _ZERO_POWER = 1e-300
 #: 95th percentile of the noise power of a line, relative to its mean (two degrees of freedom).
 POWER_RATIO_95 = 3.0
-# Largest number of elements of the systems of equations that are solved at a time, which limits memory.
-_MAX_ELEMENTS = 1 << 20
+# Largest number of elements of the systems of equations that are solved at a time; their arrays fit into the cache.
+_MAX_ELEMENTS = 1 << 16
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ BODIES: tuple[Color, ...] = (
 
 
 def body_color(body: int) -> Color:
-    """Color of a body, counted from 1; the colors repeat beyond six bodies.
+    """Colour of a body, counted from 1; the colours repeat beyond six bodies.
 
     >>> body_color(1) == body_color(7)
     True
@@ -33,7 +33,7 @@ def body_color(body: int) -> Color:
 
 
 def channel_color(at: str) -> Color:
-    """Color of a channel, by the position of its sensor.
+    """Colour of a channel, by the position of its sensor.
 
     >>> channel_color("body 2") == body_color(2)
     True
@@ -44,5 +44,5 @@ def channel_color(at: str) -> Color:
 
 
 def hex_color(color: Color) -> str:
-    """Write a color as in style sheets, ``#b0b8c2``."""
+    """Write a colour as in style sheets, ``#b0b8c2``."""
     return "#{:02x}{:02x}{:02x}".format(*color)

@@ -19,11 +19,11 @@ COIL_RADIUS = 0.020
 
 
 def boxes(parts: Sequence[tuple[Point, Point]], color: Color) -> rr.Boxes3D:
-    """Draw solid boxes, each by its center and its size."""
+    """Draw solid boxes, each by its centre and its size."""
     import rerun as rr
 
-    centers, sizes = zip(*parts, strict=True)
-    return rr.Boxes3D(centers=centers, sizes=sizes, colors=[color], fill_mode="solid")
+    centres, sizes = zip(*parts, strict=True)
+    return rr.Boxes3D(centers=centres, sizes=sizes, colors=[color], fill_mode="solid")
 
 
 def cylinder(middle: Point, height: float, radius: float, color: Color) -> rr.Cylinders3D:
@@ -34,7 +34,7 @@ def cylinder(middle: Point, height: float, radius: float, color: Color) -> rr.Cy
 
 
 def label(at: Point, text: str, color: Color) -> rr.Points3D:
-    """Write a text, centered below a point."""
+    """Write a text, centred below a point."""
     import rerun as rr
 
     return rr.Points3D([at], labels=[text], colors=[color], radii=[0.0001], show_labels=True)

@@ -164,7 +164,7 @@ def scope(
                 return
         knobs.quit = True
 
-    viewing = server(say) if web else window("use --web for a browser")
+    viewing = server(say) if web else window("Use --web for a browser.")
     bench = Bench(loaded_scene)
     # The kernels are compiled before real time starts; the run uses a new bench.
     bench.acquire(np.zeros((len(bench.inputs), 64)))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from daq.drawing.rig_view import Extremes, RigPose, RigView, exaggeration
 from daq.excitation.manual_tone import ToneReading
 from daq.viewing.blueprint import live_layout
-from daq.viewing.viewer_stream import Traces, plots
+from daq.viewing.viewer_stream import CurveSender, plots
 from rig.escaping import escape_markdown
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class Screen:
         stream.send_blueprint(
             live_layout(plots(by_name), len(scene.dampers), self._view.eye), make_active=True, make_default=True
         )
-        self._traces = Traces(stream, rate, by_name, scene.dampers)
+        self._sender = CurveSender(stream, rate, by_name, scene.dampers)
         self._next_reading = 0
         self._position = 0
 
@@ -58,10 +58,10 @@ class Screen:
         """Show a block: readings, shape (channels, samples), in the channels' units."""
         for name, samples in zip(self._names, readings, strict=True):
             if samples.size:
-                self._traces.channel(name, block.first, samples)
+                self._sender.send_channel(name, block.first, samples)
         motion = block.motion
         if self._scene.dampers:
-            self._traces.dampers(motion.first, motion.gap, motion.contact)
+            self._sender.send_dampers(motion.first, motion.gap, motion.contact)
         size = motion.displacement.shape[1]
         indices = np.arange((-motion.first) % self._step, size, self._step)
         bodies = self._scene.structure.bodies
@@ -73,7 +73,7 @@ class Screen:
         self._position = motion.first + size
         if indices.size:
             self._fit(pose)
-            self._traces.motion(self._view, motion.first + indices, pose)
+            self._sender.send_motion(self._view, motion.first + indices, pose)
 
     def read(self, reading: ToneReading) -> None:
         """Show the readings of the tone, a few times per second."""

@@ -1,4 +1,7 @@
-"""Layout of the replay on the screen."""
+"""Layouts of the viewer for a replay and for a live view.
+
+Rerun calls a layout a blueprint, and what is drawn an entity; entities are named by paths such as test/phase.
+"""
 
 from __future__ import annotations
 
@@ -8,94 +11,94 @@ import rerun.blueprint as rrb
 
 from daq.drawing.palette import BACKGROUND
 
-# Natural periods of the lowest mode on each side of the time cursor in the plots around it.
-PERIODS = 2.5
+# Time that the plots around the cursor show on each side of it, natural periods of the lowest mode.
+CURSOR_PERIODS = 2.5
 TIMELINE = "time"
-# Below this entity each channel that was overloaded has a lane.
-OVERLOADS = "test/overload"
-# Duration of a live plot, s.
-LIVE_S = 0.5
+# Parent of the entities of overloaded channels.
+OVERLOAD_ENTITY = "test/overload"
+# Time span of a live plot, s.
+LIVE_SPAN_S = 0.5
+#: Position of the camera, and the point it looks at, m.
+Camera = tuple[tuple[float, ...], tuple[float, ...]]
 
 
 def layout(
     plots: Sequence[tuple[str, str]],
-    dampers: int,
-    overloaded: int,
+    damper_count: int,
+    overloaded_count: int,
     lowest_hz: float,
-    eye: tuple[tuple[float, ...], tuple[float, ...]],
+    camera: Camera,
     span_s: tuple[float, float],
     speed: float,
 ) -> rrb.Blueprint:
     """Arrange a replay: rig and notes at the left, plots at the right.
 
-    The plot at the top shows the whole recording with the phases of the test under it; the plots below show
-    the surroundings of the time cursor, as wide as the lowest natural frequency requires. `plots` are entity and title
-    of each group of channels, the most important first; `dampers` counts those with gaps and contacts, `overloaded` the
-    overloaded channels; `eye` is position and target of the camera, `span_s` start and end on the timeline, `speed` the
-    playback speed (1 is real time).
+    The plot at the top shows the whole recording, with the phases of the test under it. The plots below show some
+    periods of the lowest mode around the time cursor. `plots` are entity and title for each quantity of the
+    channels, the most important first. `damper_count` is the number of dampers with known gaps. `camera` is its
+    position and the point it looks at, `span_s` start and end on the timeline, `speed` the playback speed (1 is real
+    time).
     """
-    cursor_range = _cursor_range(PERIODS / lowest_hz, PERIODS / lowest_hz)
+    cursor_range = _cursor_range(CURSOR_PERIODS / lowest_hz, CURSOR_PERIODS / lowest_hz)
     entity, title = plots[0]
-    # By default the viewer shows about a minute around the cursor.
+    # Without limits the viewer shows only about a minute around the cursor.
     begin, end = (rrb.TimeRangeBoundary.absolute(seconds=at) for at in span_s)
     axis = rrb.TimeAxis(view_range=rrb.TimeRange(start=begin, end=end))
-    full_view = rrb.TimeSeriesView(origin=entity, name=f"{title}, whole recording", plot_legend=_legend(), axis_x=axis)
-    phases = rrb.StateTimelineView(
+    overview = rrb.TimeSeriesView(origin=entity, name=f"{title}, whole recording", plot_legend=_legend(), axis_x=axis)
+    phase_view = rrb.StateTimelineView(
         origin="test",
-        contents=["test/phase", f"{OVERLOADS}/**"],
-        name="test (gray: settling, green: measuring, or the decay after a hit; red: overloaded)",
+        contents=["test/phase", f"{OVERLOAD_ENTITY}/**"],
+        name="test (grey: settling, green: measuring, or the decay after a hit; red: overloaded)",
         time_view=axis,
     )
-    curves = [_curves(entity, f"{title} around the cursor", cursor_range) for entity, title in plots]
-    right: list[rrb.TimeSeriesView | rrb.StateTimelineView | rrb.Tabs] = [full_view, phases]
-    right.append(curves[0] if len(curves) == 1 else rrb.Tabs(*curves, active_tab=0))
-    if dampers:
-        right.append(_curves("dampers/gap_mm", "damper gap [mm] around the cursor (truth)", cursor_range))
+    curve_views = [_curve_view(entity, f"{title} around the cursor", cursor_range) for entity, title in plots]
+    right_column: list[rrb.TimeSeriesView | rrb.StateTimelineView | rrb.Tabs] = [overview, phase_view]
+    right_column.append(curve_views[0] if len(curve_views) == 1 else rrb.Tabs(*curve_views, active_tab=0))
+    if damper_count:
+        right_column.append(_curve_view("dampers/gap_mm", "damper gap [mm] around the cursor (truth)", cursor_range))
         axis = rrb.TimeAxis(view_range=cursor_range)
-        right.append(rrb.StateTimelineView(origin="dampers/contact", name="contact (truth)", time_view=axis))
+        right_column.append(rrb.StateTimelineView(origin="dampers/contact", name="contact (truth)", time_view=axis))
     notes = rrb.Tabs(
         rrb.Spatial2DView(origin="spectrum", name="spectrum"),
         rrb.TextDocumentView(origin="about", name="recording"),
         rrb.TextLogView(origin="test", contents="test/marks", name="markers"),
         active_tab=0,
     )
-    # A lane of a state timeline has a fixed height, which determines that of its view.
-    lanes = 0.6 * overloaded
-    shares = [3.0, 1.0 + lanes, 4.5]
-    if dampers:
-        shares = [3.0, 1.5 + lanes, 3.8, 3.0, 0.8 + 0.6 * dampers]
+    # The lanes of a state timeline have a fixed height, so that their view must grow with their number.
+    lane_height = 0.6 * overloaded_count
+    row_heights = [3.0, 1.0 + lane_height, 4.5]
+    if damper_count:
+        row_heights = [3.0, 1.5 + lane_height, 3.8, 3.0, 0.8 + 0.6 * damper_count]
     panel = rrb.TimePanel(state="collapsed", timeline=TIMELINE, playback_speed=speed, loop_mode="all")
-    return _page(eye, notes, right, shares, panel)
+    return _two_columns(camera, notes, right_column, row_heights, panel)
 
 
-def live_layout(
-    plots: Sequence[tuple[str, str]], dampers: int, eye: tuple[tuple[float, ...], tuple[float, ...]]
-) -> rrb.Blueprint:
+def live_layout(plots: Sequence[tuple[str, str]], damper_count: int, camera: Camera) -> rrb.Blueprint:
     """Arrange a live view: rig and readings at the left, the last seconds of every curve at the right.
 
-    `plots` are entity and title of each group of channels, `eye` position and target of the camera.
+    `plots` are entity and title for each quantity of the channels; `camera` is its position and the point it looks at.
     """
-    latest = _cursor_range(LIVE_S, 0.0)
-    right: list[rrb.View] = [_curves(entity, title, latest) for entity, title in plots]
-    shares = [4.0] * len(right)
-    if dampers:
-        right.append(_curves("dampers/gap_mm", "damper gap [mm]", latest))
-        axis = rrb.TimeAxis(view_range=latest)
-        right.append(rrb.StateTimelineView(origin="dampers/contact", name="contact", time_view=axis))
-        shares += [3.0, 0.8 + 0.6 * dampers]
+    latest_range = _cursor_range(LIVE_SPAN_S, 0.0)
+    right_column: list[rrb.View] = [_curve_view(entity, title, latest_range) for entity, title in plots]
+    row_heights = [4.0] * len(right_column)
+    if damper_count:
+        right_column.append(_curve_view("dampers/gap_mm", "damper gap [mm]", latest_range))
+        axis = rrb.TimeAxis(view_range=latest_range)
+        right_column.append(rrb.StateTimelineView(origin="dampers/contact", name="contact", time_view=axis))
+        row_heights += [3.0, 0.8 + 0.6 * damper_count]
     reading = rrb.TextDocumentView(origin="reading", name="reading")
     panel = rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following")
-    return _page(eye, reading, right, shares, panel)
+    return _two_columns(camera, reading, right_column, row_heights, panel)
 
 
-def _page(
-    eye: tuple[tuple[float, ...], tuple[float, ...]],
+def _two_columns(
+    camera: Camera,
     notes: rrb.View | rrb.Tabs,
-    right: Sequence[rrb.View | rrb.Tabs],
-    shares: Sequence[float],
+    right_column: Sequence[rrb.View | rrb.Tabs],
+    row_heights: Sequence[float],
     panel: rrb.TimePanel,
 ) -> rrb.Blueprint:
-    position, target = eye
+    position, target = camera
     rig = rrb.Spatial3DView(
         origin="rig",
         name="rig",
@@ -105,14 +108,14 @@ def _page(
     )
     left_column = rrb.Vertical(rig, notes, row_shares=[1.6, 1.0])
     return rrb.Blueprint(
-        rrb.Horizontal(left_column, rrb.Vertical(*right, row_shares=shares), column_shares=[1.0, 1.35]),
+        rrb.Horizontal(left_column, rrb.Vertical(*right_column, row_shares=row_heights), column_shares=[1.0, 1.35]),
         panel,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )
 
 
-def _curves(entity: str, title: str, cursor_range: rrb.TimeRange) -> rrb.TimeSeriesView:
+def _curve_view(entity: str, title: str, cursor_range: rrb.TimeRange) -> rrb.TimeSeriesView:
     ranges = rrb.VisibleTimeRange(TIMELINE, cursor_range)
     return rrb.TimeSeriesView(origin=entity, name=title, time_ranges=ranges, plot_legend=_legend())
 

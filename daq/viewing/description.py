@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from daq.viewing.recorded_motion import RecordedMotion
 
 # Largest number of listed gaps.
-_MAX_GAPS = 10
-_SAMPLING = {
+_MAX_LISTED_GAPS = 10
+_SAMPLING_TEXTS = {
     "point": "samples at instants",
     "average": "samples are averages over their intervals",
     "filter": "samples behind a decimation filter",
@@ -42,10 +42,10 @@ class Info(Result):
     ----------
     path : Path
     lines : tuple of str
-        The description, a fact a line.
+        The description, one fact in each line.
     channels : dict of str to ChannelInfo
     next_steps : tuple of str
-        Applicable commands for the recording, the most informative first.
+        Commands that analyze this recording, the most informative first.
     checked : bool
         Whether every record of the file was verified.
     """
@@ -77,7 +77,7 @@ class Info(Result):
             recording.draw(ax, **style)
 
     def __str__(self) -> str:
-        steps = [f"  {'' if place else 'next':9} {step}" for place, step in enumerate(self.next_steps)]
+        steps = [f"  {'' if number else 'next':9} {step}" for number, step in enumerate(self.next_steps)]
         checked = ["  checked   all checksums match, and all records agree with each other"] if self.checked else []
         return "\n".join([*self.lines, *steps, *checked])
 
@@ -95,7 +95,7 @@ def info(path: str | Path, check: bool = False) -> Info:
     Raises
     ------
     RecordingError
-        If the file cannot be read, is no recording, or is damaged; the message states the remedy.
+        If the file cannot be read, is not a recording, or is damaged.
 
     Examples
     --------
@@ -114,7 +114,7 @@ def info(path: str | Path, check: bool = False) -> Info:
 
 
 def describe(recording: Recording) -> Iterator[str]:
-    """Yield lines that describe an open recording; facts that are missing in the file are omitted."""
+    """Yield the lines that describe an open recording, without facts that are missing in the file."""
     size = recording.path.stat().st_size
     run, outcome = recording.metadata.get("run", {}), recording.metadata.get("outcome", {})
     yield f"{recording.path}: {_duration(recording)}, {size / 1e6:.1f} MB, {recording.status}"
@@ -128,31 +128,32 @@ def describe(recording: Recording) -> Iterator[str]:
         yield f"  imported  from {recording.source}"
     yield f"  rate      {recording.rate:.10g} Hz, stored as {recording.stored}"
     name_width = max(map(len, recording.channels))
-    for place, (name, info) in enumerate(recording.channels.items()):
-        label = "channels" if place == 0 else ""
+    for number, (name, info) in enumerate(recording.channels.items()):
+        label = "channels" if number == 0 else ""
         sensor = f"{info.quantity}, {info.sensitivity:.6g} V per {info.unit}"
-        yield f"  {label:9} {name:{name_width}}  {_position(recording, info.at)}, {sensor}, {_SAMPLING[info.sampling]}"
+        sampling = _SAMPLING_TEXTS[info.sampling]
+        yield f"  {label:9} {name:{name_width}}  {_position(recording, info.at)}, {sensor}, {sampling}"
     if recording.truth_points:
         points, events = ", ".join(recording.truth_points), recording.events.size
         yield f"  truth     of {points}; {events} changes of contact"
     counts = Counter(marker.kind for marker in recording.markers)
     yield f"  markers   {', '.join(f'{count} {kind}' for kind, count in counts.items()) or 'none'}"
     gaps = recording.gaps
-    yield f"  lost      {_segments(len(gaps))}{_reason_of_loss(recording)}"
-    for gap in gaps[:_MAX_GAPS]:
+    yield f"  lost      {_count_segments(len(gaps))}{_void_note(recording)}"
+    for gap in gaps[:_MAX_LISTED_GAPS]:
         first, last = gap.first_sample / recording.rate, (gap.last_sample + 1) / recording.rate
         yield f"            {first:.6g} s to {last:.6g} s of {', '.join(gap.channels)}: {gap.reason}"
-    if len(gaps) > _MAX_GAPS:
-        yield f"            and {len(gaps) - _MAX_GAPS} more"
+    if len(gaps) > _MAX_LISTED_GAPS:
+        yield f"            and {len(gaps) - _MAX_LISTED_GAPS} more"
 
 
-def _segments(count: int) -> str:
+def _count_segments(count: int) -> str:
     if count == 0:
         return "none noted"
     return "1 segment of samples" if count == 1 else f"{count} segments of samples"
 
 
-def _reason_of_loss(recording: Recording) -> str:
+def _void_note(recording: Recording) -> str:
     try:
         recording.refuse_void(0, recording.samples)
     except RecordingError as error:
@@ -182,7 +183,7 @@ def _scene(recording: Recording) -> str:
         return f"not usable: {str(error).splitlines()[0]}"
 
 
-def about(recording: Recording, motion: RecordedMotion, view: RigView) -> str:
+def markdown_page(recording: Recording, motion: RecordedMotion, view: RigView) -> str:
     """Describe a recording for a replay in Markdown: the test, the bench, and the drawing."""
     scene, rate = recording.scene, recording.rate
     lines = [
@@ -203,10 +204,10 @@ def about(recording: Recording, motion: RecordedMotion, view: RigView) -> str:
             "| damper | body | mass | clearance | restitution | contact |",
             "|---|---|---|---|---|---|",
         ]
-        for place, (damper, mass) in enumerate(zip(scene.dampers, view.damper_masses, strict=True), start=1):
+        for number, (damper, mass) in enumerate(zip(scene.dampers, view.damper_masses, strict=True), start=1):
             clearance = "no ceiling" if math.isinf(damper.clearance) else f"{damper.clearance * 1e3:.4g} mm"
             lines.append(
-                f"| {place} | {damper.body} | {mass * 1e3:.4g} g | {clearance} | {damper.restitution:g} "
+                f"| {number} | {damper.body} | {mass * 1e3:.4g} g | {clearance} | {damper.restitution:g} "
                 f"| {'grains' if damper.grains else 'instant' if damper.contact is None else 'finite'} |"
             )
     lines += ["", "## Channels", "| channel | at | quantity | unit | V per unit |", "|---|---|---|---|---|"]

@@ -17,7 +17,15 @@ from uuid import uuid4
 import rerun as rr
 
 from daq.viewing.replay import Replay
-from daq.viewing.rerun_viewer import LOOPBACK, Viewer, can_open_windows, free_port, need_display, picture, viewer
+from daq.viewing.rerun_viewer import (
+    LOOPBACK,
+    Viewer,
+    can_open_windows,
+    free_port,
+    headless_picture,
+    require_display,
+    viewer,
+)
 from rig.console import pause_reports
 from rig.errors import RunError, SceneError
 from rig.output_files import atomic_write
@@ -25,13 +33,15 @@ from rig.progress import FractionProgress
 from rig.provenance import may_overwrite, output_source, reject_foreign_files, relative_paths
 
 APPLICATION = "shotrig"
-WITHOUT_DISPLAY = "use --web to look with a browser, --screenshot FILE.png for a picture, or --save FILE.rrd"
-# Memory of the viewer per value: value, time and index, bytes.
+NO_DISPLAY_REMEDY = (
+    "Use --web to look with a browser, --screenshot FILE.png for a picture, or --save FILE.rrd for a file."
+)
+# Memory of the viewer per sample, bytes: its value, time and index.
 _BYTES_PER_VALUE = 20
 # Entity that is sent last.
 _LAST_ENTITY = "complete"
-# Memory of the viewer above which a note is printed, GB.
-_MAX_LIGHT_GB = 2.0
+# A note is printed if the viewer will need more memory, GB.
+_NOTE_ABOVE_GB = 2.0
 # Maximum wait for a viewer or a file to accept a block, s.
 _MAX_SINK_WAIT_S = 60.0
 
@@ -43,20 +53,20 @@ def save(replay: Replay, file: Path, progress: FractionProgress | None = None) -
     """
     _check_suffix(file, ".rrd", "--save")
 
-    with atomic_write(file, may_overwrite()) as part, _stream_into(part) as (stream, check):
+    with atomic_write(file, may_overwrite()) as part, _stream_into(part) as (stream, raise_failure):
 
-        def drain() -> None:
+        def wait_until_received() -> None:
             stream.flush(timeout_sec=_MAX_SINK_WAIT_S)
-            check()
+            raise_failure()
 
-        _fill(replay, stream, drain, progress)
+        _send(replay, stream, wait_until_received, progress)
 
 
 @contextmanager
 def _stream_into(file: Path) -> Iterator[tuple[rr.RecordingStream, Callable[[], None]]]:
-    """Yield a stream into a file, and a function that raises `OSError` after a failure of writing.
+    """Yield a stream into a file, and a function that raises `OSError` if writing has failed.
 
-    Rerun's writer would wait for ever on a full disk; therefore it writes into a pipe.
+    Rerun writes into a pipe, which a thread copies to the file, because on a full disk rerun's writer waits for ever.
     """
     if sys.platform == "win32":
         # On Windows a pipe has no path.
@@ -64,35 +74,35 @@ def _stream_into(file: Path) -> Iterator[tuple[rr.RecordingStream, Callable[[], 
             stream.save(file)
             yield stream, lambda: None
         return
-    reading, writing = os.pipe()
+    pipe_out, pipe_in = os.pipe()
     failures: list[OSError] = []
 
-    def copy() -> None:
-        with open(reading, "rb", buffering=0) as sent:  # noqa: PTH123
+    def copy_pipe_to_file() -> None:
+        with open(pipe_out, "rb", buffering=0) as source_file:  # noqa: PTH123
             try:
-                with file.open("wb") as written:
-                    shutil.copyfileobj(sent, written)
+                with file.open("wb") as target_file:
+                    shutil.copyfileobj(source_file, target_file)
             except OSError as error:
                 failures.append(error)
-                while sent.read(1 << 20):
+                while source_file.read(1 << 20):
                     pass
 
-    def check() -> None:
+    def raise_failure() -> None:
         if failures:
             raise failures[0]
 
-    thread = threading.Thread(target=copy, name="rrd")
+    thread = threading.Thread(target=copy_pipe_to_file, name="rrd")
     thread.start()
     try:
         with recording_stream() as stream:
             try:
-                stream.save(f"/dev/fd/{writing}")
+                stream.save(f"/dev/fd/{pipe_in}")
             finally:
-                os.close(writing)
-            yield stream, check
+                os.close(pipe_in)
+            yield stream, raise_failure
     finally:
         thread.join()
-    check()
+    raise_failure()
 
 
 def draw_picture(
@@ -120,7 +130,7 @@ def draw_picture(
     with tempfile.TemporaryDirectory(prefix="shotrig-") as folder:
         rrd_path = Path(folder) / "replay.rrd"
         save(replay, rrd_path, progress)
-        png, views = picture(
+        png, views = headless_picture(
             rrd_path, at - replay.start / rate, size, (replay.stop - 1 - replay.start) / rate, _LAST_ENTITY
         )
     with output_source(*source), atomic_write(file) as part:
@@ -131,18 +141,20 @@ def draw_picture(
     return at
 
 
-def window(instead: str) -> AbstractContextManager[Viewer]:
-    """Open a viewer in a window; raise `RunError`, with the remedy `instead`, if there is no display."""
-    need_display(instead)
+def window(remedy: str) -> AbstractContextManager[Viewer]:
+    """Open a viewer in a window; raise `RunError`, which ends with the sentence `remedy`, if there is no display."""
+    require_display(remedy)
     return viewer("--expect-data-soon")
 
 
-def show(replay: Replay, viewing: AbstractContextManager[Viewer], progress: FractionProgress | None = None) -> None:
+def show(
+    replay: Replay, viewer_context: AbstractContextManager[Viewer], progress: FractionProgress | None = None
+) -> None:
     """Show a replay in a `window` or on a `server` until the viewer ends; raise `RunError` if it does not start."""
-    with viewing as running:
-        # The viewer holds every value or drops the oldest.
+    with viewer_context as running:
+        # The viewer keeps all samples in memory, or drops the oldest.
         gigabytes = replay.values * _BYTES_PER_VALUE / 1e9
-        if gigabytes > _MAX_LIGHT_GB:
+        if gigabytes > _NOTE_ABOVE_GB:
             print(
                 f"note: the viewer will take about {gigabytes:.0f} GB of memory. Show a part with --from and --to.",
                 file=sys.stderr,
@@ -150,10 +162,10 @@ def show(replay: Replay, viewing: AbstractContextManager[Viewer], progress: Frac
         with recording_stream() as stream:
             stream.connect_grpc(running.url)
             try:
-                _fill(replay, stream, lambda: stream.flush(timeout_sec=_MAX_SINK_WAIT_S), progress)
+                _send(replay, stream, lambda: stream.flush(timeout_sec=_MAX_SINK_WAIT_S), progress)
             except RuntimeError as error:
                 if running.process.poll() is None:
-                    raise RunError(f"the rerun viewer stopped taking data: {error}") from error
+                    raise RunError(f"the rerun viewer stopped receiving data: {error}") from error
         with pause_reports():
             running.process.wait()
 
@@ -161,10 +173,10 @@ def show(replay: Replay, viewing: AbstractContextManager[Viewer], progress: Frac
 @contextmanager
 def server(announce: Callable[[str], None]) -> Iterator[Viewer]:
     """Serve the viewer to browsers on this machine; `announce` is called with the address."""
-    page = free_port()
+    page_port = free_port()
     # The server stores everything for later browsers.
-    with viewer("--serve-web", "--web-viewer-port", str(page), "--server-memory-limit", "75%") as running:
-        address = f"http://{LOOPBACK}:{page}/?url={quote(running.url, safe='')}"
+    with viewer("--serve-web", "--web-viewer-port", str(page_port), "--server-memory-limit", "75%") as running:
+        address = f"http://{LOOPBACK}:{page_port}/?url={quote(running.url, safe='')}"
         announce(address)
         if can_open_windows():
             webbrowser.open(address)
@@ -173,7 +185,7 @@ def server(announce: Callable[[str], None]) -> Iterator[Viewer]:
 
 @contextmanager
 def recording_stream() -> Iterator[rr.RecordingStream]:
-    """Make a separate stream, which is flushed to its sink at the end."""
+    """Yield a new stream, which is flushed to its viewer or file at the end."""
     stream = rr.RecordingStream(APPLICATION, recording_id=uuid4())
     try:
         yield stream
@@ -181,16 +193,19 @@ def recording_stream() -> Iterator[rr.RecordingStream]:
         stream.disconnect()
 
 
-def _fill(
-    replay: Replay, stream: rr.RecordingStream, drain: Callable[[], object], progress: FractionProgress | None
+def _send(
+    replay: Replay,
+    stream: rr.RecordingStream,
+    wait_until_received: Callable[[], object],
+    progress: FractionProgress | None,
 ) -> None:
-    drain()
-    # As the active layout: a viewer remembers the layout of an application and would ignore a default.
+    wait_until_received()
+    # The layout is made active: a viewer remembers an earlier layout of the application, which overrides a default.
     stream.send_blueprint(replay.blueprint(), make_active=True, make_default=True)
-    replay.send(stream, drain, progress)
+    replay.send(stream, wait_until_received, progress)
     # A viewer that has received this text has received everything.
     stream.log(_LAST_ENTITY, rr.TextDocument("all of the replay was sent"), static=True)
-    drain()
+    wait_until_received()
 
 
 def _check_suffix(file: Path, suffix: str, option: str) -> None:

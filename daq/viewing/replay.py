@@ -12,11 +12,11 @@ import rerun as rr
 
 from daq.drawing.rig_view import Extremes, RigView
 from daq.recording.layout import refuse_reversed
-from daq.viewing.blueprint import OVERLOADS, layout
-from daq.viewing.description import about
-from daq.viewing.marker_log import MarkedSlice, log_lines, overloads, phases
-from daq.viewing.recorded_motion import BLOCK, RecordedMotion
-from daq.viewing.viewer_stream import Traces, plots
+from daq.viewing.blueprint import OVERLOAD_ENTITY, layout
+from daq.viewing.description import markdown_page
+from daq.viewing.marker_log import LabelledSegment, log_lines, overloads, phases
+from daq.viewing.recorded_motion import BLOCK_SAMPLES, RecordedMotion
+from daq.viewing.viewer_stream import CurveSender, plots
 from rig.errors import SceneError
 from rig.progress import FractionProgress
 
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
 
     from daq.recording.recording import Recording
 
-# Rate of the drawn poses: enough for slow motion of a 50 Hz tone in a short recording, lower in a long recording.
+# Range of the rate of drawn poses, 1/s. The maximum shows a tone of 50 Hz in slow motion.
 _MAX_FRAMES_PER_S = 1000.0
 _MIN_FRAMES_PER_S = 100.0
-# Lower limit of the lowest natural frequency, Hz.
+# Modes below this frequency, Hz, such as rigid-body modes, do not determine the time range of the plots.
 _MIN_MODE_HZ = 1.0
 # Number of poses above which their rate decreases.
 _MAX_FRAMES = 60_000
 
 
 class Replay:
-    """The segment [begin_s, end_s] of a recording, s from its start, to be sent to a viewer or a file.
+    """The segment [begin_s, end_s] of a recording, in s from its start, to be sent to a viewer or a file.
 
     Raises `SceneError` if the segment contains no sample, or the playback speed (1 is real time) is not positive.
     """
@@ -63,33 +63,32 @@ class Replay:
         self.step = max(1, round(rate / frames_per_s))
         scene = recording.scene
         natural_hz = structural_model(scene).modes.frequency
-        # A free structure has modes at 0 Hz, which give no time scale.
         self.lowest_hz = float(min(natural_hz[natural_hz > _MIN_MODE_HZ], default=_MIN_MODE_HZ))
         self.motion = RecordedMotion(recording)
 
     @cached_property
-    def _survey(self) -> tuple[Extremes, int]:
-        """Largest motions, and the sample with the largest motion; reads the whole segment."""
+    def _extremes_and_sample(self) -> tuple[Extremes, int]:
+        """Largest motion of each part, and the sample number of the largest motion; reads the whole segment."""
         shaker_bodies = [shaker.body for _, shaker in self.recording.scene.tables]
-        extremes, largest_sample, largest = Extremes(), self.start, 0.0
+        extremes, largest_sample, largest_size = Extremes(), self.start, 0.0
         for instants, motion in self.motion.segments(self.start, self.stop, self.step):
             extremes = extremes.widened(motion, shaker_bodies)
-            # A picture should show dampers in flight; without dampers, large displacements.
-            motion_samples = np.abs(motion.displacement).max(axis=0) if motion.gap is None else motion.gap.sum(axis=0)
-            if instants.size and motion_samples.max() > largest:
-                largest, largest_sample = float(motion_samples.max()), int(instants[motion_samples.argmax()])
+            # A picture should show dampers in flight. Without dampers it should show large displacements.
+            motion_size = np.abs(motion.displacement).max(axis=0) if motion.gap is None else motion.gap.sum(axis=0)
+            if instants.size and motion_size.max() > largest_size:
+                largest_size, largest_sample = float(motion_size.max()), int(instants[motion_size.argmax()])
         return extremes, largest_sample
 
     @cached_property
     def view(self) -> RigView:
-        """The drawing of the rig, with an exaggeration for the motion of this segment."""
+        """The drawing of the rig, with motion magnified for this segment."""
         unknown = [source.point for source in self.motion.sources if source.quantity == "nothing"]
-        return RigView(self.recording.scene, self._survey[0], self.motion.gaps_known, unknown)
+        return RigView(self.recording.scene, self._extremes_and_sample[0], self.motion.gaps_known, unknown)
 
     @property
     def most_motion_s(self) -> float:
         """Time of the largest gaps or displacements, s from the start of the recording."""
-        return self._survey[1] / self.recording.rate
+        return self._extremes_and_sample[1] / self.recording.rate
 
     @property
     def values(self) -> int:
@@ -106,58 +105,69 @@ class Replay:
         return layout(curves, dampers, overloaded, self.lowest_hz, self.view.eye, span, self.speed)
 
     def send(
-        self, stream: rr.RecordingStream, drain: Callable[[], object], progress: FractionProgress | None = None
+        self,
+        stream: rr.RecordingStream,
+        wait_until_received: Callable[[], object],
+        progress: FractionProgress | None = None,
     ) -> None:
-        """Send everything to a stream; `drain` waits until its sink has received everything, to bound the memory."""
+        """Send everything to a stream.
+
+        `wait_until_received`, called after each block, waits for the viewer or file and so bounds the memory.
+        """
         from daq.viewing.spectrum_picture import spectrum_picture
 
         stream.send_recording_name(self.recording.scene.name)
         for path, part in self.view.still_parts():
             stream.log(path, part, static=True)
-        page = rr.TextDocument(about(self.recording, self.motion, self.view), media_type="text/markdown")
+        page = rr.TextDocument(markdown_page(self.recording, self.motion, self.view), media_type="text/markdown")
         stream.log("about", page, static=True)
         spectrum = spectrum_picture(self.recording, self.start, self.stop)
         stream.log("spectrum", rr.EncodedImage(contents=spectrum, media_type="image/png"), static=True)
         recording, dampers = self.recording, self.recording.scene.dampers if self.motion.gaps_known else ()
-        traces = Traces(stream, recording.rate, recording.channels, dampers)
+        sender = CurveSender(stream, recording.rate, recording.channels, dampers)
         lines = log_lines(recording, self.start, self.stop)
         if lines:
             text = rr.TextLog.columns(text=[line.text for line in lines], level=[line.level for line in lines])
-            stream.send_columns("test/marks", [traces.times(np.array([line.sample for line in lines]))], text)
+            stream.send_columns("test/marks", [sender.time_column(np.array([line.sample for line in lines]))], text)
         if spans := phases(recording, self.start, self.stop):
-            self._send_lane(stream, traces, "test/phase", spans)
+            self._send_segments(stream, sender, "test/phase", spans)
         for name, segments in overloads(recording, self.start, self.stop).items():
-            self._send_lane(stream, traces, f"{OVERLOADS}/{name}", segments)
+            self._send_segments(stream, sender, f"{OVERLOAD_ENTITY}/{name}", segments)
         total = self.stop - self.start
-        for first in range(self.start, self.stop, BLOCK):
-            last = min(first + BLOCK, self.stop)
+        for first in range(self.start, self.stop, BLOCK_SAMPLES):
+            last = min(first + BLOCK_SAMPLES, self.stop)
             for name in recording.channels:
-                traces.channel(name, first, recording.read(name, first, last))
+                sender.send_channel(name, first, recording.read(name, first, last))
             if dampers:
                 gap, contact = (recording.truth(quantity, first, last) for quantity in ("gap", "contact"))
-                traces.dampers(first, gap, contact)
-            drain()
+                sender.send_dampers(first, gap, contact)
+            wait_until_received()
             if progress is not None:
                 progress(0.8 * (last - self.start) / total, "channels")
         for instants, motion in self.motion.segments(self.start, self.stop, self.step):
-            traces.motion(self.view, instants, motion)
-            drain()
+            sender.send_motion(self.view, instants, motion)
+            wait_until_received()
             if progress is not None and instants.size:
                 progress(0.8 + 0.2 * (int(instants[-1]) - self.start) / total, "motion")
 
-    def _send_lane(self, stream: rr.RecordingStream, traces: Traces, path: str, spans: Sequence[MarkedSlice]) -> None:
-        # Each segment is a separate state with a label; between segments the lane is empty.
-        states = [str(number) for number in range(len(spans))]
-        lane = rr.StateConfiguration(
+    @staticmethod
+    def _send_segments(
+        stream: rr.RecordingStream, sender: CurveSender, entity: str, segments: Sequence[LabelledSegment]
+    ) -> None:
+        # Each segment is a separate state with a label; between segments the timeline is empty.
+        states = [str(number) for number in range(len(segments))]
+        style = rr.StateConfiguration(
             values=[*states, "none"],
-            labels=[*(span.label for span in spans), ""],
-            colors=np.array([*(span.color for span in spans), 0], dtype=np.uint32),
-            visible=[True] * len(spans) + [False],
+            labels=[*(segment.label for segment in segments), ""],
+            colors=np.array([*(segment.color for segment in segments), 0], dtype=np.uint32),
+            visible=[True] * len(segments) + [False],
         )
-        stream.log(path, lane, static=True)
-        changes = {span.stop: "none" for span in spans}
-        changes |= {span.start: state for span, state in zip(spans, states, strict=True)}
+        stream.log(entity, style, static=True)
+        changes = {segment.stop: "none" for segment in segments}
+        changes |= {segment.start: state for segment, state in zip(segments, states, strict=True)}
         samples = np.array(sorted(changes))
         stream.send_columns(
-            path, [traces.times(samples)], rr.StateChange.columns(state=[changes[int(sample)] for sample in samples])
+            entity,
+            [sender.time_column(samples)],
+            rr.StateChange.columns(state=[changes[int(sample)] for sample in samples]),
         )

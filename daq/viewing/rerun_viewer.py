@@ -1,7 +1,7 @@
-"""Starting the rerun viewer: in a window, in the browser, or without either for a picture.
+"""Start the viewer of rerun-sdk, which draws replays: in a window, in a browser, or without a display for a picture.
 
-The viewer binary itself is started, not the `rerun` script around it: ending the script would leave its
-viewer behind. It listens on 127.0.0.1 only.
+The viewer is a child process that receives data and commands on a port of 127.0.0.1. Its binary is started, not the
+script `rerun` around it, because ending the script would leave the viewer running.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ LOOPBACK = "127.0.0.1"
 _MAX_START_S = 30.0
 # Maximum time for loading and drawing, s.
 _MAX_LOAD_S = 300.0
-# Interval of the checks, s.
+# Interval between checks of the viewer's state, s.
 _POLL_S = 0.1
-# A picture is complete if it has not changed for this time, s, and for this multiple of its drawing time.
+# A picture is complete when it has been unchanged for this time, s, and for this multiple of its drawing time.
 _MIN_STILL_S = 2.0
 _STILL_DRAWING_TIMES = 5
-# Size of the compared pictures, points.
+# Size of the pictures that are compared for changes, points.
 _COMPARED_POINTS = 800
-# Maximum time between the last drawn instant and the last sample, s.
-_FRAME_S = 0.02
-_SHORTER = "show a part of it with --from and --to"
+# Largest difference between the duration that the viewer reports and that of the recording, s.
+_END_TOLERANCE_S = 0.02
+_SHOW_PART = "Show a part of it with --from and --to."
 
 
 class Viewer:
@@ -62,23 +62,21 @@ class Viewer:
         """Return the output of the viewer so far."""
         return Path(self._log.name).read_text(encoding="utf-8", errors="replace")
 
-    def ready(self) -> None:
+    def wait_until_ready(self) -> None:
         """Return once the viewer accepts connections; raise `RunError` if it does not start."""
         deadline = time.monotonic() + _MAX_START_S
         while time.monotonic() < deadline:
             if self.process.poll() is not None:
-                raise RunError(_reason_of_end(self.output()))
+                raise RunError(_end_reason(self.output()))
             with socket.socket() as probe:
                 if probe.connect_ex((LOOPBACK, self.port)) == 0:
                     return
             time.sleep(_POLL_S)
-        raise RunError(
-            f"the rerun viewer did not answer within {_MAX_START_S:g} s; its output:\n{_tail(self.output())}"
-        )
+        raise RunError(f"the rerun viewer did not start within {_MAX_START_S:g} s. Its output:\n{_tail(self.output())}")
 
     @contextmanager
     def connected_client(self) -> Iterator[ViewerClient]:
-        """Yield a connection that drives the viewer; raise `RunError` if the viewer ends or stops answering."""
+        """Yield a client that sends commands to the viewer; raise `RunError` if the viewer ends or stops answering."""
         from rerun.experimental import ViewerClient
 
         deadline = time.monotonic() + _MAX_START_S
@@ -102,7 +100,7 @@ class Viewer:
                 self.process.wait(timeout=2.0)
             except subprocess.TimeoutExpired:
                 raise RunError(f"the rerun viewer stopped answering: {error}") from error
-            raise RunError(_reason_of_end(self.output())) from error
+            raise RunError(_end_reason(self.output())) from error
 
 
 @contextmanager
@@ -120,7 +118,7 @@ def viewer(*options: str) -> Iterator[Viewer]:
         process = subprocess.Popen(command, stdout=log, stderr=log, stdin=subprocess.DEVNULL, env=environment)
         running = Viewer(process, port, log)
         try:
-            running.ready()
+            running.wait_until_ready()
             yield running
         finally:
             process.terminate()
@@ -133,15 +131,15 @@ def viewer(*options: str) -> Iterator[Viewer]:
 
 @contextmanager
 def _sigterm_exits() -> Iterator[None]:
-    """Let SIGTERM exit this process regularly, so that the viewer is ended as well."""
+    """Turn SIGTERM into `SystemExit`, so that the viewer is ended with this process."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    previous = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
+        signal.signal(signal.SIGTERM, previous or signal.SIG_DFL)
 
 
 def binary() -> Path:
@@ -152,7 +150,7 @@ def binary() -> Path:
     for name in ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun"):
         if (folder / name).is_file():
             return folder / name
-    raise RunError(f"no rerun viewer in {folder}; install rerun-sdk again, or write a file with --save")
+    raise RunError(f"there is no rerun viewer in {folder}. Install rerun-sdk again, or write a file with --save.")
 
 
 def free_port() -> int:
@@ -167,103 +165,109 @@ def can_open_windows() -> bool:
     return not sys.platform.startswith("linux") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
 
 
-def need_display(instead: str) -> None:
-    """Raise `RunError` with the remedy `instead` where no window can be opened."""
+def require_display(remedy: str) -> None:
+    """Raise `RunError` with a remedy (a sentence) if no window can be opened."""
     if not can_open_windows():
-        raise RunError(f"no display to open the viewer on (neither DISPLAY nor WAYLAND_DISPLAY is set); {instead}")
+        raise RunError(f"no display for the viewer (neither DISPLAY nor WAYLAND_DISPLAY is set). {remedy}")
 
 
-def picture(
+def headless_picture(
     file: Path,
     after_s: float | None,
     size: tuple[int, int] = (1600, 1000),
     duration_s: float = 0.0,
-    last: str | None = None,
+    last_entity: str | None = None,
 ) -> tuple[bytes, list[View]]:
-    """Draw an .rrd or .mcap file without a window; return the rerun views with what each could not draw.
+    """Draw an .rrd or .mcap file without a window; return the PNG, and the views with reports of drawing problems.
 
-    The time cursor is `after_s` after the first datum; the content is at least `duration_s` long, and the viewer waits
-    for the entity `last`. `size` is in points. Raises `RunError` if the file does not load or not all of it is shown.
+    The time cursor is placed `after_s` after the first datum. The picture is taken when the viewer has loaded at least
+    `duration_s` of data and the entity `last_entity`. `size` is in points. Raises `RunError` if loading fails.
     """
     window = ("--headless", "--window-size", f"{size[0]}x{size[1]}")
     with viewer(*window, str(file.resolve())) as running, running.connected_client() as client:
-        recording = _await_loading(client, duration_s, last).recordings[0]
-        line = next((each for each in recording.timelines if each.name == recording.current_timeline), None)
-        if after_s is not None and line is not None and line.start is not None:
-            instant = line.start + round(after_s * 1e9)
-            if line.time_type == "timestamp":
-                client.set_time(line.name, timestamp=np.datetime64(instant, "ns"), play_state="paused")
+        recording = _await_loading(client, duration_s, last_entity).recordings[0]
+        timeline = next(
+            (candidate for candidate in recording.timelines if candidate.name == recording.current_timeline), None
+        )
+        if after_s is not None and timeline is not None and timeline.start is not None:
+            instant = timeline.start + round(after_s * 1e9)
+            if timeline.time_type == "timestamp":
+                client.set_time(timeline.name, timestamp=np.datetime64(instant, "ns"), play_state="paused")
             else:
-                client.set_time(line.name, duration=np.timedelta64(instant, "ns"), play_state="paused")
-        _await_still_picture(client)
-        png = _retry(client.take_screenshot)
+                client.set_time(timeline.name, duration=np.timedelta64(instant, "ns"), play_state="paused")
+        _await_unchanged_picture(client)
+        png = _retry_timeouts(client.take_screenshot)
         # A viewer that is short of memory drops the oldest data.
-        state = _retry(client.get_state)
+        state = _retry_timeouts(client.get_state)
         if not _has_duration(state, duration_s):
-            raise RunError(f"the viewer ran out of memory for {duration_s:.0f} s; {_SHORTER}")
+            raise RunError(f"the viewer's memory is too small for this recording of {duration_s:.0f} s. {_SHOW_PART}")
         return png, state.views
 
 
-def _await_loading(client: ViewerClient, duration_s: float, last: str | None) -> ViewerState:
-    """Wait until the viewer has the whole recording: its first and last instants, and its last entity."""
+def _await_loading(client: ViewerClient, duration_s: float, last_entity: str | None) -> ViewerState:
+    """Wait until the viewer has loaded the whole recording: its duration, and the entity that is sent last."""
     deadline = time.monotonic() + _MAX_LOAD_S
     while time.monotonic() < deadline:
-        state = _retry(client.get_state)
+        state = _retry_timeouts(client.get_state)
         if not state.loading and _has_duration(state, duration_s):
-            if last is None:
+            if last_entity is None:
                 return state
-            schema = _retry(lambda: client.get_recording_schema(entity_path=f"/{last}"))
-            if any(entity.entity_path.strip("/") == last for entity in schema.entities):
+            schema = _retry_timeouts(lambda: client.get_recording_schema(entity_path=f"/{last_entity}"))
+            if any(entity.entity_path.strip("/") == last_entity for entity in schema.entities):
                 return state
         time.sleep(_POLL_S)
-    raise RunError(f"the viewer did not load the recording within {_MAX_LOAD_S:g} s; {_SHORTER}")
+    raise RunError(f"the viewer did not load the recording within {_MAX_LOAD_S:g} s. {_SHOW_PART}")
 
 
-def _retry(ask: Callable[[], T]) -> T:
-    """Repeat a request that timed out: drawing without a graphics card is slow."""
+def _retry_timeouts(request: Callable[[], T]) -> T:
+    """Return the answer of a request, repeated while it times out: drawing without a graphics card is slow."""
     deadline = time.monotonic() + _MAX_LOAD_S
     while True:
         try:
-            return ask()
+            return request()
         except Exception as error:
             if "deadline" not in str(error).lower() or time.monotonic() > deadline:
                 raise
 
 
 def _has_duration(state: ViewerState, duration_s: float) -> bool:
-    """Return whether the times of the recording have the expected range."""
+    """Return whether a timeline of the recording covers the expected duration."""
     return bool(state.recordings) and any(
-        line.start is not None and line.end and line.end - line.start >= (duration_s - _FRAME_S) * 1e9
-        for line in state.recordings[0].timelines
+        timeline.start is not None
+        and timeline.end
+        and timeline.end - timeline.start >= (duration_s - _END_TOLERANCE_S) * 1e9
+        for timeline in state.recordings[0].timelines
     )
 
 
-def _await_still_picture(client: ViewerClient) -> None:
-    """Wait until the picture does not change any more: fonts, plots and images appear over several frames.
+def _await_unchanged_picture(client: ViewerClient) -> None:
+    """Wait until the picture no longer changes: fonts, plots and images appear over several frames.
 
-    On a busy machine a long trace arrives in pieces, with pictures in between that look complete.
+    On a busy machine a long trace arrives in pieces, and a picture between two pieces looks complete.
     """
-    before, since = b"", time.monotonic()
+    previous, unchanged_since = b"", time.monotonic()
     deadline = time.monotonic() + _MAX_LOAD_S
     while time.monotonic() < deadline:
-        began = time.monotonic()
-        now = _retry(lambda: client.take_screenshot(max_size=_COMPARED_POINTS))
-        if now != before:
-            before, since = now, began
+        request_start = time.monotonic()
+        current = _retry_timeouts(lambda: client.take_screenshot(max_size=_COMPARED_POINTS))
+        if current != previous:
+            previous, unchanged_since = current, request_start
         # A viewer that draws slowly also needs longer for the next part of the picture.
-        elif began - since >= max(_MIN_STILL_S, _STILL_DRAWING_TIMES * (time.monotonic() - began)):
+        elif request_start - unchanged_since >= max(
+            _MIN_STILL_S, _STILL_DRAWING_TIMES * (time.monotonic() - request_start)
+        ):
             return
         time.sleep(_POLL_S)
-    raise RunError(f"the viewer's picture did not come to rest within {_MAX_LOAD_S:g} s; {_SHORTER}")
+    raise RunError(f"the viewer did not finish its picture within {_MAX_LOAD_S:g} s. {_SHOW_PART}")
 
 
-def _reason_of_end(output: str) -> str:
+def _end_reason(output: str) -> str:
     if "graphics adapter" in output or "render context" in output:
         return (
-            "the viewer found no graphics device (Vulkan); on Debian and Ubuntu "
-            "`apt-get install mesa-vulkan-drivers libvulkan1` installs one that needs no graphics card"
+            "the viewer found no graphics device (Vulkan). Install one; a graphics card is not needed: on Debian and "
+            "Ubuntu, `apt-get install mesa-vulkan-drivers libvulkan1`"
         )
-    return f"the rerun viewer ended at once; its output:\n{_tail(output)}"
+    return f"the rerun viewer ended unexpectedly. Its output:\n{_tail(output)}"
 
 
 def _tail(text: str, lines: int = 12) -> str:

@@ -1,4 +1,4 @@
-"""The call `daq.replay`: a recording in the viewer, as a file for it, or as a picture."""
+"""The function `daq.replay`: show a recording in the viewer, write a file for the viewer, or draw a picture."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ def replay(
     screenshot : str or Path, optional
         Picture (.png) to draw instead; needs no display.
     web : bool
-        Whether to show it in a browser on this machine, until interrupted.
+        Whether to show the recording in a browser on this machine, until interrupted.
     at : float, optional
-        Time of the picture, s; by default where the dampers fly highest.
+        Time of the picture, s; by default that of the largest damper gaps, or of the largest displacement.
     from_s, to_s : float, optional
-        Segment of the recording, s.
+        Start and end of the shown segment, s from the start of the recording.
     speed : float
         Playback speed; 0.1 is slow motion.
     overwrite : bool
@@ -67,7 +67,7 @@ def replay(
         If there is no display, the viewer does not start, or the file cannot be written.
     """
     if sum([save is not None, screenshot is not None, web]) > 1:
-        raise SceneError("choose one of --save, --screenshot and --web")
+        raise SceneError("--save, --screenshot and --web exclude each other: choose one of them.")
     if at is not None and screenshot is None:
         raise SceneError("--at requires --screenshot. Add --screenshot FILE.png, or leave out --at.")
     if speed != 1.0 and screenshot is not None:
@@ -78,21 +78,21 @@ def replay(
                 opened, save=save, screenshot=screenshot, web=web, at=at, from_s=from_s, to_s=to_s, speed=speed,
                 overwrite=overwrite, announce=announce, progress=progress,
             )  # fmt: skip
-    part = Replay(recording, from_s, to_s, speed)
+    segment = Replay(recording, from_s, to_s, speed)
     with allow_overwriting(overwrite):
         if save is not None:
             target = as_path(save, "save")
-            outputs.save(part, target, progress)
+            outputs.save(segment, target, progress)
             announce(f"{target}: {target.stat().st_size / 1e6:.1f} MB; to look at it: rerun {target}")
             return target
         if screenshot is not None:
             target = as_path(screenshot, "screenshot")
-            picture = outputs.draw_picture(part, target, at, progress)
-            announce(f"{target}: the rig at {picture:.3f} s")
+            drawn_at_s = outputs.draw_picture(segment, target, at, progress)
+            announce(f"{target}: the rig at {drawn_at_s:.3f} s")
             return target
     if web:
         with suppress(KeyboardInterrupt):
-            outputs.show(part, outputs.server(announce), progress)
+            outputs.show(segment, outputs.server(announce), progress)
     else:
-        outputs.show(part, outputs.window(outputs.WITHOUT_DISPLAY), progress)
+        outputs.show(segment, outputs.window(outputs.NO_DISPLAY_REMEDY), progress)
     return None

@@ -14,9 +14,9 @@ from rig.escaping import escape_figure
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-# Length of a segment: the resolution is 0.25 Hz.
+# Duration of a segment: the frequency resolution is 0.25 Hz.
 _SEGMENT_S = 4.0
-# Largest number of segments, for a bounded time.
+# Largest number of segments, which bounds the computing time of long recordings.
 _MAX_SEGMENTS = 200
 _BACKGROUND = "#16181d"
 _FOREGROUND = "#c8ccd4"
@@ -25,30 +25,30 @@ _FOREGROUND = "#c8ccd4"
 def peak_spectrum(
     recording: Recording, channel: str, start: int, stop: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return frequencies (Hz, without 0) and the largest peak amplitude over Hann-windowed segments of a channel.
+    """Return frequencies (Hz, without 0) and, at each, the largest amplitude over Hann-windowed segments of a channel.
 
-    A tone of amplitude A gives A, a sweep its envelope over frequency. Segments of up to 4 s overlap by half; of a long
-    recording `_MAX_SEGMENTS` are used, evenly spread. The amplitude is NaN if every segment has lost
-    samples.
+    The amplitude is in the unit of the channel: a tone of amplitude A gives A, a sweep its envelope over frequency.
+    Segments of up to 4 s overlap by half; in a long recording, `_MAX_SEGMENTS` are evenly spread. The amplitude is
+    NaN if every segment has lost samples.
     """
-    length = max(8, min(stop - start, round(_SEGMENT_S * recording.rate)))
-    segments = min(_MAX_SEGMENTS, max(1, 2 * (stop - start) // length - 1))
-    firsts = np.linspace(start, max(start, stop - length), segments).astype(np.int64)
-    window = np.hanning(length + 1)[:-1]
-    largest = np.full(length // 2, np.nan)
-    for first in firsts:
-        samples = recording.read(channel, int(first), int(first) + length)
-        if samples.size < length or np.isnan(samples).any():
+    segment_length = max(8, min(stop - start, round(_SEGMENT_S * recording.rate)))
+    segment_count = min(_MAX_SEGMENTS, max(1, 2 * (stop - start) // segment_length - 1))
+    segment_starts = np.linspace(start, max(start, stop - segment_length), segment_count).astype(np.int64)
+    window = np.hanning(segment_length + 1)[:-1]
+    peak_amplitude = np.full(segment_length // 2, np.nan)
+    for segment_start in segment_starts:
+        samples = recording.read(channel, int(segment_start), int(segment_start) + segment_length)
+        if samples.size < segment_length or np.isnan(samples).any():
             continue
-        lines = np.abs(np.fft.rfft((samples - samples.mean()) * window))[1 : length // 2 + 1]
-        largest = np.fmax(largest, 2.0 * lines / window.sum())
-    return np.arange(1, length // 2 + 1) * recording.rate / length, largest
+        magnitudes = np.abs(np.fft.rfft((samples - samples.mean()) * window))[1 : segment_length // 2 + 1]
+        peak_amplitude = np.fmax(peak_amplitude, 2.0 * magnitudes / window.sum())
+    return np.arange(1, segment_length // 2 + 1) * recording.rate / segment_length, peak_amplitude
 
 
 def spectrum_picture(recording: Recording, start: int, stop: int, size: tuple[int, int] = (760, 440)) -> bytes:
     """Draw the spectra of all channels, one panel for each quantity, as a PNG.
 
-    Dotted lines mark the natural frequencies of the bare structure.
+    Dotted lines mark the natural frequencies of the structure without dampers.
     """
     from matplotlib.figure import Figure
 
@@ -59,17 +59,17 @@ def spectrum_picture(recording: Recording, start: int, stop: int, size: tuple[in
     figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor=_BACKGROUND, layout="constrained")
     panels = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
     for panel, (quantity, unit) in zip(panels, quantities, strict=True):
-        members = {name: info for name, info in recording.channels.items() if info.quantity == quantity}
-        spectra = {name: peak_spectrum(recording, name, start, stop) for name in members}
+        channels = {name: info for name, info in recording.channels.items() if info.quantity == quantity}
+        spectra = {name: peak_spectrum(recording, name, start, stop) for name in channels}
         frequency = next(iter(spectra.values()))[0]
         in_range = (frequency >= 1.0) & (frequency <= max(100.0, 8 * natural_hz[-1]))
         for name, (_, amplitude) in spectra.items():
-            color = tuple(level / 255 for level in channel_color(members[name].at))
+            color = tuple(component / 255 for component in channel_color(channels[name].at))
             panel.loglog(
                 frequency[in_range], amplitude[in_range], color=color, label=escape_figure(name), linewidth=1.0
             )
-        for line in natural_hz[natural_hz > 1.0]:
-            panel.axvline(line, color=_FOREGROUND, linewidth=0.8, linestyle=":", alpha=0.7)
+        for natural_frequency in natural_hz[natural_hz > 1.0]:
+            panel.axvline(natural_frequency, color=_FOREGROUND, linewidth=0.8, linestyle=":", alpha=0.7)
         panel.set_ylabel(f"{quantity} [{unit}]", color=_FOREGROUND)
         panel.set_facecolor(_BACKGROUND)
         panel.grid(which="both", color=_FOREGROUND, alpha=0.10)

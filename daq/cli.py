@@ -69,7 +69,7 @@ def record(
     anyway: Annotated[bool, _option(None, "Start a test even if it is expected to abort.", "--anyway")] = False,
 ) -> None:
     """Run the tests of scenes and record them. Ctrl-C ends a test early (exit code 130) and keeps the recording."""
-    from daq.foresight.announcement import refuse_certain_abort
+    from daq.foresight.announcement import reject_certain_abort
     from daq.foresight.foresee import foresee
     from daq.measurement.estimate import check_resources, estimate
     from daq.measurement.run_report import is_recorded, record_and_report
@@ -95,7 +95,7 @@ def record(
         foresight = foresee(scene_settings)
         print(f"{foresight}\n", file=sys.stderr)
         if not anyway:
-            refuse_certain_abort(scene, foresight)
+            reject_certain_abort(scene, foresight)
         if code := record_and_report(scene, scene_settings, path, overwrite, block):
             raise typer.Exit(code)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.recording.layout import refuse_reversed
+from daq.recording.layout import require_ordered_times
 from rig.arrays import Array
 from rig.errors import RecordingError, SceneError
 
@@ -46,7 +46,7 @@ class Slice:
             if name not in recording.channels:
                 available = ", ".join(recording.channels)
                 raise SceneError(f"{recording.path}: no channel {name!r}. Choose one of {available}.")
-        refuse_reversed(from_s, to_s)
+        require_ordered_times(from_s, to_s)
         start = 0 if from_s is None else max(0, math.ceil(from_s * recording.rate))
         stop = recording.samples if to_s is None else min(recording.samples, math.ceil(to_s * recording.rate))
         if start >= stop:

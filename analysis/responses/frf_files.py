@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from analysis.responses.curve_checks import reversed_force
 from daq.importing import uff
 from daq.importing.files import signals_of
-from daq.importing.units import meaning
+from daq.importing.units import quantity_and_scale
 from rig.arrays import Array
 from rig.errors import RecordingError, SceneError
 from rig.input_files import as_path
@@ -198,7 +198,7 @@ def _ratio(where: str, unit: str) -> tuple[str, float]:
         if tail := re.fullmatch(r"(.+)/\((N) (s|s\^2|s²)\)", unit.strip()):
             numerator, denominator = f"{tail[1]}/{tail[3]}", tail[2]
         try:
-            (motion, motion_unit), (force, force_unit) = meaning(numerator), meaning(denominator)
+            (motion, motion_unit), (force, force_unit) = quantity_and_scale(numerator), quantity_and_scale(denominator)
         except ValueError:
             continue
         if motion in MOTIONS and force == "force":

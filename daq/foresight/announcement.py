@@ -1,4 +1,4 @@
-"""Foresight for `rig explain`, `rig design` and the start of `daq record`."""
+"""The predicted test as text for `rig explain` and `rig design`, and the check at the start of `daq record`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rig.scene.scene import Scene
 
 
 def foresight_text(scene: Scene) -> str:
-    """Describe the predicted test of a scene; empty for a scene without a test."""
+    """Return the predicted test of a scene as text; empty for a scene without a test."""
     if scene.test is None:
         return ""
     try:
@@ -18,14 +18,14 @@ def foresight_text(scene: Scene) -> str:
         return f"the test cannot be run: {error}"
 
 
-def refuse_certain_abort(name: str, foreseen: Foresight) -> None:
-    """Reject a test that will abort."""
-    if foreseen.aborts is None:
+def reject_certain_abort(name: str, foresight: Foresight) -> None:
+    """Raise `SceneError` if the test will abort."""
+    if foresight.aborts is None:
         return
-    level = ""
-    if foreseen.limited_by is not None and foreseen.largest_level < foreseen.level:
-        level = f"Lower {foreseen.key}, raise the limit, or "
+    remedy = ""
+    if foresight.limited_by is not None and foresight.largest_level < foresight.level:
+        remedy = f"Lower {foresight.key}, raise the limit, or "
     raise SceneError(
-        f"{name}: the test will abort ({foreseen.aborts}). {level or 'Raise the limit, or '}record it up to that "
+        f"{name}: the test will abort ({foresight.aborts}). {remedy or 'Raise the limit, or '}record it up to that "
         "point with --anyway."
     )

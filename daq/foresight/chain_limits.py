@@ -1,4 +1,4 @@
-"""The limits of a measuring chain, and the same scene without them."""
+"""The limits of a measuring chain (sensor, integrator, converter input), and the scene without them."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from rig.scene.measurement_chain import Channel
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 
-# A limit that no test reaches, in any unit. The device keeps its states, unlike a device without a limit.
+# A limit that no test reaches, in any unit. It replaces a limit, because without one the device may have other states.
 _NO_LIMIT = 1e8
 # Largest word length of a converter, bits.
 _MAX_BITS = 32
 
 
 def reading_limit(channel: Channel | None, info: ChannelInfo) -> tuple[float, str]:
-    """Return the smallest limit of a channel in its unit, and the part that has it; infinite if none."""
+    """Return the smallest limit of a channel in its unit (infinite without one), and the part that has it."""
     limits, sensitivity = [(np.inf, "")], abs(info.sensitivity)
     if info.range is not None:
         limits.append((info.range / sensitivity, f"input of {info.range:g} V"))
@@ -34,18 +34,20 @@ def reading_limit(channel: Channel | None, info: ChannelInfo) -> tuple[float, st
 
 
 def without_limits(scene: Scene) -> Scene:
-    """Remove the limits that clip a reading or end a test; noise, resolution and linear parts stay."""
-    converter, completed = scene.converter, complete_from_preset(scene.converter)
-    if completed.range is not None and completed.bits is None:
+    """Return the scene without limits that clip a reading or end a test; noise and resolution are unchanged."""
+    converter, converter_settings = scene.converter, complete_from_preset(scene.converter)
+    if converter_settings.range is not None and converter_settings.bits is None:
         converter = converter.replace(range=_NO_LIMIT)
-    elif completed.range is not None and completed.bits is not None:
-        # The size of a count does not change.
-        converter = converter.replace(range=completed.range * 2.0 ** (_MAX_BITS - completed.bits), bits=_MAX_BITS)
-    channels = None if scene.channels is None else tuple(_without_limits(channel) for channel in scene.channels)
+    elif converter_settings.range is not None and converter_settings.bits is not None:
+        # The size of a count must not change.
+        converter = converter.replace(
+            range=converter_settings.range * 2.0 ** (_MAX_BITS - converter_settings.bits), bits=_MAX_BITS
+        )
+    channels = None if scene.channels is None else tuple(_channel_without_limits(channel) for channel in scene.channels)
     return scene.replace(channels=channels, converter=converter)
 
 
-def _without_limits(channel: Channel) -> Channel:
+def _channel_without_limits(channel: Channel) -> Channel:
     changes: dict[str, object] = {"abort": None, "alarm": None}
     for name in ("accelerometer", "hammer"):
         sensor = getattr(channel, name)

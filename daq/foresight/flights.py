@@ -1,4 +1,4 @@
-"""Dampers in flight during a test, and modes outside its band."""
+"""Predict at which frequencies dampers leave their floors in a test, and list the modes outside its band."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import accelerations_per_level
 from rig.system.structural_model import structural_model
 
-# Frequencies of a sweep at which the acceleration is compared with gravity.
+# Number of frequencies of a sweep at which the acceleration is compared with gravity.
 _N_FREQUENCIES = 400
 # Largest number of listed modes.
 _MAX_LISTED_MODES = 5
@@ -30,7 +30,7 @@ def onset_level(scene: Scene, system: HybridSystem) -> float:
 
 
 def _acceleration_per_level(scene: Scene, system: HybridSystem, frequencies: Array) -> Array:
-    """Return the acceleration under each moving damper per unit of level, all on floors; (dampers, frequencies)."""
+    """Return the acceleration under each damper per unit of level, with all on floors; (dampers, frequencies)."""
     if not system.dampers or not isinstance(scene.test, Sine | SteppedSine | SweptSine):
         return np.zeros((0, 0))
     try:
@@ -39,20 +39,20 @@ def _acceleration_per_level(scene: Scene, system: HybridSystem, frequencies: Arr
         return np.zeros((0, 0))
 
 
-def flight_lines(scene: Scene, system: HybridSystem, level: float, parts: Sequence[Rehearsal]) -> tuple[str, ...]:
-    """State for each moving damper whether it flies, and at which frequencies or time."""
+def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: Sequence[Rehearsal]) -> tuple[str, ...]:
+    """Return lines that state for each damper whether it flies, and at which frequencies or time."""
     frequencies = test_frequencies(scene.test, _N_FREQUENCIES)
-    above = level * _acceleration_per_level(scene, system, frequencies) > system.gravity
+    exceeds_gravity = level * _acceleration_per_level(scene, system, frequencies) > system.gravity
     names_by_range: dict[str, list[str]] = {}
     for row, number in enumerate(system.damper_number.tolist()):
-        impacts = [(part, time) for part in parts for time in part.impact_times[number - 1]]
+        impacts = [(rehearsal, time) for rehearsal in rehearsals for time in rehearsal.impact_times[number - 1]]
         flight_range = ""
-        if above.size:
-            # By the linear response, or by an impact in the rehearsal.
-            impact_tones = {part.frequency_at(round(time * part.rate)) for part, time in impacts} - {None}
-            has_impact = [any(abs(f - tone) < 1e-3 * f for tone in impact_tones if tone) for f in frequencies]
-            flags = above[row] | np.array(has_impact)
-            flight_range = f" at {format_frequencies(frequencies.tolist(), flags.tolist())}" if flags.any() else ""
+        if exceeds_gravity.size:
+            # A damper flies by the linear response, or by an impact in a rehearsal.
+            at_impacts = {rehearsal.frequency_at(round(time * rehearsal.rate)) for rehearsal, time in impacts} - {None}
+            has_impact = [any(abs(f - tone) < 1e-3 * f for tone in at_impacts if tone) for f in frequencies]
+            flies = exceeds_gravity[row] | np.array(has_impact)
+            flight_range = f" at {format_frequencies(frequencies.tolist(), flies.tolist())}" if flies.any() else ""
         elif impacts:
             flight_range = f" first at {min(time for _, time in impacts):.2f} s"
         names_by_range.setdefault(flight_range, []).append(f"damper {number} (body {scene.dampers[number - 1].body})")
@@ -64,14 +64,14 @@ def flight_lines(scene: Scene, system: HybridSystem, level: float, parts: Sequen
 
 
 def outside_band(scene: Scene) -> tuple[str, ...]:
-    """List the natural frequencies of the structure outside a test's band."""
+    """Return a line with the natural frequencies outside the band of the test, or nothing."""
     band = test_band(scene.test)
     if band is None or isinstance(scene.test, Sine):
         return ()
     modes = structural_model(scene).modes.frequency
-    outside = [(k, mode) for k, mode in enumerate(modes.tolist(), 1) if not band[0] <= mode <= band[1]]
-    if not outside:
+    modes_outside = [(k, mode) for k, mode in enumerate(modes.tolist(), 1) if not band[0] <= mode <= band[1]]
+    if not modes_outside:
         return ()
-    listed = ", ".join(f"{k} at {mode:.4g} Hz" for k, mode in outside[:_MAX_LISTED_MODES])
-    remainder = f" and {len(outside) - _MAX_LISTED_MODES} more" if len(outside) > _MAX_LISTED_MODES else ""
+    listed = ", ".join(f"{k} at {mode:.4g} Hz" for k, mode in modes_outside[:_MAX_LISTED_MODES])
+    remainder = f" and {len(modes_outside) - _MAX_LISTED_MODES} more" if len(modes_outside) > _MAX_LISTED_MODES else ""
     return (f"outside {format_number(band[0])} to {format_number(band[1])} Hz: mode {listed}{remainder}",)

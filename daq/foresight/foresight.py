@@ -24,18 +24,18 @@ class Expectation:
 
     name: str
     unit: str
-    largest: float  # without limits
-    frequency: float | None = None  # of the maximum, Hz
-    time: float | None = None  # of the maximum, from the start of the test, s
+    largest: float  # largest value if there were no limits
+    frequency: float | None = None  # frequency of the maximum, Hz
+    time: float | None = None  # time of the maximum from the start of the test, s
     limit: float = np.inf
-    limited_by: str = ""  # the part with this limit
+    limited_by: str = ""  # part that has this limit
     overloaded: bool = False
-    recorded: float = np.nan  # largest reading in the recording, of a channel
-    driven: float | None = None  # part that grows with the level, without power-on transient; None: all
+    recorded: float = np.nan  # largest reading in the recording; only for a channel
+    driven: float | None = None  # largest value without the power-on transient; None: the same as `largest`
 
     @property
     def driven_share(self) -> float:
-        """Share of the limit that grows with the level."""
+        """Ratio of the maximum, without the power-on transient, to the limit: it grows with the level."""
         return self.share if self.driven is None else self.driven / self.limit
 
     @property
@@ -48,20 +48,20 @@ class Expectation:
 
     @property
     def place(self) -> str:
-        """Frequency or time, in words."""
+        """Frequency or time of the maximum, as text."""
         if self.frequency is not None:
             return f"{self.frequency:.4g} Hz"
         return "" if self.time is None else f"{self.time:.2f} s"
 
     def __str__(self) -> str:
         location = "" if not self.place else f" at {self.place}"
-        return f"{self.name}: {in_words(self.largest, self.unit)}{location}"
+        return f"{self.name}: {format_size(self.largest, self.unit)}{location}"
 
 
-def in_words(magnitude: float, unit: str) -> str:
-    """Write a size with its unit: accelerations in g, small lengths in mm or µm.
+def format_size(magnitude: float, unit: str) -> str:
+    """Format a value with its unit: accelerations in g, small lengths in mm or µm.
 
-    >>> in_words(519.8, "m/s^2"), in_words(0.00149, "m"), in_words(2.8, "N")
+    >>> format_size(519.8, "m/s^2"), format_size(0.00149, "m"), format_size(2.8, "N")
     ('53 g', '1.49 mm', '2.8 N')
     """
     if not np.isfinite(magnitude):
@@ -80,20 +80,20 @@ class Foresight(Result):
 
     scene: str
     expectations: tuple[Expectation, ...]  # channels first, then sensors, outputs, amplifier, table
-    key: str  # of the test's level, such as test.force; "" where it has none
+    key: str  # key of the test's level, such as test.force; "" without a level
     level: float
-    largest_level: float  # that fits; NaN without a limit
+    largest_level: float  # largest level without overload; NaN without a limit
     level_unit: str
     limited_by: Expectation | None
-    nonlinear: bool  # dampers fly: `largest_level` is approximate
-    aborts: str | None  # reason for which the test will abort
+    nonlinear: bool  # whether dampers fly, so that `largest_level` is approximate
+    aborts: str | None  # reason why the test will abort; None if it will not
     signals: dict[str, LowestSignalToNoise] = field(default_factory=dict)
-    unread: tuple[str, ...] = ()  # channels below the resolution of the converter
-    flights: tuple[str, ...] = ()
-    seconds: float = 0.0  # that the test takes
+    unread: tuple[str, ...] = ()  # warnings of channels below the resolution of the converter
+    flights: tuple[str, ...] = ()  # lines about dampers in flight
+    seconds: float = 0.0  # duration of the test
     disk: float = 0.0  # size of its recording, bytes
-    rehearsed: str = ""  # the rehearsed part; "" for the whole test
-    outside: tuple[str, ...] = ()  # modes outside the band of the test
+    rehearsed: str = ""  # description of the rehearsed part; "" for the whole test
+    outside: tuple[str, ...] = ()  # line about modes outside the band of the test
 
     @property
     def fits(self) -> bool:
@@ -124,12 +124,12 @@ class Foresight(Result):
         about = "about " if self.nonlinear else ""
         return (
             f"{statement}\n{self.key}: at most {about}"
-            f"{in_words(_round_down(self.largest_level), self.level_unit)} fits "
+            f"{format_size(_round_down(self.largest_level), self.level_unit)} fits "
             f"({self.limited_by.name}, {self.limited_by.limited_by})"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Name, unit, largest value, where, limit, and largest value recorded."""
+        """Return name, unit, largest value, its frequency or time, limit, and largest recorded value."""
         rows = self.expectations
         # None becomes NaN.
         return {
@@ -143,7 +143,7 @@ class Foresight(Result):
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the share of each limit that is used, as bars."""
+        """Draw each maximum as a share of its limit, as bars."""
         limited = [entry for entry in self.expectations if np.isfinite(entry.limit)]
         ax.barh([entry.name for entry in limited], [100.0 * entry.share for entry in limited], **style)
         ax.axvline(100.0, color="black", lw=0.8)
@@ -155,26 +155,26 @@ class Foresight(Result):
         for entry in self.expectations:
             limit, share = "", ""
             if np.isfinite(entry.limit):
-                limit = f"{entry.limited_by}, {in_words(entry.limit, entry.unit)}"
+                limit = f"{entry.limited_by}, {format_size(entry.limit, entry.unit)}"
                 share = "over" if entry.share >= 1.0 else _percent(entry.share)
             signal = str(self.signals[entry.name]) if entry.name in self.signals else ""
-            rows.append((entry.name, in_words(entry.largest, entry.unit), entry.place, limit, share, signal))
+            rows.append((entry.name, format_size(entry.largest, entry.unit), entry.place, limit, share, signal))
         about = "about " if self.rehearsed else ""
-        facts = [*self.unread, *self.flights, *self.outside]
-        facts.append(f"takes {about}{duration_text(self.seconds)} on the bench, about {self.disk / 1e6:.3g} MB")
+        lines = [*self.unread, *self.flights, *self.outside]
+        lines.append(f"takes {about}{duration_text(self.seconds)} on the bench, about {self.disk / 1e6:.3g} MB")
         if self.rehearsed:
-            facts.append(f"rehearsed: {self.rehearsed}")
-        return "\n".join([self.summary(), *facts, "", *table_lines(rows, "<" * len(header))])
+            lines.append(f"rehearsed: {self.rehearsed}")
+        return "\n".join([self.summary(), *lines, "", *table_lines(rows, "<" * len(header))])
 
 
 def _describe_limit(entry: Expectation) -> str:
     return f"{entry}, {entry.limited_by}" + (
-        f" ends at {in_words(entry.limit, entry.unit)}" if entry.unit not in ("V", "A") else ""
+        f" ends at {format_size(entry.limit, entry.unit)}" if entry.unit not in ("V", "A") else ""
     )
 
 
 def _percent(share: float) -> str:
-    """Write a share with two digits.
+    """Format a share with two digits.
 
     >>> _percent(0.3812), _percent(0.00342), _percent(2.1)
     ('38 %', '0.34 %', '210 %')

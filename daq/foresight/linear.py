@@ -1,4 +1,4 @@
-"""The linear response of a scene in its channels, with all dampers on their floors, and its signal-to-noise ratio."""
+"""Linear response of a scene in its channels, with all dampers on their floors, and its signal-to-noise ratio."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import drive_per_level, level_of, riding_response
 
-# Frequencies of a band at which the required drive and the signal-to-noise ratio are computed.
+# Number of frequencies at which the required drive and the signal-to-noise ratio are computed.
 _N_FREQUENCIES = 400
 
 
 def test_band(test: Test | None) -> tuple[float, float] | None:
-    """Band of a test that drives a shaker, Hz; None of others."""
+    """Return the frequency band of a test that drives a shaker, Hz; None for other tests."""
     if isinstance(test, Sine):
         return test.frequency, test.frequency
     if isinstance(test, SteppedSine):
@@ -34,7 +34,7 @@ def test_band(test: Test | None) -> tuple[float, float] | None:
 
 
 def test_frequencies(test: Test | None, points: int) -> Array:
-    """Frequencies of a test, rising, Hz: its tones, or `points` frequencies over its band; none without a band."""
+    """Return the tones of a test, or `points` frequencies over its band, in rising order, Hz; empty without a band."""
     if isinstance(test, Sine):
         return np.array([test.frequency])
     if isinstance(test, SteppedSine):
@@ -48,36 +48,36 @@ def test_frequencies(test: Test | None, points: int) -> Array:
 def states_per_level(scene: Scene, system: HybridSystem, frequencies: Array) -> tuple[ComplexArray, ComplexArray]:
     """Return states (states, frequencies) and drive (frequencies,) for one unit of the test's level."""
     omega = 2.0 * np.pi * frequencies
-    gain = np.broadcast_to(drive_per_level(scene, system, omega), omega.shape).astype(np.complex128)
-    return riding_response(system, scene.at_driven("shaker"), omega) * gain, gain
+    drive_gain = np.broadcast_to(drive_per_level(scene, system, omega), omega.shape).astype(np.complex128)
+    return riding_response(system, scene.at_driven("shaker"), omega) * drive_gain, drive_gain
 
 
 def channel_readings(scene: Scene, channels: Sequence[ChannelInfo], frequencies: Array) -> Array:
-    """Amplitude of each channel for a tone of one unit of level, (channels, frequencies), in its unit."""
+    """Return the amplitude of each channel per unit of the test's level, (channels, frequencies), in its unit."""
     system = assemble(scene)
-    states, gain = states_per_level(scene, system, frequencies)
+    states, drive_gain = states_per_level(scene, system, frequencies)
     readings = np.zeros((len(channels), frequencies.size))
     for row, info in enumerate(channels):
         amplitude: Array
         if info.at in system.points:
-            order = info.derivative or 0
-            amplitude = abs(states[system.points.index(info.at)]) * (2.0 * np.pi * frequencies) ** order
+            derivative_order = info.derivative or 0
+            amplitude = abs(states[system.points.index(info.at)]) * (2.0 * np.pi * frequencies) ** derivative_order
         elif isinstance(scene.test, Impulse):
             continue
         else:
-            amplitude = np.abs(gain)
+            amplitude = np.abs(drive_gain)
         readings[row] = amplitude * abs(info.response(frequencies))
     return readings
 
 
 def required_drive(scene: Scene, system: HybridSystem) -> tuple[float, float] | None:
-    """Largest drive for one unit of the test's level, and its frequency; None for tests other than tones and sweeps."""
+    """Return the largest drive per unit of the test's level and its frequency; None for tests without tone or sweep."""
     frequencies = test_frequencies(scene.test, _N_FREQUENCIES)
     if not frequencies.size or not isinstance(scene.test, Sine | SteppedSine | SweptSine):
         return None
-    gain = abs(states_per_level(scene, system, frequencies)[1])
-    index = int(np.argmax(gain))
-    return float(gain[index]), float(frequencies[index])
+    drive_gain = abs(states_per_level(scene, system, frequencies)[1])
+    index = int(np.argmax(drive_gain))
+    return float(drive_gain[index]), float(frequencies[index])
 
 
 @dataclass(frozen=True)
@@ -92,10 +92,10 @@ class LowestSignalToNoise:
 
 
 def lowest_signal_to_noise(scene: Scene, channels: tuple[ChannelInfo, ...]) -> dict[str, LowestSignalToNoise]:
-    """Compare the linear response with the noise of each channel that has any; by name.
+    """Return the lowest signal-to-noise ratio of each channel with noise, by name, from the linear response.
 
-    The noise is that of a measured tone (lock-in over its time T: sqrt(2 S / T) for a density S), or of a line of
-    the spectrum. Hits and free decays have no such measurement.
+    The noise is that of a measured tone, or of a spectral line. For a noise density S and a lock-in measurement over
+    the time T, it is sqrt(2 S / T). The ratio is not defined for hits and free decays.
     """
     frequencies = test_frequencies(scene.test, _N_FREQUENCIES)
     settings = {channel.name: channel for channel in scene.channels or ()}
@@ -105,19 +105,19 @@ def lowest_signal_to_noise(scene: Scene, channels: tuple[ChannelInfo, ...]) -> d
         amplitudes = channel_readings(scene, channels, frequencies)
     except SceneError:
         return {}
-    amplitude_to_noise = _amplitude_to_noise(scene, frequencies)
+    signal_to_noise_gain = _signal_to_noise_gain(scene, frequencies)
     lowest = {}
     for info, amplitude in zip(channels, amplitudes, strict=True):
         density = _noise_density(scene, settings.get(info.name), info, frequencies)
         if density.any() and amplitude.any():
-            ratio = amplitude * amplitude_to_noise / np.maximum(density, np.finfo(float).tiny)
+            ratio = amplitude * signal_to_noise_gain / np.maximum(density, np.finfo(float).tiny)
             index = int(np.argmin(ratio))
             lowest[info.name] = LowestSignalToNoise(float(ratio[index]), float(frequencies[index]))
     return lowest
 
 
-def _amplitude_to_noise(scene: Scene, frequencies: Array) -> Array:
-    """Ratio of signal to noise in one measurement, for one unit of amplitude per level and of noise density."""
+def _signal_to_noise_gain(scene: Scene, frequencies: Array) -> Array:
+    """Return the signal-to-noise ratio of a measurement for unit amplitude per level and unit noise density."""
     test = scene.test
     level = min(test.levels) if isinstance(test, SteppedSine) else level_of(scene)
     if isinstance(test, Random):
@@ -131,7 +131,7 @@ def _amplitude_to_noise(scene: Scene, frequencies: Array) -> Array:
     if isinstance(test, SteppedSine):
         return np.asarray(level * np.sqrt(test.measure.periods / frequencies / 2.0))
     assert isinstance(test, SweptSine)
-    # A sweep stays within the band that a measurement resolves for the inverse root of its rate.
+    # A sweep of the rate r (Hz/s) stays within its resolution bandwidth sqrt(r) for the time 1 / sqrt(r).
     rate = np.full(frequencies.size, abs(test.to - test.from_) / test.duration)
     if test.spacing == "log":
         rate = frequencies * abs(np.log(test.to / test.from_)) / test.duration
@@ -139,7 +139,7 @@ def _amplitude_to_noise(scene: Scene, frequencies: Array) -> Array:
 
 
 def _noise_density(scene: Scene, channel: Channel | None, info: ChannelInfo, frequencies: Array) -> Array:
-    """Noise density of a channel, in its unit per root of hertz."""
+    """Return the noise density of a channel, in its unit per sqrt(Hz)."""
     converter, noise_power = complete_from_preset(scene.converter), np.zeros(frequencies.size)
     voltage_noise_power = (converter.noise or 0.0) ** 2
     if info.volts_per_count is not None:
@@ -149,9 +149,9 @@ def _noise_density(scene: Scene, channel: Channel | None, info: ChannelInfo, fre
     sensor = None if channel is None else channel.accelerometer
     if sensor is not None:
         data_sheet = complete_from_preset(sensor)
-        integrated = (2.0 * np.pi * frequencies) ** (2 - (info.derivative or 0))
+        integration_factor = (2.0 * np.pi * frequencies) ** (2 - (info.derivative or 0))
         flicker = 1.0 + (data_sheet.noise_corner or 0.0) / frequencies
-        noise_power += ((data_sheet.noise or 0.0) * abs(info.response(frequencies)) / integrated) ** 2 * flicker
+        noise_power += ((data_sheet.noise or 0.0) * abs(info.response(frequencies)) / integration_factor) ** 2 * flicker
     elif channel is not None and channel.hammer is not None:
         noise_power += (complete_from_preset(channel.hammer).noise or 0.0) ** 2
     return np.asarray(np.sqrt(noise_power + voltage_noise_power / info.sensitivity**2))

@@ -1,4 +1,4 @@
-"""Rehearse a test on the virtual bench: extremes of every channel and size of the recording, without recording."""
+"""Rehearse a test on the virtual bench without recording it: extremes of every channel, and size of its recording."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from rig.arrays import Array
 from rig.scene.excitation import SweptSine
 from rig.scene.scene import Scene
 
-# Impacts of a damper within this time after a stored impact are not stored, s.
+# Time after a stored impact of a damper in which its further impacts are not stored, s.
 _MIN_IMPACT_INTERVAL_S = 0.5
-# Duration of the end of a rehearsal whose blocks are stored, s.
+# Duration at the end of a rehearsal whose blocks are stored, s.
 _STORED_END_S = 4.0
 
 
 class Extremes:
-    """Largest magnitude of each row of a quantity so far, and its sample."""
+    """Largest magnitude of each row of a quantity so far, and the number of its sample."""
 
     def __init__(self, rows: int) -> None:
         self.magnitude, self.sample = np.zeros(rows), np.zeros(rows, dtype=np.int64)
@@ -54,9 +54,9 @@ class Step:
 
 
 class Rehearsal(BenchLoop):
-    """A test on the bench without a recording, with its extremes in the unit of each quantity.
+    """A test on the bench that is not recorded; only the extremes of each quantity are stored.
 
-    The extremes exclude the first `excluded_steps` steps.
+    The extremes do not include the first `excluded_steps` steps.
     """
 
     def __init__(self, scene: Scene, excluded_steps: int = 0) -> None:
@@ -65,7 +65,7 @@ class Rehearsal(BenchLoop):
         self.scene, self.rate, self._excluded_steps = scene, bench.rate, excluded_steps
         self.readings = Extremes(len(bench.channels))
         self.overloaded = [False] * len(bench.channels)
-        # Of each input of the rig, before the limits of output and amplifier.
+        # Drive of each input of the rig, before the limits of output and amplifier.
         self.drives = Extremes(len(bench.inputs))
         self.accelerations, self.displacements = Extremes(len(bench.points)), Extremes(len(bench.points))
         self.closing_speed = np.zeros(len(scene.dampers))
@@ -74,23 +74,23 @@ class Rehearsal(BenchLoop):
         self.steps: list[Step] = []
         self.sweep: tuple[int, int] | None = None
         self.seconds, self.complete = 0.0, False
-        # Reason why the test was aborted.
+        # Reason why the test was aborted; None if it was not.
         self.aborted: str | None = None
         self.last_blocks: deque[Block] = deque()
         self._stored_samples = 0
 
     def run(self, max_duration: float) -> Self:
-        """Run the test to its end, to an abort, or up to a duration in s."""
+        """Run the test up to its end, an abort, or a maximum duration in s."""
         test = excitation(self.station)
         try:
             self.complete = self.play(test, next(test), max_duration)
-        except LimitReached as reached:
-            self.aborted = str(reached)
+        except LimitReached as limit_reached:
+            self.aborted = str(limit_reached)
         self.seconds = self.station.now / self.rate
         return self
 
     def frequency_at(self, sample: int) -> float | None:
-        """Frequency of the tone at a sample, Hz; None where the test plays no single tone."""
+        """Return the frequency of the tone at a sample, Hz; None if there is no single tone."""
         test = self.scene.test
         if self.sweep is not None and isinstance(test, SweptSine) and sample >= self.sweep[0]:
             fraction = (sample - self.sweep[0]) / max(1, self.sweep[1] - self.sweep[0])
@@ -102,7 +102,7 @@ class Rehearsal(BenchLoop):
         """Ignore the progress of the test."""
 
     def ending(self, readings: Array) -> BaseException | None:
-        """Return the violation of a limit, unless steps are still excluded."""
+        """Return the error of an exceeded limit, unless steps are still excluded."""
         error = super().ending(readings)
         return None if self._excluded_steps else error
 
@@ -144,7 +144,7 @@ class Rehearsal(BenchLoop):
 
 
 def recording_size(scene: Scene, bench: Bench, blocks: Iterable[Block], seconds: float) -> float:
-    """Estimate the size of the recording of a test of a duration in s from some of its blocks, bytes."""
+    """Return the estimated size in bytes of the recording of a test that takes `seconds`, from some of its blocks."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "size.mcap"
         written_samples = 0

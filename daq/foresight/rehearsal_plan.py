@@ -1,9 +1,9 @@
-"""The parts of a test that determine its extremes, short enough for a rehearsal.
+"""Choose the parts of a test that contain its extremes and are short enough for a rehearsal.
 
-A short test is rehearsed completely. A stepped or swept sine is represented by its beginning, where sensors
-have just been switched on, and by the frequencies about the peaks of the linear response, with the dampers on their
-floors and without dampers. A long random test is represented by its beginning, equal hits by the first, and repeated
-periods by a single period.
+A short test is rehearsed completely. A stepped or swept sine is represented by its beginning, where sensors have just
+been switched on, and by the frequencies about the peaks of the linear response. These peaks are computed with the
+dampers on their floors and without dampers. A long random test is represented by its beginning, equal hits by the first
+hit, and repeated periods by one period.
 """
 
 from __future__ import annotations
@@ -27,10 +27,9 @@ from rig.scene.shaker import ElectrodynamicShaker
 from rig.system.assembly import assemble
 from rig.system.structural_model import structural_model
 
-# CPU time of a rehearsal, approximately.
+# Approximate CPU time of a rehearsal, s.
 _BUDGET_S = 0.7
-# A random test or multisine is rehearsed completely up to this multiple of the budget, because extremes
-# of a part scatter by 10 %.
+# CPU time for a random test or multisine, as a multiple of the budget: extremes of a part of it scatter by 10 %.
 _RANDOM_BUDGET_RATIO = 4.0
 # CPU time of a sample, s; this and the following times were measured on one core of 2 GHz.
 _SAMPLE_S = 130e-9
@@ -44,19 +43,19 @@ _CONTROLLED_PERIOD_S = 1.2e-3
 _FILTER_TIME_RATIO = 2.0
 # CPU time of each element of the state matrix, s.
 _ELEMENT_S = 0.6e-9
-# Time of a step without the decay of transients, s, from the bundled scenes.
+# Duration of a step without the decay of transients, s, measured with the bundled scenes.
 _STEP_S = 1.4
-# Decay of transients in a step, in time constants of the slowest mode, from the bundled scenes.
+# Decay of transients in a step, time constants of the slowest mode, measured with the bundled scenes.
 _STEP_TIME_CONSTANTS = 2.0
-# Longest wait for steady motion in a rehearsal of parts, s.
+# Longest wait for steady state in a rehearsal of parts, s.
 _LONGEST_WAIT_S = 10.0
 # Peaks of the linear response below this ratio to the channel's largest peak are omitted.
 _MIN_PEAK_RATIO = 0.15
-# Groups of frequencies are joined up to this difference of their indices.
+# Largest difference of successive indices of frequencies within a group.
 _MAX_INDEX_GAP = 4
-# Steps before each group whose extremes are excluded: the motion is not yet that of the complete test.
+# Number of steps before each group whose extremes are excluded, because the motion differs from the complete test.
 _EXCLUDED_STEPS = 2
-# Frequencies of the stepped sine that replaces a long sweep.
+# Number of frequencies of the stepped sine that replaces a long sweep.
 _SWEEP_POINTS = 400
 
 
@@ -70,13 +69,13 @@ class RehearsalPlan:
 
 
 def affordable_seconds(scene: Scene) -> float:
-    """Duration on the bench that can be rehearsed within the budget, s."""
+    """Return the duration of a test that can be rehearsed within the budget of CPU time, s."""
     system = assemble(scene)
     channels = system.coordinates if scene.channels is None else len(scene.channels)
     states = system.states + system.dampers
-    channel = _CHANNEL_S * (1.0 if complete_from_preset(scene.converter).filter is None else _FILTER_TIME_RATIO)
-    sample = _SAMPLE_S + _STATE_S * states + _ELEMENT_S * states**2 + channel * channels
-    return _BUDGET_S / (scene.converter.true_rate * oversampling(scene) * sample)
+    channel_cpu_s = _CHANNEL_S * (1.0 if complete_from_preset(scene.converter).filter is None else _FILTER_TIME_RATIO)
+    sample_cpu_s = _SAMPLE_S + _STATE_S * states + _ELEMENT_S * states**2 + channel_cpu_s * channels
+    return _BUDGET_S / (scene.converter.true_rate * oversampling(scene) * sample_cpu_s)
 
 
 def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...]) -> RehearsalPlan:
@@ -101,15 +100,15 @@ def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...]) -> Rehearsal
         share = seconds / expected_seconds(scene.replace(test=single_period))
         part = single_period.replace(realisations=max(1, min(test.realisations, int(share * test.realisations))))
     else:
-        part = _first_hits(test, seconds)
+        part = _with_first_hits(test, seconds)
     return RehearsalPlan(((scene.replace(test=part), 0),))
 
 
 def expected_seconds(scene: Scene) -> float:
-    """Estimate the duration of a test with its waits, s."""
+    """Return the expected duration of a test with its waits for steady state, s."""
     min_duration, test = estimate(scene).seconds, scene.test
     if isinstance(test, Multisine):
-        # A crossfade, and at least two periods until they are equal; with a held force the iterations of its shape.
+        # A crossfade, and at least two periods until they are equal; with force control, the iterations as well.
         return min_duration * (1.0 + 3.0 / test.periods) + (8.0 if controlled_places(scene) else 0.0)
     if not isinstance(test, SteppedSine):
         return min_duration
@@ -117,22 +116,22 @@ def expected_seconds(scene: Scene) -> float:
 
 
 def _expected_wait(scene: Scene) -> float:
-    """Estimate the time between the measurements of a stepped sine, s, from the slowest mode."""
+    """Return the expected time between the measurements of a stepped sine, s, from the slowest mode."""
     assert isinstance(scene.test, SteppedSine)
     modes = structural_model(scene).modes
     longest_time_constant = float(1.0 / max(modes.decay_rate[modes.omega > 0.0].min(initial=np.inf), 1e-3))
     return _STEP_S + min(_STEP_TIME_CONSTANTS * longest_time_constant, scene.test.settle.longest)
 
 
-def _first_hits(test: Impulse, seconds: float) -> Impulse:
-    """Return the test with its first hits only, which later hits repeat, and their bounces."""
-    double, repeats, interval = test.double_hit, max(1, int(seconds / test.interval)), test.interval
+def _with_first_hits(test: Impulse, seconds: float) -> Impulse:
+    """Return the test with its first hits and their bounces only; later hits are equal."""
+    double_hit, repeats, interval = test.double_hit, max(1, int(seconds / test.interval)), test.interval
     if test.interval >= seconds:
-        interval = max(seconds, 2.0 * (test.width + (0.0 if double is None else double.after)))
-    if double is not None and double.hits is not None:
-        hits = tuple(hit for hit in double.hits if hit <= repeats)
-        double = double.replace(hits=hits) if hits else None
-    return test.replace(repeats=repeats, interval=interval, double_hit=double)
+        interval = max(seconds, 2.0 * (test.width + (0.0 if double_hit is None else double_hit.after)))
+    if double_hit is not None and double_hit.hits is not None:
+        hits = tuple(hit for hit in double_hit.hits if hit <= repeats)
+        double_hit = double_hit.replace(hits=hits) if hits else None
+    return test.replace(repeats=repeats, interval=interval, double_hit=double_hit)
 
 
 def plan_about_peaks(
@@ -157,9 +156,9 @@ def plan_about_peaks(
     groups = np.split(indices, np.flatnonzero(np.diff(indices) > _MAX_INDEX_GAP) + 1)
     if direction == "down":
         groups = groups[::-1]
-    beginning = [frequencies.size - 2, frequencies.size - 1] if direction == "down" else [0, 1]
+    first_indices = [frequencies.size - 2, frequencies.size - 1] if direction == "down" else [0, 1]
     parts: list[tuple[Scene, int]] = []
-    for group_indices in (np.clip(beginning, 0, frequencies.size - 1), *groups):
+    for group_indices in (np.clip(first_indices, 0, frequencies.size - 1), *groups):
         first, last, is_beginning = int(group_indices[0]), int(group_indices[-1]), not parts
         if direction != "down" and not is_beginning:
             first = max(first - _EXCLUDED_STEPS, 0)
@@ -167,14 +166,14 @@ def plan_about_peaks(
             last = min(last + _EXCLUDED_STEPS, frequencies.size - 1)
         group = np.unique(frequencies[first : last + 1]).tolist()
         excluded_steps = last - int(group_indices[-1]) if direction == "down" else int(group_indices[0]) - first
-        # A part with the first tone of the test begins as the test does.
+        # A part with the first tone of the test starts as the test does, with the power-on transient of the sensors.
         part = _with_settled_bias(scene) if excluded_steps else scene
         parts.append((part.replace(test={**settings, "frequencies": group}), excluded_steps))
     return RehearsalPlan(tuple(parts))
 
 
 def _with_settled_bias(scene: Scene) -> Scene:
-    """Return the scene long after power-on of the sensors: the bias has settled, to zero behind a high-pass."""
+    """Return the scene with the settled bias of its sensors, long after power-on; it is zero behind a high-pass."""
     if scene.channels is None:
         return scene
     channels = []
@@ -184,8 +183,10 @@ def _with_settled_bias(scene: Scene) -> Scene:
             has_high_pass = input_settings(scene.converter, channel).coupling == "AC" or (
                 amplifier is not None and amplifier.low_cutoff is not None
             )
-            settled = complete_from_preset(sensor).replace(preset=None, bias_settling=None)
-            channel = channel.replace(accelerometer=settled.replace(bias=0.0) if has_high_pass else settled)
+            settled_sensor = complete_from_preset(sensor).replace(preset=None, bias_settling=None)
+            channel = channel.replace(
+                accelerometer=settled_sensor.replace(bias=0.0) if has_high_pass else settled_sensor
+            )
         channels.append(channel)
     return scene.replace(channels=tuple(channels))
 
@@ -193,15 +194,15 @@ def _with_settled_bias(scene: Scene) -> Scene:
 def _peak_indices(
     scene: Scene, channels: tuple[ChannelInfo, ...], frequencies: Array, max_count: int
 ) -> NDArray[np.intp]:
-    """Return indices of ascending frequencies: the peaks of the linear response, then their neighbors."""
+    """Return the sorted indices of at most `max_count` frequencies: peaks of the linear response, and neighbours."""
     peak_heights: dict[int, float] = {}
     for dampers in dict.fromkeys((scene.dampers, ())):
-        for curve in channel_readings(scene.replace(dampers=dampers), channels, frequencies):
-            largest = float(curve.max(initial=0.0))
-            padded = np.concatenate([[-1.0], curve, [-1.0]])
+        for readings in channel_readings(scene.replace(dampers=dampers), channels, frequencies):
+            largest = float(readings.max(initial=0.0))
+            padded = np.concatenate([[-1.0], readings, [-1.0]])
             peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
-            for peak in peaks[curve[peaks] >= _MIN_PEAK_RATIO * largest].tolist():
-                peak_heights[peak] = max(peak_heights.get(peak, 0.0), curve[peak] / largest if largest else 0.0)
+            for peak in peaks[readings[peaks] >= _MIN_PEAK_RATIO * largest].tolist():
+                peak_heights[peak] = max(peak_heights.get(peak, 0.0), readings[peak] / largest if largest else 0.0)
     ranked = sorted(peak_heights, key=lambda peak: -peak_heights[peak])[:max_count]
     indices = set(ranked)
     distance = 1
@@ -215,7 +216,7 @@ def _peak_indices(
 
 
 def level_key(scene: Scene) -> tuple[str, float, str]:
-    """Key of the test's level in the scene, the highest level, and its unit; ("", nan, "") without a level."""
+    """Return the key of the test's level, the highest level, and its unit; ("", nan, "") without a level."""
     test = scene.test
     if isinstance(test, Impulse):
         return "test.peak", test.peak, "N"
@@ -239,7 +240,10 @@ def with_level(scene: Scene, level: float) -> Scene:
 
 
 def tones_up_to(scene: Scene, frequency: float | None, seconds: float) -> tuple[Scene | None, int]:
-    """Return the scene with the tones of its test just before a frequency, or unchanged if its test is short."""
+    """Return a scene that tests only up to a frequency, and its number of steps to exclude; None if too long.
+
+    Of a stepped sine, the tones just before the frequency remain; a short test is not changed.
+    """
     test = scene.test
     if isinstance(test, SteppedSine) and frequency is not None:
         order = list(test.order)

@@ -1,4 +1,4 @@
-"""Assignment of signals to channels, and the scale of their numbers in the channel's unit."""
+"""Assign the signals of files to the channels of a scene, and determine the factor from their numbers to volts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from daq.dsp.skew import delays
 from daq.importing.channel_table import EXAMPLE, Column
 from daq.importing.signal import Signal
-from daq.importing.units import meaning
+from daq.importing.units import quantity_and_scale
 from daq.recording.truth import points_of
 from daq.signal_chain.chain import default_channels
 from daq.signal_chain.channel import ChannelInfo, Quantity
@@ -22,22 +22,22 @@ from rig.scene.presets import complete_from_preset, input_settings
 from rig.scene.quantities import ACCELERATION_SENSITIVITY, FORCE_SENSITIVITY, parse
 from rig.scene.scene import Scene
 
-# Units whose sizes differ by a smaller share are the same, written with fewer digits.
-_SAME_UNIT = 1e-3
-# Orders of integration of an ideal channel that reads a velocity or a displacement, as a laser sensor does.
+# Relative difference below which two units are the same, written with different numbers of digits.
+_UNIT_TOLERANCE = 1e-3
+# Integrations of an ideal channel that measures velocity or displacement, as a laser sensor does.
 _INTEGRATION_ORDERS: dict[Quantity, int] = {"velocity": 1, "displacement": 2}
 
 
 @dataclass(frozen=True)
-class Assigned:
-    """A channel and the source of its samples."""
+class AssignedSignal:
+    """A signal with its channel and the factor to volts: recordings contain the volts at the converter."""
 
-    channel: Channel  # as in the scene; with the ideal integrator for a velocity or a displacement
+    channel: Channel  # the scene's, with an ideal integrator if the signal is a velocity or a displacement
     info: ChannelInfo
     signal: Signal
     column: Column
-    factor: float  # Volts at the converter per number of the file, less the offset: recordings hold volts
-    calibrated: bool  # Whether the sensitivity is known, so that these are the converter's volts
+    factor: float  # volts at the converter per unit of the file, after subtraction of the offset
+    calibrated: bool  # whether the sensitivity is known, so that these are the volts of the real converter
 
     def volts(self, start: int, stop: int) -> Array:
         """Read samples as volts at the converter."""
@@ -45,34 +45,38 @@ class Assigned:
 
 
 @dataclass(frozen=True)
-class Choice:
-    """A channel of the scene, its position from 0, and its signal."""
+class ChosenSignal:
+    """A channel of the scene, its position in the scene from 0, its signal, and the line of the table."""
 
     channel: Channel
-    place: int
+    position: int
     signal: Signal
     column: Column
 
 
-def choose(scene: Scene, signals: Sequence[Signal], table: Mapping[str, Column]) -> tuple[list[Choice], list[str]]:
-    """Choose the signal of each channel of the scene, by the table or by name; return also notes on the others.
+def choose_signals(
+    scene: Scene, signals: Sequence[Signal], table: Mapping[str, Column]
+) -> tuple[list[ChosenSignal], list[str]]:
+    """Choose the signal of each channel of the scene, by the table or by name; also return notes on what is left out.
 
     Raises `SceneError` with all mistakes at once.
     """
     channels = channels_of(scene)
     names = [channel.name for channel in channels]
     mistakes = [
-        f"{name}: not a channel of the scene, which has {', '.join(names)}{_hint(name, names)}"
+        f"{name}: not a channel of the scene, which has {', '.join(names)}{_spelling_hint(name, names)}"
         for name in table
         if name not in names
     ]
-    chosen: list[Choice] = []
+    chosen: list[ChosenSignal] = []
     missing: list[str] = []
-    users: dict[int, list[str]] = {}
-    for place, channel in enumerate(channels):
+    channels_of_signal: dict[int, list[str]] = {}
+    for position, channel in enumerate(channels):
         column = table.get(channel.name)
         try:
-            matches = _matches(channel.name, signals) if column is None else _by_column(column, signals)
+            matches = (
+                _signals_with_name(channel.name, signals) if column is None else _signals_of_column(column, signals)
+            )
             if len(matches) > 1:
                 listed = ", ".join(f"{signal.file} ({signal.number}: {signal.name})" for signal in matches)
                 name = channel.name if column is None else column.column
@@ -86,9 +90,13 @@ def choose(scene: Scene, signals: Sequence[Signal], table: Mapping[str, Column])
             missing.append(channel.name)
             continue
         signal = matches[0]
-        chosen.append(Choice(channel, place, signal, column or Column(signal.name)))
-        users.setdefault(id(signal), []).append(channel.name)
-    mistakes += [f"{' and '.join(same)}: the same signal" for same in users.values() if len(same) > 1]
+        chosen.append(ChosenSignal(channel, position, signal, column or Column(signal.name)))
+        channels_of_signal.setdefault(id(signal), []).append(channel.name)
+    mistakes += [
+        f"{' and '.join(channel_names)}: the same signal"
+        for channel_names in channels_of_signal.values()
+        if len(channel_names) > 1
+    ]
     if mistakes:
         raise SceneError("\n".join(mistakes))
     if not chosen:
@@ -98,26 +106,29 @@ def choose(scene: Scene, signals: Sequence[Signal], table: Mapping[str, Column])
             f"Assign them in a table (--table FILE.yaml) with lines such as {EXAMPLE}"
         )
     notes = [f"no signal for the channels {', '.join(missing)}: they are not recorded"] if missing else []
-    unused = [signal.name for signal in signals if id(signal) not in users]
+    unused = [signal.name for signal in signals if id(signal) not in channels_of_signal]
     if unused:
         notes.append(f"signals without a channel in the scene, left out: {', '.join(unused)[:300]}")
     return chosen, notes
 
 
-def contradicted_units(chosen: Sequence[Choice]) -> list[str]:
-    """Warn of units in the table that differ from the file's; only the table can state the meaning of volts."""
+def contradicted_units(chosen: Sequence[ChosenSignal]) -> list[str]:
+    """Return notes on units in the table that contradict the file; a file in volts does not contradict any unit."""
     notes = []
     for choice in chosen:
         signal, unit = choice.signal, choice.column.unit
         try:
-            (from_file, size), (from_table, table_size) = meaning(signal.unit), meaning(unit or signal.unit)
+            (file_quantity, scale), (table_quantity, table_scale) = (
+                quantity_and_scale(signal.unit),
+                quantity_and_scale(unit or signal.unit),
+            )
         except ValueError:
             continue
-        factor = table_size / size
-        if from_file == from_table and abs(factor - 1.0) > _SAME_UNIT:
+        factor = table_scale / scale
+        if file_quantity == table_quantity and abs(factor - 1.0) > _UNIT_TOLERANCE:
             effect = f", {factor:.4g} times as large"
-        elif from_file not in (from_table, "voltage"):
-            effect = f", {from_table} instead of {from_file}"
+        elif file_quantity not in (table_quantity, "voltage"):
+            effect = f", {table_quantity} instead of {file_quantity}"
         else:
             continue
         notes.append(
@@ -127,14 +138,14 @@ def contradicted_units(chosen: Sequence[Choice]) -> list[str]:
     return notes
 
 
-def assign(scene: Scene, chosen: Sequence[Choice], rate: float) -> list[Assigned]:
-    """Determine the scale of signals in their channels' units; raise `SceneError` with all mistakes at once."""
+def assign(scene: Scene, chosen: Sequence[ChosenSignal], rate: float) -> list[AssignedSignal]:
+    """Determine the factors to volts at a sample rate in Hz; raise `SceneError` with all mistakes at once."""
     skews = delays(complete_from_preset(scene.converter).skew, len(channels_of(scene)), rate)
-    assigned: list[Assigned] = []
+    assigned: list[AssignedSignal] = []
     mistakes: list[str] = []
     for choice in chosen:
         try:
-            assigned.append(_assigned(scene, choice, rate, skews[choice.place]))
+            assigned.append(_assigned(scene, choice, rate, skews[choice.position]))
         except ValueError as error:
             mistakes.append(f"{choice.channel.name}: {error}")
     if mistakes:
@@ -147,20 +158,20 @@ def channels_of(scene: Scene) -> tuple[Channel, ...]:
     return default_channels(scene, points_of(scene)) if scene.channels is None else scene.channels
 
 
-def _assigned(scene: Scene, chosen: Choice, rate: float, skew: float) -> Assigned:
+def _assigned(scene: Scene, chosen: ChosenSignal, rate: float, skew: float) -> AssignedSignal:
     channel, signal, column = chosen.channel, chosen.signal, chosen.column
-    unit, limit = column.unit or signal.unit, complete_from_preset(scene.converter).range
-    if not unit and signal.full_scale is not None and limit is not None:
+    unit, converter_range = column.unit or signal.unit, complete_from_preset(scene.converter).range
+    if not unit and signal.full_scale is not None and converter_range is not None:
         # Full scale of the file is the converter's range.
-        unit = f"{limit!r} V"
+        unit = f"{converter_range!r} V"
     if not unit:
-        scaled = signal.full_scale is not None
-        more = " (full scale; or state the converter's range in the scene)" if scaled else ""
+        has_full_scale = signal.full_scale is not None
+        hint = " (full scale; or state the converter's range in the scene)" if has_full_scale else ""
         raise ValueError(
             f"the unit of {signal.name!r} in {signal.file} is not stated. Give it in the table, such as unit: m/s^2, "
-            f"or the meaning of 1 in the file{more}, such as unit: 5 V."
+            f"or the meaning of 1 in the file{hint}, such as unit: 5 V."
         )
-    measured, size = meaning(unit)
+    measured, scale = quantity_and_scale(unit)
     is_ideal = channel.accelerometer is None and channel.integrator is None and not channel.measures_force
     if is_ideal and not channel.measures_voltage and measured in _INTEGRATION_ORDERS:
         channel = channel.replace(integrator=Integrator(order=_INTEGRATION_ORDERS[measured]))
@@ -171,37 +182,37 @@ def _assigned(scene: Scene, chosen: Choice, rate: float, skew: float) -> Assigne
                 f"sensitivity given, but {signal.name!r} is in {unit}, not in volts. Remove the wrong key."
             )
         is_calibrated = measured == "voltage" or _has_sensitivity(channel)
-        return Assigned(channel, info, signal, column, column.sign * size * info.sensitivity, is_calibrated)
+        return AssignedSignal(channel, info, signal, column, column.sign * scale * info.sensitivity, is_calibrated)
     if measured != "voltage":
         raise ValueError(
             f"{signal.name!r} of {signal.file} is in {unit}, {measured}; the channel measures {info.quantity} at "
             f"{channel.at}. Check for swapped columns or a wrong unit."
         )
-    info = replace(info, sensitivity=_sensitivity(channel, info, column))
-    return Assigned(channel, info, signal, column, column.sign * size, True)
+    info = replace(info, sensitivity=_volts_per_unit(channel, info, column))
+    return AssignedSignal(channel, info, signal, column, column.sign * scale, True)
 
 
 def describe_channel(scene: Scene, channel: Channel, rate: float, delay: float) -> ChannelInfo:
-    """Describe a real channel by its data sheets.
+    """Describe a real channel by its data sheets; `rate` in Hz, `delay` in s.
 
-    Simulated converters average over the sample interval unless the scene states otherwise; real converters do so only
-    if the scene states it. The filter's delay is common to all channels and cannot be seen in a file.
+    A simulated converter averages over the sample interval unless the scene states otherwise; a real converter does so
+    only if the scene states it. The delay of the filter is the same for all channels and therefore ignored.
     """
     settings = input_settings(scene.converter, channel).replace(excitation=None, remove_delay=True)
-    line = stages(channel, settings, scene.seed)
-    info = channel_info(channel.name, channel.at, line, settings, rate, delay)
+    chain_stages = stages(channel, settings, scene.seed)
+    info = channel_info(channel.name, channel.at, chain_stages, settings, rate, delay)
     return replace(info, average=settings.sampling == "average")
 
 
-def _sensitivity(channel: Channel, info: ChannelInfo, column: Column) -> float:
-    """Volts per unit, of the table or the scene's sensor."""
+def _volts_per_unit(channel: Channel, info: ChannelInfo, column: Column) -> float:
+    """Return the sensitivity in V per SI unit, from the table or the sensor of the scene."""
     if column.sensitivity is not None:
-        kinds = {"acceleration": ACCELERATION_SENSITIVITY, "force": FORCE_SENSITIVITY}
-        if info.quantity not in kinds:
+        unit_kinds = {"acceleration": ACCELERATION_SENSITIVITY, "force": FORCE_SENSITIVITY}
+        if info.quantity not in unit_kinds:
             raise ValueError(
                 f"sensitivity of a {info.quantity}. Give the meaning of a volt instead, such as unit: 2.5 mm."
             )
-        value = parse(column.sensitivity, kinds[info.quantity])
+        value = parse(column.sensitivity, unit_kinds[info.quantity])
         if not 0 < value < float("inf"):
             raise ValueError(f"sensitivity: {column.sensitivity!r} is not above 0. Reverse a sensor with sign: -1.")
         return value
@@ -219,36 +230,37 @@ def _has_sensitivity(channel: Channel) -> bool:
     return channel.accelerometer is not None and complete_from_preset(channel.accelerometer).sensitivity is not None
 
 
-def _by_column(column: Column, signals: Sequence[Signal]) -> Sequence[Signal]:
-    """Return the signals that a line of the table names, or numbers."""
+def _signals_of_column(column: Column, signals: Sequence[Signal]) -> Sequence[Signal]:
+    """Return the signals with the name or number in a line of the table."""
     files = {signal.file: signal.file.rpartition(".")[0] for signal in signals}
-    inside = [s for s in signals if column.file is None or column.file in (s.file, files[s.file])]
-    if not inside:
-        raise ValueError(f"file {column.file!r} is none of {', '.join(files)}")
-    exact = [signal for signal in inside if signal.name == column.column]
-    numbered = [signal for signal in inside if str(signal.number) == column.column]
-    matches = exact or numbered or _matches(column.column, inside)
+    in_file = [s for s in signals if column.file is None or column.file in (s.file, files[s.file])]
+    if not in_file:
+        raise ValueError(f"file {column.file!r} is none of {', '.join(files)}. Correct file in the table.")
+    same_name = [signal for signal in in_file if signal.name == column.column]
+    same_number = [signal for signal in in_file if str(signal.number) == column.column]
+    matches = same_name or same_number or _signals_with_name(column.column, in_file)
     if not matches:
-        listed = ", ".join(f"{signal.number}: {signal.name}" for signal in inside[:20])
-        hint = _hint(column.column, [signal.name for signal in inside])
+        listed = ", ".join(f"{signal.number}: {signal.name}" for signal in in_file[:20])
+        hint = _spelling_hint(column.column, [signal.name for signal in in_file])
         raise ValueError(f"no column {column.column!r}; there are {listed}{hint}")
     return matches
 
 
-def _matches(name: str, signals: Sequence[Signal]) -> list[Signal]:
-    """Return the signals of a name; if there are none, those whose name or its last part has a similar spelling."""
-    exact = [signal for signal in signals if signal.name == name]
+def _signals_with_name(name: str, signals: Sequence[Signal]) -> list[Signal]:
+    """Return the signals with a name; if there are none, those whose name, or its last part, is spelled similarly."""
+    same_name = [signal for signal in signals if signal.name == name]
 
-    def spelling(text: str) -> str:
+    def normalized(text: str) -> str:
         return re.sub(r"[\s_.-]+", "", text).casefold()
 
-    return exact or [
+    return same_name or [
         signal
         for signal in signals
-        if spelling(name) in {spelling(signal.name), *(spelling(signal.name.rpartition(mark)[2]) for mark in "/.")}
+        if normalized(name)
+        in {normalized(signal.name), *(normalized(signal.name.rpartition(separator)[2]) for separator in "/.")}
     ]
 
 
-def _hint(name: str, names: Sequence[str]) -> str:
+def _spelling_hint(name: str, names: Sequence[str]) -> str:
     hint = suggestion(name, names)
     return hint and f". {hint}"

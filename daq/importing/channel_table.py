@@ -1,4 +1,4 @@
-"""The table of an import: the column of each channel, and the unit of its numbers."""
+"""Read the table of an import, a YAML or CSV file: the column of each channel in the files, and its unit."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from rig.scene.quantities import FREQUENCY, TIME, parse
 from rig.scene.yaml_reader import read_yaml
 
 EXAMPLE = "body1: {column: ai0, unit: g, sign: -1}"
-# Line, channel, and the keys given for it.
-Rows = list[tuple[int, str, Mapping[str, Any]]]
+# Line number, name of the channel, and its keys.
+TableRows = list[tuple[int, str, Mapping[str, Any]]]
 
 
 @dataclass(frozen=True)
 class Column:
     """One line of the table.
 
-    `unit`: meaning of 1 in the file: a unit, or a number of units, ``5 V``; None: as the file states; `sensitivity`:
-    volts per unit of the sensor, ``100 mV/g``, where the file's numbers are volts; None: as the scene states.
+    `unit`: unit of the numbers in the file, or the value of 1 such as ``5 V``; None: as the file states. `sensitivity`:
+    sensitivity of the sensor, such as ``100 mV/g``, if the numbers are volts; None: as the scene states.
     """
 
     column: str  # name of a signal in the files, or its number from 1
-    file: str | None = None  # name of the file it is in, where several files have such a signal
+    file: str | None = None  # name of the file, if several files have a signal of this name
     unit: str | None = None
     sensitivity: str | None = None
     sign: int = 1  # -1 reverses a sensor that was mounted upside down
     offset: float = 0.0  # reading at rest, in the file's unit
     delay: float | None = None  # delay of the signal, s; None: as the file's start times state
-    rate: float | None = None  # samples per second, Hz, where the file states none, or a wrong value
+    rate: float | None = None  # sample rate, Hz, if the file states none or a wrong one
 
 
 _KEYS = [field.name for field in fields(Column)]
@@ -62,43 +62,43 @@ def read_table(path: Path) -> dict[str, Column]:
 
 
 def column(settings: Mapping[str, Any]) -> Column:
-    """Check the keys of one channel; raise `ValueError` in words.
+    """Check and convert the keys of one channel; raise `ValueError` for the first mistake.
 
     >>> column({"column": "ai0", "unit": "g", "sign": "-1", "delay": "2 us"})
     Column(column='ai0', file=None, unit='g', sensitivity=None, sign=-1, offset=0.0, delay=2e-06, rate=None)
     """
-    texts = {key: text for key, value in settings.items() if value is not None and (text := str(value).strip())}
-    for key in texts:
+    cell_texts = {key: text for key, value in settings.items() if value is not None and (text := str(value).strip())}
+    for key in cell_texts:
         if key not in _KEYS:
             hint = suggestion(key, _KEYS)
             raise ValueError(f"unknown key {key!r}; expected one of {', '.join(_KEYS)}{hint and '. ' + hint}")
-    if "column" not in texts:
+    if "column" not in cell_texts:
         raise ValueError("column missing; expected the name of a signal in the files, or its number from 1")
-    values: dict[str, Any] = dict(texts)
-    if "sign" in texts:
-        if texts["sign"] not in ("1", "+1", "-1", "+", "-"):
-            raise ValueError(f"sign: got {texts['sign']!r}; expected 1 or -1")
-        values["sign"] = -1 if texts["sign"].startswith("-") else 1
+    values: dict[str, Any] = dict(cell_texts)
+    if "sign" in cell_texts:
+        if cell_texts["sign"] not in ("1", "+1", "-1", "+", "-"):
+            raise ValueError(f"sign: got {cell_texts['sign']!r}; expected 1 or -1")
+        values["sign"] = -1 if cell_texts["sign"].startswith("-") else 1
     for key, kind in (("delay", TIME), ("rate", FREQUENCY)):
-        if key in texts:
+        if key in cell_texts:
             expected = f"expected {kind.noun} such as {kind.example}"
             try:
-                values[key] = parse(texts[key], kind)
+                values[key] = parse(cell_texts[key], kind)
             except ValueError as error:
                 raise ValueError(f"{key}: {error}; {expected}") from None
             if not math.isfinite(values[key]) or (key == "rate" and values[key] <= 0):
-                raise ValueError(f"{key}: got {texts[key]!r}; {expected}")
-    if "offset" in texts:
+                raise ValueError(f"{key}: got {cell_texts[key]!r}; {expected}")
+    if "offset" in cell_texts:
         try:
-            values["offset"] = float(texts["offset"])
+            values["offset"] = float(cell_texts["offset"])
         except ValueError:
             values["offset"] = math.nan
         if not math.isfinite(values["offset"]):
-            raise ValueError(f"offset: got {texts['offset']!r}; expected a number, in the file's unit")
+            raise ValueError(f"offset: got {cell_texts['offset']!r}; expected a number, in the file's unit")
     return Column(**values)
 
 
-def _from_yaml(path: Path, text: str) -> Rows:
+def _from_yaml(path: Path, text: str) -> TableRows:
     document = read_yaml(text)
     if document.mistakes:
         line, mistake = document.mistakes[0]
@@ -106,28 +106,28 @@ def _from_yaml(path: Path, text: str) -> Rows:
     content = document.content if document.content is not None else {}
     if not isinstance(content, dict):
         raise SceneError(f"{path}: expected a line for each channel, such as {EXAMPLE}")
-    # A line of a column alone: `body1: ai0`.
+    # A line may state the column alone: `body1: ai0`.
     return [
         (document.line((name,)), name, values if isinstance(values, dict) else {"column": values})
         for name, values in content.items()
     ]
 
 
-def _from_csv(path: Path, text: str) -> Rows:
+def _from_csv(path: Path, text: str) -> TableRows:
     try:
         lines = list(csv.reader(text.splitlines()))
     except csv.Error as error:
         raise SceneError(f"{path} is not a table of channels: {error}. Save it as CSV.") from None
-    if not lines or "channel" not in (heading := [cell.strip() for cell in lines[0]]):
+    if not lines or "channel" not in (column_names := [cell.strip() for cell in lines[0]]):
         raise SceneError(f"{path}:1: expected the heading channel,column and any of {','.join(_KEYS[1:])}")
-    rows: Rows = []
+    rows: TableRows = []
     for number, line in enumerate(lines[1:], 2):
-        if len(line) > len(heading):
+        if len(line) > len(column_names):
             raise SceneError(
-                f"{path}:{number}: {len(line)} cells under a heading of {len(heading)}. "
+                f"{path}:{number}: {len(line)} cells under a heading of {len(column_names)}. "
                 "Quote cells that contain commas."
             )
         if any(cell.strip() for cell in line):
-            values = dict(zip(heading, line, strict=False))
+            values = dict(zip(column_names, line, strict=False))
             rows.append((number, values.pop("channel").strip(), values))
     return rows

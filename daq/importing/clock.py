@@ -1,4 +1,8 @@
-"""The sample clock of a file: its rate from intervals or times, which programs round, and rows that are missing."""
+"""Estimate the sample clock of an imported file: its rate, and where rows are missing.
+
+Programs round the sample interval and the times that they write. The rate is the number with the fewest digits that
+agrees with them.
+"""
 
 from __future__ import annotations
 
@@ -18,21 +22,21 @@ from rig.errors import RecordingError, RunWarning
 # Names of a column of times.
 TIME_NAMES = re.compile(r"(time|zeit|t|x_value)(stamp)?", re.IGNORECASE)
 
-# Relative rounding error of a rate that is stated in full.
+# Relative rounding error of a number with all its digits.
 _RATE_ROUNDING = 1e-12
-# Largest deviation of a time from the even grid, samples; with larger ones samples are missing or there is no clock.
+# Largest deviation of a time from evenly spaced times, samples. Beyond it samples are missing, or there is no clock.
 _MAX_DEVIATION = 0.5
-# Share of a sample from which deviations beyond rounding are reported.
+# Deviation beyond rounding that is reported, samples.
 _JITTER_SHARE = 0.02
-# Step of the times from which it is a gap, sample intervals.
+# Difference of successive times above which rows are missing between them, sample intervals.
 _GAP_INTERVALS = 1.5
-# Tolerance of the other steps, and of a gap from a whole number of intervals, as a share of the median interval.
+# Tolerance of the other differences, and of a gap from a whole number of intervals, sample intervals.
 _STEP_TOLERANCE = 0.25
 # Maximum number of gaps in the times of a clock.
 _MAX_GAPS = 10_000
 
-#: Row before which samples are missing, and their number.
-Missing = tuple[int, int]
+#: Row before which rows are missing, and their number.
+MissingRows = tuple[int, int]
 
 
 class Clock(NamedTuple):
@@ -40,13 +44,13 @@ class Clock(NamedTuple):
 
     rate: float | None
     start_s: float = 0.0
-    missing: Sequence[Missing] = ()
+    missing: Sequence[MissingRows] = ()
 
 
 def rate_of_interval(interval: float, resolution: float = 0.0) -> float:
-    """Return the rate (Hz) with the fewest digits within the rounding, `resolution`, of a sample interval (both in s).
+    """Return the rate (Hz) with the fewest digits that agrees with a sample interval rounded to `resolution` (s).
 
-    It is 1 / interval where the interval has fewer digits.
+    It is 1 / interval if the interval has fewer digits than the rate.
 
     >>> rate_of_interval(1.52588e-05, 5e-11), rate_of_interval(1.95312e-05, 5e-11)
     (65536.0, 51200.0)
@@ -63,15 +67,15 @@ def rate_of_interval(interval: float, resolution: float = 0.0) -> float:
             f"a sample interval of {interval!r} s with an error of {resolution!r} s determines no rate. Add digits"
         )
     error = max(resolution / interval, _RATE_ROUNDING)
-    stated = 1.0 / interval
-    rate, digits = _shortest_number(stated * (1.0 - error), stated * (1.0 + error))
-    # An interval of few digits, such as 39 µs, is exact itself.
+    reciprocal = 1.0 / interval
+    rate, digits = _shortest_number(reciprocal * (1.0 - error), reciprocal * (1.0 + error))
+    # An interval of few digits, such as 39 µs, is exact.
     _, digits_of_interval = _shortest_number(interval * (1.0 - _RATE_ROUNDING), interval * (1.0 + _RATE_ROUNDING))
-    return rate if digits <= digits_of_interval else stated
+    return rate if digits <= digits_of_interval else reciprocal
 
 
 def _shortest_number(low: float, high: float) -> tuple[float, int]:
-    """Return the number with the fewest decimal digits between two, and its number of digits."""
+    """Return the number with the fewest decimal digits in [low, high], and its number of digits."""
     highest = math.floor(math.log10(high))
     for digits in range(1, 17):
         step = Fraction(10) ** (highest - digits + 1)
@@ -82,33 +86,33 @@ def _shortest_number(low: float, high: float) -> tuple[float, int]:
 
 
 def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
-    """Estimate the clock of stated times (s, written to `resolution` s); warn of missing rows and jitter.
+    """Estimate the clock from times (s, written to `resolution` s); warn of missing rows and jitter.
 
-    Raises `RecordingError` where the times are not evenly spaced; `where` names them in messages.
+    Raises `RecordingError` if the times are not evenly spaced. `where` names the times in messages.
     """
     missing = missing_rows([times], resolution)
     if times.size < 2:
         raise RecordingError(f"{where}: {times.size} samples; expected at least 2")
     first, last = float(times[0]), float(times[-1])
-    # Deviations from an even grid show the rounding of the times.
+    # Deviations from evenly spaced times show the rounding.
     deviation = 0.0 if missing else float(abs(times - np.linspace(first, last, times.size)).max())
     tolerated = (last - first) * _JITTER_SHARE / (times.size - 1) + resolution
     if last > first and deviation > tolerated:
-        # The even grid by least squares.
-        number = np.arange(times.size) - (times.size - 1) / 2.0
-        spread = float(number @ number)
-        interval, middle = float(number @ times) / spread, float(times.mean())
-        residual = times - middle - interval * number
+        # Evenly spaced times by least squares.
+        centred_number = np.arange(times.size) - (times.size - 1) / 2.0
+        sum_of_squares = float(centred_number @ centred_number)
+        interval, mean_time = float(centred_number @ times) / sum_of_squares, float(times.mean())
+        residual = times - mean_time - interval * centred_number
         # Four standard errors of the slope.
-        error = 4.0 * float(np.std(residual)) / math.sqrt(spread)
+        error = 4.0 * float(np.std(residual)) / math.sqrt(sum_of_squares)
         try:
             rate = rate_of_interval(interval, error)
-        except RecordingError as wrong:
-            raise RecordingError(f"{where}: {wrong}") from None
-        first, deviation = middle + float(number[0]) / rate, float(abs(residual).max())
+        except RecordingError as uneven:
+            raise RecordingError(f"{where}: {uneven}") from None
+        first, deviation = mean_time + float(centred_number[0]) / rate, float(abs(residual).max())
         _warn(
-            f"{where} deviate from an even grid by up to {deviation * rate:.0%} of a sample. This is taken for jitter "
-            "of the writing, not of the sampling."
+            f"{where} deviate from an even grid by up to {deviation * rate:.0%} of a sample. The "
+            "samples are imported as evenly spaced: only the written times are assumed to jitter."
         )
     else:
         rate = rate_with_gaps(first, last, times.size, missing, max(resolution, 2.0 * deviation), where)
@@ -116,15 +120,15 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
     return Clock(rate, first, missing)
 
 
-def missing_rows(times: Iterable[Array], resolution: float) -> list[Missing]:
-    """Return (row, number of missing rows) of otherwise evenly spaced times (s, in pieces, written to `resolution` s).
+def missing_rows(times: Iterable[Array], resolution: float) -> list[MissingRows]:
+    """Return (row, number of rows missing before it) for each gap in times (s, in blocks, written to `resolution` s).
 
-    Empty where the times have no gaps, or are uneven otherwise, so that no gap can be measured.
+    The result is empty if there is no gap, or if the other times are unevenly spaced, so that no gap can be measured.
 
     >>> missing_rows([np.array([0.0, 0.1, 0.2, 0.5, 0.6])], 0.0)
     [(3, 2)]
     """
-    step, rows, even_time, even_steps = 0.0, 0, 0.0, 0
+    step, rows, regular_time, regular_steps = 0.0, 0, 0.0, 0
     previous_time = np.empty(0)
     jumps: list[tuple[int, float]] = []
     for times_block in times:
@@ -137,51 +141,51 @@ def missing_rows(times: Iterable[Array], resolution: float) -> list[Missing]:
         regular = steps[~is_gap]
         if not (abs(regular - step) <= _STEP_TOLERANCE * step + 2.0 * resolution).all():
             return []
-        # The step to the first row of a further piece begins in the piece before.
+        # From the second block on, the first step begins in the block before.
         first = rows if previous_time.size else 1
-        jumps += [(first + int(at), float(steps[at])) for at in np.flatnonzero(is_gap)]
+        jumps += [(first + int(index), float(steps[index])) for index in np.flatnonzero(is_gap)]
         if len(jumps) > _MAX_GAPS:
             return []
-        even_time, even_steps = even_time + float(regular.sum()), even_steps + regular.size
+        regular_time, regular_steps = regular_time + float(regular.sum()), regular_steps + regular.size
         rows, previous_time = rows + times_block.size, times_block[-1:]
-    if not jumps or not even_steps:
+    if not jumps or not regular_steps:
         return []
     try:
-        rate = rate_of_interval(even_time / even_steps, 2.0 * resolution * (len(jumps) + 1) / even_steps)
+        rate = rate_of_interval(regular_time / regular_steps, 2.0 * resolution * (len(jumps) + 1) / regular_steps)
     except RecordingError:
         return []
-    lost = [round(jump * rate) - 1 for _, jump in jumps]
-    errors = [abs(jump * rate - count - 1) for (_, jump), count in zip(jumps, lost, strict=True)]
-    if max(errors) > _STEP_TOLERANCE + 2.0 * resolution * rate or sum(lost) > rows:
+    lost_counts = [round(jump * rate) - 1 for _, jump in jumps]
+    errors = [abs(jump * rate - count - 1) for (_, jump), count in zip(jumps, lost_counts, strict=True)]
+    if max(errors) > _STEP_TOLERANCE + 2.0 * resolution * rate or sum(lost_counts) > rows:
         return []
-    return [(row, count) for (row, _), count in zip(jumps, lost, strict=True)]
+    return [(row, count) for (row, _), count in zip(jumps, lost_counts, strict=True)]
 
 
-def sample_numbers(rows: NDArray[np.int64], missing: Sequence[Missing]) -> NDArray[np.int64]:
-    """Return the sample numbers of rows.
+def sample_numbers(rows: NDArray[np.int64], missing: Sequence[MissingRows]) -> NDArray[np.int64]:
+    """Return the sample numbers of rows, which skip the missing rows.
 
     >>> sample_numbers(np.arange(5), [(3, 2)])
     array([0, 1, 2, 5, 6])
     """
     gap_rows = np.array([row for row, _ in missing], np.int64)
-    lost = np.cumsum([0, *(count for _, count in missing)])
-    return rows + lost[np.searchsorted(gap_rows, rows, side="right")]
+    lost_counts = np.cumsum([0, *(count for _, count in missing)])
+    return rows + lost_counts[np.searchsorted(gap_rows, rows, side="right")]
 
 
 def rate_with_gaps(
-    first: float, last: float, rows: int, missing: Sequence[Missing], resolution: float, where: str
+    first: float, last: float, rows: int, missing: Sequence[MissingRows], resolution: float, where: str
 ) -> float:
     """Estimate the rate in Hz from the first and the last time, s; warn where rows are missing."""
     if not last > first:
         raise RecordingError(f"{where} do not increase: from {first!r} s to {last!r} s. Sort the rows by time.")
-    lost = sum(count for _, count in missing)
-    intervals = rows + lost - 1
+    lost_total = sum(count for _, count in missing)
+    intervals = rows + lost_total - 1
     rate = rate_of_interval((last - first) / intervals, resolution / intervals)
     if missing:
         places = "one place" if len(missing) == 1 else f"{len(missing)} places"
         _warn(
-            f"{where} have gaps in {places}, the first before line {missing[0][0] + 1} of the numbers: {lost} samples "
-            f"are missing at {rate:.6g} Hz and are imported as lost"
+            f"{where} have gaps in {places}, the first before line {missing[0][0] + 1} of the numbers: {lost_total} "
+            f"samples are missing at {rate:.6g} Hz; they are imported as lost"
         )
     return rate
 
@@ -189,32 +193,32 @@ def rate_with_gaps(
 def require_even(
     times: Array, numbers: NDArray[np.int64], start: float, rate: float, resolution: float, where: str
 ) -> None:
-    """Raise `RecordingError` for times, in s, that are not those of samples with the given numbers."""
+    """Raise `RecordingError` if a time (s) differs from that of its sample number by more than half an interval."""
     deviation = abs(times - start - numbers / rate)
-    wrong = np.flatnonzero(~(deviation * rate <= _MAX_DEVIATION + resolution * rate))
-    if wrong.size:
-        at = int(wrong[0])
+    uneven = np.flatnonzero(~(deviation * rate <= _MAX_DEVIATION + resolution * rate))
+    if uneven.size:
+        index = int(uneven[0])
         raise RecordingError(
-            f"{where} are not evenly spaced: sample {numbers[at] + 1} is at {float(times[at]):.9g} s instead of "
-            f"{start + numbers[at] / rate:.9g} s ({rate:.6g} Hz from {start:.6g} s on). Resample the file, or import "
-            "the segments before and after with --from and --to."
+            f"{where} are not evenly spaced: sample {numbers[index] + 1} is at {float(times[index]):.9g} s instead of "
+            f"{start + numbers[index] / rate:.9g} s ({rate:.6g} Hz from {start:.6g} s on). Resample the file, or "
+            "import the segments before and after with --from and --to."
         )
 
 
-def looks_like_times(begin: Array, last: float, samples: int) -> bool:
-    """Return whether unnamed numbers can only be times: they rise evenly, but not by 1.
+def looks_like_times(first_times: Array, last: float, samples: int) -> bool:
+    """Return whether the numbers of an unnamed column can only be times: they rise evenly, but not by 1.
 
     >>> looks_like_times(np.array([0.0, 0.01, 0.02]), 0.09, 10), looks_like_times(np.array([1.0, 2.0]), 10.0, 10)
     (True, False)
     """
-    step = (last - begin[0]) / max(samples - 1, 1)
+    step = (last - first_times[0]) / max(samples - 1, 1)
     if not (np.isfinite(step) and step > 0.0) or step == 1.0:
         return False
-    return bool((abs(begin - begin[0] - step * np.arange(begin.size)) < 0.1 * step).all())
+    return bool((abs(first_times - first_times[0] - step * np.arange(first_times.size)) < 0.1 * step).all())
 
 
-def warn_of_times(column: str, step: float) -> None:
-    """Warn that unnamed numbers are taken for times."""
+def warn_taken_for_times(column: str, step: float) -> None:
+    """Warn that the numbers of an unnamed column are taken for times."""
     _warn(f"{column} rises evenly, by {step:.6g}: taken for times in s")
 
 

@@ -1,4 +1,4 @@
-"""The reader of a file, chosen by the ending of its name."""
+"""List the signals of a file of another program, with the reader that its suffix selects."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from daq.importing.signal import Signal
 from rig.errors import RecordingError
 
-# Ending: module here and its function; imported when needed, as their packages are optional.
+# Suffix: module of this package, and its function; imported when needed, because their packages are optional.
 _TEXT = ("text_table", "text_signals")
 _NUMPY = ("arrays", "numpy_signals")
 _UNIVERSAL = ("uff", "uff_signals")
@@ -32,7 +32,7 @@ READERS = {
 
 
 def signals_of(path: Path, stack: ExitStack) -> list[Signal]:
-    """List the signals of a file, which stays open until the stack is left.
+    """List the signals of a file, which stays open until `stack` is closed.
 
     Raises `RecordingError` for a file without readable signals, `RunError` for a missing package.
     """

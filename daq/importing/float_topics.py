@@ -1,4 +1,7 @@
-"""Signals of another program's MCAP: topics whose messages hold numbers, in JSON, protobuf or ROS 2's arrays."""
+"""Read signals from another program's MCAP file: topics whose messages contain numbers.
+
+MCAP is a container of messages on topics. Messages in JSON, in protobuf, and ROS 2's arrays of numbers are decoded.
+"""
 
 from __future__ import annotations
 
@@ -35,25 +38,25 @@ from rig.arrays import Array
 from rig.errors import RecordingError, ShotrigError
 from rig.numerics.memory import require_memory_with_program
 
-# Messages of ROS 2 in CDR that are rows of numbers, with the type of the numbers.
+# Message types of ROS 2 (encoded in CDR) that are arrays of numbers, with the type of the numbers.
 _MULTI_ARRAYS = {"std_msgs/msg/Float32MultiArray": "f4", "std_msgs/msg/Float64MultiArray": "f8"}
-# Fields that state the sample rate.
+# Names of fields that state the sample rate in Hz.
 _RATES = ("sample_rate_hz", "sample_rate", "sampleRate", "rate", "fs")
-# Memory that a byte of a message takes while it is decoded, bytes; at most, measured: JSON `0.0,` as a list of numbers
-# and an array, protobuf `0` in one byte.
+# Largest memory for decoding, bytes per byte of a message, measured: JSON `0.0,` as a list of numbers and an array,
+# protobuf `0` in one byte.
 _DECODED_BYTES = 20
-# Copies of a schema or channel in memory.
-_COPIES = 4
+# Number of copies of a schema or channel record in memory.
+_DESCRIPTION_COPIES = 4
 # Memory of a field in addition to its numbers, bytes.
 _FIELD_BYTES = 3000
-# Memory of each of its messages in addition to the numbers, bytes.
+# Memory of each message of a field in addition to its numbers, bytes.
 _MESSAGE_BYTES = 64
 Decoder = Callable[[bytes], Mapping[str, Any]]
 
 
 @dataclass
 class _Field:
-    """A field of a topic's messages: its numbers, the count and the time of each message, and the stated rate."""
+    """A field of a topic: its numbers; for each message their count and the time (ns); the stated rate (Hz)."""
 
     values: array[float] = field(default_factory=lambda: array("d"))
     counts: array[int] = field(default_factory=lambda: array("q"))
@@ -62,14 +65,14 @@ class _Field:
 
 
 def mcap_signals(path: Path, _stack: ExitStack) -> list[Signal]:
-    """List the fields of all topics that hold numbers: an array a message, or one number; they are held in memory.
+    """List the fields that contain an array of numbers, or a number, in each message, as signals in memory.
 
     The sample rate is stated by a field such as ``sample_rate``, or follows from the times of the messages.
     """
     try:
         with path.open("rb") as file:
-            topics = _Topics(path)
-            topics.read(file)
+            reader = _TopicReader(path)
+            reader.read(file)
     except (ShotrigError, OSError, MemoryError):
         raise
     except Exception as error:
@@ -77,23 +80,23 @@ def mcap_signals(path: Path, _stack: ExitStack) -> list[Signal]:
         raise RecordingError(
             f"{path} is not an MCAP file, or it is cut off or damaged: {type(error).__name__} {error}"[:300]
         ) from error
-    if not topics.fields:
+    if not reader.fields:
         raise RecordingError(
             f"{path} contains no topic with numbers. Record them as JSON, protobuf or ROS 2's Float32/64MultiArray."
         )
-    fields_per_topic = Counter(topic for topic, _ in topics.fields)
+    fields_per_topic = Counter(topic for topic, _ in reader.fields)
     return [
-        _signal(path, number, f"{topic}.{name}" if fields_per_topic[topic] > 1 else topic, each, topics.units[topic])
-        for number, ((topic, name), each) in enumerate(topics.fields.items(), 1)
+        _signal(path, number, f"{topic}.{name}" if fields_per_topic[topic] > 1 else topic, field, reader.units[topic])
+        for number, ((topic, name), field) in enumerate(reader.fields.items(), 1)
     ]
 
 
-class _Topics:
-    """The fields of a file's topics, read within the allowed memory."""
+class _TopicReader:
+    """Reads the numeric fields of all topics of a file within the allowed memory."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._known: dict[int, dict[int, Any]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
+        self._descriptions: dict[int, dict[int, Any]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
         self._decoders: dict[int, Decoder | None] = {}
         self._in_memory = 0
         self.fields: dict[tuple[str, str], _Field] = {}
@@ -102,44 +105,44 @@ class _Topics:
     def read(self, file: IO[bytes]) -> None:
         """Read the data section, record by record."""
 
-        def read(place: int, length: int) -> bytes:
-            file.seek(place)
+        def read(position: int, length: int) -> bytes:
+            file.seek(position)
             return file.read(length)
 
         end = file.seek(0, SEEK_END)
         if read(0, len(MAGIC)) != MAGIC:
             raise Damage("it does not begin with the MCAP signature")
-        place, opcode = len(MAGIC), 0
+        position, opcode = len(MAGIC), 0
         while opcode != Opcode.DATA_END:
-            opcode, content = record_at(read, place, end, end)
-            place += RECORD_HEAD.size + len(content)
+            opcode, content = record_at(read, position, end, end)
+            position += RECORD_HEAD.size + len(content)
             if opcode != Opcode.CHUNK:
                 self._record(opcode, content, len(content))
                 continue
             size = CHUNK_HEAD.unpack_from(content)[2] if len(content) >= CHUNK_HEAD.size else 0
-            self._need(size + len(content))
+            self._require_memory(size + len(content))
             records = unpack_chunk(content, largest=size)
-            for inside, each in records_in(records, len(records)):
-                self._record(inside, each, len(content) + len(records))
+            for inner_opcode, inner_content in records_in(records, len(records)):
+                self._record(inner_opcode, inner_content, len(content) + len(records))
 
-    def _need(self, further: float) -> None:
-        require_memory_with_program(self._in_memory + further, f"{self._path}: importing it")
+    def _require_memory(self, extra_bytes: float) -> None:
+        require_memory_with_program(self._in_memory + extra_bytes, f"{self._path}: importing it")
 
-    def _record(self, opcode: int, content: memoryview, container: int) -> None:
-        """Process a record; `container` is the size of the chunk that is in memory with it, bytes."""
+    def _record(self, opcode: int, content: memoryview, chunk_bytes: int) -> None:
+        """Process a record; `chunk_bytes` is the memory of the chunk that contains it."""
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            self._in_memory += _COPIES * len(content)
-            self._need(container)
+            self._in_memory += _DESCRIPTION_COPIES * len(content)
+            self._require_memory(chunk_bytes)
             record = parse(opcode, content)
-            self._known[opcode][record.id] = record
+            self._descriptions[opcode][record.id] = record
         elif opcode == Opcode.MESSAGE:
-            self._message(parse_message(content), container)
+            self._message(parse_message(content), chunk_bytes)
 
-    def _message(self, message: Stored, container: int) -> None:
-        channel = self._known[Opcode.CHANNEL].get(message.channel)
+    def _message(self, message: Stored, chunk_bytes: int) -> None:
+        channel = self._descriptions[Opcode.CHANNEL].get(message.channel)
         if channel is None:
-            raise Damage(f"a message belongs to channel {message.channel}, which no record before describes")
-        schema = self._known[Opcode.SCHEMA].get(channel.schema_id)
+            raise Damage(f"a message belongs to channel {message.channel}, which no earlier record describes")
+        schema = self._descriptions[Opcode.SCHEMA].get(channel.schema_id)
         if channel.topic.startswith(layout.RAW) and schema is not None and schema.name.startswith("shotrig."):
             raise RecordingError(f"{self._path} is a recording already. Use it directly with `analysis` and `daq`.")
         if message.channel not in self._decoders:
@@ -147,7 +150,7 @@ class _Topics:
         decoder = self._decoders[message.channel]
         if decoder is None:
             return
-        self._need(container + _DECODED_BYTES * len(message.data))
+        self._require_memory(chunk_bytes + _DECODED_BYTES * len(message.data))
         content = decoder(bytes(message.data))
         self.units.setdefault(channel.topic, str(channel.metadata.get("unit", "")))
         for name, values in _numeric_fields(content):
@@ -159,25 +162,29 @@ class _Topics:
             field.times.append(message.publish_time or message.log_time)
             field.rate = field.rate or _stated_rate(content)
             self._in_memory += values.nbytes + _MESSAGE_BYTES
-            self._need(container)
+            self._require_memory(chunk_bytes)
 
 
 def _signal(path: Path, number: int, name: str, field: _Field, unit: str) -> Signal:
     values, counts = np.frombuffer(field.values), np.frombuffer(field.counts, np.int64)
     times = np.frombuffer(field.times, np.uint64)
     if (times[1:] < times[:-1]).any():
-        order = np.argsort(times, kind="stable")
+        time_order = np.argsort(times, kind="stable")
         messages = np.split(values, np.cumsum(counts)[:-1])
-        values, counts, times = np.concatenate([messages[at] for at in order]), counts[order], times[order]
+        values, counts, times = (
+            np.concatenate([messages[at] for at in time_order]),
+            counts[time_order],
+            times[time_order],
+        )
     elapsed_s = (times - times[0]) * 1e-9
     clock = Clock(field.rate)
     if field.rate is None and values.size == times.size:
         clock = clock_of_times(elapsed_s, 1e-9, f"{path}: the messages on {name}")._replace(start_s=0.0)
     elif field.rate is None and times.size > 1 and elapsed_s[-1] > 0:
-        # All but the last array lie between the first time and the last.
+        # The time from the first message to the last covers all arrays but one.
         n_intervals = values.size - int(counts[-1])
         clock = Clock(rate_of_interval(float(elapsed_s[-1]) / n_intervals, 1e-9 / n_intervals))
-    return Signal.of_array(path, number, name, unit, values, clock, int(times[0]))
+    return Signal.from_array(path, number, name, unit, values, clock, int(times[0]))
 
 
 def _decoder(schema: Any, encoding: str) -> Decoder | None:
@@ -186,8 +193,8 @@ def _decoder(schema: Any, encoding: str) -> Decoder | None:
     if schema is None:
         return None
     if encoding == "cdr" and schema.name in _MULTI_ARRAYS:
-        kind = _MULTI_ARRAYS[schema.name]
-        return lambda data: {"": _read_multi_array(data, kind)}
+        number_type = _MULTI_ARRAYS[schema.name]
+        return lambda data: {"": _read_multi_array(data, number_type)}
     if encoding == "protobuf":
         from daq.recording.protobuf import message_class
 
@@ -197,14 +204,14 @@ def _decoder(schema: Any, encoding: str) -> Decoder | None:
 
 
 def _numeric_fields(content: Any) -> Iterator[tuple[str, Array]]:
-    """Yield the rows of numbers of a message; its single numbers if it has no rows."""
+    """Yield name and numbers of the arrays in a message, or of its single numbers if it has no arrays."""
     if not isinstance(content, Mapping):
         return
     rows = {
         name: np.asarray(value, dtype=float)
         for name, value in content.items()
         if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str | bytes) and len(value)
-        if all(isinstance(each, int | float) for each in value[:4])
+        if all(isinstance(item, int | float) for item in value[:4])
     }
     yield from rows.items()
     if rows:
@@ -219,19 +226,19 @@ def _stated_rate(content: Mapping[str, Any]) -> float | None:
     return next((float(rate) for rate in rates if isinstance(rate, int | float) and 0 < rate < 1e12), None)
 
 
-def _read_multi_array(data: bytes, kind: str) -> Array:
-    """Read the numbers of a multi-array; they follow its layout, a list of labeled sizes."""
-    order = "<" if data[1] & 1 else ">"
+def _read_multi_array(data: bytes, number_type: str) -> Array:
+    """Read the numbers of a MultiArray message, which follow its layout: a list of dimensions with labels."""
+    byte_order = "<" if data[1] & 1 else ">"
 
     def number(at: int) -> int:
-        return int(struct.unpack_from(f"{order}I", data, at)[0])
+        return int(struct.unpack_from(f"{byte_order}I", data, at)[0])
 
     def aligned(at: int, size: int) -> int:
-        """Return the next position, counted behind the four-byte head, that is aligned to a size."""
+        """Return the next position that is a multiple of `size` bytes after the four-byte head."""
         return 4 + -(-(at - 4) // size) * size
 
     dimensions, at = number(4), 8
     for _ in range(dimensions):
         at = aligned(at + 4 + number(at), 4) + 8
     count, at = number(at + 4), at + 8
-    return np.frombuffer(data, f"{order}{kind}", count, aligned(at, int(kind[1]))).astype(float)
+    return np.frombuffer(data, f"{byte_order}{number_type}", count, aligned(at, int(number_type[1]))).astype(float)

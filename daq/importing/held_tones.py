@@ -1,7 +1,7 @@
-"""Detection of held tones: segments of constant frequency, and their part in steady state.
+"""Detect held tones in a track of frequency and phase (see `tone_track`), and their part in steady state.
 
-A held tone has a phase that is linear in time. Segments are cut from the phase of a `Track`, extended while a straight
-line fits, and rejected where the frequency drifts as in a sweep.
+A held tone is a tone of constant frequency, so that its phase is linear in time. Segments of a track are extended as
+long as a straight line fits their phase, and rejected if the frequency drifts as in a sweep.
 """
 
 from __future__ import annotations
@@ -11,36 +11,36 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.importing.tone_track import HOPS, Track
+from daq.importing.tone_track import HOPS_PER_BLOCK, Track
 from rig.arrays import Array, ComplexArray
 from rig.numerics.runs import runs_of
 
-# Minimum number of blocks of a held tone: ten periods.
+# Minimum number of blocks of a held tone: about ten periods.
 _MIN_BLOCKS = 7
-# Largest deviation of the phase from a straight line: a multiple of its scatter, within two bounds, rad.
-_LINE_SIGMAS = 8.0
-_LINE_MIN = 0.02
-_LINE_MAX = 0.25
-# Deviation from the line of the middle half at which a tone ends: a multiple of the scatter, and its lower bound, rad.
+# Largest deviation of the phase from a straight line: a multiple of its scatter, within two bounds.
+_MAX_RESIDUAL_SIGMAS = 8.0
+_MIN_TOLERANCE_RAD = 0.02
+_MAX_TOLERANCE_RAD = 0.25
+# Deviation from the line through the middle half at which a tone ends: a multiple of the scatter, and a lower bound.
 _END_SIGMAS = 4.0
-_END_MIN = 0.01
-# Change of an amplitude from one block to the next that ends a tone, as log ratio.
-_MAX_STEP = 0.2
-# Largest change of the amplitude in the second half of a held tone, as log ratio.
-_MAX_FADE = 0.2
-# Drift of the frequency, as a share of the distance to the next tone, from which the signal is a sweep.
+_END_MIN_RAD = 0.01
+# Change of the amplitude from one block to the next that ends a tone, as natural logarithm of the ratio.
+_MAX_AMPLITUDE_STEP = 0.2
+# Largest change of the amplitude in the second half of a held tone, as natural logarithm of the ratio.
+_MAX_AMPLITUDE_CHANGE = 0.2
+# Largest drift of the frequency within a tone, as a share of the distance to the next tone; a sweep drifts more.
 _MAX_DRIFT = 0.25
-# Minimum share of the time with a signal in which tones are held.
+# Minimum share of held tones in the time with a signal.
 _MIN_HELD_SHARE = 0.3
-# Ratio to the amplitude of the held tones below which there is no signal.
+# Largest level without a signal, as a ratio to the amplitude of the held tones.
 _SILENCE_RATIO = 0.05
-# Blocks at this distance scatter independently, although they share half of their samples.
-_INDEPENDENT = 2
-# Deviation of a settled channel from its mean, as a multiple of its scatter.
+# Distance at which blocks scatter independently, although they share half of their samples.
+_INDEPENDENT_BLOCKS = 2
+# Largest deviation of a settled channel from its mean, as a multiple of its scatter.
 _STEADY_SIGMAS = 3.0
 # Share of the tolerance within which samples count as settled.
-_WELL_SETTLED = 0.1
-# Last parts of a segment that are tested for steady state; the second is tested if the first is not steady.
+_SETTLED_TOLERANCE_SHARE = 0.1
+# Shares of a segment, at its end, that are tested for steady state; the second only if the first is not steady.
 _LATE_SHARES = (0.5, 0.25)
 # Relative difference of frequency below which two tones are the same.
 _SAME_FREQUENCY = 2e-4
@@ -61,32 +61,34 @@ class HeldTone:
 
 
 def held_tones(tracks: Sequence[Track], tolerance: float) -> list[HeldTone]:
-    """Return the tones that were held one after the other, in order of time; none for other kinds of signals.
+    """Return the tones that were held one after the other, in order of time; an empty list for other kinds of signals.
 
-    The phase of a held tone is linear in time for ten periods or more. The phase of a sweep is linear for a short time,
-    but its frequency drifts within a segment as from one segment to the next. The phase of noise is rarely linear.
+    The phase of a held tone is linear in time for ten periods or more. The phase of a sweep is linear for a short time
+    only, and its frequency drifts within a segment. The phase of noise is rarely linear.
     `tolerance` is the largest relative change of a settled amplitude.
     """
-    intervals = [interval for track in tracks for interval in _tone_intervals(track) if not interval.is_fading]
+    intervals = [
+        interval for track in tracks for interval in _tone_intervals(track) if not interval.is_amplitude_changing
+    ]
     intervals.sort(key=lambda interval: interval.first - interval.stop)
-    separate: list[_ToneInterval] = []
+    disjoint: list[_ToneInterval] = []
     for interval in intervals:
-        if all(interval.stop <= other.first or interval.first >= other.stop for other in separate):
-            separate.append(interval)
-    separate.sort(key=lambda interval: interval.first)
-    # The shortest blocks average over the fewest samples and therefore resolve all tones.
-    if not separate or _share(separate, tracks[-1]) < _MIN_HELD_SHARE:
+        if all(interval.stop <= other.first or interval.first >= other.stop for other in disjoint):
+            disjoint.append(interval)
+    disjoint.sort(key=lambda interval: interval.first)
+    # The levels of the shortest blocks are used: they average over the fewest samples and therefore resolve all tones.
+    if not disjoint or _held_share(disjoint, tracks[-1]) < _MIN_HELD_SHARE:
         return []
-    # In a sweep the frequency drifts within a segment as from one segment to the next.
-    middle, begins, ends = np.array([interval.frequencies() for interval in separate]).T
-    distance = abs(np.diff(middle))
-    distance[distance < _SAME_FREQUENCY * middle[1:]] = np.inf
+    # In a sweep the frequency drifts within a segment as much as from one segment to the next.
+    middle_frequency, start_frequency, end_frequency = np.array([interval.frequencies() for interval in disjoint]).T
+    distance = abs(np.diff(middle_frequency))
+    distance[distance < _SAME_FREQUENCY * middle_frequency[1:]] = np.inf
     nearest = np.minimum(np.append(distance, np.inf), np.insert(distance, 0, np.inf))
-    if np.median(abs(ends - begins) / nearest) > _MAX_DRIFT:
+    if np.median(abs(end_frequency - start_frequency) / nearest) > _MAX_DRIFT:
         return []
-    # Between successive tones of one frequency a controller changed the level: the last settled one is measured.
+    # Between successive tones of one frequency a controller changed the level. The last settled tone is measured.
     tones: list[HeldTone] = []
-    for tone in (_settled(interval, tolerance) for interval in separate):
+    for tone in (_settled(interval, tolerance) for interval in disjoint):
         if not tones or abs(tone.frequency / tones[-1].frequency - 1.0) >= _SAME_FREQUENCY:
             tones.append(tone)
         elif tone.settled or not tones[-1].settled:
@@ -96,15 +98,15 @@ def held_tones(tracks: Sequence[Track], tolerance: float) -> list[HeldTone]:
 
 @dataclass(frozen=True)
 class _ToneInterval:
-    """A segment of linear phase: blocks of a track."""
+    """Successive blocks of a track whose phase is linear in time."""
 
     track: Track
     begin: int  # first block, by its position in the track
     end: int  # block after the last one
 
     def middle(self, block: int) -> int:
-        """Sample in the middle of a block of the track."""
-        return int((self.track.number[block] + HOPS / 2) * self.track.hop)
+        """Return the number of the sample in the middle of a block."""
+        return int((self.track.number[block] + HOPS_PER_BLOCK / 2) * self.track.hop)
 
     @property
     def first(self) -> int:
@@ -117,7 +119,7 @@ class _ToneInterval:
 
     @property
     def phase(self) -> Array:
-        """Phase, unwrapped, rad."""
+        """Unwrapped phase of each block, rad."""
         return _unwrapped(self.track, self.begin, self.end)
 
     @property
@@ -125,22 +127,22 @@ class _ToneInterval:
         return float(np.median(self.track.amplitude[self.begin : self.end]))
 
     @property
-    def is_fading(self) -> bool:
+    def is_amplitude_changing(self) -> bool:
         """Whether the amplitude changes in the second half."""
         log_amplitude = np.log(self.track.amplitude[(self.begin + self.end) // 2 : self.end])
         slope = np.polyfit(np.linspace(0.0, 1.0, log_amplitude.size), log_amplitude, 1)[0]
-        return bool(abs(slope) > _MAX_FADE)
+        return bool(abs(slope) > _MAX_AMPLITUDE_CHANGE)
 
     def frequencies(self) -> tuple[float, float, float]:
         """Frequency in the middle, and at either end by a parabola through the phase; periods per sample."""
         phase = self.phase
-        _, slope, bend = np.polynomial.polynomial.polyfit(np.linspace(-1.0, 1.0, phase.size), phase, 2)
+        _, slope, curvature = np.polynomial.polynomial.polyfit(np.linspace(-1.0, 1.0, phase.size), phase, 2)
         scale = 2.0 / ((phase.size - 1) * self.track.hop * 2.0 * np.pi)
-        return slope * scale, (slope - 2.0 * bend) * scale, (slope + 2.0 * bend) * scale
+        return slope * scale, (slope - 2.0 * curvature) * scale, (slope + 2.0 * curvature) * scale
 
 
 def _unwrapped(track: Track, begin: int, end: int) -> Array:
-    """Phase of successive blocks, unwrapped by the frequency of each."""
+    """Return the phase of successive blocks (rad), unwrapped by the frequency in each."""
     phase = track.phase[begin:end]
     frequency = track.frequency[begin:end]
     expected = np.pi * (frequency[1:] + frequency[:-1])
@@ -153,62 +155,62 @@ def _tone_intervals(track: Track) -> Iterator[_ToneInterval]:
     """Cut a track into segments of linear phase."""
     if track.number.size < _MIN_BLOCKS:
         return
-    linked = (np.diff(track.number) == 1) & (abs(np.diff(np.log(track.amplitude))) < _MAX_STEP)
-    linked &= abs(np.diff(track.frequency)) < 1.0 / HOPS
+    is_continuous = (np.diff(track.number) == 1) & (abs(np.diff(np.log(track.amplitude))) < _MAX_AMPLITUDE_STEP)
+    is_continuous &= abs(np.diff(track.frequency)) < 1.0 / HOPS_PER_BLOCK
     # Symmetric matrix from values to their residuals from a straight line.
-    line = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, _MIN_BLOCKS), 2))[0]
-    to_residual = np.eye(_MIN_BLOCKS) - line @ line.T
-    for begin, end in runs_of(linked):
+    line_basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, _MIN_BLOCKS), 2))[0]
+    to_residual = np.eye(_MIN_BLOCKS) - line_basis @ line_basis.T
+    for begin, end in runs_of(is_continuous):
         if end + 1 - begin < _MIN_BLOCKS:
             continue
         phase = _unwrapped(track, begin, end + 1)
-        tolerance = float(np.clip(_LINE_SIGMAS * _scatter(phase), _LINE_MIN, _LINE_MAX))
+        tolerance = float(np.clip(_MAX_RESIDUAL_SIGMAS * _scatter(phase), _MIN_TOLERANCE_RAD, _MAX_TOLERANCE_RAD))
         windows = np.lib.stride_tricks.sliding_window_view(phase, _MIN_BLOCKS)
         is_linear = abs(windows @ to_residual).max(axis=1) < tolerance
-        at = 0
-        while at < is_linear.size:
-            if not is_linear[at]:
-                at += 1
+        start = 0
+        while start < is_linear.size:
+            if not is_linear[start]:
+                start += 1
                 continue
             # Extend the segment by growing steps, then by shrinking ones.
-            stop, more = at + _MIN_BLOCKS, _MIN_BLOCKS
-            while more:
-                if stop + more <= phase.size and _is_line(phase[at : stop + more], tolerance):
-                    stop, more = stop + more, 2 * more
+            stop, extension = start + _MIN_BLOCKS, _MIN_BLOCKS
+            while extension:
+                if stop + extension <= phase.size and _is_linear(phase[start : stop + extension], tolerance):
+                    stop, extension = stop + extension, 2 * extension
                 else:
-                    more //= 2
-            first, last = _ends(phase[at:stop])
+                    extension //= 2
+            first, last = _constant_range(phase[start:stop])
             if last - first >= _MIN_BLOCKS:
-                yield _ToneInterval(track, begin + at + first, begin + at + last)
-            at = stop
+                yield _ToneInterval(track, begin + start + first, begin + start + last)
+            start = stop
 
 
-def _is_line(phase: Array, tolerance: float) -> bool:
-    at = np.linspace(-1.0, 1.0, phase.size)
-    slope = float(at @ phase) / float(at @ at)
-    return float(abs(phase - phase.mean() - slope * at).max()) < tolerance
+def _is_linear(phase: Array, tolerance: float) -> bool:
+    abscissa = np.linspace(-1.0, 1.0, phase.size)
+    slope = float(abscissa @ phase) / float(abscissa @ abscissa)
+    return float(abs(phase - phase.mean() - slope * abscissa).max()) < tolerance
 
 
 def _scatter(phase: Array) -> float:
-    """Estimate the standard deviation of phases by their third differences, which tones and sweeps lack."""
-    third = np.diff(phase[::_INDEPENDENT], 3)
+    """Return the standard deviation of phases (rad), from third differences, which are zero for tones and sweeps."""
+    third = np.diff(phase[::_INDEPENDENT_BLOCKS], 3)
     return float(np.median(abs(third))) / (0.6745 * 20**0.5) if third.size else 0.0
 
 
-def _ends(phase: Array) -> tuple[int, int]:
-    """Return the range of blocks [first, stop) whose phase fits the tone of the middle half."""
+def _constant_range(phase: Array) -> tuple[int, int]:
+    """Return the range of blocks [first, stop) whose phase agrees with the tone in the middle half."""
     size = phase.size
     middle = slice(size // 4, size - size // 4)
     block = np.arange(size)
     deviation = phase - np.polyval(np.polyfit(block[middle], phase[middle], 1), block)
-    limit = max(_END_SIGMAS * float(deviation[middle].std()), _END_MIN)
+    limit = max(_END_SIGMAS * float(deviation[middle].std()), _END_MIN_RAD)
     outside = np.flatnonzero(abs(deviation) > limit)
     first_half, second_half = outside[outside < size // 2], outside[outside >= size // 2]
     return (int(first_half[-1]) + 1 if first_half.size else 0), (int(second_half[0]) if second_half.size else size)
 
 
-def _share(intervals: Sequence[_ToneInterval], track: Track) -> float:
-    """Share of the time with a signal in which a tone is held."""
+def _held_share(intervals: Sequence[_ToneInterval], track: Track) -> float:
+    """Return the share of the time with a signal in which a tone is held."""
     silence = _SILENCE_RATIO * float(np.median([interval.amplitude for interval in intervals]))
     return sum(interval.stop - interval.first for interval in intervals) / (
         track.hop * max(int(np.sum(track.levels > silence)), 1)
@@ -216,37 +218,37 @@ def _share(intervals: Sequence[_ToneInterval], track: Track) -> float:
 
 
 def _settled(interval: _ToneInterval, tolerance: float) -> HeldTone:
-    """Remove the transient at the beginning of a segment."""
+    """Return the tone of a segment without the transient at its beginning."""
     track, blocks = interval.track, slice(interval.begin, interval.end)
-    size = track.amplitude[blocks]
-    channels = np.vstack([track.ratio[:, blocks], (size / np.median(size))[None]])
+    amplitude = track.amplitude[blocks]
+    channels = np.vstack([track.ratio[:, blocks], (amplitude / np.median(amplitude))[None]])
     channels = channels[np.isfinite(channels).all(axis=1)]
     steady, begin = False, 0
     for share in _LATE_SHARES:
-        if not steady and size.size * share >= _MIN_BLOCKS:
-            steady, begin = _steady_from(channels, round(size.size * (1.0 - share)), tolerance)
-    frequency = float(np.polyfit(np.arange(size.size - begin), interval.phase[begin:], 1)[0])
+        if not steady and amplitude.size * share >= _MIN_BLOCKS:
+            steady, begin = _steady_range(channels, round(amplitude.size * (1.0 - share)), tolerance)
+    frequency = float(np.polyfit(np.arange(amplitude.size - begin), interval.phase[begin:], 1)[0])
     return HeldTone(
         interval.middle(interval.begin + begin),
         interval.stop,
         frequency / (2.0 * np.pi * track.hop),
-        float(np.median(size[begin:])),
+        float(np.median(amplitude[begin:])),
         steady,
     )
 
 
-def _steady_from(channels: ComplexArray, late_block: int, tolerance: float) -> tuple[bool, int]:
-    """Return whether amplitudes, shape (channels, blocks), are steady from a late block on, and since which block.
+def _steady_range(channels: ComplexArray, late_block: int, tolerance: float) -> tuple[bool, int]:
+    """Return whether amplitudes, shape (channels, blocks), are steady from `late_block` on, and the first steady block.
 
-    They are steady unless the means of both halves differ by more than the tolerance and by more than chance. The
-    earlier blocks that agree with the mean of the late blocks belong to the steady state.
+    They are steady if the means of the halves after `late_block` agree within the tolerance or the scatter. Earlier
+    blocks that agree with the mean of the late blocks belong to the steady state.
     """
     latest = channels[:, late_block:]
     mean = latest.mean(axis=1, keepdims=True)
     allowed, scatter = tolerance * abs(mean[:, 0]), np.sqrt(np.mean(abs(latest - mean) ** 2, axis=1))
-    within = abs(channels - mean) <= np.maximum(_WELL_SETTLED * allowed, _STEADY_SIGMAS * scatter)[:, None]
+    within = abs(channels - mean) <= np.maximum(_SETTLED_TOLERANCE_SHARE * allowed, _STEADY_SIGMAS * scatter)[:, None]
     begin = int(np.max(np.flatnonzero(~within[:, :late_block].all(axis=0)), initial=-1)) + 1
     half = latest.shape[1] // 2
     drift = abs(latest[:, :half].mean(axis=1) - latest[:, half:].mean(axis=1))
-    by_chance = _STEADY_SIGMAS * scatter * np.sqrt(2.0 * _INDEPENDENT / max(half, 1))
+    by_chance = _STEADY_SIGMAS * scatter * np.sqrt(2.0 * _INDEPENDENT_BLOCKS / max(half, 1))
     return bool(np.all(drift <= np.maximum(allowed, by_chance))), begin

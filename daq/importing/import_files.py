@@ -1,4 +1,4 @@
-"""Turn time histories of a real bench into a recording."""
+"""Make a recording from time histories that were measured with other programs."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.importing.assignment import Assigned, Choice, assign, choose, contradicted_units
+from daq.importing.assignment import AssignedSignal, ChosenSignal, assign, choose_signals, contradicted_units
 from daq.importing.channel_table import Column, read_table
-from daq.importing.driving_power import MOTIONS, DrivingPower
+from daq.importing.driving_power import MOTION_INTEGRATIONS, DrivingPower
 from daq.importing.files import signals_of
 from daq.importing.force_pulses import ForcePulses
-from daq.importing.overloads import Overloads, joined
+from daq.importing.overloads import Overloads, merge_spans
 from daq.importing.signal import Signal
-from daq.importing.steps import StepFinder
-from daq.recording.layout import refuse_reversed
+from daq.importing.steps import StepDetector
+from daq.recording.layout import require_ordered_times
 from daq.recording.recorder import Recorder
 from daq.recording.recording import open as open_recording
 from rig.arrays import Array
@@ -32,23 +32,23 @@ from rig.scene.excitation import Free, Impulse, Multisine, Random, Sine, Stepped
 from rig.scene.loading import SceneLike, load
 from rig.scene.scene import Scene
 
-# Samples of each channel in memory at a time.
-_PIECE_SAMPLES = 1 << 16
-# Relative difference below which two rates are equal: files round them.
+# Number of samples of each channel that are in memory at a time.
+_BLOCK_SAMPLES = 1 << 16
+# Relative difference below which two sample rates are equal, because files round them.
 _RATE_TOLERANCE = 2e-5
-# Band of a test whose scene states none, as ratios to the sample rate.
+# Frequency band of a test whose scene states none, as ratios to the sample rate.
 _LOWEST_RATIO = 1e-4
 _HIGHEST_RATIO = 0.4
-# Larger readings, in SI, are not a vibration.
-_IMPLAUSIBLE = {"acceleration": 1e6, "velocity": 1e4, "displacement": 1e2, "force": 1e7, "voltage": 1e4}
-# Largest number of lost segments of a channel; beyond it, segments with short pauses between them are joined.
+# Largest plausible readings of a vibration test, SI.
+_MAX_PLAUSIBLE = {"acceleration": 1e6, "velocity": 1e4, "displacement": 1e2, "force": 1e7, "voltage": 1e4}
+# Number of lost segments of a channel above which segments with short pauses between them are merged.
 _MAX_LOST_SEGMENTS = 1000
-# Longest pause between two lost segments that are joined.
+# Longest pause between two lost segments that are merged.
 _LOST_PAUSE_S = 0.1
-# Longest pause between two overloads that are joined.
+# Longest pause between two overloads that are merged.
 _OVERLOAD_PAUSE_S = 0.01
-# Share of a free test after which its largest motion is too late for a decay.
-_LATE_SHARE = 0.05
+# Latest position of the largest motion of a free decay, as a share of its duration.
+_MAX_PEAK_SHARE = 0.05
 
 
 def import_files(
@@ -74,7 +74,7 @@ def import_files(
         TDMS (.tdms), Universal File (.uff, .unv), WAV, text (.csv, .txt, .tsv, .lvm), numpy (.npz, .npy), MATLAB (.mat)
         or another program's MCAP.
     scene : Scene, str, Path or mapping
-        The bench: structure, dampers, shaker, test, channels with their sensors.
+        The bench: structure, dampers, shaker, test, and channels with their sensors.
     path : str or Path
         Recording to write (MCAP), in an existing folder.
     table : mapping of str to Column, or str or Path, optional
@@ -103,7 +103,7 @@ def import_files(
     Warns
     -----
     RunWarning
-        For everything that is missing, left out or uncertain.
+        For data that is missing, left out or uncertain.
 
     Examples
     --------
@@ -119,58 +119,66 @@ def import_files(
     ...         recording.rate, round(float(recording.read("body1").max()), 4)
     (1000.0, 9.8066)
     """
-    bench = load(scene)
-    named = [files] if isinstance(files, str | Path) or not isinstance(files, Sequence) else files
-    paths = [as_path(file, "files") for file in named]
+    bench_scene = load(scene)
+    file_arguments = [files] if isinstance(files, str | Path) or not isinstance(files, Sequence) else files
+    paths = [as_path(file, "files") for file in file_arguments]
     target = as_path(path)
     columns = table if isinstance(table, Mapping) else {} if table is None else read_table(Path(table))
     for first, duplicate in duplicate_files(paths):
         raise RecordingError(f"{duplicate}: the same content as {first}. Give each file once.")
     with ExitStack() as stack:
         signals = [signal for file in paths for signal in signals_of(file, stack)]
-        # Not before: a missing file or scene is the more helpful message.
-        replaces = overwrite
+        # Checked after the files and the scene: their errors are more helpful.
+        may_replace = overwrite
         with suppress(ShotrigError), open_recording(target) as recording:
-            # A recording of the same files may be replaced.
+            # A recording of the same files may be replaced without `overwrite`.
             names = ", ".join(file.name for file in paths)
-            replaces |= bool(recording.source) and recording.source in names
-        resolve_output(target, replaces, RecordingError)
-        chosen, notes = choose(bench, signals, columns)
+            may_replace |= bool(recording.source) and recording.source in names
+        resolve_output(target, may_replace, RecordingError)
+        chosen, notes = choose_signals(bench_scene, signals, columns)
         notes += contradicted_units(chosen)
-        rate = _common_rate(chosen, bench)
-        assigned = _cut(_with_start_delays(assign(bench, chosen, rate)), rate, from_s, to_s)
-        longest = max(each.signal.samples for each in assigned)
-        short = [f"{each.channel.name} ({each.signal.samples})" for each in assigned if each.signal.samples < longest]
-        if short:
-            notes.append(f"{', '.join(short)} have fewer than {longest} samples; the rest is marked as lost")
+        rate = _common_rate(chosen, bench_scene)
+        assigned = _cut_to_times(_with_start_delays(assign(bench_scene, chosen, rate)), rate, from_s, to_s)
+        longest = max(assignment.signal.samples for assignment in assigned)
+        shorter = [
+            f"{assignment.channel.name} ({assignment.signal.samples})"
+            for assignment in assigned
+            if assignment.signal.samples < longest
+        ]
+        if shorter:
+            notes.append(f"{', '.join(shorter)} have fewer than {longest} samples; the rest is marked as lost")
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", RunWarning)
-            notes += _Import(_as_measured(bench, assigned, rate), assigned, rate).run(target, overwrite, progress)
-    for note in dict.fromkeys([*notes, *(str(each.message) for each in caught)]):
+            notes += _RecordingWriter(_scene_as_measured(bench_scene, assigned, rate), assigned, rate).run(
+                target, overwrite, progress
+            )
+    for note in dict.fromkeys([*notes, *(str(assignment.message) for assignment in caught)]):
         warnings.warn(note, RunWarning, stacklevel=2)
     return target
 
 
-#: The call by the name of the command; `import` itself is a keyword.
+#: The function by the name of the command; `import` itself is a keyword.
 import_ = import_files
 
 
-def _common_rate(chosen: Sequence[Choice], scene: Scene) -> float:
-    """Return the rate of all signals: the table's, the files', or else the scene's."""
+def _common_rate(chosen: Sequence[ChosenSignal], scene: Scene) -> float:
+    """Return the sample rate of all signals, Hz: that of the table, or else of the files, or else of the scene."""
 
-    def listed(rates: Iterable[float]) -> str:
+    def rate_list(rates: Iterable[float]) -> str:
         return ", ".join(f"{rate:.10g} Hz" for rate in sorted(rates))
 
-    table_rates = {each.column.rate for each in chosen if each.column.rate is not None}
+    table_rates = {choice.column.rate for choice in chosen if choice.column.rate is not None}
     if len(table_rates) > 1:
-        raise SceneError(f"the table gives several rates, {listed(table_rates)}. Give one rate: a recording has one.")
+        raise SceneError(
+            f"the table gives several rates, {rate_list(table_rates)}. Give one rate: a recording has one."
+        )
     if table_rates:
         return table_rates.pop()
     converter = scene.converter
-    in_scene = "rate" in converter.model_fields_set or converter.preset is not None
-    rates = sorted({each.signal.rate for each in chosen if each.signal.rate is not None})
+    rate_in_scene = "rate" in converter.model_fields_set or converter.preset is not None
+    rates = sorted({choice.signal.rate for choice in chosen if choice.signal.rate is not None})
     if not rates:
-        if not in_scene:
+        if not rate_in_scene:
             raise SceneError(
                 "the sample rate is not stated: the files have no times, and no rate. Give rate: in the table, or "
                 "converter: {rate: 5120 Hz} in the scene."
@@ -178,11 +186,11 @@ def _common_rate(chosen: Sequence[Choice], scene: Scene) -> float:
         return converter.sample_rate
     if rates[-1] > rates[0] * (1.0 + _RATE_TOLERANCE):
         raise RecordingError(
-            f"the signals have several sample rates, {listed(rates)}; a recording has one. Import them one by one, or "
-            "choose those of one rate in a table."
+            f"the signals have several sample rates, {rate_list(rates)}; a recording has one. Import them one by one, "
+            "or choose those of one rate in a table."
         )
     rate = rates[0]
-    if in_scene and abs(converter.sample_rate - rate) > _RATE_TOLERANCE * rate:
+    if rate_in_scene and abs(converter.sample_rate - rate) > _RATE_TOLERANCE * rate:
         raise SceneError(
             f"the files state {rate:.10g} Hz, the scene's converter {converter.sample_rate:.10g} Hz. Correct the wrong "
             f"value: --set converter.rate={rate:.10g}Hz, or rate: in the table."
@@ -190,40 +198,46 @@ def _common_rate(chosen: Sequence[Choice], scene: Scene) -> float:
     return rate
 
 
-def _with_start_delays(assigned: Sequence[Assigned]) -> list[Assigned]:
-    """Turn small differences of the start into delays; reject signals that began at different times."""
-    stated = [each.signal for each in assigned if each.column.delay is None]
+def _with_start_delays(assigned: Sequence[AssignedSignal]) -> list[AssignedSignal]:
+    """Turn differences of the start below half a sample into delays; raise `RecordingError` for larger differences."""
+    undelayed = [assignment.signal for assignment in assigned if assignment.column.delay is None]
     delayed = []
-    for each in assigned:
+    for assignment in assigned:
         delay_s = 0.0
-        if each.column.delay is None:
-            signal, origin = each.signal, stated[0]
-            delay_s = signal.start_s - origin.start_s
-            # Dates count where both have one.
-            if signal.start_ns and origin.start_ns:
-                delay_s += (signal.start_ns - origin.start_ns) * 1e-9
-        if abs(delay_s) * each.info.rate > 0.5:
+        if assignment.column.delay is None:
+            signal, reference_signal = assignment.signal, undelayed[0]
+            delay_s = signal.start_s - reference_signal.start_s
+            # The dates count if both signals have one.
+            if signal.start_ns and reference_signal.start_ns:
+                delay_s += (signal.start_ns - reference_signal.start_ns) * 1e-9
+        if abs(delay_s) * assignment.info.rate > 0.5:
             raise RecordingError(
-                f"{each.signal.name!r} of {each.signal.file} begins {delay_s:.6g} s after {stated[0].name!r} of "
-                f"{stated[0].file}: their samples were not taken together. Import them one by one or, where the files "
-                "are wrong, give delay: 0 s for both in the table."
+                f"{assignment.signal.name!r} of {assignment.signal.file} begins {delay_s:.6g} s after "
+                f"{undelayed[0].name!r} of {undelayed[0].file}: their samples were not taken together. Import them one "
+                "by one or, if the files are wrong, give delay: 0 s for both in the table."
             )
-        delayed.append(replace(each, info=replace(each.info, delay=each.info.delay - delay_s)) if delay_s else each)
+        delayed.append(
+            replace(assignment, info=replace(assignment.info, delay=assignment.info.delay - delay_s))
+            if delay_s
+            else assignment
+        )
     return delayed
 
 
-def _cut(assigned: Sequence[Assigned], rate: float, from_s: float | None, to_s: float | None) -> Sequence[Assigned]:
-    """Select the samples between two times."""
+def _cut_to_times(
+    assigned: Sequence[AssignedSignal], rate: float, from_s: float | None, to_s: float | None
+) -> Sequence[AssignedSignal]:
+    """Return the signals cut to the samples between two times, s."""
     if from_s is None and to_s is None:
         return assigned
-    refuse_reversed(from_s, to_s)
-    longest = max(each.signal.samples for each in assigned)
+    require_ordered_times(from_s, to_s)
+    longest = max(assignment.signal.samples for assignment in assigned)
     start = 0 if from_s is None else max(0, math.ceil(from_s * rate))
     stop = longest if to_s is None else min(longest, math.ceil(to_s * rate))
     if stop - start < 2:
         raise SceneError(f"no samples between --from and --to. Give times from 0 s to {longest / rate:.6g} s.")
 
-    def within(signal: Signal) -> Signal:
+    def cut_signal(signal: Signal) -> Signal:
         return replace(
             signal,
             samples=max(min(stop, signal.samples) - start, 0),
@@ -231,11 +245,11 @@ def _cut(assigned: Sequence[Assigned], rate: float, from_s: float | None, to_s: 
             start_s=signal.start_s + start / rate,
         )
 
-    return [replace(each, signal=within(each.signal)) for each in assigned]
+    return [replace(assignment, signal=cut_signal(assignment.signal)) for assignment in assigned]
 
 
-def _as_measured(scene: Scene, assigned: Sequence[Assigned], rate: float) -> Scene:
-    """Return the scene with the channels of the files, and their rate."""
+def _scene_as_measured(scene: Scene, assigned: Sequence[AssignedSignal], rate: float) -> Scene:
+    """Return the scene with the assigned channels, and the sample rate of the files."""
     converter = scene.converter.replace(rate=rate, remove_delay=True, dropped_blocks=(), skew=None)
     if abs(converter.sample_rate - rate) > _RATE_TOLERANCE * rate:
         raise SceneError(
@@ -244,51 +258,53 @@ def _as_measured(scene: Scene, assigned: Sequence[Assigned], rate: float) -> Sce
         )
     samples = "float32" if scene.recording.samples == "float32" else "float64"
     return scene.replace(
-        channels=[each.channel for each in assigned],
+        channels=[assignment.channel for assignment in assigned],
         converter=converter,
         recording=scene.recording.replace(truth=False, samples=samples),
     )
 
 
-class _Import:
-    """One import: signals are read in pieces, examined, and written."""
+class _RecordingWriter:
+    """Reads the signals block by block, writes them to a recording, and marks what it detects in them."""
 
-    def __init__(self, scene: Scene, assigned: Sequence[Assigned], rate: float) -> None:
+    def __init__(self, scene: Scene, assigned: Sequence[AssignedSignal], rate: float) -> None:
         self._scene, self._assigned, self._rate = scene, assigned, rate
-        self._infos = [each.info for each in assigned]
-        self._samples = max(each.signal.samples for each in assigned)
+        self._infos = [assignment.info for assignment in assigned]
+        self._samples = max(assignment.signal.samples for assignment in assigned)
         self._missing: list[list[tuple[int, int]]] = [[] for _ in assigned]
-        # Largest voltage that a signal can read: full scale of its file, or the converter's range.
-        limits = [each.info.range if each.calibrated else None for each in assigned]
-        for row, each in enumerate(assigned):
-            if each.signal.full_scale is not None:
-                limits[row] = abs(each.signal.full_scale * each.factor)
+        # Largest voltage of each signal: full scale of its file, or the range of the converter; None if not known.
+        limits = [assignment.info.range if assignment.calibrated else None for assignment in assigned]
+        for row, assignment in enumerate(assigned):
+            if assignment.signal.full_scale is not None:
+                limits[row] = abs(assignment.signal.full_scale * assignment.factor)
         self._overloads = [Overloads(limit) for limit in limits]
         forces = [row for row, info in enumerate(self._infos) if info.quantity == "force"]
         self._forces = {row: ForcePulses() for row in forces if isinstance(scene.test, Impulse | None)}
-        # The power of the only channel of force and the motion where it acts.
+        # The power at the driving point, if one channel measures force, and a channel the motion where it acts.
         places = [f"body {number}" for number in scene.force_on]
-        motions = [row for row, info in enumerate(self._infos) if info.quantity in MOTIONS and [info.at] == places]
-        self._powered = [forces[0], motions[0]] if len(forces) == 1 and motions else []
-        self._power = DrivingPower(*(self._infos[row] for row in self._powered)) if self._powered else None
+        motions = [
+            row for row, info in enumerate(self._infos) if info.quantity in MOTION_INTEGRATIONS and [info.at] == places
+        ]
+        self._power_rows = [forces[0], motions[0]] if len(forces) == 1 and motions else []
+        self._power = DrivingPower(*(self._infos[row] for row in self._power_rows)) if self._power_rows else None
         is_tone_test = isinstance(scene.test, Sine | SteppedSine)
-        self._steps = StepFinder(scene, self._infos, rate) if is_tone_test else None
+        self._steps = StepDetector(scene, self._infos, rate) if is_tone_test else None
 
     def run(self, path: Path, overwrite: bool, progress: FractionProgress | None) -> list[str]:
         """Write the recording; return the warnings about it."""
-        source = ", ".join(dict.fromkeys(Path(each.signal.file).name for each in self._assigned))
-        start_ns = max(each.signal.start_ns for each in self._assigned)
+        source = ", ".join(dict.fromkeys(Path(assignment.signal.file).name for assignment in self._assigned))
+        start_ns = max(assignment.signal.start_ns for assignment in self._assigned)
         start_ns += round(self._assigned[0].signal.start_s * 1e9) if start_ns else 0
         with (
-            atomic_write(path, overwrite or None) as part,
-            Recorder(part, self._scene, self._infos, self._rate, max(start_ns, 0), source=source) as recorder,
+            atomic_write(path, overwrite or None) as temporary_path,
+            Recorder(temporary_path, self._scene, self._infos, self._rate, max(start_ns, 0), source=source) as recorder,
         ):
-            for first in range(0, self._samples, _PIECE_SAMPLES):
-                stop = min(first + _PIECE_SAMPLES, self._samples)
+            for first in range(0, self._samples, _BLOCK_SAMPLES):
+                stop = min(first + _BLOCK_SAMPLES, self._samples)
                 block = np.stack([self._read_block(row, first, stop) for row in range(len(self._infos))])
                 recorder.write(block)
                 if self._power is not None:
-                    self._power.add(*block[self._powered])
+                    self._power.add(*block[self._power_rows])
                 if self._steps is not None:
                     self._steps.add(block)
                 if progress is not None:
@@ -296,34 +312,34 @@ class _Import:
             return [*self._mark_channels(recorder), *self._mark_test(recorder)]
 
     def _read_block(self, row: int, first: int, stop: int) -> Array:
-        """Read a piece of a channel in volts, NaN where the file has no number, and examine it."""
-        each = self._assigned[row]
+        """Return a block in volts, NaN where the file has no number; search it for gaps, clipping and hits."""
+        assignment = self._assigned[row]
         volts = np.full(stop - first, np.nan)
-        end = min(stop, each.signal.samples)
+        end = min(stop, assignment.signal.samples)
         if end > first:
-            volts[: end - first] = each.volts(first, end)
+            volts[: end - first] = assignment.volts(first, end)
             volts[~np.isfinite(volts)] = np.nan
         self._missing[row] += [(first + a, first + b) for a, b in runs_of(np.isnan(volts))]
         if len(self._missing[row]) > _MAX_LOST_SEGMENTS:
-            self._missing[row] = joined(self._missing[row], round(_LOST_PAUSE_S * self._rate))
+            self._missing[row] = merge_spans(self._missing[row], round(_LOST_PAUSE_S * self._rate))
         self._overloads[row].add(first, volts)
         if row in self._forces:
-            self._forces[row].add(first, volts / each.info.sensitivity)
+            self._forces[row].add(first, volts / assignment.info.sensitivity)
         return volts
 
     def _mark_channels(self, recorder: Recorder) -> Iterator[str]:
         """Mark lost and clipped samples; yield warnings."""
-        for each, missing, overloads in zip(self._assigned, self._missing, self._overloads, strict=True):
-            name, signal = each.channel.name, each.signal
+        for assignment, missing, overloads in zip(self._assigned, self._missing, self._overloads, strict=True):
+            name, signal = assignment.channel.name, assignment.signal
             where = f"{name} ({signal.name!r} of {signal.file})"
-            lost = joined(missing)
+            lost = merge_spans(missing)
             for first, stop in lost:
                 recorder.mark("lost", first, stop - 1, channels=[name], reason=f"not in {signal.file}")
             count = sum(stop - first for first, stop in lost if first < signal.samples)
             if count:
                 yield f"{where}: {count} of {signal.samples} samples are not numbers; marked as lost"
-            yield from _implausible(where, each, overloads)
-            clipped = joined(overloads.spans(), round(_OVERLOAD_PAUSE_S * self._rate))
+            yield from _implausible_readings(where, assignment, overloads)
+            clipped = merge_spans(overloads.segments(), round(_OVERLOAD_PAUSE_S * self._rate))
             for first, stop in clipped:
                 recorder.mark("overload", first, stop - 1, channel=name)
             if clipped:
@@ -332,23 +348,23 @@ class _Import:
             yield warning
 
     def _mark_test(self, recorder: Recorder) -> Iterator[str]:
-        """Mark the hits or steps, or all of it as measured, as the scene's test requires; yield warnings."""
+        """Mark hits, steps, or the whole recording as measured, as the test of the scene requires; yield warnings."""
         test = self._scene.test
         if isinstance(test, Free):
-            moving = [
-                (overloads.peak_at, each.channel.name)
-                for each, overloads in zip(self._assigned, self._overloads, strict=True)
-                if each.channel.body is not None and overloads.peak_at is not None
+            motion_peaks = [
+                (overloads.peak_at, assignment.channel.name)
+                for assignment, overloads in zip(self._assigned, self._overloads, strict=True)
+                if assignment.channel.body is not None and overloads.peak_at is not None
             ]
-            latest, name = max(moving, default=(0, ""))
-            if latest >= _LATE_SHARE * self._samples:
+            latest_peak, name = max(motion_peaks, default=(0, ""))
+            if latest_peak >= _MAX_PEAK_SHARE * self._samples:
                 yield (
-                    f"a free test: its decay begins with the first sample, but {name} moves most at "
-                    f"{latest / self._rate:.4g} s. Remove the time before it with --from."
+                    f"the decay of a free test must begin with the first sample, but the largest motion of {name} is "
+                    f"at {latest_peak / self._rate:.4g} s. Remove the time before it with --from."
                 )
             return
         if self._steps is not None:
-            yield from self._steps.mark(recorder, self._assigned[self._steps.row])
+            yield from self._steps.mark(recorder, self._assigned[self._steps.reference_row])
             return
         hits = [hit for force in self._forces.values() for hit in force.hits(self._rate)]
         for number, hit in enumerate(hits, 1):
@@ -369,17 +385,17 @@ class _Import:
             recorder.mark("measure", 0, self._samples - 1, **{"from": low, "to": high})
 
 
-def _implausible(where: str, each: Assigned, overloads: Overloads) -> Iterator[str]:
-    """Yield warnings of implausible readings."""
-    peak, unit = overloads.peak / abs(each.info.sensitivity), each.info.unit
+def _implausible_readings(where: str, assignment: AssignedSignal, overloads: Overloads) -> Iterator[str]:
+    """Yield warnings about readings that suggest a dead sensor, or a wrong unit, sensitivity or range."""
+    peak, unit = overloads.peak / abs(assignment.info.sensitivity), assignment.info.unit
     if not np.isfinite(peak):
         yield f"{where} contains no numbers"
         return
-    if overloads.span == 0.0:
+    if overloads.value_range == 0.0:
         yield f"{where} reads {peak:.6g} {unit} throughout: the sensor is dead, or not connected"
-    if peak > _IMPLAUSIBLE[each.info.quantity]:
+    if peak > _MAX_PLAUSIBLE[assignment.info.quantity]:
         yield f"{where} reads up to {peak:.3g} {unit}. Check for a wrong unit or sensitivity."
-    if overloads.beyond_limit:
+    if overloads.limit_is_wrong:
         yield (
             f"{where} reads up to {overloads.peak:.4g} V, above the converter's range of {overloads.limit:.4g} V. "
             "Correct unit, sensitivity or range."

@@ -1,6 +1,7 @@
-"""MATLAB files, read in a separate process: a damaged file can crash the process of scipy's reader.
+"""Read MATLAB files in a child process, because a damaged file can crash scipy's reader.
 
-Run as a program, it writes the content of the file that its first argument names.
+This module is also the program of the child process: it writes the variables of the file to standard output, pickled.
+Its arguments are the file and the allowed memory in bytes.
 """
 
 from __future__ import annotations
@@ -19,21 +20,21 @@ from numpy.typing import NDArray
 from rig.errors import RecordingError, RunError
 from rig.numerics.memory import LIMIT_VARIABLE, PROGRAM_BYTES, memory_limit
 
-_NEEDS_H5PY, _NEEDS_MEMORY = "needs h5py", "needs more memory"
+_H5PY_MISSING, _MEMORY_MISSING = "needs h5py", "needs more memory"
 # Maximum depth of structures within structures.
 _MAX_DEPTH = 8
-# Maximum number of values: cells may refer to themselves.
+# Maximum number of values in a file: cells may refer to themselves.
 _MAX_VALUES = 100_000
 
 
 def matlab_arrays(path: Path) -> dict[str, Any]:
-    """Read the variables of a MATLAB file.
+    """Return the variables of a MATLAB file by name.
 
     Raises `RecordingError` for a damaged file, `RunError` for version 7.3 without h5py.
     """
-    memory = str(int(max(memory_limit() - PROGRAM_BYTES, memory_limit() / 2)))
-    # The search path is that of this process: -m alone would search the user's folder first.
-    program = [sys.executable, "-P", "-m", __name__, str(path.resolve()), memory]
+    max_bytes = str(int(max(memory_limit() - PROGRAM_BYTES, memory_limit() / 2)))
+    # The child gets the search path of this process: -m alone would search the current folder first.
+    program = [sys.executable, "-P", "-m", __name__, str(path.resolve()), max_bytes]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)}
     with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment) as reader:
         assert reader.stdout is not None
@@ -42,75 +43,76 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
         except (EOFError, pickle.UnpicklingError):
             code = reader.wait()
             raise RecordingError(f"{path} is damaged: reading it ended with code {code}. Save it again.") from None
-    if content == _NEEDS_H5PY:
+    if content == _H5PY_MISSING:
         raise RunError(
-            f"{path} is a MATLAB file of version 7.3 (HDF5), which needs the package h5py: pip install "
-            "'shotrig[matlab]'; or in MATLAB: save(name, ..., '-v7')"
+            f"{path} is a MATLAB file of version 7.3 (HDF5), which needs the package h5py. Install it: "
+            "pip install 'shotrig[matlab]', or save the file in MATLAB with save(name, ..., '-v7')."
         )
-    if content == _NEEDS_MEMORY:
+    if content == _MEMORY_MISSING:
         raise RecordingError(
             f"{path}: importing it takes more than the {memory_limit() / 1e9:.3g} GB of memory that are allowed. Save "
-            f"the channels one by one, or as TDMS or WAV, or allow more: {LIMIT_VARIABLE}=8GB in the environment."
+            f"the channels one by one, or as TDMS or WAV, or allow more: set {LIMIT_VARIABLE}=8GB in the environment."
         )
     if isinstance(content, str):
         raise RecordingError(f"{path} {content}")
     return content
 
 
-def _read(name: str, memory: int) -> dict[str, Any] | str:
-    """Read the variables within a memory in bytes, or give an error text."""
+def _read_variables(file_name: str, max_bytes: int) -> dict[str, Any] | str:
+    """Return the variables of a file, or an error text; use at most `max_bytes` of memory."""
     from scipy.io import loadmat
 
     with suppress(ImportError, ValueError, OSError):
-        # Not every system can limit a process; a packed file holds a thousand times its size.
+        # A compressed file can expand to a thousand times its size. Not every system can limit a process.
         import resource
 
         _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-        resource.setrlimit(resource.RLIMIT_DATA, (memory, hard))
+        resource.setrlimit(resource.RLIMIT_DATA, (max_bytes, hard))
     try:
         try:
-            content = loadmat(name, squeeze_me=True, struct_as_record=True, chars_as_strings=True)
+            content = loadmat(file_name, squeeze_me=True, struct_as_record=True, chars_as_strings=True)
         except NotImplementedError:
             import h5py
 
-            with h5py.File(name, "r") as file:
-                items = _HdfItems(file)
-                # Names with # are MATLAB's own: the targets of references in cells and structures.
-                return {key: items.value(file[key]) for key in file if not key.startswith("#")}
+            with h5py.File(file_name, "r") as file:
+                hdf_reader = _HdfReader(file)
+                # MATLAB stores the targets of references in cells and structures under names with #.
+                return {key: hdf_reader.value(file[key]) for key in file if not key.startswith("#")}
     except ImportError:
-        return _NEEDS_H5PY
+        return _H5PY_MISSING
     except MemoryError:
-        return _NEEDS_MEMORY
+        return _MEMORY_MISSING
     except Exception as error:
         # A damaged file can cause any exception in the reader.
         return f"is not a MATLAB file, or it is damaged: {type(error).__name__}: {error}"[:300]
     return {key: value for key, value in content.items() if key[:2] != "__"}
 
 
-class _HdfItems:
-    """The items of an open file of version 7.3, in the form that scipy gives those of older versions.
+class _HdfReader:
+    """Reads the items of an open file of version 7.3 (HDF5) in the form in which scipy reads older versions.
 
-    Structures become dictionaries, cells arrays of objects.
+    Structures become dictionaries; cells become arrays of objects.
     """
 
     def __init__(self, file: Any) -> None:
         self._file = file
-        self._count = 0
+        self._value_count = 0
 
     def value(self, item: Any, depth: int = 0) -> Any:
-        """Return the MATLAB value of an item; None beyond the depth of data."""
-        self._count += 1
-        if self._count > _MAX_VALUES:
+        """Return the value of an item; None if it is nested deeper than `_MAX_DEPTH`."""
+        self._value_count += 1
+        if self._value_count > _MAX_VALUES:
             raise ValueError(f"its structures and cells hold more than {_MAX_VALUES} values")
         if depth > _MAX_DEPTH:
             return None
         if hasattr(item, "keys"):
             fields = {name: self.value(item[name], depth + 1) for name in item}
             # Each field of an array of structures is a list of references, one for each structure.
-            array = all(
-                not hasattr(each, "keys") and each.dtype.kind == "O" and not _kind(each) for each in item.values()
+            is_array = all(
+                not hasattr(field, "keys") and field.dtype.kind == "O" and not _matlab_class(field)
+                for field in item.values()
             )
-            if not (fields and array):
+            if not (fields and is_array):
                 return fields
             structures = np.empty(min(np.size(values) for values in fields.values()), dtype=object)
             for number in range(structures.size):
@@ -121,20 +123,20 @@ class _HdfItems:
         values: NDArray[Any] = np.asarray(item[()]).T.squeeze()
         if values.dtype.kind == "O":
             cells = np.empty(values.shape, dtype=object)
-            for place, reference in np.ndenumerate(values):
-                cells[place] = self.value(self._file[reference], depth + 1) if reference else None
+            for index, reference in np.ndenumerate(values):
+                cells[index] = self.value(self._file[reference], depth + 1) if reference else None
             return cells
-        if _kind(item) == "char":
+        if _matlab_class(item) == "char":
             return "".join(map(chr, values.ravel().tolist()))
         if values.dtype.names == ("real", "imag"):
             return values["real"] + 1j * values["imag"]
         return values
 
 
-def _kind(item: Any) -> str:
+def _matlab_class(item: Any) -> str:
     kind = item.attrs.get("MATLAB_class", b"")
     return kind.decode() if isinstance(kind, bytes) else str(kind)
 
 
 if __name__ == "__main__":
-    pickle.dump(_read(sys.argv[1], int(sys.argv[2])), sys.stdout.buffer, protocol=5)
+    pickle.dump(_read_variables(sys.argv[1], int(sys.argv[2])), sys.stdout.buffer, protocol=5)

@@ -1,4 +1,4 @@
-"""The output of `daq import`: the contents of files, and the result of an import."""
+"""Lines that the command `daq import` prints: the signals of files, or the result of an import."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from rig.scene.scene import Scene
 
 
 def listing(files: Sequence[Path]) -> Iterator[str]:
-    """List the signals of files, in the form of a table for `--table`."""
+    """Yield the signals of files as lines of a table that can be edited and given to `--table`."""
     with ExitStack() as stack:
         for path in files:
             yield f"# {path}; replace signal1, ... by the names of the scene's channels"
@@ -45,7 +45,7 @@ def import_and_report(
     to_s: float | None,
     overwrite: bool,
 ) -> None:
-    """Import files with a progress bar, and print a summary."""
+    """Import files with a progress bar; print the detected hits or steps, and a summary."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RunWarning)
         with progress(f"importing {files[0].name}") as report_progress:
@@ -55,25 +55,25 @@ def import_and_report(
     for warning in caught:
         print(f"warning: {warning.message}", file=sys.stderr)
     with open_recording(path) as recording:
-        for line in _detected_lines(recording):
+        for line in _detection_lines(recording):
             print(line)
     print(summary(path))
 
 
-def _detected_lines(recording: Recording) -> Iterator[str]:
-    """Describe the hits or steps that were detected in the samples."""
+def _detection_lines(recording: Recording) -> Iterator[str]:
+    """Yield lines about the hits or steps that were detected in the samples."""
     hits = [marker for marker in recording.markers if marker.kind == "hit"]
     if hits:
         peaks = [float(hit.fields["peak"]) for hit in hits]
         yield f"{len(hits)} hits detected in the force, of {min(peaks):.3g} to {max(peaks):.3g} N"
     steps = [marker for marker in recording.markers if "settled" in marker.fields]
     if steps:
-        at = [float(step.fields["frequency"]) for step in steps]
-        settled = sum((step.stop - step.first_sample) / recording.rate for step in steps)
+        frequencies = [float(step.fields["frequency"]) for step in steps]
+        settled_s = sum((step.stop - step.first_sample) / recording.rate for step in steps)
         yield (
-            f"{len(steps)} steps detected, {min(at):.6g} to {max(at):.6g} Hz; settled, and measured, for {settled:.4g} "
-            f"of {recording.samples / recording.rate:.4g} s"
+            f"{len(steps)} steps detected, {min(frequencies):.6g} to {max(frequencies):.6g} Hz; settled, and measured, "
+            f"for {settled_s:.4g} of {recording.samples / recording.rate:.4g} s"
         )
-        moving = sum(not step.fields["settled"] for step in steps)
-        if moving:
-            yield f"{moving} of them did not reach steady state: marked as such"
+        unsettled_count = sum(not step.fields["settled"] for step in steps)
+        if unsettled_count:
+            yield f"{unsettled_count} of them did not reach steady state: marked as such"

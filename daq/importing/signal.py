@@ -1,4 +1,4 @@
-"""A signal in another program's file: its name, unit and clock as the file states them, and its samples."""
+"""A signal in a file of another program: name, unit and sample clock as stated in the file, and its samples."""
 
 from __future__ import annotations
 
@@ -18,25 +18,26 @@ from rig.errors import RecordingError, RunWarning
 
 @dataclass(frozen=True)
 class Signal:
-    """One row of samples of a file."""
+    """The samples of one channel in a file."""
 
     file: str
     number: int  # Position of the signal in the file, from 1
     name: str
-    unit: str  # Empty where the file states none
+    unit: str  # Empty if the file states none
     samples: int
-    rate: float | None  # Samples per second, Hz; None where the file states none
-    # (start, stop) -> samples in the file's unit; called with rising, adjoining ranges, or from 0 again.
+    rate: float | None  # Samples per second, Hz; None if the file states none
+    # (start, stop) -> samples [start, stop) in the unit of the file. Each call continues at the last stop, or restarts
+    # at 0.
     read: Callable[[int, int], Array]
-    start_s: float = 0.0  # Time of the first sample after the file's own zero, s
-    start_ns: int = 0  # That zero in nanoseconds since 1970; 0 where the file has no date
+    start_s: float = 0.0  # Time of the first sample from the time zero of the file, s
+    start_ns: int = 0  # Time zero of the file, ns since 1970; 0 if the file has no date
     full_scale: float | None = None  # Largest value that the file can hold, in its unit; None if not known
 
     @classmethod
-    def of_array(
+    def from_array(
         cls, path: Path, number: int, name: str, unit: str, values: NDArray[Any], clock: Clock, start_ns: int = 0
     ) -> Signal:
-        """Make a signal of samples in memory; raise `RecordingError` unless they are a row of real numbers."""
+        """Return a signal of samples in memory; raise `RecordingError` unless they are a row of real numbers."""
         if values.ndim != 1 or values.dtype.kind not in "fiub":
             content = "complex numbers" if values.dtype.kind == "c" else f"{values.dtype} of shape {values.shape}"
             raise RecordingError(f"{path}: {name!r} (number {number}) holds {content}; expected a row of real numbers")
@@ -48,28 +49,28 @@ class Signal:
         return signal.with_gaps(clock)
 
     def with_gaps(self, clock: Clock) -> Signal:
-        """Return the signal with NaN for the samples that the file lacks."""
+        """Return the signal with NaN for the samples of missing rows."""
         missing = [(row, count) for row, count in clock.missing if row < self.samples]
         if not missing:
             return self
-        gap_rows = np.array([row for row, _ in missing])
-        lost = np.cumsum([0, *(count for _, count in missing)])
-        resumes = gap_rows + lost[1:]
+        rows_after_gaps = np.array([row for row, _ in missing])
+        lost_before = np.cumsum([0, *(count for _, count in missing)])
+        first_numbers_after_gaps = rows_after_gaps + lost_before[1:]
 
-        def row_at(number: int) -> int:
+        def row_of_sample(number: int) -> int:
             """Return the first row whose sample number is at least `number`."""
-            gaps_before = int(np.searchsorted(resumes, number, side="right"))
-            row = number - int(lost[gaps_before])
-            return min(row, int(gap_rows[gaps_before])) if gaps_before < gap_rows.size else row
+            gaps_before = int(np.searchsorted(first_numbers_after_gaps, number, side="right"))
+            row = number - int(lost_before[gaps_before])
+            return min(row, int(rows_after_gaps[gaps_before])) if gaps_before < rows_after_gaps.size else row
 
         def read(start: int, stop: int) -> Array:
-            first, last = row_at(start), row_at(stop)
+            first, last = row_of_sample(start), row_of_sample(stop)
             values = np.full(stop - start, np.nan)
             if last > first:
                 values[sample_numbers(np.arange(first, last), missing) - start] = self.read(first, last)
             return values
 
-        return replace(self, samples=self.samples + int(lost[-1]), read=read)
+        return replace(self, samples=self.samples + int(lost_before[-1]), read=read)
 
     def __str__(self) -> str:
         rate = "no sample rate" if self.rate is None else f"{self.rate:.10g} Hz"

@@ -1,4 +1,4 @@
-"""Detection of the steps of a stepped sine: a real bench does not mark them."""
+"""Detect the steps of a sine or stepped-sine test in an imported file, which has no markers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from daq.excitation.lock_in import lock_in, min_samples, whole_periods
-from daq.importing.assignment import Assigned
+from daq.importing.assignment import AssignedSignal
 from daq.importing.held_tones import HeldTone, held_tones
 from daq.importing.tone_track import ToneTracker
 from daq.recording.recorder import Recorder
@@ -17,9 +17,9 @@ from rig.arrays import Array
 from rig.scene.excitation import Sine, SteppedSine
 from rig.scene.scene import Scene
 
-# Ratio by which the searched band exceeds that of the scene's test at either end: the real test may be wider.
+# Ratio by which the searched frequency band exceeds that of the scene's test at either end.
 _BAND_RATIO = 1.5
-# Minimum number of windows whose phases determine a frequency.
+# Number of windows whose phases determine a frequency.
 _MIN_WINDOWS = 8
 # Maximum number of samples of a window.
 _MAX_WINDOW = 1 << 16
@@ -27,48 +27,53 @@ _MAX_WINDOW = 1 << 16
 _SAME_FREQUENCY = 1e-5
 
 
-class StepFinder:
-    """Detects the steps of a sine or stepped sine, piece by piece, in the channel that shows the excitation best."""
+class StepDetector:
+    """Detects steps, block by block, in the reference: the channel that shows the excitation best."""
 
-    def __init__(self, scene: Scene, infos: Sequence[ChannelInfo], rate: float) -> None:
+    def __init__(self, scene: Scene, channels: Sequence[ChannelInfo], rate: float) -> None:
         assert isinstance(scene.test, Sine | SteppedSine)
         self._test, self._rate = scene.test, rate
-        # The followed channel: a force, the drive, the table, or else the first.
+        # The reference is a force, the drive, the motion of the table, or else the first channel.
         table = scene.at_driven("table") if scene.driven_shaker is not None else "table"
-        reported = [
-            *(row for row, info in enumerate(infos) if info.quantity == "force"),
-            *(row for place in ("drive", table) for row, info in enumerate(infos) if info.at.startswith(place)),
+        candidate_rows = [
+            *(row for row, info in enumerate(channels) if info.quantity == "force"),
+            *(
+                row
+                for position in ("drive", table)
+                for row, info in enumerate(channels)
+                if info.at.startswith(position)
+            ),
         ]
-        self.row = reported[0] if reported else 0
-        self._info = infos[self.row]
-        run = (scene.test.frequency,) if isinstance(scene.test, Sine) else scene.test.order
-        self._tracker = ToneTracker(rate, min(run) / _BAND_RATIO, max(run) * _BAND_RATIO, self.row)
+        self.reference_row = candidate_rows[0] if candidate_rows else 0
+        self._reference = channels[self.reference_row]
+        test_hz = (scene.test.frequency,) if isinstance(scene.test, Sine) else scene.test.order
+        self._tracker = ToneTracker(rate, min(test_hz) / _BAND_RATIO, max(test_hz) * _BAND_RATIO, self.reference_row)
 
     def add(self, volts: Array) -> None:
         """Add the next samples, shape (channels, samples)."""
         self._tracker.add(volts)
 
-    def mark(self, recorder: Recorder, followed: Assigned) -> list[str]:
-        """Mark the settled part of each step, from the samples of the followed channel; warn if there is none."""
-        present = followed.signal.samples
+    def mark(self, recorder: Recorder, reference: AssignedSignal) -> list[str]:
+        """Mark the settled part of each step; return a warning if no step is detected."""
+        sample_count = reference.signal.samples
 
         def read(first: int, stop: int) -> Array:
             volts = np.full(stop - first, np.nan)
-            if present > first:
-                volts[: present - first] = followed.volts(first, min(stop, present))
+            if sample_count > first:
+                volts[: sample_count - first] = reference.volts(first, min(stop, sample_count))
             return volts
 
         tolerance = self._test.settle.tolerance if isinstance(self._test, SteppedSine) else 1e-3
-        tones = _refined(held_tones(self._tracker.tracks(), tolerance), read, self._rate)
+        tones = _refine_frequencies(held_tones(self._tracker.tracks(), tolerance), read, self._rate)
         if not tones:
             return [
-                f"no step was detected: the scene's test is a {self._test.kind}, but {followed.channel.name} holds no "
+                f"no step was detected: the scene's test is a {self._test.kind}, but {reference.channel.name} holds no "
                 "tone of constant frequency for ten periods above its noise. Check for swapped columns or another "
                 "test (test: kind: swept_sine, random)."
             ]
-        for number, (direction, members) in enumerate(_passes([tone.frequency for tone in tones])):
-            level = self._level([tones[index] for index in members], number)
-            for tone in (tones[index] for index in members):
+        for number, (direction, steps) in enumerate(_passes([tone.frequency for tone in tones])):
+            level = self._level([tones[index] for index in steps], number)
+            for tone in (tones[index] for index in steps):
                 recorder.mark(
                     "measure",
                     tone.first,
@@ -81,13 +86,13 @@ class StepFinder:
         return []
 
     def _level(self, tones: Sequence[HeldTone], number: int) -> float:
-        """Return the level of a pass: the test's level nearest to the force, or else the next level."""
+        """Return the level of a pass: the level nearest to the measured force, or without a force the next level."""
         test = self._test
         if isinstance(test, Sine):
             return float(test.force if test.force is not None else test.drive or 0.0)
-        if self._info.quantity == "force" and test.force is not None:
+        if self._reference.quantity == "force" and test.force is not None:
             frequency = np.array([tone.frequency for tone in tones]) * self._rate
-            gain = abs(self._info.response(frequency)) * self._info.sensitivity
+            gain = abs(self._reference.response(frequency)) * self._reference.sensitivity
             force = float(np.median([tone.amplitude for tone in tones] / gain))
             return min(test.levels, key=lambda level: abs(np.log(level / force)))
         passes_per_level = 2 if test.direction == "both" else 1
@@ -95,7 +100,7 @@ class StepFinder:
 
 
 def _passes(frequencies: Sequence[float]) -> list[tuple[str, list[int]]]:
-    """Divide steps into passes through the frequencies: direction and steps of each.
+    """Divide steps into passes through the frequencies; return the direction and the step indices of each.
 
     >>> _passes([1.0, 2.0, 3.0, 3.0, 2.0, 1.0]), _passes([1.0, 2.0, 1.0, 2.0])
     ([('up', [0, 1, 2]), ('down', [3, 4, 5])], [('up', [0, 1]), ('up', [2, 3])])
@@ -110,28 +115,30 @@ def _passes(frequencies: Sequence[float]) -> list[tuple[str, list[int]]]:
         if not passes or sign_before != passes[-1][0]:
             passes.append((sign_after or sign_before or 1, []))
         passes[-1][1].append(index)
-    return [("up" if sign > 0 else "down", members) for sign, members in passes]
+    return [("up" if sign > 0 else "down", steps) for sign, steps in passes]
 
 
-def _refined(tones: Sequence[HeldTone], read: Callable[[int, int], Array], rate: float) -> list[HeldTone]:
-    """Refine the frequencies by the phases of windows, with harmonics fitted."""
-    plans = []
+def _refine_frequencies(tones: Sequence[HeldTone], read: Callable[[int, int], Array], rate: float) -> list[HeldTone]:
+    """Return the tones with frequencies refined by the phases of successive windows, fitted with harmonics."""
+    windows = []
     for tone in tones:
-        frequency, length = tone.frequency * rate, tone.stop - tone.first
-        size = whole_periods(frequency, rate, min(length // _MIN_WINDOWS, _MAX_WINDOW) / rate)
-        if size < min_samples(frequency, rate) or 2 * size > length:
-            size = length // 2
-        plans.append((tone, size))
-    bounds = [(start, start + size) for tone, size in plans for start in range(tone.first, tone.stop - size + 1, size)]
-    samples = _read_segments(read, bounds)
-    return [replace(tone, frequency=_frequency(tone, size, samples, rate)) for tone, size in plans]
+        frequency, tone_samples = tone.frequency * rate, tone.stop - tone.first
+        window_samples = whole_periods(frequency, rate, min(tone_samples // _MIN_WINDOWS, _MAX_WINDOW) / rate)
+        if window_samples < min_samples(frequency, rate) or 2 * window_samples > tone_samples:
+            window_samples = tone_samples // 2
+        windows.append((tone, window_samples))
+    segments = [
+        (start, start + size) for tone, size in windows for start in range(tone.first, tone.stop - size + 1, size)
+    ]
+    samples = _read_segments(read, segments)
+    return [replace(tone, frequency=_refined_frequency(tone, size, samples, rate)) for tone, size in windows]
 
 
-def _frequency(tone: HeldTone, size: int, samples: Iterator[Array], rate: float) -> float:
-    """Frequency by the advance of the phase from window to window, periods per sample."""
-    starts = np.arange(tone.first, tone.stop - size + 1, size)
+def _refined_frequency(tone: HeldTone, window_samples: int, samples: Iterator[Array], rate: float) -> float:
+    """Return the frequency from the advance of the phase from window to window, periods per sample."""
+    starts = np.arange(tone.first, tone.stop - window_samples + 1, window_samples)
     phases = np.array([lock_in(next(samples)[None], tone.frequency * rate, rate)[0] for _ in starts])
-    # Residual phase after the turns of the present frequency.
+    # Phase advance that the present frequency does not explain.
     residual = np.unwrap(np.angle(phases * np.exp(-2j * np.pi * np.fmod(tone.frequency * (starts - starts[0]), 1.0))))
     residual, starts = residual[np.isfinite(residual)], starts[np.isfinite(residual)]
     if residual.size < 2:
@@ -139,10 +146,10 @@ def _frequency(tone: HeldTone, size: int, samples: Iterator[Array], rate: float)
     return tone.frequency + float(np.polyfit(starts - starts[0], residual, 1)[0]) / (2.0 * np.pi)
 
 
-def _read_segments(read: Callable[[int, int], Array], bounds: Sequence[tuple[int, int]]) -> Iterator[Array]:
-    """Yield the samples of ordered segments without overlap; the samples between them are read as well, in pieces."""
+def _read_segments(read: Callable[[int, int], Array], segments: Sequence[tuple[int, int]]) -> Iterator[Array]:
+    """Yield the samples of ordered segments without overlap; the ranges between them are read and dropped."""
     position = 0
-    for first, stop in bounds:
+    for first, stop in segments:
         while position < first:
             end = min(first, position + _MAX_WINDOW)
             read(position, end)

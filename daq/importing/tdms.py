@@ -1,4 +1,4 @@
-"""Signals of a TDMS file, as LabVIEW and NI's drivers write them, read piece by piece."""
+"""Read the channels of a TDMS file, the format of LabVIEW and NI's drivers; samples are read when needed."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from rig.scene.quantities import TIME, parse
 if TYPE_CHECKING:
     from logging import LogRecord
 
-# A day after LabVIEW's zero of time; earlier dates were not set.
-_NO_DATE = np.datetime64("1904-01-02")
+# LabVIEW's zero of time plus a day: an earlier date was not set.
+_FIRST_DATE = np.datetime64("1904-01-02")
 _EPOCH = np.datetime64("1970-01-01")
 
 
 def tdms_signals(path: Path, stack: ExitStack) -> list[Signal]:
-    """List the waveforms of a TDMS file, scaled as its properties state; the stack closes the file.
+    """List the channels of a TDMS file as signals, scaled as its properties state; `stack` closes the file.
 
-    Decimated copies of the data, which SignalExpress stores with them, are left out.
+    Decimated copies of the data, which SignalExpress stores, are left out.
     """
     try:
         import nptdms
@@ -36,57 +36,57 @@ def tdms_signals(path: Path, stack: ExitStack) -> list[Signal]:
         stack.enter_context(log_as_warning(path))
         file = stack.enter_context(nptdms.TdmsFile.open(path))
         all_channels = [channel for group in file.groups() for channel in group.channels()]
-        channels = [each for each in all_channels if not each.properties.get("DecimationLevel")]
-        several = len({channel.group_name for channel in channels}) > 1
-        times = {channel.group_name: channel for channel in channels if _is_clock(channel, channels)}
-        clocks = {group: _clock(path, channel) for group, channel in times.items()}
-        samples = [channel for channel in channels if channel is not times.get(channel.group_name)]
+        channels = [channel for channel in all_channels if not channel.properties.get("DecimationLevel")]
+        has_several_groups = len({channel.group_name for channel in channels}) > 1
+        time_channels = {channel.group_name: channel for channel in channels if _is_clock(channel, channels)}
+        clocks = {group: _clock(path, channel) for group, channel in time_channels.items()}
+        sample_channels = [channel for channel in channels if channel is not time_channels.get(channel.group_name)]
         return [
-            _signal(path, number, channel, several, clocks.get(channel.group_name))
-            for number, channel in enumerate(samples, 1)
+            _signal(path, number, channel, has_several_groups, clocks.get(channel.group_name))
+            for number, channel in enumerate(sample_channels, 1)
         ]
     except (OSError, RecordingError):
         raise
     except Exception as error:
         # A damaged file can cause any exception in the reader.
         raise RecordingError(
-            f"{path} is not a TDMS file, or it is damaged: {_cause(error)}. Export it again."
+            f"{path} is not a TDMS file, or it is damaged: {_error_text(error)}. Export it again."
         ) from error
 
 
 @contextmanager
 def log_as_warning(path: Path) -> Iterator[None]:
-    """Turn the log of npTDMS, by default on standard error, into one warning at the end."""
+    """Collect log messages of npTDMS, and issue one warning at the end instead."""
     from nptdms.log import log_manager
 
     messages: list[str] = []
 
-    def take(record: LogRecord) -> bool:
+    def collect(record: LogRecord) -> bool:
         messages.append(record.getMessage())
         return False
 
-    with ExitStack() as restored:
-        for log in log_manager.loggers.values():
-            log.addFilter(take)
-            restored.callback(log.removeFilter, take)
+    with ExitStack() as stack:
+        for logger in log_manager.loggers.values():
+            logger.addFilter(collect)
+            stack.callback(logger.removeFilter, collect)
         yield
     if messages:
         warn(f"{path} is cut off or damaged ({messages[0]}). The readable part is imported.")
 
 
 def _is_clock(channel: Any, channels: list[Any]) -> bool:
-    """Return whether a channel contains the times of the others of its group, none of which has a clock."""
-    group = [each for each in channels if each.group_name == channel.group_name and each is not channel]
+    """Return whether a channel contains the times of the other channels of its group, which state no interval."""
+    others = [each for each in channels if each.group_name == channel.group_name and each is not channel]
     name = str(channel.name).partition("[")[0].partition("(")[0].strip()
     return (
         TIME_NAMES.fullmatch(name) is not None
-        and bool(group)
-        and all(each.properties.get("wf_increment") is None and len(each) <= len(channel) for each in group)
+        and bool(others)
+        and all(each.properties.get("wf_increment") is None and len(each) <= len(channel) for each in others)
     )
 
 
 def _clock(path: Path, channel: Any) -> Clock:
-    """Estimate the clock from a channel of times: seconds, or dates with times of day."""
+    """Estimate the clock from a channel of times, which are numbers or dates with times of day."""
     where = f"{path}: the times in {channel.name!r}"
     try:
         times = np.asarray(channel[:])
@@ -94,7 +94,7 @@ def _clock(path: Path, channel: Any) -> Clock:
             times = (times - times[:1]) / np.timedelta64(1, "s")
         seconds = times.astype(float)
     except Exception as error:
-        raise RecordingError(f"{where} cannot be read: {_cause(error)}. Export the file again.") from error
+        raise RecordingError(f"{where} cannot be read: {_error_text(error)}. Export the file again.") from error
     try:
         seconds = seconds * parse(f"1 {channel.properties.get('unit_string') or 's'}", TIME)
     except ValueError as error:
@@ -102,9 +102,9 @@ def _clock(path: Path, channel: Any) -> Clock:
     return clock_of_times(seconds, 0.0, where)
 
 
-def _signal(path: Path, number: int, channel: Any, several: bool, clock: Clock | None) -> Signal:
+def _signal(path: Path, number: int, channel: Any, has_several_groups: bool, clock: Clock | None) -> Signal:
     properties: Mapping[str, Any] = channel.properties
-    name = f"{channel.group_name}/{channel.name}" if several else str(channel.name)
+    name = f"{channel.group_name}/{channel.name}" if has_several_groups else str(channel.name)
     where = f"{path}: {name!r}"
     interval, offset = properties.get("wf_increment"), properties.get("wf_start_offset", 0.0)
     try:
@@ -124,7 +124,8 @@ def _signal(path: Path, number: int, channel: Any, several: bool, clock: Clock |
             return np.asarray(channel.read_data(first, stop - first), dtype=np.float64)
         except Exception as error:
             raise RecordingError(
-                f"{where} cannot be read from sample {first} on: {_cause(error)}. Import the part before it with --to."
+                f"{where} cannot be read from sample {first} on: {_error_text(error)}. Import the part before it with "
+                "--to."
             ) from error
 
     unit = str(properties.get("unit_string") or properties.get("NI_UnitDescription") or "")
@@ -134,10 +135,10 @@ def _signal(path: Path, number: int, channel: Any, several: bool, clock: Clock |
 
 
 def _nanoseconds(time: Any) -> int:
-    if not isinstance(time, np.datetime64) or np.isnat(time) or time < _NO_DATE:
+    if not isinstance(time, np.datetime64) or np.isnat(time) or time < _FIRST_DATE:
         return 0
     return max(0, int((time - _EPOCH) / np.timedelta64(1, "us")) * 1000)
 
 
-def _cause(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     return f"{type(error).__name__}: {error}"[:200]

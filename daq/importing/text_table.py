@@ -1,4 +1,4 @@
-"""Signals of a text table: columns between commas, semicolons, tabs or blanks, under a heading or none."""
+"""Read the columns of a text table, separated by commas, semicolons, tabs or blanks, with or without a heading."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from daq.importing.clock import (
     rate_with_gaps,
     require_even,
     sample_numbers,
-    warn_of_times,
+    warn_taken_for_times,
 )
 from daq.importing.signal import Signal, warn
 from daq.importing.text_layout import (
     LABVIEW_BEGIN,
-    LABVIEW_SEGMENT,
+    LABVIEW_SEGMENT_BEGINS,
     UNNAMED,
     LabviewHeading,
     Layout,
-    beginning,
-    cells,
     detect_layout,
-    labview_heading,
-    number,
-    resolution_of_stamp,
-    seconds_of_stamp,
+    parse_number,
+    read_beginning,
+    read_labview_heading,
     significant_digits,
+    split_cells,
+    stamp_resolution,
+    stamp_seconds,
 )
 from rig.arrays import Array
 from rig.errors import RecordingError
@@ -43,225 +43,228 @@ from rig.numerics.memory import require_memory_with_program
 from rig.scene.quantities import TIME, parse
 
 _MAX_LINE = 1 << 20
-# Relative uncertainty of a rate from which it is reported.
-_UNCERTAIN_RATE = 2e-5
-# Maximum number of lines from which the digits of times are determined.
+# Relative uncertainty of a sample rate above which it is reported.
+_MAX_RATE_UNCERTAINTY = 2e-5
+# Maximum number of lines that are examined for the digits of times.
 _MAX_SAMPLED_LINES = 50
-# Minimum number of lines that show the usual number of digits.
+# Minimum number of lines for detecting a last number with fewer digits than usual.
 _MIN_LINES = 10
-# Lines that are read at a time.
-PIECE = 1 << 16
-# Memory that a byte of these lines takes, measured: text and numbers.
-_READ_BYTES = 4
+# Number of lines in a block.
+BLOCK_LINES = 1 << 16
+# Memory for text and numbers per byte of a block, measured.
+_MEMORY_PER_BYTE = 4
 
 
 def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
-    """List the columns of a text table; it is read line by line, once for each pass through its samples.
+    """List the columns of a text table as signals; each pass through the samples reads the file line by line.
 
-    A first column of times gives the clock. Names and units are those of the heading: ``acc1 [m/s^2]``,
-    ``acc1 (g)``, or a line of names above a line of units.
+    If the first column contains times, they determine the clock. Names and units are those of the heading:
+    ``acc1 [m/s^2]``, ``acc1 (g)``, or a line of names above a line of units.
     """
-    lines, encoding = beginning(path)
+    lines, encoding = read_beginning(path)
     if lines[0].startswith(LABVIEW_BEGIN):
-        return _labview_signals(path, labview_heading(lines, str(path)), encoding, stack)
+        return _labview_signals(path, read_labview_heading(lines, str(path)), encoding, stack)
     layout = detect_layout(path, lines, encoding)
     table = _Table(path, layout, stack)
     columns = list(zip(layout.names, layout.units, strict=True))
-    clock, first = Clock(None), 0
-    named = TIME_NAMES.fullmatch(layout.names[0]) is not None
-    if len(columns) > 1 and (named or table.has_stamps or table.begins_with_times()):
-        clock, first = table.take_clock(layout.units[0]), 1
+    clock, first_data_column = Clock(None), 0
+    has_time_name = TIME_NAMES.fullmatch(layout.names[0]) is not None
+    if len(columns) > 1 and (has_time_name or table.has_times_of_day or table.first_column_can_only_be_times()):
+        clock, first_data_column = table.estimate_clock(layout.units[0]), 1
     if not table.rows:
         raise RecordingError(f"{path} contains no line of numbers. Export time histories as columns of numbers.")
     return [
-        table.signal(place, name, unit, first + place - 1, clock)
-        for place, (name, unit) in enumerate(columns[first:], 1)
+        table.signal(position, name, unit, first_data_column + position - 1, clock)
+        for position, (name, unit) in enumerate(columns[first_data_column:], 1)
     ]
 
 
 def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: ExitStack) -> list[Signal]:
-    """List the channels of LabVIEW's heading; a column of times overrides the heading's clock."""
-    channels, times = heading.channels, heading.times
+    """List the channels of a LabVIEW file as signals; a column of times overrides the clock of the heading."""
+    channels, has_times = heading.channels, heading.has_times
     layout = Layout(
         encoding,
         heading.separator,
         heading.decimal_comma,
         heading.lines,
-        [*(["time"] if times else []), *(channel.name for channel in channels)],
-        [""] * (len(channels) + times),
-        (*([0] if times else []), *(channel.cell for channel in channels)),
+        [*(["time"] if has_times else []), *(channel.name for channel in channels)],
+        [""] * (len(channels) + has_times),
+        (*([0] if has_times else []), *(channel.cell for channel in channels)),
     )
     table = _Table(path, layout, stack)
-    clock = table.take_clock("s") if times else None
-    longest = max(channel.samples for channel in channels)
-    if longest > table.rows:
+    clock = table.estimate_clock("s") if has_times else None
+    stated_samples = max(channel.samples for channel in channels)
+    if stated_samples > table.rows:
         warn(
-            f"{path}: the header states {longest} samples, the table has {table.rows}. Check that the file is complete."
+            f"{path}: the header states {stated_samples} samples, the table has {table.rows}. Check that the file is "
+            "complete."
         )
-    if 0 < longest < table.rows and not times:
+    if 0 < stated_samples < table.rows and not has_times:
         warn(
-            f"{path}: its heading states segments of {longest} samples, its table has {table.rows} lines: they are "
-            "joined without a gap. Import the segments one by one with --from and --to if there was one."
+            f"{path}: its heading states segments of {stated_samples} samples, its table has {table.rows} lines: they "
+            "are joined without a gap. Import the segments one by one with --from and --to if there was one."
         )
-    uncertain = [each for each in channels if each.rate and each.rate_error > _UNCERTAIN_RATE * each.rate]
-    if uncertain and not times:
+    uncertain = [each for each in channels if each.rate and each.rate_error > _MAX_RATE_UNCERTAINTY * each.rate]
+    if uncertain and not has_times:
         rate, error = uncertain[0].rate or 0.0, uncertain[0].rate_error
         warn(
             f"{path}: its sample interval has so few digits that the rate may be {rate - error:.6g} to "
-            f"{rate + error:.6g} Hz; {rate:.6g} Hz is used. State rate: in the table if it was another."
+            f"{rate + error:.6g} Hz; {rate:.6g} Hz is used. Give rate: in the table if it was another."
         )
     signals = []
-    for place, channel in enumerate(channels, 1):
+    for position, channel in enumerate(channels, 1):
         signal = table.signal(
-            place,
+            position,
             channel.name,
             channel.unit,
-            place - 1 + times,
+            position - 1 + has_times,
             clock or Clock(channel.rate, channel.start_s),
-            # Programs append lines without a change of the heading; only a shorter channel is taken from it.
-            table.rows if channel.samples in (-1, longest) else min(channel.samples, table.rows),
+            # Programs append lines without changing the heading, which therefore only shows that a channel is shorter.
+            table.rows if channel.samples in (-1, stated_samples) else min(channel.samples, table.rows),
         )
         signals.append(replace(signal, start_ns=channel.start_ns))
     return signals
 
 
 class _Table:
-    """A table that is read from its beginning to its end, in pieces that all columns share."""
+    """The numbers of a text table, read in blocks of lines that all columns share."""
 
     def __init__(self, path: Path, layout: Layout, stack: ExitStack) -> None:
         self._path, self._layout = path, layout
         self._file: IO[str] = stack.enter_context(path.open(encoding=layout.encoding, errors="replace", newline=""))
-        self._grid: tuple[Clock, float, float] | None = None  # Clock, resolution and unit of the times, s
-        self._samples: list[str] = []  # first lines, and the last line
+        self._times_written: tuple[Clock, float, float] | None = None  # Clock, resolution and unit of the times, s
+        self._sample_lines: list[str] = []  # the first lines, and the last line
         self.rows = 0
-        previous_line, last = "", (0, "")
+        previous_line, last_line = "", (0, "")
         for numbered_line in self._lines():
             if self.rows < _MAX_SAMPLED_LINES:
-                self._samples.append(numbered_line[1])
-            previous_line, last = last[1], numbered_line
+                self._sample_lines.append(numbered_line[1])
+            previous_line, last_line = last_line[1], numbered_line
             self.rows += 1
-        if self.rows > 1 and (reason := self._truncation(*last)):
+        if self.rows > 1 and (reason := self._truncation_reason(*last_line)):
             warn(f"{path}: its last line is cut off and is omitted ({reason})")
             self.rows -= 1
-            self._samples = self._samples[: self.rows]
-            last = (0, previous_line)
+            self._sample_lines = self._sample_lines[: self.rows]
+            last_line = (0, previous_line)
         if self.rows:
-            self._samples.append(last[1])
-            piece_bytes = min(1.0, PIECE / self.rows) * path.stat().st_size
-            require_memory_with_program(_READ_BYTES * piece_bytes, f"{path}: importing it")
-        self._reading = self._lines()
+            self._sample_lines.append(last_line[1])
+            block_bytes = min(1.0, BLOCK_LINES / self.rows) * path.stat().st_size
+            require_memory_with_program(_MEMORY_PER_BYTE * block_bytes, f"{path}: importing it")
+        self._line_iterator = self._lines()
         self._position = 0
-        self._last_piece: tuple[int, int, Array] = (-1, -1, np.empty((0, 0)))
+        self._cached_block: tuple[int, int, Array] = (-1, -1, np.empty((0, 0)))
 
-    def _truncation(self, line_number: int, line: str) -> str:
-        """Return the reason why the last line is cut off; empty if it may be complete."""
+    def _truncation_reason(self, line_number: int, line: str) -> str:
+        """Return why the last line must be cut off; an empty text if it may be complete."""
         try:
-            self._row(line_number, line)
+            self._parse_line(line_number, line)
         except RecordingError as error:
             return str(error)
-        last = [cells(each, self._layout.delimiter)[-1] for each in (*self._samples[:-1], line)]
-        lengths = [len(cell.lstrip("+-")) for cell in last]
+        last_cells = [split_cells(each, self._layout.delimiter)[-1] for each in (*self._sample_lines[:-1], line)]
+        lengths = [len(cell.lstrip("+-")) for cell in last_cells]
         if not line.endswith(("\n", "\r")) and len(lengths) > _MIN_LINES and lengths[-1] < min(lengths[:-1]):
-            return f"line {line_number}: {last[-1]!r:.40} is shorter than in other lines, and the line has no end"
+            return f"line {line_number}: {last_cells[-1]!r:.40} is shorter than in other lines, and the line has no end"
         return ""
 
     @property
-    def has_stamps(self) -> bool:
-        """Whether the first column holds dates with times of day."""
-        return bool(self._samples) and seconds_of_stamp(self._first_cell(self._samples[0])) is not None
+    def has_times_of_day(self) -> bool:
+        """Whether the first column contains times of day, with or without dates."""
+        return bool(self._sample_lines) and stamp_seconds(self._first_cell(self._sample_lines[0])) is not None
 
-    def begins_with_times(self) -> bool:
-        """Return whether the first column of a table without heading can only be times, with a warning."""
+    def first_column_can_only_be_times(self) -> bool:
+        """Return whether the first column of a table without heading can only be times; warn if so."""
         if self._layout.names[0] != UNNAMED.format(1) or self.rows < 2:
             return False
-        begin = np.array([self._row(0, line)[0] for line in self._samples[:-1]])
-        if not looks_like_times(begin, self._row(0, self._samples[-1])[0], self.rows):
+        first_times = np.array([self._parse_line(0, line)[0] for line in self._sample_lines[:-1]])
+        if not looks_like_times(first_times, self._parse_line(0, self._sample_lines[-1])[0], self.rows):
             return False
-        warn_of_times(f"{self._path} has no heading; its first column", begin[1] - begin[0])
+        warn_taken_for_times(f"{self._path} has no heading; its first column", first_times[1] - first_times[0])
         return True
 
-    def take_clock(self, unit: str) -> Clock:
-        """Estimate the clock from the first column: times in a unit."""
+    def estimate_clock(self, unit: str) -> Clock:
+        """Estimate the clock from the first column, times in `unit`."""
         where = f"{self._path}: the times in its first column"
         try:
-            scale = parse(f"1 {unit}", TIME) if unit and not self.has_stamps else 1.0
+            scale = parse(f"1 {unit}", TIME) if unit and not self.has_times_of_day else 1.0
         except ValueError as error:
             raise RecordingError(f"{where}: {error}; expected a unit of time such as s or ms") from None
         if self.rows < 2:
             raise RecordingError(f"{where}: {self.rows} line of numbers; expected at least 2")
-        first, last = (self._row(0, self._samples[end])[0] * scale for end in (0, -1))
-        written = [self._first_cell(line) for line in self._samples]
-        if self.has_stamps:
-            resolution = min(map(resolution_of_stamp, written))
+        first, last = (self._parse_line(0, self._sample_lines[end])[0] * scale for end in (0, -1))
+        time_cells = [self._first_cell(line) for line in self._sample_lines]
+        if self.has_times_of_day:
+            resolution = min(map(stamp_resolution, time_cells))
         else:
             largest = max(abs(first), abs(last), 1e-300)
-            resolution = 10.0 ** (np.floor(np.log10(largest)) + 1 - max(map(significant_digits, written)))
+            resolution = 10.0 ** (np.floor(np.log10(largest)) + 1 - max(map(significant_digits, time_cells)))
         missing = missing_rows(self._times(scale), resolution)
         rate = rate_with_gaps(first, last, self.rows, missing, resolution, where)
         clock = Clock(rate, first, missing)
-        self._grid = clock, resolution, scale
+        self._times_written = clock, resolution, scale
         return clock
 
     def _first_cell(self, line: str) -> str:
-        return cells(line, self._layout.delimiter)[0]
+        return split_cells(line, self._layout.delimiter)[0]
 
     def _times(self, scale: float) -> Iterator[Array]:
-        """Yield the first column in pieces, s."""
+        """Yield the first column in blocks, s."""
         lines = islice(self._lines(), self.rows)
-        while block := list(islice(lines, PIECE)):
+        while block := list(islice(lines, BLOCK_LINES)):
             yield np.array([self._time(*each) for each in block]) * scale
 
     def _time(self, line_number: int, line: str) -> float:
         delimiter = self._layout.delimiter
         cell = self._first_cell(line) if delimiter is None else line.split(delimiter, 1)[0]
-        value = number(cell.strip(' "\r\n'), self._layout.decimal_comma)
-        return self._row(line_number, line)[0] if value is None else value
+        value = parse_number(cell.strip(' "\r\n'), self._layout.decimal_comma)
+        return self._parse_line(line_number, line)[0] if value is None else value
 
-    def signal(self, place: int, name: str, unit: str, column: int, clock: Clock, samples: int | None = None) -> Signal:
-        """Make a signal of a column."""
+    def signal(
+        self, position: int, name: str, unit: str, column: int, clock: Clock, samples: int | None = None
+    ) -> Signal:
+        """Return the signal of a column, counted from 0; `position` is its number in the file, from 1."""
 
         def read(start: int, stop: int) -> Array:
-            return self._read(start, stop)[:, column]
+            return self._read_block(start, stop)[:, column]
 
         rows = self.rows if samples is None else samples
-        signal = Signal(self._path.name, place, name, unit, rows, clock.rate, read, clock.start_s)
+        signal = Signal(self._path.name, position, name, unit, rows, clock.rate, read, clock.start_s)
         return signal.with_gaps(clock)
 
-    def _read(self, start: int, stop: int) -> Array:
-        """Read lines of numbers, shape (lines, columns); the last piece is stored for the other columns."""
-        if self._last_piece[:2] == (start, stop):
-            return self._last_piece[2]
+    def _read_block(self, start: int, stop: int) -> Array:
+        """Return lines of numbers, shape (lines, columns); the last block is stored for the other columns."""
+        if self._cached_block[:2] == (start, stop):
+            return self._cached_block[2]
         if start < self._position:
-            self._reading, self._position = self._lines(), 0
-        for _ in islice(self._reading, start - self._position):
+            self._line_iterator, self._position = self._lines(), 0
+        for _ in islice(self._line_iterator, start - self._position):
             pass
-        lines = list(islice(self._reading, stop - start))
+        lines = list(islice(self._line_iterator, stop - start))
         self._position = start + len(lines)
-        values = self._parsed(lines)
-        if self._grid is not None:
-            (rate, first, missing), resolution, scale = self._grid
+        values = self._parse_lines(lines)
+        if self._times_written is not None:
+            (rate, first, missing), resolution, scale = self._times_written
             numbers = sample_numbers(np.arange(start, start + len(values)), missing)
             where = f"{self._path}: the times in its first column"
             require_even(values[:, 0] * scale, numbers, first, rate or 0.0, resolution, where)
-        self._last_piece = start, stop, values
+        self._cached_block = start, stop, values
         return values
 
     def _lines(self) -> Iterator[tuple[int, str]]:
-        """Yield the lines of numbers with their numbers in the file, from 1."""
+        """Yield the lines of numbers, each with its line number in the file, from 1."""
         self._file.seek(0)
         line_number = 0
         while line := self._file.readline(_MAX_LINE):
             line_number += 1
             if line_number <= self._layout.heading or not line.strip():
                 continue
-            if self._layout.cells is not None and line.startswith(LABVIEW_SEGMENT):
+            if self._layout.cells is not None and line.startswith(LABVIEW_SEGMENT_BEGINS):
                 raise RecordingError(
                     f"{self._path}, line {line_number}: a second segment of measurement begins. Split the file, or "
                     "log to TDMS."
                 )
             yield line_number, line
 
-    def _parsed(self, lines: list[tuple[int, str]]) -> Array:
+    def _parse_lines(self, lines: list[tuple[int, str]]) -> Array:
         layout = self._layout
         texts = [line.replace(",", ".") if layout.decimal_comma else line for _, line in lines]
         shape = len(lines), len(layout.names)
@@ -270,26 +273,26 @@ class _Table:
             if values.shape == shape:
                 return values
         except ValueError:
-            # Empty cells and stamps are read one by one, and errors located.
+            # Empty cells, times of day and errors require reading cell by cell.
             pass
-        return np.array([self._row(*each) for each in lines]).reshape(shape)
+        return np.array([self._parse_line(*each) for each in lines]).reshape(shape)
 
-    def _row(self, line_number: int, line: str) -> list[float]:
-        """Read a line, empty cells as NaN; raise `RecordingError` with the place of a bad one."""
+    def _parse_line(self, line_number: int, line: str) -> list[float]:
+        """Return the numbers of a line, NaN for empty cells; raise `RecordingError` with line and column otherwise."""
         layout = self._layout
-        row = cells(line, layout.delimiter)
+        row = split_cells(line, layout.delimiter)
         where = f"{self._path}, " + (f"line {line_number}" if line_number else "its first or last line")
         if layout.cells is not None and len(row) > layout.cells[-1]:
-            row = [row[place] for place in layout.cells]
+            row = [row[position] for position in layout.cells]
         if len(row) != len(layout.names):
             raise RecordingError(
                 f"{where}: {len(row)} columns; expected {len(layout.names)}, as in the first line of numbers"
             )
         values = []
         for column, cell in enumerate(row, 1):
-            value = number(cell, layout.decimal_comma)
+            value = parse_number(cell, layout.decimal_comma)
             if value is None and column == 1:
-                value = seconds_of_stamp(cell)
+                value = stamp_seconds(cell)
             if value is None:
                 raise RecordingError(f"{where}, column {column}: {cell!r:.40} is not a number. Correct or remove it.")
             values.append(value)

@@ -1,4 +1,7 @@
-"""The strongest tone of a signal, block by block: frequency, phase, amplitude, and the ratio of other channels."""
+"""Track the strongest tone of a reference channel block by block: frequency, phase, amplitude, and ratios to it.
+
+The frequency is interpolated between the lines of a Hann-windowed spectrum.
+"""
 
 from __future__ import annotations
 
@@ -9,115 +12,119 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array, ComplexArray
 
-# Hops of a block; a hop is about one period of the lowest tone that the block resolves.
-HOPS = 4
-# Samples of a hop after averaging: enough for the tone, and few enough for recordings at high rates.
+# Blocks overlap: each begins one hop after the last. A hop is about one period of the lowest tone that they resolve.
+HOPS_PER_BLOCK = 4
+# Averages per hop: enough to resolve the tone, and few enough for recordings at high rates.
 _SAMPLES_PER_HOP = 24
-# Ratio of successive block lengths.
+# Ratio of successive block lengths, and width of the frequency band of each length.
 _LENGTH_RATIO = 2**0.5
-# Ratio by which their bands overlap, so that no tone lies between two.
+# Ratio by which the bands overlap, so that no tone lies between two.
 _BAND_OVERLAP = 1.1
-# Highest frequency as a ratio to the rate.
+# Highest frequency, as a ratio to the sample rate.
 _MAX_FREQUENCY_RATIO = 0.35
 
 
 @dataclass(frozen=True)
 class Track:
-    """Blocks of one length that resolve the strongest tone of the reference."""
+    """The blocks of one length that resolve the strongest tone of the reference."""
 
-    hop: int  # Samples from one block to the next; a block is `HOPS` as long
-    number: NDArray[np.int64]  # Of the blocks, from 0
-    frequency: Array  # Of the tone in each block, approximately, periods per hop
-    phase: Array  # At the middle of each block, rad
-    amplitude: Array  # In each block, in the unit of the reference
-    ratio: ComplexArray  # Every channel over the reference, (channels, blocks)
-    levels: NDArray[np.float32]  # Standard deviation of the reference in each block of the signal
+    hop: int  # Samples from one block to the next; a block consists of `HOPS_PER_BLOCK` hops
+    number: NDArray[np.int64]  # Numbers of the blocks, from 0
+    frequency: Array  # Approximate frequency of the tone in each block, periods per hop
+    phase: Array  # Phase at the middle of each block, rad
+    amplitude: Array  # Amplitude in each block, in the unit of the reference
+    ratio: ComplexArray  # Complex ratio of every channel to the reference, shape (channels, blocks)
+    levels: NDArray[np.float32]  # Standard deviation of the reference in each block, also without a tone
 
 
 class ToneTracker:
-    """Follows the tone of the channel `reference` in blocks of several lengths, fed piece by piece.
+    """Tracks the tone of the channel `reference` in blocks of several lengths.
 
-    Blocks with a Hann window have four to six periods of the tones that they resolve, so that higher tones are
-    resolved by shorter blocks. A block is a row of averages over a few samples. `rate`, `low` and `high` (band of the
-    tones) are in Hz.
+    A block contains four to six periods of the tones that it resolves: shorter blocks resolve higher tones. It is a
+    series of averages over a few samples. `rate`, and the band of the tones from `low` to `high`, are in Hz.
     """
 
     def __init__(self, rate: float, low: float, high: float, reference: int) -> None:
         high = min(high, _MAX_FREQUENCY_RATIO * rate)
         count = max(1, int(np.ceil(np.log(max(high / low, 1.0)) / np.log(_LENGTH_RATIO))))
-        self._lengths = [_Blocks(rate, low * _LENGTH_RATIO**k, reference) for k in range(count)]
+        self._analyzers = [_BlockAnalyzer(rate, low * _LENGTH_RATIO**k, reference) for k in range(count)]
 
     def add(self, samples: Array) -> None:
         """Add the next samples of all channels, shape (channels, samples); NaN where there are none."""
-        for each in self._lengths:
-            each.add(samples)
+        for analyzer in self._analyzers:
+            analyzer.add(samples)
 
     def tracks(self) -> list[Track]:
-        """Return the track of each length of blocks, longest first."""
-        return [each.track() for each in self._lengths]
+        """Return the track of each block length, longest blocks first."""
+        return [analyzer.track() for analyzer in self._analyzers]
 
 
-class _Blocks:
-    """Blocks of one length."""
+class _BlockAnalyzer:
+    """Computes the track of blocks of one length, for tones from `low` to `low` times `_LENGTH_RATIO`, Hz."""
 
     def __init__(self, rate: float, low: float, reference: int) -> None:
         self._reference = reference
-        self._averaged = max(1, int(rate / (_SAMPLES_PER_HOP * low)))
-        self._hop = max(_SAMPLES_PER_HOP // 2, round(rate / (low * self._averaged)))
-        self._size = HOPS * self._hop
-        # A frequency in lines of a block's spectrum.
-        lines = self._size * self._averaged / rate
-        self._lowest, self._highest = low / _BAND_OVERLAP * lines, low * _LENGTH_RATIO * _BAND_OVERLAP * lines
+        self._samples_per_average = max(1, int(rate / (_SAMPLES_PER_HOP * low)))
+        self._hop = max(_SAMPLES_PER_HOP // 2, round(rate / (low * self._samples_per_average)))
+        self._size = HOPS_PER_BLOCK * self._hop
+        # Spectral lines of a block per Hz.
+        lines_per_hz = self._size * self._samples_per_average / rate
+        self._lowest_line = low / _BAND_OVERLAP * lines_per_hz
+        self._highest_line = low * _LENGTH_RATIO * _BAND_OVERLAP * lines_per_hz
         self._window = window = np.hanning(self._size + 1)[:-1]
-        bins = np.arange(int(self._lowest), int(np.ceil(self._highest)) + 1)
-        turn = np.exp(-2j * np.pi * bins[:, None] * np.arange(self._size) / self._size)
-        # Relative to the middle of the block, so that the phase is the same at each line around the tone.
-        self._first_bin, self._kernels = int(bins[0]), window * turn * (-1.0) ** bins[:, None]
-        self._unaveraged: Array | None = None
-        self._averages: Array | None = None
+        bins = np.arange(int(self._lowest_line), int(np.ceil(self._highest_line)) + 1)
+        rotation = np.exp(-2j * np.pi * bins[:, None] * np.arange(self._size) / self._size)
+        # Phases refer to the middle of the block, where they are the same at each line around the tone.
+        self._first_bin, self._kernels = int(bins[0]), window * rotation * (-1.0) ** bins[:, None]
+        self._waiting_samples: Array | None = None
+        self._waiting_averages: Array | None = None
         self._n_blocks = 0
         self._levels: list[NDArray[np.float32]] = []
         self._tones: list[tuple[NDArray[np.int64], Array, Array, Array, ComplexArray]] = []
 
     def add(self, samples: Array) -> None:
-        unaveraged = samples if self._unaveraged is None else np.concatenate([self._unaveraged, samples], axis=1)
-        n_averages = unaveraged.shape[1] // self._averaged
-        self._unaveraged = unaveraged[:, n_averages * self._averaged :].copy()
+        unaveraged = (
+            samples if self._waiting_samples is None else np.concatenate([self._waiting_samples, samples], axis=1)
+        )
+        n_averages = unaveraged.shape[1] // self._samples_per_average
+        self._waiting_samples = unaveraged[:, n_averages * self._samples_per_average :].copy()
         averages = (
-            unaveraged[:, : n_averages * self._averaged]
-            .reshape(len(unaveraged), n_averages, self._averaged)
+            unaveraged[:, : n_averages * self._samples_per_average]
+            .reshape(len(unaveraged), n_averages, self._samples_per_average)
             .mean(axis=2)
         )
-        pending = averages if self._averages is None else np.concatenate([self._averages, averages], axis=1)
+        pending = (
+            averages if self._waiting_averages is None else np.concatenate([self._waiting_averages, averages], axis=1)
+        )
         blocks = (pending.shape[1] - self._size) // self._hop + 1
         if blocks > 0:
             self._analyze(pending, blocks)
             self._n_blocks += blocks
             pending = pending[:, blocks * self._hop :].copy()
-        self._averages = pending
+        self._waiting_averages = pending
 
     def _analyze(self, pending: Array, blocks: int) -> None:
-        view = np.lib.stride_tricks.sliding_window_view(pending, self._size, axis=1)[:, :: self._hop]
-        reference = view[self._reference, :blocks]
+        blocks_view = np.lib.stride_tricks.sliding_window_view(pending, self._size, axis=1)[:, :: self._hop]
+        reference = blocks_view[self._reference, :blocks]
         self._levels.append(np.nan_to_num(reference.std(axis=1)).astype(np.float32))
-        size = np.asarray(np.nan_to_num(abs(np.fft.rfft(reference * self._window, axis=1))), dtype=float)
-        # A constant is in the first two lines.
-        peak = np.argmax(size[:, 2:-1], axis=1) + 2
+        magnitude = np.asarray(np.nan_to_num(abs(np.fft.rfft(reference * self._window, axis=1))), dtype=float)
+        # The first two lines contain the mean.
+        peak = np.argmax(magnitude[:, 2:-1], axis=1) + 2
         rows = np.arange(blocks)
-        # Distance of the tone from its highest line, in lines, by the higher neighbor under a Hann window.
-        below, at, above = (size[rows, peak + k] for k in (-1, 0, 1))
-        neighbor = np.maximum(below, above) / np.maximum(at, 1e-300)
-        side = np.where(above > below, 1.0, -1.0)
-        offset = np.asarray(side * np.clip((2 * neighbor - 1) / (neighbor + 1), 0.0, 0.5))
+        # Distance of the tone from the highest line, in lines, from the ratio of the higher neighbour (Hann window).
+        below, peak_magnitude, above = (magnitude[rows, peak + k] for k in (-1, 0, 1))
+        neighbour_ratio = np.maximum(below, above) / np.maximum(peak_magnitude, 1e-300)
+        direction = np.where(above > below, 1.0, -1.0)
+        offset = np.asarray(direction * np.clip((2 * neighbour_ratio - 1) / (neighbour_ratio + 1), 0.0, 0.5))
         line = peak + offset
-        resolved = np.flatnonzero((at > 0.0) & (line >= self._lowest) & (line < self._highest))
+        resolved = np.flatnonzero((peak_magnitude > 0.0) & (line >= self._lowest_line) & (line < self._highest_line))
         if not resolved.size:
             return
         bins = np.clip(peak[resolved] - self._first_bin, 0, len(self._kernels) - 1)
         spectra = np.empty((len(pending), resolved.size), dtype=complex)
         for line_number in np.unique(bins):
             selected = bins == line_number
-            spectra[:, selected] = view[:, resolved[selected]] @ self._kernels[line_number]
+            spectra[:, selected] = blocks_view[:, resolved[selected]] @ self._kernels[line_number]
         reference_spectrum = spectra[self._reference]
         line_offset = offset[resolved]
         gain = 0.25 * self._size * np.sinc(line_offset) / (1.0 - line_offset**2)
@@ -126,17 +133,17 @@ class _Blocks:
         self._tones.append(
             (
                 self._n_blocks + resolved,
-                line[resolved] / HOPS,
+                line[resolved] / HOPS_PER_BLOCK,
                 np.angle(reference_spectrum),
-                at[resolved] / gain,
+                peak_magnitude[resolved] / gain,
                 ratio,
             )
         )
 
     def track(self) -> Track:
-        channels = 1 if self._averages is None else len(self._averages)
+        channels = 1 if self._waiting_averages is None else len(self._waiting_averages)
         no_tone = (np.empty(0, np.int64), *(np.empty(0),) * 3, np.empty((channels, 0), complex))
         columns = zip(no_tone, *self._tones, strict=True)
-        number, frequency, phase, amplitude, ratio = (np.concatenate(each, axis=-1) for each in columns)
+        number, frequency, phase, amplitude, ratio = (np.concatenate(parts, axis=-1) for parts in columns)
         levels = np.concatenate([np.empty(0, np.float32), *self._levels])
-        return Track(self._hop * self._averaged, number, frequency, phase, amplitude, ratio, levels)
+        return Track(self._hop * self._samples_per_average, number, frequency, phase, amplitude, ratio, levels)

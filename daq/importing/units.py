@@ -1,4 +1,4 @@
-"""Units as measurement programs spell them."""
+"""Quantity and SI scale of a unit, in the spellings of measurement programs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ KINDS: dict[Quantity, Kind] = {
     "force": FORCE,
     "voltage": VOLTAGE,
 }
-_SPELLED = {
+_SPELLINGS = {
     "volts": "V", "volt": "V", "v": "V", "millivolts": "mV", "mv": "mV",
     "newtons": "N", "newton": "N", "n": "N", "kn": "kN",
     "pounds": "4.4482216152605 N", "lbf": "4.4482216152605 N", "lb": "4.4482216152605 N",
@@ -24,23 +24,23 @@ _SPELLED = {
 }  # fmt: skip
 
 
-def meaning(unit: str) -> tuple[Quantity, float]:
-    """Return the quantity and the SI size of a unit, or of a number of units; raise `ValueError` for other quantities.
+def quantity_and_scale(unit: str) -> tuple[Quantity, float]:
+    """Return the quantity of a unit, or of a value with a unit, and its size in SI; raise `ValueError` if not known.
 
-    >>> meaning("g"), meaning("m/s2"), meaning("Volts"), meaning("2.5 mm")
-    (('acceleration', 9.80665), ('acceleration', 1.0), ('voltage', 1.0), ('displacement', 0.0025))
+    >>> quantity_and_scale("g"), quantity_and_scale("m/s2"), quantity_and_scale("2.5 mm")
+    (('acceleration', 9.80665), ('acceleration', 1.0), ('displacement', 0.0025))
     """
     normalized = re.sub(r"\bsec\b|\bsecond\b", "s", unit.strip())
     normalized = re.sub(r"(?<=[a-z])\s*(?:\*\*|\^)?\s*\(?2\)?$", "^2", normalized)
-    unit_name = _SPELLED.get(normalized.lower(), normalized)
-    written = unit_name if re.match(r"[+-]?\.?\d", unit_name) else f"1 {unit_name}"
+    unit_name = _SPELLINGS.get(normalized.lower(), normalized)
+    quantity_text = unit_name if re.match(r"[+-]?\.?\d", unit_name) else f"1 {unit_name}"
     for quantity, kind in KINDS.items():
         try:
-            size = parse(written, kind)
+            scale = parse(quantity_text, kind)
         except ValueError:
             continue
-        if size > 0 and unit_name and kind.supports(size) and not re.fullmatch(r"[\d.eE+-]*", unit_name):
-            return quantity, size
+        if scale > 0 and unit_name and kind.supports(scale) and not re.fullmatch(r"[\d.eE+-]*", unit_name):
+            return quantity, scale
     raise ValueError(
         f"unknown unit {unit!r}; expected a unit of acceleration, velocity, displacement, force or voltage, such as "
         "m/s^2, g, mm, N, mV, or the meaning of 1 in the file, such as 5 V"

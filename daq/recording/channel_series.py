@@ -1,4 +1,7 @@
-"""The samples of one channel, read by sample number; only the chunks that are needed are decoded."""
+"""Read the samples of one topic of a recording by sample number.
+
+A topic consists of blocks of samples in compressed chunks. Only the chunks that are needed are decoded.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.mcap_file.reader import Container
-from daq.recording.layout import CLOCK, Timebase
+from daq.recording.layout import CLOCK_CHECKS, Timebase
 from daq.recording.sample_block import SCHEMAS, SampleBlock, decode
 from daq.signal_chain.field_checks import MAX_SAMPLES, NOT_ZERO, check
 from rig.arrays import Array
@@ -21,47 +24,47 @@ from rig.errors import RecordingError
 if TYPE_CHECKING:
     from mcap.records import Channel
 
-# Samples of a range from which its content is compared with its size: numbers in a file must not exhaust the memory.
-LARGE_RANGE = 1 << 22
-# Such a range is rejected if it holds less than this part of its samples, 1 / LEAST_SHARE.
-LEAST_SHARE = 16
-# Decoded samples of a recording that stay in memory, bytes: an analysis reads a measured window several times.
-RECENT_BYTES = 1 << 27
+# Number of samples of a range above which the file is checked for them: a wrong number must not exhaust the memory.
+_LARGE_RANGE = 1 << 22
+# Largest ratio of the samples of such a range to those in the file.
+_MAX_SAMPLES_PER_STORED = 16
+# Memory for decoded samples of a recording, bytes: an analysis reads a measured segment several times.
+_MAX_CACHE_BYTES = 1 << 27
 
 
-class RecentBlocks:
-    """Decoded blocks of the chunks of a recording that were read last, of at most `RECENT_BYTES`."""
+class BlockCache:
+    """Cache of the latest decoded blocks of a recording, by channel and chunk, up to `_MAX_CACHE_BYTES`."""
 
     def __init__(self) -> None:
         self._blocks: OrderedDict[tuple[int, int], list[SampleBlock]] = OrderedDict()
         self._bytes = 0
 
-    def of(self, channel: int, chunk: int) -> list[SampleBlock] | None:
-        """Return the blocks of a channel in a chunk; None if they are not stored."""
+    def get(self, channel: int, chunk: int) -> list[SampleBlock] | None:
+        """Return the blocks of a channel in a chunk; None if they are not in the cache."""
         return self._blocks.get((channel, chunk))
 
     def store(self, channel: int, chunk: int, blocks: list[SampleBlock]) -> None:
-        """Store the blocks of a channel in a chunk; remove those that were stored first."""
+        """Store the blocks of a channel in a chunk; remove the oldest entries."""
         self._blocks[channel, chunk] = blocks
-        self._bytes += _bytes_of(blocks)
-        while len(self._blocks) > 1 and self._bytes > RECENT_BYTES:
-            self._bytes -= _bytes_of(self._blocks.popitem(last=False)[1])
+        self._bytes += _size_bytes(blocks)
+        while len(self._blocks) > 1 and self._bytes > _MAX_CACHE_BYTES:
+            self._bytes -= _size_bytes(self._blocks.popitem(last=False)[1])
 
 
-def _bytes_of(blocks: list[SampleBlock]) -> int:
+def _size_bytes(blocks: list[SampleBlock]) -> int:
     return sum(block.samples.nbytes for block in blocks)
 
 
 class Series:
-    """Blocks of samples on one topic."""
+    """The samples of one topic."""
 
-    def __init__(self, container: Container, channel: Channel, recent: RecentBlocks) -> None:
+    def __init__(self, container: Container, channel: Channel, block_cache: BlockCache) -> None:
         summary = container.summary
         self.topic, self.metadata = channel.topic, channel.metadata
         self._container, self._channel = container, channel.id
         self._schema = summary.schemas[channel.schema_id].name
         self._chunks = summary.holders.get(channel.id, np.empty(0, np.int64))
-        self._recent = recent
+        self._block_cache = block_cache
         try:
             self.scale = float(self.metadata.get("scale", 1.0))
             check({"scale": self.scale}, {"scale": NOT_ZERO})
@@ -78,18 +81,18 @@ class Series:
 
     @cached_property
     def clock(self) -> Timebase:
-        """The sample clock, as the topic's metadata or else the first block state it."""
+        """The sample clock that the metadata of the topic state, or else the first block."""
         if "rate" in self.metadata and "start_ns" in self.metadata:
             try:
                 rate, start_ns = float(self.metadata["rate"]), int(self.metadata["start_ns"])
-                check({"rate": rate, "start_ns": start_ns}, CLOCK)
+                check({"rate": rate, "start_ns": start_ns}, CLOCK_CHECKS)
                 return Timebase(rate, start_ns)
             except (ValueError, RecordingError) as error:
                 raise self._error(
                     f"invalid sample clock ({error!s:.200}). Correct rate and start_ns of the metadata."
                 ) from None
         for chunk in self._chunks:
-            for block, _ in self._stored(int(chunk)):
+            for block, _ in self._stored_blocks(int(chunk)):
                 return block.clock
         raise self._error(
             "no samples and no sample rate. Remove the topic, or add its rate and start_ns to the metadata."
@@ -105,27 +108,27 @@ class Series:
         return 0
 
     @cached_property
-    def _ends(self) -> NDArray[np.int64]:
-        """For each chunk the sample after its blocks."""
+    def _chunk_stops(self) -> NDArray[np.int64]:
+        """Number of the sample after the last one, for each chunk."""
         if not self._chunks.size:
-            # All samples were lost, and perhaps the clock.
+            # Without samples the clock may not be known.
             return np.empty(0, np.int64)
         return self.clock.samples_at(self._container.summary.ends[self._chunks])
 
     def _decoded(self, chunk: int, clock: Timebase) -> list[SampleBlock]:
-        """Decode and check this topic's blocks of a chunk; recent chunks stay in memory for repeated reading."""
-        blocks = self._recent.of(self._channel, chunk)
+        """Return the decoded and checked blocks of this topic in a chunk."""
+        blocks = self._block_cache.get(self._channel, chunk)
         if blocks is None:
             blocks = []
-            for block, log_time in self._stored(chunk):
+            for block, log_time in self._stored_blocks(chunk):
                 self._check(block, log_time, clock)
                 blocks.append(block)
-            blocks = _joined(blocks)
-            self._recent.store(self._channel, chunk, blocks)
+            blocks = _join_contiguous(blocks)
+            self._block_cache.store(self._channel, chunk, blocks)
         return blocks
 
-    def _stored(self, chunk: int) -> Iterator[tuple[SampleBlock, int]]:
-        """Yield this topic's blocks of a chunk as stored, with their log times in ns."""
+    def _stored_blocks(self, chunk: int) -> Iterator[tuple[SampleBlock, int]]:
+        """Yield each block of this topic in a chunk, unchecked, with its log time in ns."""
         for message in self._container.messages(chunk):
             if message.channel == self._channel:
                 try:
@@ -134,31 +137,32 @@ class Series:
                     raise self._error(str(error)) from error
 
     def _check(self, block: SampleBlock, log_time: int, clock: Timebase) -> None:
-        """Compare a block with the layout, on which the search for samples relies."""
+        """Raise `RecordingError` if the times of a block contradict its sample numbers."""
         if block.stop > MAX_SAMPLES:
             raise self._error(f"a block begins at sample {block.first_sample}; expected at most {MAX_SAMPLES}.")
-        begins = (block.t0_ns - clock.start_ns) * clock.rate * 1e-9 - block.first_sample
-        ends = (log_time - clock.start_ns) * clock.rate * 1e-9 - block.stop
-        if block.rate != clock.rate or not (abs(begins) < 0.5 and abs(ends) < 0.5):
-            should = clock.time_ns(block.first_sample), clock.time_ns(block.stop)
+        start_error = (block.t0_ns - clock.start_ns) * clock.rate * 1e-9 - block.first_sample
+        end_error = (log_time - clock.start_ns) * clock.rate * 1e-9 - block.stop
+        if block.rate != clock.rate or not (abs(start_error) < 0.5 and abs(end_error) < 0.5):
+            expected_times = clock.time_ns(block.first_sample), clock.time_ns(block.stop)
             raise self._error(
                 f"the block at sample {block.first_sample} states {block.rate:g} Hz, a start at {block.t0_ns} ns and "
-                f"a log time of {log_time} ns; expected {clock.rate:g} Hz, {should[0]} ns and {should[1]} ns, its end."
+                f"a log time of {log_time} ns; expected {clock.rate:g} Hz, {expected_times[0]} ns and "
+                f"{expected_times[1]} ns, its end."
             )
 
     def blocks(self, start: int, stop: int) -> Iterator[SampleBlock]:
-        """Yield the blocks that hold any sample of [start, stop), in order; contiguous blocks of a chunk are joined."""
-        reached = 0
-        for chunk in self._chunks[int(np.searchsorted(self._ends, start, side="right")) :]:
+        """Yield the blocks with samples of [start, stop), in order; contiguous blocks of a chunk are joined."""
+        next_sample = 0
+        for chunk in self._chunks[int(np.searchsorted(self._chunk_stops, start, side="right")) :]:
             blocks = self._decoded(int(chunk), self.clock)
             for block in blocks:
-                if block.first_sample < reached:
+                if block.first_sample < next_sample:
                     first = block.first_sample
-                    raise self._error(f"a block begins at sample {first}; expected {reached} or later.")
-                reached = block.stop
+                    raise self._error(f"a block begins at sample {first}; expected {next_sample} or later.")
+                next_sample = block.stop
                 if block.stop > start and block.first_sample < stop:
                     yield block
-            if reached >= stop:
+            if next_sample >= stop:
                 return
 
     def read(self, start: int, stop: int) -> Array:
@@ -168,41 +172,41 @@ class Series:
         """
         self.refuse_void(start, stop)
         values = np.empty(stop - start)
-        reached = start
+        next_sample = start
         for block in self.blocks(start, stop):
             begin, end = max(block.first_sample, start), min(block.stop, stop)
-            values[reached - start : begin - start] = np.nan
+            values[next_sample - start : begin - start] = np.nan
             block_samples = block.samples[begin - block.first_sample : end - block.first_sample]
             np.multiply(block_samples, self.scale, out=values[begin - start : end - start], dtype=np.float64)
-            reached = end
-        values[reached - start :] = np.nan
+            next_sample = end
+        values[next_sample - start :] = np.nan
         return values
 
     def refuse_void(self, start: int, stop: int) -> None:
         """Raise `RecordingError` if the file has almost no samples in a long range."""
-        if stop - start <= LARGE_RANGE:
+        if stop - start <= _LARGE_RANGE:
             return
-        begin, end = np.searchsorted(self._ends, [start, stop], side="right")
+        begin, end = np.searchsorted(self._chunk_stops, [start, stop], side="right")
         chunks = self._chunks[int(begin) : int(end) + 1]
-        # No sample takes less than four bytes in a chunk.
+        # A sample takes at least four bytes in a chunk.
         max_samples = int(np.minimum(self._container.summary.unpacked[chunks], 1 << 40).sum()) // 4
-        if max_samples * LEAST_SHARE < stop - start:
+        if max_samples * _MAX_SAMPLES_PER_STORED < stop - start:
             raise self._error(
                 f"samples {start} to {stop - 1}: at most {max_samples} of them are in the file. Choose a range "
                 "before or after them (--from, --to)."
             )
 
-    def holes(self) -> Iterator[tuple[int, int]]:
-        """Yield the ranges [first, stop) of samples that are missing before the last one; reads all."""
-        reached = 0
+    def missing_ranges(self) -> Iterator[tuple[int, int]]:
+        """Yield the ranges [first, stop) of missing samples before the last sample; decodes the whole topic."""
+        next_sample = 0
         for block in self.blocks(0, self.stop):
-            if block.first_sample > reached:
-                yield reached, block.first_sample
-            reached = block.stop
+            if block.first_sample > next_sample:
+                yield next_sample, block.first_sample
+            next_sample = block.stop
 
 
-def _joined(blocks: list[SampleBlock]) -> list[SampleBlock]:
-    """Join contiguous blocks of a chunk; copies, so that the unpacked chunk does not stay in memory."""
+def _join_contiguous(blocks: list[SampleBlock]) -> list[SampleBlock]:
+    """Join the blocks of a chunk if they are contiguous; the copies allow the unpacked chunk to be freed."""
     if any(block.stop != later.first_sample for block, later in pairwise(blocks)):
         return [block._replace(samples=block.samples.copy()) for block in blocks]
     return [blocks[0]._replace(samples=np.concatenate([block.samples for block in blocks]))] if blocks else []

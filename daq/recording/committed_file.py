@@ -1,6 +1,6 @@
-"""The file of a recording: it grows by whole commits, so that a full disk leaves no half-written record.
+"""The file of a recording, which grows by whole commits: a full disk leaves no half-written record in it.
 
-A file that replaces another is written next to it and takes its name once it is complete.
+A file that replaces another is written next to it, and renamed when it is complete.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from typing import IO
 from rig.errors import RecordingError, RunError
 from rig.output_files import rename_complete, resolve_output
 
-# Number of pieces that are joined for one write: all pieces of thousands of channels would be in memory twice.
-_PIECES_PER_WRITE = 256
-# Reserve on the disk for the end of the file, and for the display, bytes.
+# Number of byte strings that are joined for one write; joining all would double the memory of thousands of channels.
+_MAX_PARTS_PER_WRITE = 256
+# Disk space that is kept free for the end of the file and the display, bytes.
 RESERVE = 1 << 20
 
 
@@ -31,16 +31,16 @@ def make_folder(path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecordingError(
-            f"{path}: cannot make the folder {path.parent.absolute()} ({error.strerror}). Choose a place that can be "
-            "written to (-o FILE.mcap)."
+            f"{path}: cannot make the folder {path.parent.absolute()} ({error.strerror}). Choose a folder that "
+            "you can write to (-o FILE.mcap)."
         ) from None
 
 
-class Disk:
-    """The stream of the MCAP writer: bytes wait in memory until `commit` writes them together.
+class CommittedFile:
+    """The output of the MCAP writer: `write` collects bytes in memory, `commit` writes them to the disk together.
 
-    The file `at` lies next to an existing file that is to be replaced. After `failed`, it ends with the previous
-    commit. Raises `RecordingError` if the file exists or cannot be made.
+    `current_path` differs from `path` while an existing file is being replaced. If `failed`, the file ends with the
+    previous commit. Raises `RecordingError` if the file exists or cannot be created.
     """
 
     def __init__(self, path: Path, overwrite: bool) -> None:
@@ -48,25 +48,25 @@ class Disk:
         self.failed = self._is_complete = False
         self._waiting: list[bytes] = []
         self._committed = self._end = 0
-        self._final = self.at = resolve_output(path, overwrite, RecordingError)
-        with ExitStack() as opened:
+        self._final = self.current_path = resolve_output(path, overwrite, RecordingError)
+        with ExitStack() as open_files:
             try:
-                self._old = opened.enter_context(self._final.open("rb")) if self._final.exists() else None
+                self._old = open_files.enter_context(self._final.open("rb")) if self._final.exists() else None
                 if self._old is not None:
                     _lock(self._old, path)
-                    self.at = _unused(self._final)
-                self._file = opened.enter_context(self.at.open("xb", buffering=0))
+                    self.current_path = _unused_name(self._final)
+                self._file = open_files.enter_context(self.current_path.open("xb", buffering=0))
             except FileExistsError:
                 raise RecordingError(
                     f"{path}: another process created it in the meantime. Choose another name."
                 ) from None
             except OSError as error:
-                raise RecordingError(f"{path}: cannot create ({_reason(error, path.parent)}") from error
+                raise RecordingError(f"{path}: cannot create ({_creation_error(error, path.parent)}") from error
             _lock(self._file, path)
-            opened.pop_all()
+            open_files.pop_all()
 
     def write(self, data: bytes) -> None:
-        """Take bytes for the next commit."""
+        """Collect bytes for the next commit."""
         if data:
             self._waiting.append(data)
             self._end += len(data)
@@ -79,44 +79,44 @@ class Disk:
         """Write the waiting bytes; on `DiskError` the file is truncated to the previous commit."""
         waiting, self._waiting = self._waiting, []
         try:
-            for first in range(0, len(waiting), _PIECES_PER_WRITE):
-                unwritten = memoryview(b"".join(waiting[first : first + _PIECES_PER_WRITE]))
+            for first in range(0, len(waiting), _MAX_PARTS_PER_WRITE):
+                unwritten = memoryview(b"".join(waiting[first : first + _MAX_PARTS_PER_WRITE]))
                 while unwritten:
                     unwritten = unwritten[self._file.write(unwritten) :]
         except OSError as error:
             self.failed = True
             os.ftruncate(self._file.fileno(), self._committed)
-            raise DiskError(f"{self.at}: cannot write ({error.strerror})") from error
+            raise DiskError(f"{self.current_path}: cannot write ({error.strerror})") from error
         self._committed = self._end
 
     def free(self) -> int:
-        """Return the free bytes of the disk that holds the file."""
-        return shutil.disk_usage(self.at).free
+        """Return the free space of the file's disk, bytes."""
+        return shutil.disk_usage(self.current_path).free
 
     def finish(self) -> None:
-        """Write the waiting bytes, which complete the file, and give it its name.
+        """Commit the last bytes, and rename the file if it replaces another.
 
-        Raises `DiskError` if the disk is full or fails, `RunError` if the file cannot get its name.
+        Raises `DiskError` if the disk is full or fails, `RunError` if the file cannot be renamed.
         """
         self.commit()
         self._is_complete = True
-        if self.at == self._final:
+        if self.current_path == self._final:
             return
         # Windows cannot replace an open file: another process that locks the old file now will replace the new one.
         self.close()
         try:
-            rename_complete(self.at, self._final, overwrite=True)
+            rename_complete(self.current_path, self._final, overwrite=True)
         except OSError as error:
             raise RunError(
-                f"{self.path}: cannot replace ({error.strerror}). Use the new recording {self.at}."
+                f"{self.path}: cannot replace ({error.strerror}). Use the new recording {self.current_path}."
             ) from error
-        self.at = self._final
+        self.current_path = self._final
 
     def discard(self) -> None:
-        """Keep the old file, if there is one, and remove the new one, which holds no samples."""
+        """Keep the old file, and remove the new file that would have replaced it."""
         self.close()
-        if self.at != self._final:
-            self.at.unlink(missing_ok=True)
+        if self.current_path != self._final:
+            self.current_path.unlink(missing_ok=True)
 
     def close(self) -> None:
         """Close the file; bytes that were not committed are dropped."""
@@ -126,17 +126,17 @@ class Disk:
 
     @contextmanager
     def removed_on_failure(self) -> Iterator[None]:
-        """Remove the new file if the body fails, except a complete one that could not get its name."""
+        """Remove the new file if the body of the `with` fails, unless the file is complete and only not renamed."""
         try:
             yield
         except BaseException:
             self.close()
             if not self._is_complete:
-                self.at.unlink(missing_ok=True)
+                self.current_path.unlink(missing_ok=True)
             raise
 
 
-def _unused(path: Path) -> Path:
+def _unused_name(path: Path) -> Path:
     """Return an unused name next to a file; the partial file of a killed process is not replaced.
 
     >>> _unused(Path("there-is-no-such-folder/run.mcap")).name
@@ -162,8 +162,8 @@ def _lock(file: IO[bytes], path: Path) -> None:
         return
 
 
-def _reason(error: OSError, folder: Path) -> str:
-    """State why a file could not be created in a folder, and the remedy."""
+def _creation_error(error: OSError, folder: Path) -> str:
+    """Return the end of a message: why a file could not be created in a folder, and the remedy."""
     if not isinstance(error, FileNotFoundError):
         return f"{error.strerror}). Choose a folder that you can write to."
     if folder.is_dir():

@@ -1,4 +1,4 @@
-"""Displacement of points for pictures: its source among channels and truth, and its integration without drift."""
+"""Displacements for the drawing of a recorded rig: choice of their source, and integration without drift."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ from rig.arrays import Array
 if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
 
-# Below this frequency an integrated signal is drift and noise rather than motion.
+# Corner of the high-pass, Hz: below it an integrated signal is mostly drift and noise.
 HIGH_PASS_HZ = 1.0
 _INTEGRATIONS = {"velocity": "once", "acceleration": "twice"}
 
 
 @dataclass(frozen=True)
 class MotionSource:
-    """Source of the displacement of a point; without a channel it is the truth, or the point is not measured."""
+    """Source of the displacement of a point.
+
+    `quantity` is that of the channel; without a channel it is ``truth``, or ``nothing`` if the point is not measured.
+    """
 
     point: str
     channel: str | None
@@ -28,30 +31,30 @@ class MotionSource:
 
     @property
     def sentence(self) -> str:
-        """The source in words."""
+        """Description of the source for the user."""
         if self.channel is None:
             return "recorded truth" if self.quantity == "truth" else "not measured, drawn at rest"
         if self.quantity == "displacement":
             return f"channel {self.channel}"
-        times = _INTEGRATIONS[self.quantity]
-        return f"channel {self.channel}, {self.quantity} integrated {times} (high-passed at {HIGH_PASS_HZ:g} Hz)"
+        count = _INTEGRATIONS[self.quantity]
+        return f"channel {self.channel}, {self.quantity} integrated {count} (high-passed at {HIGH_PASS_HZ:g} Hz)"
 
 
-def motion_sources(points: Iterable[str], channels: Sequence[ChannelInfo], truth: bool) -> tuple[MotionSource, ...]:
-    """Choose the source of each point: a displacement channel, else truth, else a channel that is integrated."""
+def motion_sources(points: Iterable[str], channels: Sequence[ChannelInfo], has_truth: bool) -> tuple[MotionSource, ...]:
+    """Return the source of each point: a displacement channel, or else the truth, or else a channel to integrate."""
     sources = []
     for point in points:
-        at = {info.quantity: info.name for info in channels if info.at == point}
-        quantities = ("displacement",) if truth else ("displacement", "velocity", "acceleration")
-        quantity = next((each for each in quantities if each in at), None)
+        channel_of_quantity = {info.quantity: info.name for info in channels if info.at == point}
+        quantities = ("displacement",) if has_truth else ("displacement", "velocity", "acceleration")
+        quantity = next((candidate for candidate in quantities if candidate in channel_of_quantity), None)
         if quantity is None:
-            sources.append(MotionSource(point, None, "truth" if truth else "nothing"))
+            sources.append(MotionSource(point, None, "truth" if has_truth else "nothing"))
         else:
-            sources.append(MotionSource(point, at[quantity], quantity))
+            sources.append(MotionSource(point, channel_of_quantity[quantity], quantity))
     return tuple(sources)
 
 
-class DisplacementEstimate:
+class DisplacementFilter:
     """Integrates a sampled signal to a displacement, block by block, high-passed at `HIGH_PASS_HZ`.
 
     With w the corner, an acceleration is filtered by ``s^2 / (s^2 + sqrt(2) w s + w^2)^2``, a velocity by
@@ -71,7 +74,7 @@ class DisplacementEstimate:
         self._state = np.zeros((self._sections.shape[0], 2))
 
     def run(self, samples: Array) -> Array:
-        """Return the displacement at the next samples, metres for SI input."""
+        """Return the displacement at the next samples, in m for SI input."""
         if self._sections is None or not samples.size:
             return samples
         from scipy.signal import sosfilt

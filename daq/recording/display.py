@@ -1,6 +1,6 @@
-"""Signals for viewers, made while a recording is written: decimated, anti-aliased waveforms, rms and peak.
+"""Signals for viewers in a recording: decimated waveforms behind an anti-aliasing filter, rms and peak.
 
-A general viewer draws them: one number a message, in an encoding that it plots by default.
+General MCAP viewers plot them: each message contains one number, in an encoding that they plot by default.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.mcap_file.writer import Message, Messages
-from daq.recording.displacement import DisplacementEstimate, motion_sources
+from daq.recording.displacement import DisplacementFilter, motion_sources
 from daq.recording.layout import DISPLAY, ROBOT, TRANSFORMS, Timebase
 from daq.recording.protobuf import Schema
 from rig.arrays import Array
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
     from rig.scene.scene import Scene
 
-# Highest rate of the displayed waveforms.
+# Highest sample rate of the displayed waveforms, Hz.
 MAX_RATE_HZ = 250.0
-# Number of displayed samples from one transform to the next.
+# Number of displayed samples from one transform (position of the drawn parts) to the next.
 TRANSFORM_STEP = 2
-# Half the length of the anti-aliasing filter in display samples. With its Kaiser window it is flat to 0.27 of
-# the display rate; aliasing begins at half of it, where it is 44 dB down, and is 70 dB down from 0.52 on.
-HALF_LENGTH = 8
-KAISER_BETA = 6.8
-CUTOFF = 0.385
-# Number of signals that are filtered together: products of thousands would take several times their memory.
-_MAX_ROWS = 64
+# Anti-aliasing filter: half its length in display samples, its Kaiser window, and its cutoff over the display rate. It
+# is flat up to 0.27 of the display rate; at 0.5, where aliasing begins, it attenuates by 44 dB, from 0.52 on by 70 dB.
+_HALF_LENGTH = 8
+_KAISER_BETA = 6.8
+_CUTOFF = 0.385
+# Number of signals that are filtered together, which bounds the memory of the matrix product.
+_MAX_SIGNALS = 64
 
 _RULE = "=" * 80
 FLOAT_SCHEMA = Schema(
@@ -50,12 +50,12 @@ FLOAT_SCHEMA = Schema(
 TEXT_SCHEMA = Schema("std_msgs/msg/String", "ros2msg", b"string data\n", "cdr")
 
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-# Bytes before the one element: no dimensions, no offset, one element, padding to eight bytes.
+# Bytes before the element: no dimensions, no offset, one element, padding to eight bytes.
 _MESSAGE_HEAD = np.frombuffer(struct.pack("<4sIII4x", _LITTLE_ENDIAN, 0, 0, 1), np.uint8)
 
 
 def encode_floats(values: Array) -> NDArray[np.uint8]:
-    """Encode each number as a std_msgs/msg/Float64MultiArray of one element, along a further, last axis.
+    """Encode each number as a std_msgs/msg/Float64MultiArray of one element; its bytes are along a new last axis.
 
     >>> encode_floats(np.ones((2, 3))).shape
     (2, 3, 28)
@@ -86,84 +86,87 @@ def display_step(rate: float) -> int:
 
 
 class DisplayDecimator:
-    """Low-passes signals and outputs every `step`-th sample, at sample numbers that are multiples of it.
+    """Low-passes signals and outputs the samples whose numbers are multiples of `step`.
 
-    The filter has linear phase without delay: a sample is known half a filter length later. Before the first and after
-    the last sample, these continue as constants. `stop` is the expected next sample; None before the first one and
-    after `finish`.
+    The filter has linear phase and its delay is removed: an output follows half a filter length later. The first and
+    the last sample are continued as constants. `stop` is the number of the expected next sample, None before the first
+    sample and after `finish`.
     """
 
     def __init__(self, step: int) -> None:
         self.step = step
-        self._half = HALF_LENGTH * step if step > 1 else 0
+        self._half_length = _HALF_LENGTH * step if step > 1 else 0
         self._taps = np.ones(1)
         if step > 1:
-            places = np.arange(-self._half, self._half + 1) * (2 * CUTOFF / step)
-            taps = np.sinc(places) * np.kaiser(places.size, KAISER_BETA)
+            abscissa = np.arange(-self._half_length, self._half_length + 1) * (2 * _CUTOFF / step)
+            taps = np.sinc(abscissa) * np.kaiser(abscissa.size, _KAISER_BETA)
             self._taps = taps / taps.sum()
         self._samples = np.empty((0, 0))
         self._first = 0
         self.stop: int | None = None
-        self._next = 0
+        self._next_output = 0
 
     def run(self, first: int, samples: Array) -> tuple[NDArray[np.int64], Array]:
-        """Take further samples (signals, samples) from `first` on; return output sample numbers and their values.
+        """Filter the next samples, shape (signals, samples), from number `first` on; return output numbers and values.
 
-        `finish` must be called before a gap.
+        Call `finish` before a gap.
         """
         if self.stop is None:
-            self._samples = np.repeat(samples[:, :1], self._half, axis=1)
-            self._first, self._next = first - self._half, -(-first // self.step)
+            self._samples = np.repeat(samples[:, :1], self._half_length, axis=1)
+            self._first, self._next_output = first - self._half_length, -(-first // self.step)
         self._samples = np.concatenate([self._samples, samples], axis=1)
         self.stop = first + samples.shape[1]
-        last = (self.stop - 1 - self._half) // self.step
+        last = (self.stop - 1 - self._half_length) // self.step
         return self._output_until(last)
 
     def finish(self) -> tuple[NDArray[np.int64], Array]:
-        """Return the remaining values of the samples so far, at least one; the next samples start a new signal."""
+        """Return the remaining outputs (at least one sample was given); the next samples start a new signal."""
         assert self.stop is not None
-        self._samples = np.concatenate([self._samples, np.repeat(self._samples[:, -1:], self._half, axis=1)], axis=1)
+        self._samples = np.concatenate(
+            [self._samples, np.repeat(self._samples[:, -1:], self._half_length, axis=1)], axis=1
+        )
         output = self._output_until((self.stop - 1) // self.step)
         self.stop = None
         return output
 
     def _output_until(self, last: int) -> tuple[NDArray[np.int64], Array]:
-        """Filter at the multiples of the step from the next one to the last one, both included."""
-        places = np.arange(self._next, last + 1, dtype=np.int64) * self.step
-        if places.size == 0:
-            return places, np.empty((self._samples.shape[0], 0))
-        begin, end = int(places[0]) - self._half - self._first, int(places[-1]) + self._half + 1 - self._first
+        """Return the outputs from the next one to number `last` times the step, included."""
+        output_samples = np.arange(self._next_output, last + 1, dtype=np.int64) * self.step
+        if output_samples.size == 0:
+            return output_samples, np.empty((self._samples.shape[0], 0))
+        begin = int(output_samples[0]) - self._half_length - self._first
+        end = int(output_samples[-1]) + self._half_length + 1 - self._first
         values = self._samples[:, begin:end]
         if self.step > 1:
-            parts = (values[row : row + _MAX_ROWS] for row in range(0, len(values), _MAX_ROWS))
-            values = np.concatenate([_filtered(part, self._taps, self.step) for part in parts])
-        self._next = last + 1
-        n_used = max(0, self._next * self.step - self._half - self._first)
-        # A copy: a view would keep the used samples in memory.
+            groups = (values[row : row + _MAX_SIGNALS] for row in range(0, len(values), _MAX_SIGNALS))
+            values = np.concatenate([_filter_and_decimate(group, self._taps, self.step) for group in groups])
+        self._next_output = last + 1
+        n_used = max(0, self._next_output * self.step - self._half_length - self._first)
+        # The copy frees the used samples.
         self._samples, self._first = self._samples[:, n_used:].copy(), self._first + n_used
-        return places, np.asarray(values)
+        return output_samples, np.asarray(values)
 
 
-def _filtered(samples: Array, taps: Array, step: int) -> Array:
+def _filter_and_decimate(samples: Array, taps: Array, step: int) -> Array:
     """Filter at every `step`-th sample; shape (signals, outputs).
 
     The length of the filter is a multiple of `step`, plus one sample. A matrix product weights every step of the
     signals with every step of the filter; sums along its diagonals are the result.
     """
-    steps = taps.size // step
-    n_outputs = samples.shape[1] // step - steps + 1
-    signals = samples[:, : (n_outputs + steps - 1) * step].reshape(len(samples), -1, step)
-    parts = signals @ taps[:-1].reshape(steps, step).T
-    result = taps[-1] * samples[:, steps * step :: step][:, :n_outputs]
-    for k in range(steps):
-        result += parts[:, k : k + n_outputs, k]
+    filter_steps = taps.size // step
+    n_outputs = samples.shape[1] // step - filter_steps + 1
+    signals = samples[:, : (n_outputs + filter_steps - 1) * step].reshape(len(samples), -1, step)
+    partial_sums = signals @ taps[:-1].reshape(filter_steps, step).T
+    result = taps[-1] * samples[:, filter_steps * step :: step][:, :n_outputs]
+    for k in range(filter_steps):
+        result += partial_sums[:, k : k + n_outputs, k]
     return result
 
 
 class Display:
-    """Makes the messages for viewers: waveform, rms and peak of each channel, and the rig's transforms.
+    """Makes the messages for viewers: waveform, rms and peak of each channel, and transforms that move the drawn rig.
 
-    Truth, where recorded, moves dampers and points without a displacement channel.
+    Dampers, and points without a displacement channel, move as the truth if it is recorded.
     """
 
     def __init__(
@@ -186,13 +189,13 @@ class Display:
         self._sources = motion_sources(self._robot.points, channels, truth is not None)
         rows = {info.name: row for row, info in enumerate(channels)}
         rate = clock.rate / self._decimator.step
-        # Of each source with a channel its row, and the filter to displacement.
-        self._estimates = {
-            source.point: (rows[source.channel], DisplacementEstimate(source.quantity, rate))
+        # Row of the channel, and filter to displacement, for each point with a channel.
+        self._filters = {
+            source.point: (rows[source.channel], DisplacementFilter(source.quantity, rate))
             for source in self._sources
             if source.channel is not None
         }
-        # Number of messages on each topic of a kind.
+        # Number of messages so far on each topic of a kind.
         self._n_messages = {"waveform": 0, "level": 0, "transform": 0}
 
     def _sequence(self, kind: str, count: int) -> NDArray[np.int64]:
@@ -206,19 +209,22 @@ class Display:
         return Message(self._description, at, at, encode_text(self._robot.urdf()), 0)
 
     def description(self) -> dict[str, str]:
-        """Describe the signals, for the metadata."""
+        """Return the fields of the metadata record `display`."""
         sources = {f"motion.{source.point}": source.sentence for source in self._sources}
         rate = self._clock.rate / self._decimator.step
         return {
             "rate_hz": repr(rate),
-            "low_pass": f"linear-phase FIR, -6 dB at {CUTOFF * rate:.4g} Hz" if self._decimator.step > 1 else "none",
+            "low_pass": f"linear-phase FIR, -6 dB at {_CUTOFF * rate:.4g} Hz" if self._decimator.step > 1 else "none",
             "transforms_rate_hz": repr(rate / TRANSFORM_STEP),
             "exaggeration": f"{self._robot.exaggeration:g}",
             **sources,
         }
 
     def levels(self, blocks: Iterable[tuple[int, Array]]) -> Messages:
-        """Return rms and peak at the ends of blocks, given as first sample and samples (channels, blocks, samples)."""
+        """Return rms and peak at the ends of blocks.
+
+        `blocks` are number of the first sample, and samples of shape (channels, blocks, samples).
+        """
         ends: list[int] = []
         levels = []
         for first, samples in blocks:
@@ -232,17 +238,17 @@ class Display:
         return Messages(self._levels, times, times, data, sequence[:, None, None])
 
     def waveforms(self, first: int, samples: Array) -> Iterator[Messages]:
-        """Yield waveforms and transforms that are determined by further samples, shape (channels, samples)."""
+        """Yield the waveforms and transforms that the next samples, shape (channels, samples), complete."""
         if self._decimator.stop not in (None, first):
             yield from self.finish()
-        yield from self._draw(*self._decimator.run(first, samples))
+        yield from self._messages(*self._decimator.run(first, samples))
 
     def finish(self) -> Iterator[Messages]:
         """Yield waveforms and transforms up to the last sample."""
         if self._decimator.stop is not None:
-            yield from self._draw(*self._decimator.finish())
+            yield from self._messages(*self._decimator.finish())
 
-    def _draw(self, numbers: NDArray[np.int64], values: Array) -> Iterator[Messages]:
+    def _messages(self, numbers: NDArray[np.int64], values: Array) -> Iterator[Messages]:
         if not numbers.size:
             return
         times = self._clock.times_ns(numbers.tolist())
@@ -252,12 +258,14 @@ class Display:
         displacements = np.zeros((len(self._sources), np.count_nonzero(with_transforms)))
         if self._truth is not None:
             # The truth has the same points in another order.
-            true = dict(zip(self._truth.drawn, self._truth.positions(numbers[with_transforms]), strict=True))
-            displacements[:] = [true[source.point] for source in self._sources]
+            true_displacements = dict(
+                zip(self._truth.drawn, self._truth.positions(numbers[with_transforms]), strict=True)
+            )
+            displacements[:] = [true_displacements[source.point] for source in self._sources]
         for row, source in zip(displacements, self._sources, strict=True):
-            if source.point in self._estimates:
-                channel, estimate = self._estimates[source.point]
-                row[:] = estimate.run(values[channel])[with_transforms]
+            if source.point in self._filters:
+                channel, displacement_filter = self._filters[source.point]
+                row[:] = displacement_filter.run(values[channel])[with_transforms]
         if displacements.shape[1]:
             transform_times, sequence = times[with_transforms], self._sequence("transform", displacements.shape[1])
             yield Messages(

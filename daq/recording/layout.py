@@ -1,4 +1,4 @@
-"""The layout of a recording: its topics, schemas and sample numbers, which have exact times.
+"""The layout of a recording: names of topics, lengths of blocks, and the exact times of sample numbers.
 
 `LAYOUT.md` next to this module describes it for readers who do not use this package.
 """
@@ -27,17 +27,16 @@ ROBOT = "/robot_description"
 TRANSFORMS = "/tf"
 SCENE_FILE = "scene.yaml"
 
-# Approximate length of a block.
+# Approximate duration of a block, s.
 BLOCK_S = 0.1
-# Shortest block, samples.
+# Shortest full block, samples.
 MIN_BLOCK_SAMPLES = 256
-# Approximate interval of the commits to the disk: a killed process loses less.
+# Approximate time between commits to the disk, s: a killed process loses less.
 FLUSH_S = 0.5
-# Largest number of groups that are displayed together. With few channels, the cost of a batch hardly depends on its
-# size.
-SHOWN_GROUPS = 4
-# Largest number of channels times groups that are displayed together: waiting samples take memory.
-SHOWN_CHANNELS = 64
+# Largest number of groups that are displayed together. With few channels their number hardly changes the cost.
+MAX_DISPLAY_GROUPS = 4
+# Largest number of channels times groups that are displayed together, which bounds the memory of waiting samples.
+MAX_DISPLAY_CHANNELS = 64
 
 
 def block_length(rate: float) -> int:
@@ -59,7 +58,7 @@ def flush_length(rate: float) -> int:
     return block * max(1, round(FLUSH_S * rate / block))
 
 
-CLOCK = {
+CLOCK_CHECKS = {
     "rate": Check(lambda value: is_number(value) and 1e-9 <= value <= 1e12, "a rate from 1e-9 Hz to 1e12 Hz"),
     "start_ns": Check(lambda value: isinstance(value, int) and abs(value) < 2**63, "nanoseconds below 2^63"),
 }
@@ -77,35 +76,35 @@ class Timebase:
             raise RecordingError(f"sample rate: got {self.rate!r} Hz; expected a positive, finite rate.")
 
     def time_ns(self, sample: int) -> int:
-        """Return the time of a sample in nanoseconds; in integers throughout, so that no error builds up.
+        """Return the time of a sample in nanoseconds, computed in integers, so that no error builds up.
 
         >>> Timebase(8533.333333333334).time_ns(10**12) // 10**9
         117187499
         """
-        step, numerator, divisor = self._ratio
-        return self.start_ns + (step * sample + numerator) // divisor
+        doubled_interval, numerator, divisor = self._ratio
+        return self.start_ns + (doubled_interval * sample + numerator) // divisor
 
     def times_ns(self, samples: Iterable[int]) -> NDArray[np.uint64]:
         """Return the times of samples in nanoseconds, as exact as `time_ns`."""
-        step, numerator, divisor = self._ratio
-        # Python's integers: the products would overflow 64 bits.
-        times = (np.array([*samples], object) * step + numerator) // divisor + self.start_ns
+        doubled_interval, numerator, divisor = self._ratio
+        # Python's integers are used, because the products overflow 64 bits.
+        times = (np.array([*samples], object) * doubled_interval + numerator) // divisor + self.start_ns
         return times.astype(np.uint64)
 
     @cached_property
     def _ratio(self) -> tuple[int, int, int]:
-        """Twice the nanoseconds of a sample interval, as a fraction; and its denominator's half, for rounding."""
+        """Twice the sample interval, ns, as a fraction: numerator, half the denominator (for rounding), denominator."""
         numerator, denominator = float(self.rate).as_integer_ratio()
         return 2 * 10**9 * denominator, numerator, 2 * numerator
 
     def samples_at(self, time_ns: NDArray[np.uint64]) -> NDArray[np.int64]:
         """Return the sample numbers nearest to times in ns since the recording's epoch, clipped to int64."""
-        # The subtraction wraps around in 64 bits, which is right for every span below 292 years.
-        since = (time_ns - np.uint64(self.start_ns % 2**64)).view(np.int64)
-        return np.clip(np.rint(since * (self.rate * 1e-9)), -(2.0**62), 2.0**62).astype(np.int64)
+        # The subtraction may wrap around in 64 bits; it is right for differences below 292 years.
+        elapsed_ns = (time_ns - np.uint64(self.start_ns % 2**64)).view(np.int64)
+        return np.clip(np.rint(elapsed_ns * (self.rate * 1e-9)), -(2.0**62), 2.0**62).astype(np.int64)
 
 
-def refuse_reversed(from_s: float | None, to_s: float | None) -> None:
-    """Raise `SceneError` for a stretch, in s, whose end is before its beginning."""
+def require_ordered_times(from_s: float | None, to_s: float | None) -> None:
+    """Raise `SceneError` if a segment, in s, ends before it begins."""
     if from_s is not None and to_s is not None and to_s < from_s:
         raise SceneError(f"--from {from_s:g} s is after --to {to_s:g} s. Give the earlier time first.")

@@ -1,4 +1,4 @@
-"""Markers: the events of a test and their samples, as JSON on a separate topic; and the gaps that they report."""
+"""Markers, the events of a test with their samples, as JSON on a topic of the recording; and gaps, from the markers."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from daq.signal_chain.field_checks import (
 )
 from rig.errors import RecordingError
 
-_MARKER_FIELDS = {
+_FIELD_CHECKS = {
     **dict.fromkeys(("frequency", "from", "to", "duration"), POSITIVE),
     **dict.fromkeys(("period", "periods", "block", "number", "realisation"), COUNT),
     "level": NUMBER,
@@ -43,16 +43,16 @@ _MARKER_FIELDS = {
     ),
 }
 
-# Touch and release are those of contacts of finite duration.
+# Touch and release belong to contacts of finite duration.
 CONTACT_CHANGES = ("separation", "floor", "ceiling", "touch", "release")
-_EVENT_FIELDS = {
+_EVENT_CHECKS = {
     "time": Check(lambda value: is_number(value) and abs(value) < 1e12, "a time in seconds"),
     "damper": Check(lambda value: is_count(value) and value < 2**31, "the number of a damper, from 1"),
     "kind": Check(lambda value: value in CONTACT_CHANGES, f"one of {', '.join(CONTACT_CHANGES)}"),
     "speed": NUMBER,
 }
 
-_MARKER: dict[str, Any] = {
+_MARKER_JSON_SCHEMA: dict[str, Any] = {
     "$schema": "https://json-schema.org/draft/2020-12/schema",
     "title": "shotrig.Marker",
     "description": "Something that happened during the test, at a sample or over a range of samples.",
@@ -72,7 +72,7 @@ _MARKER: dict[str, Any] = {
     "additionalProperties": {"description": "further fields of the kind of marker, in SI units"},
 }
 
-_EVENT: dict[str, Any] = {
+_EVENT_JSON_SCHEMA: dict[str, Any] = {
     "$schema": "https://json-schema.org/draft/2020-12/schema",
     "title": "shotrig.Event",
     "description": "A change of contact of a damper, at its exact time.",
@@ -86,8 +86,8 @@ _EVENT: dict[str, Any] = {
     },
 }
 
-MARKER_SCHEMA = Schema("shotrig.Marker", "jsonschema", json.dumps(_MARKER).encode(), "json")
-EVENT_SCHEMA = Schema("shotrig.Event", "jsonschema", json.dumps(_EVENT).encode(), "json")
+MARKER_SCHEMA = Schema("shotrig.Marker", "jsonschema", json.dumps(_MARKER_JSON_SCHEMA).encode(), "json")
+EVENT_SCHEMA = Schema("shotrig.Event", "jsonschema", json.dumps(_EVENT_JSON_SCHEMA).encode(), "json")
 EVENT_TYPE = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("speed", "f8")])
 
 
@@ -96,18 +96,18 @@ class Marker:
     """An event of a test."""
 
     kind: str  # `settle`, `measure`, `hit`, `overload`, `gap`, `lost`, ...
-    first_sample: int  # its first sample
-    last_sample: int | None = None  # its last sample, included; None for an instant
+    first_sample: int  # number of the first sample
+    last_sample: int | None = None  # number of the last sample, included; None for an instant
     fields: Mapping[str, Any] = field(default_factory=dict)  # further fields of this kind of marker, in SI units
 
     @property
     def end(self) -> int:
-        """Number of its last sample."""
+        """Number of the last sample."""
         return self.first_sample if self.last_sample is None else self.last_sample
 
     @property
     def stop(self) -> int:
-        """Number of the sample after it, for slices.
+        """Number of the sample after the last one, for slices.
 
         >>> marker = Marker("measure", 100, 199)
         >>> marker.end, marker.stop
@@ -130,19 +130,19 @@ class Marker:
         content = _object(data, MARKERS)
         kind, first = content.pop("kind", None), content.pop("first_sample", None)
         last = content.pop("last_sample", None)
-        ends = first if last is None else last
-        is_interval = type(first) is int and type(ends) is int and 0 <= first <= ends <= MAX_SAMPLES
+        end = first if last is None else last
+        is_interval = type(first) is int and type(end) is int and 0 <= first <= end <= MAX_SAMPLES
         if not isinstance(kind, str) or not is_interval:
             raise RecordingError(
                 f"{MARKERS}: a message has kind {kind!r:.80} and samples {first!r:.40} to {last!r:.40}; expected text "
                 "and whole numbers from 0, in order."
             )
-        check(content, _MARKER_FIELDS)
+        check(content, _FIELD_CHECKS)
         return cls(kind, first, last, _Fields(kind, content))
 
 
 class _Fields(dict[str, Any]):
-    """Fields of a marker from a file, which may lack a field that a reader needs."""
+    """Fields of a marker from a file; access to a missing field raises `RecordingError`."""
 
     def __init__(self, kind: str, content: Mapping[str, Any]) -> None:
         super().__init__(content)
@@ -154,16 +154,16 @@ class _Fields(dict[str, Any]):
 
 @dataclass(frozen=True)
 class Gap:
-    """Samples that a recording lacks; they read as NaN."""
+    """Missing samples of a recording, which read as NaN."""
 
-    first_sample: int  # the range, both included
-    last_sample: int  # the range, both included
-    channels: tuple[str, ...]  # names of the channels that lack them; of true motion, its topics
+    first_sample: int  # first missing sample
+    last_sample: int  # last missing sample
+    channels: tuple[str, ...]  # names of the channels that lack them; for true motion, its topics
     reason: str  # `never acquired`, or how they were lost
 
 
 def gaps_of(markers: Iterable[Marker], channels: Sequence[str]) -> list[Gap]:
-    """Gaps that markers report, in their order; all channels lack the samples where a marker names none."""
+    """Return the gaps that markers report, in their order; a marker without channels is for all."""
     gaps = []
     for marker in markers:
         if marker.kind in ("gap", "lost"):
@@ -177,18 +177,18 @@ def gaps_of(markers: Iterable[Marker], channels: Sequence[str]) -> list[Gap]:
     return gaps
 
 
-def unmarked(holes: Iterable[tuple[int, int]], gaps: Sequence[Gap]) -> Iterator[tuple[int, int]]:
-    """Yield the missing ranges [first, stop) that no gap explains; both in rising order.
+def unmarked_ranges(missing: Iterable[tuple[int, int]], gaps: Sequence[Gap]) -> Iterator[tuple[int, int]]:
+    """Yield the missing ranges [first, stop) that no gap reports; `missing` and `gaps` are in rising order.
 
-    >>> list(unmarked([(10, 20), (30, 40)], [Gap(12, 15, ("a1",), "lost"), Gap(30, 39, ("a1",), "lost")]))
+    >>> list(unmarked_ranges([(10, 20), (30, 40)], [Gap(12, 15, ("a1",), "lost"), Gap(30, 39, ("a1",), "lost")]))
     [(10, 20)]
     """
-    place = 0
-    for first, stop in holes:
-        while first < stop and place < len(gaps) and gaps[place].first_sample <= first:
-            end = gaps[place].last_sample + 1
+    index = 0
+    for first, stop in missing:
+        while first < stop and index < len(gaps) and gaps[index].first_sample <= first:
+            end = gaps[index].last_sample + 1
             first = max(first, end)
-            place += end <= stop
+            index += end <= stop
         if first < stop:
             yield first, stop
 
@@ -200,16 +200,16 @@ def event_to_json(time: float, damper: int, kind: str, speed: float) -> bytes:
 
 def event_from_json(data: memoryview) -> tuple[float, int, str, float]:
     """Read a change of contact; raise `RecordingError` if the message is malformed."""
-    content: dict[str, Any] = dict.fromkeys(_EVENT_FIELDS) | _object(data, EVENTS)
+    content: dict[str, Any] = dict.fromkeys(_EVENT_CHECKS) | _object(data, EVENTS)
     try:
-        check(content, _EVENT_FIELDS)
+        check(content, _EVENT_CHECKS)
     except RecordingError as error:
         raise RecordingError(f"{EVENTS}: a message is not a change of contact ({error}).") from error
     return float(content["time"]), content["damper"], content["kind"], float(content["speed"])
 
 
 def _json(content: Mapping[str, Any]) -> bytes:
-    """Encode compactly and reproducibly, numpy included; NaN and infinity, which JSON lacks, are rejected."""
+    """Encode as compact JSON, numpy values included; raise `ValueError` for NaN and infinity, which JSON lacks."""
     return json.dumps(content, separators=(",", ":"), allow_nan=False, default=_to_python, ensure_ascii=False).encode()
 
 

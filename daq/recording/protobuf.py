@@ -1,4 +1,4 @@
-"""Protobuf messages of a recording: their schemas, classes and bytes."""
+"""Encode protobuf messages without the protobuf package, and describe them for MCAP."""
 
 from __future__ import annotations
 
@@ -19,35 +19,35 @@ class Schema(NamedTuple):
 
 
 @cache
-def descriptors(package: str, messages: tuple[tuple[str, tuple[tuple[str, str], ...]], ...]) -> bytes:
-    """Describe protobuf messages for MCAP as a serialized FileDescriptorSet with all imports.
+def descriptor_set_bytes(package: str, messages: tuple[tuple[str, tuple[tuple[str, str], ...]], ...]) -> bytes:
+    """Return the serialized FileDescriptorSet of protobuf messages, with its imports, as MCAP requires.
 
     `messages` are (message, ((field, type), ...)); fields are numbered from 1. A type is a protobuf type such as
-    ``double``, or the full name of a message; ``[]`` behind it makes the field repeated.
+    ``double``, or the full name of a message; ``[]`` after it makes the field repeated.
     """
     from google.protobuf import descriptor_pb2, timestamp_pb2
 
     file = descriptor_pb2.FileDescriptorProto(name=f"{package}.proto", package=package, syntax="proto3")
-    described = descriptor_pb2.FileDescriptorSet()
-    kinds = descriptor_pb2.FieldDescriptorProto
+    descriptor_set = descriptor_pb2.FileDescriptorSet()
+    field_descriptor = descriptor_pb2.FieldDescriptorProto
     for message, fields in messages:
         message_type = file.message_type.add(name=message)
-        for number, (name, kind) in enumerate(fields, start=1):
-            repeated, kind = kind.endswith("[]"), kind.removesuffix("[]")
+        for number, (name, field_type) in enumerate(fields, start=1):
+            repeated, field_type = field_type.endswith("[]"), field_type.removesuffix("[]")
             field = message_type.field.add(name=name, number=number)
-            field.label = kinds.LABEL_REPEATED if repeated else kinds.LABEL_OPTIONAL
-            if "." not in kind:
-                field.type = kinds.Type.Value(f"TYPE_{kind.upper()}")
+            field.label = field_descriptor.LABEL_REPEATED if repeated else field_descriptor.LABEL_OPTIONAL
+            if "." not in field_type:
+                field.type = field_descriptor.Type.Value(f"TYPE_{field_type.upper()}")
                 continue
-            field.type, field.type_name = kinds.TYPE_MESSAGE, f".{kind}"
-            if kind == "google.protobuf.Timestamp" and not file.dependency:
+            field.type, field.type_name = field_descriptor.TYPE_MESSAGE, f".{field_type}"
+            if field_type == "google.protobuf.Timestamp" and not file.dependency:
                 file.dependency.append(timestamp_pb2.DESCRIPTOR.name)
-                timestamp_pb2.DESCRIPTOR.CopyToProto(described.file.add())
-    described.file.append(file)
-    return bytes(described.SerializeToString(deterministic=True))
+                timestamp_pb2.DESCRIPTOR.CopyToProto(descriptor_set.file.add())
+    descriptor_set.file.append(file)
+    return bytes(descriptor_set.SerializeToString(deterministic=True))
 
 
-_SHORT = [bytes([number]) for number in range(0x80)]
+_ONE_BYTE = [bytes([number]) for number in range(0x80)]
 
 
 def varint(number: int) -> bytes:
@@ -57,7 +57,7 @@ def varint(number: int) -> bytes:
     'ac02'
     """
     if number <= 0x7F:
-        return _SHORT[number]
+        return _ONE_BYTE[number]
     digits = bytearray()
     while number > 0x7F:
         digits.append(number & 0x7F | 0x80)
@@ -79,11 +79,11 @@ def varints(numbers: NDArray[np.uint64], size: int) -> NDArray[np.uint8]:
 
 
 @cache
-def message_class(described: bytes, name: str) -> Any:
-    """Make the protobuf class of a message out of a FileDescriptorSet."""
+def message_class(descriptor_set: bytes, name: str) -> Any:
+    """Return the protobuf class of a message in a serialized FileDescriptorSet."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     pool = descriptor_pool.DescriptorPool()
-    for file in descriptor_pb2.FileDescriptorSet.FromString(described).file:
+    for file in descriptor_pb2.FileDescriptorSet.FromString(descriptor_set).file:
         pool.Add(file)
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(name))

@@ -1,7 +1,8 @@
-"""The kind of a recorded test, and the facts of its scene, as the recording states them.
+"""The kind of the test in a recording, and the facts of its scene that are needed without loading the scene.
 
 Loading a scene takes longer than everything else in `daq info`. A recording therefore repeats these facts in its
-metadata record `run`; the kind of an imported or older recording follows from its markers, the facts from its scene.
+metadata record `run`. For an imported or older recording, the kind is determined from the markers, and the facts from
+the scene.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ if TYPE_CHECKING:
 
 
 class TestKind(StrEnum):
-    """Kinds of tests, by their measurement."""
+    """Kinds of tests that require different evaluation."""
 
-    __test__ = False  # no test of pytest's
+    __test__ = False  # not a test for pytest
 
     TONES = "tones"
-    """Held sines: sine, stepped sine, a tone turned by hand."""
+    """Tones held until steady state: sine, stepped sine, and the manually set tone of `daq bench`."""
     SWEEP = "sweep"
     RANDOM = "random"
     MULTISINE = "multisine"
@@ -49,19 +50,19 @@ _KIND_OF_SETTINGS = {
 
 @dataclass(frozen=True)
 class RecordedTest:
-    """The kind of a recording's test, and its settings in the recorded scene; None where that has no test."""
+    """The kind of a recorded test, and its settings in the scene; None if the scene has no test."""
 
     kind: TestKind
     settings: Test | None
 
     @property
     def name(self) -> str:
-        """The test in words, for messages."""
+        """Description of the test, for messages."""
         return "no test" if self.settings is None else f"a test of kind {self.settings.kind}"
 
     @property
     def drives(self) -> bool:
-        """Whether a force drives the structure, so that there are responses to it."""
+        """Whether a force drives the structure, so that frequency responses can be estimated."""
         return self.kind is not TestKind.FREE
 
     @property
@@ -71,18 +72,18 @@ class RecordedTest:
 
 
 def kind_of_settings(test: Test | None) -> TestKind:
-    """Return the kind of a scene's test."""
+    """Return the kind of test with the given settings."""
     return TestKind.NONE if test is None else _KIND_OF_SETTINGS[test.kind]
 
 
-def kind_by_markers(markers: Sequence[Marker], settings: Test | None) -> TestKind:
-    """Deduce the kind of a test from its markers, where the recording does not state it.
+def kind_from_markers(markers: Sequence[Marker], settings: Test | None) -> TestKind:
+    """Return the kind of a test from its markers, for a recording that does not state it.
 
-    >>> kind_by_markers([Marker("hit", 512)], None)
+    >>> kind_from_markers([Marker("hit", 512)], None)
     <TestKind.HITS: 'hits'>
     """
-    measured = [marker for marker in markers if marker.kind == "measure"]
-    fields = measured[0].fields if measured else {}
+    measure_markers = [marker for marker in markers if marker.kind == "measure"]
+    fields = measure_markers[0].fields if measure_markers else {}
     for field, kind in (
         ("realisation", TestKind.MULTISINE), ("spacing", TestKind.SWEEP), ("from", TestKind.RANDOM),
         ("frequency", TestKind.TONES),
@@ -91,55 +92,55 @@ def kind_by_markers(markers: Sequence[Marker], settings: Test | None) -> TestKin
             return kind
     if any(marker.kind == "hit" for marker in markers):
         return TestKind.HITS
-    free = settings is not None and settings.kind == "free"
-    return kind_of_settings(settings) if measured or free else TestKind.NONE
+    is_free = settings is not None and settings.kind == "free"
+    return kind_of_settings(settings) if measure_markers or is_free else TestKind.NONE
 
 
 @dataclass(frozen=True)
 class SceneOutline:
-    """Facts of a scene."""
+    """Facts of a scene that a recording repeats in its metadata."""
 
     scene: str
-    test: str  # Its kind; "none" without a test
-    bodies: tuple[str, ...]  # Names, body 1 first; empty where they have none
-    dampers: int
-    # Places whose motion determines the shaker's force where no channel measures it; empty without a shaker, or where
-    # the test needs none.
+    test: str  # kind of test; "none" without a test
+    bodies: tuple[str, ...]  # names, body 1 first; empty if they have none
+    dampers: int  # number of dampers
+    # Positions whose motion determines the force of the shaker if no channel measures it; empty without a shaker, or if
+    # the test does not use it.
     force_places: tuple[str, ...]
 
     @classmethod
     def of(cls, scene: Scene) -> SceneOutline:
-        """Take the facts of a scene."""
+        """Return the facts of a scene."""
         test = "none" if scene.test is None else scene.test.kind
-        shaker, places = scene.driven_shaker, tuple[str, ...]()
+        shaker, force_places = scene.driven_shaker, tuple[str, ...]()
         if shaker is not None and test not in ("impulse", "free"):
             table = (scene.at_driven("table"), f"body {shaker.body}")
-            places = (scene.at_driven("shaker"),) if shaker.kind == "force" else table
-        return cls(scene.name, test, scene.structure.names or (), len(scene.dampers), places)
+            force_places = (scene.at_driven("shaker"),) if shaker.kind == "force" else table
+        return cls(scene.name, test, scene.structure.names or (), len(scene.dampers), force_places)
 
     @classmethod
     def from_metadata(cls, run: Mapping[str, str]) -> SceneOutline | None:
-        """Read the facts of the metadata record `run`; None where it does not state them."""
+        """Return the facts in the metadata record `run`; None if it does not state them."""
         try:
-            bodies, places = (tuple(json.loads(run[key])) for key in ("bodies", "force_places"))
-            return cls(run["scene"], run["test"], bodies, int(run["dampers"]), places)
+            bodies, force_places = (tuple(json.loads(run[key])) for key in ("bodies", "force_places"))
+            return cls(run["scene"], run["test"], bodies, int(run["dampers"]), force_places)
         except (KeyError, ValueError, TypeError):
             return None
 
     def to_metadata(self) -> dict[str, str]:
-        """Write the facts as fields of the metadata record `run`."""
+        """Return the facts as fields of the metadata record `run`."""
         lists = {key: json.dumps(getattr(self, key)) for key in ("bodies", "force_places")}
         return {"scene": self.scene, "test": self.test, "dampers": str(self.dampers)} | lists
 
-    def label(self, place: str) -> str:
-        """Name the body at a place such as ``body 2``, where bodies have names."""
-        number = place.removeprefix("body ")
-        named = self.bodies and place != number and 1 <= int(number) <= len(self.bodies)
-        return self.bodies[int(number) - 1] if named else place
+    def label(self, position: str) -> str:
+        """Return the name of the body at a position such as ``body 2``, or the position if it has no name."""
+        number = position.removeprefix("body ")
+        has_name = self.bodies and position != number and 1 <= int(number) <= len(self.bodies)
+        return self.bodies[int(number) - 1] if has_name else position
 
     def missing_force_places(self, channels: Collection[ChannelInfo]) -> list[str]:
-        """List the places that need a channel so that the channels determine the shaker's force."""
+        """Return the positions without a channel that are needed to compute the force of the shaker."""
         if any(info.quantity == "force" for info in channels):
             return []
         measured = {info.at for info in channels}
-        return [place for place in self.force_places if place not in measured]
+        return [position for position in self.force_places if position not in measured]

@@ -1,4 +1,4 @@
-"""Writing a recording: an MCAP file that is readable up to its last flush, also after a crash."""
+"""Write a recording, an MCAP file that is readable up to its last commit, also after a crash."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from daq.mcap_file.summary import checked
 from daq.mcap_file.writer import ChunkedFile, Message, Messages
 from daq.recording import layout
-from daq.recording.committed_file import RESERVE, Disk, DiskError
+from daq.recording.committed_file import RESERVE, CommittedFile, DiskError
 from daq.recording.layout import Timebase
 from daq.recording.markers import MARKER_SCHEMA, Marker
 from daq.recording.protobuf import Schema
@@ -35,30 +35,31 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
     from rig.simulation.motion import Motion
 
-# No compression shrinks float64 samples by more than a tenth, and lz4 unpacks them eight times as fast as zstd. Counts
-# shrink by a fifth with zstd.
+# No compression shrinks float64 samples by more than a tenth; lz4 unpacks them eight times as fast as zstd. zstd
+# shrinks counts by a fifth.
 COMPRESSION = {"float64": "lz4", "float32": "zstd", "counts": "zstd"}
-# The index at the end of the file grows with every chunk.
-RESERVE_PER_CHUNK = 256
-# Reading the version takes longer than writing ten groups of samples.
+# Growth of the index at the end of the file with each chunk, bytes.
+_INDEX_BYTES_PER_CHUNK = 256
+# The version is read once, because that takes longer than writing ten groups of samples.
 _version = cache(metadata.version)
 
 
 class Recorder:
-    """Writes samples, markers and truth into a new recording.
+    """Writes samples, markers and true motion to a new recording.
 
-    Samples are collected into blocks on a fixed grid, and into groups of about half a second that are committed to the
-    disk together; the bytes of the file do not depend on how `write` calls are split. A process that is killed loses
-    less than one group. Leaving the context by an exception closes the file and records the reason in it.
+    Samples are collected into blocks, and into groups of about half a second that are committed to the disk together.
+    A killed process loses less than one group. Blocks and groups lie on a fixed grid of sample numbers, so that the
+    file does not depend on how samples are split among calls of `write`. An exception within the context closes the
+    file and is recorded in it.
 
     Parameters
     ----------
     path : str or Path
-        File to make, in an existing folder.
+        File to create, in an existing folder.
     scene : Scene
-        Stored in the file; its `recording` determines how samples are stored and what else is recorded.
+        Scene to store in the file; its `recording` states how samples are stored and what else is recorded.
     channels : sequence of ChannelInfo
-        One for each row of samples.
+        Description of each row of the samples.
     rate : float
         Samples per second, Hz.
     start_ns : int
@@ -66,14 +67,14 @@ class Recorder:
     overwrite : bool
         Whether an existing file may be replaced.
     source : str
-        Names of the files that the samples were imported from; empty for those of the virtual rig.
+        Names of the files that the samples were imported from; empty for the virtual rig.
     test_kind : TestKind, optional
-        Kind of the recorded test; omitted, readers deduce it from the markers.
+        Kind of the recorded test; if omitted, readers determine it from the markers.
 
     Raises
     ------
     RecordingError
-        If the file exists, or cannot be made.
+        If the file exists, or cannot be created.
     DiskError
         If the disk is full or fails.
     """
@@ -94,30 +95,30 @@ class Recorder:
         self.clock = Timebase(rate, start_ns)
         self.closed = False
         self._scene, self._source, self._test_kind = scene, source, test_kind
-        self._block, self._group = layout.block_length(rate), layout.flush_length(rate)
-        self._stored = stored_as(scene, self.channels)
-        # Size of a stored number in the unit that a channel reads.
-        counts = self._stored == "counts"
+        self._block_samples, self._group_samples = layout.block_length(rate), layout.flush_length(rate)
+        self._storage_type = stored_as(scene, self.channels)
+        # Size of a stored number 1 in the unit of its channel.
+        counts = self._storage_type == "counts"
         scales = [info.unit_per_count if counts else 1.0 / info.sensitivity for info in self.channels]
         self._scale = np.array(scales)[:, None]
-        kind = SCHEMAS[self._stored][2]
-        self._raw = Grouping(len(self.channels), self._group, kind)
-        # The same samples, in longer groups, for the display.
-        max_groups = layout.SHOWN_CHANNELS // len(self.channels)
-        self._groups_shown = min(layout.SHOWN_GROUPS, max(1, max_groups))
-        self._shown = Grouping(len(self.channels), self._groups_shown * self._group, kind)
-        self._marks = [Marker("start", 0)]
-        self._marked = self._chunks = self._written = 0
-        self._full = False
-        self._schemas: dict[str, int] = {}
-        self._disk = Disk(self.path, overwrite)
+        kind = SCHEMAS[self._storage_type][2]
+        self._raw_groups = Grouping(len(self.channels), self._group_samples, kind)
+        # The display uses the same samples in longer groups.
+        max_groups = layout.MAX_DISPLAY_CHANNELS // len(self.channels)
+        self._groups_per_display = min(layout.MAX_DISPLAY_GROUPS, max(1, max_groups))
+        self._display_groups = Grouping(len(self.channels), self._groups_per_display * self._group_samples, kind)
+        self._pending_markers = [Marker("start", 0)]
+        self._marker_count = self._chunk_count = self._samples_written = 0
+        self._disk_is_full = False
+        self._schema_numbers: dict[str, int] = {}
+        self._disk = CommittedFile(self.path, overwrite)
         with self._disk.removed_on_failure():
-            self._begin()
+            self._write_beginning()
 
     @property
     def position(self) -> int:
         """Number of the next sample to be written."""
-        return self._raw.position
+        return self._raw_groups.position
 
     @property
     def size(self) -> int:
@@ -126,18 +127,18 @@ class Recorder:
 
     @property
     def free(self) -> int:
-        """Free bytes of its disk, less the reserve for the end of the file."""
-        return max(0, self._disk.free() - RESERVE - RESERVE_PER_CHUNK * self._chunks)
+        """Free space of its disk in bytes, without the space that is kept free for the end of the file."""
+        return max(0, self._disk.free() - RESERVE - _INDEX_BYTES_PER_CHUNK * self._chunk_count)
 
     @property
     def accepts_samples(self) -> bool:
-        """Whether more can be recorded: the file is open and its disk is not full."""
-        return not (self.closed or self._full or self._disk.failed)
+        """Whether samples can be written: the file is open and its disk is not full."""
+        return not (self.closed or self._disk_is_full or self._disk.failed)
 
     def write(self, samples: Array | NDArray[np.int32]) -> None:
         """Write the next samples of all channels.
 
-        A group is committed with its last sample. Where the truth is recorded, it must be written first.
+        A group is committed with its last sample. If the true motion is recorded, it must be written first.
 
         Parameters
         ----------
@@ -147,54 +148,54 @@ class Recorder:
         Raises
         ------
         RunError
-            If the truth of the samples was not written, or they are volts where counts are to be stored.
+            If the true motion of the samples is missing, or volts are given where counts are stored.
         DiskError
-            If the disk is full or fails; the file then holds all samples up to the previous flush.
+            If the disk is full or fails; the file then contains all samples up to the previous commit.
         """
-        self._need_open()
+        self._require_open()
         if samples.ndim != 2 or samples.shape[0] != len(self.channels):
             raise ValueError(f"samples: got shape {samples.shape}; expected ({len(self.channels)}, n).")
-        self._need_truth(samples.shape[1])
-        counts = np.issubdtype(samples.dtype, np.integer)
-        if self._stored == "counts" and not counts:
+        self._require_truth(samples.shape[1])
+        are_counts = np.issubdtype(samples.dtype, np.integer)
+        if self._storage_type == "counts" and not are_counts:
             raise RunError("recording.samples: counts, but the samples are volts. Give the converter bits and a range.")
-        if self._stored != "counts" and counts:
+        if self._storage_type != "counts" and are_counts:
             samples = samples * np.array([[info.volts_per_count or 1.0] for info in self.channels])
-        written = 0
-        while written < samples.shape[1]:
-            group_end = written + self._group - self._raw.position % self._group
-            part, written = samples[:, written:group_end], group_end
-            self._raw.add(part)
+        consumed = 0
+        while consumed < samples.shape[1]:
+            group_end = consumed + self._group_samples - self._raw_groups.position % self._group_samples
+            part, consumed = samples[:, consumed:group_end], group_end
+            self._raw_groups.add(part)
             if self._display is not None:
-                self._shown.add(part)
-            self._emit(self._raw.position // self._group)
+                self._display_groups.add(part)
+            self._write_groups(self._raw_groups.position // self._group_samples)
 
     def gap(self, lost_samples: int) -> None:
-        """Pass over samples that were not acquired; they read as NaN and have a marker `gap`."""
-        self._need_open()
+        """Skip samples that were not acquired: they read as NaN, and a marker `gap` reports them."""
+        self._require_open()
         if lost_samples < 1:
             raise ValueError(f"lost_samples: got {lost_samples}; expected at least 1.")
-        self._need_truth(lost_samples)
-        first = self._raw.position
-        self._raw.skip(lost_samples)
+        self._require_truth(lost_samples)
+        first = self._raw_groups.position
+        self._raw_groups.skip(lost_samples)
         if self._display is not None:
-            self._shown.skip(lost_samples)
+            self._display_groups.skip(lost_samples)
         self.mark("gap", first, first + lost_samples - 1)
-        self._emit(self._raw.position // self._group)
+        self._write_groups(self._raw_groups.position // self._group_samples)
 
     def mark(self, kind: str, first_sample: int, last_sample: int | None = None, **fields: Any) -> None:
-        """Mark an event at a sample, or from a sample to another, both included.
+        """Mark an event at a sample, or over a range of samples, both ends included.
 
-        The bytes of the file do not depend on how `write` calls are split if marks are made at the same `position`.
+        For a reproducible file, mark the event at the same `position` each time.
         """
-        self._need_open()
+        self._require_open()
         marker = Marker(kind, int(first_sample), None if last_sample is None else int(last_sample), fields)
         marker.to_json()
-        self._marks.append(marker)
+        self._pending_markers.append(marker)
 
     def write_truth(self, motion: Motion) -> None:
-        """Take the next samples of the true motion, for a scene that records it."""
-        self._need_open()
+        """Write the next samples of the true motion, if the scene records it."""
+        self._require_open()
         if self._truth is None:
             raise ValueError("recording.truth: not set. Set recording: {truth: true} in the scene.")
         self._truth.add(motion)
@@ -207,7 +208,7 @@ class Recorder:
         status : {'complete', 'interrupted', 'failed'}
             How the test ended; stored in the file's `outcome`.
         reason : str
-            Why, in words.
+            Reason for the end of the test, for the user.
 
         Raises
         ------
@@ -220,7 +221,7 @@ class Recorder:
         try:
             if not self._disk.failed:
                 with delayed_interrupt():
-                    self._end(status, reason)
+                    self._write_end(status, reason)
         finally:
             self._disk.close()
 
@@ -240,23 +241,23 @@ class Recorder:
                 raise another from error
             error.add_note(str(another))
 
-    def _need_open(self) -> None:
+    def _require_open(self) -> None:
         if not self.accepts_samples:
             raise RunError(f"{self.path}: the recording has ended. Make a new one for more samples.")
 
-    def _need_truth(self, samples: int) -> None:
-        """Raise `RunError` unless the truth of the next samples was written: they are committed together."""
-        if self._truth is not None and self._truth.position < self._raw.position + samples:
+    def _require_truth(self, samples: int) -> None:
+        """Raise `RunError` unless the true motion of the next samples was written; both are committed together."""
+        if self._truth is not None and self._truth.position < self._raw_groups.position + samples:
             raise RunError("recording.truth: the true motion of these samples is missing. Write it before them.")
 
     # -- the beginning and the end of the file -----------------------------------------------------------
 
-    def _begin(self) -> None:
-        """Write all descriptions before any sample, so that later damage cannot separate samples from them."""
-        self._file = ChunkedFile(self._disk, f"shotrig {_version('shotrig')}", COMPRESSION[self._stored])
-        self._markers = self._register(layout.MARKERS, MARKER_SCHEMA, {})
-        common = {"stored": self._stored, "start_ns": str(self.clock.start_ns), "layout": layout.VERSION}
-        schema = block_schema(SCHEMAS[self._stored][0])
+    def _write_beginning(self) -> None:
+        """Write all descriptions before the first sample, so that a torn file still has them."""
+        self._file = ChunkedFile(self._disk, f"shotrig {_version('shotrig')}", COMPRESSION[self._storage_type])
+        self._marker_topic = self._register(layout.MARKERS, MARKER_SCHEMA, {})
+        common = {"stored": self._storage_type, "start_ns": str(self.clock.start_ns), "layout": layout.VERSION}
+        schema = block_schema(SCHEMAS[self._storage_type][0])
         self._topics = [
             self._register(f"{layout.RAW}{info.name}", schema, info.to_metadata() | common | {"scale": repr(scale)})
             for info, scale in zip(self.channels, self._scale[:, 0].tolist(), strict=True)
@@ -265,14 +266,14 @@ class Recorder:
         if self._scene.recording.truth:
             from daq.recording.truth import Truth
 
-            self._truth = Truth(self._scene, self.clock, self._group, self._register)
+            self._truth = Truth(self._scene, self.clock, self._group_samples, self._register)
         if self._scene.recording.display:
             from daq.recording.display import Display
 
             self._display = Display(self._scene, self.channels, self.clock, self._truth, self._register)
         self._write_markers(1)
         if self._display is not None:
-            self._send([self._display.introduction()])
+            self._write_chunk([self._display.introduction()])
         self._describe()
         self._disk.commit()
 
@@ -280,7 +281,8 @@ class Recorder:
         """Write the metadata records and the scene."""
         scene, start = self._scene, str(self.clock.start_ns)
         converter = {f"converter.{key}": json.dumps(value) for key, value in scene.converter.model_dump().items()}
-        sizes = {"block_samples": str(self._block), "flush_samples": str(self._group), "stored": self._stored}
+        sizes = {"block_samples": str(self._block_samples), "flush_samples": str(self._group_samples)}
+        sizes |= {"stored": self._storage_type}
         records = {"daq": converter | sizes | {"rate_hz": repr(self.clock.rate), "start_ns": start}}
         for info in self.channels:
             sheet = {"name": info.name, "at": info.at, "quantity": info.quantity, "unit": info.unit}
@@ -289,58 +291,58 @@ class Recorder:
         if self._display is not None:
             records["display"] = self._display.description()
         run = SceneOutline.of(scene).to_metadata() | {"seed": str(scene.seed), "layout": layout.VERSION}
-        source = {"source": self._source} if self._source else {}
-        kind = {"kind": str(self._test_kind)} if self._test_kind is not None else {}
-        records["run"] = run | {"shotrig": _version("shotrig")} | source | kind
+        source_field = {"source": self._source} if self._source else {}
+        kind_field = {"kind": str(self._test_kind)} if self._test_kind is not None else {}
+        records["run"] = run | {"shotrig": _version("shotrig")} | source_field | kind_field
         for name, fields in records.items():
             self._file.add_metadata(name, checked(fields))
         text = scene.to_si_yaml().encode()
         self._file.add_attachment(int(start), int(start), layout.SCENE_FILE, "application/yaml", text)
 
     def _register(self, topic: str, schema: Schema, metadata: Mapping[str, str]) -> int:
-        """Announce a topic; return the number of its channel in the file."""
-        number = self._schemas.get(schema.name)
+        """Add a topic to the file; return the number of its channel."""
+        number = self._schema_numbers.get(schema.name)
         if number is None:
             number = self._file.add_schema(schema.name, schema.encoding, schema.data)
-            self._schemas[schema.name] = number
+            self._schema_numbers[schema.name] = number
         return self._file.add_channel(topic, schema.message_encoding, number, metadata)
 
-    def _end(self, status: str, reason: str) -> None:
+    def _write_end(self, status: str, reason: str) -> None:
         disk_error = None
-        if not self._full:
+        if not self._disk_is_full:
             try:
                 for stream in self._streams:
-                    stream.close_group()
-                self._emit(math.inf)
-                self._written = self._raw.position
+                    stream.complete_group()
+                self._write_groups(math.inf)
+                self._samples_written = self._raw_groups.position
                 if self._truth is not None:
-                    self._send(self._truth.events_before(math.inf))
+                    self._write_chunk(self._truth.events_before(math.inf))
                 if self._display is not None:
-                    self._shown.close_group()
-                    self._show(math.inf)
-                    self._send(self._display.finish())
+                    self._display_groups.complete_group()
+                    self._write_display(math.inf)
+                    self._write_chunk(self._display.finish())
             except DiskError as error:
                 if self._disk.failed:
                     raise
                 # The reserve suffices to end the file.
                 disk_error, status, reason = error, "failed", str(error)
         self._write_markers(math.inf)
-        outcome = {"status": status, "reason": reason, "samples": str(self._written)}
-        self._file.add_metadata("outcome", checked(outcome | {"markers": str(self._marked)}))
+        outcome = {"status": status, "reason": reason, "samples": str(self._samples_written)}
+        self._file.add_metadata("outcome", checked(outcome | {"markers": str(self._marker_count)}))
         self._file.finish()
-        if self._written == 0 and status != "complete":
+        if self._samples_written == 0 and status != "complete":
             self._commit()
             self._disk.discard()
         else:
-            with self._explained_disk_errors():
+            with self._disk_errors_with_remedy():
                 self._disk.finish()
         if disk_error is not None:
             raise disk_error
 
     # -- the groups of samples ---------------------------------------------------------------------------
 
-    def _emit(self, stop: float) -> None:
-        """Write the groups before a number, in order."""
+    def _write_groups(self, stop: float) -> None:
+        """Write the complete groups whose number is below `stop`, in order."""
         streams = self._streams
         if not any(stream.complete for stream in streams):
             return
@@ -350,95 +352,96 @@ class Recorder:
                     self._write_group(number)
 
     def _write_group(self, number: int) -> None:
-        raw = self._raw.complete.pop(number, None)
+        raw = self._raw_groups.complete.pop(number, None)
         # The reserve suffices to end the file.
         if self.free < sum(stream.group_bytes for stream in self._streams):
-            self._full = True
+            self._disk_is_full = True
             raise DiskError(
-                f"{self._disk.at}: the disk is full; the file contains {self._content}. Free disk space or use "
-                "another disk."
+                f"{self._disk.current_path}: the disk is full; the file contains {self._content_text}. Free disk space "
+                "or use another disk."
             )
         if self._display is not None:
-            self._show(number // self._groups_shown)
-        self._write_markers((number + 1) * self._group)
+            self._write_display(number // self._groups_per_display)
+        self._write_markers((number + 1) * self._group_samples)
         if raw is not None:
-            # A chunk for each channel, so that readers of one need not decode the others.
-            self._chunks += self._file.add_chunk_per_channel(self._topics, self._blocks(raw))
+            # Each channel has its own chunk, so that a reader of one channel need not decode the others.
+            self._chunk_count += self._file.add_chunk_per_channel(self._topics, self._blocks(raw))
         if self._truth is not None:
             streams = [[] if group is None else self._blocks(group) for group in self._truth.take(number)]
             for chunk in self._truth.chunks:
-                self._send(each for stream, row, topic in chunk for each in of_row(streams[stream], row, topic))
-            self._send(self._truth.events_before((number + 1) * self._group))
+                rows = (messages_of_row(streams[stream], row, topic) for stream, row, topic in chunk)
+                self._write_chunk(chain.from_iterable(rows))
+            self._write_chunk(self._truth.events_before((number + 1) * self._group_samples))
         self._commit()
         if raw is not None:
-            self._written = raw.spans[-1][1]
+            self._samples_written = raw.spans[-1][1]
 
     @property
     def _streams(self) -> list[Grouping]:
-        return [self._raw, *(() if self._truth is None else self._truth.streams)]
+        return [self._raw_groups, *(() if self._truth is None else self._truth.streams)]
 
     @property
-    def _content(self) -> str:
-        return f"the first {self._written / self.clock.rate:.2f} s"
+    def _content_text(self) -> str:
+        return f"the first {self._samples_written / self.clock.rate:.2f} s"
 
     def _commit(self) -> None:
-        with self._explained_disk_errors():
+        with self._disk_errors_with_remedy():
             self._disk.commit()
 
     @contextmanager
-    def _explained_disk_errors(self) -> Iterator[None]:
-        """Add the content of the file and the remedy to an error of the disk."""
+    def _disk_errors_with_remedy(self) -> Iterator[None]:
+        """Add the content of the file, and the remedy, to the message of a `DiskError`."""
         try:
             yield
         except DiskError as error:
-            at = self._disk.at
+            at = self._disk.current_path
             raise DiskError(
-                f"{error}; the file contains {self._content}, without an end. Free disk space, then run "
+                f"{error}; the file contains {self._content_text}, without an end. Free disk space, then run "
                 f"`daq recover {at} -o FIXED.mcap`."
             ) from error
 
     def _blocks(self, group: Group) -> list[Messages]:
-        """Encode the blocks of a group, all rows together, without their topics."""
+        """Encode the blocks of a group for all rows together; `messages_of_row` adds the topics."""
         encoded = []
-        for first, samples in group.blocks(self._block):
+        for first, samples in group.blocks(self._block_samples):
             _, blocks, size = samples.shape
             starts = np.arange(blocks) * size + first
             times = self.clock.times_ns([*starts.tolist(), first + blocks * size])
-            sequence = starts // self._block % 2**32
+            sequence = starts // self._block_samples % 2**32
             encoded.append(Messages(0, times[1:], times[:-1], encode(self.clock, first, samples), sequence))
         return encoded
 
-    def _show(self, stop: float) -> None:
-        """Write the display's groups before a number."""
+    def _write_display(self, stop: float) -> None:
+        """Write the display of complete groups whose number is below `stop`."""
         assert self._display is not None
-        for number in sorted(number for number in self._shown.complete if number < stop):
-            group = self._shown.complete.pop(number)
+        for number in sorted(number for number in self._display_groups.complete if number < stop):
+            group = self._display_groups.complete.pop(number)
             in_units = [
                 Group(first, samples * self._scale, [(first, first + samples.shape[1])])
                 for first, samples in group.acquired()
             ]
             waveforms = (each for part in in_units for each in self._display.waveforms(part.first, part.samples))
-            levels = self._display.levels(block for part in in_units for block in part.blocks(self._block))
-            self._send(chain(waveforms, [levels]))
+            levels = self._display.levels(block for part in in_units for block in part.blocks(self._block_samples))
+            self._write_chunk(chain(waveforms, [levels]))
 
     def _write_markers(self, stop: float) -> None:
         """Write the markers that end before a sample."""
-        due = [mark for mark in self._marks if mark.end < stop]
+        due = [marker for marker in self._pending_markers if marker.end < stop]
         if not due:
             return
-        self._marks = [mark for mark in self._marks if mark.end >= stop]
+        self._pending_markers = [marker for marker in self._pending_markers if marker.end >= stop]
         messages = []
-        for marker in sorted(due, key=lambda mark: mark.first_sample):
+        for marker in sorted(due, key=lambda marker: marker.first_sample):
             times = self.clock.time_ns(marker.end), self.clock.time_ns(marker.first_sample)
-            messages.append(Message(self._markers, *times, marker.to_json(), self._marked))
-            self._marked += 1
-        self._send(messages)
+            messages.append(Message(self._marker_topic, *times, marker.to_json(), self._marker_count))
+            self._marker_count += 1
+        self._write_chunk(messages)
 
-    def _send(self, messages: Iterable[Message | Messages]) -> None:
+    def _write_chunk(self, messages: Iterable[Message | Messages]) -> None:
         """Write messages as a separate chunk, so that readers of other topics need not decode them."""
-        self._chunks += self._file.add_chunk(messages)
+        self._chunk_count += self._file.add_chunk(messages)
 
 
-def of_row(blocks: Iterable[Messages], row: int, topic: int) -> Iterator[Messages]:
-    """Return the messages of one row of a group, with its topic."""
-    return (each._replace(channel=topic, data=each.data[row]) for each in blocks)
+def messages_of_row(blocks: Iterable[Messages], row: int, topic: int) -> Iterator[Messages]:
+    """Yield the messages of one row of a group for a topic."""
+    return (message._replace(channel=topic, data=message.data[row]) for message in blocks)

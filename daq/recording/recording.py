@@ -1,4 +1,4 @@
-"""Reading a recording: its channels in physical units, its markers, and its scene."""
+"""Read a recording: its channels in physical units, its markers, and its scene."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from daq.mcap_file.reader import Container
 from daq.recording import layout
-from daq.recording.channel_series import RecentBlocks, Series
-from daq.recording.markers import EVENT_TYPE, Gap, Marker, event_from_json, gaps_of, unmarked
-from daq.recording.recorded_test import RecordedTest, SceneOutline, TestKind, kind_by_markers
+from daq.recording.channel_series import BlockCache, Series
+from daq.recording.markers import EVENT_TYPE, Gap, Marker, event_from_json, gaps_of, unmarked_ranges
+from daq.recording.recorded_test import RecordedTest, SceneOutline, TestKind, kind_from_markers
 from daq.recording.sample_block import SAMPLE_TYPE
 from daq.recording.truth import dampers_of, points_of
 from daq.signal_chain.channel import UNITS, ChannelInfo
@@ -73,32 +73,32 @@ class Recording(Result):
     start_ns : int
         Time of sample 0, nanoseconds since the recording's epoch.
     samples : int
-        Number of the sample after the last one of any channel.
+        Number of samples of the longest channel.
     truth_points : tuple of str
-        Points whose true motion was recorded: ``body 1``, ..., ``table``; empty where it was not.
+        Points whose true motion was recorded: ``body 1``, ..., ``table``; empty without it.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = as_path(path)
         self._container = Container(self.path)
         try:
-            self._find_series()
+            self._open_topics()
             clock = next(iter(self._series.values())).clock
             self.rate, self.start_ns = clock.rate, clock.start_ns
-            self.channels = {name: self._info(name, series) for name, series in self._series.items()}
-            if self._is_ours:
+            self.channels = {name: self._channel_info(name, series) for name, series in self._series.items()}
+            if self._has_our_layout:
                 self._container.need_checksums()
             self.samples = max(series.stop for series in self._series.values())
         except BaseException:
             self._container.close()
             raise
 
-    def _find_series(self) -> None:
+    def _open_topics(self) -> None:
         summary = self._container.summary
         self._series: dict[str, Series] = {}
         self._truth: dict[str, dict[str, Series]] = {}
         self._topics: dict[str, Channel] = {}
-        recent = RecentBlocks()
+        block_cache = BlockCache()
         for channel in sorted(summary.channels.values(), key=lambda channel: channel.id):
             schema = summary.schemas.get(channel.schema_id)
             if channel.topic in self._topics:
@@ -106,7 +106,7 @@ class Recording(Result):
             self._topics[channel.topic] = channel
             if schema is None or schema.name not in SAMPLE_TYPE or schema.encoding != "protobuf":
                 continue
-            series = Series(self._container, channel, recent)
+            series = Series(self._container, channel, block_cache)
             if channel.topic.startswith(layout.RAW):
                 self._series[channel.topic.removeprefix(layout.RAW)] = series
             elif channel.topic.startswith(layout.TRUTH) and {"point", "quantity"} <= channel.metadata.keys():
@@ -124,8 +124,8 @@ class Recording(Result):
             raise RecordingError(f"{self.path}: no index of its chunks. Write it again with an index.")
         self.truth_points = tuple(self._truth.get("displacement", ()))
 
-    def _info(self, name: str, series: Series) -> ChannelInfo:
-        """Make a channel of a topic's metadata, with usual values for those that another writer leaves out."""
+    def _channel_info(self, name: str, series: Series) -> ChannelInfo:
+        """Return the channel that the metadata of a topic describe, with defaults for what another writer omits."""
         where = f"{self.path}: {series.topic!s:.80}"
         metadata = {"name": name, "at": "", "sensitivity": "1.0"} | series.metadata
         metadata["rate"] = repr(series.clock.rate)
@@ -136,8 +136,8 @@ class Recording(Result):
         if series.clock != next(iter(self._series.values())).clock:
             raise RecordingError(f"{where}: another sample clock; expected one clock for all channels.")
         try:
-            usual = ChannelInfo(name, "", "force", 1.0, 1.0).to_metadata()
-            return ChannelInfo.from_metadata(usual | metadata)
+            defaults = ChannelInfo(name, "", "force", 1.0, 1.0).to_metadata()
+            return ChannelInfo.from_metadata(defaults | metadata)
         except RecordingError as error:
             raise RecordingError(f"{where}: {error}") from error
 
@@ -148,7 +148,7 @@ class Recording(Result):
         try:
             status = self.status
         except RecordingError:
-            # A debugger or notebook shows it, where no error may be raised.
+            # A debugger or notebook shows this text, where no error may be raised.
             status = "closed, or its metadata are damaged"
         names = ", ".join(self.channels)
         return f"{self.path}: {self.samples / self.rate:.4g} s of {names} at {self.rate:g} Hz, {status}"
@@ -159,7 +159,7 @@ class Recording(Result):
         return f"<pre>{escape_html(chr(10).join([self.summary(), *channels]))}</pre>"
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Time, and all samples of each channel in its unit; lost samples are NaN."""
+        """Return time in s, and all samples of each channel in its unit; lost samples are NaN."""
         values = {f"{name}_{info.unit}": self.read(name) for name, info in self.channels.items()}
         longest = max(column.size for column in values.values())
         for name, column in values.items():
@@ -167,7 +167,7 @@ class Recording(Result):
         return {"time_s": np.arange(longest) / self.rate, **values}
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """All channels over time."""
+        """Draw all channels over time."""
         time, *columns = self.columns().items()
         for name, column in columns:
             ax.plot(time[1], column, **complete_style(style, label=name.replace("_", " / "), lw=0.7))
@@ -181,9 +181,9 @@ class Recording(Result):
         Parameters
         ----------
         channel : str
-            Its name.
+            Name of the channel.
         start, stop : int
-            First sample, and the one after the last; by default all.
+            Numbers of the first sample, and of the sample after the last; by default all samples.
 
         Returns
         -------
@@ -203,19 +203,19 @@ class Recording(Result):
         return self._series[channel].read(start, stop)
 
     def blocks(self, channels: Sequence[str] | None = None, size: int = 1 << 16) -> Iterator[tuple[int, Array]]:
-        """Read channels piece by piece, in bounded memory.
+        """Read channels block by block, in bounded memory.
 
         Parameters
         ----------
         channels : sequence of str, optional
-            Names; by default all.
+            Names of channels; by default all.
         size : int
-            Samples of a piece; the last one may be shorter.
+            Number of samples of a block; the last block may be shorter.
 
         Yields
         ------
         first : int
-            Number of the piece's first sample.
+            Number of the first sample of the block.
         samples : ndarray, (channels, size)
             In the channels' units; NaN where samples were lost.
         """
@@ -229,19 +229,20 @@ class Recording(Result):
             yield first, samples
 
     def truth(self, quantity: str, start: int = 0, stop: int | None = None) -> Array:
-        """Read the true motion, where the scene has it recorded.
+        """Read the true motion, if the scene has it recorded.
 
         Parameters
         ----------
         quantity : {'displacement', 'velocity', 'acceleration', 'gap', 'contact'}
-            Of the points or, the last two, of the dampers; contact: 0 flight, 1 floor, 2 ceiling.
+            Quantity of the points; the last two are of the dampers. Contact is 0 in flight, 1 on the floor, 2 at the
+            ceiling.
         start, stop : int
-            First sample, and the one after the last; by default all.
+            Numbers of the first sample, and of the sample after the last; by default all samples.
 
         Returns
         -------
         ndarray, (points or dampers, stop - start)
-            SI units; rows as `truth_points`, or as the scene's dampers. NaN where samples were lost.
+            Values in SI, in the order of `truth_points` or of the scene's dampers; NaN where samples were lost.
         """
         if quantity not in self._truth:
             remedy = "Record the scene with recording: {truth: true}."
@@ -258,12 +259,12 @@ class Recording(Result):
 
     @property
     def has_truth(self) -> bool:
-        """Whether the true motion was recorded, of all points and dampers of the scene."""
+        """Whether the true motion of all points and dampers of the scene was recorded."""
         if not self.truth_points:
             return False
         dampers = dampers_of(self.scene)
-        moving = tuple(self._truth.get("gap", ())), tuple(self._truth.get("contact", ()))
-        return self.truth_points == points_of(self.scene) and moving == (dampers, dampers)
+        damper_series = tuple(self._truth.get("gap", ())), tuple(self._truth.get("contact", ()))
+        return self.truth_points == points_of(self.scene) and damper_series == (dampers, dampers)
 
     def _range(self, start: int, stop: int | None) -> tuple[int, int]:
         stop = self.samples if stop is None else stop
@@ -274,31 +275,33 @@ class Recording(Result):
         return int(start), int(stop)
 
     @property
-    def _is_ours(self) -> bool:
-        """Whether it follows our layout, in which every record has a checksum."""
+    def _has_our_layout(self) -> bool:
+        """Whether the file states the layout of this package, in which every record has a checksum."""
         return any("layout" in series.metadata for series in self._series.values())
 
     # -- markers and events ------------------------------------------------------------------------------
 
     @cached_property
     def markers(self) -> list[Marker]:
-        """The markers of the test, by their first samples."""
+        """The markers of the test, in the order of their first samples."""
         with add_path(self.path):
             markers = [Marker.from_json(data) for data in self._messages(layout.MARKERS)]
         return sorted((marker for marker in markers if marker.kind != "start"), key=lambda marker: marker.first_sample)
 
     @cached_property
     def gaps(self) -> list[Gap]:
-        """Missing samples, by their first samples."""
+        """Missing samples, in the order of their first samples."""
         if layout.MARKERS not in self._topics:
-            holes = [(*hole, name) for name, series in self._series.items() for hole in series.holes()]
-            return [Gap(first, stop - 1, (name,), "missing") for first, stop, name in sorted(holes)]
+            missing_ranges = [
+                (*hole, name) for name, series in self._series.items() for hole in series.missing_ranges()
+            ]
+            return [Gap(first, stop - 1, (name,), "missing") for first, stop, name in sorted(missing_ranges)]
         with add_path(self.path):
             return gaps_of(self.markers, list(self.channels))
 
     @property
     def overloads(self) -> list[Marker]:
-        """Markers of the stretches in which a channel exceeded its range."""
+        """Markers of the segments in which a channel exceeded its range."""
         return [marker for marker in self.markers if marker.kind == "overload"]
 
     @cached_property
@@ -338,13 +341,13 @@ class Recording(Result):
 
     @cached_property
     def test_kind(self) -> TestKind:
-        """Kind of the recorded test, without loading the scene where the recording states the kind."""
+        """Kind of the recorded test; the scene is loaded only if the recording does not state the kind."""
         stated = self.metadata.get("run", {}).get("kind", "")
-        return TestKind(stated) if stated in set(TestKind) else kind_by_markers(self.markers, self._settings)
+        return TestKind(stated) if stated in set(TestKind) else kind_from_markers(self.markers, self._settings)
 
     @property
     def _settings(self) -> Test | None:
-        """Settings of the test; None where another program's recording does not state its scene."""
+        """Settings of the test; None if a recording of another program contains no scene."""
         try:
             return self.scene.test
         except ShotrigError:
@@ -352,17 +355,17 @@ class Recording(Result):
 
     @cached_property
     def outline(self) -> SceneOutline:
-        """Facts of the recorded scene, without loading it where the recording states them."""
+        """Facts of the recorded scene; it is loaded only if the recording does not state them."""
         return SceneOutline.from_metadata(self.metadata.get("run", {})) or SceneOutline.of(self.scene)
 
     @property
     def duration(self) -> float:
-        """Length of the recording [s]."""
+        """Duration of the recording, s."""
         return self.samples / self.rate
 
     @property
     def source(self) -> str:
-        """Files that the samples were imported from; empty for those of the virtual rig."""
+        """Files that the samples were imported from; empty for the virtual rig."""
         return self.metadata.get("run", {}).get("source", "")
 
     @property
@@ -386,7 +389,7 @@ class Recording(Result):
             raise RecordingError(f"{self.path}: {layout.SCENE_FILE} is not text ({error}). Record it again.") from error
 
     def check(self) -> None:
-        """Read the whole file, and check every record and that missing samples are marked.
+        """Read the whole file; check every record, and that all missing samples are marked.
 
         Raises
         ------
@@ -402,8 +405,8 @@ class Recording(Result):
                 pass
         for name in self._series:
             marked = [gap for gap in self.gaps if name in gap.channels]
-            for first, stop in unmarked(self._series[name].holes(), marked):
-                if self._is_ours:
+            for first, stop in unmarked_ranges(self._series[name].missing_ranges(), marked):
+                if self._has_our_layout:
                     raise RecordingError(
                         f"{self.path}: samples {first} to {stop - 1} of {name} are missing without a marker: they "
                         "were removed, or later samples were moved. Use the other samples only."

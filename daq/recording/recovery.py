@@ -1,4 +1,7 @@
-"""A complete recording of the intact parts of a torn or damaged one, with an exact list of the losses."""
+"""Make a complete recording from the intact parts of a torn or damaged one, and list the losses exactly.
+
+A torn recording lacks its end, for example because the process was killed.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ from daq.mcap_file.reader import Container
 from daq.mcap_file.summary import checked, parse
 from daq.mcap_file.writer import ChunkedFile, Message
 from daq.recording import layout
-from daq.recording.committed_file import Disk, DiskError
+from daq.recording.committed_file import CommittedFile, DiskError
 from daq.recording.layout import Timebase
 from daq.recording.markers import Marker
 from daq.recording.sample_block import SAMPLE_TYPE, decode
@@ -31,7 +34,7 @@ from rig.input_files import as_path
 if TYPE_CHECKING:
     from mcap.records import Channel, Metadata, Schema
 
-Span = tuple[int, int]
+SampleRange = tuple[int, int]
 
 _DISK_REMEDY = "Free disk space, or choose a place on another disk with -o."
 
@@ -43,10 +46,10 @@ class Salvage:
     source: Path  # the damaged file
     fixed: Path  # the complete file
     rate: float  # Samples per second, Hz
-    kept: dict[str, int]  # Samples kept, by topic
-    lost: dict[str, list[Span]]  # ranges of lost samples [first, stop), by topic; only topics that lost any
-    missing: dict[str, int]  # lost messages on topics that hold no samples: markers, display, ...
-    notes: list[str]  # other differences, and facts that cannot be known
+    kept: dict[str, int]  # number of samples kept, by topic
+    lost: dict[str, list[SampleRange]]  # ranges of lost samples [first, stop), by topic; only topics with losses
+    missing: dict[str, int]  # number of lost messages on topics without samples: markers, display, ...
+    notes: list[str]  # other losses, and what cannot be determined
 
     @property
     def whole(self) -> bool:
@@ -54,12 +57,12 @@ class Salvage:
         return not (self.lost or self.missing or self.notes)
 
     def report(self) -> Iterator[str]:
-        """Yield lines for the user."""
+        """Yield the lines that are printed for the user."""
         seconds = max(self.kept.values(), default=0) / self.rate
         yield f"{self.fixed}: {len(self.kept)} topics with samples, {seconds:.3f} s"
         if self.whole:
             yield "nothing was lost"
-        topics_by_ranges: dict[tuple[Span, ...], list[str]] = defaultdict(list)
+        topics_by_ranges: dict[tuple[SampleRange, ...], list[str]] = defaultdict(list)
         for topic, spans in self.lost.items():
             topics_by_ranges[tuple(spans)].append(topic)
         for ranges, topics in topics_by_ranges.items():
@@ -72,17 +75,17 @@ class Salvage:
 
 
 def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Salvage:
-    """Make a complete recording of a torn or damaged one.
+    """Make a complete recording from a torn or damaged one.
 
-    Everything in the new file passed a checksum in the damaged file. Samples keep their numbers; lost samples
-    read as NaN and are listed in `Recording.gaps`.
+    The new file contains only data whose checksum in the damaged file is right. Samples keep their numbers; lost
+    samples read as NaN and are listed in `Recording.gaps`.
 
     Parameters
     ----------
     path : str or Path
         The damaged file; it is not changed.
     fixed : str or Path
-        The file to make, not the damaged one.
+        The file to create, not the damaged one.
     overwrite : bool
         Whether an existing file may be replaced.
 
@@ -102,9 +105,9 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
     if source.exists() and target.exists() and source.samefile(target):
         raise RecordingError(f"{source}: cannot be recovered into itself. Give another name with -o.")
     with DamagedFile(source) as damaged:
-        # Two passes: the descriptions of samples may be behind them, and must be written before them.
-        descriptions = _descriptions(source, damaged)
-        disk = Disk(target, overwrite)
+        # Two passes are needed: descriptions may follow the samples, but must be written before them.
+        descriptions = _read_descriptions(source, damaged)
+        disk = CommittedFile(target, overwrite)
         with disk.removed_on_failure():
             if disk.free() < damaged.size:
                 raise DiskError(
@@ -112,17 +115,17 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
                     f"{disk.free() / 1e6:.1f} MB left. {_DISK_REMEDY}"
                 )
             try:
-                salvage = _Salvage(source, target, disk, *descriptions).run(damaged)
+                salvage = _Salvager(source, target, disk, *descriptions).run(damaged)
             except DiskError as error:
                 raise DiskError(f"{error}; {source} is not changed. {_DISK_REMEDY}") from error
         disk.close()
     return salvage
 
 
-def _descriptions(
+def _read_descriptions(
     source: Path, damaged: DamagedFile
 ) -> tuple[dict[int, Schema], dict[int, Channel], dict[int, int] | None]:
-    """Take schemas, channels and message counts from the file's summary or, if it is lost, from its chunks."""
+    """Return schemas, channels and message counts from the summary, or without the counts from the chunks."""
     try:
         with Container(source) as container:
             summary = container.summary
@@ -142,14 +145,14 @@ def _descriptions(
     return records_by_id[Opcode.SCHEMA], records_by_id[Opcode.CHANNEL], None
 
 
-class _Salvage:
+class _Salvager:
     """Copies the intact parts of a damaged file into a complete recording."""
 
     def __init__(
         self,
         source: Path,
         target: Path,
-        disk: Disk,
+        disk: CommittedFile,
         schemas: dict[int, Schema],
         channels: dict[int, Channel],
         counts: dict[int, int] | None,
@@ -157,74 +160,74 @@ class _Salvage:
         self._source, self._target, self._disk = source, target, disk
         self._schemas, self._channels, self._counts = schemas, channels, counts
         self._file = ChunkedFile(disk, f"shotrig {version('shotrig')}", "zstd")
-        self._numbers: dict[int, int] = {}
-        self._spans: dict[int, list[Span]] = {}
+        self._new_numbers: dict[int, int] = {}
+        self._sample_ranges: dict[int, list[SampleRange]] = {}
         self._n_messages: dict[int, int] = defaultdict(int)
         self._n_expected: dict[int, int] = defaultdict(int)
-        self._gaps: list[Span] = []
+        self._gaps: list[SampleRange] = []
         self._notes: list[str] = []
-        self._n_orphans = 0
+        self._n_without_topic = 0
         self._metadata: dict[str, dict[str, str]] = {}
         self._has_scene = False
         self._clock: Timebase | None = None
-        written: dict[int, int] = {0: 0}
+        schema_numbers: dict[int, int] = {0: 0}
         for number, schema in sorted(schemas.items()):
-            written[number] = self._file.add_schema(schema.name, schema.encoding, schema.data)
+            schema_numbers[number] = self._file.add_schema(schema.name, schema.encoding, schema.data)
         for number, channel in sorted(channels.items()):
-            if channel.schema_id not in written:
+            if channel.schema_id not in schema_numbers:
                 self._notes.append(f"{channel.topic} has no schema")
                 continue
-            self._numbers[number] = self._file.add_channel(
-                channel.topic, channel.message_encoding, written[channel.schema_id], channel.metadata
+            self._new_numbers[number] = self._file.add_channel(
+                channel.topic, channel.message_encoding, schema_numbers[channel.schema_id], channel.metadata
             )
             if channel.schema_id and schemas[channel.schema_id].name in SAMPLE_TYPE:
-                self._spans[number] = []
+                self._sample_ranges[number] = []
 
     def run(self, damaged: DamagedFile) -> Salvage:
-        """Write the complete recording."""
+        """Write the complete recording; return its content and the losses."""
         for part in damaged.parts():
             if isinstance(part, Unreadable):
                 self._notes.append(f"bytes {part.begin} to {part.end - 1} of {self._source}: {part.reason}")
             elif isinstance(part.content, memoryview):
-                self._chunk(part.content, part.stored)
+                self._copy_chunk(part.content, part.stored)
             else:
-                self._record(part.content)
+                self._copy_record(part.content)
             self._disk.commit()
-        if not any(self._spans.values()) or self._clock is None:
+        if not any(self._sample_ranges.values()) or self._clock is None:
             reason = f" ({self._notes[0]})" if self._notes else ""
             raise RecordingError(
                 f"{self._source}: nothing can be recovered, no block of samples is intact{reason}. Record it again."
             )
-        salvage = self._losses(self._clock)
-        self._end(salvage)
+        salvage = self._determine_losses(self._clock)
+        self._finish(salvage)
         return salvage
 
-    def _chunk(self, records: memoryview, stored: int) -> None:
+    def _copy_chunk(self, records: memoryview, stored: int) -> None:
         """Copy the messages of a chunk into a new chunk."""
         try:
             messages = messages_in(records, stored)
         except Damage as damage:
             self._notes.append(f"a chunk with the right checksum is malformed: {damage}")
             return
-        readable = []
+        readable_messages = []
         for message in messages:
-            if message.channel not in self._numbers:
-                self._n_orphans += 1
+            if message.channel not in self._new_numbers:
+                self._n_without_topic += 1
             elif self._is_readable(message):
-                number, times = self._numbers[message.channel], (message.log_time, message.publish_time)
-                readable.append(Message(number, *times, bytes(message.data), message.sequence))
+                number, times = self._new_numbers[message.channel], (message.log_time, message.publish_time)
+                readable_messages.append(Message(number, *times, bytes(message.data), message.sequence))
                 self._n_messages[message.channel] += 1
                 self._n_expected[message.channel] = max(self._n_expected[message.channel], message.sequence + 1)
-        self._file.add_chunk(readable)
+        self._file.add_chunk(readable_messages)
 
     def _is_readable(self, message: Stored) -> bool:
-        """Register the samples of a message; return False if it cannot be read."""
+        """Note the samples or the gap of a message; return False if it cannot be read."""
         channel = self._channels[message.channel]
         try:
-            if message.channel in self._spans:
+            if message.channel in self._sample_ranges:
                 block = decode(message.data, self._schemas[channel.schema_id].name)
                 self._clock = block.clock if self._clock is None else self._clock
-                spans, first = self._spans[message.channel], block.first_sample
+                spans, first = self._sample_ranges[message.channel], block.first_sample
                 if spans and spans[-1][1] == first:
                     first = spans.pop()[0]
                 spans.append((first, block.stop))
@@ -237,8 +240,8 @@ class _Salvage:
             return False
         return True
 
-    def _record(self, record: Metadata | Attachment) -> None:
-        """Copy a metadata record or an attachment; `_end` writes the outcome, which may change."""
+    def _copy_record(self, record: Metadata | Attachment) -> None:
+        """Copy a metadata record or an attachment; the record `outcome` may change and is written by `_finish`."""
         if isinstance(record, Attachment):
             self._has_scene |= record.name == layout.SCENE_FILE
             times = record.create_time, record.log_time
@@ -250,10 +253,10 @@ class _Salvage:
 
     # -- losses ------------------------------------------------------------------------------------------
 
-    def _losses(self, clock: Timebase) -> Salvage:
+    def _determine_losses(self, clock: Timebase) -> Salvage:
         channels, outcome = self._channels, self._metadata.get("outcome", {})
-        end = max(span[-1][1] for span in self._spans.values() if span)
-        known_end = int(outcome["samples"]) if _is_count(outcome.get("samples", "")) else None
+        end = max(span[-1][1] for span in self._sample_ranges.values() if span)
+        known_end = int(outcome["samples"]) if _is_plausible_count(outcome.get("samples", "")) else None
         if known_end is None and self._counts is None:
             self._notes.append(
                 f"the file has no end: later samples than {end / clock.rate:.6g} s, if any, were not flushed to it "
@@ -261,7 +264,7 @@ class _Salvage:
             )
         end = max(end, known_end or 0)
         lost, recovered = {}, {}
-        for number, spans in self._spans.items():
+        for number, spans in self._sample_ranges.items():
             topic = channels[number].topic
             recovered[topic] = sum(stop - first for first, stop in spans)
             gaps = self._gaps if topic.startswith(layout.RAW) else []
@@ -269,25 +272,25 @@ class _Salvage:
             if missing:
                 lost[topic] = missing
         messages = {}
-        for number in self._numbers:
-            if number in self._spans:
+        for number in self._new_numbers:
+            if number in self._sample_ranges:
                 continue
             # The messages of a topic are numbered, and counted in the summary and the outcome.
             expected = max(self._n_expected[number], (self._counts or {}).get(number, 0))
-            if channels[number].topic == layout.MARKERS and _is_count(outcome.get("markers", "")):
+            if channels[number].topic == layout.MARKERS and _is_plausible_count(outcome.get("markers", "")):
                 expected = max(expected, int(outcome["markers"]))
             if expected > self._n_messages[number]:
                 messages[channels[number].topic] = expected - self._n_messages[number]
-        if self._n_orphans:
-            self._notes.append(f"{self._n_orphans} messages belong to topics whose description is lost")
+        if self._n_without_topic:
+            self._notes.append(f"{self._n_without_topic} messages belong to topics whose description is lost")
         if not self._has_scene:
             self._notes.append(f"the scene ({layout.SCENE_FILE}) is lost")
         return Salvage(self._source, self._target, clock.rate, recovered, lost, messages, self._notes)
 
-    def _end(self, salvage: Salvage) -> None:
+    def _finish(self, salvage: Salvage) -> None:
         """Mark the losses in the file, and end it."""
-        markers = [self._numbers[n] for n in self._numbers if self._channels[n].topic == layout.MARKERS]
-        channels_by_range: dict[Span, list[str]] = defaultdict(list)
+        markers = [self._new_numbers[n] for n in self._new_numbers if self._channels[n].topic == layout.MARKERS]
+        channels_by_range: dict[SampleRange, list[str]] = defaultdict(list)
         for topic, spans in salvage.lost.items():
             for span in spans:
                 channels_by_range[span].append(topic.removeprefix(layout.RAW))
@@ -305,7 +308,7 @@ class _Salvage:
             outcome = checked(
                 {f"before.{key}": text for key, text in earlier.items()}
                 | {"status": "recovered", "reason": f"recovered from {escape_terminal(self._source.name)}"}
-                | {"samples": str(max(span[-1][1] for span in self._spans.values() if span))}
+                | {"samples": str(max(span[-1][1] for span in self._sample_ranges.values() if span))}
                 | {"report": json.dumps(list(salvage.report()))}
             )
         self._file.add_metadata("outcome", outcome)
@@ -313,20 +316,20 @@ class _Salvage:
         self._disk.finish()
 
 
-def _is_count(text: str) -> bool:
-    """Whether a text of the file is a plausible count."""
+def _is_plausible_count(text: str) -> bool:
+    """Return whether a text in the file is a plausible count."""
     return text.isascii() and text.isdecimal() and len(text) < 17
 
 
-def _subtract(spans: Iterable[Span], holes: Iterable[Span]) -> Iterator[Span]:
+def _subtract(spans: Iterable[SampleRange], holes: Iterable[SampleRange]) -> Iterator[SampleRange]:
     """Subtract ranges from other ranges.
 
     >>> list(_subtract([(0, 100)], [(90, 100), (10, 20)]))
     [(0, 10), (20, 90)]
     """
-    ordered = sorted(holes)
+    sorted_holes = sorted(holes)
     for first, stop in spans:
-        for begin, end in ordered:
+        for begin, end in sorted_holes:
             if begin >= stop or end <= first:
                 continue
             if begin > first:

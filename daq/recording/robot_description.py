@@ -1,7 +1,7 @@
-"""The moving rig for general viewers: a robot description (URDF), and transforms for it.
+"""Describe the rig for general MCAP viewers as a robot (URDF), whose parts move by transforms in the recording.
 
-The parts have the sizes and places of `daq.drawing.stack`; springs are not drawn. Every displacement and gap is
-multiplied by one exaggeration, which is chosen before the motion is known.
+The parts have the sizes and positions of `daq.drawing.stack`; springs are not drawn. Every displacement and gap is
+multiplied by the exaggeration, which is chosen before the motion is known.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from daq.drawing.palette import DRIVE, GROUND, LEAD, Color, body_color
 from daq.drawing.stack import DEPTH, HEADROOM, PLATE, WALL, WIDTH, Stack, round_factor, walls
-from daq.recording.protobuf import Schema, descriptors, varint, varints
+from daq.recording.protobuf import Schema, descriptor_set_bytes, varint, varints
 from rig.arrays import Array
 
 if TYPE_CHECKING:
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
 
     from rig.scene.scene import Scene
 
-    Box = tuple[tuple[float, float, float], tuple[float, float, float]]
+    BoxGeometry = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 WORLD = "world"
-# Displacements are millimetres near a resonance; a millimetre is drawn as two centimetres.
+# Displacements near a resonance are millimetres; a millimetre is drawn as two centimetres.
 EXAGGERATION = 20.0
 
 TRANSFORMS_SCHEMA = Schema(
     "foxglove.FrameTransforms",
     "protobuf",
-    descriptors(
+    descriptor_set_bytes(
         "foxglove",
         (
             ("Vector3", (("x", "double"), ("y", "double"), ("z", "double"))),
@@ -59,7 +59,7 @@ _HEIGHT_BYTES = 8
 # Size of the seconds, and of the nanoseconds, in a google.protobuf.Timestamp, bytes: fixed, so that all messages have
 # one size.
 _TIME_BYTES = 5
-_STAMP = bytes([0x0A, 2 + 2 * _TIME_BYTES, 0x08, *bytes(_TIME_BYTES), 0x10, *bytes(_TIME_BYTES)])
+_TIMESTAMP = bytes([0x0A, 2 + 2 * _TIME_BYTES, 0x08, *bytes(_TIME_BYTES), 0x10, *bytes(_TIME_BYTES)])
 # Translation: x = y = 0, and the tag of z, the height.
 _TRANSLATION = b"\x22\x1b" + struct.pack("<BdBdB", 0x09, 0.0, 0x11, 0.0, 0x19)
 # Rotation: the quaternion w = 1.
@@ -73,9 +73,9 @@ def exaggeration(scene: Scene) -> float:
 
 
 class RobotDescription:
-    """The rig of a scene as links that move up and down; dampers are drawn only with a known motion.
+    """The rig of a scene as links that move up and down; dampers are included only if their motion is known.
 
-    `points` are in the order of `transforms`; `exaggeration` multiplies every displacement and gap.
+    `points` names the parts in the order of `transforms`; `exaggeration` multiplies every displacement and gap.
     """
 
     def __init__(self, scene: Scene, with_dampers: bool) -> None:
@@ -83,14 +83,14 @@ class RobotDescription:
         self._links: list[str] = []
         self._joints: list[str] = []
         self._rest_heights: list[float] = []
-        # A message, and the places of the stamp and the height of each part in it.
-        self._message, self._places = b"", list[tuple[int, int]]()
+        # A message, and the offsets of the time stamp and the height of each part in it.
+        self._message_template, self._field_offsets = b"", list[tuple[int, int]]()
         stack, points = Stack(scene, self.exaggeration), list[str]()
         self._link(WORLD, [((0, 0, -0.01), (0.62, 0.30, 0.02))], GROUND)
         parts = zip(stack.cavities, stack.heights, stack.bottoms, strict=True)
-        for body, (inside, height, bottom) in enumerate(parts, 1):
+        for body, (body_cavities, height, bottom) in enumerate(parts, 1):
             points.append(f"body {body}")
-            boxes = walls(inside) if inside else [((0.0, 0.0, height / 2), (WIDTH, DEPTH, height))]
+            boxes = walls(body_cavities) if body_cavities else [((0.0, 0.0, height / 2), (WIDTH, DEPTH, height))]
             self._link(f"body_{body}", boxes, body_color(body))
             self._joint(WORLD, f"body_{body}", bottom)
         for table in stack.tables:
@@ -98,18 +98,18 @@ class RobotDescription:
             name = table.point.replace(" ", "_")
             self._link(name, [((0, 0, -PLATE / 2), (0.085, 0.085, PLATE))], DRIVE)
             self._joint(WORLD, name, table.top)
-        by_place = {cavity.place: cavity for inside in stack.cavities for cavity in inside}
+        cavity_of_damper = {cavity.place: cavity for body_cavities in stack.cavities for cavity in body_cavities}
         for number, damper in enumerate(scene.dampers if with_dampers else (), start=1):
             points.append(f"damper {number}")
-            (x, y, z), size = by_place[number - 1].damper
+            (x, y, z), size = cavity_of_damper[number - 1].damper
             self._link(f"damper_{number}", [((x, y, z - WALL), size)], LEAD)
             self._joint(f"body_{damper.body}", f"damper_{number}", WALL)
         self.points = tuple(points)
 
-    def _link(self, name: str, boxes: Sequence[Box], color: Color) -> None:
-        rgba = " ".join(f"{part / 255:.3f}" for part in (*color, 255))
+    def _link(self, name: str, boxes: Sequence[BoxGeometry], color: Color) -> None:
+        rgba = " ".join(f"{component / 255:.3f}" for component in (*color, 255))
         visuals = "".join(
-            f'<visual><origin xyz="{_numbers(center)}"/><geometry><box size="{_numbers(size)}"/></geometry>'
+            f'<visual><origin xyz="{_join(centre)}"/><geometry><box size="{_join(size)}"/></geometry>'
             f'<material name="{name}"><color rgba="{rgba}"/></material></visual>'
             for center, size in boxes
         )
@@ -122,10 +122,10 @@ class RobotDescription:
             '<limit lower="-1" upper="1" effort="0" velocity="0"/></joint>'
         )
         self._rest_heights.append(rest_height)
-        head = _STAMP + _string(2, parent) + _string(3, child) + _TRANSLATION
-        self._message += b"\x0a" + varint(len(head) + _HEIGHT_BYTES + len(_NO_ROTATION))
-        self._places.append((len(self._message), len(self._message) + len(head)))
-        self._message += head + bytes(_HEIGHT_BYTES) + _NO_ROTATION
+        head = _TIMESTAMP + _encode_string(2, parent) + _encode_string(3, child) + _TRANSLATION
+        self._message_template += b"\x0a" + varint(len(head) + _HEIGHT_BYTES + len(_NO_ROTATION))
+        self._field_offsets.append((len(self._message_template), len(self._message_template) + len(head)))
+        self._message_template += head + bytes(_HEIGHT_BYTES) + _NO_ROTATION
 
     def urdf(self) -> str:
         """Return the description as URDF; the robot's name states the exaggeration."""
@@ -133,23 +133,23 @@ class RobotDescription:
         return f'<?xml version="1.0"?><robot name={name}>{"".join(self._links + self._joints)}</robot>'
 
     def transforms(self, times_ns: NDArray[np.uint64], displacements: Array) -> NDArray[np.uint8]:
-        """Encode displacements, (points, messages) in m (of a damper: its gap), as foxglove.FrameTransforms."""
+        """Encode displacements in m (for a damper its gap), shape (points, messages), as foxglove.FrameTransforms."""
         heights = np.array(self._rest_heights)[:, None] + self.exaggeration * displacements
         seconds, nanoseconds = np.divmod(times_ns, np.uint64(10**9))
-        messages = np.empty((times_ns.size, len(self._message)), np.uint8)
-        messages[:] = np.frombuffer(self._message, np.uint8)
+        messages = np.empty((times_ns.size, len(self._message_template)), np.uint8)
+        messages[:] = np.frombuffer(self._message_template, np.uint8)
         seconds_bytes, nanoseconds_bytes = varints(seconds, _TIME_BYTES), varints(nanoseconds, _TIME_BYTES)
-        for (stamp, height), row in zip(self._places, np.ascontiguousarray(heights, "<f8"), strict=True):
+        for (stamp, height), row in zip(self._field_offsets, np.ascontiguousarray(heights, "<f8"), strict=True):
             messages[:, stamp + 3 : stamp + 3 + _TIME_BYTES] = seconds_bytes
-            messages[:, stamp + 4 + _TIME_BYTES : stamp + len(_STAMP)] = nanoseconds_bytes
+            messages[:, stamp + 4 + _TIME_BYTES : stamp + len(_TIMESTAMP)] = nanoseconds_bytes
             messages[:, height : height + _HEIGHT_BYTES] = row.view(np.uint8).reshape(-1, _HEIGHT_BYTES)
         return messages
 
 
-def _numbers(values: Sequence[float]) -> str:
+def _join(values: Sequence[float]) -> str:
     return " ".join(f"{value:g}" for value in values)
 
 
-def _string(number: int, text: str) -> bytes:
+def _encode_string(number: int, text: str) -> bytes:
     content = text.encode()
     return bytes([number << 3 | 2]) + varint(len(content)) + content

@@ -1,4 +1,4 @@
-"""A block of samples of one channel as a protobuf message: encoded by one pack, decoded by one view."""
+"""Encode and decode a block of samples of one channel as a protobuf message, without copying the samples."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.recording.layout import Timebase
-from daq.recording.protobuf import Schema, descriptors, message_class, varint
+from daq.recording.protobuf import Schema, descriptor_set_bytes, message_class, varint
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
     from rig.scene.scene import Scene
 
-# Storage type of samples: schema, protobuf type and numpy type in the file.
+# Schema, protobuf type and numpy type for each storage type of samples.
 SCHEMAS: dict[str, tuple[str, str, np.dtype[Any]]] = {
     "float64": ("shotrig.BlockFloat64", "double", np.dtype("<f8")),
     "float32": ("shotrig.BlockFloat32", "float", np.dtype("<f4")),
@@ -26,13 +26,13 @@ SCHEMAS: dict[str, tuple[str, str, np.dtype[Any]]] = {
 }
 SAMPLE_TYPE: dict[str, np.dtype[Any]] = {schema: kind for schema, _, kind in SCHEMAS.values()}
 
-# The four fields in the order of their numbers: three of eight bytes behind their tags, then the samples.
-_HEAD = struct.Struct("<BqBQBdB")
+# Header of a message: three fields of eight bytes, each after its tag, and the tag of the samples.
+_HEADER = struct.Struct("<BqBQBdB")
 _TAGS = (0x09, 0x11, 0x19, 0x22)
 
 
 class SampleBlock(NamedTuple):
-    """Samples of one channel as stored in the file."""
+    """Successive samples of one channel, as stored in the file."""
 
     t0_ns: int  # time of the first sample, nanoseconds since the epoch of the recording
     first_sample: int  # Number of the first sample
@@ -52,12 +52,12 @@ class SampleBlock(NamedTuple):
 
 @lru_cache
 def block_schema(schema: str) -> Schema:
-    """Describe a block schema (a key of `SAMPLE_TYPE`) for the file."""
+    """Return the description of a block schema (a key of `SAMPLE_TYPE`) for the file."""
     samples = next(protobuf_type for name, protobuf_type, _ in SCHEMAS.values() if name == schema)
-    head = (("t0_ns", "sfixed64"), ("first_sample", "fixed64"), ("sample_rate_hz", "double"))
+    header = (("t0_ns", "sfixed64"), ("first_sample", "fixed64"), ("sample_rate_hz", "double"))
     package, message = schema.split(".")
-    described = descriptors(package, ((message, (*head, ("samples", f"{samples}[]"))),))
-    return Schema(schema, "protobuf", described, "protobuf")
+    descriptor_set = descriptor_set_bytes(package, ((message, (*header, ("samples", f"{samples}[]"))),))
+    return Schema(schema, "protobuf", descriptor_set, "protobuf")
 
 
 def encode(clock: Timebase, first_sample: int, samples: NDArray[Any]) -> NDArray[np.uint8]:
@@ -71,40 +71,45 @@ def encode(clock: Timebase, first_sample: int, samples: NDArray[Any]) -> NDArray
     array([1.5, 2.5])
     """
     _, blocks, length = samples.shape
-    size, (tag0, tag1, tag2, tag3) = varint(length * samples.itemsize), _TAGS
-    firsts = [first_sample + block * length for block in range(blocks)]
-    heads = [_HEAD.pack(tag0, clock.time_ns(first), tag1, first, tag2, clock.rate, tag3) + size for first in firsts]
-    messages = np.empty((len(samples), blocks, len(heads[0]) + length * samples.itemsize), np.uint8)
-    messages[..., : len(heads[0])] = np.frombuffer(b"".join(heads), np.uint8).reshape(blocks, -1)
-    messages[..., len(heads[0]) :] = np.ascontiguousarray(samples).view(np.uint8)
+    size_bytes, (tag0, tag1, tag2, tag3) = varint(length * samples.itemsize), _TAGS
+    first_samples = [first_sample + block * length for block in range(blocks)]
+    headers = [
+        _HEADER.pack(tag0, clock.time_ns(first), tag1, first, tag2, clock.rate, tag3) + size_bytes
+        for first in first_samples
+    ]
+    messages = np.empty((len(samples), blocks, len(headers[0]) + length * samples.itemsize), np.uint8)
+    messages[..., : len(headers[0])] = np.frombuffer(b"".join(headers), np.uint8).reshape(blocks, -1)
+    messages[..., len(headers[0]) :] = np.ascontiguousarray(samples).view(np.uint8)
     return messages
 
 
 def decode(data: memoryview, schema: str) -> SampleBlock:
-    """Decode a block of a schema in `SAMPLE_TYPE`, without a copy; raise `RecordingError` for other bytes."""
+    """Decode a block of a schema in `SAMPLE_TYPE`, without a copy; raise `RecordingError` for invalid bytes."""
     kind = SAMPLE_TYPE[schema]
-    if len(data) > _HEAD.size:
-        tag0, t0_ns, tag1, first, tag2, rate, tag3 = _HEAD.unpack_from(data)
-        size = _size_prefix(len(data))
-        place = _HEAD.size + len(size)
-        if (tag0, tag1, tag2, tag3) == _TAGS and data[_HEAD.size : place] == size:
+    if len(data) > _HEADER.size:
+        tag0, t0_ns, tag1, first, tag2, rate, tag3 = _HEADER.unpack_from(data)
+        size_bytes = _size_prefix(len(data))
+        samples_offset = _HEADER.size + len(size_bytes)
+        if (tag0, tag1, tag2, tag3) == _TAGS and data[_HEADER.size : samples_offset] == size_bytes:
             try:
-                return SampleBlock(t0_ns, first, rate, np.frombuffer(data, kind, offset=place))
+                return SampleBlock(t0_ns, first, rate, np.frombuffer(data, kind, offset=samples_offset))
             except ValueError:
-                raise RecordingError(f"{len(data) - place} bytes are not a whole number of {schema} samples") from None
+                rest = len(data) - samples_offset
+                raise RecordingError(f"{rest} bytes are not a whole number of {schema} samples") from None
     return _decode_any(data, schema)
 
 
 @lru_cache(maxsize=64)
 def _size_prefix(message: int) -> bytes:
-    """Encode the size of the samples in a message of `message` bytes, more than its head."""
-    body = message - _HEAD.size
-    longest = len(varint(body))
-    return next((size for n in (longest, longest - 1) if len(size := varint(body - n)) == n), b"")
+    """Return the encoded size of the samples in a message with a length of `message` bytes."""
+    rest_bytes = message - _HEADER.size
+    max_prefix = len(varint(rest_bytes))
+    lengths = (max_prefix, max_prefix - 1)
+    return next((prefix for n in lengths if len(prefix := varint(rest_bytes - n)) == n), b"")
 
 
 def _decode_any(data: memoryview, schema: str) -> SampleBlock:
-    """Decode a block of another writer: zero fields left out, or fields in another order."""
+    """Decode a block of another writer, which may omit zero fields or order them differently."""
     from google.protobuf.message import DecodeError
 
     message = message_class(block_schema(schema).data, schema)()
@@ -117,7 +122,7 @@ def _decode_any(data: memoryview, schema: str) -> SampleBlock:
 
 
 def stored_as(scene: Scene, channels: Sequence[ChannelInfo]) -> str:
-    """Return the storage type of samples, a key of `SCHEMAS`: the scene's, or else that of the converter."""
+    """Return the storage type of samples, a key of `SCHEMAS`, that the scene states or the converter implies."""
     if scene.recording.samples is not None:
         return scene.recording.samples
     return "counts" if all(info.volts_per_count is not None for info in channels) else "float64"

@@ -1,6 +1,6 @@
-"""Samples in pieces of any size, collected into groups on a fixed grid of sample numbers.
+"""Collect samples that arrive in arrays of any length into groups on a fixed grid of sample numbers.
 
-The bytes of the file depend on the grid only, not on the pieces.
+The bytes of a recording depend on the grid only, not on the lengths of the arrays.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Group:
-    """Samples of one cell of the grid."""
+    """The samples of one cell of the grid."""
 
     first: int  # sample number of the first column of `samples`
     samples: NDArray[Any]  # valid only within `spans`; shape (rows, group length)
@@ -27,9 +27,9 @@ class Group:
             yield start, self.samples[:, start - self.first : stop - self.first]
 
     def blocks(self, length: int) -> Iterator[tuple[int, NDArray[Any]]]:
-        """Yield the acquired samples in blocks that end on multiples of `length`, or where samples end.
+        """Yield the acquired samples in blocks that end at multiples of `length`, or where the samples end.
 
-        Successive blocks of one size come together, (rows, blocks, samples), with the number of their first sample.
+        Each item is the number of the first sample, and successive blocks of one size: (rows, blocks, samples).
         """
         for start, samples in self.acquired():
             stop = start + samples.shape[1]
@@ -48,21 +48,22 @@ class Group:
 class Grouping:
     """Collects samples of some rows into groups of `length` samples on a fixed grid.
 
-    `complete` has the passed cells of the grid, by their number; cells without samples are omitted.
+    `complete` contains the groups of finished cells by their number, without empty groups. `position` is the number
+    of the next sample.
     """
 
-    def __init__(self, rows: int, length: int, kind: np.dtype[Any]) -> None:
+    def __init__(self, rows: int, length: int, dtype: np.dtype[Any]) -> None:
         self.position = 0
         self.complete: dict[int, Group] = {}
-        self.group_bytes = rows * length * kind.itemsize
-        self._rows, self._length, self._kind = rows, length, kind
+        self.group_bytes = rows * length * dtype.itemsize
+        self._rows, self._length, self._dtype = rows, length, dtype
         self._current = self._new_group(0)
 
     def _new_group(self, number: int) -> Group:
-        return Group(number * self._length, np.empty((self._rows, self._length), self._kind), [])
+        return Group(number * self._length, np.empty((self._rows, self._length), self._dtype), [])
 
     def add(self, samples: NDArray[Any]) -> None:
-        """Take the next samples, (rows, any number); they are copied."""
+        """Copy the next samples, shape (rows, any number)."""
         copied = 0
         while copied < samples.shape[1]:
             start, group = self.position, self._current
@@ -76,16 +77,16 @@ class Grouping:
             self._move_to(stop)
 
     def skip(self, count: int) -> None:
-        """Pass over samples that do not exist."""
+        """Skip samples that were not acquired."""
         self._move_to(self.position + count)
 
     def _move_to(self, position: int) -> None:
         self.position = position
         if position >= self._current.first + self._length:
-            self.close_group()
+            self.complete_group()
 
-    def close_group(self) -> None:
-        """Complete the group in progress, also an incomplete one."""
+    def complete_group(self) -> None:
+        """Complete the current group, even if samples are missing at its end."""
         if self._current.spans:
             self.complete[self._current.first // self._length] = self._current
         self._current = self._new_group(self.position // self._length)

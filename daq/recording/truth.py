@@ -1,4 +1,7 @@
-"""The true motion in a recording: its topics, and its samples on their way to the file."""
+"""Collect the true motion of the rig for a recording, and make its topics.
+
+The truth is the simulated motion itself, which no sensor measures.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.mcap_file.writer import Message
-from daq.recording.layout import EVENTS, SHOWN_GROUPS, TRUTH, Timebase
+from daq.recording.layout import EVENTS, MAX_DISPLAY_GROUPS, TRUTH, Timebase
 from daq.recording.markers import EVENT_SCHEMA, event_to_json
 from daq.recording.protobuf import Schema
 from daq.recording.sample_block import SCHEMAS, block_schema
@@ -25,7 +28,7 @@ if TYPE_CHECKING:
 
 Register = Callable[[str, Schema, Mapping[str, str]], int]
 
-MOTION = ("displacement", "velocity", "acceleration")
+MOTION_QUANTITIES = ("displacement", "velocity", "acceleration")
 
 
 def points_of(scene: Scene) -> tuple[str, ...]:
@@ -40,10 +43,11 @@ def dampers_of(scene: Scene) -> tuple[str, ...]:
 
 
 class Truth:
-    """Collects the true motion: of each point its motion, of each damper its gap and contact, and the events.
+    """Collects the motion of each point, the gap and contact of each damper, and the events (changes of contact).
 
-    `streams` are the real numbers (motion of the points, then gaps) and the contacts, `chunks` the (stream, row,
-    channel number) of each series of a chunk; `drawn` names the parts of `positions`.
+    `streams` are two series of groups: real numbers (motion of the points, then gaps), and contacts. `chunks` lists
+    (stream, row,
+    channel number) of each topic in a chunk. `drawn` names the rows of `positions`.
     """
 
     def __init__(self, scene: Scene, clock: Timebase, group: int, register: Register) -> None:
@@ -52,28 +56,28 @@ class Truth:
         points, dampers = len(self.points), len(scene.dampers)
         self.drawn = (*self.points, *dampers_of(scene))
         self.streams = (
-            Grouping(len(MOTION) * points + dampers, group, np.dtype("<f8")),
+            Grouping(len(MOTION_QUANTITIES) * points + dampers, group, np.dtype("<f8")),
             Grouping(dampers, group, np.dtype("<i4")),
         )
         self._events: deque[tuple[float, int, str, float]] = deque()
-        self._n_sent = 0
-        self._recent: dict[int, Group] = {}
-        self._rows = np.r_[:points, len(MOTION) * points : len(MOTION) * points + dampers]
-        self._last = np.zeros(len(self.drawn))
+        self._n_events = 0
+        self._recent_groups: dict[int, Group] = {}
+        self._rows = np.r_[:points, len(MOTION_QUANTITIES) * points : len(MOTION_QUANTITIES) * points + dampers]
+        self._last_positions = np.zeros(len(self.drawn))
         real_schema, integer_schema = block_schema(SCHEMAS["float64"][0]), block_schema(SCHEMAS["counts"][0])
         self.chunks: list[list[tuple[int, int, int]]] = []
 
-        def topic(point: str, quantity: str, unit: str, schema: Schema = real_schema, **more: str) -> int:
-            fields = {"point": point, "quantity": quantity, "unit": unit, **more}
+        def topic(point: str, quantity: str, unit: str, schema: Schema = real_schema, **metadata: str) -> int:
+            fields = {"point": point, "quantity": quantity, "unit": unit, **metadata}
             return register(f"{TRUTH}{point.replace(' ', '_')}/{quantity}", schema, fields)
 
         for row, point in enumerate(self.points):
-            motion = [topic(point, quantity, UNITS[quantity]) for quantity in MOTION]
-            self.chunks.append([(0, kind * points + row, number) for kind, number in enumerate(motion)])
+            motion = [topic(point, quantity, UNITS[quantity]) for quantity in MOTION_QUANTITIES]
+            self.chunks.append([(0, index * points + row, number) for index, number in enumerate(motion)])
         for damper, point in enumerate(dampers_of(scene)):
-            gap, states = topic(point, "gap", "m"), "0 flight, 1 floor, 2 ceiling"
-            contact = topic(point, "contact", "", integer_schema, values=states)
-            self.chunks.append([(0, len(MOTION) * points + damper, gap), (1, damper, contact)])
+            gap, contact_values = topic(point, "gap", "m"), "0 flight, 1 floor, 2 ceiling"
+            contact = topic(point, "contact", "", integer_schema, values=contact_values)
+            self.chunks.append([(0, len(MOTION_QUANTITIES) * points + damper, gap), (1, damper, contact)])
         self._topic = register(EVENTS, EVENT_SCHEMA, {}) if dampers else 0
 
     @property
@@ -82,7 +86,7 @@ class Truth:
         return self.streams[0].position
 
     def add(self, motion: Motion) -> None:
-        """Take the next samples."""
+        """Add the next samples."""
         if motion.first != self.position:
             raise ValueError(f"motion: got sample {motion.first} first; expected {self.position}.")
         parts = (motion.displacement, motion.velocity, motion.acceleration, motion.gap)
@@ -91,42 +95,43 @@ class Truth:
         self._events += motion.events[["time", "damper", "kind", "speed"]].tolist()
 
     def take(self, number: int) -> tuple[Group | None, Group | None]:
-        """Remove and return the groups of a cell of the grid; `positions` still uses them."""
-        real, positions = (stream.complete.pop(number, None) for stream in self.streams)
-        if real is not None:
-            self._recent = {n: each for n, each in self._recent.items() if n >= number - SHOWN_GROUPS}
-            self._recent[number] = real
-        return real, positions
+        """Return and remove the groups, motion and contacts, of a cell; `positions` still uses the motion."""
+        motion, contacts = (stream.complete.pop(number, None) for stream in self.streams)
+        if motion is not None:
+            oldest = number - MAX_DISPLAY_GROUPS
+            self._recent_groups = {n: group for n, group in self._recent_groups.items() if n >= oldest}
+            self._recent_groups[number] = motion
+        return motion, contacts
 
     def events_before(self, stop: float) -> list[Message]:
-        """Remove and return the events before a sample.
+        """Return and remove the messages of the events before a sample.
 
-        The last of them is at least one sample earlier, so that rounded times do not change the order of writing.
+        Events within a sample of `stop` remain, so that rounded times do not change the order of writing.
         """
-        due = []
+        messages = []
         while self._events:
             time, damper, kind, speed = self._events[0]
             if math.ceil(time * self._clock.rate) + 1 >= stop:
                 break
             self._events.popleft()
             at = self._clock.start_ns + round(time * 1e9)
-            due.append(Message(self._topic, at, at, event_to_json(time, damper, kind, speed), self._n_sent))
-            self._n_sent += 1
-        return due
+            messages.append(Message(self._topic, at, at, event_to_json(time, damper, kind, speed), self._n_events))
+            self._n_events += 1
+        return messages
 
     def positions(self, samples: NDArray[np.int64]) -> Array:
-        """Return the positions of the parts in `drawn`, (parts, samples), metres, at the next samples.
+        """Return the displacements and gaps of the parts in `drawn`, in m, shape (parts, samples), at the next samples.
 
-        At samples outside the last groups, the previous position is repeated.
+        At samples outside the last groups, the previous value is repeated.
         """
         positions = np.empty((len(self.drawn), 1 + samples.size))
-        positions[:, 0] = self._last
+        positions[:, 0] = self._last_positions
         latest_known = np.zeros(1 + samples.size, dtype=np.int64)
-        for group in self._recent.values():
+        for group in self._recent_groups.values():
             for start, stop in group.spans:
                 (inside,) = np.nonzero((start <= samples) & (samples < stop))
                 latest_known[1 + inside] = 1 + inside
                 positions[:, 1 + inside] = group.samples[self._rows[:, None], samples[inside] - group.first]
         positions = positions[:, np.maximum.accumulate(latest_known)]
-        self._last = positions[:, -1]
+        self._last_positions = positions[:, -1]
         return positions[:, 1:]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.drawing.rig_view import RigPose
-from daq.recording.displacement import DisplacementEstimate, motion_sources
+from daq.recording.displacement import DisplacementFilter, motion_sources
 from daq.recording.truth import points_of
 
 if TYPE_CHECKING:
@@ -37,15 +37,15 @@ class RecordedMotion:
 
         Samples that the recording lost are left out.
         """
-        estimators = {
-            source.point: DisplacementEstimate(source.quantity, self.recording.rate)
+        filters = {
+            source.point: DisplacementFilter(source.quantity, self.recording.rate)
             for source in self.sources
             if source.channel is not None
         }
         for first in range(start, stop, BLOCK_SAMPLES):
             last = min(first + BLOCK_SAMPLES, stop)
             sample_numbers = np.arange(first + (-first) % step, last, step, dtype=np.int64)
-            displacements = self._displacements(estimators, first, last)
+            displacements = self._displacements(filters, first, last)
             motion = displacements[:, sample_numbers - first]
             gap = self.recording.truth("gap", first, last)[:, sample_numbers - first] if self.gaps_known else None
             complete = np.isfinite(motion).all(axis=0)
@@ -56,7 +56,7 @@ class RecordedMotion:
             bodies = self.recording.scene.structure.bodies
             yield sample_numbers[complete], RigPose(motion[:bodies], motion[bodies:], gap)
 
-    def _displacements(self, estimators: dict[str, DisplacementEstimate], first: int, last: int) -> NDArray[np.float64]:
+    def _displacements(self, filters: dict[str, DisplacementFilter], first: int, last: int) -> NDArray[np.float64]:
         """Return displacements in m at samples [first, last), shape (sources, samples); NaN where samples were lost."""
         displacements = np.zeros((len(self.sources), last - first))
         if any(source.quantity == "truth" for source in self.sources):
@@ -70,6 +70,6 @@ class RecordedMotion:
                 samples = self.recording.read(source.channel, first, last)
                 lost = np.isnan(samples)
                 # Lost samples are zero in the filter: NaN would remain in its state.
-                displacement[:] = estimators[source.point].run(np.where(lost, 0.0, samples))
+                displacement[:] = filters[source.point].run(np.where(lost, 0.0, samples))
                 displacement[lost] = np.nan
         return displacements

@@ -11,7 +11,7 @@ import numpy as np
 import rerun as rr
 
 from daq.drawing.rig_view import Extremes, RigView
-from daq.recording.layout import refuse_reversed
+from daq.recording.layout import require_ordered_times
 from daq.viewing.blueprint import OVERLOAD_ENTITY, layout
 from daq.viewing.description import markdown_page
 from daq.viewing.marker_log import LabelledSegment, log_lines, overloads, phases
@@ -47,7 +47,7 @@ class Replay:
 
         if not (math.isfinite(speed) and speed > 0):
             raise SceneError(f"--speed {speed:g}: expected a positive factor, such as 0.1 for slow motion")
-        refuse_reversed(begin_s, end_s)
+        require_ordered_times(begin_s, end_s)
         self.recording = recording
         self.speed = speed
         rate = recording.rate

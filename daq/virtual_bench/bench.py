@@ -1,4 +1,4 @@
-"""The bench of a scene: one plant, and its channels sampled at one or several rates."""
+"""The virtual bench of a scene: the simulated rig (plant), and its channels sampled at one or several rates."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
     from rig.simulation.motion import Motion
 
-# The filters of a rate that begins while the rig moves settle on this much of the past motion, s.
+# Duration of the past motion on which the filters settle if sampling at a rate begins while the rig moves, s.
 _SETTLING_S = 2.0
-# Upper bound of the past motion in ticks: a stiff scene has a million ticks per second.
+# Upper limit of this duration in ticks: a stiff scene has a million ticks per second.
 _MAX_PAST_TICKS = 1 << 18
 
 
 class Bench:
     """Plant, measuring chain and converter of a scene, from power-on.
 
-    `acquire` takes the drive at the converter's rate and returns samples at that rate. `advance` takes it tick by
-    tick (a tick is one of the equal intervals of the drive) and samples at several rates. The samples depend neither on
-    the division of the drive into calls nor on other rates.
+    `acquire` uses a drive at the sample rate of the converter and returns samples at that rate. `advance` uses a drive
+    at the finer rate of the ticks and samples at several rates. The samples depend neither on how the drive is split
+    among calls nor on other rates.
 
     >>> import rig
     >>> bench = Bench(rig.load("bare-structure"))
@@ -51,16 +51,16 @@ class Bench:
     def __init__(self, scene: Scene, ticks: int | None = None) -> None:
         self.scene = scene
         self.ticks = oversampling(scene) if ticks is None else ticks
-        # Samples and ticks per second by the nominal clock; the bench runs at the true rate.
+        # Samples and ticks per second of the nominal clock; the bench runs at the true rate of the converter.
         self.rate = scene.converter.sample_rate
         self.tick_rate = self.rate * self.ticks
         self._plant = plant = Plant(scene, scene.converter.true_rate * self.ticks)
         self._base_stream = Stream(scene, self.rate, Fraction(1, self.ticks), plant)
         self._streams = {self.rate: self._base_stream}
         self._outputs = Outputs(scene, plant.inputs, plant.drive_units)
-        self._line = DriveLine(len(plant.inputs), self.ticks)
-        # Motion and drive of the latest ticks of `advance`.
-        self._past: deque[tuple[Motion, Array]] = deque()
+        self._drive_line = DriveLine(len(plant.inputs), self.ticks)
+        # Motion and drive of the last ticks of `advance`.
+        self._past_motion: deque[tuple[Motion, Array]] = deque()
         self.latency = self._base_stream.latency
         self.inputs: tuple[str, ...] = tuple(plant.inputs)
         self.drive_units: tuple[str, ...] = tuple(plant.drive_units)
@@ -74,16 +74,16 @@ class Bench:
 
     @property
     def lost(self) -> tuple[tuple[int, int], ...]:
-        """First and last sample of each run of samples that is lost between converter and recording, at `rate`."""
+        """First and last sample of each range that is lost between converter and recording, at `rate`."""
         return self._base_stream.lost
 
     def lost_at(self, rate: float) -> tuple[tuple[int, int], ...]:
-        """Return the same for another rate of the latest `advance`."""
+        """Return the lost ranges at another rate of the last `advance`, as `lost` does."""
         return self._streams[rate].lost
 
     @property
     def wiring(self) -> tuple[Channel, ...]:
-        """The channels of the scene with their present couplings and supplies, see `rewire`."""
+        """The channels of the scene with their present couplings and supplies; `rewire` changes them."""
         return self._base_stream.wiring
 
     def rewire(self, wiring: Sequence[Channel]) -> None:
@@ -95,51 +95,51 @@ class Bench:
     def acquire(self, drive: Array) -> Block:
         """Drive the rig and return the samples at `rate`.
 
-        The drive, (inputs, samples) in `drive_units`, is interpolated linearly between samples.
+        The drive, shape (inputs, samples) in `drive_units`, is interpolated linearly between samples.
         """
         drive = validate_drive(drive, self.inputs)
-        line = self._line.through(self._outputs.put_out(drive))
-        return self._base_stream.take(self._plant.advance(line), line)
+        plant_drive = self._drive_line.through(self._outputs.put_out(drive))
+        return self._base_stream.take(self._plant.advance(plant_drive), plant_drive)
 
     def advance(self, drive: Array, rates: Collection[float] = ()) -> dict[float, Block]:
-        """Drive the rig, (inputs, ticks), and return the samples at `rate` and at each of `rates`.
+        """Drive the rig and return the samples at `rate` and at each of `rates`.
 
-        The drive is interpolated linearly between ticks. A rate that was not among those of the last call begins with
-        filters that have settled on the past motion.
+        The drive, shape (inputs, ticks), is interpolated linearly between ticks. At a rate that the last call did not
+        have, sampling begins with filters that have settled on the past motion.
         """
         rates = {self.rate, *rates}
-        self._streams = {rate: self._streams.get(rate) or self._begin(rate) for rate in sorted(rates)}
+        self._streams = {rate: self._streams.get(rate) or self._new_stream(rate) for rate in sorted(rates)}
         drive = self._outputs.put_out(drive)
         motion = self._plant.advance(drive)
-        self._past.append((motion, drive))
+        self._past_motion.append((motion, drive))
         self.drive = drive[:, -motion.first % self.ticks :: self.ticks]
-        while motion.first - self._past[0][0].first > min(_SETTLING_S * self.tick_rate, _MAX_PAST_TICKS):
-            self._past.popleft()
+        while motion.first - self._past_motion[0][0].first > min(_SETTLING_S * self.tick_rate, _MAX_PAST_TICKS):
+            self._past_motion.popleft()
         return {rate: stream.take(motion, drive) for rate, stream in self._streams.items()}
 
-    def _begin(self, rate: float) -> Stream:
+    def _new_stream(self, rate: float) -> Stream:
         per_tick = samples_per_tick(rate, self.tick_rate)
-        return Stream(self.scene, rate, per_tick, self._plant, self._past, self.wiring)
+        return Stream(self.scene, rate, per_tick, self._plant, self._past_motion, self.wiring)
 
     def physical(self, samples: Array | NDArray[np.int32]) -> Array:
-        """Convert samples to each channel's unit by its data sheet; shape (channels, samples)."""
+        """Convert samples, shape (channels, samples), to the channels' units by the data sheets."""
         return self._base_stream.physical(samples)
 
 
 @dataclass(frozen=True)
 class Block:
-    """Samples of all channels, in volts or counts, and the true motion at them, which tests and control do not use."""
+    """Samples of all channels, and the true motion at their instants, which tests and control do not use."""
 
     first: int  # number of the first sample, from power-on
-    samples: Array | NDArray[np.int32]  # (channels, samples): volts or counts
-    overload: NDArray[np.bool_]  # samples beyond the range of a channel or a limit of its devices
+    samples: Array | NDArray[np.int32]  # volts or counts, shape (channels, samples)
+    overload: NDArray[np.bool_]  # whether each sample exceeds the range of its channel or a limit of a device
     motion: Motion
 
 
 class Stream:
     """Samples of all channels at one rate: sample n is taken n / rate seconds after power-on of the bench.
 
-    The samples depend neither on the division into blocks nor on other streams. The filters settle on the `past`
+    The samples depend neither on their division into blocks nor on other streams. The filters settle on `past_motion`,
     motion and drive before the stream begins.
     """
 
@@ -149,28 +149,26 @@ class Stream:
         rate: float,
         per_tick: Fraction,
         plant: Plant,
-        past: Iterable[tuple[Motion, Array]] = (),
+        past_motion: Iterable[tuple[Motion, Array]] = (),
         wiring: Sequence[Channel] | None = None,
     ) -> None:
         self._scene = at_rate(scene, rate)
-        needed = oversampling(self._scene)
+        min_intervals = oversampling(self._scene)
         if any(channel.measures_force or channel.measures_voltage for channel in scene.channels or ()):
             # The drive is linear from tick to tick: longer intervals would undersample the force and voltage channels.
-            needed = max(needed, math.ceil(1 / per_tick))
-        self._intervals = _intervals(needed, per_tick)
-        motion_rate = self._scene.converter.true_rate * self._intervals
+            min_intervals = max(min_intervals, math.ceil(1 / per_tick))
+        self._intervals_per_sample = intervals = _choose_intervals(min_intervals, per_tick)
+        motion_rate = self._scene.converter.true_rate * intervals
         self._chain = Chain(self._scene, motion_rate, plant.points, plant.inputs)
         self._interval = 1.0 / motion_rate
-        past = list(past)
-        begin = past[0][0].first if past else 0
-        self._first = first_sample(per_tick, begin)
-        self._motion = MotionAtRate(
-            per_tick * self._intervals, self._intervals, 1.0 / plant.rate, self._first * self._intervals
-        )
-        self._converter = Quantizer(self._scene.converter)
+        past_motion = list(past_motion)
+        start_tick = past_motion[0][0].first if past_motion else 0
+        self._first = first_sample(per_tick, start_tick)
+        self._motion = MotionAtRate(per_tick * intervals, intervals, 1.0 / plant.rate, self._first * intervals)
+        self._converter = Quantiser(self._scene.converter)
         self.lost, self.latency = self._converter.lost, self._chain.latency
         self.rewire(self._chain.wiring if wiring is None else wiring)
-        for motion, drive in past:
+        for motion, drive in past_motion:
             self.take(motion, drive)
 
     @property
@@ -185,21 +183,21 @@ class Stream:
         self._scale = np.array([[channel.unit_per_count] for channel in self.channels])
 
     def take(self, motion: Motion, drive: Array) -> Block:
-        """Sample the motion of the next ticks, driven by `drive`, shape (inputs, ticks)."""
+        """Return the samples of the next ticks, with the drive of shape (inputs, ticks)."""
         motion, drive = self._motion.take(motion, drive)
         samples, overload = self._converter.convert(self._chain.measure(motion, drive))
-        if self._intervals > 1:
-            motion = motion.decimated(self._intervals, self._interval)
+        if self._intervals_per_sample > 1:
+            motion = motion.decimated(self._intervals_per_sample, self._interval)
         first = self._first + max(motion.first - self.latency, 0)
         return Block(first, samples, overload | self._chain.overload, motion)
 
     def physical(self, samples: Array | NDArray[np.int32]) -> Array:
-        """Convert samples to each channel's unit by its data sheet; shape (channels, samples)."""
+        """Convert samples, shape (channels, samples), to the channels' units by the data sheets."""
         return samples * self._scale
 
 
 def samples_per_tick(rate: float, tick_rate: float) -> Fraction:
-    """Return the samples at a rate [S/s] per tick, as a ratio of whole numbers.
+    """Return the number of samples per tick at a rate (both rates in 1/s) as a fraction.
 
     >>> samples_per_tick(51200.0 / 6, 51200.0)
     Fraction(1, 6)
@@ -222,7 +220,7 @@ def first_tick(per_tick: Fraction, sample: int) -> int:
 
 
 def at_rate(scene: Scene, rate: float) -> Scene:
-    """Return the scene at another sample rate. The test is removed if that rate does not resolve its tones."""
+    """Return the scene with another sample rate, without its test if the rate is too low for the tones."""
     if rate == scene.converter.sample_rate:
         return scene
     converter = scene.converter.replace(rate=rate)
@@ -232,9 +230,9 @@ def at_rate(scene: Scene, rate: float) -> Scene:
         return scene.replace(converter=converter, test=None)
 
 
-def _intervals(needed: int, per_tick: Fraction) -> int:
-    """Choose the intervals per sample: at least `needed`, of whole ticks if possible."""
+def _choose_intervals(min_intervals: int, per_tick: Fraction) -> int:
+    """Return the number of intervals per sample: at least `min_intervals`, of whole ticks if possible."""
     ticks = 1 / per_tick
     if ticks.denominator > 1:
-        return needed
-    return next((each for each in range(needed, int(ticks) + 1) if int(ticks) % each == 0), needed)
+        return min_intervals
+    return next((count for count in range(min_intervals, int(ticks) + 1) if int(ticks) % count == 0), min_intervals)

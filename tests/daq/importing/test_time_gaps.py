@@ -13,7 +13,7 @@ import pyuff
 import daq
 from daq.importing.channel_table import Column
 from daq.importing.clock import missing_rows
-from daq.importing.text_table import PIECE
+from daq.importing.text_table import BLOCK_LINES
 from rig.errors import RecordingError
 from tests.daq.importing.files import NAMES, SI_PER_UNIT, UNITS, make_scene, random_samples
 
@@ -91,9 +91,10 @@ def test_missing_rows_are_imported_as_lost_samples(ending, write_file, tmp_path)
 
 
 def test_gaps_are_detected_across_pieces():
-    present = np.delete(np.arange(3 * PIECE), [PIECE, PIECE + 1, 2 * PIECE + 5])
-    pieces = np.split(present / RATE, [PIECE, 2 * PIECE - 1])
-    assert missing_rows(pieces, 0.0) == [(PIECE, 2), (2 * PIECE + 3, 1)]
+    number = np.arange(3 * BLOCK_LINES)
+    present = np.delete(number, [BLOCK_LINES, BLOCK_LINES + 1, 2 * BLOCK_LINES + 5])
+    pieces = np.split(present / RATE, [BLOCK_LINES, 2 * BLOCK_LINES - 1])
+    assert missing_rows(pieces, 0.0) == [(BLOCK_LINES, 2), (2 * BLOCK_LINES + 3, 1)]
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from daq.recording.layout import Timebase, block_length, flush_length
 from daq.recording.markers import EVENT_SCHEMA, MARKER_SCHEMA, Marker, event_from_json, event_to_json
 from daq.recording.protobuf import message_class, varint
 from daq.recording.robot_description import TRANSFORMS_SCHEMA
-from daq.recording.sample_block import _HEAD, SAMPLE_TYPE, SCHEMAS, _size_prefix, block_schema, decode, encode
+from daq.recording.sample_block import _HEADER, SAMPLE_TYPE, SCHEMAS, _size_prefix, block_schema, decode, encode
 from rig.errors import RecordingError
 
 
@@ -47,7 +47,7 @@ def test_impossible_rate_is_rejected(rate):
 @given(count=st.one_of(st.integers(0, 300), st.integers(2**14 - 9, 2**14 + 9), st.integers(2**21 - 9, 2**21 + 9)))
 def test_size_prefix_follows_from_message_length(count):
     size = varint(count)
-    assert _size_prefix(_HEAD.size + len(size) + count) == size
+    assert _size_prefix(_HEADER.size + len(size) + count) == size
 
 
 @pytest.mark.parametrize("schema", SAMPLE_TYPE)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 import daq
-from daq.recording.committed_file import Disk
+from daq.recording.committed_file import CommittedFile
 from daq.recording.recorder import Recorder
 from daq.recording.recovery import recover
 from daq.signal_chain.channel import ChannelInfo
@@ -249,7 +249,7 @@ def test_samples_without_their_truth_are_rejected(tmp_path):
 def test_samples_are_flushed_each_half_second(tmp_path, truth, monkeypatch):
     path, scene, flushed = tmp_path / "a.mcap", make_scene(recording={"truth": truth}), []
 
-    class WatchedDisk(Disk):
+    class WatchedDisk(CommittedFile):
         def commit(self):
             super().commit()
             if recorders:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 app = create_application("The instrument: record, inspect, repair and replay tests.")
 
-# File name extensions of other formats.
+# Suffixes of other formats.
 OTHER_SUFFIXES = (
     ".csv", ".txt", ".npz", ".mat", ".uff", ".wav", ".tdms", ".rrd", ".yaml", ".png", ".svg", ".html",
 )  # fmt: skip
@@ -29,7 +29,7 @@ BENCH_SCENE_HELP = "Scene on the bench (default: SHOTRIG_SCENE, or three particl
 
 
 def _option(metavar: str | None, text: str, *names: str) -> Any:
-    """Return an option with a placeholder for its value and a help text."""
+    """Return an option with a placeholder for its value, and a help text."""
     return typer.Option(*names, metavar=metavar, help=text)
 
 
@@ -180,7 +180,9 @@ def describe_recordings(
 
 @app.command(example="daq recover torn.mcap -o whole.mcap")
 def recover(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="The incomplete or damaged recording; it is kept.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="The incomplete or damaged recording; it is not changed.")
+    ],
     output: Annotated[Path, _option("FIXED", "Recording to write.", "-o", "--output")],
     overwrite: Annotated[bool, _option(None, "Replace FIXED if it exists.", "--overwrite")] = False,
 ) -> None:
@@ -349,7 +351,7 @@ def _recording_paths(scenes: Sequence[str], output: Path | None) -> list[Path]:
 
 
 def _check_new_recording(path: Path, overwrite: bool) -> Path:
-    """Check the path of a new recording early: the recorder checks it only after the bench has been switched on."""
+    """Check the path of a new recording before the bench is switched on; the recorder would check it only later."""
     _reject_other_suffix(path)
     try:
         exists = path.exists()
@@ -363,7 +365,7 @@ def _check_new_recording(path: Path, overwrite: bool) -> Path:
 
 
 def _reject_other_suffix(path: Path) -> None:
-    """Reject the extension of another format, because programs would misinterpret the recording."""
+    """Raise `RecordingError` for the suffix of another format, which programs would misinterpret."""
     if path.suffix.lower() in OTHER_SUFFIXES:
         raise RecordingError(
             f"{path}: recordings are MCAP files; expected a name such as {path.with_suffix('.mcap')}. Use `analysis "

@@ -1,4 +1,4 @@
-"""Compile the machine code of engine and measuring chain in advance, in two processes."""
+"""Compile the machine code of the simulation and of the measuring chain in advance, in two processes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _CONVERTERS = ({"rate": 5120.0, "skew": 1e-6}, {"rate": 5120.0, "filter": "delta
 def warm_up() -> None:
     """Compile all kernels now, on two processors, so that later calls need not wait.
 
-    It takes about a minute once for each version of shotrig, numba and the processor, otherwise some seconds.
+    The first call takes about a minute; later calls take some seconds, until shotrig, numba or the processor change.
     """
     rig_part = subprocess.Popen([sys.executable, "-c", "import rig; rig.warm_up()"])
     try:
@@ -43,7 +43,7 @@ def _warm_up_chain() -> None:
 
 
 def _impact() -> Motion:
-    """Return a block with one break, in which the sensors reach their limits."""
+    """Return a block of motion with one break (jump of the velocity), in which the sensors reach their limits."""
     samples, rows = 64, len(_POINTS)
     zeros = np.zeros((rows, samples))
     return Motion(

@@ -24,8 +24,8 @@ from rig.system.assembly import assemble
 
 
 def measurement_effects(scene: Scene) -> Iterable[Effect]:
-    """List the effects of each channel, from the chain itself, and those of the recording."""
-    # Computed before the chain exists: with thousands of bodies, the matrices of both would exceed the memory.
+    """Yield the effects of each channel, as its chain lists them, of the converter, and of the recording."""
+    # Computed first: with thousands of bodies, its matrices and those of the chain would exceed the memory together.
     intervals = oversampling(scene)
     system = assemble(scene)
     chain = Chain(scene, scene.converter.true_rate, system.points, system.inputs)
@@ -46,7 +46,7 @@ def measurement_effects(scene: Scene) -> Iterable[Effect]:
         yield Effect("recording", "truth", 0, "the true motion in addition to the channels")
 
 
-# Keys of a device that are activated in one step, in the order of the signal path.
+# Steps of the cost measurement: device, name, and the keys that a step activates, in the order of the signal path.
 _STEPS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("sensor", "sensitivity", ("sensitivity", "sensitivity_tolerance", "temperature_drift", "temperature_change")),
     ("sensor", "sensor resonance", ("resonance", "q")),
@@ -69,7 +69,7 @@ _STEPS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
 
 
 def measurement_steps(scene: Scene) -> Iterator[EffectStep]:
-    """Yield the steps of the chain and of the recording, in addition to the complete motion."""
+    """Yield the steps that add the effects of the chain, and of the recording, to the complete motion."""
     active_keys: dict[str, set[str]] = {"sensor": set(), "integrator": set(), "converter": {"rate"}}
     previous = _reduce_scene(scene, active_keys)
     yield _step("channels, ideal", previous)
@@ -88,7 +88,7 @@ def measurement_steps(scene: Scene) -> Iterator[EffectStep]:
 
 
 def _reduce_scene(scene: Scene, active_keys: dict[str, set[str]]) -> Scene:
-    """Reduce channels and converter to the active keys."""
+    """Return the scene with only the active keys of channels and converter."""
     converter = complete_from_preset(scene.converter)
     settings = {key: getattr(converter, key) for key in active_keys["converter"]}
     if settings.get("bits") is None and scene.recording.samples == "counts":
@@ -100,7 +100,7 @@ def _reduce_scene(scene: Scene, active_keys: dict[str, set[str]]) -> Scene:
 
 
 def _reduce_channel(channel: Channel, active_keys: dict[str, set[str]]) -> Channel:
-    # Limits are removed: their unit is that of the channel with all effects.
+    # Limits are removed, because their unit is that of the channel with all effects.
     changes: dict[str, Any] = {"alarm": None, "abort": None}
     for name in ("accelerometer", "hammer"):
         device = getattr(channel, name)
@@ -129,7 +129,7 @@ def _step(name: str, scene: Scene, is_recorded: bool = False) -> EffectStep:
 
 @contextmanager
 def _recording_bench(scene: Scene) -> Iterator[Callable[[Array], object]]:
-    """Acquire and write into a temporary file."""
+    """Yield a function that acquires a block with a drive, and writes it to a temporary recording."""
     bench = Bench(scene)
     with (
         tempfile.TemporaryDirectory() as folder,

@@ -1,4 +1,4 @@
-"""Access to a page by a token: in the address of the first request, in a cookie of later requests."""
+"""Restrict a web page to browsers with a token: in the address of the first request, in a cookie of later requests."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from starlette.responses import PlainTextResponse
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-REFUSAL = "Forbidden: open the address that `daq bench` printed, with its token."
+FORBIDDEN_TEXT = "Forbidden: open the address that `daq bench` printed, with its token."
 
 
 class TokenGate:
-    """An ASGI application that passes requests with the token on to another application, and refuses all others.
+    """An ASGI application that passes requests with the token on to another application, and rejects all others.
 
-    The token also protects a page on the loopback address, which any page in the same browser can address. `cookie`:
-    name of the cookie; it differs between the benches of one host.
+    The token also protects a page on the loopback address, to which any page in the same browser can send requests.
+    `cookie` is the name of the cookie, which differs among the benches of a host.
     """
 
-    def __init__(self, inner: ASGIApp, cookie: str) -> None:
-        self._inner, self._cookie = inner, cookie
+    def __init__(self, application: ASGIApp, cookie: str) -> None:
+        self._application, self._cookie = application, cookie
         self.token = secrets.token_urlsafe(24)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or refuse it."""
+        """Pass a request on, or reject it."""
         if scope["type"] not in ("http", "websocket"):
-            await self._inner(scope, receive, send)
+            await self._application(scope, receive, send)
             return
         request = HTTPConnection(scope)
 
@@ -39,14 +39,14 @@ class TokenGate:
                 message["headers"] = [*message.get("headers", []), (b"set-cookie", cookie.encode())]
             await send(message)
 
-        if self._valid(request.query_params.get("token", "")):
-            await self._inner(scope, receive, with_cookie)
-        elif self._valid(request.cookies.get(self._cookie, "")):
-            await self._inner(scope, receive, send)
+        if self._is_valid(request.query_params.get("token", "")):
+            await self._application(scope, receive, with_cookie)
+        elif self._is_valid(request.cookies.get(self._cookie, "")):
+            await self._application(scope, receive, send)
         elif scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008})
         else:
-            await PlainTextResponse(REFUSAL, 403)(scope, receive, send)
+            await PlainTextResponse(FORBIDDEN_TEXT, 403)(scope, receive, send)
 
-    def _valid(self, token: str) -> bool:
+    def _is_valid(self, token: str) -> bool:
         return hmac.compare_digest(token.encode(), self.token.encode())

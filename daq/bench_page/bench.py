@@ -1,4 +1,4 @@
-"""`daq bench`: the instrument, served to NI clients, with its page in the browser."""
+"""The function `daq.bench`: serve the instrument to NI clients, and its page to browsers."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
 # Maximum time for the start of the web server, s.
-START_S = 30.0
+_MAX_START_S = 30.0
 # Time within which a browser may reconnect, s.
-RECONNECT_S = 60.0
+_RECONNECT_S = 60.0
 
 
 def bench(
@@ -40,15 +40,15 @@ def bench(
     Parameters
     ----------
     scene : Scene, str or None
-        See `daq.connect`.
+        Scene of the rig; see `daq.connect`.
     host, port : str and int
         Address of the page; port 0 chooses a free port.
     device_port : int
         Port of the device for NI clients of this machine; 0 chooses a free port.
     recording : str or Path
-        First recording of the record switch; the next are numbered.
+        File of the first recording that the switch on the page starts; the next are numbered.
     overwrite : bool
-        Whether the first recording may replace a file.
+        Whether the first recording may replace an existing file.
     browser : bool
         Whether to open the page in the browser.
 
@@ -75,7 +75,7 @@ def bench(
         stack.callback(server.close)
         live_bench = LiveBench(chassis, f"127.0.0.1:{server.port}", Path(recording), overwrite)
         stack.callback(live_bench.close)
-        address = stack.enter_context(_served(live_bench, host, port))
+        address = stack.enter_context(_serve_page(live_bench, host, port))
         gc.collect()
         gc.freeze()
         print(f"{address}\nNI clients: 127.0.0.1:{server.port}. Ctrl-C ends.", flush=True)
@@ -94,8 +94,8 @@ def bench(
 
 
 @contextlib.contextmanager
-def _served(live_bench: LiveBench, host: str, port: int) -> Any:
-    """Serve the page from a thread, and yield its address with the token."""
+def _serve_page(live_bench: LiveBench, host: str, port: int) -> Any:
+    """Serve the page from a thread; yield its address, which contains the token."""
     import uvicorn
     from fastapi import FastAPI
     from nicegui import ui
@@ -108,21 +108,23 @@ def _served(live_bench: LiveBench, host: str, port: int) -> Any:
         Page(live_bench)
 
     application = FastAPI()
-    ui.run_with(application, reconnect_timeout=RECONNECT_S)
-    gate = TokenGate(application, f"shotrig_bench_{port}")
-    config = uvicorn.Config(gate, host=host.strip("[]"), port=port, log_level="critical", timeout_graceful_shutdown=1)
+    ui.run_with(application, reconnect_timeout=_RECONNECT_S)
+    token_gate = TokenGate(application, f"shotrig_bench_{port}")
+    config = uvicorn.Config(
+        token_gate, host=host.strip("[]"), port=port, log_level="critical", timeout_graceful_shutdown=1
+    )
     server = uvicorn.Server(config)
-    thread = threading.Thread(target=server.run, name="page", daemon=True)
+    thread = threading.Thread(target=server.run, url_host="page", daemon=True)
     thread.start()
-    deadline = time.monotonic() + START_S
+    deadline = time.monotonic() + _MAX_START_S
     while not server.started and thread.is_alive() and time.monotonic() < deadline:
         thread.join(0.05)
     if not server.started:
         raise SceneError(f"cannot listen at {host}:{port}. Choose another port with --port, or another --address.")
-    bound = server.servers[0].sockets[0].getsockname()[1]
-    name = f"[{host}]" if ":" in host else host
+    bound_port = server.servers[0].sockets[0].getsockname()[1]
+    url_host = f"[{host}]" if ":" in host else host
     try:
-        yield f"http://{name}:{bound}/?token={gate.token}"
+        yield f"http://{url_host}:{bound_port}/?token={token_gate.token}"
     finally:
         server.should_exit = True
         thread.join(5.0)

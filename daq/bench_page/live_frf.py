@@ -1,6 +1,6 @@
-"""Frequency responses during a test: H1 and coherence, averaged over Hann blocks with half overlap, or over hits.
+"""Estimate frequency responses during a test: H1 and coherence, averaged over Hann blocks with half overlap, or hits.
 
-A quick view for the operator. `analysis frf` estimates the response from the recording, with its uncertainty.
+It is a quick view for the operator. `analysis frf` estimates the response from the recording, with its uncertainty.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
 
-# Lines below this ratio to the largest line of the force's auto-spectrum have not been excited.
+# Minimum ratio of an excited line to the largest line of the force's auto-spectrum.
 _EXCITED_RATIO = 1e-3
 
 
 @dataclass(frozen=True)
 class LiveCurves:
-    """Dynamic compliance (m/N) and coherence at the excited frequencies; rows are the channels on bodies."""
+    """Dynamic compliance (m/N) and coherence, shape (channels on bodies, excited frequencies); `frequency` in Hz."""
 
     names: list[str]
     frequency: Array
@@ -36,13 +36,13 @@ class LiveCurves:
     averages: int
 
 
-class _Sums:
-    """Summed auto- and cross-spectra of force and motion."""
+class _SpectrumSums:
+    """Sums of the auto- and cross-spectra of force and motion, shape (channels, lines)."""
 
-    def __init__(self, motions: int, lines: int) -> None:
+    def __init__(self, channels: int, lines: int) -> None:
         self.force = np.zeros(lines)
-        self.motion = np.zeros((motions, lines))
-        self.cross = np.zeros((motions, lines), complex)
+        self.motion = np.zeros((channels, lines))
+        self.cross = np.zeros((channels, lines), complex)
         self.count = 0
 
     def add(self, force: ComplexArray, motion: ComplexArray) -> None:
@@ -55,48 +55,48 @@ class _Sums:
 class LiveFrf:
     """Estimates the responses of all channels on bodies to the force on the structure.
 
-    The test is that of the scene; `block` is the length of a block or of a hit's window in s, `band` is in Hz. Raises
-    `SceneError` if no channel measures the force.
+    `scene` contains the test; `block` is the duration of a block, or of the window of a hit, in s; `band` is in Hz.
+    Raises `SceneError` if no channel measures the force.
     """
 
     def __init__(
         self, scene: Scene, channels: Sequence[ChannelInfo], rate: float, block: float, band: tuple[float, float]
     ) -> None:
-        self._size = round(block * rate)
-        frequency = np.fft.rfftfreq(self._size, 1.0 / rate)
-        self._lines = np.flatnonzero((frequency >= max(band[0], 1.0 / block)) & (frequency <= band[1]))
-        self.frequency = np.asarray(frequency[self._lines], dtype=float)
+        self._block_samples = round(block * rate)
+        frequency = np.fft.rfftfreq(self._block_samples, 1.0 / rate)
+        self._line_indices = np.flatnonzero((frequency >= max(band[0], 1.0 / block)) & (frequency <= band[1]))
+        self.frequency = np.asarray(frequency[self._line_indices], dtype=float)
         station = Station(scene, channels, (), rate, mark=lambda *arguments, **fields: None)
-        self._force = _force_weights(station, self.frequency)
+        self._channel_weights = _force_weights(station, self.frequency)
         on_body = (row for row, info in enumerate(channels) if info.at.startswith("body"))
         self._rows = [row for row in on_body if channels[row].quantity != "force"]
         self.names = [channels[row].name for row in self._rows]
-        self._motion = np.array([station.displacement_factor(row, self.frequency) for row in self._rows])
-        self._window = np.hanning(self._size)
+        self._displacement_factors = np.array([station.displacement_factor(row, self.frequency) for row in self._rows])
+        self._window = np.hanning(self._block_samples)
         self._pending = np.zeros((len(channels), 0))
-        self._sums = _Sums(len(self._rows), self._lines.size)
+        self._block_sums = _SpectrumSums(len(self._rows), self._line_indices.size)
         self._hits: list[tuple[Hit, ComplexArray]] = []
 
     def add(self, readings: Array) -> None:
         """Add the next readings of a continuous test, shape (channels, samples)."""
         self._pending = np.concatenate([self._pending, readings], axis=1)
-        while self._pending.shape[1] >= self._size:
-            block = self._pending[:, : self._size]
+        while self._pending.shape[1] >= self._block_samples:
+            block = self._pending[:, : self._block_samples]
             spectra = self._spectra((block - block.mean(axis=1, keepdims=True)) * self._window)
-            self._sums.add(*self._force_and_motion(spectra))
-            self._pending = self._pending[:, self._size // 2 :]
+            self._block_sums.add(*self._force_and_motion(spectra))
+            self._pending = self._pending[:, self._block_samples // 2 :]
 
     def add_hit(self, hit: Hit) -> None:
-        """Add the window of a hit, which is included as long as the hit is accepted."""
-        window = hit.readings[:, : self._size]
-        padding = self._size - window.shape[1]
+        """Add the window of a hit, which is used while the hit is accepted."""
+        window = hit.readings[:, : self._block_samples]
+        padding = self._block_samples - window.shape[1]
         self._hits.append((hit, self._spectra(np.pad(window, ((0, 0), (0, padding))))))
 
     def curves(self) -> LiveCurves | None:
         """Return the present estimate; None before the first block."""
-        sums = self._sums
+        sums = self._block_sums
         if self._hits:
-            sums = _Sums(len(self._rows), self._lines.size)
+            sums = _SpectrumSums(len(self._rows), self._line_indices.size)
             for hit, spectra in self._hits:
                 if hit.accepted:
                     sums.add(*self._force_and_motion(spectra))
@@ -109,24 +109,26 @@ class LiveFrf:
         return LiveCurves(self.names, self.frequency[excited], cross / force, coherence, sums.count)
 
     def _spectra(self, block: Array) -> ComplexArray:
-        return np.asarray(np.fft.rfft(block, axis=1)[:, self._lines])
+        return np.asarray(np.fft.rfft(block, axis=1)[:, self._line_indices])
 
     def _force_and_motion(self, spectra: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """Convert the spectra of all channels to force (lines,) and displacements (motions, lines)."""
-        return (self._force * spectra).sum(axis=0), self._motion * spectra[self._rows]
+        """Convert the spectra of all channels to force (lines,) and displacements (channels on bodies, lines)."""
+        return (self._channel_weights * spectra).sum(axis=0), self._displacement_factors * spectra[self._rows]
 
 
 def _force_weights(station: Station, frequency: Array) -> ComplexArray:
-    """Return the weights, (channels, lines), with which the channels' spectra add up to the force on the structure."""
+    """Return the weights, (channels, lines), with which the spectra of all channels add up to the force."""
     test = station.scene.test
-    hammer = test is not None and test.kind == "impulse"
+    is_impulse_test = test is not None and test.kind == "impulse"
     for row, info in enumerate(station.channels):
-        if info.quantity == "force" and (info.at == "hammer") == hammer:
+        if info.quantity == "force" and (info.at == "hammer") == is_impulse_test:
             weights = np.zeros((len(station.channels), frequency.size), complex)
             weights[row] = 1.0 / info.response(frequency)
             return weights
     shaker = station.scene.driven_shaker
-    if hammer or shaker is None or shaker.spring is None:
-        place = "hammer" if hammer else "shaker"
-        raise SceneError(f"channels: no channel measures the force at the {place}. Add {{name: force, at: {place}}}.")
+    if is_impulse_test or shaker is None or shaker.spring is None:
+        position = "hammer" if is_impulse_test else "shaker"
+        raise SceneError(
+            f"channels: no channel measures the force at the {position}. Add {{name: force, at: {position}}}."
+        )
     return station.force_weights(frequency)

@@ -1,7 +1,7 @@
-"""Data of the channels for the page: time histories, spectra, overloads, outputs and motion.
+"""Collect the data that the page shows: time histories, spectra, overloads, outputs and motion.
 
-A separate thread collects the data. The listener only queues blocks, so that acquisition never waits for the page. A
-late thread skips blocks of the view; recordings have their own queue.
+A separate thread processes the blocks of the bench. The listener only queues blocks, so that acquisition never waits
+for the page. If the queue is full, blocks are not shown; recordings have their own queue.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
 # Maximum number of blocks in the queue of the view.
 _MAX_WAITING_BLOCKS = 256
-# Length of the time histories, s.
+# Duration of the stored time histories, s.
 _HISTORY_S = 10.0
-# Time for which a lamp is lit after an overload, s.
+# Time for which an overload is indicated, s.
 _LAMP_S = 2.0
-# Stored positions of the rig: rate, Hz, and duration, s.
+# Rate (1/s) and duration (s) of the stored positions of the rig.
 _POSES_PER_S = 400.0
 POSES_S = 0.2
-# Length of the spectra and of the view of the outputs, s.
+# Duration of the samples for a spectrum, and of those for the peak and frequency of an output, s.
 _SPECTRUM_S = 2.0
 _OUTPUT_S = 0.5
 
@@ -45,7 +45,7 @@ class History:
         self.stop = 0
 
     def add(self, first: int, values: Array) -> None:
-        """Write samples; missing samples before them become zeros."""
+        """Add samples, the first with the number `first`; missing samples before it become zeros."""
         size = self._values.shape[1]
         missing = min(first - self.stop, size)
         if missing > 0:
@@ -61,10 +61,9 @@ class History:
 
 
 class Monitor:
-    """Follows the blocks of a bench; `frf` and `detector` are those of the test that runs or ran last.
+    """Processes the blocks of a bench; `frf` and `detector` belong to the current or the last test.
 
-    `lost_samples` counts the samples missing between the bench's blocks; `skipped_blocks`, the blocks missing in the
-    view.
+    `lost_samples` is the number of samples missing between blocks, `skipped_blocks` that of blocks that are not shown.
     """
 
     def __init__(self, chassis: Chassis) -> None:
@@ -79,12 +78,12 @@ class Monitor:
         self.continuous = False
         self.skipped_blocks = self.lost_samples = 0
         self._next: int | None = None
-        self._overloaded = np.full(len(self.channels), -1)
+        self._last_overload = np.full(len(self.channels), -1)
         self._poses: deque[tuple[Array, Array | None]] = deque(maxlen=round(POSES_S * _POSES_PER_S))
-        self._step = max(1, round(self.rate / _POSES_PER_S))
+        self._pose_step = max(1, round(self.rate / _POSES_PER_S))
         self._lock = threading.Lock()
         self._blocks: queue.Queue[Any] = queue.Queue(_MAX_WAITING_BLOCKS)
-        self._thread = threading.Thread(target=self._follow, name="bench page", daemon=True)
+        self._thread = threading.Thread(target=self._process_queue, name="bench page", daemon=True)
         self._thread.start()
 
     def on_block(self, bench: Any, block: Any) -> None:
@@ -107,7 +106,7 @@ class Monitor:
         self._thread.join()
 
     def watch(self, frf: LiveFrf | None, detector: HitDetector | None) -> None:
-        """Start an estimate; `detector` detects hits."""
+        """Start the estimate of a test; `detector` is None for a continuous test."""
         with self._lock:
             self.frf, self.detector, self.continuous = frf, detector, detector is None
 
@@ -119,10 +118,10 @@ class Monitor:
     def overloads(self) -> list[bool]:
         """Return which channels were overloaded in the last seconds."""
         first = self.history.stop - _LAMP_S * self.rate
-        return [bool(last >= 0 and last > first) for last in self._overloaded]
+        return [bool(last >= 0 and last > first) for last in self._last_overload]
 
     def spectra(self) -> tuple[NDArray[Any], Array]:
-        """Return frequencies and amplitude spectra of all channels, Hann window, shape (channels, lines)."""
+        """Return frequencies (Hz) and amplitude spectra (Hann window, shape (channels, lines)) of all channels."""
         samples = self.history.last(round(_SPECTRUM_S * self.rate))
         window = np.hanning(samples.shape[1])
         samples = (samples - samples.mean(axis=1, keepdims=True)) * window
@@ -130,43 +129,43 @@ class Monitor:
         return np.asarray(np.fft.rfftfreq(samples.shape[1], 1.0 / self.rate)), spectra
 
     def output(self) -> list[tuple[float, float]]:
-        """Return peak and frequency (Hz) of the drive at each input; the frequency is that of upward zero crossings."""
-        tones = []
-        for wave in self.outputs.last(round(_OUTPUT_S * self.rate)):
-            peak = float(np.abs(wave).max(initial=0.0))
-            centered = wave - wave.mean()
-            rising = np.flatnonzero((centered[:-1] < 0) & (centered[1:] >= 0))
-            periods = len(rising) - 1
-            span = float(rising[-1] - rising[0]) / self.rate if periods > 0 else 0.0
-            tones.append((peak, periods / span if peak and periods > 0 else 0.0))
-        return tones
+        """Return peak and frequency (Hz, from upward zero crossings, or 0) of the drive at each input of the rig."""
+        peaks_and_frequencies = []
+        for drive in self.outputs.last(round(_OUTPUT_S * self.rate)):
+            peak = float(np.abs(drive).max(initial=0.0))
+            centered = drive - drive.mean()
+            zero_crossings = np.flatnonzero((centered[:-1] < 0) & (centered[1:] >= 0))
+            periods = len(zero_crossings) - 1
+            duration_s = float(zero_crossings[-1] - zero_crossings[0]) / self.rate if periods > 0 else 0.0
+            peaks_and_frequencies.append((peak, periods / duration_s if peak and periods > 0 else 0.0))
+        return peaks_and_frequencies
 
     def poses(self) -> RigPose | None:
         """Return the latest motion of the rig; None before the first block."""
         with self._lock:
-            latest = list(self._poses)
-        if not latest:
+            poses = list(self._poses)
+        if not poses:
             return None
-        motions = np.column_stack([motion for motion, _ in latest])
-        gaps = [gap for _, gap in latest if gap is not None]
+        motions = np.column_stack([motion for motion, _ in poses])
+        gaps = [gap for _, gap in poses if gap is not None]
         bodies = self._scene.structure.bodies
         tables = motions[bodies : bodies + len(self._scene.tables)]
         return RigPose(motions[:bodies], tables, np.column_stack(gaps) if gaps else None)
 
-    def _follow(self) -> None:
+    def _process_queue(self) -> None:
         while (item := self._blocks.get()) is not None:
-            self._take(*item)
+            self._process(*item)
             self._blocks.task_done()
 
-    def _take(self, block: Any, drive: Array, physical: Any) -> None:
+    def _process(self, block: Any, drive: Array, physical: Any) -> None:
         if block.samples.size:
             readings = physical(block.samples)
             self.history.add(block.first, readings)
             self.outputs.add(self.outputs.stop, drive)
-            flagged = block.overload.any(axis=1)
-            self._overloaded[flagged] = block.first + block.samples.shape[1]
+            is_overloaded = block.overload.any(axis=1)
+            self._last_overload[is_overloaded] = block.first + block.samples.shape[1]
             motion = block.motion
-            indices = range(-motion.first % self._step, motion.displacement.shape[1], self._step)
+            indices = range(-motion.first % self._pose_step, motion.displacement.shape[1], self._pose_step)
             with self._lock:
                 for index in indices:
                     gap = motion.gap[:, index] if self._scene.dampers else None

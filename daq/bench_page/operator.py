@@ -1,4 +1,4 @@
-"""The bench behind the page, and the operator's tests: built from a few settings, played and marked in a recording."""
+"""The bench behind the page, and its operator: tests that are built from a few settings, run, and marked."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ Kind = Literal["sine", "sweep", "random", "hammer"]
 
 # Minimum number of samples per period of a sine.
 _MIN_SAMPLES_PER_PERIOD = 10.0
-# A live block is a tenth of the test, within these limits, s.
+# Limits of a block of the live frequency response, s; within them it is a tenth of the test.
 _MIN_BLOCK_S = 1.0
 _MAX_BLOCK_S = 4.0
-# Maximum window of a hit, s, and the minimum time between a window and the next hit, s.
+# Longest window of a hit, and shortest time between a window and the next hit, s.
 _MAX_HIT_S = 4.0
 _MIN_PAUSE_S = 0.1
-# Hits below this ratio to the requested peak are too weak.
+# Minimum ratio of the peak of an accepted hit to the requested peak.
 _MIN_PEAK_RATIO = 0.5
 
 
 @dataclass
 class Settings:
-    """Values of the page's controls: level in N (amplitude, rms of random, peak of a hit), Hz, s, number of hits."""
+    """Values of the controls: level in N (amplitude, rms of random, peak of a hit), frequency in Hz, duration in s."""
 
     kind: Kind
     level: float
@@ -48,10 +48,11 @@ class Settings:
 
 
 class Operator:
-    """Starts and stops tests on the bench of a chassis; the initial `settings` are those of the scene's test.
+    """Starts and stops tests on the bench of a chassis.
 
-    `kinds` are the tests for which the scene has an input. `message` is the state of the test, or the reason why it did
-    not start; `no_response` is the reason why there is no live frequency response.
+    The initial `settings` are those of the scene's test. `kinds` are the tests for which the scene has a shaker or a
+    hammer. `message` is the state of the test, or the reason why it did not start. `no_response` is the reason why
+    there is no live frequency response.
     """
 
     # The chassis lists the clients that keep bench time running by this name.
@@ -59,7 +60,7 @@ class Operator:
 
     def __init__(self, chassis: Chassis, monitor: Monitor, recordings: BenchRecordings) -> None:
         self._chassis, self._monitor, self._recordings = chassis, monitor, recordings
-        # The bench of a scene, which can play a test by itself.
+        # The terminals of a simulated bench, which can run a test in the background.
         self._terminals: Any = chassis.terminals
         self._scene: Scene = chassis.bench.scene
         test = self._scene.test
@@ -82,19 +83,19 @@ class Operator:
         )
         self.message = "ready" if self.kinds else "the scene has neither a shaker nor a hammer"
         self.no_response = ""
-        self._playing: BackgroundTest | None = None
+        self._background_test: BackgroundTest | None = None
         self._knobs: Knobs | None = None
         self._hits: list[tuple[int, int, dict[str, Any]]] = []
 
     @property
     def running(self) -> bool:
-        """Whether a test of the page runs."""
-        return self._playing is not None and not self._playing.quiet
+        """Whether a test of the page is running."""
+        return self._background_test is not None and not self._background_test.quiet
 
     def switch_on(self) -> None:
-        """Let the bench run from now on, with its own test silent."""
+        """Start bench time without a test."""
         with self._chassis.changed:
-            self._terminals.play(self._scene, 0, _ignore, _ignore, _ignore, _silence)
+            self._terminals.play(self._scene, 0, _ignore, _ignore, _ignore, _zero_drive)
             self._chassis.wake(cast(Any, self))
 
     def switch_off(self) -> None:
@@ -104,21 +105,21 @@ class Operator:
         self._chassis.unregister(cast(Any, self))
 
     def start(self) -> None:
-        """Start the test of the settings; on failure `message` is the reason."""
+        """Start the test that the settings describe; on failure `message` states the reason."""
         if self.running:
             return
         chassis = self._chassis
         try:
-            scene, excite, self._knobs = self._test()
+            scene, excite, self._knobs = self._build_test()
             kind = TestKind.TONES if self._knobs is not None else kind_of_settings(scene.test)
-            frf, detector = self._estimate(scene, kind)
+            frf, detector = self._build_estimate(scene, kind)
             with chassis.changed:
                 chassis.return_outputs()
                 self._hits = []
                 self._recordings.begin_test(scene, kind)
                 self.message = f"{self.settings.kind} runs"
-                self._playing = self._terminals.play(
-                    scene, chassis.position, self._mark, self._report, self._ended, excite
+                self._background_test = self._terminals.play(
+                    scene, chassis.position, self._on_mark, self._on_progress, self._on_end, excite
                 )
                 if self.running:
                     self._monitor.watch(frf, detector)
@@ -127,11 +128,11 @@ class Operator:
 
     def stop(self) -> None:
         """End the test at the next window of its drive."""
-        if self._playing is not None:
-            self._playing.stop()
+        if self._background_test is not None:
+            self._background_test.stop()
 
     def turn(self) -> None:
-        """Apply a changed frequency and level to a running sine."""
+        """Apply the changed frequency and level to a running sine."""
         if self._knobs is not None and self.running:
             try:
                 self._knobs.execute(f"f {self.settings.frequency!r}")
@@ -139,30 +140,30 @@ class Operator:
             except SceneError as error:
                 self.message = str(error)
 
-    def _test(self) -> tuple[Scene, Any, Knobs | None]:
-        """Build the scene of the test, its excitation, and the knobs of a sine."""
+    def _build_test(self) -> tuple[Scene, Any, Knobs | None]:
+        """Return the scene of the test, its excitation, and the controls of a sine (None for other tests)."""
         settings = self.settings
         test = self._scene.test
         if settings.kind == "hammer" and test is not None and test.kind == "impulse":
-            double = test.double_hit
-            if double is not None and double.hits is not None:
-                numbers = tuple(number for number in double.hits if number <= settings.hits)
-                double = double.replace(hits=numbers) if numbers else None
+            double_hit = test.double_hit
+            if double_hit is not None and double_hit.hits is not None:
+                numbers = tuple(number for number in double_hit.hits if number <= settings.hits)
+                double_hit = double_hit.replace(hits=numbers) if numbers else None
             test = test.replace(
-                peak=settings.level, repeats=int(settings.hits), interval=settings.duration, double_hit=double
+                peak=settings.level, repeats=int(settings.hits), interval=settings.duration, double_hit=double_hit
             )
             return self._scene.replace(test=test), excitation, None
         if settings.kind == "sine":
-            sine = {"kind": "sine", "frequency": settings.frequency, "force": settings.level}
+            test_settings = {"kind": "sine", "frequency": settings.frequency, "force": settings.level}
             knobs = Knobs(settings.frequency, settings.level, self._monitor.rate / _MIN_SAMPLES_PER_PERIOD)
-            return self._scene.replace(test=sine), ManualTone(knobs, _ignore).excite, knobs
+            return self._scene.replace(test=test_settings), ManualTone(knobs, _ignore).excite, knobs
         kind = "swept_sine" if settings.kind == "sweep" else "random"
         band = {"from": settings.low, "to": settings.high}
-        noise_or_sweep = {"kind": kind, **band, "duration": settings.duration, "force": settings.level}
-        return self._scene.replace(test=noise_or_sweep), excitation, None
+        test_settings = {"kind": kind, **band, "duration": settings.duration, "force": settings.level}
+        return self._scene.replace(test=test_settings), excitation, None
 
-    def _estimate(self, scene: Scene, kind: TestKind) -> tuple[LiveFrf | None, HitDetector | None]:
-        """Create the live estimate and the detection of hits; without a channel of force, set `no_response`."""
+    def _build_estimate(self, scene: Scene, kind: TestKind) -> tuple[LiveFrf | None, HitDetector | None]:
+        """Return the live estimate and the detector of hits; if no channel measures the force, set `no_response`."""
         settings, monitor, detector = self.settings, self._monitor, None
         band = sorted((settings.low, settings.high))
         block = min(max(settings.duration / 10, _MIN_BLOCK_S), _MAX_BLOCK_S)
@@ -181,9 +182,9 @@ class Operator:
             frf, self.no_response = None, str(error)
         return frf, detector
 
-    def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
+    def _on_mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
         if kind == "hit":
-            # Hits can be accepted or rejected until the test ends.
+            # The operator can accept or reject hits until the test ends.
             self._hits.append((first, stop, fields))
         else:
             self._recordings.mark(kind, first, stop, **fields)
@@ -191,55 +192,56 @@ class Operator:
     def _mark_hits(self) -> None:
         detected = () if self._monitor.detector is None else self._monitor.detector.hits
         for first, stop, fields in self._hits:
-            hit = next((each for each in detected if each.first <= stop and first <= each.first + each.size), None)
+            overlapping = (h for h in detected if h.first <= stop and first <= h.first + h.window_samples)
+            hit = next(overlapping, None)
             rejected = hit is not None and not hit.accepted
             reason = {"reason": ", ".join(hit.faults) or "operator"} if hit is not None and rejected else {}
             self._recordings.mark("rejected" if rejected else "hit", first, stop, **fields, **reason)
         self._hits = []
 
-    def _report(self, fraction: float, message: str) -> None:
+    def _on_progress(self, fraction: float, message: str) -> None:
         self.message = f"{100 * fraction:.0f} %: {message}" if fraction else message
 
-    def _ended(self, reason: str) -> None:
+    def _on_end(self, reason: str) -> None:
         self._mark_hits()
         self._monitor.stop_watching()
         self._recordings.end_test()
         self.message = f"test ended: {reason}" if reason else "ready"
 
 
-def _silence(station: Station) -> Excitation:
-    """Play one sample of zeros, which ends the scene's own test."""
+def _zero_drive(station: Station) -> Excitation:
+    """Give one sample of zeros instead of the test of the scene."""
     yield station.zero_drive(1)
 
 
 def _ignore(*arguments: Any, **fields: Any) -> None:
-    """Accept any callback."""
+    """Ignore the call: a callback without effect."""
 
 
 class LiveBench:
-    """The bench that every browser's page shows; NI clients find the device at `address`."""
+    """The bench that the pages of all browsers share; `address` is that of the device for NI clients."""
 
     def __init__(self, chassis: Chassis, address: str, recording: Path, overwrite: bool) -> None:
         self.chassis, self.address = chassis, address
         self.monitor = Monitor(chassis)
         self.recordings = BenchRecordings(chassis, recording, overwrite)
         self.operator = Operator(chassis, self.monitor, self.recordings)
-        # The recorder comes first, because it ends a test after the block that it receives.
+        # The recordings come first, because they end a test after the block that they receive.
         chassis.listeners += [self.recordings.on_block, self.monitor.on_block]
         self.operator.switch_on()
 
     def outputs(self) -> list[str]:
-        """Describe each output: peak in V, and frequency."""
+        """Return a line for each output: its peak in V, and its frequency."""
         lines = []
-        for number, ((peak, frequency), per_volt) in enumerate(
+        for number, ((peak, frequency), drive_per_volt) in enumerate(
             zip(self.monitor.output(), self.chassis.terminals.drive_per_volt, strict=False), 1
         ):
             tone = f", {frequency:.4g} Hz" if frequency else ""
-            lines.append(f"output {number}: {peak / per_volt:.4g} V{tone}")
+            lines.append(f"output {number}: {peak / drive_per_volt:.4g} V{tone}")
         return lines
 
     def clients(self) -> str:
-        """Describe the tasks of NI clients."""
+        """Return lines about the tasks of NI clients."""
         chassis = self.chassis
         with chassis.changed:
             lines = [
@@ -249,7 +251,7 @@ class LiveBench:
         return "\n".join(["Tasks of NI clients:", *lines]) if lines else "no NI client"
 
     def close(self) -> None:
-        """Complete the recording and stop."""
+        """Complete the recording, and stop all threads."""
         with self.chassis.changed:
             self.chassis.listeners.remove(self.recordings.on_block)
             self.chassis.listeners.remove(self.monitor.on_block)

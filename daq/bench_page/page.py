@@ -1,4 +1,4 @@
-"""The page of `daq bench`: controls, live charts, the moving rig, hits and clients."""
+"""The web page of `daq bench`: controls, live charts, the moving rig, hits and NI clients."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ if TYPE_CHECKING:
     from daq.bench_page.operator import LiveBench
 
 
-# Intervals of the views, s.
-_CHARTS_S = 0.25
-_FRF_S = 0.5
-# Duration of the rig's motion on the page, s: slow motion.
-_RIG_S = 2.0
-# Columns of a time history, with the minimum and the maximum of each.
-_COLUMNS = 300
+# Intervals at which charts and frequency responses are refreshed, s.
+_CHART_INTERVAL_S = 0.25
+_FRF_INTERVAL_S = 0.5
+# Duration for which the page shows the stored motion of the rig (`POSES_S`), s: slow motion.
+_ANIMATION_S = 2.0
+# Number of columns of a time history; each shows its minimum and maximum.
+_HISTORY_COLUMNS = 300
 # Number of frequency bands of a drawn spectrum; each shows its largest line.
-_BANDS = 600
+_SPECTRUM_BANDS = 600
 # Maximum number of listed hits.
-_SHOWN_HITS = 8
+_MAX_LISTED_HITS = 8
 _TEXT = "#c8ccd2"
 _GRID = {"lineStyle": {"color": "#2c3037"}}
-_FORMAT = (
+_NUMBER_FORMAT = (
     "v => v && (Math.abs(v) < 1e-3 || Math.abs(v) >= 1e5) ? (+v.toPrecision(3)).toExponential() : +v.toPrecision(5)"
 )
 _LAMP_OFF = "#3a3f47"
 _LAMP_ON = "#e0403a"
 
-# Moves the parts of the drawing through the frames {identifier: [heights, stretches]} in the given time, again and
-# again until the next frames come.
+# Script that moves the parts of the drawing through frames {identifier: [heights, stretches]} in a given time, and
+# holds the last frame until new frames arrive.
 _ANIMATION = """
 <script>
 let rigFrames = {}, rigStart = 0, rigTime = 1;
@@ -59,53 +59,53 @@ requestAnimationFrame(drawRig);
 """
 
 
-def envelope(time: Array, values: Array, columns: int) -> tuple[Array, Array]:
-    """Reduce samples to the minimum and maximum of each column, so that no peak is lost.
+def min_max_envelope(time: Array, values: Array, columns: int) -> tuple[Array, Array]:
+    """Reduce samples to the minimum and maximum in each column, so that no peak is lost.
 
-    >>> [each.tolist() for each in envelope(np.arange(4.0), np.array([1.0, 3.0, 2.0, 0.0]), 2)]
+    >>> [each.tolist() for each in min_max_envelope(np.arange(4.0), np.array([1.0, 3.0, 2.0, 0.0]), 2)]
     [[0.0, 1.0, 2.0, 3.0], [1.0, 3.0, 2.0, 0.0]]
-    >>> envelope(np.arange(5.0), np.array([1.0, 3.0, 2.0, 0.0, 7.0]), 2)[1].tolist()
+    >>> min_max_envelope(np.arange(5.0), np.array([1.0, 3.0, 2.0, 0.0, 7.0]), 2)[1].tolist()
     [3.0, 2.0, 0.0, 7.0]
     """
-    width = max(1, values.size // columns)
-    # Whole columns end at the newest sample.
-    first = values.size % width
-    columns_of_samples = values[first:].reshape(-1, width)
-    start = first + width * np.arange(len(columns_of_samples))
-    rows = np.sort(
+    samples_per_column = max(1, values.size // columns)
+    # The last column ends at the last sample.
+    first = values.size % samples_per_column
+    columns_of_samples = values[first:].reshape(-1, samples_per_column)
+    start = first + samples_per_column * np.arange(len(columns_of_samples))
+    indices = np.sort(
         np.column_stack([columns_of_samples.argmin(axis=1) + start, columns_of_samples.argmax(axis=1) + start]), axis=1
     ).ravel()
-    return time[rows], values[rows]
+    return time[indices], values[indices]
 
 
-def points(x: Array, y: Array) -> list[list[float]]:
-    """Return the finite points of a curve as the chart expects them, rounded to 10 (x) and 4 (y) digits."""
+def chart_points(x: Array, y: Array) -> list[list[float]]:
+    """Return the finite points of a curve as the chart requires, rounded to 10 (x) and 4 (y) digits."""
     pairs = zip(x.tolist(), y.tolist(), strict=True)
     return [[float(f"{a:.10g}"), float(f"{b:.4g}")] for a, b in pairs if np.isfinite(b)]
 
 
-def peaks(frequency: Array, values: Array) -> tuple[Array, Array]:
-    """Reduce a spectrum to the largest line in each of `_BANDS` bands of equal ratio.
+def band_peaks(frequency: Array, values: Array) -> tuple[Array, Array]:
+    """Reduce a spectrum to the largest line in each of `_SPECTRUM_BANDS` bands of equal frequency ratio.
 
-    >>> peaks(np.array([1.0, 2.0, 4.0]), np.array([3.0, 5.0, 4.0]))[1].tolist()
+    >>> band_peaks(np.array([1.0, 2.0, 4.0]), np.array([3.0, 5.0, 4.0]))[1].tolist()
     [3.0, 5.0, 4.0]
     """
-    edges = np.geomspace(frequency[0], frequency[-1], _BANDS)
+    edges = np.geomspace(frequency[0], frequency[-1], _SPECTRUM_BANDS)
     starts = np.unique(np.searchsorted(frequency, edges[:-1]))
     stops = [*starts[1:].tolist(), frequency.size]
-    rows = [a + int(np.argmax(values[a:b])) for a, b in zip(starts.tolist(), stops, strict=True)]
-    rows += [] if rows[-1] == frequency.size - 1 else [frequency.size - 1]
-    return frequency[rows], values[rows]
+    indices = [a + int(np.argmax(values[a:b])) for a, b in zip(starts.tolist(), stops, strict=True)]
+    indices += [] if indices[-1] == frequency.size - 1 else [frequency.size - 1]
+    return frequency[indices], values[indices]
 
 
 class Chart:
-    """A line chart with a series for each name and an axis for each unit."""
+    """A line chart with a series for each (name, unit, color) and an axis for each unit."""
 
     def __init__(self, title: str, x: dict[str, Any], series: list[tuple[str, str, str]], y: dict[str, Any]) -> None:
         units = list(dict.fromkeys(unit for _, unit, _ in series)) or [""]
         axes = [
             {"type": "value", "name": unit, "scale": True, "position": "right" if place else "left",
-             "splitLine": _GRID if not place else {"show": False}, "axisLabel": {":formatter": _FORMAT}, **y}
+             "splitLine": _GRID if not place else {"show": False}, "axisLabel": {":formatter": _NUMBER_FORMAT}, **y}
             for place, unit in enumerate(units)
         ]  # fmt: skip
         self.element = ui.echart(
@@ -119,7 +119,7 @@ class Chart:
                 "toolbox": {"feature": {"dataZoom": {}}, "top": 22, "right": 10, "itemSize": 13},
                 "xAxis": {"type": "value", "nameLocation": "middle", "nameGap": 24, "min": "dataMin",
                           "max": "dataMax", "splitLine": _GRID,
-                          "axisLabel": {":formatter": _FORMAT, "hideOverlap": True}, **x},
+                          "axisLabel": {":formatter": _NUMBER_FORMAT, "hideOverlap": True}, **x},
                 "yAxis": axes,
                 "series": [
                     {"name": name, "type": "line", "showSymbol": False, "yAxisIndex": units.index(unit),
@@ -130,23 +130,23 @@ class Chart:
         ).classes("w-full h-56")  # fmt: skip
 
     def show(self, curves: list[list[list[float]]]) -> None:
-        """Show the data of all series."""
+        """Show the points (x, y) of all series."""
         for series, data in zip(self.element.options["series"], curves, strict=True):
             series["data"] = data
         self.element.update()
 
     def clear(self) -> None:
-        """Remove the data of all series."""
+        """Remove the points of all series."""
         self.show([[] for _ in self.element.options["series"]])
 
 
 class Page:
-    """One browser's view of the bench."""
+    """The view of the bench in one browser."""
 
     def __init__(self, bench: LiveBench) -> None:
         self._bench, self._monitor, self._operator = bench, bench.monitor, bench.operator
         scene = bench.chassis.bench.scene
-        self._rig, self._drawn = RigDrawing(scene), ""
+        self._rig, self._shown_svg = RigDrawing(scene), ""
         ui.dark_mode(True)
         ui.page_title(f"daq bench: {scene.name}")
         ui.add_body_html(_ANIMATION)
@@ -159,16 +159,16 @@ class Page:
             ]
         with ui.row().classes("w-full no-wrap items-start"):
             with ui.column().classes("w-72 shrink-0"):
-                self._controls()
+                self._add_controls()
                 self._drawing = ui.html("", sanitize=False).classes("w-full")
-                ui.label(f"slowed down {_RIG_S / POSES_S:g} times").classes("text-xs opacity-70")
+                ui.label(f"slowed down {_ANIMATION_S / POSES_S:g} times").classes("text-xs opacity-70")
             with ui.column().classes("grow min-w-0"):
-                self._charts()
-        ui.timer(_CHARTS_S, self._refresh)
-        ui.timer(_FRF_S, self._refresh_frf)
-        ui.timer(_RIG_S, self._move)
+                self._add_charts()
+        ui.timer(_CHART_INTERVAL_S, self._refresh)
+        ui.timer(_FRF_INTERVAL_S, self._refresh_frf)
+        ui.timer(_ANIMATION_S, self._refresh_rig)
 
-    def _controls(self) -> None:
+    def _add_controls(self) -> None:
         operator, settings = self._operator, self._operator.settings
 
         def field(label: str, name: str, *kinds: str) -> None:
@@ -190,17 +190,17 @@ class Page:
             ui.button("Stop", on_click=operator.stop, color="gray").props("data-testid=stop")
         recordings = self._bench.recordings
         ui.switch("Record").bind_value(recordings, "enabled").props("data-testid=record")
-        self._state = ui.label().classes("text-sm").props("data-testid=state")
-        self._output = ui.label().classes("text-sm").props("data-testid=output")
-        self._file = ui.label().classes("text-sm break-all").props("data-testid=file")
-        self._clients = ui.label().classes("text-sm whitespace-pre-line").props("data-testid=clients")
+        self._state_label = ui.label().classes("text-sm").props("data-testid=state")
+        self._output_label = ui.label().classes("text-sm").props("data-testid=output")
+        self._file_label = ui.label().classes("text-sm break-all").props("data-testid=file")
+        self._clients_label = ui.label().classes("text-sm whitespace-pre-line").props("data-testid=clients")
 
-    def _charts(self) -> None:
+    def _add_charts(self) -> None:
         channels = self._monitor.channels
         series = [(info.name, info.unit, hex_color(channel_color(info.at))) for info in channels]
         with ui.row().classes("items-center"):
             ui.label("Time shown / s")
-            self._span = ui.toggle([0.1, 1.0, 5.0], value=1.0).props("dense")
+            self._span_toggle = ui.toggle([0.1, 1.0, 5.0], value=1.0).props("dense")
         self._time = Chart("Time histories", {"name": "time / s"}, series, {})
         log = {"type": "log", "min": None}
         self._spectra = Chart(
@@ -222,21 +222,21 @@ class Page:
         if "hammer" in self._operator.kinds:
             self._hit_chart = Chart("Last hits", {"name": "time / ms"}, [("force", "N", "#f0f0f0")], {})
             self._hit_list = ui.column().classes("w-full")
-        self._hits_shown: tuple[int, int] = (-1, -1)
+        self._shown_hits_state: tuple[int, int] = (-1, -1)
 
     def _refresh(self) -> None:
         monitor, operator, recordings = self._monitor, self._operator, self._bench.recordings
         for lamp, lit in zip(self._lamps, monitor.overloads(), strict=True):
             lamp.style(f"background: {_LAMP_ON if lit else _LAMP_OFF}")
-        samples = monitor.history.last(round(float(self._span.value) * monitor.rate))
+        samples = monitor.history.last(round(float(self._span_toggle.value) * monitor.rate))
         time = (monitor.history.stop - samples.shape[1] + np.arange(samples.shape[1])) / monitor.rate
-        self._time.show([points(*envelope(time, row, _COLUMNS)) for row in samples])
+        self._time.show([chart_points(*min_max_envelope(time, row, _HISTORY_COLUMNS)) for row in samples])
         frequency, spectra = monitor.spectra()
-        self._spectra.show([points(*peaks(frequency[1:], row[1:])) for row in np.maximum(spectra, 1e-15)])
-        self._state.text = operator.message
-        self._output.text = "\n".join(self._bench.outputs())
-        self._file.text = recordings.problem or _file_line(recordings)
-        self._clients.text = self._bench.clients()
+        self._spectra.show([chart_points(*band_peaks(frequency[1:], row[1:])) for row in np.maximum(spectra, 1e-15)])
+        self._state_label.text = operator.message
+        self._output_label.text = "\n".join(self._bench.outputs())
+        self._file_label.text = recordings.problem or _recording_line(recordings)
+        self._clients_label.text = self._bench.clients()
         if "hammer" in operator.kinds:
             self._show_hits()
 
@@ -248,24 +248,24 @@ class Page:
             title = f"Frequency response ({self._operator.no_response or 'starts with a test'})"
             if chart["title"]["text"] != title:
                 chart["title"]["text"] = title
-                # The curves of the last test do not belong to the next one.
+                # The curves of the last test must not be shown for the next test.
                 self._frf.clear()
                 self._coherence.clear()
             return
         chart["title"]["text"] = f"Frequency response, H1, {curves.averages} averages"
-        self._frf.show([points(curves.frequency, np.abs(row)) for row in curves.value])
-        self._coherence.show([points(curves.frequency, row) for row in curves.coherence])
+        self._frf.show([chart_points(curves.frequency, np.abs(row)) for row in curves.value])
+        self._coherence.show([chart_points(curves.frequency, row) for row in curves.coherence])
 
     def _show_hits(self) -> None:
         detector = self._monitor.detector
-        hits = [] if detector is None else detector.hits[-_SHOWN_HITS:]
+        hits = [] if detector is None else detector.hits[-_MAX_LISTED_HITS:]
         state = (len(detector.hits) if detector else 0, sum(hit.accepted for hit in hits))
-        if state == self._hits_shown:
+        if state == self._shown_hits_state:
             return
-        self._hits_shown = state
+        self._shown_hits_state = state
         if hits:
             force = hits[-1].force
-            self._hit_chart.show([points(1e3 * np.arange(float(force.size)) / self._monitor.rate, force)])
+            self._hit_chart.show([chart_points(1e3 * np.arange(float(force.size)) / self._monitor.rate, force)])
         self._hit_list.clear()
         with self._hit_list:
             for hit in reversed(hits):
@@ -273,18 +273,18 @@ class Page:
                     ui.switch("accepted").bind_value(hit, "accepted").props("dense")
                     ui.label(f"hit {hit.number}: {hit.peak:.4g} N, {', '.join(hit.faults) or 'good'}")
 
-    def _move(self) -> None:
+    def _refresh_rig(self) -> None:
         motion = self._monitor.poses()
         if motion is None:
             return
         frames = self._rig.frames(motion)
-        if self._rig.svg != self._drawn:
-            self._drawn = self._rig.svg
-            self._drawing.set_content(self._drawn)
-        ui.run_javascript(f"moveRig({json.dumps(frames)}, {_RIG_S})")
+        if self._rig.svg != self._shown_svg:
+            self._shown_svg = self._rig.svg
+            self._drawing.set_content(self._shown_svg)
+        ui.run_javascript(f"moveRig({json.dumps(frames)}, {_ANIMATION_S})")
 
 
-def _file_line(recordings: Any) -> str:
+def _recording_line(recordings: Any) -> str:
     if recordings.running:
         return f"recording to {recordings.paths[-1]}"
     if recordings.enabled:

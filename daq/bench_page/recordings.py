@@ -1,4 +1,4 @@
-"""Recordings of the bench: one file for each test, written by a separate thread."""
+"""Recordings of `daq bench`: one file for each test, written by a separate thread."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 
 class BenchRecordings:
-    """Records all channels while it is `enabled` and a test of the page or a client's task runs.
+    """Records all channels while it is `enabled`, and a test of the page or a task of an NI client is running.
 
-    The first recording is at `path`, which may replace a file if `overwrite` is set; the next are numbered.
-    `problem` is the reason why recording has stopped.
+    The first recording is at `path`, and may replace an existing file if `overwrite` is set; the next are numbered.
+    `problem` is the reason why recording has stopped because of an error.
     """
 
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool) -> None:
@@ -31,12 +31,12 @@ class BenchRecordings:
         self.paths: list[Path] = []
         self.problem = ""
         self._test: tuple[Scene, TestKind] | None = None
-        self._ending = False
+        self._test_has_ended = False
         self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._recording: MarkedRecording | None = None
-        self._first = 0
+        self._first_sample = 0
         self._channels: Any = None
-        self._thread = threading.Thread(target=self._work, name="bench recorder", daemon=True)
+        self._thread = threading.Thread(target=self._run_jobs, name="bench recorder", daemon=True)
         self._thread.start()
 
     @property
@@ -45,38 +45,38 @@ class BenchRecordings:
         return self._recording is not None
 
     def begin_test(self, scene: Scene, kind: TestKind) -> None:
-        """Begin another recording, with the test of a scene."""
-        self._jobs.put(self._complete)
-        self._test, self._ending = (scene, kind), False
+        """Begin a new recording for a test; `scene` contains its settings."""
+        self._jobs.put(self._close_recording)
+        self._test, self._test_has_ended = (scene, kind), False
 
     def end_test(self) -> None:
-        """End the recording after the next block, which holds the end of the test."""
-        self._ending = True
+        """End the recording after the next block, which contains the end of the test."""
+        self._test_has_ended = True
 
     def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
-        """Mark the samples from `first` to before `stop`, counted from power-on."""
-        self._jobs.put(lambda: self._mark(kind, first, stop, **fields))
+        """Mark the samples [first, stop), numbered from power-on."""
+        self._jobs.put(lambda: self._write_marker(kind, first, stop, **fields))
 
     def on_block(self, bench: Any, block: Any) -> None:
         """Queue a block of the bench; a listener of the chassis."""
-        busy = self._test is not None or self._chassis.inputs or self._chassis.outputs
-        if self.enabled and busy:
+        is_active = self._test is not None or self._chassis.inputs or self._chassis.outputs
+        if self.enabled and is_active:
             test, channels = self._test, bench.channels
-            time_ns = self._chassis.time_ns(round(block.first * bench.tick_rate / bench.rate))
-            self._jobs.put(lambda: self._write(bench, channels, block, test, time_ns))
+            start_ns = self._chassis.time_ns(round(block.first * bench.tick_rate / bench.rate))
+            self._jobs.put(lambda: self._write_block(bench, channels, block, test, start_ns))
         elif self.running:
-            self._jobs.put(self._complete)
-        if self._ending:
-            self._jobs.put(self._complete)
-            self._test, self._ending = None, False
+            self._jobs.put(self._close_recording)
+        if self._test_has_ended:
+            self._jobs.put(self._close_recording)
+            self._test, self._test_has_ended = None, False
 
     def close(self) -> None:
-        """Write the queued blocks and complete the recording."""
-        self._jobs.put(self._complete)
+        """Write the queued blocks, and complete the recording."""
+        self._jobs.put(self._close_recording)
         self._jobs.put(None)
         self._thread.join()
 
-    def _work(self) -> None:
+    def _run_jobs(self) -> None:
         while (job := self._jobs.get()) is not None:
             try:
                 job()
@@ -84,22 +84,24 @@ class BenchRecordings:
                 self.problem, self.enabled = str(error), False
                 self._recording = None
 
-    def _write(self, bench: Any, channels: Any, block: Any, test: tuple[Scene, TestKind] | None, time_ns: int) -> None:
+    def _write_block(
+        self, bench: Any, channels: Any, block: Any, test: tuple[Scene, TestKind] | None, start_ns: int
+    ) -> None:
         if channels is not self._channels:
-            self._complete()
+            self._close_recording()
             self._channels = channels
         if self._recording is None:
             scene, kind = test or (bench.scene, TestKind.NONE)
             path = self._next_path()
             make_folder(path)
             overwrite = self._overwrite and not self.paths
-            self._recording = MarkedRecording(path, scene, channels, bench.rate, time_ns, overwrite, kind)
-            self._first, self.problem = block.first, ""
+            self._recording = MarkedRecording(path, scene, channels, bench.rate, start_ns, overwrite, kind)
+            self._first_sample, self.problem = block.first, ""
             self.paths.append(path)
         self._recording.write(block.samples, block.overload)
 
     def _next_path(self) -> Path:
-        """Choose the name of the next recording."""
+        """Return the file name of the next recording."""
         if not self.paths and (self._overwrite or not self._path.exists()):
             return self._path
         number = len(self.paths) + 1
@@ -107,12 +109,12 @@ class BenchRecordings:
             number += 1
         return path
 
-    def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
-        # An event that began before the recording is not complete in it.
-        if self._recording is not None and first >= self._first:
-            self._recording.mark(kind, first - self._first, stop - self._first, **fields)
+    def _write_marker(self, kind: str, first: int, stop: int, **fields: Any) -> None:
+        # An event that began before the recording is not marked, because it is not complete in the recording.
+        if self._recording is not None and first >= self._first_sample:
+            self._recording.mark(kind, first - self._first_sample, stop - self._first_sample, **fields)
 
-    def _complete(self) -> None:
+    def _close_recording(self) -> None:
         if self._recording is not None:
             recording, self._recording = self._recording, None
             recording.close()

@@ -1,4 +1,4 @@
-"""The rig as a drawing for browsers (SVG), and its motion as translations of the drawing's parts."""
+"""Draw the rig for browsers (SVG), and convert its motion to translations of the parts of the drawing."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ from daq.drawing.stack import COIL_LENGTH, PLATE, WALL, WIDTH
 if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
-# Units of the drawing per metre.
-SCALE = 1000.0
-TURNS = 7
-COIL_HALF_WIDTH = 0.018
+# SVG units per meter of the drawing.
+_UNITS_PER_M = 1000.0
+_COIL_TURNS = 7
+_COIL_HALF_WIDTH = 0.018
 
 
 class RigDrawing:
-    """Draws a scene's rig in front view."""
+    """The drawing of a scene's rig in front view; `svg` is empty until the first call of `frames`."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._hung = [shaker.body for _, shaker in scene.tables]
+        self._shaker_bodies = [shaker.body for _, shaker in scene.tables]
         self._magnification = 0.0
         self.svg = ""
 
     def frames(self, motion: RigPose) -> dict[str, Any]:
-        """Return the positions of all moving parts; `svg` is drawn again where the exaggeration has changed."""
-        extremes = Extremes().widened(motion, self._hung)
+        """Return (heights, stretch factors) of moving parts by identifier; redraw `svg` if the exaggeration changes."""
+        extremes = Extremes().widened(motion, self._shaker_bodies)
         view = RigView(self._scene, extremes, gaps_known=motion.gap is not None)
-        # Follow a growing motion at once, and a decaying one only after a factor, so that the scale is steady.
+        # The exaggeration decreases at once with growing motion, and increases only by more than a factor of 4.
         if view.magnification < self._magnification or view.magnification > 4 * self._magnification:
             self._magnification = view.magnification
             self.svg = self._draw(view)
         elif view.magnification != self._magnification:
             view.magnification = self._magnification
         parts = {}
-        for entity, shift, stretch in view.moving_parts(motion):
-            heights = np.round(-SCALE * shift[:, 2], 2).tolist()
+        for entity, translation, stretch in view.moving_parts(motion):
+            heights = np.round(-_UNITS_PER_M * translation[:, 2], 2).tolist()
             factors = None if stretch is None else np.round(stretch[:, 2], 4).tolist()
-            parts[identifier(entity)] = [heights, factors]
+            parts[svg_identifier(entity)] = [heights, factors]
         return parts
 
     def _draw(self, view: RigView) -> str:
@@ -65,47 +65,48 @@ class RigDrawing:
                 frame += _box(cavity.x, WALL / 2, cavity.width + WALL, WALL, color)
                 if cavity.ceiling is not None:
                     frame += _box(cavity.x, cavity.ceiling + WALL / 2, cavity.width + WALL, WALL, color)
-                (_, _, z), (width, _, tall) = cavity.damper
-                frame += _group(view.damper_entity(cavity.place), _box(cavity.x, z, width, tall, LEAD))
+                (_, _, z), (width, _, damper_height) = cavity.damper
+                frame += _group(view.damper_entity(cavity.place), _box(cavity.x, z, width, damper_height, LEAD))
             text = scene.structure.label(body) + ("" if masses is None else f" {masses[body - 1]:g} kg")
             frame += _text(WIDTH / 2 + 0.012, height / 2, text, color)
             parts.append(_group(f"rig/body_{body}", frame))
         parts.append(_text(-0.215, -0.035, f"motion × {view.magnification:g}", MARK))
-        top = SCALE * (view.stack.top + 0.1)
+        top = _UNITS_PER_M * (view.stack.top + 0.1)
         return f'<svg id="rig" viewBox="-230 {-top:.0f} 460 {top + 60:.0f}" role="img">' + "".join(parts) + "</svg>"
 
 
-def identifier(entity: str) -> str:
-    """Return the identifier of a part in the drawing.
+def svg_identifier(entity: str) -> str:
+    """Return the SVG identifier of a part of the rig.
 
-    >>> identifier("rig/body_2/damper")
+    >>> svg_identifier("rig/body_2/damper")
     'rig-body_2-damper'
     """
     return entity.replace("/", "-")
 
 
 def _group(entity: str, content: str) -> str:
-    return f'<g id="{identifier(entity)}">{content}</g>'
+    return f'<g id="{svg_identifier(entity)}">{content}</g>'
 
 
 def _box(x: float, z: float, width: float, height: float, color: Color, filled: bool = True) -> str:
-    corner = SCALE * (x - width / 2), -SCALE * (z + height / 2)
+    corner = _UNITS_PER_M * (x - width / 2), -_UNITS_PER_M * (z + height / 2)
     fill = hex_color(color) if filled else "none"
     return (
-        f'<rect x="{corner[0]:.1f}" y="{corner[1]:.1f}" width="{SCALE * width:.1f}" height="{SCALE * height:.1f}" '
+        f'<rect x="{corner[0]:.1f}" y="{corner[1]:.1f}" '
+        f'width="{_UNITS_PER_M * width:.1f}" height="{_UNITS_PER_M * height:.1f}" '
         f'fill="{fill}" stroke="{hex_color(color)}" stroke-width="4"/>'
     )
 
 
 def _text(x: float, z: float, text: str, color: Color) -> str:
     style = f'font-size="15" fill="{hex_color(color)}"'
-    return f'<text x="{SCALE * x:.0f}" y="{-SCALE * z:.0f}" {style}>{escape(text)}</text>'
+    return f'<text x="{_UNITS_PER_M * x:.0f}" y="{-_UNITS_PER_M * z:.0f}" {style}>{escape(text)}</text>'
 
 
 def _coil(x: float, length: float, color: Color) -> str:
-    along = np.linspace(0.0, 1.0, 4 * TURNS + 1)
+    fraction_of_length = np.linspace(0.0, 1.0, 4 * _COIL_TURNS + 1)
     points = " ".join(
-        f"{SCALE * (x + COIL_HALF_WIDTH * side):.1f},{-SCALE * length * at:.1f}"
-        for at, side in zip(along, np.sin(2 * np.pi * TURNS * along), strict=True)
+        f"{_UNITS_PER_M * (x + _COIL_HALF_WIDTH * side):.1f},{-_UNITS_PER_M * length * fraction:.1f}"
+        for fraction, side in zip(fraction_of_length, np.sin(2 * np.pi * _COIL_TURNS * fraction_of_length), strict=True)
     )
     return f'<polyline points="{points}" fill="none" stroke="{hex_color(color)}" stroke-width="2.5"/>'

@@ -1,4 +1,4 @@
-"""Colors of the displays: one for each body, shared by its drawing, channels and damper."""
+"""Colors of drawings and curves: a body, its channels and its dampers have the same color."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BODIES: tuple[Color, ...] = (
 
 
 def body_color(body: int) -> Color:
-    """Colour of a body, counted from 1; the colours repeat beyond six bodies.
+    """Return the color of a body, counted from 1; the colors repeat after six bodies.
 
     >>> body_color(1) == body_color(7)
     True
@@ -33,7 +33,7 @@ def body_color(body: int) -> Color:
 
 
 def channel_color(at: str) -> Color:
-    """Colour of a channel, by the position of its sensor.
+    """Return the color of a channel with a sensor at a position such as ``body 2``.
 
     >>> channel_color("body 2") == body_color(2)
     True
@@ -44,5 +44,5 @@ def channel_color(at: str) -> Color:
 
 
 def hex_color(color: Color) -> str:
-    """Write a colour as in style sheets, ``#b0b8c2``."""
+    """Return a color as in style sheets, ``#b0b8c2``."""
     return "#{:02x}{:02x}{:02x}".format(*color)

@@ -1,6 +1,6 @@
-"""The rig as a drawing in space: its parts, and their motion.
+"""The three-dimensional drawing of the rig: its parts, and their motion.
 
-Every displacement and gap is multiplied by one exaggeration. z points up, x to the right, y away.
+Every displacement and gap is multiplied by the same exaggeration. z points up, x to the right, y away from the viewer.
 """
 
 from __future__ import annotations
@@ -36,24 +36,24 @@ if TYPE_CHECKING:
 
     from rig.scene.scene import Scene
 
-# Ratio of the largest motion across a spring to its drawn length.
+# Largest ratio of the drawn motion across a spring to its drawn length.
 _MAX_STRETCH_RATIO = 0.6
-# A larger exaggeration would show the noise of a rig at rest.
+# Largest exaggeration: a larger value would show the noise of a rig at rest.
 _MAX_EXAGGERATION = 1e4
 
 
 @dataclass(frozen=True)
 class RigPose:
-    """The motion at some instants."""
+    """The motion of the rig at some instants."""
 
-    displacement: Array  # of each body, m, up positive; shape (bodies, instants)
-    tables: Array  # of each shaker's table, m; shape (tables, instants)
-    gap: Array | None = None  # height of each damper over its floor, m; shape (dampers, instants); None: not known
+    displacement: Array  # displacement of each body, m, positive up; shape (bodies, instants)
+    tables: Array  # displacement of the table of each shaker, m; shape (tables, instants)
+    gap: Array | None = None  # height of each damper above its floor, m; shape (dampers, instants); None: not known
 
 
 @dataclass(frozen=True)
 class Extremes:
-    """The largest motions of bodies, and across springs, coil spring and gaps, metres."""
+    """Largest magnitudes: displacement of a body, change of length of a spring and of a coil spring, and gap, m."""
 
     body: float = 0.0
     spring: float = 0.0
@@ -61,8 +61,8 @@ class Extremes:
     gap: float = 0.0
 
     def widened(self, motion: RigPose, shaker_bodies: Sequence[int]) -> Extremes:
-        """Return the extremes of this and another segment; `shaker_bodies`: bodies (from 1) on coil springs."""
-        ends = np.vstack([np.zeros((1, motion.displacement.shape[1])), motion.displacement])
+        """Return the extremes of these and another motion; `shaker_bodies` are the bodies (from 1) on coil springs."""
+        positions = np.vstack([np.zeros((1, motion.displacement.shape[1])), motion.displacement])
         coil = (
             _max_magnitude(motion.displacement[[body - 1 for body in shaker_bodies]] - motion.tables)
             if shaker_bodies
@@ -70,7 +70,7 @@ class Extremes:
         )
         return Extremes(
             body=max(self.body, _max_magnitude(motion.displacement)),
-            spring=max(self.spring, _max_magnitude(np.diff(ends, axis=0))),
+            spring=max(self.spring, _max_magnitude(np.diff(positions, axis=0))),
             coil=max(self.coil, coil),
             gap=max(self.gap, 0.0 if motion.gap is None else _max_magnitude(motion.gap)),
         )
@@ -82,7 +82,7 @@ def _max_magnitude(values: Array) -> float:
 
 
 def exaggeration(extremes: Extremes) -> float:
-    """Return the factor that makes the motion visible without collisions of drawn parts.
+    """Return the factor by which the drawn motion is multiplied: it is visible, and drawn parts do not collide.
 
     It is the largest 1-2-5 number for which springs stretch by less than 60 % of their length and dampers stay
     inside the drawn headroom.
@@ -92,26 +92,26 @@ def exaggeration(extremes: Extremes) -> float:
     >>> exaggeration(Extremes())
     1.0
     """
-    room = (
+    ranges = (
         (extremes.spring, _MAX_STRETCH_RATIO * SPRING_LENGTH),
         (extremes.coil, _MAX_STRETCH_RATIO * COIL_LENGTH),
         (extremes.gap, HEADROOM),
     )
-    limits = [space / motion for motion, space in room if motion > 0]
+    limits = [length / motion for motion, length in ranges if motion > 0]
     if not limits:
         return 1.0
     return round_factor(min(*limits, _MAX_EXAGGERATION))
 
 
-def _label_place(text: str, height: float) -> Point:
+def _label_position(text: str, height: float) -> Point:
     """Return the position of a centered text next to a body."""
     return (WIDTH / 2 + 0.06 + 0.0045 * len(text), -DEPTH / 2, height)
 
 
 class RigView:
-    """The drawing of one scene's rig.
+    """The drawing of a scene's rig.
 
-    `extremes` set the exaggeration. Dampers with unknown gaps, and points in `unknown` (``body 1``, ...), are
+    `extremes` determine the exaggeration. Dampers with unknown gaps, and points in `unknown` (``body 1``, ...), are
     drawn pale and at rest, with a note.
     """
 
@@ -123,15 +123,15 @@ class RigView:
         self.damper_masses = structural_model(scene).bed_mass
         self.gaps_known = gaps_known
         self._unknown = unknown
-        self._excursion = extremes.body * self.magnification
+        self._drawn_excursion = extremes.body * self.magnification
         self.bodies = scene.structure.bodies
         self.stack = Stack(scene, self.magnification)
         self.shaker_tables = self.stack.tables
-        # Matrices do not state which bodies are connected; a spring of no stiffness is not drawn.
+        # If the structure is given by matrices, it is not known which bodies are connected, and no spring is drawn.
         self.sprung = [stiffness > 0 for stiffness in scene.structure.springs or [0.0] * self.bodies]
 
     def still_parts(self) -> Iterator[tuple[str, rr.AsComponents]]:
-        """Yield entity paths and archetypes that are logged once."""
+        """Yield (entity, shape) of all parts, which are sent to the viewer once."""
         import rerun as rr
 
         yield "rig", rr.ViewCoordinates.RIGHT_HAND_Z_UP
@@ -143,14 +143,14 @@ class RigView:
                 yield f"rig/spring_{body}", coils((-0.3 * WIDTH, 0.3 * WIDTH), length, STEEL)
         for table in self.shaker_tables:
             yield from self._shaker(table)
-        # Arrows on the bodies on which a force acts directly: kind force, and the hammer.
+        # Arrows show forces that act directly on a body: a shaker of kind force, and the hammer.
         forced_bodies = [body for shaker in self.scene.shakers if shaker.kind == "force" for body in shaker.bodies]
         for body in dict.fromkeys(forced_bodies):
             yield from self._force_arrow(f"rig/body_{body}/drive", 0.045, "force", DRIVE)
         test = self.scene.test
         if test is not None and test.kind == "impulse":
             yield from self._force_arrow(f"rig/body_{test.body}/hammer", -0.045, "hammer", HAMMER)
-        yield from self._rest_marks()
+        yield from self._scale_marks()
 
     def _body(self, body: int) -> Iterator[tuple[str, rr.AsComponents]]:
         color, height = self._color(f"body {body}", body_color(body)), self.stack.heights[body - 1]
@@ -171,8 +171,8 @@ class RigView:
         if lug_end:
             middle, length = (lug_end + WIDTH / 2) / 2, lug_end - WIDTH / 2
             yield f"{name}/lug", boxes([((middle, 0, WALL / 2), (length, DEPTH / 2, WALL))], color)
-        yield f"{name}/name", label(_label_place(text, 0.75 * height), text, color)
-        pointer: list[Point] = [(-WIDTH / 2 - out, -DEPTH / 2, height / 2) for out in (0.0, 0.028)]
+        yield f"{name}/name", label(_label_position(text, 0.75 * height), text, color)
+        pointer: list[Point] = [(-WIDTH / 2 - distance_x, -DEPTH / 2, height / 2) for distance_x in (0.0, 0.028)]
         yield f"{name}/pointer", lines([pointer], color, 0.0012)
 
     def _color(self, point: str, color: Color) -> Color:
@@ -181,11 +181,11 @@ class RigView:
     def _note(self, point: str) -> str:
         return ", not measured" if point in self._unknown else ""
 
-    def damper_entity(self, place: int) -> str:
-        """Return the path of a damper, with a number if its body has several."""
-        body = self.scene.dampers[place].body
-        places = [cavity.place for cavity in self.stack.cavities[body - 1]]
-        return f"rig/body_{body}/damper" + (f"_{places.index(place) + 1}" if len(places) > 1 else "")
+    def damper_entity(self, index: int) -> str:
+        """Return the entity of a damper (position in the scene from 0), with a number if its body has several."""
+        body = self.scene.dampers[index].body
+        damper_indices = [cavity.place for cavity in self.stack.cavities[body - 1]]
+        return f"rig/body_{body}/damper" + (f"_{damper_indices.index(index) + 1}" if len(damper_indices) > 1 else "")
 
     def _damper(self, body: int, number: int) -> Iterator[tuple[str, rr.AsComponents]]:
         cavity: Cavity = self.stack.cavities[body - 1][number]
@@ -200,8 +200,8 @@ class RigView:
         moves = self.gaps_known and not damper.locked
         name = self.damper_entity(cavity.place)
         yield name, boxes([cavity.damper], LEAD if moves else GLUED)
-        # Names of several dampers are below each other, next to their body.
-        text_at = _label_place(text, (0.45 - 0.2 * number) * self.stack.heights[body - 1])
+        # The names of several dampers are written below each other, next to their body.
+        text_at = _label_position(text, (0.45 - 0.2 * number) * self.stack.heights[body - 1])
         yield f"{name}_name", label(text_at, text, LEAD if moves else MARK)
 
     def _shaker(self, table: Table) -> Iterator[tuple[str, rr.AsComponents]]:
@@ -222,62 +222,63 @@ class RigView:
 
     @staticmethod
     def _force_arrow(entity: str, x: float, text: str, color: Color) -> Iterator[tuple[str, rr.AsComponents]]:
-        """Draw an upward arrow at the front of a body's underside, with its name."""
+        """Draw an upward arrow with a text at the front of the underside of a body."""
         foot = (x, -DEPTH / 2 - 0.02, -0.055)
         yield entity, arrow(foot, 0.055, color)
         yield f"{entity}/name", label(foot, text, color)
 
-    def _rest_marks(self) -> Iterator[tuple[str, rr.AsComponents]]:
-        """Draw the scale at the left: rest positions of the bodies, a drawn length, and the exaggeration."""
+    def _scale_marks(self) -> Iterator[tuple[str, rr.AsComponents]]:
+        """Draw at the left: rest positions of the bodies, and a scale bar with its length and the exaggeration."""
         x, y = -WIDTH / 2 - 0.032, -DEPTH / 2
         middles = [bottom + height / 2 for bottom, height in zip(self.stack.bottoms, self.stack.heights, strict=True)]
         yield "rig/rest", lines([[(x - 0.030, y, z), (x, y, z)] for z in middles], MARK, 0.0008)
         length = _scale_bar(self.magnification)
         height, x, z = length * self.magnification, x - 0.07, middles[0]
-        ends: list[list[Point]] = [[(x - 0.008, y, z + end), (x + 0.008, y, z + end)] for end in (0.0, height)]
-        yield "rig/scale", lines([[(x, y, z), (x, y, z + height)], *ends], MARK, 0.0010)
+        end_marks: list[list[Point]] = [[(x - 0.008, y, z + end), (x + 0.008, y, z + end)] for end in (0.0, height)]
+        yield "rig/scale", lines([[(x, y, z), (x, y, z + height)], *end_marks], MARK, 0.0010)
         text = f"{length * 1e3:g} mm, drawn × {self.magnification:g}"
         yield "rig/scale/text", label((x, y, z - 0.006), text, MARK)
 
     def moving_parts(self, motion: RigPose) -> Iterator[tuple[str, Array, Array | None]]:
-        """Yield (entity, translation, scale), each (instants, 3), in drawing metres; no scale for bodies.
+        """Yield (entity, translation, scale) of moving parts; arrays are (instants, 3), in meters of the drawing.
 
-        Springs are drawn once at their rest length; a stretched spring is scaled along z.
+        Springs are drawn once at their rest length, and then scaled along z. The scale of other parts is None.
         """
-        shift = motion.displacement * self.magnification
-        below = np.zeros(shift.shape[1])
-        top = 0.0
-        for place in range(self.bodies):
-            yield f"rig/body_{place + 1}", _along_z(self.stack.bottoms[place] + shift[place]), None
-            if self.sprung[place]:
-                length = self.stack.lengths[place]
-                stretch = (length + shift[place] - below) / length
-                yield f"rig/spring_{place + 1}", _along_z(top + below), _along_z(stretch, 1.0)
-            below, top = shift[place], self.stack.bottoms[place] + self.stack.heights[place]
+        drawn_displacement = motion.displacement * self.magnification
+        lower_end = np.zeros(drawn_displacement.shape[1])
+        lower_end_at_rest = 0.0
+        for index in range(self.bodies):
+            yield f"rig/body_{index + 1}", _along_z(self.stack.bottoms[index] + drawn_displacement[index]), None
+            if self.sprung[index]:
+                length = self.stack.lengths[index]
+                stretch = (length + drawn_displacement[index] - lower_end) / length
+                yield f"rig/spring_{index + 1}", _along_z(lower_end_at_rest + lower_end), _along_z(stretch, 1.0)
+            lower_end = drawn_displacement[index]
+            lower_end_at_rest = self.stack.bottoms[index] + self.stack.heights[index]
         for table, rows in zip(self.shaker_tables, motion.tables * self.magnification, strict=True):
             yield table.entity("table"), _along_z(table.top + rows), None
-            stretch = (COIL_LENGTH + shift[table.body - 1] - rows) / COIL_LENGTH
+            stretch = (COIL_LENGTH + drawn_displacement[table.body - 1] - rows) / COIL_LENGTH
             yield table.entity("coil_spring"), _along_z(table.top + rows), _along_z(stretch, 1.0)
         if motion.gap is not None:
-            for place in range(len(self.scene.dampers)):
-                yield self.damper_entity(place), _along_z(motion.gap[place] * self.magnification), None
+            for index in range(len(self.scene.dampers)):
+                yield self.damper_entity(index), _along_z(motion.gap[index] * self.magnification), None
 
     @property
-    def eye(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """Position and target of the camera: the whole stack, from the front, a little above."""
-        top = self.stack.top + self._excursion
+    def camera(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """Position of the camera, and the point it looks at: the whole rig from the front, from slightly above."""
+        top = self.stack.top + self._drawn_excursion
         distance = 0.25 + 0.85 * top
         return (0.14 * distance, -distance, 0.5 * top - 0.02 + 0.14 * distance), (0.02, 0.0, 0.5 * top - 0.02)
 
 
-def _along_z(values: Array, others: float = 0.0) -> Array:
-    points = np.full((values.size, 3), others)
+def _along_z(values: Array, transverse: float = 0.0) -> Array:
+    points = np.full((values.size, 3), transverse)
     points[:, 2] = values
     return points
 
 
 def _scale_bar(magnification: float) -> float:
-    """Return the length of the scale, m: a power of ten that is drawn 8 mm to 80 mm long.
+    """Return the length of the scale bar, m: a power of ten that is drawn 8 mm to 80 mm long.
 
     >>> _scale_bar(50.0), _scale_bar(500.0)
     (0.001, 0.0001)

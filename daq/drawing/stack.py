@@ -1,6 +1,6 @@
-"""The positions at rest of the drawn parts: bodies with cavities, one above the other on springs, and shaker tables.
+"""Positions and sizes of the drawn parts at rest: bodies with cavities, stacked on springs, and shaker tables.
 
-Lengths are metres of the drawing, chosen to be legible; all bodies are alike.
+Lengths are in meters of the drawing and chosen for legibility. All bodies have the same size.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ HEADROOM = 0.100
 # Height of a body with cavities.
 HOLLOW_HEIGHT = WALL + DAMPER_HEIGHT + HEADROOM + WALL
 # Distance of a damper from the sides and the back of its cavity.
-_CLEARANCE = 0.003
+_DAMPER_MARGIN = 0.003
 SOLID_HEIGHT = 0.060
 SPRING_LENGTH = 0.080
 COIL_LENGTH = 0.110
@@ -39,29 +39,29 @@ SHAKER_PITCH = 0.120
 
 @dataclass(frozen=True)
 class Cavity:
-    """A cavity of a body for one damper, in metres of the drawing from the underside of the body."""
+    """A cavity of a body for one damper, in meters of the drawing from the underside of the body."""
 
     place: int  # position of its damper in the scene, from 0
-    x: float  # of its middle
+    x: float  # position of its middle
     width: float
-    ceiling: float | None  # height of the ceiling; None where it is beyond the drawing
+    ceiling: float | None  # height of the ceiling; None if it is above the drawing
 
     @property
     def damper(self) -> Box:
         """Center and size of the damper on its floor."""
-        size = (self.width - 2 * _CLEARANCE, DEPTH - WALL - _CLEARANCE - 0.001, DAMPER_HEIGHT)
+        size = (self.width - 2 * _DAMPER_MARGIN, DEPTH - WALL - _DAMPER_MARGIN - 0.001, DAMPER_HEIGHT)
         return (self.x, -WALL / 2, WALL + DAMPER_HEIGHT / 2), size
 
 
 def cavities(dampers: Sequence[Damper], body: int, magnification: float) -> list[Cavity]:
     """Return the cavities of a body (from 1), from left to right in the scene's order."""
     dampers_of_body = [place for place, damper in enumerate(dampers) if damper.body == body]
-    pitch = (WIDTH - WALL) / max(len(dampers_of_body), 1)
+    cavity_pitch = (WIDTH - WALL) / max(len(dampers_of_body), 1)
     result = []
-    for k, place in enumerate(dampers_of_body):
+    for number, place in enumerate(dampers_of_body):
         clearance = dampers[place].clearance * magnification
         ceiling = None if clearance > HEADROOM else WALL + DAMPER_HEIGHT + clearance
-        result.append(Cavity(place, (k + 0.5) * pitch - (WIDTH - WALL) / 2, pitch - WALL, ceiling))
+        result.append(Cavity(place, (number + 0.5) * cavity_pitch - (WIDTH - WALL) / 2, cavity_pitch - WALL, ceiling))
     return result
 
 
@@ -83,7 +83,7 @@ def walls(cavities: Sequence[Cavity]) -> list[Box]:
 
 
 class Table(NamedTuple):
-    """A shaker's table: its name, kind of shaker, the body (from 1) on its coil spring, and its position, m."""
+    """The table of a shaker: name, kind of shaker, body (from 1) on its coil spring, position x and top, m."""
 
     point: str
     kind: str
@@ -102,22 +102,22 @@ class Stack:
     def __init__(self, scene: Scene, magnification: float) -> None:
         bodies = range(1, scene.structure.bodies + 1)
         self.cavities: list[list[Cavity]] = [cavities(scene.dampers, body, magnification) for body in bodies]
-        self.heights = [HOLLOW_HEIGHT if inside else SOLID_HEIGHT for inside in self.cavities]
+        self.heights = [HOLLOW_HEIGHT if body_cavities else SOLID_HEIGHT for body_cavities in self.cavities]
         shaker_bodies = [shaker.body for _, shaker in scene.tables]
-        # A table under body 1 needs room for itself and its coil spring.
-        first = PLINTH + PLATE + COIL_LENGTH if 1 in shaker_bodies else SPRING_LENGTH
-        self.lengths = [first] + [SPRING_LENGTH] * (len(bodies) - 1)
+        # Below body 1 there must be space for a table and its coil spring.
+        first_length = PLINTH + PLATE + COIL_LENGTH if 1 in shaker_bodies else SPRING_LENGTH
+        self.lengths = [first_length] + [SPRING_LENGTH] * (len(bodies) - 1)
         self.bottoms: list[float] = []
         self.top = 0.0
         for length, height in zip(self.lengths, self.heights, strict=True):
             self.bottoms.append(self.top + length)
             self.top += length + height
-        # A table fits under body 1; all others are at the right, each under a lug of its body.
-        right_places = iter(range(len(shaker_bodies)))
+        # One table is under body 1; the others are at the right, each under a lug of its body.
+        right_positions = iter(range(len(shaker_bodies)))
         self.tables: list[Table] = []
         for (point, shaker), body in zip(scene.tables, shaker_bodies, strict=True):
             is_under_body = body == 1 and shaker_bodies.index(1) == len(self.tables)
-            x = 0.0 if is_under_body else WIDTH / 2 + LUG / 2 + SHAKER_PITCH * next(right_places)
+            x = 0.0 if is_under_body else WIDTH / 2 + LUG / 2 + SHAKER_PITCH * next(right_positions)
             self.tables.append(Table(point, shaker.kind, body, x, self.bottoms[body - 1] - COIL_LENGTH))
 
 
@@ -128,5 +128,5 @@ def round_factor(limit: float) -> float:
     (50.0, 0.2)
     """
     decade = 10.0 ** math.floor(math.log10(limit))
-    # The tolerance prevents that a round limit is rounded down.
+    # The tolerance keeps a limit that is already round.
     return next(step * decade for step in (5.0, 2.0, 1.0, 0.5) if step * decade <= limit * (1 + 1e-9))

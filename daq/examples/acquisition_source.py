@@ -1,7 +1,7 @@
 """The rig as a source for a library that takes acquisition plug-ins, such as LDAQ.
 
-`VirtualRig` has the three methods that such a library calls and the two attributes that it reads. LDAQ itself has a
-source for NI's client, which only needs `daq run` (see the README).
+`VirtualRig` has the three methods that the library calls, and the two attributes that it reads. LDAQ has its own source
+for NI's client, which works unchanged with `daq run` (see the README).
 """
 
 import nidaqmx
@@ -42,7 +42,7 @@ class VirtualRig:
 
 
 def main() -> None:
-    """Poll the source as such a library would."""
+    """Poll the source as an acquisition library does."""
     source = VirtualRig("bare-structure", clock="fast")
     source.set_data_source()
     total = 0

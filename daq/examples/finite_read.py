@@ -32,7 +32,7 @@ def main() -> None:
         output.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
         output.timing.cfg_samp_clk_timing(rate, sample_mode=AcquisitionType.CONTINUOUS)
         output.triggers.start_trigger.cfg_dig_edge_start_trig("/cDAQ1/ai/StartTrigger")
-        # A volt is a millimetre of table displacement. The 512 samples contain exactly two periods and are repeated.
+        # A volt is a millimeter of table displacement. The 512 samples contain exactly two periods and are repeated.
         output.write(0.1 * np.sin(2 * np.pi * 20.0 * np.arange(512) / rate))
 
         output.start()

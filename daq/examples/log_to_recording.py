@@ -1,4 +1,4 @@
-"""Logging: write the samples of a task into a recording, as `daq record` does, while the script reads them."""
+"""Logging: write the samples of a task to a recording, in the format of `daq record`, while the script reads them."""
 
 import tempfile
 from pathlib import Path
@@ -11,7 +11,7 @@ import daq
 
 
 def main(folder: str | None = None) -> None:
-    """Log half a second and read it back."""
+    """Log half a second, read the recording, and compare it with the samples that the script has read."""
     with daq.connect("fig8-three-dampers", clock="fast") as rig, tempfile.TemporaryDirectory() as scratch:
         path = Path(folder or scratch) / "logged.mcap"
         with nidaqmx.Task(grpc_options=rig) as task:

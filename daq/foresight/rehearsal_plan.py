@@ -194,7 +194,7 @@ def _with_settled_bias(scene: Scene) -> Scene:
 def _peak_indices(
     scene: Scene, channels: tuple[ChannelInfo, ...], frequencies: Array, max_count: int
 ) -> NDArray[np.intp]:
-    """Return the sorted indices of at most `max_count` frequencies: peaks of the linear response, and neighbours."""
+    """Return the sorted indices of at most `max_count` frequencies: peaks of the linear response, and neighbors."""
     peak_heights: dict[int, float] = {}
     for dampers in dict.fromkeys((scene.dampers, ())):
         for readings in channel_readings(scene.replace(dampers=dampers), channels, frequencies):

@@ -99,17 +99,17 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
     tolerated = (last - first) * _JITTER_SHARE / (times.size - 1) + resolution
     if last > first and deviation > tolerated:
         # Evenly spaced times by least squares.
-        centred_number = np.arange(times.size) - (times.size - 1) / 2.0
-        sum_of_squares = float(centred_number @ centred_number)
-        interval, mean_time = float(centred_number @ times) / sum_of_squares, float(times.mean())
-        residual = times - mean_time - interval * centred_number
+        centered_number = np.arange(times.size) - (times.size - 1) / 2.0
+        sum_of_squares = float(centered_number @ centered_number)
+        interval, mean_time = float(centered_number @ times) / sum_of_squares, float(times.mean())
+        residual = times - mean_time - interval * centered_number
         # Four standard errors of the slope.
         error = 4.0 * float(np.std(residual)) / math.sqrt(sum_of_squares)
         try:
             rate = rate_of_interval(interval, error)
         except RecordingError as uneven:
             raise RecordingError(f"{where}: {uneven}") from None
-        first, deviation = mean_time + float(centred_number[0]) / rate, float(abs(residual).max())
+        first, deviation = mean_time + float(centered_number[0]) / rate, float(abs(residual).max())
         _warn(
             f"{where} deviate from an even grid by up to {deviation * rate:.0%} of a sample. The "
             "samples are imported as evenly spaced: only the written times are assumed to jitter."

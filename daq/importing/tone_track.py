@@ -111,11 +111,11 @@ class _BlockAnalyzer:
         # The first two lines contain the mean.
         peak = np.argmax(magnitude[:, 2:-1], axis=1) + 2
         rows = np.arange(blocks)
-        # Distance of the tone from the highest line, in lines, from the ratio of the higher neighbour (Hann window).
+        # Distance of the tone from the highest line, in lines, from the ratio of the higher neighbor (Hann window).
         below, peak_magnitude, above = (magnitude[rows, peak + k] for k in (-1, 0, 1))
-        neighbour_ratio = np.maximum(below, above) / np.maximum(peak_magnitude, 1e-300)
+        neighbor_ratio = np.maximum(below, above) / np.maximum(peak_magnitude, 1e-300)
         direction = np.where(above > below, 1.0, -1.0)
-        offset = np.asarray(direction * np.clip((2 * neighbour_ratio - 1) / (neighbour_ratio + 1), 0.0, 0.5))
+        offset = np.asarray(direction * np.clip((2 * neighbor_ratio - 1) / (neighbor_ratio + 1), 0.0, 0.5))
         line = peak + offset
         resolved = np.flatnonzero((peak_magnitude > 0.0) & (line >= self._lowest_line) & (line < self._highest_line))
         if not resolved.size:

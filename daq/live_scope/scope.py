@@ -1,4 +1,4 @@
-"""The live scope: a bench in real time, a drive controlled by the operator, and a simultaneous recording."""
+"""The live scope: a bench in real time whose drive the operator controls, and which is recorded."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.excitation.manual_tone import Knobs, ManualTone, ToneReading
-from daq.live_scope.screen import Screen, sentence
+from daq.live_scope.screen import Screen, reading_line
 from daq.measurement.run import MeasurementRun
 from daq.recording.recorded_test import TestKind
 from daq.viewing.outputs import recording_stream, server, window
@@ -28,17 +28,18 @@ if TYPE_CHECKING:
     from daq.virtual_bench.bench import Block
     from rig.scene.scene import Scene
 
+# Duration of a block, s.
 _BLOCK_S = 0.04
-# A longer delay, s, is reported and skipped: the bench then continues without catching up.
+# A longer delay, s, is reported and skipped: the bench continues without catching up.
 _MAX_DELAY_S = 0.5
 # Minimum number of samples per period of the drive.
 _MIN_SAMPLES_PER_PERIOD = 10.0
 
 
-class Pace:
+class RealTimePace:
     """Synchronizes samples with the wall clock.
 
-    `report`: called once if the computer is too slow; `skipped_s`: total skipped wall-clock time, s.
+    `report` is called once if the computer is too slow. `skipped_s` is the total skipped wall-clock time, s.
     """
 
     def __init__(self, rate: float, report: Callable[[str], None]) -> None:
@@ -46,11 +47,11 @@ class Pace:
         self._origin: float | None = None
         self.skipped_s = 0.0
 
-    def keep(self, position: int) -> None:
+    def wait_until_due(self, position: int) -> None:
         """Wait until the sample at `position` is due."""
         now = time.monotonic()
         if self._origin is None:
-            # The simulation may have been compiled before the first block; time starts now.
+            # Time starts with the first block, because the simulation may have been compiled before it.
             self._origin = now - position / self._rate
         lead_s = self._origin + position / self._rate - now
         if lead_s > 0:
@@ -68,42 +69,42 @@ def record_live(
     stream: rr.RecordingStream,
     knobs: Knobs,
     report: Callable[[str], None],
-    keep: Callable[[int], None],
+    wait_until_due: Callable[[int], None],
     overwrite: bool = False,
 ) -> Path:
-    """Run and record a bench controlled by an operator, until the knobs are turned off.
+    """Run and record a bench that an operator controls, until the operator quits; return the recording.
 
-    `scene`: scene of the bench; its test is not run; `stream`: stream of the live view; `knobs`: settings, which
-    another thread changes; `report`: called with a line of text when a setting has been reached; `keep`: called
-    after every block with the number of samples that have passed; it waits for real time; `overwrite`: whether an
-    existing file may be replaced. Raises `SceneError` if the rig has no shaker, or the channels do not measure the
-    spring force. Raises `RunError` if a channel exceeded its abort limit, or the recording could not be written.
-    Raises `KeyboardInterrupt` if the operator pressed Ctrl-C; the recording up to this time is closed.
+    The test of `scene` is not run. `stream` is that of the live view. `knobs` are the settings, which another thread
+    changes. `report` is called with a line of text when a setting is reached. `wait_until_due` is called after every
+    block with the number of samples so far, and waits for real time. Raises `SceneError` if the rig has no shaker, or
+    the channels do not measure the spring force. Raises `RunError` if a channel exceeds its abort limit, or the
+    recording cannot be written. Raises `KeyboardInterrupt` if the operator presses Ctrl-C; the recording up to this
+    time is complete.
     """
-    last: list[tuple[float, float, bool]] = [(0.0, 0.0, False)]
+    last_state: list[tuple[float, float, bool]] = [(0.0, 0.0, False)]
 
-    def read(reading: ToneReading) -> None:
+    def on_reading(reading: ToneReading) -> None:
         screen.read(reading)
         state = reading.frequency, reading.level, reading.is_settled
-        if reading.is_settled and state != last[0]:
-            report(sentence(reading))
-        last[0] = state
+        if reading.is_settled and state != last_state[0]:
+            report(reading_line(reading))
+        last_state[0] = state
 
     def listener(block: Block, readings: NDArray[np.float64]) -> None:
         screen.show(block, readings)
-        keep(block.motion.first + block.motion.displacement.shape[1])
+        wait_until_due(block.motion.first + block.motion.displacement.shape[1])
 
     rate = float(scene.converter.sample_rate)
     block = max(1, round(_BLOCK_S * rate))
     run = MeasurementRun(
-        scene, path, block, excite=ManualTone(knobs, read).excite, listener=listener, kind=TestKind.TONES
+        scene, path, block, excite=ManualTone(knobs, on_reading).excite, listener=listener, kind=TestKind.TONES
     )
     screen = Screen(stream, scene, run.bench.channels, run.bench.rate)
     return run.run(overwrite)
 
 
-def knobs_for(scene: Scene, frequency: float | None, force: float) -> Knobs:
-    """Return the initial knobs: at the given frequency, that of the scene's test, or that of the lowest mode."""
+def initial_knobs(scene: Scene, frequency: float | None, force: float) -> Knobs:
+    """Return the initial controls, at the given frequency, or else that of the scene's test or the lowest mode."""
     from rig.system.structural_model import structural_model
 
     if frequency is None:
@@ -152,45 +153,45 @@ def scope(
         If there is no display, a channel exceeds its abort limit, or the recording cannot be written.
     """
     loaded_scene, recording_path = load(scene), as_path(path)
-    knobs = knobs_for(loaded_scene, frequency, force)
+    knobs = initial_knobs(loaded_scene, frequency, force)
 
     def read_commands() -> None:
         for line in sys.stdin:
             try:
                 knobs.execute(line)
             except SceneError as error:
-                say(str(error))
+                print_line(str(error))
             if knobs.quit:
                 return
         knobs.quit = True
 
-    viewing = server(say) if web else window("Use --web for a browser.")
+    viewer_context = server(print_line) if web else window("Use --web for a browser.")
     bench = Bench(loaded_scene)
     # The kernels are compiled before real time starts; the run uses a new bench.
     bench.acquire(np.zeros((len(bench.inputs), 64)))
-    with viewing as viewer, recording_stream() as stream:
+    with viewer_context as viewer, recording_stream() as stream:
         stream.connect_grpc(viewer.url)
-        pace = Pace(float(loaded_scene.converter.sample_rate), say)
+        pace = RealTimePace(float(loaded_scene.converter.sample_rate), print_line)
 
-        def keep(position: int) -> None:
-            pace.keep(position)
+        def wait_until_due(position: int) -> None:
+            pace.wait_until_due(position)
             if viewer.process.poll() is not None:
                 knobs.quit = True
 
-        say(f"{Knobs.HELP}; recording to {recording_path}")
+        print_line(f"{Knobs.HELP}; recording to {recording_path}")
         # A daemon thread: it may wait for input when the program ends.
         threading.Thread(target=read_commands, name="operator", daemon=True).start()
         try:
-            record_live(loaded_scene, recording_path, stream, knobs, say, keep, overwrite)
+            record_live(loaded_scene, recording_path, stream, knobs, print_line, wait_until_due, overwrite)
         except KeyboardInterrupt as interrupt:
             # Ctrl-C is a regular end, because the recording has been closed.
             if not interrupt.args:
                 raise
         if pace.skipped_s:
-            say(f"the bench ran {pace.skipped_s:.1f} s behind the wall clock; the recording is complete")
+            print_line(f"the bench ran {pace.skipped_s:.1f} s behind the wall clock; the recording is complete")
     return recording_path
 
 
-def say(text: str) -> None:
+def print_line(text: str) -> None:
     """Print a line to the operator."""
     print(text, file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""The live view of a bench: a drawing of the rig, curves of the channel readings, and values of the tone."""
+"""The live view of a bench in the viewer: the moving rig, curves of the readings, and the values of the tone."""
 
 from __future__ import annotations
 
@@ -24,31 +24,29 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
 _FRAMES_PER_S = 200.0
-# The exaggeration adapts to the motion: it decreases at once, and increases after the motion has been smaller by this
-# factor for a while.
-_QUIETER_RATIO = 4.0
-_MEMORY_S = 2.0
+# The exaggeration of the motion decreases at once, and increases only by more than this factor, after the motion has
+# been small for this time, s.
+_MIN_INCREASE = 4.0
+_QUIET_S = 2.0
 _READINGS_PER_S = 5.0
 
 
 class Screen:
     """Displays a bench in a viewer.
 
-    The drawing shows the true motion of the rig and its dampers, as an observer would see it; the curves show the
-    readings of the instrument.
-
-    `stream`: stream with a sink.
+    The drawing shows the true motion of the rig and its dampers, as an observer would see it. The curves show the
+    readings of the instrument. `stream` is connected to the viewer.
     """
 
     def __init__(self, stream: rr.RecordingStream, scene: Scene, channels: Sequence[ChannelInfo], rate: float) -> None:
         self._stream, self._scene, self._rate = stream, scene, rate
-        self._names = [info.name for info in channels]
+        self._channel_names = [info.name for info in channels]
         by_name = {info.name: info for info in channels}
         self._step = max(1, round(rate / _FRAMES_PER_S))
-        self._recent: list[tuple[int, Extremes]] = []
+        self._recent_extremes: list[tuple[int, Extremes]] = []
         self._draw(Extremes(body=1e-3, spring=1e-3, coil=1e-3, gap=1e-3))
         stream.send_blueprint(
-            live_layout(plots(by_name), len(scene.dampers), self._view.eye), make_active=True, make_default=True
+            live_layout(plots(by_name), len(scene.dampers), self._view.camera), make_active=True, make_default=True
         )
         self._sender = CurveSender(stream, rate, by_name, scene.dampers)
         self._next_reading = 0
@@ -56,7 +54,7 @@ class Screen:
 
     def show(self, block: Block, readings: NDArray[np.float64]) -> None:
         """Show a block: readings, shape (channels, samples), in the channels' units."""
-        for name, samples in zip(self._names, readings, strict=True):
+        for name, samples in zip(self._channel_names, readings, strict=True):
             if samples.size:
                 self._sender.send_channel(name, block.first, samples)
         motion = block.motion
@@ -72,39 +70,40 @@ class Screen:
         )
         self._position = motion.first + size
         if indices.size:
-            self._fit(pose)
+            self._adapt_exaggeration(pose)
             self._sender.send_motion(self._view, motion.first + indices, pose)
 
     def read(self, reading: ToneReading) -> None:
-        """Show the readings of the tone, a few times per second."""
+        """Show the values of the tone, at most a few times per second."""
         import rerun as rr
 
         if self._position < self._next_reading:
             return
         self._next_reading = self._position + round(self._rate / _READINGS_PER_S)
         self._stream.set_time("time", duration=np.timedelta64(round(self._position / self._rate * 1e9), "ns"))
-        self._stream.log("reading", rr.TextDocument(page(reading), media_type="text/markdown"))
+        self._stream.log("reading", rr.TextDocument(reading_page(reading), media_type="text/markdown"))
 
     def _draw(self, extremes: Extremes) -> None:
         self._view = RigView(self._scene, extremes, gaps_known=True)
         for path, part in self._view.still_parts():
             self._stream.log(path, part, static=True)
 
-    def _fit(self, pose: RigPose) -> None:
-        """Redraw the rig if its exaggeration has become too large or much too small."""
-        present = Extremes().widened(pose, [shaker.body for _, shaker in self._scene.tables])
-        first_position = self._position - round(_MEMORY_S * self._rate)
-        self._recent = [(position, extremes) for position, extremes in self._recent if position >= first_position]
-        self._recent.append((self._position, present))
-        largest = Extremes(*(max(values) for values in zip(*(vars(e).values() for _, e in self._recent), strict=True)))
+    def _adapt_exaggeration(self, pose: RigPose) -> None:
+        """Redraw the rig if its exaggeration is too large, or much too small, for the motion."""
+        current = Extremes().widened(pose, [shaker.body for _, shaker in self._scene.tables])
+        first_position = self._position - round(_QUIET_S * self._rate)
+        self._recent_extremes = [entry for entry in self._recent_extremes if entry[0] >= first_position]
+        self._recent_extremes.append((self._position, current))
+        recent = (vars(extremes).values() for _, extremes in self._recent_extremes)
+        largest = Extremes(*(max(values) for values in zip(*recent, strict=True)))
         factor = exaggeration(largest)
-        is_steady = self._position - self._recent[0][0] >= 0.9 * _MEMORY_S * self._rate
-        if factor < self._view.magnification or (is_steady and factor > _QUIETER_RATIO * self._view.magnification):
+        is_steady = self._position - self._recent_extremes[0][0] >= 0.9 * _QUIET_S * self._rate
+        if factor < self._view.magnification or (is_steady and factor > _MIN_INCREASE * self._view.magnification):
             self._draw(largest)
 
 
-def page(reading: ToneReading) -> str:
-    """Return a reading as a page of Markdown."""
+def reading_page(reading: ToneReading) -> str:
+    """Return the values of a tone as a page in Markdown."""
     state = "held" if reading.is_settled else "silent" if reading.level == 0.0 else "settling"
     lines = [
         f"## {reading.frequency:.2f} Hz, {reading.level:g} N: {state}",
@@ -115,15 +114,15 @@ def page(reading: ToneReading) -> str:
     ]
     for name, displacement in reading.displacement.items():
         ratio = reading.receptance(name)
-        figures = f"{abs(ratio) * 1e3:.4g} mm/N | {math.degrees(cmath.phase(ratio)):.1f}°"
+        ratio_cells = f"{abs(ratio) * 1e3:.4g} mm/N | {math.degrees(cmath.phase(ratio)):.1f}°"
         if not reading.is_settled:
-            figures = "- | -"
-        lines.append(f"| {escape_markdown(name)} | {abs(displacement) * 1e3:.4g} mm | {figures} |")
+            ratio_cells = "- | -"
+        lines.append(f"| {escape_markdown(name)} | {abs(displacement) * 1e3:.4g} mm | {ratio_cells} |")
     return "\n".join(lines) + "\n"
 
 
-def sentence(reading: ToneReading) -> str:
-    """Return a held reading as a line of text."""
+def reading_line(reading: ToneReading) -> str:
+    """Return the values of a settled tone as a line of text."""
     responses = ", ".join(
         f"{name} {abs(displacement) * 1e3:.3g} mm ({math.degrees(cmath.phase(reading.receptance(name))):.0f}°)"
         for name, displacement in reading.displacement.items()

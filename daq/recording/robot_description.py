@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     BoxGeometry = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 WORLD = "world"
-# Displacements near a resonance are millimetres; a millimetre is drawn as two centimetres.
+# Displacements near a resonance are millimeters; a millimeter is drawn as two centimeters.
 EXAGGERATION = 20.0
 
 TRANSFORMS_SCHEMA = Schema(
@@ -109,7 +109,7 @@ class RobotDescription:
     def _link(self, name: str, boxes: Sequence[BoxGeometry], color: Color) -> None:
         rgba = " ".join(f"{component / 255:.3f}" for component in (*color, 255))
         visuals = "".join(
-            f'<visual><origin xyz="{_join(centre)}"/><geometry><box size="{_join(size)}"/></geometry>'
+            f'<visual><origin xyz="{_join(center)}"/><geometry><box size="{_join(size)}"/></geometry>'
             f'<material name="{name}"><color rgba="{rgba}"/></material></visual>'
             for center, size in boxes
         )

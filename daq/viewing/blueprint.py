@@ -48,7 +48,7 @@ def layout(
     phase_view = rrb.StateTimelineView(
         origin="test",
         contents=["test/phase", f"{OVERLOAD_ENTITY}/**"],
-        name="test (grey: settling, green: measuring, or the decay after a hit; red: overloaded)",
+        name="test (gray: settling, green: measuring, or the decay after a hit; red: overloaded)",
         time_view=axis,
     )
     curve_views = [_curve_view(entity, f"{title} around the cursor", cursor_range) for entity, title in plots]

@@ -1,4 +1,4 @@
-"""Markers of a recording, prepared for the viewer: lines of a log, and labelled segments of a timeline.
+"""Markers of a recording, prepared for the viewer: lines of a log, and labeled segments of a timeline.
 
 A marker labels a sample or a segment of samples: a step that settles or is measured, a hit, an overload, a gap.
 """
@@ -27,8 +27,8 @@ class LogLine(NamedTuple):
     text: str
 
 
-class LabelledSegment(NamedTuple):
-    """A segment of samples with its label and colour (0xRRGGBBAA); `stop` is the first sample after it."""
+class LabeledSegment(NamedTuple):
+    """A segment of samples with its label and color (0xRRGGBBAA); `stop` is the first sample after it."""
 
     start: int
     stop: int
@@ -51,13 +51,13 @@ def log_lines(recording: Recording, start: int, stop: int) -> list[LogLine]:
     return sorted(lines)
 
 
-def phases(recording: Recording, start: int, stop: int) -> list[LabelledSegment]:
+def phases(recording: Recording, start: int, stop: int) -> list[LabeledSegment]:
     """Return the phases of the test within [start, stop), in order of time and without overlap.
 
     A phase is a segment with a marker. It ends where the next phase begins. The phase of a hit includes its decay.
     Overloads, alarms and levels are not phases.
     """
-    found: list[LabelledSegment] = []
+    found: list[LabeledSegment] = []
     segments = [m for m in recording.markers if m.last_sample is not None and m.kind not in NOT_PHASE_KINDS]
     hits = sorted(marker.first_sample for marker in segments if marker.kind == "hit")
     for marker in sorted(segments, key=lambda marker: marker.first_sample):
@@ -74,18 +74,18 @@ def phases(recording: Recording, start: int, stop: int) -> list[LabelledSegment]
         first, last = max(start, marker.first_sample), min(stop, end)
         if found and found[-1].stop > first:
             found[-1] = found[-1]._replace(stop=first)
-        found.append(LabelledSegment(first, last, label, PHASE_COLORS.get(marker.kind, OTHER_PHASE_COLOR)))
+        found.append(LabeledSegment(first, last, label, PHASE_COLORS.get(marker.kind, OTHER_PHASE_COLOR)))
     return [phase for phase in found if phase.stop > phase.start]
 
 
-def overloads(recording: Recording, start: int, stop: int) -> dict[str, list[LabelledSegment]]:
+def overloads(recording: Recording, start: int, stop: int) -> dict[str, list[LabeledSegment]]:
     """Return the segments of [start, stop) in which each channel was overloaded, in order of time."""
-    by_channel: dict[str, list[LabelledSegment]] = {}
+    by_channel: dict[str, list[LabeledSegment]] = {}
     for marker in sorted(recording.overloads, key=lambda marker: marker.first_sample):
         first, last = max(start, marker.first_sample), min(stop, marker.stop)
         if first < last:
             name = str(marker.fields.get("channel", ""))
-            by_channel.setdefault(name, []).append(LabelledSegment(first, last, f"{name} overloaded", OVERLOAD_COLOR))
+            by_channel.setdefault(name, []).append(LabeledSegment(first, last, f"{name} overloaded", OVERLOAD_COLOR))
     return by_channel
 
 

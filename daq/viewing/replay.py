@@ -14,7 +14,7 @@ from daq.drawing.rig_view import Extremes, RigView
 from daq.recording.layout import require_ordered_times
 from daq.viewing.blueprint import OVERLOAD_ENTITY, layout
 from daq.viewing.description import markdown_page
-from daq.viewing.marker_log import LabelledSegment, log_lines, overloads, phases
+from daq.viewing.marker_log import LabeledSegment, log_lines, overloads, phases
 from daq.viewing.recorded_motion import BLOCK_SAMPLES, RecordedMotion
 from daq.viewing.viewer_stream import CurveSender, plots
 from rig.errors import SceneError
@@ -102,7 +102,7 @@ class Replay:
         span = self.start / self.recording.rate, self.stop / self.recording.rate
         overloaded = len(overloads(self.recording, self.start, self.stop))
         curves = plots(self.recording.channels)
-        return layout(curves, dampers, overloaded, self.lowest_hz, self.view.eye, span, self.speed)
+        return layout(curves, dampers, overloaded, self.lowest_hz, self.view.camera, span, self.speed)
 
     def send(
         self,
@@ -152,7 +152,7 @@ class Replay:
 
     @staticmethod
     def _send_segments(
-        stream: rr.RecordingStream, sender: CurveSender, entity: str, segments: Sequence[LabelledSegment]
+        stream: rr.RecordingStream, sender: CurveSender, entity: str, segments: Sequence[LabeledSegment]
     ) -> None:
         # Each segment is a separate state with a label; between segments the timeline is empty.
         states = [str(number) for number in range(len(segments))]

@@ -165,7 +165,7 @@ class Stream:
         start_tick = past_motion[0][0].first if past_motion else 0
         self._first = first_sample(per_tick, start_tick)
         self._motion = MotionAtRate(per_tick * intervals, intervals, 1.0 / plant.rate, self._first * intervals)
-        self._converter = Quantiser(self._scene.converter)
+        self._converter = Quantizer(self._scene.converter)
         self.lost, self.latency = self._converter.lost, self._chain.latency
         self.rewire(self._chain.wiring if wiring is None else wiring)
         for motion, drive in past_motion:

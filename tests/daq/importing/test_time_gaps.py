@@ -91,8 +91,7 @@ def test_missing_rows_are_imported_as_lost_samples(ending, write_file, tmp_path)
 
 
 def test_gaps_are_detected_across_pieces():
-    number = np.arange(3 * BLOCK_LINES)
-    present = np.delete(number, [BLOCK_LINES, BLOCK_LINES + 1, 2 * BLOCK_LINES + 5])
+    present = np.delete(np.arange(3 * BLOCK_LINES), [BLOCK_LINES, BLOCK_LINES + 1, 2 * BLOCK_LINES + 5])
     pieces = np.split(present / RATE, [BLOCK_LINES, 2 * BLOCK_LINES - 1])
     assert missing_rows(pieces, 0.0) == [(BLOCK_LINES, 2), (2 * BLOCK_LINES + 3, 1)]
 

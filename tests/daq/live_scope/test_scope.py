@@ -22,7 +22,7 @@ import rig
 from analysis.responses.frequency_responses import frequency_responses
 from daq.cli import main
 from daq.excitation.manual_tone import Knobs
-from daq.live_scope.scope import knobs_for, record_live
+from daq.live_scope.scope import initial_knobs, record_live
 from daq.viewing.outputs import recording_stream
 from rig.errors import SceneError
 from rig.system.structural_model import receptance
@@ -41,7 +41,7 @@ def run_scope(scene, folder, plan, **options):
 
     Returns the path of the recording and the lines that the scope reports.
     """
-    knobs, lines, remaining_lines = knobs_for(scene, None, 0.0), [], sorted(plan.items())
+    knobs, lines, remaining_lines = initial_knobs(scene, None, 0.0), [], sorted(plan.items())
     rate = float(scene.converter.rate)
 
     def enter_lines(position):
@@ -111,7 +111,7 @@ def test_interrupted_tone_is_marked_up_to_the_ramp(tmp_path, monkeypatch):
     unraisable = []
     monkeypatch.setattr(sys, "unraisablehook", unraisable.append)
     scene = SCENE.replace(test={"kind": "sine", "frequency": 12.0, "force": 1.5})
-    knobs = knobs_for(scene, None, 1.5)
+    knobs = initial_knobs(scene, None, 1.5)
     with recording_stream() as stream, pytest.raises(KeyboardInterrupt, match="contains the"):
         stream.save(tmp_path / "scope.rrd")
         record_live(scene, tmp_path / "scope.mcap", stream, knobs, interrupt, lambda position: None)
@@ -135,7 +135,7 @@ def test_existing_file_is_rejected_before_output(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "unraisablehook", unraisable.append)
     (tmp_path / "scope.mcap").write_bytes(b"precious")
     with recording_stream() as stream, pytest.raises(rig.errors.RecordingError, match="exists"):
-        knobs = knobs_for(SCENE, None, 2.0)
+        knobs = initial_knobs(SCENE, None, 2.0)
         record_live(SCENE, tmp_path / "scope.mcap", stream, knobs, str, lambda position: None)
     gc.collect()
     assert unraisable == []
@@ -190,9 +190,9 @@ def test_invalid_line_keeps_the_setting(line, message):
 
 
 def test_knobs_start_at_the_frequency_of_the_test():
-    assert knobs_for(rig.load("fig8-three-dampers"), None, 0.0).settings == (8.0, 0.0)
-    assert knobs_for(SCENE, None, 0.0).settings[0] == pytest.approx(13.9, abs=0.1)
-    assert knobs_for(SCENE, 33.0, 1.0).settings == (33.0, 1.0)
+    assert initial_knobs(rig.load("fig8-three-dampers"), None, 0.0).settings == (8.0, 0.0)
+    assert initial_knobs(SCENE, None, 0.0).settings[0] == pytest.approx(13.9, abs=0.1)
+    assert initial_knobs(SCENE, 33.0, 1.0).settings == (33.0, 1.0)
 
 
 @pytest.mark.thorough

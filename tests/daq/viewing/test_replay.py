@@ -58,10 +58,11 @@ class RrdFile:
                 else:
                     self.columns.setdefault(key, []).append((batch.column("time"), values))
 
-    def series(self, channel_entity, component, width=1):
-        parts = [(t, v) for t, v in self.columns[channel_entity, component] if v.null_count == 0]
-        time = np.concatenate([t.cast(pa.int64()).to_numpy() for t, _ in parts]) * 1e-9
-        values = [v.flatten() for _, v in parts]
+    def series(self, entity, component, width=1):
+        """Return times in s and values of a component, in the order of time; `width` is the length of a vector."""
+        chunks = [(times, values) for times, values in self.columns[entity, component] if values.null_count == 0]
+        time = np.concatenate([times.cast(pa.int64()).to_numpy() for times, _ in chunks]) * 1e-9
+        arrays = [values.flatten() for _, values in chunks]
         if width > 1:
             arrays = [array.flatten() for array in arrays]
         flat = np.concatenate([array.to_numpy(zero_copy_only=False) for array in arrays])
@@ -251,7 +252,7 @@ def test_overloaded_channel_has_a_lane(tmp_path):
     assert displayed == {0.1: "0", 0.2: "none", 0.8: "1", 0.850195: "none"}
 
 
-def test_entity_of_odd_name_is_one_path_part():
+def test_channel_name_with_slash_is_escaped():
     assert channel_entity("acceleration", "top left/2") == r"/channels/acceleration/top\ left\/2"
 
 

@@ -71,10 +71,10 @@ def test_picture_draws_every_view(recording_path, tmp_path):
 @pytest.mark.thorough
 def test_rerun_shows_plots_and_rig_of_recording(recording_path):
     if not has_vulkan():
-        with pytest.raises(RunError, match=NAMED):
-            headless_picture(recorded, 0.3, (1000, 700))
+        with pytest.raises(RunError, match=PACKAGES):
+            headless_picture(recording_path, 0.3, (1000, 700))
         return
-    png, views = headless_picture(recorded, 0.3, (1000, 700))
+    png, views = headless_picture(recording_path, 0.3, (1000, 700))
     assert png_size(png) == (1000, 700)
     assert [report for view in views for report in view.reports] == []
     kinds = [view.view_class for view in views]
@@ -85,8 +85,8 @@ def test_rerun_shows_plots_and_rig_of_recording(recording_path):
 def test_missing_graphics_device_names_the_packages(recording_path, tmp_path, monkeypatch):
     for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
         monkeypatch.setenv(name, str(tmp_path / "none.json"))
-    with pytest.raises(RunError, match=NAMED):
-        headless_picture(recorded, None, (400, 300))
+    with pytest.raises(RunError, match=PACKAGES):
+        headless_picture(recording_path, None, (400, 300))
 
 
 def test_viewer_listens_on_loopback_and_ends():

@@ -114,7 +114,7 @@ def _serve_page(live_bench: LiveBench, host: str, port: int) -> Any:
         token_gate, host=host.strip("[]"), port=port, log_level="critical", timeout_graceful_shutdown=1
     )
     server = uvicorn.Server(config)
-    thread = threading.Thread(target=server.run, url_host="page", daemon=True)
+    thread = threading.Thread(target=server.run, name="page", daemon=True)
     thread.start()
     deadline = time.monotonic() + _MAX_START_S
     while not server.started and thread.is_alive() and time.monotonic() < deadline:

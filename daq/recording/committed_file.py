@@ -139,7 +139,7 @@ class CommittedFile:
 def _unused_name(path: Path) -> Path:
     """Return an unused name next to a file; the partial file of a killed process is not replaced.
 
-    >>> _unused(Path("there-is-no-such-folder/run.mcap")).name
+    >>> _unused_name(Path("there-is-no-such-folder/run.mcap")).name
     'run.mcap.part'
     """
     part, number = path.with_name(f"{path.name}.part"), 1

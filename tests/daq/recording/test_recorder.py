@@ -255,7 +255,7 @@ def test_samples_are_flushed_each_half_second(tmp_path, truth, monkeypatch):
             if recorders:
                 flushed.append(recorders[0].position)
 
-    monkeypatch.setattr("daq.recording.recorder.Disk", WatchedDisk)
+    monkeypatch.setattr("daq.recording.recorder.CommittedFile", WatchedDisk)
     recorders = []
     recorders.append(Recorder(path, scene, two_channels(), RATE))
     samples, first = random_volts(6 * FLUSH_LENGTH), 0

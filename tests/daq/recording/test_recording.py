@@ -408,7 +408,7 @@ def test_distant_block_does_not_exhaust_memory(tmp_path, limited_memory):
 def test_large_range_needs_a_sixteenth_of_samples(tmp_path, monkeypatch, large_range):
     message, end_ns = block_message(10**9, [1.0, 2.0])
     path = write_messages(tmp_path / "far.mcap", message, end_ns)
-    monkeypatch.setattr("daq.recording.channel_series.LARGE_RANGE", large_range)
+    monkeypatch.setattr("daq.recording.channel_series._LARGE_RANGE", large_range)
     longest_readable = large_range or len(message) // 4 * 16
     with daq.open(path) as recording:
         assert np.isnan(recording.read("a", 0, longest_readable)).all()

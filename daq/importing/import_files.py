@@ -359,8 +359,8 @@ class _RecordingWriter:
             latest_peak, name = max(motion_peaks, default=(0, ""))
             if latest_peak >= _MAX_PEAK_SHARE * self._samples:
                 yield (
-                    f"the decay of a free test must begin with the first sample, but the largest motion of {name} is "
-                    f"at {latest_peak / self._rate:.4g} s. Remove the time before it with --from."
+                    f"the decay of a free test must begin with the first sample, but {name} moves most at "
+                    f"{latest_peak / self._rate:.4g} s. Remove the time before it with --from."
                 )
             return
         if self._steps is not None:

@@ -93,7 +93,7 @@ def choose_signals(
         chosen.append(ChosenSignal(channel, position, signal, column or Column(signal.name)))
         channels_of_signal.setdefault(id(signal), []).append(channel.name)
     mistakes += [
-        f"{' and '.join(channel_names)}: the same signal"
+        f"{' and '.join(channel_names)}: the same signal. Assign a different one to each."
         for channel_names in channels_of_signal.values()
         if len(channel_names) > 1
     ]

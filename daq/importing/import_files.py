@@ -377,7 +377,10 @@ class _RecordingWriter:
                 "Check for swapped columns or another test."
             )
         elif not any(info.quantity == "force" for info in self._infos) and not self._scene.shakers:
-            yield "no channel measures a force and the scene has no shaker, so responses have no reference"
+            yield (
+                "no channel measures a force and the scene has no shaker, so responses have no reference. Assign a signal "
+                "to a force channel, or add the shaker to the scene."
+            )
         else:
             low, high = _LOWEST_RATIO * self._rate, _HIGHEST_RATIO * self._rate
             if isinstance(test, SweptSine | Random | Multisine):
@@ -392,7 +395,7 @@ def _implausible_readings(where: str, assignment: AssignedSignal, overloads: Ove
         yield f"{where} contains no numbers"
         return
     if overloads.value_range == 0.0:
-        yield f"{where} reads {peak:.6g} {unit} throughout: the sensor is dead, or not connected"
+        yield f"{where} reads {peak:.6g} {unit} throughout: its sensor is dead or not connected"
     if peak > _MAX_PLAUSIBLE[assignment.info.quantity]:
         yield f"{where} reads up to {peak:.3g} {unit}. Check for a wrong unit or sensitivity."
     if overloads.limit_is_wrong:

@@ -378,8 +378,8 @@ class _RecordingWriter:
             )
         elif not any(info.quantity == "force" for info in self._infos) and not self._scene.shakers:
             yield (
-                "no channel measures a force and the scene has no shaker, so responses have no reference. Assign a signal "
-                "to a force channel, or add the shaker to the scene."
+                "no channel measures a force and the scene has no shaker, so responses have no reference. Assign a "
+                "signal to a force channel, or add the shaker to the scene."
             )
         else:
             low, high = _LOWEST_RATIO * self._rate, _HIGHEST_RATIO * self._rate

@@ -17,7 +17,8 @@ from rig.simulation.motion import Motion
 class MotionAtRate:
     """Resamples a motion and its drive: instant n is n / rate ticks after power-on.
 
-    An instant at a tick has the motion of the tick. Between ticks and breaks (jumps of velocity or acceleration) the
+    `group` instants make up a sample, and only complete groups are returned. `tick` is the duration of a tick, s. An
+    instant at a tick has the motion of the tick. Between ticks and breaks (jumps of velocity or acceleration) the
     acceleration is the cubic of `daq.dsp.interpolation`, integrated to velocity and displacement. The drive is
     interpolated linearly.
     """

@@ -26,7 +26,7 @@ from daq.foresight.rehearsal_plan import (
     level_key,
     plan_about_peaks,
     plan_rehearsal,
-    tones_up_to,
+    shorten_to_tone,
     with_level,
 )
 from daq.measurement.estimate import estimate
@@ -303,7 +303,7 @@ class _Assessment:
         """Return the level at which a channel reaches its limit, by the secant method in logarithms with rehearsals."""
         part = max(self.unlimited_test.parts, key=lambda rehearsal: float(rehearsal.readings.magnitude[row]))
         seconds = affordable_seconds(self.scene) / (2 * _MAX_SECANT_STEPS)
-        scene, excluded_steps = tones_up_to(part.scene, limiting.frequency, seconds)
+        scene, excluded_steps = shorten_to_tone(part.scene, limiting.frequency, seconds)
         if scene is None:
             return level
         unlimited_scene, log_ratios = without_limits(scene), [(np.log(self.level), np.log(limiting.driven_share))]

@@ -239,10 +239,11 @@ def with_level(scene: Scene, level: float) -> Scene:
     return scene.replace(test=scene.test.replace(**{key: level}))
 
 
-def tones_up_to(scene: Scene, frequency: float | None, seconds: float) -> tuple[Scene | None, int]:
-    """Return a scene that tests only up to a frequency, and its number of steps to exclude; None if too long.
+def shorten_to_tone(scene: Scene, frequency: float | None, seconds: float) -> tuple[Scene | None, int]:
+    """Return a scene that contains the tone at a frequency and is short, and the number of steps to exclude.
 
-    Of a stepped sine, the tones just before the frequency remain; a short test is not changed.
+    A stepped sine keeps the tones about the frequency. Another test is not changed if it takes at most `seconds`;
+    otherwise the scene is None.
     """
     test = scene.test
     if isinstance(test, SteppedSine) and frequency is not None:

@@ -86,7 +86,7 @@ def bench(
         wait_for_signal()
         monitor = live_bench.monitor
         print(
-            f"the bench ends: {monitor.lost_samples} samples lost, {monitor.skipped_blocks} blocks not shown on the page",
+            f"the bench ends: {monitor.lost_samples} samples lost, {monitor.skipped_blocks} blocks not shown",
             file=sys.stderr,
         )
     for path in live_bench.recordings.paths:

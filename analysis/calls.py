@@ -33,9 +33,9 @@ Recordings: TypeAlias = "OneRecording | Sequence[OneRecording]"
 
 
 class Results(Result, Sequence[R], Generic[R]):
-    """Results of one kind in the order of the recordings, one for each sweep (level and direction).
+    """Sequence of results in the order of the recordings, one for each sweep (level and direction).
 
-    A sequence that plots all of them in one figure and joins their tables.
+    It plots all results in one figure and joins their tables.
     """
 
     def __init__(self, results: Iterable[R]) -> None:
@@ -184,7 +184,7 @@ def dampers(recordings: Recordings, progress: CountProgress | None = None) -> Re
 
     results: list[Dampers] = []
     for source, label in _sources(recordings):
-        with _only_recordings(source) as rec:
+        with _require_recording(source) as rec:
             check_recording(rec, rec.path, "dampers")
             results += dampers_in(rec, label, progress)
     return Results(results)
@@ -302,14 +302,14 @@ def paper(
         return reproduce(Path(output), progress or (lambda _: None), fresh, cluster)
 
 
-def _listed(recordings: Recordings) -> list[OneRecording]:
+def _as_list(recordings: Recordings) -> list[OneRecording]:
     is_single = isinstance(recordings, str | Path) or hasattr(recordings, "channels")
     return [recordings] if is_single else list(recordings)  # type: ignore[arg-type, list-item]
 
 
 def _paths(recordings: Recordings) -> list[Path]:
     return [
-        Path(recording) if isinstance(recording, str | Path) else recording.path for recording in _listed(recordings)
+        Path(recording) if isinstance(recording, str | Path) else recording.path for recording in _as_list(recordings)
     ]
 
 
@@ -318,7 +318,7 @@ def _sources(recordings: Recordings) -> Iterator[tuple[Any, str]]:
     from analysis.presentation.inputs import labels
     from analysis.responses.frf_files import is_frf_file
 
-    sources, paths = _listed(recordings), _paths(recordings)
+    sources, paths = _as_list(recordings), _paths(recordings)
     for source, path, label in zip(sources, paths, labels(paths), strict=True):
         yield path if is_frf_file(path) else _opened(source), label
 
@@ -335,7 +335,8 @@ def _opened(recording: OneRecording) -> Iterator[Recording]:
         yield recording
 
 
-def _only_recordings(source: Any) -> Any:
+def _require_recording(source: Any) -> Any:
+    """Return the context of a recording; raise `RecordingError` for a file with frequency responses."""
     from rig.errors import RecordingError
 
     if isinstance(source, Path):
@@ -344,7 +345,7 @@ def _only_recordings(source: Any) -> Any:
 
 
 def _labeled(result: Any, label: str, scene: str | None = None) -> Any:
-    """Name a result after its recording, instead of the scene."""
+    """Return a result with the label of its recording instead of the name of its scene."""
     from dataclasses import replace
 
     from analysis.recordings.names import relabel

@@ -84,7 +84,7 @@ def frf(
         result = present_frf(
             files, output, response, reference, motion, estimator, block, theory, progress, overlap, window, unit
         )
-    _show(result)
+    _print_output(result)
 
 
 @app.command(example="analysis decay impulse.mcap --channel body3")
@@ -102,7 +102,7 @@ def decay(
 
     with allow_overwriting(overwrite):
         result = present_decay(files, output, channel, hit)
-    _show(result)
+    _print_output(result)
 
 
 @app.command(example="analysis modes sweep.mcap")
@@ -120,7 +120,7 @@ def modes(
 
     with allow_overwriting(overwrite), count_progress("analyzing") as progress:
         result = present_modes(files, output, reference, modes, block, progress, unit)
-    _show(result)
+    _print_output(result)
 
 
 @app.command(example="analysis dampers sweep.mcap")
@@ -133,7 +133,7 @@ def dampers(files: Files, output: Output = None, overwrite: Overwrite = False) -
 
     with allow_overwriting(overwrite), count_progress("analyzing") as progress:
         result = present_dampers(files, output, progress)
-    _show(result)
+    _print_output(result)
 
 
 @app.command(example="analysis compare without.mcap with.mcap")
@@ -146,7 +146,7 @@ def compare(files: Files, output: Output = None, overwrite: Overwrite = False) -
 
     with allow_overwriting(overwrite), count_progress("analyzing") as progress:
         result = present_compare(files, output, progress)
-    _show(result)
+    _print_output(result)
 
 
 @app.command(example="analysis fit guess.yaml sweep.mcap --free structure -o fitted.yaml")
@@ -200,7 +200,7 @@ def report(
 
     with allow_overwriting(overwrite), count_progress("analyzing") as progress:
         result = write_report(files, output, progress)
-    _show(result)
+    _print_output(result)
 
 
 @app.command(example="analysis demo -o recordings")
@@ -354,7 +354,7 @@ def _print_line(line: str) -> None:
     print(line, flush=True)
 
 
-def _show(result: CommandOutput) -> None:
+def _print_output(result: CommandOutput) -> None:
     for line in result.lines:
         print(line)
     for warning in result.warnings:

@@ -1,4 +1,4 @@
-"""Error of a measured compliance against computing time, by detail of the measurement chain: `analysis cost`.
+"""Study of the measurement chain for `analysis cost`: error of a compliance and computing time, part by part.
 
 Start with `study`.
 """

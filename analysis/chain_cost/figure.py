@@ -1,4 +1,4 @@
-"""Output of the chain cost study: figure and table."""
+"""Output of `analysis cost`: figure and table of measurement error and computing time for each variant of the chain."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ UNCORRECTED_COLOR = "#a0a0a0"
 
 
 def table(study: ChainStudy) -> str:
-    """Format a study as text: the error of the scene and its largest change first, then a row for each measurement."""
+    """Return a study as text: error of the scene, largest error of the variants, and a row for each measurement."""
     frequencies = ", ".join(f"{frequency:g}" for frequency in study.frequency)
-    changes = [point for group in GROUPS for point in study.points if point.group == group]
+    variants = [point for group in GROUPS for point in study.points if point.group == group]
     scene = study.unchanged
-    answer = f"The scene: relative error {scene.error:.0e}, {_milliseconds(scene)} ms for a second of the test."
-    measured = [point for point in changes if np.isfinite(point.error)]
+    summary = f"The scene: relative error {scene.error:.0e}, {_milliseconds(scene)} ms for a second of the test."
+    measured = [point for point in variants if np.isfinite(point.error)]
     if measured:
         worst = max(measured, key=lambda point: point.error)
-        answer += f" Largest error of the changes: {worst.error:.0e} ({worst.group}: {worst.setting})."
+        summary += f" Largest error of the changes: {worst.error:.0e} ({worst.group}: {worst.setting})."
     rows: list[tuple[str, ...]] = [("changed", "to", "ms for a second", "relative error", "correction", "note")]
-    rows += [_row(point) for point in (study.unchanged, study.without_noise, *changes)]
+    rows += [_row(point) for point in (study.unchanged, study.without_noise, *variants)]
     return "\n".join(
         [
             f"{study.scene.name}: compliance measured at {frequencies} Hz",
-            answer,
+            summary,
             "",
             *table_lines(rows, "<<>>><"),
             "",
@@ -52,14 +52,15 @@ def table(study: ChainStudy) -> str:
 
 
 def _milliseconds(point: Measurement) -> str:
+    """Format the CPU time for a second of the test, ms."""
     return f"{1e3 * point.cpu / point.duration:.3g}"
 
 
 def _row(point: Measurement) -> tuple[str, ...]:
-    start = point.group or "the scene", point.setting
+    variant = point.group or "the scene", point.setting
     if np.isnan(point.error):
-        return *start, "-", "-", "-", f"failed: {point.note}"
-    return *start, _milliseconds(point), f"{point.error:.0e}", f"{point.correction:.0e}", point.note
+        return *variant, "-", "-", "-", f"failed: {point.note}"
+    return *variant, _milliseconds(point), f"{point.error:.0e}", f"{point.correction:.0e}", point.note
 
 
 def write(study: ChainStudy, folder: Path) -> list[Path]:
@@ -69,9 +70,9 @@ def write(study: ChainStudy, folder: Path) -> list[Path]:
     """
     name = folder / file_stem("chain-cost", study.scene.name)
     rows = [["changed", "to", "cpu_s", "test_s", "error", "corrected_for", "note"]]
-    for p in (study.unchanged, study.without_noise, *study.points):
-        numbers = [f"{value:.6g}" for value in (p.cpu, p.duration, p.error, p.correction)]
-        rows.append([p.group or "the scene", p.setting, *numbers, p.note])
+    for point in (study.unchanged, study.without_noise, *study.points):
+        numbers = [f"{value:.6g}" for value in (point.cpu, point.duration, point.error, point.correction)]
+        rows.append([point.group or "the scene", point.setting, *numbers, point.note])
     return save_with_table(_draw(study), name, rows)
 
 
@@ -82,7 +83,7 @@ def output_files(scene: Scene, folder: Path) -> list[Path]:
 
 
 def _draw(study: ChainStudy) -> Figure:
-    """Draw a row for each changed part of the chain: measurement error and computing time."""
+    """Draw a row for each variant of the chain: measurement error and computing time."""
     groups = [(group, [p for p in study.points if p.group == group]) for group in GROUPS]
     rows = [
         ("the scene as it is", study.unchanged, SCENE_COLOR),

@@ -36,21 +36,21 @@ from rig.system.structural_model import receptance, structural_model
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-#: Number of candidate frequencies for steady motion that repeats every period.
+#: Number of frequencies at which steady motion that repeats every period is searched for.
 CANDIDATES = 15
 #: Residual transient at which a measurement begins, relative to the amplitude.
 SETTLE_TOLERANCE = 1e-5
 #: Timeout of settling, in decay times of the slowest mode.
 MAX_WAIT_DECAY_TIMES = 10.0
-#: The timeout of settling is at least this, s.
+#: Shortest timeout of settling, s.
 MIN_TIMEOUT_S = 20.0
-#: The timeout of settling is at most this, s.
+#: Longest timeout of settling, s.
 MAX_TIMEOUT_S = 60.0
 #: Periods in a measurement.
 PERIODS = 50
-#: Number of repetitions of each recording; the fastest counts.
+#: Number of repetitions of each recording; the shortest time is reported.
 REPEATS = 2
-#: Residual of the steady motion that serves as the reference.
+#: Relative change from period to period at which the steady motion is accepted as the reference.
 REFERENCE_TOLERANCE = 1e-10
 #: Largest relative difference of two motions that agree, for the choice of frequencies.
 SAME_MOTION_TOLERANCE = 1e-4
@@ -108,28 +108,28 @@ def chain_study(
     """
     expanded = expand_chain(scene)
     level_of(expanded)
-    tested = (
+    test_frequencies = (
         tuple(np.unique(positive_values(frequencies, FREQUENCY, "frequencies")).tolist())
         if frequencies
         else steady_frequencies(expanded)
     )
     expanded = expanded.replace(
-        test=_test(expanded, tested), recording=expanded.recording.replace(display=False, truth=False)
+        test=_test(expanded, test_frequencies), recording=expanded.recording.replace(display=False, truth=False)
     )
-    peak_frequency = tested[int(np.argmax(_accelerations(expanded, tested)))]
+    peak_frequency = test_frequencies[int(np.argmax(_accelerations(expanded, test_frequencies)))]
     linear = assemble(expanded).dampers == 0
     with tempfile.TemporaryDirectory() as folder:
         bench = _Bench(Path(folder), linear)
-        # Run once without measurement, so that compilation is excluded from the cost; this run also gives the
-        # voltages.
+        # Run once without measurement, so that the cost excludes compilation; this run also yields the
+        # largest voltage.
         try:
-            volts = bench.largest_volts(expanded)
+            largest_volts = bench.largest_volts(expanded)
         except ShotrigError as error:
             raise type(error)(UNMEASURABLE.format(error)) from None
         all_variants = [
             Variant("", "as it is", expanded),
             Variant("", "without noise and tolerances", without_noise(expanded)),
-            *variants(expanded, min(tested), peak_frequency, max(tested), volts),
+            *variants(expanded, min(test_frequencies), peak_frequency, max(test_frequencies), largest_volts),
         ]
         measured: list[Measurement] = []
         for number, variant in enumerate(all_variants):
@@ -144,7 +144,7 @@ def chain_study(
         else f"the engine's steady motion under the drive stated in the recording, repeating "
         f"within {REFERENCE_TOLERANCE:.0e}"
     )
-    return ChainStudy(expanded, tested, measured[0], measured[1], tuple(measured[2:]), reference)
+    return ChainStudy(expanded, test_frequencies, measured[0], measured[1], tuple(measured[2:]), reference)
 
 
 def steady_frequencies(scene: Scene) -> tuple[float, ...]:
@@ -164,8 +164,8 @@ def steady_frequencies(scene: Scene) -> tuple[float, ...]:
         response = frequency_response(motion, candidates, direction="both", tolerance=1e-6, longest=6000)
         upward, downward = slice(len(candidates)), slice(None, len(candidates) - 1, -1)
         up, down = response.compliance[:, upward], response.compliance[:, downward]
-        repeats = response.converged & (response.repetition == 1)
-        is_steady = repeats[upward] & repeats[downward]
+        is_period_1 = response.converged & (response.repetition == 1)
+        is_steady = is_period_1[upward] & is_period_1[downward]
         is_steady &= np.abs(up - down).max(axis=0) < SAME_MOTION_TOLERANCE * np.abs(up).max(axis=0)
     if not is_steady.any():
         raise RunError(
@@ -178,6 +178,7 @@ def steady_frequencies(scene: Scene) -> tuple[float, ...]:
 
 
 def _accelerations(scene: Scene, frequencies: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the largest acceleration of any body per unit of the level, without impacts, at each frequency."""
     system = assemble(scene)
     return np.array([accelerations_per_level(scene, system, 2.0 * np.pi * f).max() for f in frequencies])
 
@@ -195,7 +196,10 @@ def _test(scene: Scene, frequencies: tuple[float, ...]) -> SteppedSine:
 
 
 class _Bench:
-    """Recording and analysis in a folder."""
+    """Records and analyzes variants of a scene; recordings are made in `folder`.
+
+    `linear`: whether the scene has no moving dampers, so that its receptance is the reference.
+    """
 
     def __init__(self, folder: Path, linear: bool) -> None:
         self._folder, self._linear = folder, linear
@@ -229,18 +233,20 @@ class _Bench:
                 reference = self._reference_compliance(rec)
                 measured = np.array([curve.value for curve in curves])
                 frequencies = [float(mark.fields["frequency"]) for mark in rec.markers if mark.kind == "measure"]
-                corrected = max(float(np.abs(info.response(frequencies) - 1.0).max()) for info in rec.channels.values())
+                correction = max(
+                    float(np.abs(info.response(frequencies) - 1.0).max()) for info in rec.channels.values()
+                )
                 duration = rec.samples / rec.rate
                 if measured.shape != reference.shape or not np.isfinite(measured).all():
                     raise RunError(
                         "; ".join(dict.fromkeys(notes))
                         or "the channels measured no response. Check their sensitivities"
                     )
-        except ShotrigError as error:
+        except ShotrigError as failure:
             nan = float("nan")
-            return Measurement(variant.group, variant.setting, nan, nan, nan, nan, str(error))
-        deviation, note = _largest_error(measured, reference), " ".join(dict.fromkeys(notes))
-        return Measurement(variant.group, variant.setting, min(times), duration, deviation, corrected, note)
+            return Measurement(variant.group, variant.setting, nan, nan, nan, nan, str(failure))
+        error, note = _largest_error(measured, reference), " ".join(dict.fromkeys(notes))
+        return Measurement(variant.group, variant.setting, min(times), duration, error, correction, note)
 
     def _record(self, scene: Scene) -> Path:
         return record(scene, self._folder / "chain.mcap", overwrite=True)

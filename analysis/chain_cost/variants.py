@@ -1,4 +1,4 @@
-"""Variants of a scene's measurement chain, with one part changed at a time."""
+"""Variants of a scene for `analysis cost`: one part of its measurement chain is changed at a time."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 
 #: Sample rates, relative to the sample rate of the scene.
-RATES = (0.125, 0.25, 0.5, 2.0, 4.0, 8.0)
-#: Smallest number of samples per period of the highest frequency.
-SAMPLES_A_PERIOD = 4.0
+RATE_RATIOS = (0.125, 0.25, 0.5, 2.0, 4.0, 8.0)
+#: Minimum number of samples per period of the highest frequency.
+MIN_SAMPLES_PER_PERIOD = 4.0
 #: Mounted resonances of the sensors, relative to the highest frequency.
-RESONANCES = (10.0, 100.0, 1000.0)
+RESONANCE_RATIOS = (10.0, 100.0, 1000.0)
 #: Bits of the converter.
 BITS = (24, 16, 12)
 #: Lower corner frequency of an added integrator, relative to the lowest frequency.
-CORNER = 0.1
+CORNER_RATIO = 0.1
 #: Sensor properties that differ from the data sheet, or depend on switching on.
 UNCORRECTABLE = (
     "sensitivity_tolerance", "temperature_drift", "temperature_change", "transverse", "lateral",
     "bias", "bias_settling",
 )  # fmt: skip
-#: Ratio of the converter's range to the largest reading, if the scene gives no range.
+#: Range of the converter relative to the largest reading, if the scene gives no range.
 HEADROOM = 1.5
 
 #: Output of an integrator of order 0, 1, 2.
-NAMES = ("none", "velocity", "displacement")
+INTEGRATOR_OUTPUTS = ("none", "velocity", "displacement")
 #: Changed parts, in the order of the signal path.
 GROUPS = ("sensor", "noise", "integrator", "anti-alias filter", "sample rate", "bits")
 
@@ -47,7 +47,7 @@ class Variant:
 
 
 def expand_chain(scene: Scene) -> Scene:
-    """Expand a scene's chain: presets filled in, channels named, no limits of the readings.
+    """Return the scene with its presets filled in, all channels named, and without alarm and abort limits.
 
     Raises `SceneError` if no channel measures the force.
     """
@@ -64,11 +64,11 @@ def expand_chain(scene: Scene) -> Scene:
         bodies = [f"body {number}" for number in range(1, scene.structure.bodies + 1)]
         channels = tuple(Channel(name=at.replace(" ", ""), at=at) for at in [*bodies, scene.at_driven("table")])
     if channels is not None:
-        channels = tuple(_written_out(channel) for channel in channels)
+        channels = tuple(_with_presets_filled_in(channel) for channel in channels)
     return scene.replace(channels=channels, converter=converter)
 
 
-def _written_out(channel: Channel) -> Channel:
+def _with_presets_filled_in(channel: Channel) -> Channel:
     sensor = channel.accelerometer
     if sensor is not None:
         sensor = complete_from_preset(sensor).replace(preset=None)
@@ -86,7 +86,11 @@ def scene_setting(scene: Scene, group: str) -> str:
     if group == "anti-alias filter":
         return "off" if converter.filter is None else "on"
     if group == "integrator":
-        texts = [NAMES[0 if c.integrator is None else c.integrator.order] for c in channels if not c.measures_force]
+        texts = [
+            INTEGRATOR_OUTPUTS[0 if c.integrator is None else c.integrator.order]
+            for c in channels
+            if not c.measures_force
+        ]
     elif group == "sensor":
         sensors = [channel.accelerometer for channel in channels if not channel.measures_force]
         texts = [
@@ -103,6 +107,7 @@ def without_noise(scene: Scene) -> Scene:
 
 
 def _exact_sensors(scene: Scene) -> Scene:
+    """Remove sensor tolerances and bias."""
     if scene.channels is None:
         return scene
     scene = _sensors(scene, **dict.fromkeys(UNCORRECTABLE))
@@ -116,6 +121,7 @@ def _exact_sensors(scene: Scene) -> Scene:
 
 
 def _without_counts(scene: Scene) -> Scene:
+    """Remove quantization by the converter."""
     return _converter(scene, bits=None).replace(recording=scene.recording.replace(samples=None))
 
 
@@ -143,8 +149,8 @@ def variants(
     else:
         yield Variant("anti-alias filter", "off", _converter(scene, filter=None, remove_delay=False))
     rate = scene.converter.sample_rate
-    for factor in RATES:
-        if factor * rate >= SAMPLES_A_PERIOD * highest:
+    for factor in RATE_RATIOS:
+        if factor * rate >= MIN_SAMPLES_PER_PERIOD * highest:
             yield Variant("sample rate", f"{factor * rate:.6g} Hz", _converter(scene, rate=factor * rate))
     for bits in BITS:
         yield Variant("bits", str(bits), _converter(scene, bits=bits, range=full_scale))
@@ -155,7 +161,7 @@ def _converter(scene: Scene, **changes: Any) -> Scene:
 
 
 def _sensors(scene: Scene, **changes: Any) -> Scene:
-    """Change the accelerometers of all channels."""
+    """Change settings of all accelerometers; a channel without an accelerometer gets one if a setting is not None."""
     assert scene.channels is not None
     channels = [
         channel.replace(accelerometer=(channel.accelerometer or Accelerometer()).replace(**changes))
@@ -171,7 +177,7 @@ def _resonances(scene: Scene, highest: float) -> Iterator[Variant]:
         return
     if any(c.accelerometer is not None and c.accelerometer.resonance is not None for c in scene.channels):
         yield Variant("sensor", "no resonance", _sensors(scene, resonance=None, q=None))
-    for factor in RESONANCES:
+    for factor in RESONANCE_RATIOS:
         resonance = float(f"{factor * highest:.1g}")
         yield Variant("sensor", f"resonance {resonance:g} Hz", _sensors(scene, resonance=resonance))
 
@@ -204,14 +210,14 @@ def _integrators(scene: Scene, lowest: float, peak_frequency: float) -> Iterator
     if scene.channels is None:
         return
     omega = 2.0 * np.pi * peak_frequency
-    for order, name in enumerate(NAMES):
+    for order, name in enumerate(INTEGRATOR_OUTPUTS):
         channels = []
         for channel in scene.channels:
             integrator = channel.integrator
             if order == 0 or channel.measures_force:
                 changed = None
             elif integrator is None:
-                changed = Integrator(order=order, corner=CORNER * lowest, gain=omega**order)
+                changed = Integrator(order=order, corner=CORNER_RATIO * lowest, gain=omega**order)
             else:
                 changed = integrator.replace(order=order, gain=integrator.gain * omega ** (order - integrator.order))
             channels.append(channel.replace(integrator=changed))

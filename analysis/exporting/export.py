@@ -85,11 +85,11 @@ def write_npz(segment: Slice, path: Path) -> None:
     if len({*members.values()} | reserved) < len(members) + len(reserved):
         names = ", ".join(members)
         raise SceneError(
-            f"{segment.recording.path}: the channels {names} have the same name in .npz. Export one of them only."
+            f"{segment.recording.path}: two of the channels {names} have the same name in .npz. Export as .uff or .csv."
         )
     with zipfile.ZipFile(path, "w") as archive:
         for name, member in members.items():
-            with archive.open(_member(member), "w", force_zip64=True) as stream:
+            with archive.open(_zip_entry(member), "w", force_zip64=True) as stream:
                 header = {"descr": "<f8", "fortran_order": False, "shape": (segment.stop - segment.start,)}
                 np.lib.format.write_array_header_1_0(stream, header)
                 for _, samples in segment.blocks([name]):
@@ -102,12 +102,12 @@ def write_npz(segment: Slice, path: Path) -> None:
             "start_s": np.array(segment.start / rate),
         }
         for member, array in metadata.items():
-            with archive.open(_member(member), "w") as stream:
+            with archive.open(_zip_entry(member), "w") as stream:
                 np.lib.format.write_array(stream, array, allow_pickle=False)
 
 
-def _member(name: str) -> zipfile.ZipInfo:
-    # With a fixed date, equal recordings yield identical files.
+def _zip_entry(name: str) -> zipfile.ZipInfo:
+    # A fixed date makes the files of equal recordings identical.
     return zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
 
 
@@ -147,14 +147,14 @@ def write_wav(segment: Slice, path: Path, speed: float = 1.0) -> list[str]:
 WRITERS: dict[str, Callable[[Slice, Path], None]] = {
     ".csv": write_csv, ".npz": write_npz, ".mat": write_mat, ".uff": write_uff, ".unv": write_uff,
 }  # fmt: skip
-# Bytes for each sample.
-_BYTES = {".csv": 20.0, ".npz": 8.0, ".mat": 8.0, ".wav": 3.0, ".uff": 20.25, ".unv": 20.25}
+# Number of bytes for each sample; with an average number of digits in text formats.
+_BYTES_PER_SAMPLE = {".csv": 20.0, ".npz": 8.0, ".mat": 8.0, ".wav": 3.0, ".uff": 20.25, ".unv": 20.25}
 
 
 def expected_bytes(segment: Slice, ending: str) -> float:
     """Estimate the size of the exported file, bytes; in CSV files the time is one more column."""
     columns = len(segment.channels) + (ending == ".csv")
-    return (segment.stop - segment.start) * (_BYTES[ending] * columns)
+    return (segment.stop - segment.start) * (_BYTES_PER_SAMPLE[ending] * columns)
 
 
 def kind_of(path: Path) -> str:
@@ -163,8 +163,10 @@ def kind_of(path: Path) -> str:
     Raises `SceneError` if the format is not supported.
     """
     kind = path.suffix.lower()
-    if kind not in _BYTES:
-        raise SceneError(f"{path}: unknown format {kind!r}. Choose a name that ends in one of {', '.join(_BYTES)}.")
+    if kind not in _BYTES_PER_SAMPLE:
+        raise SceneError(
+            f"{path}: unknown format {kind!r}. Choose a name that ends in one of {', '.join(_BYTES_PER_SAMPLE)}."
+        )
     return kind
 
 
@@ -208,9 +210,9 @@ def export(
     if progress is not None:
         # WAV reads all samples twice, because it needs the peak values first.
         total = (2 if kind == ".wav" else 1) * len(segment.channels) * (segment.stop - segment.start)
-        segment = replace(segment, on_read=_counter(total, progress))
-    with atomic_write(path, overwrite or None) as part:
-        needed, free_bytes = expected_bytes(segment, kind), shutil.disk_usage(part.parent).free
+        segment = replace(segment, on_read=_report_to(progress, total))
+    with atomic_write(path, overwrite or None) as temporary:
+        needed, free_bytes = expected_bytes(segment, kind), shutil.disk_usage(temporary.parent).free
         # A table of numbers with few digits needs only about a quarter of the expected size.
         if needed > 4 * free_bytes:
             raise RunError(
@@ -218,12 +220,13 @@ def export(
                 "Choose another disk (-o), a segment (--from, --to) or fewer channels."
             )
         if kind == ".wav":
-            return write_wav(segment, part, speed)
-        WRITERS[kind](segment, part)
+            return write_wav(segment, temporary, speed)
+        WRITERS[kind](segment, temporary)
     return []
 
 
-def _counter(total: int, progress: CountProgress) -> Callable[[int], None]:
+def _report_to(progress: CountProgress, total: int) -> Callable[[int], None]:
+    """Return a callback that takes the number of samples read since its last call, and reports the sum."""
     samples_read = 0
 
     def count_samples(samples: int) -> None:

@@ -14,7 +14,7 @@ from analysis.recordings.slices import Slice
 from rig.errors import SceneError
 from rig.results.response import Response
 
-# The format limits a variable to 2 GB.
+# Largest number of samples in a variable, which the format limits to 2 GB.
 MAX_SAMPLES = (1 << 28) - 1024
 
 
@@ -80,11 +80,12 @@ def variable_names(names: Iterable[str], reserved: set[str]) -> list[str]:
 
     Raises `SceneError` if two names become equal.
     """
+    names = list(names)
     cleaned = [re.sub(r"\W", "_", name, flags=re.ASCII)[:50] for name in names]
     valid = [f"x{name}" if not name[:1].isalpha() else name for name in cleaned]
     valid = [f"{name}_" if name in reserved else name for name in valid]
     if len(set(valid)) < len(valid):
-        raise SceneError(f".mat: the names {', '.join(names)} are equal as variables. Choose fewer channels.")
+        raise SceneError(f".mat: two of the names {', '.join(names)} are equal as MATLAB variables. Export as .uff.")
     return valid
 
 

@@ -37,28 +37,32 @@ def export_results(
         )
     resolve_output(path, overwrite=True)
     lines = []
-    for number, (curves, nodes, force_node) in enumerate(_groups(file, progress), start=1):
+    for number, (curves, nodes, force_node) in enumerate(_sweeps(file, progress), start=1):
         target = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
-        with atomic_write(target, overwrite or None) as part:
+        with atomic_write(target, overwrite or None) as temporary:
             if what == "frfs":
                 first, names = curves[0], ", ".join(curve.response for curve in curves)
-                mat.write_frfs(curves, part) if kind == ".mat" else stack(curves).to_uff(part, nodes, [force_node])
+                mat.write_frfs(curves, temporary) if kind == ".mat" else stack(curves).to_uff(
+                    temporary, nodes, [force_node]
+                )
                 lines.append(f"{first.label}: {first.name} of {names} by {first.input}")
             else:
                 modes = identify(curves)
-                mat.write_modes(modes, part) if kind == ".mat" else uff.write_modes(modes, part, nodes)
+                mat.write_modes(modes, temporary) if kind == ".mat" else uff.write_modes(modes, temporary, nodes)
                 lines.append(modes.summary())
         lines.append(f"wrote {target}, {target.stat().st_size / 1e6:.2f} MB")
     return lines
 
 
-def _groups(file: Path, progress: CountProgress | None) -> list[tuple[Sequence[Response], list[int], int]]:
-    """Return sets of responses, the nodes of their points, and the node of the force."""
+def _sweeps(file: Path, progress: CountProgress | None) -> list[tuple[Sequence[Response], list[int], int]]:
+    """Return for each sweep its responses, the nodes of their points, and the node of the force (0: not one body)."""
     if is_frf_file(file):
         curves = read_frfs(file)
         return [(curves, list(range(1, len(curves) + 1)), 0)]
     with opened(file) as rec:
-        groups = frequency_responses(rec, progress=progress)
+        sweeps = frequency_responses(rec, progress=progress)
         # A force that acts on several bodies has no single node.
         force_node = rec.scene.force_on[0] if len(rec.scene.force_on) == 1 else 0
-        return [(group, [uff.node(rec.channels[curve.response].at) for curve in group], force_node) for group in groups]
+        return [
+            (curves, [uff.node(rec.channels[curve.response].at) for curve in curves], force_node) for curves in sweeps
+        ]

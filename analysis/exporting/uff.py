@@ -12,7 +12,7 @@ from analysis.recordings.slices import Slice
 from rig.errors import SceneError
 from rig.results.universal_file import QUANTITY_NUMBERS, text_line, universal_file, write_set
 
-# A data set 58 in text needs 20 bytes for each sample, and the writer keeps the text of a channel in memory.
+# Largest number of samples of a channel: in text it needs 20 bytes for each, which the writer keeps in memory.
 MAX_TEXT_SAMPLES = 1 << 24
 
 
@@ -29,8 +29,8 @@ def write_uff(segment: Slice, path: Path) -> None:
     count = segment.stop - segment.start
     if not 2 <= count <= MAX_TEXT_SAMPLES:
         raise SceneError(
-            f"{segment.recording.path}: UFF 58 is text, {MAX_TEXT_SAMPLES} samples of a channel at most and 2 at "
-            f"least; these are {count}. Export a segment (--from, --to), or .npz."
+            f"{segment.recording.path}: UFF 58 as text holds 2 to {MAX_TEXT_SAMPLES} samples per channel; this "
+            f"segment has {count}. Choose another segment (--from, --to), or export .npz."
         )
     recording = segment.recording
     file = universal_file(path)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Types of motion in the order of the legend, with their legend texts; `riding`: at rest on the floor.
+# Names of motions from `DamperMotion.name`, in the order of the legend, with their texts in the legend.
 _LEGEND_TEXTS = {
     "riding": "at rest on the floor",
     "I": "type I: flies, hits the floor once a period",
@@ -39,10 +39,10 @@ def dampers_figure(dampers: Dampers) -> Figure:
     with new_figure(2.0 + 0.3 * len(motions) + (2.6 if energy is not None else 0.0)) as figure:
         heights = [0.45 * len(motions) + 0.15] + ([2.2] if energy is not None else [])
         rows = np.atleast_1d(figure.subplots(len(heights), 1, height_ratios=heights))
-        _strip(rows[0], motions)
+        _draw_motions(rows[0], motions)
         add_title(rows[0], dampers.label)
         if energy is not None:
-            _energies(rows[1], energy, lines, dampers.true_impact_energy)
+            _draw_energies(rows[1], energy, lines, dampers.true_impact_energy)
         for frequency in lines.left_out:
             rows[0].plot(
                 frequency, 0.0, "x", color="black", ms=5, clip_on=False, transform=rows[0].get_xaxis_transform()
@@ -53,40 +53,40 @@ def dampers_figure(dampers: Dampers) -> Figure:
         return figure
 
 
-def _strip(strip: Axes, motions: Sequence[Sequence[DamperMotion]]) -> None:
+def _draw_motions(axes: Axes, motions: Sequence[Sequence[DamperMotion]]) -> None:
     """Draw one row for each body, with a bar at each measured frequency."""
-    used: set[str] = set()
+    drawn: set[str] = set()
     for row, body in enumerate(motions):
-        strip.axhline(row, color="#d9d9d9", lw=0.8, zorder=0)
+        axes.axhline(row, color="#d9d9d9", lw=0.8, zorder=0)
         frequencies: dict[str, list[float]] = {}
         for motion in body:
             frequencies.setdefault(motion.name.split(":")[0], []).append(motion.frequency)
         for kind, frequency in frequencies.items():
-            strip.vlines(frequency, row - 0.35, row + 0.35, color=_SHADES[kind], lw=2.4)
-        used |= frequencies.keys()
-    strip.set_ylim(len(motions) - 0.4, -0.6)
-    strip.set_yticks(range(len(motions)), [escape_figure(body[0].channel) for body in motions])
-    strip.grid(False, axis="y")
+            axes.vlines(frequency, row - 0.35, row + 0.35, color=_SHADES[kind], lw=2.4)
+        drawn |= frequencies.keys()
+    axes.set_ylim(len(motions) - 0.4, -0.6)
+    axes.set_yticks(range(len(motions)), [escape_figure(body[0].channel) for body in motions])
+    axes.grid(False, axis="y")
     for kind, text in _LEGEND_TEXTS.items():
-        if kind in used:
-            strip.plot([], [], "|", color=_SHADES[kind], ms=8, mew=2.4, label=text)
+        if kind in drawn:
+            axes.plot([], [], "|", color=_SHADES[kind], ms=8, mew=2.4, label=text)
 
 
-def _energies(axes: Axes, energy: CycleEnergy, lines: Lines, true: np.ndarray | None) -> None:
+def _draw_energies(axes: Axes, energy: CycleEnergy, lines: Lines, true: np.ndarray | None) -> None:
     """Draw the energies against frequency, with upper limits for damper energies whose interval includes zero."""
     order = np.argsort(energy.frequency, kind="stable")
     frequency = energy.frequency[order]
     gaps = np.searchsorted(frequency, np.sort(lines.left_out))
     abscissa = np.insert(frequency, gaps, np.nan)
 
-    def curve(joule: np.ndarray, **style: Any) -> None:
-        axes.plot(abscissa, np.insert(1e3 * joule[order], gaps, np.nan), **style)
+    def draw_energy(joules: np.ndarray, **style: Any) -> None:
+        axes.plot(abscissa, np.insert(1e3 * joules[order], gaps, np.nan), **style)
 
     determined = energy.dampers > energy.bound
     into_dampers = np.where(determined, energy.dampers, np.nan)
-    curve(energy.supplied, color="#000000", marker="o", label="supplied by the force")
-    curve(energy.structure, color="#777777", marker="o", label="into the structure's damping, as in the scene")
-    curve(into_dampers, color=COLORS[1], marker="o", label="into the dampers")
+    draw_energy(energy.supplied, color="#000000", marker="o", label="supplied by the force")
+    draw_energy(energy.structure, color="#777777", marker="o", label="into the structure's damping, as in the scene")
+    draw_energy(into_dampers, color=COLORS[1], marker="o", label="into the dampers")
     axes.errorbar(
         energy.frequency, 1e3 * into_dampers, 1e3 * energy.bound, fmt="none", ecolor=COLORS[1], elinewidth=0.9
     )
@@ -98,7 +98,7 @@ def _energies(axes: Axes, energy: CycleEnergy, lines: Lines, true: np.ndarray | 
     plotted = [1e3 * energy.supplied, 1e3 * energy.structure, 1e3 * into_dampers, limit[~determined]]
     if true is not None:
         lost = np.where(true > 0, true, np.nan)
-        curve(lost, color=COLORS[2], ls=":", marker="o", label="true loss in impacts")
+        draw_energy(lost, color=COLORS[2], ls=":", marker="o", label="true loss in impacts")
         plotted.append(1e3 * lost)
     if lines.unsteady is not None and lines.unsteady.any():
         axes.plot(energy.frequency[lines.unsteady], 1e3 * energy.supplied[lines.unsteady], "x", color="black", ms=6)
@@ -108,11 +108,11 @@ def _energies(axes: Axes, energy: CycleEnergy, lines: Lines, true: np.ndarray | 
 
 def _caption(energy: CycleEnergy | None, lines: Lines) -> list[str]:
     """Explain error bars and markers in sentences."""
-    out = []
+    sentences = []
     if energy is not None:
-        out.append("Bars: 95 % intervals of the energy, with scatter and systematic errors.")
+        sentences.append("Bars: 95 % intervals of the energy, with scatter and systematic errors.")
     if lines.unsteady is not None and lines.unsteady.any():
-        out.append("Crosses: steady state not reached.")
+        sentences.append("Crosses: steady state not reached.")
     if lines.left_out.size:
-        out.append("Crosses at the axis: excluded frequencies (see the warnings).")
-    return out
+        sentences.append("Crosses at the axis: excluded frequencies (see the warnings).")
+    return sentences

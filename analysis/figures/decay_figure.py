@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from analysis.decays.modal_decay import ModalDecay
 
 
-# Modes of different recordings are considered the same if their relative frequency difference is smaller.
+# Modes of different recordings are the same mode if their relative frequency difference is below this value.
 _MAX_FREQUENCY_DIFFERENCE = 0.15
-# More frequencies are replaced by their range in the title of a panel.
+# Maximum number of frequencies in the title of a panel; more are replaced by their range.
 _MAX_LISTED_FREQUENCIES = 3
 
 
@@ -29,81 +29,84 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
 
     `decays`: one decay for each recording.
     """
-    columns = _columns(decays)
+    modes = _group_modes(decays)
     gravity = decays[0].gravity
     with new_figure(8.2) as figure:
-        rows = figure.add_gridspec(3, max(len(columns), 1), height_ratios=[1.25, 1.0, 1.0 if columns else 0.02])
-        trace = figure.add_subplot(rows[0, :])
-        level = figure.add_subplot(rows[1, :], sharex=trace)
+        rows = figure.add_gridspec(3, max(len(modes), 1), height_ratios=[1.25, 1.0, 1.0 if modes else 0.02])
+        waveform_axes = figure.add_subplot(rows[0, :])
+        envelope_axes = figure.add_subplot(rows[1, :], sharex=waveform_axes)
         duration, lowest = max(_relevant_duration(decay) for decay in decays), decays[0].gravity
         for index, decay in enumerate(decays):
             shade = color_of(index)
-            keep = decay.time <= duration
-            trace.plot(decay.time[keep], decay.acceleration[keep], color=shade, lw=0.6, alpha=0.75)
-            top = decay.outline()
+            shown = decay.time <= duration
+            waveform_axes.plot(decay.time[shown], decay.acceleration[shown], color=shade, lw=0.6, alpha=0.75)
+            envelope = decay.outline()
             for sign in (1.0, -1.0):
-                trace.plot(
-                    decay.time[keep], sign * top[keep], color=shade, lw=1.4,
+                waveform_axes.plot(
+                    decay.time[shown], sign * envelope[shown], color=shade, lw=1.4,
                     label=escape_figure(decay.label) if sign > 0 else None,
                 )  # fmt: skip
-            level.plot(decay.time[keep], top[keep], color=shade, lw=1.2)
-            lowest = min(lowest, float(top[keep].min()))
-            level.plot(decay.time[keep], top[0] * 10.0 ** (decay.energy[keep] / 20.0), color=shade, lw=1.6, ls="--")
+            envelope_axes.plot(decay.time[shown], envelope[shown], color=shade, lw=1.2)
+            lowest = min(lowest, float(envelope[shown].min()))
+            envelope_axes.plot(
+                decay.time[shown], envelope[0] * 10.0 ** (decay.energy[shown] / 20.0), color=shade, lw=1.6, ls="--"
+            )
         highest = max(float(decay.peak.max()) for decay in decays)
-        trace.set_ylim(-1.1 * highest, 1.1 * highest)
-        trace.set_xlim(0.0, duration)
+        waveform_axes.set_ylim(-1.1 * highest, 1.1 * highest)
+        waveform_axes.set_xlim(0.0, duration)
         for sign in (1.0, -1.0):
-            trace.axhline(sign * gravity, color="#777777", lw=0.8, ls=":")
-        trace.set_ylabel("acceleration / (m/s²)")
-        trace.tick_params(labelbottom=False)
-        add_title(trace, title)
-        if trace.get_legend_handles_labels()[0]:
-            trace.legend(loc="upper right")
-        set_log_scale(level.yaxis, 5)
-        level.set_ylim(max(0.6 * lowest, 1e-3 * highest), 1.6 * highest)
-        level.axhline(gravity, color="#777777", lw=0.8, ls=":")
-        level.set_ylabel("envelope / (m/s²)")
-        level.set_xlabel("time / s")
+            waveform_axes.axhline(sign * gravity, color="#777777", lw=0.8, ls=":")
+        waveform_axes.set_ylabel("acceleration / (m/s²)")
+        waveform_axes.tick_params(labelbottom=False)
+        add_title(waveform_axes, title)
+        if waveform_axes.get_legend_handles_labels()[0]:
+            waveform_axes.legend(loc="upper right")
+        set_log_scale(envelope_axes.yaxis, 5)
+        envelope_axes.set_ylim(max(0.6 * lowest, 1e-3 * highest), 1.6 * highest)
+        envelope_axes.axhline(gravity, color="#777777", lw=0.8, ls=":")
+        envelope_axes.set_ylabel("envelope / (m/s²)")
+        envelope_axes.set_xlabel("time / s")
         add_caption(
             figure, "Envelope: largest acceleration within half a period of the lowest mode on either side.",
             "Dashed: square root of the backward-integrated (Schroeder) energy, from the same start. Dotted: 1 g.",
-            *["Bands: 95 % interval of the damping ratio; a band down to the axis includes zero."][: len(columns)],
+            *["Bands: 95 % interval of the damping ratio; a band down to the axis includes zero."][: len(modes)],
         )  # fmt: skip
-        _damping_row(figure, rows, columns, gravity)
+        _draw_damping(figure, rows, modes, gravity)
         return figure
 
 
-def _damping_row(figure: Figure, rows: object, columns: list[list[tuple[int, ModalDecay]]], gravity: float) -> None:
+def _draw_damping(figure: Figure, rows: object, modes: list[list[tuple[int, ModalDecay]]], gravity: float) -> None:
+    """Draw the damping ratio against amplitude, one panel for each mode; `modes`: from `_group_modes`."""
     first: Axes | None = None
-    for column, members in enumerate(columns):
+    for column, decays_of_mode in enumerate(modes):
         axes = figure.add_subplot(rows[2, column], sharey=first)  # type: ignore[index]
         first = first or axes
-        for index, mode in members:
+        for index, mode in decays_of_mode:
             shade, percent = color_of(index), 100.0 * mode.damping
-            half = 200.0 * mode.damping_error
-            axes.fill_between(mode.amplitude, percent - half, percent + half, color=shade, alpha=0.25, lw=0)
+            bound = 200.0 * mode.damping_error
+            axes.fill_between(mode.amplitude, percent - bound, percent + bound, color=shade, alpha=0.25, lw=0)
             axes.plot(mode.amplitude, percent, "o-", color=shade)
-        amplitudes = np.concatenate([mode.amplitude for _, mode in members] + [np.array([gravity])])
+        amplitudes = np.concatenate([mode.amplitude for _, mode in decays_of_mode] + [np.array([gravity])])
         low, high = 0.8 * float(amplitudes.min()), 1.25 * float(amplitudes.max())
         axes.set_xlim(low, high)
         set_log_scale(axes.xaxis, 5)
         axes.axvline(gravity, color="#777777", lw=0.8, ls=":")
         axes.set_xlabel("amplitude / (m/s²)")
-        axes.set_title(_frequencies(members), fontsize=9, fontweight="normal")
+        axes.set_title(_frequency_title(decays_of_mode), fontsize=9, fontweight="normal")
         if column == 0:
             axes.set_ylabel("damping ratio / %")
         else:
             axes.tick_params(labelleft=False)
     if first is not None:
-        values = [100.0 * m.damping for members in columns for _, m in members]
-        flat = np.concatenate(values)
-        flat = flat[flat > 0]
-        if flat.size:
-            low, high = float(flat.min()), float(flat.max())
+        values = [100.0 * m.damping for decays_of_mode in modes for _, m in decays_of_mode]
+        positive = np.concatenate(values)
+        positive = positive[positive > 0]
+        if positive.size:
+            low, high = float(positive.min()), float(positive.max())
             # The axis includes uncertainty bands unless they are so wide that the curves would become too small.
-            uncertainties = [200.0 * m.damping_error for members in columns for _, m in members]
+            bounds = [200.0 * m.damping_error for decays_of_mode in modes for _, m in decays_of_mode]
             edges = np.concatenate(
-                [v + sign * b for v, b in zip(values, uncertainties, strict=True) for sign in (-1, 1)]
+                [value + sign * bound for value, bound in zip(values, bounds, strict=True) for sign in (-1, 1)]
             )
             inside = edges[(edges > 0.1 * low) & (edges < 10.0 * high)]
             low, high = min(low, *inside) / 1.3, max(high, *inside) * 1.3
@@ -111,17 +114,22 @@ def _damping_row(figure: Figure, rows: object, columns: list[list[tuple[int, Mod
             first.set_ylim(low, high)
 
 
-def _frequencies(members: list[tuple[int, ModalDecay]]) -> str:
-    """List the frequencies of a mode in the order of the recordings, or their range if there are many."""
-    listed = list(dict.fromkeys(f"{mode.frequency:.1f}" for _, mode in sorted(members, key=lambda member: member[0])))
+def _frequency_title(decays_of_mode: list[tuple[int, ModalDecay]]) -> str:
+    """Return the frequencies of a mode in the order of the recordings, or their range if there are many."""
+    listed = list(
+        dict.fromkeys(f"{mode.frequency:.1f}" for _, mode in sorted(decays_of_mode, key=lambda pair: pair[0]))
+    )
     if len(listed) > _MAX_LISTED_FREQUENCIES:
         low, *_, high = sorted(listed, key=float)
         return f"{low} to {high} Hz"
     return f"{', '.join(listed)} Hz"
 
 
-def _columns(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:
-    """Group modes with a known damping ratio by frequency, as pairs (index of the decay, mode)."""
+def _group_modes(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:
+    """Group the modes of all decays by frequency; a group has pairs (index of the decay, its mode).
+
+    Modes without a damping ratio are omitted.
+    """
     modes = sorted(
         ((index, mode) for index, decay in enumerate(decays) for mode in decay.modes if mode.damping.size),
         key=lambda pair: pair[1].frequency,

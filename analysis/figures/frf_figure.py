@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 # Number of points over which the roughness of a curve is estimated.
 _ROUGHNESS_POINTS = 25
-# Points with a coherence below this value are drawn as noise.
+# Points with a lower coherence are drawn as noise.
 _MIN_COHERENCE = 0.5
-# Systematic errors of a smaller ratio to the curve are not visible.
+# A systematic error with a smaller ratio to the curve is not visible in the figure.
 _MIN_VISIBLE_RATIO = 3e-3
 # Ratio to the curve that replaces zero on a logarithmic axis; its inverse replaces infinity.
 _ZERO = 1e-9
-THEORY, NOISE = "#555555", "#c4c4c4"
+THEORY_COLOR, NOISE_COLOR = "#555555", "#c4c4c4"
 
 
 def frf_figure(
@@ -37,8 +37,8 @@ def frf_figure(
     `frfs`: curves of the same motion and reference, with their labels in the legend. `theory`: curves without error
     bars, drawn thin and dashed in the color of their response. `marks`: vertical lines, such as jumps.
     """
-    lines = np.concatenate([part for frf in frfs for part in (frf.frequency, frf.omitted)])
-    low, high = float(lines.min()), float(lines.max())
+    frequencies = np.concatenate([values for frf in frfs for values in (frf.frequency, frf.omitted)])
+    low, high = float(frequencies.min()), float(frequencies.max())
     if high <= low:
         low, high = low / 1.2, high * 1.2
     shades = {frf.response: color_of(index) for index, frf in reversed(list(enumerate(frfs)))}
@@ -46,14 +46,14 @@ def frf_figure(
     with new_figure(6.8) as figure:
         upper, middle, lower = figure.subplots(3, 1, height_ratios=[3.2, 1.3, 0.9])
         for curve in theory:
-            shade = shades.get(curve.response, THEORY) if several else THEORY
+            shade = shades.get(curve.response, THEORY_COLOR) if several else THEORY_COLOR
             style: dict[str, Any] = {"color": shade, "lw": 0.9, "ls": (0, (5, 2)), "zorder": 1}
             upper.plot(curve.frequency, curve.shown_in[1] * abs(curve.value), **style)
             middle.plot(*_break_at_wraps(curve.frequency, phase_degrees(curve)), **style)
         if theory:
-            upper.plot([], [], color=THEORY, lw=0.9, ls=(0, (5, 2)), label=escape_figure(theory[0].label))
+            upper.plot([], [], color=THEORY_COLOR, lw=0.9, ls=(0, (5, 2)), label=escape_figure(theory[0].label))
         for index, measured in enumerate(frfs):
-            _curve(measured, color_of(index), upper, middle, lower)
+            _draw_curve(measured, color_of(index), upper, middle, lower)
         for frequency, text in marks:
             upper.axvline(frequency, color="#777777", lw=0.8, ls=":")
             upper.annotate(
@@ -88,53 +88,54 @@ def frf_figure(
 
 def _caption(frfs: Sequence[Response]) -> list[str]:
     """Explain bands and markers in sentences."""
-    out = []
+    sentences = []
     if any(np.any(frf.degrees > 0) for frf in frfs):
-        out.append("Dark band: 95 % confidence interval of the random error.")
-    parts = visible_parts(frfs)
-    if parts:
-        out.append(f"Light band: systematic errors included, each at its limit: {', '.join(parts)}.")
+        sentences.append("Dark band: 95 % confidence interval of the random error.")
+    causes = visible_systematic_errors(frfs)
+    if causes:
+        sentences.append(f"Light band: systematic errors included, each at its limit: {', '.join(causes)}.")
     if any(np.any(_reaches_zero(frf)) for frf in frfs):
-        out.append("A band down to the axis includes zero.")
+        sentences.append("A band down to the axis includes zero.")
     if not all(exceeds_noise(frf).all() for frf in frfs):
-        out.append("Gray: within the noise; phase not shown.")
+        sentences.append("Gray: within the noise; phase not shown.")
     if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
-        out.append("Crosses: steady state not reached.")
+        sentences.append("Crosses: steady state not reached.")
     if any(frf.omitted.size for frf in frfs):
-        out.append("Gaps with a mark at the axis: excluded frequencies (see the warnings).")
-    return out
+        sentences.append("Gaps with a mark at the axis: excluded frequencies (see the warnings).")
+    return sentences
 
 
-def _curve(frf: Response, shade: str, upper: Axes, middle: Axes, lower: Axes) -> None:
+def _draw_curve(frf: Response, shade: str, upper: Axes, middle: Axes, lower: Axes) -> None:
     """Draw one measured curve into the three panels."""
     # A downward sweep has larger, open markers, so that an upward sweep remains visible where both coincide.
     downward = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1]
     few = frf.frequency.size <= MAX_MARKERS
     curve, frf = frf.sorted(), frf.with_gaps()
-    clear = np.insert(exceeds_noise(curve), np.searchsorted(curve.frequency, np.sort(frf.omitted)), False)
+    is_clear = np.insert(exceeds_noise(curve), np.searchsorted(curve.frequency, np.sort(frf.omitted)), False)
     line_style: dict[str, Any] = {"marker": "o" if few else None, "color": shade, "zorder": 2.9 if downward else 3}
     if downward:
         line_style |= {"mfc": "none", "ms": 5.0, "mew": 0.9}
     factor = frf.shown_in[1]
-    size, random = factor * abs(frf.value), factor * np.nan_to_num(frf.magnitude_bound())
+    magnitude, random = factor * abs(frf.value), factor * np.nan_to_num(frf.magnitude_bound())
     total = factor * _total_uncertainty(frf)
     for width, strength in ((total, 0.13), (random, 0.25)):
         upper.fill_between(
-            frf.frequency, np.maximum(size - width, size * _ZERO), np.minimum(size + width, size / _ZERO),
-            where=clear, color=shade, alpha=strength, lw=0,
+            frf.frequency, np.maximum(magnitude - width, magnitude * _ZERO),
+            np.minimum(magnitude + width, magnitude / _ZERO),
+            where=is_clear, color=shade, alpha=strength, lw=0,
         )  # fmt: skip
     for frequency in frf.omitted:
         upper.plot(frequency, 0.0, "x", color=shade, ms=5, clip_on=False, transform=upper.get_xaxis_transform())
-    if not (clear | np.isnan(size)).all():
+    if not (is_clear | np.isnan(magnitude)).all():
         # One extra point on either side makes the line continuous where its color changes to gray.
-        noisy = ~clear | ~np.roll(clear, 1) | ~np.roll(clear, -1)
-        upper.plot(frf.frequency, np.where(noisy, size, np.nan), color=NOISE, lw=0.7, zorder=2)
-    upper.plot(frf.frequency, np.where(clear, size, np.nan), label=escape_figure(frf.label), **line_style)
+        noisy = ~is_clear | ~np.roll(is_clear, 1) | ~np.roll(is_clear, -1)
+        upper.plot(frf.frequency, np.where(noisy, magnitude, np.nan), color=NOISE_COLOR, lw=0.7, zorder=2)
+    upper.plot(frf.frequency, np.where(is_clear, magnitude, np.nan), label=escape_figure(frf.label), **line_style)
     if frf.unsteady is not None and frf.unsteady.any():
-        upper.plot(frf.frequency[frf.unsteady], size[frf.unsteady], "x", color=shade, markersize=6, zorder=4)
-    angle = np.where(clear, phase_degrees(frf), np.nan)
+        upper.plot(frf.frequency[frf.unsteady], magnitude[frf.unsteady], "x", color=shade, markersize=6, zorder=4)
+    angle = np.where(is_clear, phase_degrees(frf), np.nan)
     for width, strength in ((total, 0.13), (random, 0.25)):
-        degrees = np.degrees(np.arcsin(np.minimum(width / np.maximum(size, 1e-300), 1.0)))
+        degrees = np.degrees(np.arcsin(np.minimum(width / np.maximum(magnitude, 1e-300), 1.0)))
         frequency, center = _break_at_wraps(frf.frequency, angle)
         height = _break_at_wraps(frf.frequency, angle, degrees)[1]
         middle.fill_between(frequency, center - height, center + height, color=shade, alpha=strength, lw=0)
@@ -143,15 +144,15 @@ def _curve(frf: Response, shade: str, upper: Axes, middle: Axes, lower: Axes) ->
         lower.plot(frf.frequency, frf.coherence, color=shade, zorder=3)
 
 
-def visible_parts(frfs: Sequence[Response]) -> list[str]:
-    """List the systematic errors that are visible anywhere along the curves, the largest first."""
-    sizes: dict[str, float] = {}
+def visible_systematic_errors(frfs: Sequence[Response]) -> list[str]:
+    """Return the names of the systematic errors that are visible at any point of the curves, the largest first."""
+    ratios: dict[str, float] = {}
     for frf in frfs:
-        for name, part in frf.limits.items():
-            ratio = part / np.maximum(abs(frf.value), 1e-300)
+        for name, limit in frf.limits.items():
+            ratio = limit / np.maximum(abs(frf.value), 1e-300)
             if np.any(ratio > _MIN_VISIBLE_RATIO):
-                sizes[name] = max(sizes.get(name, 0.0), float(np.nanmedian(ratio)))
-    return sorted(sizes, key=sizes.__getitem__, reverse=True)
+                ratios[name] = max(ratios.get(name, 0.0), float(np.nanmedian(ratio)))
+    return sorted(ratios, key=ratios.__getitem__, reverse=True)
 
 
 def _total_uncertainty(frf: Response) -> Array:
@@ -165,13 +166,13 @@ def _reaches_zero(frf: Response) -> NDArray[np.bool_]:
 
 def _visible_edges(frf: Response) -> Array:
     """Return the edges of the band that the axis includes: at most a decade beyond the curve."""
-    size, total = abs(frf.value), _total_uncertainty(frf)
-    visible = exceeds_noise(frf) & np.isfinite(size) & (size > 0)
+    magnitude, total = abs(frf.value), _total_uncertainty(frf)
+    visible = exceeds_noise(frf) & np.isfinite(magnitude) & (magnitude > 0)
     if not visible.any():
         return np.empty(0)
-    size, total = size[visible], total[visible]
-    edges = np.concatenate([np.minimum(size + total, 10.0 * size.max()), size - total])
-    return np.asarray(edges[edges > 0.1 * size.min()])
+    magnitude, total = magnitude[visible], total[visible]
+    edges = np.concatenate([np.minimum(magnitude + total, 10.0 * magnitude.max()), magnitude - total])
+    return np.asarray(edges[edges > 0.1 * magnitude.min()])
 
 
 def exceeds_noise(frf: Response) -> NDArray[np.bool_]:
@@ -179,13 +180,13 @@ def exceeds_noise(frf: Response) -> NDArray[np.bool_]:
 
     The criterion is coherence and error bar if available, otherwise the roughness of the curve from point to point.
     """
-    size = np.maximum(abs(frf.value), 1e-300)
+    magnitude = np.maximum(abs(frf.value), 1e-300)
     if np.isfinite(frf.error).all():
-        return np.asarray((frf.error < 0.5 * size) & (frf.coherence > _MIN_COHERENCE))
-    if size.size < 2 * _ROUGHNESS_POINTS:
-        return np.ones(size.size, dtype=bool)
+        return np.asarray((frf.error < 0.5 * magnitude) & (frf.coherence > _MIN_COHERENCE))
+    if magnitude.size < 2 * _ROUGHNESS_POINTS:
+        return np.ones(magnitude.size, dtype=bool)
     rough = abs(np.diff(frf.value, 2, prepend=frf.value[0], append=frf.value[-1])) / np.sqrt(6.0)
-    return np.asarray(scipy.ndimage.median_filter(rough / size, _ROUGHNESS_POINTS, mode="nearest") < 0.35)
+    return np.asarray(scipy.ndimage.median_filter(rough / magnitude, _ROUGHNESS_POINTS, mode="nearest") < 0.35)
 
 
 def _break_at_wraps(frequency: Array, angle: Array, values: Array | None = None) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""Output of the `analysis` commands: printed results, CSV tables, overlaid figures, and the demonstration.
+"""Output of the `analysis` commands: printed results, CSV tables, figures, and the demonstration.
 
-Start with `presentation`.
+Start with `frf_findings`, the output of `analysis frf`; each command has such a module.
 """

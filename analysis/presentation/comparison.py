@@ -113,42 +113,44 @@ def compare_peaks(paths: Sequence[Path], progress: CountProgress | None = None) 
             measured_points[-1].comparable_with(measured_points[0])
             groups = frequency_responses(rec, progress=progress)
             sweeps.append([[relabel(frf, rec.scene.name, label) for frf in group] for group in groups])
-    bare = sweeps[0][0]
-    modes = identify(bare)
-    notes = duplicate_warnings(paths) + with_recording_name(
-        paths[0], (*modes.warnings, *uncompared_highest_peaks(modes, bare))
+    first_frfs = sweeps[0][0]
+    modes = identify(first_frfs)
+    warnings = duplicate_warnings(paths) + with_recording_name(
+        paths[0], (*modes.warnings, *uncompared_highest_peaks(modes, first_frfs))
     )
     lines: list[str] = []
     all_changes: list[tuple[Response, Response, PeakChange]] = []
-    jumps = False
+    has_unbounded_peak = False
     others = zip(measured_points[1:], sweeps[1:], strict=True)
-    for points, group in ((points, group) for points, groups in others for group in groups):
+    for points, frfs in ((points, frfs) for points, groups in others for frfs in groups):
         path, same_sensors = points.path, points.same_sensors(measured_points[0])
-        notes += with_recording_name(path, group[0].warnings)
-        changes = peak_changes(modes, bare, group, same_sensors)
-        notes += with_recording_name(
+        warnings += with_recording_name(path, frfs[0].warnings)
+        changes = peak_changes(modes, first_frfs, frfs, same_sensors)
+        warnings += with_recording_name(
             paths[0], coarse_step_warnings([(change.mode, change.response, change.bare) for change in changes])
         )
-        notes += with_recording_name(
+        warnings += with_recording_name(
             path, coarse_step_warnings([(change.mode, change.response, change.damped) for change in changes])
         )
-        lines.append(f"{bare[0].label} -> {group[0].label}, {bare[0].input}")
+        lines.append(f"{first_frfs[0].label} -> {frfs[0].label}, {first_frfs[0].input}")
         lines += [f"  {line}" for line in describe_changes(changes)]
-        if any(SENSITIVITY in curve.limits for curve in group if curve.response in same_sensors):
+        if any(SENSITIVITY in frf.limits for frf in frfs if frf.response in same_sensors):
             lines.append(
                 f"  {', '.join(same_sensors)}: measured with the same sensors, whose sensitivity errors cancel in "
                 "these changes"
             )
-        lines += _uncompared_peaks(changes, ((paths[0], bare), (path, group)), modes)
-        jumps |= any(isinf(change.bare.bound + change.damped.bound) for change in changes)
-        all_changes += [(bare[0], group[0], change) for change in changes]
+        lines += _uncompared_peaks(changes, ((paths[0], first_frfs), (path, frfs)), modes)
+        has_unbounded_peak |= any(isinf(change.bare.bound + change.damped.bound) for change in changes)
+        all_changes += [(first_frfs[0], frfs[0], change) for change in changes]
     return Comparison(
-        tuple(all_changes), tuple(lines), (*dict.fromkeys(notes), *((_UNBOUNDED_PEAKS,) if jumps else ()))
+        tuple(all_changes),
+        tuple(lines),
+        (*dict.fromkeys(warnings), *((_UNBOUNDED_PEAKS,) if has_unbounded_peak else ())),
     )
 
 
 def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
-    """Tabulate the peaks that were compared, with the 95 % interval of each change, and explain missing limits."""
+    """Return a table of the compared peaks with the 95 % interval of each change, and reasons of missing limits."""
     rows = [
         (
             "response", "mode / Hz", "before µm/N", "after µm/N", "change / dB", "95 % interval", "shift / Hz",
@@ -167,18 +169,18 @@ def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
                 f"{damped.last:.2f} Hz, where the curve reaches {after} µm/N"
             )
             continue
-        open_ended = [name for name, peak in (("before", bare), ("after", damped)) if isinf(peak.bound)]
-        equivalent = "" if open_ended else f"{100 * change.equivalent_damping:.2g}"
+        unbounded = [name for name, peak in (("before", bare), ("after", damped)) if isinf(peak.bound)]
+        equivalent = "" if unbounded else f"{100 * change.equivalent_damping:.2g}"
         rows.append((*cells, after, *_format_change(change.decibel, 1), *_format_change(change.shift, 2), equivalent))
         remarks += [
             f"{change.response}, mode at {change.mode:.2f} Hz: the peak {name} may be higher than measured"
-            for name in open_ended
+            for name in unbounded
         ]
     return [*table_lines(rows, "<>>>>>>>>"), *remarks] if changes else []
 
 
 def _format_change(value: tuple[float, float, float], digits: int) -> tuple[str, str]:
-    """Format a change and its interval; without one of the limits there is no best estimate."""
+    """Format a change and its interval; a change without one of its limits has no best estimate."""
     estimate, low, high = (f"{number:+.{digits}f}" for number in value)
     if isinf(value[1]) and isinf(value[2]):
         return "unknown", ""
@@ -223,15 +225,12 @@ def _uncompared_peaks(
 
 @dataclass(frozen=True)
 class MeasurementPoints:
-    """Measurement points of a recording: the bodies that are driven, and the location of each channel.
-
-    sensors : for each response, an identifier of its sensor and of the force sensor, if a single sensor measures the
-    force
-    """
+    """Measurement points of a recording: the bodies that are driven, and the location of each response."""
 
     path: Path
-    force_on: tuple[int, ...]
-    channels: dict[str, str]
+    force_on: tuple[int, ...]  # numbers of the driven bodies
+    channels: dict[str, str]  # location of each response channel
+    # For each response, identifier of its sensor and of the force sensor; empty if several sensors measure the force.
     sensors: dict[str, str] = field(default_factory=dict)
 
     @classmethod
@@ -265,8 +264,8 @@ class MeasurementPoints:
                 )
         if not common:
             raise SceneError(
-                f"{self.path}: has {_listed(self.channels)}, but none of the responses of {first.path}, "
-                f"{_listed(first.channels)}. Give the same names to channels on the same bodies."
+                f"{self.path}: has {_channel_list(self.channels)}, but none of the responses of {first.path}, "
+                f"{_channel_list(first.channels)}. Give the same names to channels on the same bodies."
             )
 
 
@@ -274,7 +273,7 @@ def _bodies(numbers: Sequence[int]) -> str:
     return " and ".join(f"body {number}" for number in numbers) or "no body"
 
 
-def _listed(channels: dict[str, str]) -> str:
+def _channel_list(channels: dict[str, str]) -> str:
     return ", ".join(f"{name} (at {at})" for name, at in channels.items()) or "none"
 
 

@@ -19,15 +19,15 @@ from rig.progress import CountProgress
 from rig.results import format_frequencies, format_interval, format_number
 from rig.results.text import table_lines
 
-# Number of frequencies printed; the CSV file contains all of them.
+# Number of frequencies in the printed energy table; the CSV file contains all of them.
 _PRINTED_FREQUENCIES = 2
-# Printed names of the kinds of motion.
+# Printed texts for the names of motions (`DamperMotion.name`).
 _AT_REST = "at rest on the floor"
 _NEAR_GRAVITY = "near 1 g, may fly"
 _IRREGULAR = "irregular, or impacts missed"
 _TYPES = ("type I", "type II", "type III")
 _OTHER = "other patterns, or irregular"
-# If a body shows more kinds of motion than this, the kinds other than types I to III share a row.
+# Maximum number of rows for the kinds of motion of a body; with more kinds, all except types I to III share a row.
 _MAX_KINDS = 3
 _HEADING = (
     "scene", "frequency_Hz", "supplied_J", "structure_J", "dampers_J", "dampers_bound_J", "true_impacts_J",
@@ -48,23 +48,23 @@ def present_dampers(
 
     files: list[Path] = []
     lines: list[str] = []
-    notes: list[str] = []
+    warnings: list[str] = []
     for path in paths:
         check_outputs([path], output, "dampers", "csv")
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
             check_recording(rec, path, "dampers")
             results = dampers_in(rec, label, progress)
-        notes += with_recording_name(path, [warning for dampers in results for warning in dampers.warnings])
+        warnings += with_recording_name(path, [warning for dampers in results for warning in dampers.warnings])
         lines += [line for dampers in results for line in describe(dampers)]
         with output_stem([path], output, "dampers", "csv") as stem:
             for number, dampers in enumerate(results, 1):
-                part = stem if number == 1 else stem.with_name(f"{stem.name}-{number}")
+                numbered = stem if number == 1 else stem.with_name(f"{stem.name}-{number}")
                 if dampers.bodies:
-                    files += save_figure(dampers_figure(dampers), part)
+                    files += save_figure(dampers_figure(dampers), numbered)
             rows = chain.from_iterable(map(_rows, results))
             files.append(write_table(with_ending(stem, "csv"), _HEADING, rows))
-    return CommandOutput(tuple(files), tuple(lines), tuple(notes))
+    return CommandOutput(tuple(files), tuple(lines), tuple(warnings))
 
 
 def _rows(dampers: Dampers) -> list[tuple[str | float, ...]]:
@@ -75,7 +75,7 @@ def _rows(dampers: Dampers) -> list[tuple[str | float, ...]]:
 
 
 def describe(dampers: Dampers) -> list[str]:
-    """Describe one sweep: a table of the motions, restitution, detection limits and energies."""
+    """Return the printed lines for one sweep: motions, restitution, detection limits and energies."""
     lines = [dampers.label, *(f"  {reason}" for reason in dampers.missing)]
     if dampers.bodies:
         lines += [f"  {line}" for line in describe_motions(dampers.bodies, dampers.sweep.lines.left_out.tolist())]

@@ -39,42 +39,43 @@ def present_decay(
     from rig.figure_style import save_figure
 
     decays: list[Decay] = []
-    notes = duplicate_warnings(paths)
+    warnings = duplicate_warnings(paths)
     check_outputs(paths, output, "decay", "png", "svg")
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
             check_recording(rec, path, "decay")
             decays.append(relabel(decay(rec, channel, hit), rec.scene.name, label))
-            was_hit = rec.test.kind is not TestKind.FREE
-        notes += with_recording_name(path, decays[-1].warnings)
+            has_hits = rec.test.kind is not TestKind.FREE
+        warnings += with_recording_name(path, decays[-1].warnings)
     first = decays[0]
-    title = f"Free decay of {first.channel}{f' after hit {hit}' if was_hit else ''}"
+    title = f"Free decay of {first.channel}{f' after hit {hit}' if has_hits else ''}"
     with output_stem(paths, output, "decay", "png", "svg") as stem:
         files = save_figure(decay_figure(decays, title), stem)
         files.append(envelope_table(stem.with_name(stem.name + "-envelope.csv"), decays))
         files.append(damping_table(stem.with_name(stem.name + "-damping.csv"), decays))
     return CommandOutput(
-        tuple(files), tuple(line for result in decays for line in describe_decay(result)), tuple(notes)
+        tuple(files), tuple(line for result in decays for line in describe_decay(result)), tuple(warnings)
     )
 
 
 def describe_decay(decay: Decay) -> list[str]:
     """Describe a decay: the time from which it stays below 1 g, and the damping ratio of each mode with 95 % bounds."""
     time_below_gravity = decay.quiet_from
-    until = "not within the recording" if np.isnan(time_below_gravity) else f"after {time_below_gravity:.3g} s"
-    falls = (
+    below_text = "not within the recording" if np.isnan(time_below_gravity) else f"after {time_below_gravity:.3g} s"
+    time_of_6_db = decay.halving
+    energy_text = (
         f"does not fall by {-INITIAL_DECAY_DB[1]:.0f} dB within the recording"
-        if np.isnan(decay.halving)
-        else f"falls by 6 dB in {decay.halving:.3g} s (slope from -1 to -11 dB)"
+        if np.isnan(time_of_6_db)
+        else f"falls by 6 dB in {time_of_6_db:.3g} s (slope from -1 to -11 dB)"
     )
     rows = [_COLUMNS]
     for mode in decay.modes:
-        ends = [_damping_at(mode, index) for index in (0, -1)] if mode.damping.size else [_TOO_SHORT] * 2
+        initial, final = [_damping_at(mode, index) for index in (0, -1)] if mode.damping.size else [_TOO_SHORT] * 2
         frequency = format_interval(mode.frequency, 2.0 * mode.frequency_error)
-        rows.append((frequency, *ends[0], *ends[1], f"{mode.noise:.1g}"))
+        rows.append((frequency, *initial, *final, f"{mode.noise:.1g}"))
     table = table_lines(rows, ">>>>>>") if decay.modes else []
     return [
-        f"{decay.label}, {decay.channel}: below 1 g {until}; backward-integrated energy {falls}",
+        f"{decay.label}, {decay.channel}: below 1 g {below_text}; backward-integrated energy {energy_text}",
         *(f"  {line}" for line in table),
     ]
 

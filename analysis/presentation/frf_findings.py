@@ -14,8 +14,8 @@ from analysis.presentation.inputs import check_inputs, labels, read_curves
 from analysis.presentation.outputs import (
     CommandOutput,
     check_outputs,
-    of_part,
     output_stem,
+    with_channel_name,
     with_ending,
     with_recording_name,
 )
@@ -55,31 +55,31 @@ def present_frf(
     curves: list[Response] = []
     exact: list[Response] = []
     blocks = Blocks(estimator, block, overlap, window)
-    notes = check_inputs(paths, "frf", blocks, theory, unit)
+    warnings = check_inputs(paths, "frf", blocks, theory, unit)
     check_outputs(paths, output, "frf", "csv")
-    tolerance_notes: list[str] = []
+    tolerance_remarks: list[str] = []
     for path, label in zip(paths, labels(paths), strict=True):
         if is_frf_file(path):
             file_curves = read_curves(path, reference, channels, unit)
             curves += [replace(frf.to(motion), label=label) for frf in file_curves]
-            notes += with_recording_name(path, file_curves[0].warnings)
+            warnings += with_recording_name(path, file_curves[0].warnings)
             continue
         with opened(path) as rec:
             options = vars(blocks.for_kind(rec.test.kind))
             groups = frequency_responses(rec, channels, reference, motion, progress=progress, **options)
             curves += [relabel(frf, rec.scene.name, label) for group in groups for frf in group]
-            notes += with_recording_name(path, [note for group in groups for note in group[0].warnings])
-            tolerance_notes += stated_tolerances(rec, [frf for group in groups for frf in group])
+            warnings += with_recording_name(path, [warning for group in groups for warning in group[0].warnings])
+            tolerance_remarks += stated_tolerances(rec, [frf for group in groups for frf in group])
             if theory:
                 exact += [linear_theory(rec, frf) for frf in groups[0]]
     with output_stem(paths, output, "frf", "csv") as stem:
         files = _draw_figures(curves, exact, stem)
         files.append(frf_table(with_ending(stem, "csv"), curves))
-    return CommandOutput(tuple(files), (*describe_frfs(curves), *dict.fromkeys(tolerance_notes)), tuple(notes))
+    return CommandOutput(tuple(files), (*describe_frfs(curves), *dict.fromkeys(tolerance_remarks)), tuple(warnings))
 
 
 def describe_frfs(curves: Sequence[Response]) -> list[str]:
-    """Tabulate the highest value of each response; curves of one recording, input and range share a heading."""
+    """Return a table of the highest value of each response; equal recording, input and band share a heading."""
     lines: list[str] = []
 
     def heading(frf: Response) -> str:
@@ -87,36 +87,39 @@ def describe_frfs(curves: Sequence[Response]) -> list[str]:
         return f"{frf.label}, {frf.name}, {frf.input}: {size} points, {low:.4g} to {high:.4g} Hz"
 
     for title, group in groupby(curves, heading):
-        group_curves = list(group)
-        unit, factor = group_curves[0].shown_in
+        frfs = list(group)
+        unit, factor = frfs[0].shown_in
         rows = [("response", f"highest / ({unit})", "at / Hz", "force / N", "largest contribution")]
         remarks: list[str] = []
-        for frf in group_curves:
+        for frf in frfs:
             if not np.isfinite(frf.value).any():
                 rows.append((frf.response, "no value", "", "", ""))
                 continue
             peak_index = frf.peak_line()
-            size, bound = factor * float(abs(frf.value[peak_index])), factor * float(frf.bound()[peak_index])
+            height, bound = factor * float(abs(frf.value[peak_index])), factor * float(frf.bound()[peak_index])
             force = "" if frf.amplitude is None or frf.reference != "force" else f"{frf.amplitude[peak_index]:.4g}"
             cause = frf.parts()[peak_index] if bound > 0.0 else ""
-            rows.append((frf.response, format_interval(size, bound), f"{frf.frequency[peak_index]:.4g}", force, cause))
+            rows.append(
+                (frf.response, format_interval(height, bound), f"{frf.frequency[peak_index]:.4g}", force, cause)
+            )
             remarks += [f"{frf.response}: {text}" for text in frf.uncertain_peak()]
         lines += [title, *(f"  {line}" for line in (*table_lines(rows, "<>>><"), *remarks))]
     return lines
 
 
 def _draw_figures(curves: Sequence[Response], exact: Sequence[Response], stem: Path) -> list[Path]:
-    """Draw all curves of one recording in one figure, or those of several in one figure for each FRF."""
+    """Draw one figure for one recording, or one figure for each FRF of several recordings; return the files."""
     from analysis.figures.frf_figure import frf_figure
     from rig.figure_style import save_figure
 
-    settings = list(dict.fromkeys(frf.label for frf in curves))
-    quantity = f"{curves[0].name.capitalize()}"
+    sweep_labels = list(dict.fromkeys(frf.label for frf in curves))
+    quantity = curves[0].name.capitalize()
     groups = _by_ratio(curves)
-    if len(settings) == 1:
+    if len(sweep_labels) == 1:
         labeled = [replace(frf, label=frf.ratio) for frf in curves]
         return save_figure(
-            frf_figure(labeled, f"{quantity}: {settings[0]}", _without_duplicates(exact), _jump_marks(labeled)), stem
+            frf_figure(labeled, f"{quantity}: {sweep_labels[0]}", _without_duplicates(exact), _jump_marks(labeled)),
+            stem,
         )
     inputs = {labeled[0].input for labeled in groups}
     files = []
@@ -124,10 +127,10 @@ def _draw_figures(curves: Sequence[Response], exact: Sequence[Response], stem: P
         first = labeled[0]
         theory_curves = [frf for frf in exact if (frf.response, frf.input) == (first.response, first.input)]
         name = first.response if len(inputs) == 1 else first.ratio.replace(" / ", "-by-").replace(" ", "-")
-        part = stem if len(groups) == 1 else of_part(stem, name)
+        figure_stem = stem if len(groups) == 1 else with_channel_name(stem, name)
         files += save_figure(
             frf_figure(labeled, f"{quantity}, {first.ratio}", _without_duplicates(theory_curves), _jump_marks(labeled)),
-            part,
+            figure_stem,
         )
     return files
 
@@ -148,11 +151,11 @@ def _jump_marks(curves: Sequence[Response]) -> list[tuple[float, str]]:
 
 def _without_duplicates(curves: Sequence[Response]) -> list[Response]:
     """Keep one theoretical curve for each output and input, and one legend entry for all of them."""
-    out: list[Response] = []
+    distinct: list[Response] = []
     for curve in curves:
-        if all(curve.ratio != other.ratio for other in out):
-            out.append(replace(curve, label=curve.label if not out else ""))
-    return out
+        if all(curve.ratio != other.ratio for other in distinct):
+            distinct.append(replace(curve, label=curve.label if not distinct else ""))
+    return distinct
 
 
 def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
@@ -167,11 +170,11 @@ def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
             source = preset_note(settings.get(name), "sensitivity_tolerance")
             groups.setdefault(f"{100 * tolerance(info):.2g} %{source}", []).append(name)
     stated = "; ".join(f"{', '.join(names)} {text}" for text, names in groups.items())
-    text = (
+    remark = (
         f"{rec.scene.name}: the tolerance of the sensors ({stated}) dominates the uncertainty. If they are calibrated, "
         "state it in the scene: sensitivity_tolerance: 1 %"
     )
-    return [text]
+    return [remark]
 
 
 def linear_theory(rec: Recording, frf: Response) -> Response:

@@ -1,6 +1,6 @@
-"""Input files of a command: labels, checks that command and options suit the files, and FRF files.
+"""Input files of an `analysis` command: their labels, and checks that the command and its options suit them.
 
-The message of a check names a suitable command or option.
+The message of a failed check names a suitable command or option.
 """
 
 from __future__ import annotations
@@ -23,14 +23,18 @@ if TYPE_CHECKING:
 
 
 def labels(paths: Sequence[Path]) -> list[str]:
-    """Return legend labels: the scene name of a recording, the file name of another program's FRF file."""
+    """Return the label of each file: scene name of a recording, file name of another program's FRF file."""
     recordings = [path for path in paths if not is_frf_file(path)]
     recording_labels = dict(zip(recordings, scene_labels(recordings), strict=True))
     return [recording_labels.get(path, path.stem) for path in paths]
 
 
 def read_curves(path: Path, reference: str, channels: Sequence[str] | None, unit: str | None) -> list[Response]:
-    """Read FRFs of another program; `reference` is the node and direction of the force."""
+    """Read the FRFs of another program from a file.
+
+    `reference`: node and direction of the force in the file, or "force" for any; `channels`: responses to return;
+    `unit`: of the values, if the file states none.
+    """
     curves = read_frfs(path, None if reference == "force" else reference, unit)
     missing = [name for name in channels or () if name not in {curve.response for curve in curves}]
     if missing:
@@ -43,7 +47,7 @@ def check_recording(rec: Recording, path: Path, command: str) -> None:
     """Raise an error if a recording lacks the data that a command analyzes.
 
     `path`: file of the recording, for the message; `command`: 'frf', 'modes', 'decay' or 'dampers'. Raises
-    `RecordingError` with the content of the recording and a suitable command.
+    `RecordingError`, whose message states the content of the recording and a suitable command.
     """
     test, file = rec.test, shlex.quote(str(path))
     if command == "decay" and not test.decays and test.kind is not TestKind.NONE:
@@ -79,6 +83,7 @@ def check_inputs(
     Returns warnings: files given twice, and options that have no effect on some of the files, with the reason.
     """
     requested = {**vars(blocks), "theory": theory or None, "unit": unit}
+    # For each requested option: the files on which it has no effect, with the reason.
     without_effect: dict[str, list[str]] = {name: [] for name, value in requested.items() if value is not None}
     for path in paths:
         effective: tuple[str, ...]
@@ -94,5 +99,5 @@ def check_inputs(
     for name, files in without_effect.items():
         if len(files) == len(paths):
             raise SceneError(f"--{name}: without effect ({files[0]}). Leave it out.")
-    unused = [f"--{name} has no effect on {text}" for name, files in without_effect.items() for text in files]
-    return [*duplicate_warnings(paths), *unused]
+    unused_options = [f"--{name} has no effect on {text}" for name, files in without_effect.items() for text in files]
+    return [*duplicate_warnings(paths), *unused_options]

@@ -46,7 +46,7 @@ def present_modes(
     all_modes: list[Modes] = []
     files: list[Path] = []
     lines: list[str] = []
-    notes = check_inputs(paths, "modes", Blocks(block=block), unit=unit)
+    warnings = check_inputs(paths, "modes", Blocks(block=block), unit=unit)
     check_outputs(paths, output, "modes", "csv")
     for path, label in zip(paths, labels(paths), strict=True):
         identified: list[tuple[Sequence[Response], Modes, np.ndarray | None]] = []
@@ -66,22 +66,25 @@ def present_modes(
                 stem = first if number == 1 else first.with_name(f"{first.name}-{number}")
                 files += save_figure(modes_figure(frfs, modes, f"Modes: {modes.label}"), stem)
             lines += describe_modes(modes, theory)
-            notes += with_recording_name(path, [*modes.warnings, *theory_warnings(modes, theory)])
+            warnings += with_recording_name(path, [*modes.warnings, *theory_warnings(modes, theory)])
     with output_stem(paths, output, "modes", "csv") as stem:
         files.append(modes_table(with_ending(stem, "csv"), all_modes))
-    return CommandOutput(tuple(files), tuple(lines), tuple(notes))
+    return CommandOutput(tuple(files), tuple(lines), tuple(warnings))
 
 
 def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
-    """List natural frequency, damping ratio, shape and, with a theory, the MAC of each mode."""
+    """Return a table of natural frequency, damping ratio, shape and MAC of each mode.
+
+    `theory`: theoretical mode shapes, shape (responses, modes), for the MAC.
+    """
     count = modes.frequency.size
     bodies = modes.of_bodies()
     rows = [("frequency / Hz", "damping ratio / %", "MAC with theory", *(f"at {name}" for name in bodies.names))]
-    agreement = [""] * count if theory is None else [f"{mac_value:.4f}" for mac_value in nearest_mac(modes, theory)]
+    mac_texts = [""] * count if theory is None else [f"{mac_value:.4f}" for mac_value in nearest_mac(modes, theory)]
     for i, frequency in enumerate(modes.frequency):
         elements = zip(bodies.shapes[:, i].real, 2.0 * bodies.errors[:, i], strict=True)
         ratio = modes.damping_text(i).strip("(%) ")
-        cells = (format_interval(frequency, 2.0 * modes.frequency_error[i]), ratio, agreement[i])
+        cells = (format_interval(frequency, 2.0 * modes.frequency_error[i]), ratio, mac_texts[i])
         rows.append((*cells, *(format_interval(value, bound) for value, bound in elements)))
     reference = f", {modes.input}" if modes.input else ""
     heading = f"{modes.label}{reference}: {count} mode{'s' * (count != 1)}"

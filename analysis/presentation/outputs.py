@@ -1,6 +1,6 @@
-"""Output of a command: files, lines and warnings.
+"""Output of an `analysis` command: files, printed lines and warnings; names of the output files.
 
-File names are derived from the names of the inputs; results of other inputs are never overwritten.
+File names are derived from the names of the inputs, so that results of other inputs are not overwritten.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from rig.errors import RunError
 from rig.provenance import is_from_another_source, may_overwrite, output_source, reject_foreign_files, relative_paths
 
 # Maximum number of characters of a channel name in a file name.
-_MAX_PART_LENGTH = 40
+_MAX_CHANNEL_LENGTH = 40
 # Maximum length of a file name that combines the names of several recordings.
 _MAX_NAME_LENGTH = 60
 
@@ -25,23 +25,23 @@ _MAX_NAME_LENGTH = 60
 class CommandOutput:
     """Output of a command."""
 
-    files: tuple[Path, ...]
-    lines: tuple[str, ...]
+    files: tuple[Path, ...]  # files written
+    lines: tuple[str, ...]  # lines to print
     warnings: tuple[str, ...]  # each begins with the name of its recording
 
 
-def with_recording_name(path: Path, notes: Sequence[str]) -> list[str]:
+def with_recording_name(path: Path, warnings: Sequence[str]) -> list[str]:
     """Prefix each warning with the name of its recording."""
-    return [f"{path.name}: {note}" for note in notes]
+    return [f"{path.name}: {warning}" for warning in warnings]
 
 
 @contextmanager
 def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *endings: str) -> Iterator[Path]:
-    """Name the output files of recordings, by default in the folder of the first recording.
+    """Yield the path of the output files of recordings without ending, by default beside the first recording.
 
-    If files of other recordings already use the name, the folder name is added as a prefix. Files written inside the
-    `with` block follow the overwriting rule of `rig.provenance`; their source is the paths of the recordings relative
-    to the output folder.
+    If files of other recordings already have the name, the folder name is added as a prefix. Files written inside the
+    `with` block store the paths of the recordings as their source, and are overwritten only by results of the same
+    source (`rig.provenance`).
 
     `endings`: endings of the files that are always written. Raises `RunError` if files with these names exist and
     were made from other recordings. Raises `SceneError` if files with these names exist and were not written by
@@ -79,19 +79,19 @@ def join_names(names: Sequence[str]) -> str:
     name = "+".join(names)
     if len(name) <= _MAX_NAME_LENGTH:
         return name
-    # A digest distinguishes lists that begin with the same name.
+    # The digest distinguishes lists that begin with the same name.
     digest = _digest(name)[:4]
     return f"{names[0]}+{len(names) - 1}-more-{digest}" if len(names) > 1 else name
 
 
-def of_part(stem: Path, part: str) -> Path:
-    """Append a channel name, with characters that are unsafe in a file name replaced.
+def with_channel_name(stem: Path, channel: str) -> Path:
+    """Append a channel name; characters that are unsafe in a file name are replaced.
 
-    >>> of_part(Path("run-frf"), "body1").name, of_part(Path("run-frf"), "../../etc/passwd").name
+    >>> with_channel_name(Path("run-frf"), "body1").name, with_channel_name(Path("run-frf"), "../../etc/passwd").name
     ('run-frf-body1', 'run-frf-.._.._etc_passwd-3754')
     """
-    safe = "".join(letter if letter.isalnum() or letter in " -_.+" else "_" for letter in part)[:_MAX_PART_LENGTH]
-    return stem.with_name(f"{stem.name}-{safe}" + ("" if safe == part else f"-{_digest(part)[:4]}"))
+    safe = "".join(letter if letter.isalnum() or letter in " -_.+" else "_" for letter in channel)[:_MAX_CHANNEL_LENGTH]
+    return stem.with_name(f"{stem.name}-{safe}" + ("" if safe == channel else f"-{_digest(channel)[:4]}"))
 
 
 def with_ending(stem: Path, ending: str) -> Path:

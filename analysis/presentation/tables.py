@@ -16,14 +16,14 @@ from rig.results.response import Response
 
 Row = Sequence[str | float | int]
 
-# Number of rows of an envelope; the full sample rate would only duplicate the recording.
+# Number of rows of an envelope; one row per sample would only duplicate the recording.
 _ENVELOPE_ROWS = 400
 
 
 def write_table(path: Path, heading: Sequence[str], rows: Iterable[Row]) -> Path:
-    """Write one table: numbers with nine significant digits, empty cells for missing values."""
+    """Write a table with nine significant digits and empty cells for missing values; return its path."""
     create_folder(path.parent)
-    with atomic_write(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+    with atomic_write(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(heading)
         for row in rows:
@@ -70,8 +70,8 @@ def envelope_table(path: Path, decays: Sequence[Decay]) -> Path:
     for decay in decays:
         step = max(1, decay.time.size // _ENVELOPE_ROWS)
         for start in range(0, decay.time.size - step + 1, step):
-            part = slice(start, start + step)
-            largest = float(abs(decay.acceleration[part]).max()), float(decay.envelope[part].max())
+            interval = slice(start, start + step)
+            largest = float(abs(decay.acceleration[interval]).max()), float(decay.envelope[interval].max())
             rows.append((decay.label, decay.channel, decay.hit, decay.time[start], *largest, decay.energy[start]))
     return write_table(path, heading, rows)
 

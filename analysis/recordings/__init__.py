@@ -1,4 +1,4 @@
-"""Common functions for recordings: slices of bounded memory, names, delays of channels.
+"""Access of the analysis to recordings: segments that fit into memory, names, and delays of channels.
 
 Start with `slices`.
 """

@@ -1,4 +1,4 @@
-"""Delay of a channel: the samples over which its filter spreads an event."""
+"""Delay of a channel by the filter of its converter: the samples that contain an event at a given time."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ if TYPE_CHECKING:
 
 
 def arrival(info: ChannelInfo, first: int, last: int) -> tuple[int, int]:
-    """Return the first and last sample of a channel that contain the events between two samples of the clock.
+    """Return the first and the last sample of a channel that events between two instants of the sample clock affect.
 
-    A marker contains the time of an action. Unless the delay of the channel was removed, the corresponding samples are
-    later by this delay. The filter extends them to either side by half its length.
+    `first`, `last`: instants as sample numbers, such as those of a marker. The samples are later by the delay of the
+    channel, unless it was removed. The filter spreads an event to either side by half its length.
 
     >>> from daq.signal_chain.channel import ChannelInfo
     >>> from daq.signal_chain.decimation_filter import Decimation
@@ -23,7 +23,7 @@ def arrival(info: ChannelInfo, first: int, last: int) -> tuple[int, int]:
     (1000, 1096)
     """
     delay = info.delay * info.rate
-    spread = info.filter.get("delay", 0.0)
+    half_length = info.filter.get("delay", 0.0)
     # A millionth of a sample is a rounding error and must not add another sample.
-    begin = math.floor(first + delay - spread + 1e-6)
-    return begin, math.ceil(last + delay + spread + info.average - 1e-6)
+    begin = math.floor(first + delay - half_length + 1e-6)
+    return begin, math.ceil(last + delay + half_length + info.average - 1e-6)

@@ -31,8 +31,12 @@ def opened(path: Path) -> Recording:
     import daq
 
     if not path.exists():
-        made_path = "recordings" / Path(path.name)
-        hint = f". Did you mean '{made_path}'?" if made_path.exists() else f". Make one: `daq record SCENE -o {path}`."
+        similar_path = "recordings" / Path(path.name)
+        hint = (
+            f". Did you mean '{similar_path}'?"
+            if similar_path.exists()
+            else f". Make one: `daq record SCENE -o {path}`."
+        )
         raise RecordingError(f"{path}: no such file{hint}")
     return daq.open(path)
 
@@ -40,10 +44,12 @@ def opened(path: Path) -> Recording:
 def takes_path(
     function: Callable[Concatenate[Recording, Parameters], Returned],
 ) -> Callable[Concatenate[Recording | str | Path, Parameters], Returned]:
-    """Allow a path instead of an open recording; the recording is open while the function runs."""
+    """Decorate a function of a recording so that it also takes a path; the file is open while the function runs."""
 
     @wraps(function)
-    def opening(recording: Recording | str | Path, /, *args: Parameters.args, **kwargs: Parameters.kwargs) -> Returned:
+    def with_opened(
+        recording: Recording | str | Path, /, *args: Parameters.args, **kwargs: Parameters.kwargs
+    ) -> Returned:
         if isinstance(recording, str | Path):
             with opened(Path(recording)) as rec:
                 return function(rec, *args, **kwargs)
@@ -53,7 +59,7 @@ def takes_path(
             )
         return function(recording, *args, **kwargs)
 
-    return opening
+    return with_opened
 
 
 def distinct_names(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
@@ -69,9 +75,9 @@ def distinct_names(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
         stems = [path.stem for path in paths]
         return stems if len(set(stems)) == len(paths) else [path.as_posix() for path in paths]
     pairs = list(zip(names, paths, strict=True))
-    by_stem = [f"{name} ({path.stem})" if names.count(name) > 1 else name for name, path in pairs]
-    by_path = [f"{name} ({path.as_posix()})" for name, path in pairs]
-    return [longer if by_stem.count(label) > 1 else label for label, longer in zip(by_stem, by_path, strict=True)]
+    with_stem = [f"{name} ({path.stem})" if names.count(name) > 1 else name for name, path in pairs]
+    with_path = [f"{name} ({path.as_posix()})" for name, path in pairs]
+    return [longer if with_stem.count(label) > 1 else label for label, longer in zip(with_stem, with_path, strict=True)]
 
 
 def scene_labels(paths: Sequence[Path]) -> list[str]:

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
     from daq.signal_chain.channel import ChannelInfo
 
-# Number of samples of each channel in memory at a time.
-PIECE = 1 << 16
+# Number of samples of each channel that are read at a time.
+PIECE_SAMPLES = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -61,11 +61,11 @@ class Slice:
         return [self.recording.channels[name] for name in self.channels]
 
     def blocks(self, names: Sequence[str]) -> Iterator[tuple[int, Array]]:
-        """Yield the sample number and the samples (channels, piece) of each piece."""
-        for first in range(self.start, self.stop, PIECE):
-            last = min(first + PIECE, self.stop)
-            yield first, np.array([self.recording.read(name, first, last) for name in names])
-            self.on_read((last - first) * len(names))
+        """Yield the first sample number and the samples of each piece, shape (channels, samples), in physical units."""
+        for first in range(self.start, self.stop, PIECE_SAMPLES):
+            stop = min(first + PIECE_SAMPLES, self.stop)
+            yield first, np.array([self.recording.read(name, first, stop) for name in names])
+            self.on_read((stop - first) * len(names))
 
     def read_channel(self, name: str) -> Array:
         """Read all samples of a channel."""
@@ -86,36 +86,36 @@ class Slice:
 
 
 def read_slices(rec: Recording, channels: Sequence[str], bounds: Iterable[tuple[int, int]]) -> Iterator[Array]:
-    """Yield the samples of each segment ``[start, stop)``.
+    """Yield the samples of each segment from start to stop - 1, shape (channels, stop - start).
 
-    The starts do not decrease; segments may overlap. Yields shape (channels, stop - start). Samples that are lost or
-    after the end of the recording are NaN.
+    `bounds`: start and stop of each segment. The starts must not decrease; segments may overlap. Samples that are lost
+    or after the end of the recording are NaN.
     """
-    stored: dict[int, Array] = {}
+    cached: dict[int, Array] = {}
     for start, stop in bounds:
-        numbers = range(start // PIECE, -(-min(stop, rec.samples) // PIECE))
-        stored = {
-            number: stored[number] if number in stored else _read_piece(rec, channels, number) for number in numbers
+        numbers = range(start // PIECE_SAMPLES, -(-min(stop, rec.samples) // PIECE_SAMPLES))
+        cached = {
+            number: cached[number] if number in cached else _read_piece(rec, channels, number) for number in numbers
         }
-        out = np.full((len(channels), stop - start), np.nan)
-        for number, part in stored.items():
-            first = number * PIECE
-            low, high = max(first, start), min(first + part.shape[1], stop)
+        segment = np.full((len(channels), stop - start), np.nan)
+        for number, piece in cached.items():
+            first = number * PIECE_SAMPLES
+            low, high = max(first, start), min(first + piece.shape[1], stop)
             if high > low:
-                out[:, low - start : high - start] = part[:, low - first : high - first]
-        yield out
+                segment[:, low - start : high - start] = piece[:, low - first : high - first]
+        yield segment
 
 
 def _read_piece(rec: Recording, channels: Sequence[str], number: int) -> Array:
-    first, stop = number * PIECE, min((number + 1) * PIECE, rec.samples)
+    first, stop = number * PIECE_SAMPLES, min((number + 1) * PIECE_SAMPLES, rec.samples)
     return np.stack([rec.read(name, first, stop) for name in channels])
 
 
 def hits(rec: Recording) -> list[tuple[int, int]]:
     """Return the first and last sample of every hit; a free decay is a hit of a single sample at its start."""
-    marked = sorted((m.first_sample, m.end) for m in rec.markers if m.kind == "hit")
-    if marked:
-        return marked
+    hit_limits = sorted((m.first_sample, m.end) for m in rec.markers if m.kind == "hit")
+    if hit_limits:
+        return hit_limits
     if not rec.test.drives:
         return [(0, 0)]
     raise RecordingError(

@@ -1,4 +1,6 @@
-"""Reproduce the paper's figures and assess its claims: `analysis paper`.
+"""Reproduction of the paper of Inoue, Yokomichi and Hiraki (2011) with the virtual rig: `analysis paper`.
 
-Start with `reproduce`; `claims` contains the verdicts.
+It draws the figures of the paper and assesses its claims C1 to C7. Start with `reproduce`; `claims` contains the
+verdicts. A part is a simulation or a recording with its evaluation, whose results are stored. A bed is the granular
+material of a damper, which the paper describes as one mass.
 """

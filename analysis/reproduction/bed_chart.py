@@ -1,4 +1,4 @@
-"""Chart of claim C7: deviation of grain beds from one mass, over acceleration, clearance and depth."""
+"""Charts for claim C7: deviation of beds of grains from one mass, over acceleration, clearance and depth."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ def beds(parts: Parts) -> Figure:
     with new_figure(2.3 * len(layers), 10.0) as figure:
         panels = figure.subplots(len(layers), len(columns), squeeze=False, sharex=True, sharey=True)
         for row, depth in zip(panels, layers, strict=True):
-            chosen = data["layers"] == depth
+            has_depth = data["layers"] == depth
             for axes, (_, deviations, error) in zip(row, columns, strict=True):
-                image = _draw_panel(axes, data, chosen, 100.0 * deviations, 100.0 * error)
+                image = _draw_panel(axes, data, has_depth, 100.0 * deviations, 100.0 * error)
             row[0].set_ylabel(f"{depth:g} layers: acceleration / g")
         for axes, (title, *_) in zip(panels[0], columns, strict=True):
             axes.set_title(title)
@@ -81,10 +81,13 @@ def modes(parts: Parts) -> Figure:
     return figure
 
 
-def _draw_panel(axes: Axes, data: Columns, chosen: np.ndarray, deviations: np.ndarray, error: np.ndarray) -> AxesImage:
+def _draw_panel(
+    axes: Axes, data: Columns, selected: np.ndarray, deviations: np.ndarray, error: np.ndarray
+) -> AxesImage:
+    """Draw deviations and their errors in % as colors and numbers, over clearance and acceleration."""
     levels, clearances = np.unique(data["level"]), np.unique(data["clearance"])
     values = np.full((len(levels), len(clearances)), np.nan)
-    for k in np.flatnonzero(chosen):
+    for k in np.flatnonzero(selected):
         i, j = np.searchsorted(levels, data["level"][k]), np.searchsorted(clearances, data["clearance"][k])
         values[i, j] = deviations[k]
         if not np.isfinite(deviations[k]):

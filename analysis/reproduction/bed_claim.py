@@ -1,4 +1,4 @@
-"""Claim C7, the bed as one mass without rebound: assessed by grain simulations, setting by setting."""
+"""Claim C7 of the paper: a bed of grains moves as one mass without rebound; assessed by grain simulations."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from analysis.reproduction.figures import Columns, Parts
 GOOD_DEVIATION = 0.05
 #: Largest relative deviation at which one mass describes grains acceptably.
 MAX_DEVIATION = 0.10
-#: Dissipated energy below which a mass counts as riding (at rest on the floor), relative to its weight times 1 mm.
+#: Dissipated energy below which a mass is at rest on the floor, relative to its weight times 1 mm.
 _MIN_ENERGY = 1e-3
-#: Phase difference below which landings appear as one in a figure, degrees.
+#: Phase difference below which landings are indistinguishable in a figure, degrees.
 SAME_LANDING_DEG = 20.0
 
 
@@ -42,7 +42,7 @@ def bed_claim(parts: Parts, consequences: Sequence[Claim]) -> Claim:
     """Assess C7: deviations of a bed of grains from one mass, and the verdicts on the consequences."""
     beds, error = parts["beds"], np.abs(trust_error(parts))
     verdicts = ", ".join(f"{claim.name} {claim.verdict.split(':')[0]}" for claim in consequences)
-    of_beds = [
+    bed_sentences = [
         _describe_settings(beds),
         *(
             _describe_deviation(beds, name, label)
@@ -64,7 +64,7 @@ def bed_claim(parts: Parts, consequences: Sequence[Claim]) -> Claim:
         "C7",
         "Restitution zero and a single mass describe the bed of 2 mm lead shot well enough.",
         (
-            *(Evidence(text, ("beds",)) for text in of_beds),
+            *(Evidence(text, ("beds",)) for text in bed_sentences),
             Evidence(_describe_contact(at_shaking_frequency(beds), parts["contacts"]), ("beds", "contacts")),
             Evidence(
                 "Verdicts on the consequences of the model, which the paper measured and our experiment with that "
@@ -93,11 +93,12 @@ def deviation_error(beds: Columns, name: str) -> NDArray[np.float64]:
     return _relative_to_mass(beds[f"error_{name}"], beds[f"mass_{name}"])
 
 
-def _relative_to_mass(values: np.ndarray, of_mass: np.ndarray) -> NDArray[np.float64]:
-    return np.divide(values, of_mass, out=np.full(len(values), np.nan), where=of_mass > _MIN_ENERGY)
+def _relative_to_mass(values: np.ndarray, mass_values: np.ndarray) -> NDArray[np.float64]:
+    return np.divide(values, mass_values, out=np.full(len(values), np.nan), where=mass_values > _MIN_ENERGY)
 
 
 def _count_within(values: np.ndarray, bound: float) -> int:
+    """Return the number of values whose magnitude is at most `bound`."""
     return int((np.abs(values) <= bound).sum())
 
 
@@ -119,6 +120,7 @@ def verdict(beds: Columns) -> str:
 
 
 def _describe_settings(beds: Columns) -> str:
+    """State the simulated settings, and the method."""
     repeated, max_seeds = int((beds["seeds"] > 1).sum()), int(beds["seeds"].max())
     packings = f"; {repeated} of them with up to {max_seeds} packings, which give the errors" if repeated else ""
     grain_counts = [BEDS[layers][0] for layers in np.unique(beds["layers"]).tolist()]
@@ -134,9 +136,9 @@ def _describe_settings(beds: Columns) -> str:
         "Beds of spheres, simulated by discrete elements, were compared with the same beds as one mass at "
         f"{len(beds['level'])} settings: {frequencies} (the paper's resonances are at 13, 34.8 and 49.6 Hz), "
         f"acceleration {level} g, clearance {clearance} mm or no ceiling, depth {depth} diameters{packings}. "
-        f"{min(grain_counts)} to {max(grain_counts)} grains in a cavity with a smooth side represent a piece of a wide "
-        "bed; the effect of a rough side is not included. The compliance is that of a body ten times as heavy as its "
-        f"bed, damped by 0.5 %, at the peak and that acceleration. Grains were simulated for {3 * BLOCK_PERIODS} "
+        f"{min(grain_counts)} to {max(grain_counts)} grains in a cavity with a smooth side represent a section of a "
+        "wide bed; the effect of a rough side is not included. The compliance is that of a body ten times as heavy as "
+        f"its bed, damped by 0.5 %, at the peak and that acceleration. Grains were simulated for {3 * BLOCK_PERIODS} "
         f"periods without a ceiling and {3 * BLOCK_PERIODS_WITH_CEILING} below a ceiling, and averaged over the last "
         "two thirds. A clearance is measured from the highest grain; most others are lower. It differs between "
         "packings by a tenth of a diameter, which matters for small clearances. Clearances that one mass does not "
@@ -146,6 +148,7 @@ def _describe_settings(beds: Columns) -> str:
 
 
 def _describe_counts(beds: Columns) -> str:
+    """State the number of settings with an acceptable deviation, by each parameter."""
     acceptable = np.abs(deviation(beds, "compliance")) <= MAX_DEVIATION
     texts = []
     for axis, label, unit, factor in (
@@ -154,8 +157,8 @@ def _describe_counts(beds: Columns) -> str:
         ("clearance", "by clearance", " mm", 1e3),
         ("layers", "by depth", " layers", 1.0),
     ):
-        cells = [(value, acceptable[beds[axis] == value]) for value in np.unique(beds[axis])]
-        counts = (f"{factor * value:g}{unit} {int(cell.sum())} of {cell.size}" for value, cell in cells)
+        groups = [(value, acceptable[beds[axis] == value]) for value in np.unique(beds[axis])]
+        counts = (f"{factor * value:g}{unit} {int(group.sum())} of {group.size}" for value, group in groups)
         texts.append(f"{label}: {', '.join(counts)}")
     return f"Compliance within {100 * MAX_DEVIATION:g} % {'; '.join(texts)}."
 
@@ -175,6 +178,7 @@ def _describe_mode(beds: Columns, frequency: float) -> str:
 
 
 def _describe_deviation(beds: Columns, name: str, label: str) -> str:
+    """State the deviation of a measure of grains from one mass over all settings."""
     deviations, error = deviation(beds, name), deviation_error(beds, name)
     deviations, error = deviations[np.isfinite(deviations)], error[np.isfinite(deviations)]
     has_error = np.isfinite(error)

@@ -1,10 +1,11 @@
-"""One mass compared with grains, setting by setting: the evidence for claim C7.
+"""Study of a bed of grains against one mass (`analysis beds`): the evidence for claim C7 of the paper.
 
-A body a thousand times heavier than the bed excites a cavity at 50 Hz, near the paper's third resonance, and at its
-first and second resonance. Both beds therefore see the same motion, and the body has no transient. The parameters are
-its acceleration, the clearance and the depth of the bed; a narrow cavity with few grains and a smooth side represents
-a piece of a wide one. The energy that the bed dissipates gives the compliance, at that amplitude, of a body ten times
-as heavy as its bed at resonance. The package contains the results of all settings; `analysis beds` recomputes them.
+A bed is the granular material in the cavity of a damper. It is simulated as grains by discrete elements, and as one
+mass without rebound, which is the model of the paper. The bed is in a body a thousand times as heavy, so that both
+simulations have the same motion of the body. The body vibrates at 50 Hz, near the paper's third resonance, or at its
+first or second resonance. The parameters are its acceleration, the clearance and the depth of the bed. A narrow cavity
+with few grains and a smooth side represents a section of a wide bed. The dissipated energy yields the compliance at
+resonance of a body ten times as heavy as its bed. The package contains the results; `analysis beds` recomputes them.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ from rig.scene.damper import Grains
 from rig.scene.excitation import Sine
 from rig.scene.scene import STANDARD_GRAVITY, Scene
 
-#: Acceleration in g, and clearances in m. Clearances that one mass does not cross are equivalent to no ceiling and
-#: are omitted.
+#: Clearances in m for each acceleration in g; infinite: no ceiling. Clearances that one mass does not cross are
+#: equivalent to no ceiling and are omitted.
 SETTINGS = {
     0.9: (math.inf,),
     1.3: (math.inf,),
@@ -39,8 +40,9 @@ SETTINGS = {
     4.5: (0.15e-3, 0.3e-3, 0.6e-3, 0.98e-3, 2e-3, math.inf),
     7.0: (0.15e-3, 0.3e-3, 0.6e-3, 0.98e-3, 2e-3, math.inf),
 }
-#: By number of layers: number of grains, and diameter of the cavity in m.
+#: Number of grains, and diameter of the cavity in m, for each number of layers.
 BEDS = {2: (70, 14.2e-3), 4: (100, 11.3e-3), 6: (120, 10e-3), 20: (400, 10e-3)}
+#: Seeds of the packings of a bed.
 SEEDS = (1, 2, 3)
 #: Number of layers for which only some settings and seeds are simulated, because of the computing time.
 MAX_LAYERS = 20
@@ -74,11 +76,11 @@ MODULUS_PA = 1e8
 #: Ratio of the time step to the Rayleigh time: statistics of a bed do not need the rebound of each grain to 1 %. Twice
 #: this step is too long: beds of four and six layers that seldom hit a ceiling at 2 mm then dissipate 10 to 80 % less.
 TIME_STEP_RATIO = 0.1
-#: Results for grains and for one mass.
+#: Results for grains and for one mass; see `summary_row`.
 MEASURES = ("compliance", "floor_impulse", "ceiling_impulse", "energy", "landing", "flight")
 _HEADER = (
     "frequency_hz", "level", "clearance_m", "layers", "seed", "depth_diameters",
-    *(f"{who}_{name}" for who in ("grains", "mass") for name in (*MEASURES, "motion_type")),
+    *(f"{model}_{name}" for model in ("grains", "mass") for name in (*MEASURES, "motion_type")),
 )  # fmt: skip
 
 
@@ -102,7 +104,7 @@ class Setting(NamedTuple):
 
 
 def settings() -> list[Setting]:
-    """List all settings, seed by seed, so that any first part of the list covers them evenly."""
+    """List all settings, seed by seed and in random order, so that the first settings are spread over all of them."""
     pairs = [(level, clearance) for level, clearances in SETTINGS.items() for clearance in clearances]
     listed = []
     for seed in SEEDS:
@@ -124,8 +126,8 @@ def settings() -> list[Setting]:
 def scene_of_bed(setting: Setting, **grains: float) -> Scene:
     """Build the scene of a setting; arguments override the defaults of the grains."""
     count, cavity = BEDS[setting.layers]
-    settings_of_grains = {"diameter": 2e-3, "cavity": cavity, "side_friction": 0.0, "modulus": MODULUS_PA}
-    bed = Grains.model_validate(settings_of_grains | grains)
+    grain_settings = {"diameter": 2e-3, "cavity": cavity, "side_friction": 0.0, "modulus": MODULUS_PA}
+    bed = Grains.model_validate(grain_settings | grains)
     bed = bed.replace(time_step=bed.time_step or TIME_STEP_RATIO * rayleigh_time(bed, bed.density))
     mass = count * bed.density * math.pi / 6.0 * bed.diameter**3
     body, stiffness_per_mass = mass / SHAKEN_MASS_RATIO, (2.0 * math.pi * setting.frequency) ** 2
@@ -178,7 +180,7 @@ def table(path: Path | None = None) -> Arrays:
     for row in TABLE.read(path):
         groups.setdefault(point_of(setting_of(row)), []).append(row)
     keys = sorted(groups)
-    out: Arrays = {
+    columns: Arrays = {
         "frequency": np.array([key[0] for key in keys]),
         "level": np.array([key[1] for key in keys]),
         "clearance": np.array([key[2] for key in keys]),
@@ -190,20 +192,20 @@ def table(path: Path | None = None) -> Arrays:
         of_seeds = [np.array([float(row[f"grains_{name}"]) for row in groups[key]]) for key in keys]
         mass = np.array([float(groups[key][0][f"mass_{name}"]) for key in keys])
         if name == "landing":
-            # Phase relative to that of the mass, so that 359 and 1 degree are close.
+            # Unwrap the phase to within 180 degrees of that of the mass, so that 359 and 1 degree are close.
             of_seeds = [
                 (values - mass_phase + 180.0) % 360.0 - 180.0 + mass_phase
                 for values, mass_phase in zip(of_seeds, mass, strict=True)
             ]
-        out[f"mass_{name}"], out[f"grains_{name}"] = mass, np.array([values.mean() for values in of_seeds])
-        out[f"error_{name}"] = np.array(
+        columns[f"mass_{name}"], columns[f"grains_{name}"] = mass, np.array([values.mean() for values in of_seeds])
+        columns[f"error_{name}"] = np.array(
             [values.std(ddof=1) / math.sqrt(len(values)) if len(values) > 1 else math.inf for values in of_seeds]
         )
-    for bed in ("grains", "mass"):
-        out[f"{bed}_type"] = np.array(
-            ["/".join(sorted({row[f"{bed}_motion_type"] for row in groups[key]})) for key in keys]
+    for model in ("grains", "mass"):
+        columns[f"{model}_type"] = np.array(
+            ["/".join(sorted({row[f"{model}_motion_type"] for row in groups[key]})) for key in keys]
         )
-    return out
+    return columns
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Charts beyond the paper: region of claim C2, design chart, error map of the approximate method."""
+"""Charts that the paper does not have: region of claim C2, design charts, error of the approximate method."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def holds_c2(parts: Parts) -> np.ndarray:
     """
     single, three = parts["scan-single"], parts["scan-three"]
     ratio = single["peak"] / three["peak"]
-    has_both = np.vectorize(lambda text: {"I", "II"} <= set(text.split()))(three["types"])
-    only_both = np.vectorize(lambda text: set(text.split("/")) <= {"I", "II", "riding"})(three["type_there"])
-    return (ratio >= 2.5) & (ratio <= 4.0) & shows_third(single) & has_both & only_both
+    has_types_i_and_ii = np.vectorize(lambda text: {"I", "II"} <= set(text.split()))(three["types"])
+    only_both_at_peak = np.vectorize(lambda text: set(text.split("/")) <= {"I", "II", "riding"})(three["type_there"])
+    return (ratio >= 2.5) & (ratio <= 4.0) & has_type_iii(single) & has_types_i_and_ii & only_both_at_peak
 
 
-def shows_third(scan: Columns) -> np.ndarray:
+def has_type_iii(scan: Columns) -> np.ndarray:
     """Return the cells in which a damper shows Type III at some frequency."""
     return np.vectorize(lambda text: "III" in text.split())(scan["types"])
 

@@ -1,4 +1,4 @@
-"""A claim of the paper, with its evidence and verdict."""
+"""A claim of the paper, with the evidence from the reproduction and the verdict."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from typing import NamedTuple
 
 
 class Evidence(NamedTuple):
-    """A sentence with numbers, and the parts of the reproduction that produced them."""
+    """A sentence with results of the reproduction."""
 
     text: str
-    parts: tuple[str, ...]
+    parts: tuple[str, ...]  # names of the parts that produced the results
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim and its verdict."""
+    """A claim of the paper and its verdict."""
 
     name: str  # C1 to C7, or a title for results beyond the paper
-    text: str
+    text: str  # the claim
     evidence: tuple[Evidence, ...]
     verdict: str  # "holds", "holds for these parameters", "holds in part" or "does not hold", with the reason
-    figures: tuple[str, ...]
+    figures: tuple[str, ...]  # names of figures, as in `page.CAPTIONS`

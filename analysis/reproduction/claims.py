@@ -1,11 +1,11 @@
-"""The paper's claims, each with a number from the reproduction and the resulting verdict."""
+"""Claims C1 to C6 of the paper, each with results of the reproduction and a verdict."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from analysis.reproduction.bed_claim import bed_claim
-from analysis.reproduction.charts import holds_c2, shows_third
+from analysis.reproduction.charts import has_type_iii, holds_c2
 from analysis.reproduction.claim import Claim, Evidence
 from analysis.reproduction.fig9_claim import fig9_claim
 from analysis.reproduction.figures import Columns, Parts
@@ -16,7 +16,7 @@ from rig.scene.scene import STANDARD_GRAVITY
 PAPER_OMEGA = np.array([81.9, 218.8, 312.4])
 # Force of Fig 8.
 FORCE_C3_N = 2.6
-# Smallest relative difference at which curves count as different.
+# Smallest relative difference between curves that differ.
 MIN_DIFFERENCE = 0.1
 # Smallest ratio of the difference at antiresonances to that at peaks.
 MIN_DIFFERENCE_RATIO = 5.0
@@ -58,8 +58,8 @@ def _c1(parts: Parts) -> Claim:
                 ("rec-bare", "structure"),
             ),
             Evidence(
-                f"Per table motion the same recording peaks at {_list(np.array(peaks), 0)} rad/s: the coil spring is "
-                "then part of what vibrates, so it is not part of the structure whose compliance the paper reports.",
+                f"Per table motion the same recording peaks at {_list(np.array(peaks), 0)} rad/s: the coil spring "
+                "is then part of the vibrating system, but not of the structure whose compliance the paper reports.",
                 ("rec-bare",),
             ),
         ),
@@ -69,13 +69,13 @@ def _c1(parts: Parts) -> Claim:
 
 
 def _c2(parts: Parts) -> Claim:
-    cells = holds_c2(parts)
+    holds = holds_c2(parts)
     single, three = parts["scan-single"], parts["scan-three"]
     ratio = single["peak"] / three["peak"]
     in_range = (ratio >= 2.5) & (ratio <= 4)
     force, clearance = single["force"], single["clearance"]
-    settings = [f"{force[i]:g} N with {1e3 * clearance[j]:g} mm" for i, j in np.argwhere(cells)]
-    median_clearance = [np.median(clearance[row]) for row in cells if row.any()]
+    settings = [f"{force[i]:g} N with {1e3 * clearance[j]:g} mm" for i, j in np.argwhere(holds)]
+    median_clearance = [np.median(clearance[row]) for row in holds if row.any()]
     trend = (
         ": the clearance grows with the force"
         if len(median_clearance) > 1 and (np.diff(median_clearance) > 0).all()
@@ -83,8 +83,8 @@ def _c2(parts: Parts) -> Claim:
     )
     figure_cell = [int(np.abs(grid - value).argmin()) for grid, value in zip((force, clearance), FIGURE_5, strict=True)]
     verdict = (
-        f"holds for these parameters: {int(cells.sum())} of {cells.size} combinations of force and clearance"
-        if cells.any()
+        f"holds for these parameters: {int(holds.sum())} of {holds.size} combinations of force and clearance"
+        if holds.any()
         else "does not hold in the scanned region"
     )
     return Claim(
@@ -102,31 +102,31 @@ def _c2(parts: Parts) -> Claim:
             Evidence(
                 "The whole claim, with only Types I and II at the peak with three dampers, is true for "
                 f"{', '.join(settings) or 'no cell'}{trend}. Figs 5 and 6 use "
-                f"{'one of these settings' if figure_cell in np.argwhere(cells).tolist() else 'another setting'}: "
+                f"{'one of these settings' if figure_cell in np.argwhere(holds).tolist() else 'another setting'}: "
                 f"{FIGURE_5[0]:g} N with {1e3 * FIGURE_5[1]:g} mm.",
                 ("scan-single", "scan-three"),
             ),
             Evidence(
-                f"With one damper Type III appears in {int(shows_third(single).sum())} cells, with three in "
-                f"{int(shows_third(three).sum())}: with a common clearance the damper in body 2, which moves most, "
+                f"With one damper Type III appears in {int(has_type_iii(single).sum())} cells, with three in "
+                f"{int(has_type_iii(three).sum())}: with a common clearance the damper in body 2, which moves most, "
                 "may still show it at some frequencies, in addition to Types I and II. The paper shows two of "
                 "them, b and c.",
                 ("scan-single", "scan-three"),
             ),
-            Evidence(_enhanced(single), ("scan-single",)),
+            Evidence(_describe_type_iii(single), ("scan-single",)),
         ),
         verdict,
         ("fig3", "fig5", "fig6", "c2-region"),
     )
 
 
-def _enhanced(single: Columns) -> str:
-    """Compare peaks of Type III with other types at the same force (paper: Type III enhances the motion)."""
+def _describe_type_iii(single: Columns) -> str:
+    """Compare peaks of Type III with those of other types at the same force (paper: Type III enhances the motion)."""
     factors = []
     for peak, kind in zip(single["peak"], single["type_there"], strict=True):
-        third = kind == "III"
-        if third.any() and not third.all():
-            factors.append(np.median(peak[third]) / np.median(peak[~third]))
+        is_type_iii = kind == "III"
+        if is_type_iii.any() and not is_type_iii.all():
+            factors.append(np.median(peak[is_type_iii]) / np.median(peak[~is_type_iii]))
     if not factors:
         return "No force shows peaks of Type III and others."
     return (
@@ -149,16 +149,18 @@ def _c3(parts: Parts) -> Claim:
     ratios_to_bare = peaks / peaks[0]
     damps_both = ratios_to_bare[1, 1] < 0.7 and ratios_to_bare[1, 2] < 0.7
     peak_acceleration = peaks[0] * FORCE_C3_N * parts["structure"]["omega"] ** 2 / STANDARD_GRAVITY
-    adds = bool((np.diff(peaks, axis=0) < 0).all())
+    every_damper_lowers = bool((np.diff(peaks, axis=0) < 0).all())
     rows = [
-        f"{label}: {', '.join(f'{100 * s:.0f} %' for s in row)}"
+        f"{label}: {', '.join(f'{100 * ratio:.0f} %' for ratio in row)}"
         for label, row in zip(("one damper", "two", "three"), ratios_to_bare[1:], strict=True)
     ]
     scanned = parts["least-affected"]
     first_is_least = scanned["share"][..., 0] > scanned["share"][..., 1:].max(axis=-1)
     at_level = first_is_least[:, :, int(np.abs(scanned["force"] - FORCE_C3_N).argmin())]
     up_to_force = np.logical_and.accumulate(first_is_least.all(axis=(0, 1)))
-    largest = f"up to {scanned['force'][up_to_force].max():g} N" if up_to_force.any() else "at none of the forces tried"
+    force_range = (
+        f"up to {scanned['force'][up_to_force].max():g} N" if up_to_force.any() else "at none of the forces tried"
+    )
     by_force = ", ".join(
         f"{force:g} N {int(cells.sum())} of {cells.size}"
         for force, cells in zip(scanned["force"], np.moveaxis(first_is_least, 2, 0), strict=True)
@@ -166,16 +168,16 @@ def _c3(parts: Parts) -> Claim:
     dampings, ratios = (", ".join(f"{100 * value:g}" for value in scanned[name]) for name in ("damping", "mass_ratio"))
     failures = [
         text
-        for ok, text in (
+        for is_true, text in (
             (damps_both, "the single damper does not damp both modes"),
-            (adds, "a further damper does not lower every peak"),
+            (every_damper_lowers, "a further damper does not lower every peak"),
             (
                 bool(at_level.all()),
-                f"the first mode is the least affected whatever the damping {largest}, at "
+                f"the first mode is the least affected whatever the damping {force_range}, at "
                 f"{FORCE_C3_N:g} N in {int(at_level.sum())} of {at_level.size} settings",
             ),
         )
-        if not ok
+        if not is_true
     ]
     return Claim(
         "C3",
@@ -204,10 +206,10 @@ def _c3(parts: Parts) -> Claim:
 
 
 def _c5(parts: Parts) -> Claim:
-    true = parts["sim-noise"]
+    exact = parts["sim-noise"]
     rows, differing_noises = [], []
     for noise in NOISES:
-        at_antiresonances, at_peaks = differences(true, parts[f"rec-noise-{noise}"])
+        at_antiresonances, at_peaks = differences(exact, parts[f"rec-noise-{noise}"])
         rows.append(
             f"{noise} ug/√Hz: {100 * at_peaks:.2g} % at peaks, {100 * at_antiresonances:.2g} % at antiresonances"
         )
@@ -225,7 +227,8 @@ def _c5(parts: Parts) -> Claim:
                 names,
             ),
             Evidence(
-                "The recordings differ in nothing else than that noise, so what grows with it is due to it.", names
+                "The recordings differ only in this noise, which therefore causes the differences that grow with it.",
+                names,
             ),
         ),
         f"holds for accelerometers of {min(differing_noises)} ug/√Hz and more, of those tried; the paper names none"
@@ -235,16 +238,16 @@ def _c5(parts: Parts) -> Claim:
     )
 
 
-def differences(true: Columns, measured: Columns) -> tuple[float, float]:
+def differences(exact: Columns, measured: Columns) -> tuple[float, float]:
     """Compute the median relative difference of compliances near antiresonances, and near peaks.
 
     Near means the fifth of the frequencies with the smallest, or the largest, compliance of bodies 1 and 2.
     """
     at_antiresonances, at_peaks = [], []
     for body in range(2):
-        exact = np.abs(true["compliance"][body])
-        deviation = np.abs(np.abs(measured["compliance"][body]) / exact - 1.0)
-        order, fifth = np.argsort(exact), max(exact.size // 5, 1)
+        magnitude = np.abs(exact["compliance"][body])
+        deviation = np.abs(np.abs(measured["compliance"][body]) / magnitude - 1.0)
+        order, fifth = np.argsort(magnitude), max(magnitude.size // 5, 1)
         at_antiresonances.append(deviation[order[:fifth]])
         at_peaks.append(deviation[order[-fifth:]])
     return float(np.median(at_antiresonances)), float(np.median(at_peaks))
@@ -252,16 +255,16 @@ def differences(true: Columns, measured: Columns) -> tuple[float, float]:
 
 def _c6(parts: Parts) -> Claim:
     bare, three = parts["rec-hit-none"], parts["rec-hit-three"]
-    speed_ratio = float(bare["halving"] / three["halving"])
+    speed_ratio = float(bare["time_of_6_db"] / three["time_of_6_db"])
     return Claim(
         "C6",
         "Impulse response: with three dampers the free oscillation dies out faster.",
         (
             Evidence(
                 "After a hit on body 1 the energy of body 3's acceleration falls by 6 dB in "
-                f"{1e3 * float(bare['halving']):.0f} ms without dampers and in {1e3 * float(three['halving']):.0f} ms "
-                f"with three: {speed_ratio:.1f} times faster. It stays below 1 g from {float(bare['quiet_from']):.2f} "
-                f"s and from {float(three['quiet_from']):.2f} s.",
+                f"{1e3 * bare['time_of_6_db']:.0f} ms without dampers and in {1e3 * three['time_of_6_db']:.0f} ms "
+                f"with three: {speed_ratio:.1f} times faster. It stays below 1 g from {bare['time_below_1_g']:.2f} "
+                f"s and from {three['time_below_1_g']:.2f} s.",
                 ("rec-hit-none", "rec-hit-three"),
             ),
         ),

@@ -1,10 +1,10 @@
-"""One mass on a floor and ceiling with contacts of finite duration: the contact that describes a bed of grains best.
+"""Study of one mass with contacts of finite duration (`analysis contacts`): the contact that fits beds of grains best.
 
-At the settings of `bed_study` at 50 Hz one mass is simulated on contacts of several restitutions and durations. A
-share of the bed may move while the rest is fixed; the moving share dissipates its share of the energy. The fitted
-contact minimizes the deviation of the body's compliance from the compliance with grains, over all settings below a
-ceiling. Without a ceiling, instantaneous contact is closer. The deviation is cross-validated: each acceleration is
-compared with the contact fitted to the other accelerations.
+At the settings of `bed_study` at 50 Hz, one mass is simulated with several restitutions and durations of its contact
+with floor and ceiling. A share of the bed's mass moves, and the rest is fixed to the body; the dissipated energy is
+proportional to this share. The fitted contact minimizes the deviation of the body's compliance from the compliance with
+grains, over all settings with a ceiling. Without a ceiling, instantaneous contact is closer. The deviation is
+cross-validated: each acceleration is compared with the contact fitted to the other accelerations.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ RESTITUTIONS = (0.0, 0.05, 0.1, 0.2, 0.35, 0.5)
 DURATIONS = (1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 7e-3)
 #: Shares of the bed that move.
 SHARES = tuple(np.round(np.arange(0.5, 1.001, 0.05), 2).tolist())
-#: Periods for the decay of the transient, before averaging.
+#: Number of periods before averaging, in which the transient decays.
 _SETTLING_PERIODS = 40
-#: Periods over which results are averaged, after the transient.
+#: Number of periods over which results are averaged.
 _AVERAGED_PERIODS = 40
 #: Samples in a period.
 _SAMPLES_PER_PERIOD = 128
@@ -63,7 +63,7 @@ class FittedContact(NamedTuple):
 
 
 def contacts() -> list[Contact]:
-    """List all points, ordered by contact."""
+    """Return all points, ordered by contact."""
     return [
         Contact(level, clearance, restitution, duration)
         for restitution in RESTITUTIONS
@@ -101,8 +101,8 @@ def simulate_contact(contact: Contact) -> Row:
 def scene_on_contact(contact: Contact) -> Scene:
     """Build the scene of a point."""
     scene = as_one_mass(scene_of_bed(Setting(contact.level, contact.clearance, min(BEDS), 1)))
-    wall = {"duration": contact.duration}
-    dampers = [damper.replace(contact=wall, restitution=contact.restitution) for damper in scene.dampers]
+    walls = {"duration": contact.duration}
+    dampers = [damper.replace(contact=walls, restitution=contact.restitution) for damper in scene.dampers]
     return scene.replace(dampers=dampers)
 
 
@@ -113,9 +113,9 @@ def _ceiling_force(scene: Scene, run: Run) -> float:
         return 0.0
     system = assemble(scene)
     stiffness, damping = system.wall_stiffness[0, 1], system.wall_damping[0, 1]
-    push = stiffness * (run.gap[0] - clearance) + damping * np.gradient(run.gap[0], run.time)
+    force = stiffness * (run.gap[0] - clearance) + damping * np.gradient(run.gap[0], run.time)
     return float(
-        np.where(run.contact[0] == 2, np.maximum(push, 0.0), 0.0)[-_AVERAGED_PERIODS * _SAMPLES_PER_PERIOD :].mean()
+        np.where(run.contact[0] == 2, np.maximum(force, 0.0), 0.0)[-_AVERAGED_PERIODS * _SAMPLES_PER_PERIOD :].mean()
     )
 
 
@@ -183,14 +183,15 @@ def with_ceiling(beds: Mapping[str, np.ndarray]) -> Arrays:
     return select(beds, np.isfinite(beds["clearance"]))
 
 
-def select(beds: Mapping[str, np.ndarray], chosen: NDArray[np.bool_]) -> Arrays:
-    """Select settings."""
-    return {name: values[chosen] for name, values in beds.items()}
+def select(beds: Mapping[str, np.ndarray], selected: NDArray[np.bool_]) -> Arrays:
+    """Return a selection of the settings of a table."""
+    return {name: values[selected] for name, values in beds.items()}
 
 
 def _column_at_settings(
     name: str, contact: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
 ) -> Array:
+    """Return a column of a contact, from the table of `contacts`, at the settings of `beds`."""
     of_contact = (contacts["restitution"] == contact.restitution) & (contacts["duration_s"] == contact.duration)
     by_setting = {
         (level, clearance): value

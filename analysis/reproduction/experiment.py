@@ -1,4 +1,4 @@
-"""The virtual experiment of the reproduction: recordings and their evaluation."""
+"""Virtual experiments of the reproduction: recordings of scenes with the virtual rig, and their evaluation."""
 
 from __future__ import annotations
 
@@ -150,8 +150,8 @@ def _force_phase(recording: Recording, channels: list[str], frequency: float, fi
 def ring_down(scene: Scene, path: Path) -> Arrays:
     """Compute the free decay of body 3's acceleration after the first hit.
 
-    Returns time, acceleration, envelope (samples,); halving, quiet_from (): time for a 6 dB decay of energy [s], and
-    time after which the acceleration remains below 1 g [s].
+    Returns time [s], acceleration, envelope [m/s²] (samples,); time_of_6_db (): time in which the energy falls by 6 dB
+    [s]; time_below_1_g (): time from which the acceleration stays below 1 g [s].
     """
     with open_or_record(scene, path) as recording:
         measured = decay(recording, "body3")
@@ -159,6 +159,6 @@ def ring_down(scene: Scene, path: Path) -> Arrays:
             "time": measured.time,
             "acceleration": measured.acceleration,
             "envelope": measured.envelope,
-            "halving": np.array(measured.halving),
-            "quiet_from": np.array(measured.quiet_from),
+            "time_of_6_db": np.array(measured.halving),
+            "time_below_1_g": np.array(measured.quiet_from),
         }

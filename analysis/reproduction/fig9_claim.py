@@ -1,4 +1,4 @@
-"""Claim C4, about Fig 9: motion types, and agreement of approximation, exact motion and recording."""
+"""Claim C4 of the paper, about Fig 9: motion types; agreement of approximate method, exact motion and recording."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ def fig9_claim(parts: Parts) -> Claim:
     """Assess C4 by approximation, exact orbits and recording."""
     approximate, exact, measured = parts["approx-fig9"], parts["orbit-fig9"], parts["rec-fig9"]
     admissible = approximate["valid"] & approximate["stable"]
-    spans = {
-        kind: [_span(approximate, admissible, kind), _span(exact, exact["stable"], kind)] for kind in ("II", "III")
+    ranges = {
+        kind: [_frequency_range(approximate, admissible, kind), _frequency_range(exact, exact["stable"], kind)]
+        for kind in ("II", "III")
     }
     approximate_peak = np.abs(approximate["compliance"][admissible]).max()
     exact_peak = np.abs(exact["compliance"][exact["stable"], 1]).max()
@@ -27,16 +28,16 @@ def fig9_claim(parts: Parts) -> Claim:
     only_type_2 = not ((exact["type"] == "III") & exact["stable"]).any()
     over_damping = parts["fig9-damping"]
     column = int(np.abs(over_damping["clearance"] - 0.98e-3).argmin())
-    free_dampings = over_damping["damping"][~over_damping["third"][:, column]]
-    free_from = (
-        f"damping of {100 * free_dampings.min():g} % and more"
-        if free_dampings.size
+    dampings_without_iii = over_damping["damping"][~over_damping["third"][:, column]]
+    absent_for = (
+        f"damping of {100 * dampings_without_iii.min():g} % and more"
+        if dampings_without_iii.size
         else "none of the damping ratios tried"
     )
     evidence = (
         Evidence(
-            f"Type II: approximate method {spans['II'][0]}, exact orbits {spans['II'][1]}. Type III: approximate "
-            f"{spans['III'][0]}, exact orbits {spans['III'][1]}.",
+            f"Type II: approximate method {ranges['II'][0]}, exact orbits {ranges['II'][1]}. Type III: approximate "
+            f"{ranges['III'][0]}, exact orbits {ranges['III'][1]}.",
             ("approx-fig9", "orbit-fig9"),
         ),
         Evidence(
@@ -52,9 +53,9 @@ def fig9_claim(parts: Parts) -> Claim:
             ("orbit-fig9", "rec-fig9"),
         ),
         Evidence(compare_directions(measured, parts["rec-fig9-down"]), ("rec-fig9", "rec-fig9-down")),
-        Evidence("tau_0 is not measured: leaving the floor is no jump of the velocity.", ()),
+        Evidence("tau_0 is not measured, because leaving the floor causes no jump of the velocity.", ()),
         Evidence(
-            f"Without Type III about the resonance, by damping ratio: {_free_of_third(over_damping)}.",
+            f"Without Type III about the resonance, by damping ratio: {_without_type_iii(over_damping)}.",
             ("fig9-damping",),
         ),
     )
@@ -72,7 +73,7 @@ def fig9_claim(parts: Parts) -> Claim:
         "only Type II appears inside the resonance"
         if only_type_2
         else "Type III, with a short stay at the ceiling, takes the top of the resonance at 0.98 mm for our damping of "
-        f"0.5 %, but is absent there for {free_from}",
+        f"0.5 %, but is absent there for {absent_for}",
         *(f"the {name}'s peak is that of exact motion within {100 * MAX_PEAK_DIFFERENCE:g} %" for name in agreements),
         *disagreements,
     ]
@@ -100,7 +101,7 @@ def compare_directions(up: Columns, down: Columns) -> str:
     )
 
 
-def _free_of_third(over_damping: Columns) -> str:
+def _without_type_iii(over_damping: Columns) -> str:
     """Report the clearances without Type III, by damping ratio."""
     rows = []
     for damping, third in zip(over_damping["damping"], over_damping["third"], strict=True):
@@ -111,9 +112,10 @@ def _free_of_third(over_damping: Columns) -> str:
     return "; ".join(rows)
 
 
-def _span(data: Columns, selected: np.ndarray, kind: str) -> str:
-    inside = data["frequency"][selected & (data["type"] == kind)]
-    return f"{inside.min():.2f} to {inside.max():.2f} Hz" if inside.size else "nowhere"
+def _frequency_range(data: Columns, selected: np.ndarray, kind: str) -> str:
+    """Return the frequency range of a motion type."""
+    frequency = data["frequency"][selected & (data["type"] == kind)]
+    return f"{frequency.min():.2f} to {frequency.max():.2f} Hz" if frequency.size else "nowhere"
 
 
 def _nearest_orbit(exact: Columns, frequency: float, value: complex) -> tuple[int, float]:
@@ -128,6 +130,7 @@ def _nearest_orbit(exact: Columns, frequency: float, value: complex) -> tuple[in
 
 
 def _phase_distance(exact: Columns, measured: Columns, name: str) -> float:
+    """Return the median deviation of the measured impact phase `phi` or `tau_1` from exact orbits, rad."""
     distances = []
     rows = zip(measured["frequency"], measured["compliance"][1], measured[f"impact_{name}"], strict=True)
     for frequency, value, phase in rows:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+# Results of a part by name, and of all parts by their names (`analysis.reproduction.parts`).
 Columns = Mapping[str, np.ndarray]
 Parts = Mapping[str, Columns]
 
@@ -64,9 +65,9 @@ def figure_5(parts: Parts) -> Figure:
     single, three, theory = parts["sim-fig5-single"], parts["sim-fig5-three"], parts["structure"]
     with new_figure(4.4) as figure:
         axes = figure.subplots()
-        inside = (theory["frequency"] >= 45) & (theory["frequency"] <= 54)
+        in_band = (theory["frequency"] >= 45) & (theory["frequency"] <= 54)
         axes.plot(
-            theory["frequency"][inside], abs(theory["compliance"][1][inside]), color=GRAY, lw=0.9, ls="--",
+            theory["frequency"][in_band], abs(theory["compliance"][1][in_band]), color=GRAY, lw=0.9, ls="--",
             label="no damper",
         )  # fmt: skip
         for data, shade, label in ((single, RED, "one damper, body 2"), (three, BLUE, "three dampers")):
@@ -169,11 +170,11 @@ def figure_9(parts: Parts) -> Figure:
         upper.set_ylabel("compliance of body 2 |X₂/F₁| / (µm/N)")
         upper.set_title("Fig 9: mass ratio 6 %, clearance 0.98 mm, force 3.3 N (thin: unstable)")
         upper.legend(loc="upper right")
-        for data, shade, keep in (
+        for data, shade, selected in (
             (approximate, ORANGE, approximate["valid"]), (exact, BLUE, np.isin(exact["type"], ["I", "II", "III"]))
         ):  # fmt: skip
             for phase in (data["phi"], data["tau"][:, 0], data["tau"][:, 1]):
-                _draw_branches(lower, data, phase, shade, "", keep)
+                _draw_branches(lower, data, phase, shade, "", selected)
         lower.plot(measured["impact_frequency"], measured["impact_phi"], "o", color=BLACK, ms=2.4)
         lower.plot(measured["impact_frequency"], measured["impact_tau_1"], "s", color=BLACK, ms=2.4)
         for text, xy in (("φ, force phase lag at floor impact", (46.1, 5.4)), ("τ₁, ceiling impact", (49.6, 4.35)),
@@ -240,9 +241,9 @@ def _draw_branches(axes: Axes, data: Columns, values: np.ndarray, shade: str, la
     for number in np.unique(data["branch"]):
         on_branch = data["branch"] == number
         for stable in (True, False):
-            chosen = on_branch & selected & (data["stable"] == stable)
+            in_section = on_branch & selected & (data["stable"] == stable)
             # A section includes the following point, so that bold and thin lines connect.
-            y = np.where(chosen | (np.roll(chosen, 1) & on_branch & selected), values, np.nan)[on_branch]
+            y = np.where(in_section | (np.roll(in_section, 1) & on_branch & selected), values, np.nan)[on_branch]
             x = data["frequency"][on_branch]
             if not np.isfinite(y).any():
                 continue

@@ -1,4 +1,4 @@
-"""The page about the reproduction, as Markdown and as HTML."""
+"""Page with the verdicts and figures of the reproduction, as Markdown and as HTML."""
 
 from __future__ import annotations
 
@@ -37,12 +37,13 @@ CAPTIONS = {
     "c7-beds": "Beds of grains against one mass that lands at once, and with finite-duration contact, in % of the mass",
     "c7-modes": "Beds of grains against one mass at the paper's first and second resonance, in % of the mass",
 }
+# Figures of results that the paper does not have.
 BEYOND = ("design", "optimum", "trust")
 COMMAND = "analysis paper"
 
 
-def _note_monotonic_mass(optimum: Columns) -> str:
-    """Note that no optimum mass ratio exists if the heaviest computed damper is the best."""
+def _mass_ratio_remark(optimum: Columns) -> str:
+    """State that the peak falls with the mass ratio, if the heaviest computed damper is the best."""
     ratios = optimum["mass_ratios"]
     if optimum["mass_ratio"] < ratios.max():
         return ""
@@ -60,14 +61,14 @@ def write_pages(folder: Path, assessed: Sequence[Claim], parts: Parts) -> list[P
         ("index.html", page.substitute(title=escape_html(TITLE), body=_html(assessed, beyond))),
     ):
         target = folder / name
-        with atomic_write(target) as part:
-            part.write_text(text, encoding="utf-8")
+        with atomic_write(target) as temporary:
+            temporary.write_text(text, encoding="utf-8")
         written.append(target)
     return written
 
 
 def beyond_the_paper(parts: Parts) -> list[Evidence]:
-    """Report the optimum, the exact orbits, and the two weightings of the mass ratio."""
+    """Return results that the paper does not have: optimum, exact orbits, and both weightings of the mass ratio."""
     best_by_ratio = [parts[name] for name in sorted(parts) if name.startswith("best-")]
     optima = "; ".join(
         f"{100 * float(b['mass_ratio']):.0f} %: {1e3 * float(b['best']):.2f} mm (worst peak "
@@ -91,7 +92,7 @@ def beyond_the_paper(parts: Parts) -> list[Evidence]:
         Evidence(
             f"Best clearance and mass ratio, up to {100 * optimum['mass_ratios'].max():.0f} %: "
             f"{100 * float(optimum['mass_ratio']):.1f} % with {1e3 * float(optimum['best']):.2f} mm (worst peak "
-            f"{1e6 * float(optimum['peak']):.0f} µm/N, {len(optimum['worst'])} trials).{_note_monotonic_mass(optimum)}",
+            f"{1e6 * float(optimum['peak']):.0f} µm/N, {len(optimum['worst'])} trials).{_mass_ratio_remark(optimum)}",
             ("optimum",),
         ),
         Evidence(
@@ -173,16 +174,16 @@ def _html(assessed: Sequence[Claim], beyond: Sequence[Evidence]) -> str:
         f"<td><code>{escape_html(command(_parts(c)))}</code></td></tr>"
         for c in assessed
     )
-    out = [
+    sections = [
         f"<p>{escape_html(INTRODUCTION)}</p><table><tr><th>claim</th><th>verdict</th><th>command</th></tr>{rows}</table>"
     ]
     for c in assessed:
-        out.append(
+        sections.append(
             f"<h2 id='{c.name}'>{c.name}</h2><blockquote>{escape_html(c.text)}</blockquote>"
             f"<p><strong>{escape_html(c.verdict)}</strong></p><ul>{items(c.evidence)}</ul>{_images(c.figures)}"
         )
-    out.append(f"<h2>Beyond the paper</h2><ul>{items(beyond)}</ul>{_images(BEYOND)}")
-    return "\n".join(out)
+    sections.append(f"<h2>Beyond the paper</h2><ul>{items(beyond)}</ul>{_images(BEYOND)}")
+    return "\n".join(sections)
 
 
 def _images(names: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-"""All parts of the reproduction, with their inputs."""
+"""All parts of the reproduction (simulations and virtual experiments) with their inputs."""
 
 from __future__ import annotations
 
@@ -69,11 +69,11 @@ WAVES = {"a": ("fig5-single-damper", 48.25), "b": ("fig5-three-dampers", 48.0), 
 
 
 def all_parts(folder: Path) -> list[PaperPart]:
-    """List the parts."""
+    """Return all parts; `folder`: output folder, for the recordings of the virtual experiments."""
     single, three = rig.load("fig5-single-damper"), rig.load("fig5-three-dampers")
     fig9, fig10a = rig.load("fig9"), rig.load("fig10a")
     grid = {"forces": FORCES, "clearances": CLEARANCES, "frequencies": THIRD_RESONANCE_GRID, "mass_ratio": 0.10}
-    robust: dict[str, Any] = {"force": 3.3, "frequencies": THIRD_RESONANCE_GRID}
+    optimum_inputs: dict[str, Any] = {"force": 3.3, "frequencies": THIRD_RESONANCE_GRID}
     wide_band, dense_grid = {"band": (46.0, 54.0)}, {"frequencies": np.linspace(*THIRD_MODE_BAND_HZ, 109)}
     jobs: list[tuple[str, str, Any, Scene, dict[str, Any]]] = [
         ("scan-three", "scan of force and clearance, three dampers", scan.scan, three, grid),
@@ -81,13 +81,13 @@ def all_parts(folder: Path) -> list[PaperPart]:
         *(
             (
                 f"best-{round(100 * ratio):02d}", f"best clearance, mass ratio {100 * ratio:.0f} %",
-                scan.best_clearance, fig9, robust | {"mass_ratio": ratio, "clearances": CLEARANCES},
+                scan.best_clearance, fig9, optimum_inputs | {"mass_ratio": ratio, "clearances": CLEARANCES},
             )
             for ratio in MASS_RATIOS
         ),
         (
             "optimum", "best clearance and mass ratio", scan.best_damper, fig9,
-            robust | {"mass_ratios": WIDE_MASS_RATIOS, "clearances": CLEARANCES[1:-1]},
+            optimum_inputs | {"mass_ratios": WIDE_MASS_RATIOS, "clearances": CLEARANCES[1:-1]},
         ),
         (
             "approx-peaks", "approximate method over force and clearance", simulation.approximate_peaks, single,
@@ -100,7 +100,7 @@ def all_parts(folder: Path) -> list[PaperPart]:
         ),
         ("sim-three", "simulation of Fig 10a", simulation.simulated, fig10a, {"frequencies": SWEEP_GRID}),
         (
-            "fig9-damping", "Fig 9 over damping and clearance", scan.stays_over_damping, fig9,
+            "fig9-damping", "Fig 9 over damping and clearance", scan.type_iii_over_damping, fig9,
             {"dampings": DAMPINGS, "clearances": FIGURE_9_CLEARANCES, "frequencies": THIRD_RESONANCE_GRID},
         ),
         *(
@@ -163,6 +163,7 @@ def _one_body(clearance: float) -> Scene:
 
 
 def _experiments(folder: Path) -> list[PaperPart]:
+    """Return the parts that record and evaluate a virtual experiment."""
     fig10a, without_display = rig.load("fig10a"), {"display": False}
     test = {"kind": "stepped_sine", "frequencies": SWEEP_GRID.tolist(), "force": 2.6, "settle": {"longest": 20.0}}
     noise_test = test | {"frequencies": np.sort(NOISE_GRID).tolist()}

@@ -1,7 +1,7 @@
-"""Scans over force, clearance, mass ratio and damping about a resonance, over exact orbits where these exist.
+"""Scans of the peak compliance near a resonance over force, clearance, mass ratio and damping.
 
-Every frequency sweep consists of exact stable orbits (`rig.orbit_response`). Irregular motion is simulated and
-averaged, and its share is reported.
+Each frequency response consists of exact stable orbits (`rig.orbit_response`). Where the motion is irregular, it is
+simulated and averaged, and the share of these frequencies is reported.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def scan(
     }
 
 
-def stays_over_damping(
+def type_iii_over_damping(
     scene: Scene, dampings: Array, clearances: Array, frequencies: Array, body: int = BODY
 ) -> Arrays:
     """Compute whether Type III occurs near the resonance, over damping ratio (rows) and clearance (columns).
@@ -72,16 +72,16 @@ def stays_over_damping(
     Returns third (dampings, clearances): whether Type III occurs; peak (same): largest compliance of the body [m/N].
     """
     shape = (len(dampings), len(clearances))
-    third, peak = np.zeros(shape, dtype=bool), np.zeros(shape)
+    has_type_iii, peak = np.zeros(shape, dtype=bool), np.zeros(shape)
     for row, damping in enumerate(dampings):
         structure = scene.structure.replace(damping={"modal": float(damping)})
         for column, clearance in enumerate(clearances):
             dampers = [d.replace(clearance=float(clearance)) for d in scene.dampers]
             problem = OrbitProblem(scene.replace(structure=structure, dampers=dampers))
             response = response_at_level(problem, problem.level, frequencies)
-            third[row, column] = bool((response.damper_motion == "III").any())
+            has_type_iii[row, column] = bool((response.damper_motion == "III").any())
             peak[row, column] = refined_peak(problem, response, body)[0]
-    return {"damping": dampings, "clearance": clearances, "third": third, "peak": peak}
+    return {"damping": dampings, "clearance": clearances, "third": has_type_iii, "peak": peak}
 
 
 def least_affected(
@@ -114,12 +114,12 @@ def least_affected(
 
 
 class _WorstPeak:
-    """Worst peak over the force levels, for any clearance and mass ratio; results are cached."""
+    """Function of clearance and mass ratio: the largest peak over the force levels; results are cached."""
 
     def __init__(self, scene: Scene, force: float, frequencies: Array, body: int) -> None:
         self.scene, self.force, self.frequencies, self.body = scene, force, frequencies, body
-        self.trials: dict[tuple[float, float], float] = {}
-        self.orbits: list[float] = []
+        self.trials: dict[tuple[float, float], float] = {}  # results by clearance in m and mass ratio
+        self.orbits: list[float] = []  # share of the frequencies with an exact orbit, for each response
 
     def __call__(self, clearance: float, mass_ratio: float) -> float:
         key = (float(clearance), float(mass_ratio))
@@ -193,6 +193,7 @@ def best_damper(
     step = np.array([0.15, 0.2 * (mass_ratios[-1] - mass_ratios[0])])
     first = np.array([np.log(start[0]), start[1]])
     low, high = mass_ratios[0], mass_ratios[-1]
+    # The initial simplex lies within the limits of the mass ratio.
     inward = np.array([1.0, -1.0 if first[1] + step[1] > high else 1.0])
     corners = first + np.array([[0, 0], [step[0], 0], [0, step[1]]]) * inward
     scipy.optimize.minimize(

@@ -1,4 +1,4 @@
-"""Computations of the reproduction: simulation, exact orbits, and the paper's approximate method."""
+"""Computed parts of the reproduction: simulation, exact orbits, and the approximate method of the paper."""
 
 from __future__ import annotations
 
@@ -67,29 +67,29 @@ def exact_orbits(scene: Scene, band: tuple[float, float], searches: int = 5) -> 
                 "tau": (instants[:, 1:] - instants[:, :1]) % (2 * np.pi),
             }
         )
-    specials = [
+    special_points = [
         (name, value)
         for branch in curve.branches
         for name in ("fold", "doubling", "torus")
         for value in {"fold": branch.folds, "doubling": branch.doublings, "torus": branch.toruses}[name]
     ]
     return join_columns(rows) | {
-        "special": np.array([name for name, _ in specials], dtype="U10"),
-        "special_frequency": np.array([value for _, value in specials]),
+        "special": np.array([name for name, _ in special_points], dtype="U10"),
+        "special_frequency": np.array([value for _, value in special_points]),
         "failures": np.array(curve.failures, dtype=np.str_),
     }
 
 
 def _fig9_instants(orbit: Orbit) -> list[float]:
-    """Return floor impact, take-off, ceiling impact and ceiling take-off of a Type I-III motion [s]."""
+    """Return the instants of floor impact, take-off, ceiling impact and ceiling take-off in Types I to III [s]."""
     if orbit.motion_type not in ("I", "II", "III"):
         return [np.nan] * 4
     floor, ceiling, separations = (
         orbit.events["time"][orbit.events["kind"] == kind] for kind in ("floor", "ceiling", "separation")
     )
-    after = np.sort((separations - floor[0]) % (1 / orbit.frequency)) + floor[0]
-    last = after[-1] if orbit.motion_type == "III" else np.nan
-    return [floor[0], after[0], ceiling[0] if len(ceiling) else np.nan, last]
+    take_offs = np.sort((separations - floor[0]) % (1 / orbit.frequency)) + floor[0]
+    ceiling_take_off = take_offs[-1] if orbit.motion_type == "III" else np.nan
+    return [floor[0], take_offs[0], ceiling[0] if len(ceiling) else np.nan, ceiling_take_off]
 
 
 def approximated(

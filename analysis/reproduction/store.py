@@ -1,7 +1,7 @@
-"""Stored results, so that an interrupted reproduction can be continued.
+"""Parts of the reproduction, whose results are stored, so that an interrupted reproduction can be continued.
 
-Each part has a name and a text that contains all inputs. Its arrays are stored under that name with a digest of the
-text. If a result with the same digest exists, it is loaded instead of computed.
+The results of a part are stored with a digest of its inputs and of the program. Results with the same digest are loaded
+instead of computed.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ def remove_partial(folder: Path) -> None:
 
 @dataclass(frozen=True)
 class PaperPart:
-    """A part of the reproduction that can be computed independently."""
+    """A part of the reproduction: a simulation, or a recording with its evaluation, that needs no other part."""
 
     name: str  # file stem of its results
-    depends: str  # all inputs of its results: scenes, grids, choices
+    depends: str  # text that contains all inputs of the results: scenes, grids, options
     compute: Callable[..., Arrays]
     """Takes `arguments` and returns arrays by name; a module-level function, for use in other processes."""
     arguments: Mapping[str, Any]  # arguments of `compute`
@@ -48,7 +48,7 @@ class PaperPart:
 
     @property
     def digest(self) -> str:
-        """Compute the digest of the inputs."""
+        """Digest of the inputs and of the program."""
         code = code_digest("rig", "daq", "analysis")
         return hashlib.sha256(f"{code}\n{self.depends}".encode()).hexdigest()
 
@@ -62,7 +62,7 @@ class PaperPart:
             with self.path(folder).open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 arrays = {key: archive[key] for key in archive.files}
         except Exception:
-            # The file is absent or damaged, for which numpy raises various errors: compute again.
+            # The file does not exist or is damaged, for which numpy raises various errors.
             return None
         return arrays if str(arrays.pop("digest", "")) == self.digest else None
 

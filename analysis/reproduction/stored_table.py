@@ -1,4 +1,4 @@
-"""Result tables of the studies for claim C7: their columns, the bundled tables, and their continuation."""
+"""CSV tables of the studies of grain beds (claim C7): their columns, the bundled tables, and how to complete them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeVar
 from rig.study import StoredValues, Study, read_rows
 
 Row = dict[str, str]
-Piece = TypeVar("Piece", bound=tuple[object, ...])
+Case = TypeVar("Case", bound=tuple[object, ...])
 
 
 class Table(NamedTuple):
@@ -31,15 +31,18 @@ class Table(NamedTuple):
         """Path of the bundled table."""
         return Path(str(files("analysis.reproduction") / "data" / self.file))
 
-    def study(self, compute: Callable[[Piece], Row], piece_of: Callable[[Row], Piece]) -> Study[Piece, Row]:
-        """Return the study whose values are the rows of this table."""
+    def study(self, compute: Callable[[Case], Row], case_of: Callable[[Row], Case]) -> Study[Case, Row]:
+        """Return the study whose results are the rows of this table.
+
+        `compute`: returns the row of a case; `case_of`: returns the case of a row.
+        """
         return Study(
             self.content,
             self.header,
             compute,
             lambda case: case,
             lambda _, row: [row[name] for name in self.header],
-            lambda line: (piece_of(self.row(line)), self.row(line)),
+            lambda line: (case_of(self.row(line)), self.row(line)),
         )
 
     def row(self, line: Sequence[str]) -> Row:
@@ -61,17 +64,17 @@ class Table(NamedTuple):
 
 
 def complete(
-    path: Path, study: Study[Piece, Row], cases: Sequence[Piece], describe: Callable[[Row], str],
+    path: Path, study: Study[Case, Row], cases: Sequence[Case], describe: Callable[[Row], str],
     print_line: Callable[[str], None], cluster: str | None = None,
 ) -> None:  # fmt: skip
-    """Compute missing pieces of a table, and sort its rows when complete; rows of other pieces are last.
+    """Compute the missing cases of a table, and sort its rows in the order of `cases`; rows of other cases are last.
 
     `path`: CSV file; `describe`: returns a description of a row; `print_line`: called with a line for each new row;
     `cluster`: see `rig.workers.Workers`. Raises `RunError` if the file is not such a table, or cannot be written.
     """
     stored = StoredValues(study, path)
     missing = sum(case not in stored for case in cases)
-    for n_completed, row in enumerate(stored.complete(cases, cluster), 1):
-        print_line(f"[{n_completed}/{missing}] {describe(row)}")
+    for completed, row in enumerate(stored.complete(cases, cluster), 1):
+        print_line(f"[{completed}/{missing}] {describe(row)}")
     position = {case: number for number, case in enumerate(cases)}
     stored.sort(lambda case: (position.get(case, len(position)), case))

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from scipy import fft
 
-from analysis.recordings.slices import PIECE
+from analysis.recordings.slices import PIECE_SAMPLES
 from rig.arrays import Array, ComplexArray
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def low_spectra(
     filters = taps.reshape(-1, step).T
     n_rows = max(1, _MAX_MULTIPLICATIONS // filters.size)
     # The filter extends beyond both ends of the segment; the transform is periodic.
-    overlap, padding, piece_samples = filters.shape[1], size - (stop - start), max(1, PIECE // step) * step
+    overlap, padding, piece_samples = filters.shape[1], size - (stop - start), max(1, PIECE_SAMPLES // step) * step
     filtered = np.zeros((len(names), overlap + size // step))
     total, squares = np.zeros((2, len(names)))
     # Squares are computed relative to the first sample, because a large offset would hide the variation by rounding.

@@ -166,7 +166,7 @@ def test_piece_length_does_not_change_file(recording, tmp_path, monkeypatch):
     names = ("a.csv", "a.npz", "a.wav")
     for name in names:
         export(Slice.of(recording), tmp_path / name)
-    monkeypatch.setattr("analysis.recordings.slices.PIECE", 777)
+    monkeypatch.setattr("analysis.recordings.slices.PIECE_SAMPLES", 777)
     for name in names:
         export(Slice.of(recording), tmp_path / f"b{name}")
         assert (tmp_path / name).read_bytes() == (tmp_path / f"b{name}").read_bytes()
@@ -227,7 +227,7 @@ def test_huge_gap_is_reported_quickly(tmp_path):
 
 
 def test_uff_rejects_single_sample(recording, tmp_path):
-    with pytest.raises(SceneError, match="2 at least; these are 1"):
+    with pytest.raises(SceneError, match="this segment has 1"):
         export(Slice.of(recording, to_s=1e-4), tmp_path / "a.uff")
 
 

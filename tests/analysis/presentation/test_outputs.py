@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.presentation.outputs import of_part, output_stem, with_ending
+from analysis.presentation.outputs import output_stem, with_channel_name, with_ending
 from analysis.presentation.tables import write_table
 from rig.errors import RunError, SceneError
 from rig.escaping import escape_terminal
@@ -76,12 +76,12 @@ def test_undecodable_name_is_kept(tmp_path):
 
 @pytest.mark.parametrize("name", ["../../etc/passwd", "a\nb", "x" * 300, "\u202e", "/", "nul\0"])
 def test_impossible_channel_name_stays_in_folder(name: str, tmp_path: Path) -> None:
-    part = of_part(tmp_path / "run-frf", name)
+    part = with_channel_name(tmp_path / "run-frf", name)
 
     part.touch()
 
     assert part.parent == tmp_path and list(tmp_path.iterdir()) == [part]
-    assert part != of_part(tmp_path / "run-frf", f"{name} ")
+    assert part != with_channel_name(tmp_path / "run-frf", f"{name} ")
 
 
 @settings(max_examples=25)

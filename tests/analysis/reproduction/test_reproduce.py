@@ -15,7 +15,7 @@ from analysis.reproduction.fig9_claim import compare_directions
 from analysis.reproduction.page import CAPTIONS, write_pages
 from analysis.reproduction.parts import FIGURE_5, TYPES, all_parts
 from analysis.reproduction.reproduce import FIGURES, compute, reproduce
-from analysis.reproduction.scan import LEVELS, best_damper, least_affected, scan, stays_over_damping
+from analysis.reproduction.scan import LEVELS, best_damper, least_affected, scan, type_iii_over_damping
 from analysis.reproduction.simulation import approximated, exact_orbits, structure_numbers, waveforms
 from analysis.reproduction.store import Arrays, PaperPart, partial_name, remove_partial
 from rig.errors import SceneError
@@ -144,7 +144,7 @@ def test_optimum_is_better_than_all_trials() -> None:
 def test_more_damping_removes_type_iii() -> None:
     frequencies = np.array([48.8, 49.0, 49.2])
 
-    type_iii = stays_over_damping(rig.load("fig9"), np.array([0.005, 0.01]), np.array([0.98e-3]), frequencies)
+    type_iii = type_iii_over_damping(rig.load("fig9"), np.array([0.005, 0.01]), np.array([0.98e-3]), frequencies)
 
     assert type_iii["third"].ravel().tolist() == [True, False]
 

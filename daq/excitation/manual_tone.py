@@ -124,20 +124,20 @@ class ManualTone:
             # First estimate: the drive is proportional to the level.
             drive = min(previous_drive * level / (self._level or level) or drive, station.drive_limit)
         self._level = level
-        facts = {"frequency": frequency, "level": level}
+        fields = {"frequency": frequency, "level": level}
         while True:
             first, settled = station.now, False
             try:
                 settled = yield from tone.settle(frequency, drive, _TOLERANCE, _MAX_WAIT_S)
             finally:
                 if station.now > first:
-                    station.mark("settle", first, station.now, drive=tone.amplitude, settled=settled, **facts)
-            yield from self._hold_drive(tone, window, settled, facts)
+                    station.mark("settle", first, station.now, drive=tone.amplitude, settled=settled, **fields)
+            yield from self._hold_drive(tone, window, settled, fields)
             drive = tone.amplitude
 
-    def _hold_drive(self, tone: SteadyTone, window: int, settled: bool, facts: dict[str, float]) -> Excitation:
+    def _hold_drive(self, tone: SteadyTone, window: int, settled: bool, fields: dict[str, float]) -> Excitation:
         """Hold the drive until the force deviates from its level, and mark the interval."""
-        self._is_steady, deviations, force, station = settled, 0, facts["level"], tone.station
+        self._is_steady, deviations, force, station = settled, 0, fields["level"], tone.station
         first = station.now
         try:
             while deviations < _MAX_DEVIATIONS:
@@ -145,11 +145,13 @@ class ManualTone:
                 readings = yield station.drive(tone.hold(window))
                 if tone.control is not None:
                     force = float(abs(tone.amplitudes(readings, phase)[0]))
-                deviations = deviations + 1 if abs(force / facts["level"] - 1.0) > _MAX_DEVIATION else 0
+                deviations = deviations + 1 if abs(force / fields["level"] - 1.0) > _MAX_DEVIATION else 0
         finally:
             self._is_steady = False
             if station.now > first:
-                station.mark("measure", first, station.now, drive=tone.amplitude, force=force, settled=settled, **facts)
+                station.mark(
+                    "measure", first, station.now, drive=tone.amplitude, force=force, settled=settled, **fields
+                )
 
     def _reading(self, tone: SteadyTone, readings: Array, phase: float, requested: tuple[float, float]) -> ToneReading:
         motions, station = tone.amplitudes(readings, phase), tone.station

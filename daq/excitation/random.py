@@ -53,11 +53,11 @@ def excite(station: Station, test: Random) -> Excitation:
         return np.asarray([irfft(source * spectrum, length)[: 2 * period - 1] for source in white])
 
     tails = shaped_noise()[:, period:]
-    facts: dict[str, object] = {"from": test.from_, "to": test.to}
+    fields: dict[str, object] = {"from": test.from_, "to": test.to}
     if test.burst is not None:
-        facts |= {"burst": test.burst, "block": block}
+        fields |= {"burst": test.burst, "block": block}
     if len(station.shakers) > 1:
-        facts["shakers"] = list(station.shakers)
+        fields["shakers"] = list(station.shakers)
     try:
         while completed < total:
             # Overlap-add convolution makes the noise continuous across windows.
@@ -75,7 +75,7 @@ def excite(station: Station, test: Random) -> Excitation:
     finally:
         # Marked also if the test ends early.
         if completed:
-            station.mark("measure", first, first + completed, level=level, **facts)
+            station.mark("measure", first, first + completed, level=level, **fields)
     if clipped:
         station.warn(f"the amplifier's limit clipped {clipped} of {total} drive samples. Lower the level.")
 

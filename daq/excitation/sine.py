@@ -25,16 +25,16 @@ def excite(station: Station, test: Sine) -> Excitation:
     """
     tone, level = SteadyTone(station, test.frequency, station.is_force_controlled), station.level
     if station.is_force_controlled:
-        facts = {"frequency": test.frequency, "level": level}
+        fields = {"frequency": test.frequency, "level": level}
         station.report(0.0, f"{test.frequency:.2f} Hz, settling at {level:g} N")
-        settled = yield from tone.settle_and_mark(test.frequency, tone.start(level), _TOLERANCE, _MAX_WAIT_S, facts)
+        settled = yield from tone.settle_and_mark(test.frequency, tone.start(level), _TOLERANCE, _MAX_WAIT_S, fields)
         if not settled:
             station.warn(
                 f"{test.frequency:.3f} Hz, {level:g} N: no steady state within {_MAX_WAIT_S:g} s. "
                 "The measurement is marked as not settled."
             )
         station.report(0.5, f"{test.frequency:.2f} Hz, measuring")
-        yield from tone.measure(station.samples(test.duration), settled, facts)
+        yield from tone.measure(station.samples(test.duration), settled, fields)
         yield tone.end()
         return
     tone.amplitude = level

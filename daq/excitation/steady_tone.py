@@ -152,23 +152,23 @@ class SteadyTone(Tone):
         return False
 
     def settle_and_mark(
-        self, frequency: float, drive: float, tolerance: float, max_wait_s: float, facts: dict[str, Any]
+        self, frequency: float, drive: float, tolerance: float, max_wait_s: float, fields: dict[str, Any]
     ) -> Generator[Array, Array, bool]:
         """Settle as `settle`, and mark the interval in the recording; return whether the steady state was reached."""
         first = self.station.now
         settled = yield from self.settle(frequency, drive, tolerance, max_wait_s)
-        self.station.mark("settle", first, self.station.now, drive=self.amplitude, settled=settled, **facts)
+        self.station.mark("settle", first, self.station.now, drive=self.amplitude, settled=settled, **fields)
         return settled
 
-    def measure(self, samples: int, settled: bool, facts: dict[str, Any]) -> Generator[Array, Array, None]:
+    def measure(self, samples: int, settled: bool, fields: dict[str, Any]) -> Generator[Array, Array, None]:
         """Hold the tone for at least a number of samples, and mark the interval with its force."""
         first = self.station.now
         amplitudes = yield from self.mean(max(samples, min_samples(self.frequency, self.rate)))
-        force = facts["level"] if self.station.force_is_drive else None
+        force = fields["level"] if self.station.force_is_drive else None
         if self.control is not None:
             force = float(abs(amplitudes[0]))
         self.station.mark(
-            "measure", first, self.station.now, drive=self.amplitude, force=force, settled=settled, **facts
+            "measure", first, self.station.now, drive=self.amplitude, force=force, settled=settled, **fields
         )
 
 

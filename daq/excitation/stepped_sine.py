@@ -36,11 +36,11 @@ def excite(station: Station, test: SteppedSine) -> Excitation:
             station.report(completed / total, f"{frequency:.2f} Hz {direction}, {at_level}")
             if station.is_force_controlled and last_drives:
                 drive = min(extrapolate_drive(last_drives, frequency), station.drive_limit)
-            facts = {"frequency": frequency, "level": level, "direction": direction}
+            fields = {"frequency": frequency, "level": level, "direction": direction}
             settled = yield from tone.settle_and_mark(
-                frequency, drive, test.settle.tolerance, test.settle.longest, facts
+                frequency, drive, test.settle.tolerance, test.settle.longest, fields
             )
-            yield from tone.measure(round(test.measure.periods * station.rate / frequency), settled, facts)
+            yield from tone.measure(round(test.measure.periods * station.rate / frequency), settled, fields)
             if not settled:
                 unsettled.append(f"{frequency:.4g} Hz {direction} at {at_level}")
             drive = tone.amplitude

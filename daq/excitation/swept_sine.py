@@ -55,13 +55,13 @@ def excite(station: Station, test: SweptSine) -> Excitation:
     settled = yield from tone.settle(test.from_, tone.start(level), _TOLERANCE, _MAX_WAIT_S)
     station.mark("settle", first, station.now, frequency=test.from_, level=level, settled=settled)
 
-    first, start = station.now, tone.phase
+    first, start_phase = station.now, tone.phase
     amplitude, extremes = -1j * tone.amplitude, {}
     # All motion coefficients are zero if the channel of the table measured nothing in the pretest.
     if law is not None and law.motion.any():
         monitor = LevelMonitor(station, level)
         sweep = SweepControl(law, level, station.drive_limit, amplitude)
-        amplitude = yield from _sweep_controlled(station, test, start, amplitude, sweep, monitor)
+        amplitude = yield from _sweep_controlled(station, test, start_phase, amplitude, sweep, monitor)
         monitor.close(station.now - first)
         extremes = {"lowest": monitor.lowest, "highest": monitor.highest}
     else:
@@ -71,50 +71,55 @@ def excite(station: Station, test: SweptSine) -> Excitation:
                 f"{station.channels[station.spring_rows[0]].name} at the {station.scene.at_driven('table')} "
                 f"read nothing of the pretest, less than one count of the converter. {_SENSITIVITY_HINT}"
             )
-        total, played = station.samples(test.duration), 0
-        while played < total:
-            size = min(total - played, station.samples(_WINDOW_S))
-            phase = _phase(test, start, played, size, total)
+        total, completed = station.samples(test.duration), 0
+        while completed < total:
+            size = min(total - completed, station.samples(_WINDOW_S))
+            phase = _phase(test, start_phase, completed, size, total)
             yield station.drive((amplitude * np.exp(1j * phase)).real)
-            played += size
-            station.report(played / total, f"{sweep_frequency(test, played / total):.2f} Hz")
+            completed += size
+            station.report(completed / total, f"{sweep_frequency(test, completed / total):.2f} Hz")
     tone.amplitude, tone.frequency = abs(amplitude), test.to
     turns = float(sweep_turns(test, np.ones(1))[0])
-    tone.phase = float(np.fmod(start + 2 * np.pi * turns + np.angle(1j * amplitude), 2 * np.pi))
-    facts = {"from": test.from_, "to": test.to, "spacing": test.spacing, "level": level, **extremes}
-    station.mark("measure", first, station.now, duration=test.duration, settled=settled, **facts)
+    tone.phase = float(np.fmod(start_phase + 2 * np.pi * turns + np.angle(1j * amplitude), 2 * np.pi))
+    fields = {"from": test.from_, "to": test.to, "spacing": test.spacing, "level": level, **extremes}
+    station.mark("measure", first, station.now, duration=test.duration, settled=settled, **fields)
     yield tone.end()
 
 
 def _sweep_controlled(
-    station: Station, test: SweptSine, start: float, amplitude: complex, control: SweepControl, monitor: LevelMonitor
+    station: Station,
+    test: SweptSine,
+    start_phase: float,
+    amplitude: complex,
+    control: SweepControl,
+    monitor: LevelMonitor,
 ) -> Generator[Array, Array, complex]:
     """Sweep with a constant force amplitude; return the final amplitude of the drive."""
-    total, played, rate = station.samples(test.duration), 0, station.rate
+    total, completed, rate = station.samples(test.duration), 0, station.rate
     rows = list(station.spring_rows)
     recent, phases = np.zeros((2, 0)), np.zeros(0)
     next_amplitude = amplitude
-    while played < total:
-        frequency = sweep_frequency(test, played / total)
-        size = min(total - played, max(_MIN_WINDOW_SAMPLES, round(_WINDOW_PERIODS * rate / frequency)))
-        phase = _phase(test, start, played, size, total)
+    while completed < total:
+        frequency = sweep_frequency(test, completed / total)
+        size = min(total - completed, max(_MIN_WINDOW_SAMPLES, round(_WINDOW_PERIODS * rate / frequency)))
+        phase = _phase(test, start_phase, completed, size, total)
         envelope = amplitude + (next_amplitude - amplitude) * np.arange(size) / size
         readings = yield station.drive(np.real(envelope * np.exp(1j * phase)))
-        played, amplitude = played + size, next_amplitude
-        control.played(played / rate, amplitude)
+        completed, amplitude = completed + size, next_amplitude
+        control.played(completed / rate, amplitude)
         length = observation_samples(frequency, rate)
         recent = np.concatenate([recent, readings[rows]], axis=1)[:, -length:]
         phases = np.concatenate([phases, phase])[-length:]
         if phases.size < length:
             continue
-        middle = sweep_frequency(test, (played - length / 2) / total)
-        table, body = _displacements(station, rows, middle, *estimate_amplitudes(recent, phases, rate))
+        middle_frequency = sweep_frequency(test, (completed - length / 2) / total)
+        table, body = _displacements(station, rows, middle_frequency, *estimate_amplitudes(recent, phases, rate))
         force = station.spring_stiffness * (table - body)
-        monitor.add(station.now - length, station.now, middle, abs(force))
-        sweep_rate = (sweep_frequency(test, played / total) - middle) / (length / 2 / rate)
-        observation = Observation(played / rate, middle, sweep_rate, length / rate, body, force)
+        monitor.add(station.now - length, station.now, middle_frequency, abs(force))
+        sweep_rate = (sweep_frequency(test, completed / total) - middle_frequency) / (length / 2 / rate)
+        observation = Observation(completed / rate, middle_frequency, sweep_rate, length / rate, body, force)
         next_amplitude = control.next_drive(observation, size / rate)
-        station.report(played / total, f"{middle:.2f} Hz")
+        station.report(completed / total, f"{middle_frequency:.2f} Hz")
     return amplitude
 
 
@@ -137,34 +142,36 @@ class LevelMonitor:
             self._end_interval()
         if abs(ratio - 1.0) <= ALLOWED_DEVIATION:
             return
-        begin, _, worst, at = self._interval or (first, stop, 1.0, frequency)
+        begin, _, worst, worst_frequency = self._interval or (first, stop, 1.0, frequency)
         if abs(ratio - 1.0) > abs(worst - 1.0):
-            worst, at = ratio, frequency
-        self._interval = begin, stop, worst, at
+            worst, worst_frequency = ratio, frequency
+        self._interval = begin, stop, worst, worst_frequency
 
     def close(self, samples: int) -> None:
         """Mark an open interval, and warn if the force of the sweep deviated from its level."""
         if self._interval is not None:
             self._end_interval()
         if self._intervals:
-            worst, at = self._worst
-            advice = "Sweep more slowly, or step."
+            worst, worst_frequency = self._worst
+            remedy = "Sweep more slowly, or step."
             if self.lowest == 0.0:
-                advice = f"In places the force is less than one count of the converter. {_SENSITIVITY_HINT}"
+                remedy = f"In places the force is less than one count of the converter. {_SENSITIVITY_HINT}"
             self._station.warn(
                 f"the spring force deviates from its level of {self._level:g} N by more than {ALLOWED_DEVIATION:.0%} "
                 f"in {self._intervals} stretch{'es' if self._intervals > 1 else ''}, {self._samples / samples:.1%} of "
-                f"the sweep (marked as level; {worst:.3g} times the level at {at:.2f} Hz). {advice}"
+                f"the sweep (marked as level; {worst:.3g} times the level at {worst_frequency:.2f} Hz). "
+                f"{remedy}"
             )
 
     def _end_interval(self) -> None:
+        """Mark the present interval."""
         assert self._interval is not None
-        first, stop, worst, at = self._interval
-        self._station.mark("level", first, stop, worst=worst, frequency=at, level=self._level)
+        first, stop, worst, worst_frequency = self._interval
+        self._station.mark("level", first, stop, worst=worst, frequency=worst_frequency, level=self._level)
         self._samples += stop - first
         self._intervals += 1
         if abs(worst - 1.0) > abs(self._worst[0] - 1.0):
-            self._worst = worst, at
+            self._worst = worst, worst_frequency
         self._interval = None
 
 
@@ -181,9 +188,9 @@ def _displacements(
     return displacements
 
 
-def _phase(test: SweptSine, start: float, played: int, size: int, total: int) -> Array:
+def _phase(test: SweptSine, start_phase: float, completed: int, size: int, total: int) -> Array:
     """Return the phase of the tone, rad, at `size` samples of the sweep."""
-    return start + 2 * np.pi * sweep_turns(test, np.arange(played, played + size) / total)
+    return start_phase + 2 * np.pi * sweep_turns(test, np.arange(completed, completed + size) / total)
 
 
 def sweep_frequency(test: SweptSine, fraction: float) -> float:
@@ -194,7 +201,7 @@ def sweep_frequency(test: SweptSine, fraction: float) -> float:
 
 
 def sweep_turns(test: SweptSine, fractions: Array) -> Array:
-    """Return the periods of the tone since the start, at fractions, 0 to 1, of the sweep."""
+    """Return the periods of the tone since its start, at fractions, 0 to 1, of the sweep."""
     if test.spacing == "linear":
         return test.duration * (test.from_ * fractions + (test.to - test.from_) * fractions**2 / 2)
     log_ratio = np.log(test.to / test.from_)

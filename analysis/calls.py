@@ -340,7 +340,7 @@ def _require_recording(source: Any) -> Any:
     from rig.errors import RecordingError
 
     if isinstance(source, Path):
-        raise RecordingError(f"{source}: this file contains frequency responses. Give a recording (.mcap)")
+        raise RecordingError(f"{source}: this file contains frequency responses. Give a recording (.mcap).")
     return source
 
 

@@ -204,8 +204,8 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
         )
     if overloaded_share:
         warnings.append(
-            f"{info.name} was overloaded for {overloaded_share:.2%} of the decay; amplitudes at its beginning are too "
-            "low."
+            f"{info.name} was overloaded for {overloaded_share:.2%} of the decay, so that its first amplitudes are too "
+            "low. Hit more softly, or widen the converter's range."
         )
     max_modes = modes if modes is not None else rec.scene.structure.bodies
     # At least an octave above the highest mode of the scene.
@@ -224,7 +224,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     if len(decays) < max_modes:
         warnings.append(
             f"Only {len(decays)} of {max_modes} modes have a peak in the decay of {info.name} between "
-            f"{lowest_mode:.3g} and {highest_mode:.4g} Hz."
+            f"{lowest_mode:.3g} and {highest_mode:.4g} Hz. Choose another channel for the other modes."
         )
     period = int(rec.rate / peak_frequencies[0]) if peak_frequencies.size else int(rec.rate / 10.0)
     # The envelope of the last period depends on samples after the end, so the last period is discarded.

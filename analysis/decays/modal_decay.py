@@ -67,7 +67,7 @@ class ModalDecay(Result):
             return heading
         return (
             f"{heading}, damping ratio {100 * self.damping[0]:.3g} % at {self.amplitude[0]:.3g} m/s², "
-            f"{100 * self.small_damping():.3g} % at small ones"
+            f"{100 * self.small_damping():.3g} % at small amplitudes"
         )
 
     def columns(self) -> dict[str, Array]:

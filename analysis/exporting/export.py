@@ -206,7 +206,7 @@ def export(
     """
     kind = kind_of(path)
     if speed != 1.0 and kind != ".wav":
-        raise SceneError(f"{path}: --speed is for sound. Leave it out, or choose a name that ends in .wav.")
+        raise SceneError(f"{path}: --speed applies to sound only. Leave it out, or choose a name that ends in .wav.")
     if progress is not None:
         # WAV reads all samples twice, because it needs the peak values first.
         total = (2 if kind == ".wav" else 1) * len(segment.channels) * (segment.stop - segment.start)

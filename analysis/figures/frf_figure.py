@@ -44,44 +44,46 @@ def frf_figure(
     shades = {frf.response: color_of(index) for index, frf in reversed(list(enumerate(frfs)))}
     several = len(shades) > 1
     with new_figure(6.8) as figure:
-        upper, middle, lower = figure.subplots(3, 1, height_ratios=[3.2, 1.3, 0.9])
+        magnitude_axes, phase_axes, coherence_axes = figure.subplots(3, 1, height_ratios=[3.2, 1.3, 0.9])
         for curve in theory:
             shade = shades.get(curve.response, THEORY_COLOR) if several else THEORY_COLOR
             style: dict[str, Any] = {"color": shade, "lw": 0.9, "ls": (0, (5, 2)), "zorder": 1}
-            upper.plot(curve.frequency, curve.shown_in[1] * abs(curve.value), **style)
-            middle.plot(*_break_at_wraps(curve.frequency, phase_degrees(curve)), **style)
+            magnitude_axes.plot(curve.frequency, curve.shown_in[1] * abs(curve.value), **style)
+            phase_axes.plot(*_break_at_wraps(curve.frequency, phase_degrees(curve)), **style)
         if theory:
-            upper.plot([], [], color=THEORY_COLOR, lw=0.9, ls=(0, (5, 2)), label=escape_figure(theory[0].label))
+            magnitude_axes.plot(
+                [], [], color=THEORY_COLOR, lw=0.9, ls=(0, (5, 2)), label=escape_figure(theory[0].label)
+            )
         for index, measured in enumerate(frfs):
-            _draw_curve(measured, color_of(index), upper, middle, lower)
+            _draw_curve(measured, color_of(index), magnitude_axes, phase_axes, coherence_axes)
         for frequency, text in marks:
-            upper.axvline(frequency, color="#777777", lw=0.8, ls=":")
-            upper.annotate(
+            magnitude_axes.axvline(frequency, color="#777777", lw=0.8, ls=":")
+            magnitude_axes.annotate(
                 text, (frequency, 1.0), xycoords=("data", "axes fraction"), xytext=(3, -3),
                 textcoords="offset points", va="top", fontsize=7.5, color="#555555",
             )  # fmt: skip
         unit, factor = frfs[0].shown_in
         log_axis(
-            upper,
+            magnitude_axes,
             [factor * abs(frf.value) for frf in [*frfs, *theory]] + [factor * _visible_edges(frf) for frf in frfs],
         )
-        for axes, last in ((upper, False), (middle, False), (lower, True)):
+        for axes, last in ((magnitude_axes, False), (phase_axes, False), (coherence_axes, True)):
             frequency_axis(axes, low, high, last)
         name = escape_figure(frfs[0].name)
-        upper.set_ylabel(f"|{name}| / ({unit})" if "/" in unit else name)
-        add_title(upper, title)
-        middle.set_ylabel("phase / °")
-        middle.set_yticks([-270, -180, -90, 0, 90])
-        middle.set_ylim(-285, 105)
-        lower.set_ylabel("coherence")
-        lower.set_ylim(-0.03, 1.06)
-        lower.set_yticks([0, 0.5, 1])
+        magnitude_axes.set_ylabel(f"|{name}| / ({unit})" if "/" in unit else name)
+        add_title(magnitude_axes, title)
+        phase_axes.set_ylabel("phase / °")
+        phase_axes.set_yticks([-270, -180, -90, 0, 90])
+        phase_axes.set_ylim(-285, 105)
+        coherence_axes.set_ylabel("coherence")
+        coherence_axes.set_ylim(-0.03, 1.06)
+        coherence_axes.set_yticks([0, 0.5, 1])
         if all(np.all(frf.degrees == 0) for frf in frfs):
-            lower.annotate(
+            coherence_axes.annotate(
                 "one average: no coherence and no confidence band", (0.5, 0.5), xycoords="axes fraction",
                 ha="center", va="center", fontsize=8, color="#555555",
             )  # fmt: skip
-        figure.align_ylabels([upper, middle, lower])
+        figure.align_ylabels([magnitude_axes, phase_axes, coherence_axes])
         add_legend_below(figure, *_caption(frfs))
         return figure
 
@@ -105,7 +107,7 @@ def _caption(frfs: Sequence[Response]) -> list[str]:
     return sentences
 
 
-def _draw_curve(frf: Response, shade: str, upper: Axes, middle: Axes, lower: Axes) -> None:
+def _draw_curve(frf: Response, shade: str, magnitude_axes: Axes, phase_axes: Axes, coherence_axes: Axes) -> None:
     """Draw one measured curve into the three panels."""
     # A downward sweep has larger, open markers, so that an upward sweep remains visible where both coincide.
     downward = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1]
@@ -119,29 +121,35 @@ def _draw_curve(frf: Response, shade: str, upper: Axes, middle: Axes, lower: Axe
     magnitude, random = factor * abs(frf.value), factor * np.nan_to_num(frf.magnitude_bound())
     total = factor * _total_uncertainty(frf)
     for width, strength in ((total, 0.13), (random, 0.25)):
-        upper.fill_between(
+        magnitude_axes.fill_between(
             frf.frequency, np.maximum(magnitude - width, magnitude * _ZERO),
             np.minimum(magnitude + width, magnitude / _ZERO),
             where=is_clear, color=shade, alpha=strength, lw=0,
         )  # fmt: skip
     for frequency in frf.omitted:
-        upper.plot(frequency, 0.0, "x", color=shade, ms=5, clip_on=False, transform=upper.get_xaxis_transform())
+        magnitude_axes.plot(
+            frequency, 0.0, "x", color=shade, ms=5, clip_on=False, transform=magnitude_axes.get_xaxis_transform()
+        )
     if not (is_clear | np.isnan(magnitude)).all():
         # One extra point on either side makes the line continuous where its color changes to gray.
         noisy = ~is_clear | ~np.roll(is_clear, 1) | ~np.roll(is_clear, -1)
-        upper.plot(frf.frequency, np.where(noisy, magnitude, np.nan), color=NOISE_COLOR, lw=0.7, zorder=2)
-    upper.plot(frf.frequency, np.where(is_clear, magnitude, np.nan), label=escape_figure(frf.label), **line_style)
+        magnitude_axes.plot(frf.frequency, np.where(noisy, magnitude, np.nan), color=NOISE_COLOR, lw=0.7, zorder=2)
+    magnitude_axes.plot(
+        frf.frequency, np.where(is_clear, magnitude, np.nan), label=escape_figure(frf.label), **line_style
+    )
     if frf.unsteady is not None and frf.unsteady.any():
-        upper.plot(frf.frequency[frf.unsteady], magnitude[frf.unsteady], "x", color=shade, markersize=6, zorder=4)
+        magnitude_axes.plot(
+            frf.frequency[frf.unsteady], magnitude[frf.unsteady], "x", color=shade, markersize=6, zorder=4
+        )
     angle = np.where(is_clear, phase_degrees(frf), np.nan)
     for width, strength in ((total, 0.13), (random, 0.25)):
         degrees = np.degrees(np.arcsin(np.minimum(width / np.maximum(magnitude, 1e-300), 1.0)))
         frequency, center = _break_at_wraps(frf.frequency, angle)
         height = _break_at_wraps(frf.frequency, angle, degrees)[1]
-        middle.fill_between(frequency, center - height, center + height, color=shade, alpha=strength, lw=0)
-    middle.plot(*_break_at_wraps(frf.frequency, angle), **line_style)
+        phase_axes.fill_between(frequency, center - height, center + height, color=shade, alpha=strength, lw=0)
+    phase_axes.plot(*_break_at_wraps(frf.frequency, angle), **line_style)
     if np.any(frf.degrees > 0):
-        lower.plot(frf.frequency, frf.coherence, color=shade, zorder=3)
+        coherence_axes.plot(frf.frequency, frf.coherence, color=shade, zorder=3)
 
 
 def visible_systematic_errors(frfs: Sequence[Response]) -> list[str]:

@@ -159,19 +159,21 @@ def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
     ]  # fmt: skip
     remarks = []
     for change in changes:
-        bare, damped = change.bare, change.damped
-        cells = (change.response, f"{change.mode:.2f}", round_to_bound(1e6 * bare.value, 1e6 * bare.bound))
-        after = round_to_bound(1e6 * damped.value, 1e6 * damped.bound)
-        if damped.at_end:
+        before, after = change.bare, change.damped
+        cells = (change.response, f"{change.mode:.2f}", round_to_bound(1e6 * before.value, 1e6 * before.bound))
+        after_text = round_to_bound(1e6 * after.value, 1e6 * after.bound)
+        if after.at_end:
             rows.append((*cells, "none", "", "", "", "", ""))
             remarks.append(
-                f"{change.response}, mode at {change.mode:.2f} Hz: no peak is left between {damped.first:.2f} and "
-                f"{damped.last:.2f} Hz, where the curve reaches {after} µm/N"
+                f"{change.response}, mode at {change.mode:.2f} Hz: no peak is left between {after.first:.2f} and "
+                f"{after.last:.2f} Hz, where the curve reaches {after_text} µm/N"
             )
             continue
-        unbounded = [name for name, peak in (("before", bare), ("after", damped)) if isinf(peak.bound)]
+        unbounded = [name for name, peak in (("before", before), ("after", after)) if isinf(peak.bound)]
         equivalent = "" if unbounded else f"{100 * change.equivalent_damping:.2g}"
-        rows.append((*cells, after, *_format_change(change.decibel, 1), *_format_change(change.shift, 2), equivalent))
+        rows.append(
+            (*cells, after_text, *_format_change(change.decibel, 1), *_format_change(change.shift, 2), equivalent)
+        )
         remarks += [
             f"{change.response}, mode at {change.mode:.2f} Hz: the peak {name} may be higher than measured"
             for name in unbounded

@@ -52,7 +52,7 @@ def demonstrate(folder: Path, print_line: Callable[[str], None], sweep_hz: Seque
         if path.exists() and not (may_overwrite() or is_recorded(_scene(name, tuple(sweep_hz or frequencies())), path)):
             raise SceneError(
                 f"{path} exists and is not a recording of the demonstration. Choose another folder with --output, or "
-                "pass --overwrite"
+                "pass --overwrite."
             )
     for name, seconds in _record_all(recordings, tuple(sweep_hz or frequencies())):
         print_line(f"  {recordings[name]} contains {seconds:.0f} s ({time.monotonic() - start:.0f} s after the start)")

@@ -37,7 +37,7 @@ def with_recording_name(path: Path, warnings: Sequence[str]) -> list[str]:
 
 @contextmanager
 def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *endings: str) -> Iterator[Path]:
-    """Yield the path of the output files of recordings without ending, by default beside the first recording.
+    """Yield the path of the output files of recordings without ending; default folder: that of the first recording.
 
     If files of other recordings already have the name, the folder name is added as a prefix. Files written inside the
     `with` block store the paths of the recordings as their source, and are overwritten only by results of the same
@@ -58,7 +58,7 @@ def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *endings:
                 return
         raise RunError(
             f"{stem} was made from other recordings of that name. Choose another folder with --output, or pass "
-            "--overwrite"
+            "--overwrite."
         )
 
 

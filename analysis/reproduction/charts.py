@@ -73,10 +73,10 @@ def abbreviate_types(types: np.ndarray) -> np.ndarray:
     """Abbreviate motion types for a cell; types except riding and I to III become "other"."""
 
     def abbreviate(text: str) -> str:
-        parts = text.split("/")
-        named = [p for p in parts if p in ("I", "II", "III", "riding")]
-        printed = named if len(named) == len(parts) else [*named, "other"]
-        return "/".join("r" if p == "riding" else p for p in dict.fromkeys(printed))
+        kinds = text.split("/")
+        named = [kind for kind in kinds if kind in ("I", "II", "III", "riding")]
+        printed = named if len(named) == len(kinds) else [*named, "other"]
+        return "/".join("r" if kind == "riding" else kind for kind in dict.fromkeys(printed))
 
     return np.vectorize(abbreviate)(types)
 

@@ -56,7 +56,7 @@ def reproduce(
     unknown = set(fresh) - {part.name for part in parts}
     if unknown:
         raise SceneError(
-            f"no part {', '.join(sorted(unknown))}. Choose among {', '.join(part.name for part in parts)}."
+            f"--fresh: no part {', '.join(sorted(unknown))}. Choose among {', '.join(part.name for part in parts)}."
         )
     remove_partial(folder)
     stored: dict[str, Arrays] = {}

@@ -122,7 +122,7 @@ def half_sine(peak: float, width: float, rate: float) -> Array:
     target_sum = 2 * width * rate / np.pi  # area of the pulse, in samples times its peak
     if target_sum < 1.2:
         raise SceneError(
-            f"test.width: a pulse of {width * 1e3:g} ms has no two samples at {rate:g} Hz; expected at least "
+            f"test.width: a pulse of {width * 1e3:g} ms is shorter than two samples at {rate:g} Hz; expected at least "
             f"{2.0 / rate * 1e3:.3g} ms. Widen the pulse (a softer tip) or raise converter.rate."
         )
 

@@ -31,7 +31,7 @@ def excite(station: Station, test: Sine) -> Excitation:
         if not settled:
             station.warn(
                 f"{test.frequency:.3f} Hz, {level:g} N: no steady state within {_MAX_WAIT_S:g} s. "
-                "The measurement is marked as not settled."
+                "The measurement is marked as not settled. Choose another frequency or level."
             )
         station.report(0.5, f"{test.frequency:.2f} Hz, measuring")
         yield from tone.measure(station.samples(test.duration), settled, fields)

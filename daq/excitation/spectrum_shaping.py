@@ -30,7 +30,7 @@ def lines_between(first: float, last: float, period: int, rate: float) -> Lines:
     lines = np.arange(max(1, int(low)), int(high) + 1)
     if lines.size == 0:
         raise SceneError(
-            f"test: no line between {first:g} and {last:g} Hz that {rate:g} Hz sampling carries. "
+            f"test: no line between {first:g} and {last:g} Hz at a sample rate of {rate:g} Hz. "
             "Widen the band, lengthen the period or raise converter.rate."
         )
     return lines

@@ -159,8 +159,7 @@ class LevelMonitor:
             self._station.warn(
                 f"the spring force deviates from its level of {self._level:g} N by more than {ALLOWED_DEVIATION:.0%} "
                 f"in {self._intervals} stretch{'es' if self._intervals > 1 else ''}, {self._samples / samples:.1%} of "
-                f"the sweep (marked as level; {worst:.3g} times the level at {worst_frequency:.2f} Hz). "
-                f"{remedy}"
+                f"the sweep (marked as level; {worst:.3g} times the level at {worst_frequency:.2f} Hz). {remedy}"
             )
 
     def _end_interval(self) -> None:

@@ -173,13 +173,8 @@ def modal_decay(
     # Half of the noise power is in phase with the signal and changes the envelope. The noise at the two levels is
     # independent.
     amplitude = np.exp(levels)
-    noise_error = (
-        np.hypot(np.exp(-_HALF_FALL_NEPERS), np.exp(_HALF_FALL_NEPERS))
-        * noise
-        / np.sqrt(2.0)
-        / amplitude
-        / (2.0 * _HALF_FALL_NEPERS)
-    )
+    noise_of_fall = np.hypot(np.exp(-_HALF_FALL_NEPERS), np.exp(_HALF_FALL_NEPERS)) * noise / np.sqrt(2.0)
+    noise_error = noise_of_fall / amplitude / (2.0 * _HALF_FALL_NEPERS)  # of the damping ratio, relative
     narrower, affected = _band_pass(acceleration, rate, frequency, width / _RESPONSE_RATIO)
     narrower = narrower[begin + affected : max(acceleration.size - affected, begin + affected)]
     damping_narrower, natural_narrower, _ = _damping(narrower, levels, _HALF_FALL_NEPERS)
@@ -198,8 +193,8 @@ def modal_decay(
     reported = np.ones(levels.size, dtype=bool)
     if amplitudes is None:
         reported = np.isfinite(damping) & (damping > 0) & (noise_error < MAX_RELATIVE_ERROR)
-    hz_per_step = rate / (2.0 * np.pi)
-    natural, natural_error = hz_per_step * natural[reported], hz_per_step * natural_error[reported]
+    to_hz = rate / (2.0 * np.pi)  # from rad/sample
+    natural, natural_error = to_hz * natural[reported], to_hz * natural_error[reported]
     # At small amplitudes an unresolved neighboring mode with less damping may dominate; its frequency is rejected.
     plausible = np.flatnonzero(np.isfinite(natural_error) & (abs(natural / frequency - 1.0) < _SAME_MODE_RATIO))
     frequency_estimate = frequency, float("nan")

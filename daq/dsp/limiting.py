@@ -49,9 +49,10 @@ MIN_IMPULSE_S = 1e-9
 
 
 class Limits(NamedTuple):
-    """Matrices that detect where limits are reached, and propagate the circuit there.
+    """Matrices that detect where limits are reached, and propagate the circuit's vector there.
 
-    A leading dimension of 2 means coarse and fine steps. Disturbances of degree 0 are constant over an interval.
+    The vector is defined in `daq.dsp.discretization`. A leading dimension of 2 means coarse and fine steps. Disturbances
+    of degree 0 are constant over an interval.
     """
 
     # Contributions of input, disturbances and states, in the order of `DiscreteCircuit.state_weights`, to each limited
@@ -107,6 +108,7 @@ def tabulate_limits(
         output_limit = np.inf
     output_weights = aligned_zeros(padded_length(size))
     output_weights[: sensor.c.size], output_weights[width] = sensor.c, sensor.d[0] * gain
+    # Frequency of the fastest pole, periods per sample interval.
     fastest = float(np.abs(np.linalg.eigvals(circuit.a)).max(initial=0.0)) / (2 * np.pi * rate)
     checks = max(MIN_CHECKS, int(np.ceil(CHECKS_PER_PERIOD * fastest)))
     step_counts = np.array(

@@ -51,8 +51,8 @@ MIN_IMPULSE_S = 1e-9
 class Limits(NamedTuple):
     """Matrices that detect where limits are reached, and propagate the circuit's vector there.
 
-    The vector is defined in `daq.dsp.discretization`. A leading dimension of 2 means coarse and fine steps. Disturbances
-    of degree 0 are constant over an interval.
+    The vector is defined in `daq.dsp.discretization`. A leading dimension of 2 means coarse and fine steps.
+    Disturbances of degree 0 are constant over an interval.
     """
 
     # Contributions of input, disturbances and states, in the order of `DiscreteCircuit.state_weights`, to each limited

@@ -62,7 +62,7 @@ def reproduce(
     stored: dict[str, Arrays] = {}
     missing: list[PaperPart] = []
     for part in parts:
-        results = None if part.name in fresh else part.stored(folder)
+        results = None if part.name in fresh else part.load(folder)
         if results is None:
             missing.append(part)
         else:
@@ -93,7 +93,7 @@ def compute(parts: Sequence[PaperPart], folder: Path, cluster: str | None = None
     """Compute parts on all cores or a cluster, longest first, and store each result when it is complete."""
     waiting = sorted(parts, key=lambda part: -part.effort)
     with Workers(cluster) as workers:
-        for number, arrays in workers.compute(PaperPart.computed, waiting):
+        for number, arrays in workers.compute(PaperPart.run, waiting):
             waiting[number].store(folder, arrays)
             yield waiting[number], arrays
 

@@ -56,7 +56,7 @@ class PaperPart:
         """Return the file of the results."""
         return folder / "data" / f"{self.name}.npz"
 
-    def stored(self, folder: Path) -> Arrays | None:
+    def load(self, folder: Path) -> Arrays | None:
         """Return the results of an earlier run with the same inputs, or None."""
         try:
             with self.path(folder).open("rb") as file, np.load(file, allow_pickle=False) as archive:
@@ -66,7 +66,7 @@ class PaperPart:
             return None
         return arrays if str(arrays.pop("digest", "")) == self.digest else None
 
-    def computed(self) -> Arrays:
+    def run(self) -> Arrays:
         """Compute the results, possibly in another process."""
         return self.compute(**self.arguments)
 

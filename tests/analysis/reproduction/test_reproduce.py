@@ -36,10 +36,10 @@ def part(value: float) -> PaperPart:
 
 def test_finished_part_is_read_not_computed(tmp_path: Path) -> None:
     computed_values.clear()
-    assert part(3.0).stored(tmp_path) is None
-    part(3.0).store(tmp_path, part(3.0).computed())
+    assert part(3.0).load(tmp_path) is None
+    part(3.0).store(tmp_path, part(3.0).run())
 
-    stored = part(3.0).stored(tmp_path)
+    stored = part(3.0).load(tmp_path)
 
     assert stored is not None
     assert stored["value"] == 3.0
@@ -48,13 +48,13 @@ def test_finished_part_is_read_not_computed(tmp_path: Path) -> None:
 
 
 def test_part_with_changed_inputs_or_damaged_file(tmp_path: Path) -> None:
-    part(3.0).store(tmp_path, part(3.0).computed())
-    assert part(4.0).stored(tmp_path) is None
+    part(3.0).store(tmp_path, part(3.0).run())
+    assert part(4.0).load(tmp_path) is None
 
     path = part(3.0).path(tmp_path)
     path.write_bytes(path.read_bytes()[:200])
 
-    assert part(3.0).stored(tmp_path) is None
+    assert part(3.0).load(tmp_path) is None
 
 
 def test_parts_are_unique_and_repeatable(tmp_path: Path) -> None:
@@ -240,7 +240,7 @@ def test_workers_store_all_parts_longest_first(tmp_path: Path) -> None:
 
     assert sorted(completed) == ["long", "middle", "short"]
     assert "short" not in completed[:1]
-    stored = [part.stored(tmp_path) for part in parts]
+    stored = [part.load(tmp_path) for part in parts]
     assert [float(arrays["frequency"][0]) for arrays in stored if arrays is not None] == [20.0, 30.0, 40.0]
 
 
@@ -279,7 +279,7 @@ def test_fig_5_scenes_match_the_claim(name: str) -> None:
 @pytest.mark.parametrize("kind", TYPES)
 def test_fig_3_settings_show_their_type(kind: str) -> None:
     (part,) = (part for part in all_parts(Path()) if part.name == f"type-{kind}")
-    assert part.computed()["type"] == kind
+    assert part.run()["type"] == kind
 
 
 def test_sweep_direction_differences_are_reported() -> None:

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.excitation.spectrum_shaping import crossfade, equalize, flat, limit_factor, lines_between, wave_of
+from daq.excitation.spectrum_shaping import (
+    crossfade,
+    equal_amplitudes,
+    equalize,
+    limit_factor,
+    lines_between,
+    sum_of_tones,
+)
 from daq.excitation.station import Excitation, Station
 from rig.arrays import Array
 
@@ -32,7 +39,7 @@ def excite(station: Station, test: Multisine) -> Excitation:
         lines = lines[: test.lines or 2]
     random, shakers = station.generator("multisine"), station.shakers
     present_waves = np.zeros((len(shakers), period))
-    amplitudes = flat(station.level, lines)
+    amplitudes = equal_amplitudes(station.level, lines)
     for realisation in range(1, test.realisations + 1):
         phases = [random.uniform(0.0, 2 * np.pi, lines.size)]
         if station.is_force_controlled and realisation == 1:
@@ -44,7 +51,7 @@ def excite(station: Station, test: Multisine) -> Excitation:
             # Orthogonal multisines: from experiment to experiment the phases of shaker k increase by 2 pi k / shakers.
             phase_step = 2.0 * np.pi * experiment / len(shakers)
             waves = np.stack(
-                [wave_of(lines, amplitudes, phase + phase_step * k, period) for k, phase in enumerate(phases)]
+                [sum_of_tones(lines, amplitudes, phase + phase_step * k, period) for k, phase in enumerate(phases)]
             )
             factor = min(limit_factor(station, wave) for wave in waves)
             experiment_fields: dict[str, object] = {}

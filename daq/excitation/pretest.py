@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from daq.excitation.spectrum_shaping import lines_between, wave_of
+from daq.excitation.spectrum_shaping import lines_between, sum_of_tones
 from daq.excitation.station import Station
 from rig.arrays import Array, ComplexArray
 
@@ -70,7 +70,7 @@ def pretest(station: Station, lowest: float, highest: float, level: float) -> Ge
     lines = lines_between(lowest / _BAND_MARGIN, min(_BAND_MARGIN * highest, 0.45 * station.rate), period, station.rate)
     # Random phases spread every tone over the whole burst; low tones are most sensitive to noise.
     phases = station.generator("pretest").uniform(0.0, 2 * pi, lines.size)
-    wave = wave_of(lines, np.asarray(lines**-_SPECTRUM_EXPONENT, dtype=np.float64), phases, period)
+    wave = sum_of_tones(lines, np.asarray(lines**-_SPECTRUM_EXPONENT, dtype=np.float64), phases, period)
     edge = station.samples(_EDGE_S)
     # The burst consists of one period of the tones, extended by a rise and a fall.
     wave = np.concatenate([wave[-edge:], wave, wave[:edge]])

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.signal.windows import hann
 
-from daq.excitation.spectrum_shaping import Lines, equalize, flat, lines_between
+from daq.excitation.spectrum_shaping import Lines, equal_amplitudes, equalize, lines_between
 from daq.excitation.station import Excitation, Station
 from rig.arrays import Array
 
@@ -30,7 +30,7 @@ def excite(station: Station, test: Random) -> Excitation:
     lines = lines_between(test.from_, test.to, period, station.rate)
     level = station.level
     generator = station.generator("random")
-    amplitudes, gains = flat(level, lines), np.ones(lines.size)
+    amplitudes, gains = equal_amplitudes(level, lines), np.ones(lines.size)
     if station.is_force_controlled:
         phases = generator.uniform(0.0, 2 * np.pi, lines.size)
         amplitudes, gains, wave = yield from equalize(station, lines, period, phases)

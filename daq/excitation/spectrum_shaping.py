@@ -36,7 +36,7 @@ def lines_between(first: float, last: float, period: int, rate: float) -> Lines:
     return lines
 
 
-def wave_of(lines: Lines, amplitudes: Array, phases: Array, period: int) -> Array:
+def sum_of_tones(lines: Lines, amplitudes: Array, phases: Array, period: int) -> Array:
     """Return one period of a sum of cosines; shape (period,)."""
     spectrum = np.zeros(period // 2 + 1, dtype=complex)
     spectrum[lines] = amplitudes * np.exp(1j * phases) * (period / 2)
@@ -54,7 +54,7 @@ def limit_factor(station: Station, wave: Array) -> float:
     return min(1.0, station.drive_limit / float(abs(wave).max()))
 
 
-def flat(level: float, lines: Lines) -> Array:
+def equal_amplitudes(level: float, lines: Lines) -> Array:
     """Return amplitudes of equal tones whose sum has the RMS value `level`."""
     return np.full(lines.size, level * np.sqrt(2.0 / lines.size))
 
@@ -68,17 +68,17 @@ def equalize(
     period of the drive.
     """
     level = station.level
-    target = flat(level, lines)
+    target = equal_amplitudes(level, lines)
     weights = station.force_weights(lines * station.rate / period)
-    amplitudes = played = target * station.cautious_drive
+    amplitudes = limited = target * station.cautious_drive
     present_wave = np.zeros(period)
-    # `amplitudes` is the requested drive, `played` the drive within the range of the amplifier.
+    # `amplitudes` is the requested drive, `limited` the drive within the range of the amplifier.
     force, rms, first = target, 0.0, station.now
     for iteration in range(_MAX_ITERATIONS):
         station.report(0.0, f"shaping the drive, round {iteration + 1}")
-        wave = wave_of(lines, amplitudes, phases, period)
+        wave = sum_of_tones(lines, amplitudes, phases, period)
         factor = limit_factor(station, wave)
-        played, wave = amplitudes * factor, wave * factor
+        limited, wave = amplitudes * factor, wave * factor
         yield station.drive(crossfade(present_wave, wave))
         samples = yield station.drive(wave)
         present_wave = wave
@@ -89,11 +89,11 @@ def equalize(
         if abs(rms / level - 1) < _LEVEL_TOLERANCE and median_deviation < _LEVEL_TOLERANCE:
             break
         ratio = np.clip(target / np.maximum(force, 1e-12 * target), 1 / _MAX_STEP_RATIO, _MAX_STEP_RATIO)
-        amplitudes = np.minimum(played * ratio, _MAX_LINE_RATIO * np.median(played * ratio))
+        amplitudes = np.minimum(limited * ratio, _MAX_LINE_RATIO * np.median(limited * ratio))
     is_at_level = abs(rms / level - 1) < 5 * _LEVEL_TOLERANCE
     station.mark("settle", first, station.now, level=level, force=rms, settled=is_at_level)
     if not is_at_level:
         station.warn(
             f"the spring force is {rms:.3g} N rms instead of {level:g} N. Choose a level that the amplifier reaches."
         )
-    return played, force / played, present_wave
+    return limited, force / limited, present_wave

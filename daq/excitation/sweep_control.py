@@ -75,17 +75,17 @@ class SweepControl:
         self._law, self._level, self._limit = law, level, limit
         self._mode = NearestMode()
         self._target_force: complex | None = None
-        self._played: deque[tuple[float, complex]] = deque([(0.0, drive)], maxlen=_STORED_DRIVES)
+        self._drives: deque[tuple[float, complex]] = deque([(0.0, drive)], maxlen=_STORED_DRIVES)
 
-    def played(self, time: float, drive: complex) -> None:
+    def add_drive(self, time: float, drive: complex) -> None:
         """Add the amplitude of the drive at a time in s; it is linear since the previous amplitude."""
-        self._played.append((time, drive))
+        self._drives.append((time, drive))
 
     def next_drive(self, observation: Observation, window: float) -> complex:
         """Compute the drive amplitude at the end of a window, s, which begins at the end of the observation."""
         if not observation.force:
             # Readings within one converter count do not determine the drive.
-            return self._played[-1][1]
+            return self._drives[-1][1]
         if self._target_force is None:
             # The phase of the force is arbitrary; the present phase requires the smallest change.
             self._target_force = self._level * observation.force / abs(observation.force)
@@ -112,7 +112,7 @@ class SweepControl:
         envelope = (observation.motion - mode.residual_term * force) / spread + mode.gain * force * (
             1 / spread - 1
         ) / decay
-        times, drives = (np.array(row) for row in zip(*self._played, strict=True))
+        times, drives = (np.array(row) for row in zip(*self._drives, strict=True))
         step = observation.length / 2 / _STEPS
         for time in observation.middle + step * np.arange(1, _STEPS + 1):
             drive = complex(np.interp(time, times, drives))
@@ -152,8 +152,8 @@ class SweepControl:
 
     def _limit_drive(self, target: complex, force: float) -> complex:
         """Limit the steps of the drive, its growth at an excessive force, and its amplitude."""
-        drive = self._played[-1][1]
-        max_change = _MAX_CHANGE_RATIO * max(abs(played) for _, played in self._played)
+        drive = self._drives[-1][1]
+        max_change = _MAX_CHANGE_RATIO * max(abs(amplitude) for _, amplitude in self._drives)
         change = target - drive
         if abs(change) > max_change:
             target = drive + change * max_change / abs(change)

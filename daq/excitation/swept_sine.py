@@ -106,7 +106,7 @@ def _sweep_controlled(
         envelope = amplitude + (next_amplitude - amplitude) * np.arange(size) / size
         readings = yield station.drive(np.real(envelope * np.exp(1j * phase)))
         completed, amplitude = completed + size, next_amplitude
-        control.played(completed / rate, amplitude)
+        control.add_drive(completed / rate, amplitude)
         length = observation_samples(frequency, rate)
         recent = np.concatenate([recent, readings[rows]], axis=1)[:, -length:]
         phases = np.concatenate([phases, phase])[-length:]

@@ -129,15 +129,15 @@ def map(
     SceneError
         If an argument is invalid, or no damper of the scene can move.
     """
-    from rig.motion_map.grid import KIND_OF_UNIT, columns, rows_of, vertical_axis
+    from rig.motion_map.grid import KIND_OF_UNIT, select_frequencies, select_row_values, vertical_axis
     from rig.motion_map.motion_map import map_motion
 
     scene = scene_of(scene)
     over, unit = vertical_axis(scene, over)
     band = number(first, FREQUENCY, "first"), number(last, FREQUENCY, "last")
-    frequencies = columns(scene, *band, points)
+    frequencies = select_frequencies(scene, *band, points)
     ends = (number(least, KIND_OF_UNIT[unit], "least"), number(most, KIND_OF_UNIT[unit], "most"))
-    values = rows_of(scene, over, frequencies, *ends, rows)
+    values = select_row_values(scene, over, frequencies, *ends, rows)
     return map_motion(scene, over, values, frequencies, progress, cluster, None if kept is None else Path(kept))
 
 

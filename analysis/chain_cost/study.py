@@ -23,7 +23,7 @@ from daq.measurement.run import record
 from daq.recording.recording import open as open_recording
 from rig.arrays import ComplexArray
 from rig.errors import RunError, ShotrigError
-from rig.motion_map.grid import columns
+from rig.motion_map.grid import select_frequencies
 from rig.progress import CountProgress
 from rig.scene.excitation import Measure, Settle, SteppedSine
 from rig.scene.quantities import FREQUENCY, positive_values
@@ -157,7 +157,7 @@ def steady_frequencies(scene: Scene) -> tuple[float, ...]:
     `RunError` if there is no such frequency.
     """
     motion = with_ideal_force(scene)
-    candidates = columns(motion, points=CANDIDATES)
+    candidates = select_frequencies(motion, points=CANDIDATES)
     if assemble(motion).dampers == 0:
         is_steady = np.ones(len(candidates), dtype=bool)
     else:

@@ -1,4 +1,4 @@
-"""A test that checks a design on the rig, and its expected results."""
+"""The check of a design: a stepped-sine test on the rig around the largest peaks, and its expected results."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ PEAK_HALF_WIDTH = 0.04
 class Expected:
     """Expected measurement at a peak.
 
-    `sizes`: compliance with the scene's own shaker, whose spring adds harmonics to the force, m/N: minimum, nominal
-    value and maximum over the tolerances of force control and steady state. None if no steady motion was reached
-    within `MAX_WAIT_PERIODS` periods.
+    `sizes`: compliance under the scene's own shaker, m/N: minimum, nominal value and maximum over the tolerances of
+    force control and steady state. It differs from the design's, because the coil spring adds harmonics to the force.
+    None if no steady motion was reached within `MAX_WAIT_PERIODS` periods.
     """
 
     peak: Peak  # as computed by the design, under a purely sinusoidal force
@@ -53,7 +53,7 @@ def scene_with_check(scene: Scene, trial: Trial, question: Question) -> Scene:
         "force": list(question.levels),
         "shaker": getattr(scene.test, "shaker", None),
     }
-    check_scene = scene.replace(dampers=trial.choice.dampers(question.landings), test=test)
+    check_scene = scene.replace(dampers=trial.choice.dampers(question.impact_law), test=test)
     missing = missing_channels(check_scene, trial.peak.body)
     return check_scene.replace(channels=[*(check_scene.channels or ()), *missing]) if missing else check_scene
 
@@ -69,30 +69,30 @@ def missing_channels(scene: Scene, body: int) -> list[Channel]:
         return []
     shaker = scene.driven_shaker
     assert shaker is not None
-    needed = [f"body {body}"]
+    needed_places = [f"body {body}"]
     if isinstance(shaker, ForceShaker):
-        needed.append(scene.at_driven("shaker"))
+        needed_places.append(scene.at_driven("shaker"))
     else:
-        needed += [f"body {shaker.bodies[0]}", scene.at_driven("table")]
-    present = {channel.at for channel in scene.channels}
+        needed_places += [f"body {shaker.bodies[0]}", scene.at_driven("table")]
+    measured_places = {channel.at for channel in scene.channels}
     names = {channel.name for channel in scene.channels}
     template = next((channel for channel in scene.channels if channel.accelerometer is not None), None)
     new_channels = []
-    for at in dict.fromkeys(needed):
-        if at in present:
+    for place in dict.fromkeys(needed_places):
+        if place in measured_places:
             continue
-        name = at.replace("shaker", "force").replace(" ", "")
+        name = place.replace("shaker", "force").replace(" ", "")
         name = name if name not in names else f"{name}.check"
-        if at.startswith("shaker"):
+        if place.startswith("shaker"):
             converter = None if scene.converter is None else complete_from_preset(scene.converter)
             sensor = None
             if converter is not None and converter.range is not None:
                 assert isinstance(scene.test, SteppedSine)
                 sensor = Hammer(sensitivity=float(f"{0.5 * converter.range / max(scene.test.levels):.2g}"))
-            new_channels.append(Channel(name=name, at=at, hammer=sensor))
+            new_channels.append(Channel(name=name, at=place, hammer=sensor))
         else:
             sensors = (None, None) if template is None else (template.accelerometer, template.integrator)
-            new_channels.append(Channel(name=name, at=at, accelerometer=sensors[0], integrator=sensors[1]))
+            new_channels.append(Channel(name=name, at=place, accelerometer=sensors[0], integrator=sensors[1]))
     return new_channels
 
 
@@ -121,15 +121,15 @@ def _expected_result(piece: tuple[Scene, Peak]) -> Expected:
     test = scene.test
     assert isinstance(test, SteppedSine)
     frequencies = [frequency for frequency in test.order if frequency <= peak.frequency][-APPROACH_FREQUENCIES:]
-    sizes, closing_speed, steady = [], np.zeros(len(scene.dampers)), True
+    sizes, closing_speed, is_steady = [], np.zeros(len(scene.dampers)), True
     for force_ratio in (1.0, 1.0 - FORCE_TOLERANCE, 1.0 + FORCE_TOLERANCE):
         controlled = scene.replace(channels=None, test=test.replace(force=force_ratio * peak.level))
         response = frequency_response(controlled, frequencies, tolerance=STEADY_TOLERANCE, longest=MAX_WAIT_PERIODS)
         closing_speed = np.maximum(closing_speed, response.closing_speed[:, -1])
-        steady = bool(response.converged[-1])
-        if not steady:
+        is_steady = bool(response.converged[-1])
+        if not is_steady:
             break
         sizes.append(float(abs(response.compliance[peak.body - 1, -1])))
     tolerance = test.settle.tolerance
-    limits = (min(sizes) * (1.0 - tolerance), sizes[0], max(sizes) * (1.0 + tolerance)) if steady else None
+    limits = (min(sizes) * (1.0 - tolerance), sizes[0], max(sizes) * (1.0 + tolerance)) if is_steady else None
     return Expected(peak, limits, tuple(closing_speed.tolist()))

@@ -1,4 +1,4 @@
-"""Candidate designs, the contact of their dampers, the space of designs, and the question that ranks them."""
+"""Candidate designs, the impact law of their dampers, the search space, and the question that ranks the designs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from rig.arrays import Array
 from rig.damper_design.worst_peak import Peak, linear_peak, peak_at
 from rig.errors import SceneError
-from rig.motion_map.grid import columns, natural_frequencies
+from rig.motion_map.grid import natural_frequencies, select_frequencies
 from rig.orbits.problem import OrbitProblem
 from rig.results import format_number
 from rig.scene.damper import Contact, Damper, Landing, SpringDamper, walls_of
@@ -27,32 +27,32 @@ FINE_DENSITY = 60
 
 
 @dataclass(frozen=True)
-class Landings:
+class ImpactLaw:
     """Restitution and contact of all new dampers.
 
     `contact`: floor and ceiling with finite-duration contact; None: instantaneous impact.
     """
 
-    restitution: float = 0.0  # as of a `Damper`
+    restitution: float = 0.0  # ratio of separation to approach speed
     contact: Contact | None = None
-    origin: str = "the scene has none to go by"  # origin of these values, for messages
+    origin: str = "the scene has none to go by"  # where these values come from, for messages
 
     def __str__(self) -> str:
-        """Describe the landings.
+        """Describe the impact law.
 
-        >>> print(Landings(0.2, origin="as the scene's"))
+        >>> print(ImpactLaw(0.2, origin="as the scene's"))
         new dampers land at once, restitution 0.2: as the scene's
         """
         contact, restitution = _format_contact(self.contact), format_number(self.restitution)
         return f"new dampers land {contact}, restitution {restitution}: {self.origin}"
 
 
-#: Default for scenes without dampers: perfectly plastic and instantaneous.
-INSTANTANEOUS = Landings()
+#: Impact law for scenes without dampers: perfectly plastic and instantaneous.
+INSTANTANEOUS = ImpactLaw()
 
 
-def landings_from(dampers: Sequence[Damper]) -> Landings:
-    """Return the landings of the dampers of a scene; if these differ, those of the first damper.
+def impact_law_of(dampers: Sequence[Damper]) -> ImpactLaw:
+    """Return the impact law of the dampers of a scene; if these differ, that of the first damper.
 
     Raises `SceneError` if the contact is given by stiffness and damping, which depend on the mass of the bed.
     """
@@ -62,9 +62,8 @@ def landings_from(dampers: Sequence[Damper]) -> Landings:
     contact = first.contact
     if any(isinstance(wall, SpringDamper) for wall in walls_of(contact)):
         raise SceneError(
-            "dampers[1].contact: stiffness and damping belong to the mass of this bed and are not "
-            "known for another mass. Give contact: {duration: ...} and restitution, such as --set "
-            "'dampers[1].contact={duration: 4 ms}'"
+            "dampers[1].contact: stiffness and damping are valid for the mass of this bed only. Give contact: "
+            "{duration: ...} and restitution, such as --set 'dampers[1].contact={duration: 4 ms}'"
         )
     identical = all(
         (damper.restitution, damper.contact, damper.grains) == (first.restitution, contact, first.grains)
@@ -73,7 +72,7 @@ def landings_from(dampers: Sequence[Damper]) -> Landings:
     origin = "as the scene's" if identical else "as the scene's first; others of it differ"
     if first.grains is not None:
         origin = "as one mass each, not as the grains of the scene's"
-    return Landings(first.restitution, contact, origin)
+    return ImpactLaw(first.restitution, contact, origin)
 
 
 def _format_contact(contact: Contact | None) -> str:
@@ -131,7 +130,7 @@ class Choice:
         return replace(self, clearances=tuple(factor * clearance for clearance in self.clearances))
 
     @property
-    def heaviest(self) -> int:
+    def heaviest_index(self) -> int:
         """Index of the heaviest damper, from 0; the first of equally heavy dampers."""
         return self.masses.index(max(self.masses))
 
@@ -147,10 +146,10 @@ class Choice:
         factor = self.mass / sum(masses)
         return Choice(bodies, tuple(factor * mass for mass in masses), clearances)
 
-    def dampers(self, landings: Landings) -> list[Damper]:
+    def dampers(self, impact_law: ImpactLaw) -> list[Damper]:
         """Return the dampers as objects of a scene."""
         rows = zip(self.bodies, self.masses, self.clearances, strict=True)
-        properties = {"restitution": landings.restitution, "contact": landings.contact}
+        properties = {"restitution": impact_law.restitution, "contact": impact_law.contact}
         return [Damper(body=b, mass=m, clearance=c, **properties) for b, m, c in rows]
 
 
@@ -167,7 +166,7 @@ class Trial:
         return max(self.peaks)
 
     @property
-    def mean(self) -> float:
+    def mean_peak(self) -> float:
         """Geometric mean of the peaks over the levels (the mean in dB), m/N."""
         return float(np.exp(np.mean(np.log([peak.size for peak in self.peaks]))))
 
@@ -191,7 +190,7 @@ class Space:
 
     @staticmethod
     def locations_of(bodies: tuple[int, ...], dampers: int) -> tuple[tuple[int, ...], ...]:
-        """List the arrangements of up to `dampers` dampers; a body may carry as many as it is named times.
+        """List the arrangements of up to `dampers` dampers; a body that is named n times may carry n dampers.
 
         >>> Space.locations_of((1, 2, 2), 2)
         ((1,), (2,), (1, 2), (2, 2))
@@ -209,7 +208,7 @@ class Question:
     levels: tuple[float, ...]  # forces, N
     band: tuple[float, float]  # lowest and highest frequency, Hz
     bodies: tuple[int, ...]  # bodies whose peaks are evaluated, from 1
-    landings: Landings = INSTANTANEOUS  # restitution and contact of the dampers
+    impact_law: ImpactLaw = INSTANTANEOUS  # restitution and contact of the dampers
     density: int = COARSE_DENSITY  # frequencies per natural frequency in the band
 
     @cached_property
@@ -219,23 +218,23 @@ class Question:
 
     @cached_property
     def parts(self) -> tuple[Question, ...]:
-        """Split into questions about one structure at one level each; the worst of their peaks is the worst peak."""
+        """Questions about one structure at one level each, by structure, then by level."""
         return tuple(
             replace(self, scenes=(scene,), levels=(level,)) for scene, level in product(self.scenes, self.levels)
         )
 
     @cached_property
     def digest(self) -> str:
-        """Digest of everything that the results depend on."""
+        """Digest of everything that affects the results."""
         scenes = [scene.to_si_yaml() for scene in self.scenes]
-        landings = self.landings.restitution, self.landings.contact
-        return digest((scenes, self.levels, self.band, self.bodies, landings, self.density))
+        impact_law = self.impact_law.restitution, self.impact_law.contact
+        return digest((scenes, self.levels, self.band, self.bodies, impact_law, self.density))
 
     def worst(self, choice: Choice) -> Peak:
         """Compute the worst peak of a design over levels and structures."""
         peaks = []
         for scene in self.scenes:
-            damped = scene.replace(dampers=choice.dampers(self.landings))
+            damped = scene.replace(dampers=choice.dampers(self.impact_law))
             problem, frequencies = OrbitProblem(damped), self._frequencies(damped)
             peaks += [peak_at(problem, level, frequencies, self.bodies) for level in self.levels]
         return max(peaks)
@@ -249,7 +248,7 @@ class Question:
                 f"band: got {low:g} to {high:g} Hz, without a natural frequency; expected a band with at least one"
             )
         points = 8 + self.density * -(-len(natural) // 2)
-        return np.unique(np.concatenate([columns(scene, low, high, points), natural]))
+        return np.unique(np.concatenate([select_frequencies(scene, low, high, points), natural]))
 
 
 def variants(scene: Scene, damping: float, stiffness: float) -> tuple[Scene, ...]:
@@ -258,18 +257,18 @@ def variants(scene: Scene, damping: float, stiffness: float) -> tuple[Scene, ...
     `damping`, `stiffness`: relative uncertainty of each, in both directions.
     """
     nominal = structural_model(scene)
-    corners = product(*({1.0 - uncertainty, 1.0 + uncertainty} for uncertainty in (damping, stiffness)))
+    factors = product(*({1.0 - uncertainty, 1.0 + uncertainty} for uncertainty in (damping, stiffness)))
     variations = [
         scene.replace(
             structure={
                 "matrices": {
                     "mass": nominal.mass.tolist(),
-                    "damping": (a * nominal.damping).tolist(),
-                    "stiffness": (b * nominal.stiffness).tolist(),
+                    "damping": (damping_factor * nominal.damping).tolist(),
+                    "stiffness": (stiffness_factor * nominal.stiffness).tolist(),
                 }
             }
         )
-        for a, b in sorted(corners)
-        if (a, b) != (1.0, 1.0)
+        for damping_factor, stiffness_factor in sorted(factors)
+        if (damping_factor, stiffness_factor) != (1.0, 1.0)
     ]
     return (scene, *variations)

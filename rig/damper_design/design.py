@@ -1,4 +1,4 @@
-"""Optimize dampers for the smallest worst peak of a structure, and compare with other designs."""
+"""Choice of dampers: the design with the smallest worst peak of a structure, and its comparison with other designs."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rig.arrays import Array
-from rig.damper_design.answers import Answers
 from rig.damper_design.check import Expected, expected_results, scene_with_check
 from rig.damper_design.choice import FINE_DENSITY, Choice, Question, Space, Trial, mass_unit
+from rig.damper_design.evaluator import Evaluator
 from rig.damper_design.flight import Flight, compute_flight, describe_shortfall, idle_levels
 from rig.damper_design.other_modes import ModePeaks, mode_peaks, select_outside_band
 from rig.damper_design.ranking import is_equally_good, pareto_front
@@ -73,7 +73,7 @@ class Design(Result):
     clearance_factors : ndarray, shape (factors,)
         Clearances of the chart, relative to the clearances of `charted`.
     charted : Choice
-        The best dampers; where these have no ceiling, with the largest clearance searched.
+        The best dampers; dampers without a ceiling get the largest clearance searched.
     chart : tuple of tuple of Peak
         Worst peak over clearance (rows) and level.
     """
@@ -176,8 +176,8 @@ def design(
         Largest added mass: kg, ``"50 g"``, or a share of the structure's mass such as ``"5 %"``, which is the
         default.
     bodies : sequence of int, optional
-        Bodies that may carry a damper, from 1; default all. A body that is named twice may carry two dampers. Their
-        impacts are coupled, so that the motion is simulated and averaged, which takes several times as long.
+        Bodies that may carry a damper, from 1; default all. A body that is named twice may carry two dampers. Two
+        dampers in one body take several times as long, because their coupled motion is simulated and averaged.
     dampers : int
         Largest number of dampers; fewer are chosen if they are as effective.
     clearance : (float, float) or (str, str), optional
@@ -222,23 +222,23 @@ def design(
     forces = chart_levels(question.levels)
     with Workers(cluster) as workers:
         piece_count = estimate_piece_count(question, space) + CHART_CLEARANCES.size * forces.size
-        answers = Answers(workers, table, progress, piece_count)
-        best, trials = search(question, space, answers)
-        preferred = select_outside_band(question, trials, best, answers)
+        evaluator = Evaluator(workers, table, progress, piece_count)
+        best, trials = search(question, space, evaluator)
+        preferred = select_outside_band(question, trials, best, evaluator)
         if preferred != best:
-            (refined,) = answers.compute(replace(question, density=FINE_DENSITY), [preferred.choice])
+            (refined,) = evaluator.compute(replace(question, density=FINE_DENSITY), [preferred.choice])
             trials = [refined, *(trial for trial in trials if trial.choice != preferred.choice)]
             best = refined if is_equally_good(refined, best) else best
-        modes = mode_peaks(question, best, answers)
-        interval = clearance_tolerance(question, space, best, trials, answers)
+        modes = mode_peaks(question, best, evaluator)
+        interval = clearance_tolerance(question, space, best, trials, evaluator)
         charted = best.choice if best.choice.has_ceiling else best.choice.with_clearance(space.clearance[1])
         chart_question = replace(question, scenes=question.scenes[:1], levels=tuple(forces.tolist()))
-        chart = answers.compute(
+        chart = evaluator.compute(
             chart_question, [charted.scale_clearances(factor) for factor in CHART_CLEARANCES.tolist()]
         )
         nominal = replace(question, scenes=question.scenes[:1], density=FINE_DENSITY)
-        (nominal_trial,) = answers.compute(nominal, [best.choice])
-        answers.sort()
+        (nominal_trial,) = evaluator.compute(nominal, [best.choice])
+        evaluator.sort()
         if say is not None:
             say("preparing the test that checks the best design")
         check_scene = scene_with_check(scene, nominal_trial, nominal)

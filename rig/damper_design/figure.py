@@ -1,4 +1,4 @@
-"""Output of a design: figures, a scene file and a text summary."""
+"""Output of `rig design`: text summary, figures, and a scene file with a test that checks the design."""
 
 from __future__ import annotations
 
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BLUE, RED, GRAY = *COLORS[:2], "#a0a0a0"
+#: Relative distance below which a clearance counts as a limit of the search.
+LIMIT_TOLERANCE = 0.02
 
 
 def summary(design: Design) -> str:
@@ -39,7 +41,7 @@ def summary(design: Design) -> str:
         f"{question.band[1]:.4g} Hz" + (f", {len(question.scenes)} structures" if len(question.scenes) > 1 else ""),
         f"clearances searched: {smallest} to {largest} mm{', and no ceiling' if space.without_ceiling else ''}",
         "",
-        str(question.landings),
+        str(question.impact_law),
         "",
         *_verdict(design),
         "",
@@ -48,9 +50,9 @@ def summary(design: Design) -> str:
     if best.peak.simulated > 0.0:
         share = f"{best.peak.simulated:.0%} of that curve is irregular motion"
         lines += ["", f"{share}, averaged over periods, accurate to a few percent"]
-    for bound, name in zip(space.clearance, ("smallest", "largest"), strict=True):
-        if any(abs(np.log(clearance / bound)) < 0.02 for clearance in best.choice.clearances):
-            lines += ["", f"the clearance chosen is the {name} that was allowed: allow more (--clearance)"]
+    for limit, name in zip(space.clearance, ("smallest", "largest"), strict=True):
+        if any(abs(np.log(clearance / limit)) < LIMIT_TOLERANCE for clearance in best.choice.clearances):
+            lines += ["", f"the chosen clearance is the {name} allowed. Widen the range with --clearance."]
     return "\n".join(lines)
 
 
@@ -73,12 +75,11 @@ def _verdict(design: Design) -> list[str]:
     if 0.0 < height < max(design.best.choice.clearances):
         lines.append(
             f"any clearance above {format_number(1000.0 * height)} mm has the effect of no ceiling: the "
-            "dampers do not reach it in the band"
+            "dampers do not reach the ceiling in the band"
         )
     if min(design.best.choice.clearances) < MIN_MACHINABLE_CLEARANCE:
-        lines.append(
-            f"no larger clearance is as good, and one below {1000.0 * MIN_MACHINABLE_CLEARANCE:g} mm is hard to build"
-        )
+        smallest = f"{1000.0 * MIN_MACHINABLE_CLEARANCE:g} mm"
+        lines.append(f"clearances below {smallest} are hard to build; larger ones are less effective")
     return lines
 
 
@@ -126,17 +127,17 @@ def describe_check(design: Design, scene: Path) -> str:
     return "\n".join(
         [
             (
-                f"{scene}: the structure and shaker of the scene, these dampers, and a stepped sine from "
+                f"{scene}: structure and shaker of the scene, these dampers, and a stepped sine from "
                 f"{test.frequencies[0]:.4g} to {test.frequencies[-1]:.4g} Hz at {levels} N around the "
                 "largest peaks with and without dampers"
             ),
             *([f"channels added to those of the scene for this test: {added}"] if added else []),
             "",
-            "largest peaks expected, in µm/N: under a pure tone of force, as designed; and of that test, through its "
-            "shaker, whose spring adds\nharmonics if it has one, with the force held within "
-            f"{FORCE_TOLERANCE:.1%} and the motion steady within {test.settle.tolerance:.1%}",
-            f"{'force, N':>14}{'peak of':>9}{'at Hz':>9}{'under a tone':>15}  of that test",
-            *map(_expected, design.expected),
+            "expected largest peaks, µm/N: for a sinusoidal force as in the design, and for this test. The spring of a "
+            "shaker adds\nharmonics to the force. The test holds the force within "
+            f"{FORCE_TOLERANCE:.1%} and waits until the motion is steady within {test.settle.tolerance:.1%}.",
+            f"{'force, N':>14}{'peak of':>9}{'at Hz':>9}{'sinusoidal':>15}  this test",
+            *map(_expected_line, design.expected),
             *overload_lines(overloads, finite_contact),
             "",
             "to check it, without and with dampers:",
@@ -151,9 +152,9 @@ def describe_check(design: Design, scene: Path) -> str:
     )
 
 
-def _expected(expected: Expected) -> str:
+def _expected_line(expected: Expected) -> str:
     peak = expected.peak
-    through_shaker = "no steady motion found: scatters"
+    through_shaker = "no steady motion: values scatter"
     if expected.sizes is not None:
         low, nominal, high = (f"{1e6 * size:.4g}" for size in expected.sizes)
         through_shaker = f"{nominal} ({low} to {high})"
@@ -166,17 +167,18 @@ def _draw(design: Design) -> Figure:
         (front, chart), (curves, backbone) = figure.subplots(2, 2)
         design.draw(front)
         front.legend()
-        _chart(chart, design)
-        _curves(curves, design)
-        _backbone(backbone, design)
+        _draw_chart(chart, design)
+        _draw_curves(curves, design)
+        _draw_backbone(backbone, design)
         figure.suptitle(f"{escape_figure(design.scene.name)}: {design.best.choice}")
         return figure
 
 
-def _chart(axes: Axes, design: Design) -> None:
+def _draw_chart(axes: Axes, design: Design) -> None:
+    """Draw the reduction of the worst peak over force and clearance."""
     reduction = np.array([[design.reduction(peak) for peak in row] for row in design.chart])
     choice = design.charted
-    chosen = choice.clearances[choice.heaviest]
+    chosen = choice.clearances[choice.heaviest_index]
     clearance = design.clearance_factors * chosen
     borders = cell_edges(design.levels, True), cell_edges(clearance, True)
     mesh = axes.pcolormesh(*borders, reduction, cmap="viridis", rasterized=True)
@@ -200,10 +202,10 @@ def clearance_label(choice: Choice) -> str:
     """Label the axis of the clearances: those of the heaviest damper."""
     if len(choice.bodies) == 1:
         return "clearance / mm"
-    return f"clearance in body {choice.bodies[choice.heaviest]} / mm\n(others in proportion)"
+    return f"clearance in body {choice.bodies[choice.heaviest_index]} / mm\n(others in proportion)"
 
 
-def _curves(axes: Axes, design: Design) -> None:
+def _draw_curves(axes: Axes, design: Design) -> None:
     """Draw peak reduction against excitation level, for the chosen clearance and its neighbors."""
     # The horizontal axis is the acceleration without dampers. The acceleration with dampers would not be monotonic
     # where another peak becomes the largest.
@@ -213,7 +215,7 @@ def _curves(axes: Axes, design: Design) -> None:
     for number, color, marker in zip(plotted, (COLORS[4], BLUE, COLORS[5]), "v^o", strict=True):
         row = design.chart[number]
         choice = design.charted
-        clearance = 1e3 * design.clearance_factors[number] * choice.clearances[choice.heaviest]
+        clearance = 1e3 * design.clearance_factors[number] * choice.clearances[choice.heaviest_index]
         axes.plot(
             bare_acceleration, [design.bare.size / peak.size for peak in row], f"{marker}-", ms=4, color=color,
             lw=1.6 if number == chosen else 0.8, label=f"clearance {clearance:.3g} mm",
@@ -226,7 +228,8 @@ def _curves(axes: Axes, design: Design) -> None:
     axes.set_title("Acceleration level")
 
 
-def _backbone(axes: Axes, design: Design) -> None:
+def _draw_backbone(axes: Axes, design: Design) -> None:
+    """Draw the frequency of the largest peak over force, with and without dampers."""
     nominal = int(np.argmin(np.abs(np.log(design.clearance_factors))))
     row = design.chart[nominal]
     axes.plot(design.levels, [peak.frequency for peak in row], "o-", color=BLUE, ms=4, label="with dampers")
@@ -260,18 +263,18 @@ _BAND_POINTS = 3
 def grain_check(dampers: Sequence[Damper], expected: Sequence[Expected], scene: Path) -> list[str]:
     """Report how well one mass agrees with grains, and the command that simulates these dampers as grains.
 
-    `dampers`: the dampers of the design; `expected`: expected results of the check; the command uses the largest of
-    these peaks; `scene`: the scene of the check.
+    `dampers`: the dampers of the design; `expected`: expected results of the check, of which the command uses the
+    largest peak; `scene`: file of the check.
     """
     peak = max(result.peak for result in expected)
     beds = ", ".join(_as_shot(damper) for damper in dampers)
     low, high = (f"{peak.frequency * (1.0 + offset):.4g}Hz" for offset in (-_BAND_HALF_WIDTH, _BAND_HALF_WIDTH))
-    (agreeing, settings), (agreeing_below, settings_below) = WITHOUT_CEILING, BELOW_CEILING
+    without, below = WITHOUT_CEILING, BELOW_CEILING
     smallest_decrease, largest_decrease = (-deviation for deviation in INTERQUARTILE_RANGE)
     return [
         "these results are for beds that move as one mass. In a comparison with beds of grains (analysis beds)",
-        f"the compliance was within 10 % in {agreeing} of {settings} settings without a ceiling, and in "
-        f"{agreeing_below} of {settings_below} with one,",
+        f"the compliance was within 10 % in {without.agreeing} of {without.settings} settings without a ceiling, and "
+        f"in {below.agreeing} of {below.settings} with one,",
         f"where the middle half of the results with grains was {largest_decrease} to {smallest_decrease} % lower. "
         f"These dampers as shot of {format_number(1e3 * _SHOT_DIAMETER)} mm, which may take hours:",
         f"rig grains {quote(str(scene))} --set {quote(f'dampers=[{beds}]')} "

@@ -1,4 +1,4 @@
-"""Take-off level, flight height, and the levels at which dampers are effective."""
+"""Take-off level and flight height of dampers, and the levels at which they are effective."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from rig.damper_design.choice import COARSE_DENSITY, Question, Trial
 from rig.damper_design.ranking import EQUAL_DB
 from rig.damper_design.worst_peak import Peak, response_at_level
-from rig.motion_map.grid import columns, natural_frequencies, take_off
+from rig.motion_map.grid import natural_frequencies, select_frequencies, take_off_levels
 from rig.orbits.problem import OrbitProblem
 from rig.results import format_number
 
@@ -42,16 +42,16 @@ def compute_flight(question: Question, trial: Trial, unreached: bool) -> Flight:
 
     `unreached`: whether the dampers do not reach their ceiling, so that the height is computed.
     """
-    frequencies, dampers = _frequencies(question, trial), trial.choice.dampers(question.landings)
+    frequencies, dampers = _frequencies(question, trial), trial.choice.dampers(question.impact_law)
     scenes = [question.scenes[0].replace(dampers=[damper]) for damper in dampers]
-    levels = [float(take_off(scene, frequencies).min()) for scene in scenes]
+    levels = [float(take_off_levels(scene, frequencies).min()) for scene in scenes]
     lowest, body = min(zip(levels, trial.choice.bodies, strict=True))
     return Flight(lowest, body, _height(question, trial) if unreached else np.nan)
 
 
 def _height(question: Question, trial: Trial) -> float:
     """Compute the largest height of dampers without ceilings, m; NaN where part of the motion is irregular."""
-    dampers = trial.choice.without_ceiling().dampers(question.landings)
+    dampers = trial.choice.without_ceiling().dampers(question.impact_law)
     highest = 0.0
     for scene in question.scenes:
         problem = OrbitProblem(scene.replace(dampers=dampers))
@@ -65,33 +65,33 @@ def _height(question: Question, trial: Trial) -> float:
 
 
 def _frequencies(question: Question, trial: Trial) -> np.ndarray:
-    scene = question.scenes[0].replace(dampers=trial.choice.dampers(question.landings))
+    scene = question.scenes[0].replace(dampers=trial.choice.dampers(question.impact_law))
     low, high = question.band
     natural = natural_frequencies(scene, low, high)
     peaks = [peak.frequency for peak in trial.peaks]
-    return np.unique(np.concatenate([columns(scene, low, high, COARSE_DENSITY), natural, peaks]))
+    return np.unique(np.concatenate([select_frequencies(scene, low, high, COARSE_DENSITY), natural, peaks]))
 
 
-def idle_levels(trial: Trial, bare: Peak, flight: Flight) -> list[float]:
+def idle_levels(trial: Trial, undamped: Peak, flight: Flight) -> list[float]:
     """Return the levels at which the dampers do not fly, or the peak reduction is not resolved."""
     return sorted(
         peak.level
         for peak in trial.peaks
-        if peak.reduction_from(bare) <= EQUAL_DB or flight.acceleration_g(peak.level) <= 1.0
+        if peak.reduction_from(undamped) <= EQUAL_DB or flight.acceleration_g(peak.level) <= 1.0
     )
 
 
 def describe_shortfall(
-    trial: Trial, bare: Peak, flight: Flight, charted: Mapping[float, Peak], trials: Iterable[Trial]
+    trial: Trial, undamped: Peak, flight: Flight, charted: Mapping[float, Peak], trials: Iterable[Trial]
 ) -> list[str]:
     """Report levels without effect, the reason, and effective levels; empty if the dampers are effective everywhere.
 
     `charted`: peak of these dampers by level, N; `trials`: all designs computed.
     """
-    idle = idle_levels(trial, bare, flight)
+    idle = idle_levels(trial, undamped, flight)
     if not idle:
         return []
-    reductions = {peak.level: peak.reduction_from(bare) for peak in trial.peaks}
+    reductions = {peak.level: peak.reduction_from(undamped) for peak in trial.peaks}
     lines = []
     for level in idle:
         acceleration = flight.acceleration_g(level)
@@ -102,7 +102,9 @@ def describe_shortfall(
             f"they change the peak by {-reductions[level]:+.1f} dB"
         )
     largest_reductions = {
-        level: max((p.reduction_from(bare) for other in trials for p in other.peaks if p.level == level), default=0.0)
+        level: max(
+            (p.reduction_from(undamped) for other in trials for p in other.peaks if p.level == level), default=0.0
+        )
         for level in sorted(reductions)
         if level > max(idle)
     }
@@ -112,20 +114,20 @@ def describe_shortfall(
         for level in charted
         if level > max(idle)
         and flight.acceleration_g(level) > 1.0
-        and charted[level].reduction_from(bare) >= EFFECTIVE_DB
+        and charted[level].reduction_from(undamped) >= EFFECTIVE_DB
     ]
     if effective_levels:
         forces = ",".join(f"{format_number(level)}N" for level in effective_levels)
         reductions_text = ", ".join(f"{largest_reductions[level]:.1f} dB" for level in effective_levels)
-        lines.append(
-            f"use --levels {forces}: at each of these levels alone, dampers reduce the peak, by up to {reductions_text}"
-        )
+        lines.append(f"at some levels dampers reduce the peak, by up to {reductions_text}. Give --levels {forces}.")
     elif charted_levels:
         lines.append(
-            f"these dampers reduce the peak by {EFFECTIVE_DB:g} dB from "
-            f"{format_number(min(charted_levels))} N on (--levels)"
+            f"these dampers reduce the peak by {EFFECTIVE_DB:g} dB or more from "
+            f"{format_number(min(charted_levels))} N. Give such levels with --levels."
         )
     else:
         suggested = format_number(_EFFECTIVE_G * flight.take_off)
-        lines.append(f"dampers are usually effective from {_EFFECTIVE_G:g} g: use levels from {suggested} N (--levels)")
+        lines.append(
+            f"dampers are usually effective from {_EFFECTIVE_G:g} g. Give levels from {suggested} N with --levels."
+        )
     return lines

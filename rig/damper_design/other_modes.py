@@ -1,4 +1,4 @@
-"""Effect of the dampers on every mode of a structure, inside and outside the design band."""
+"""Effect of the dampers on every mode of a structure, inside and outside the band of the design."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rig.damper_design.answers import Answers
 from rig.damper_design.choice import Question, Trial
+from rig.damper_design.evaluator import Evaluator
 from rig.damper_design.ranking import EQUAL_DB, MIN_MACHINABLE_CLEARANCE, equal_trials
 from rig.damper_design.worst_peak import Peak
 from rig.system.structural_model import structural_model
@@ -40,19 +40,19 @@ def mode_questions_of(question: Question) -> list[tuple[float, Question]]:
     distance = np.maximum(np.log(low / natural), np.log(natural / high))
     nearest = np.sort(np.argsort(distance, kind="stable")[:_MAX_MODES])
     midpoints = np.sqrt(natural[1:] * natural[:-1])
-    below = np.maximum(natural * (1.0 - MAX_PEAK_OFFSET), np.concatenate([[0.0], midpoints]))
-    above = np.minimum(natural * (1.0 + MAX_PEAK_OFFSET), np.concatenate([midpoints, [np.inf]]))
+    lower_ends = np.maximum(natural * (1.0 - MAX_PEAK_OFFSET), np.concatenate([[0.0], midpoints]))
+    upper_ends = np.minimum(natural * (1.0 + MAX_PEAK_OFFSET), np.concatenate([midpoints, [np.inf]]))
     mode_questions = []
     for k in nearest.tolist():
         inside = low < natural[k] < high
-        bounds = (max(below[k], low), min(above[k], high)) if inside else (below[k], above[k])
-        band = float(bounds[0]), float(bounds[1])
+        ends = (max(lower_ends[k], low), min(upper_ends[k], high)) if inside else (lower_ends[k], upper_ends[k])
+        band = float(ends[0]), float(ends[1])
         if band[0] < natural[k] < band[1]:
             mode_questions.append((float(natural[k]), replace(question, scenes=(nominal,), band=band)))
     return mode_questions
 
 
-def mode_peaks(question: Question, trial: Trial, answers: Answers) -> tuple[ModePeaks, ...]:
+def mode_peaks(question: Question, trial: Trial, evaluator: Evaluator) -> tuple[ModePeaks, ...]:
     """Compute the peaks of every mode with the dampers of a trial.
 
     If a single mode lies in the band, its peaks are the peaks of the trial.
@@ -66,16 +66,16 @@ def mode_peaks(question: Question, trial: Trial, answers: Answers) -> tuple[Mode
         if inside and is_single_mode:
             peaks.append(ModePeaks(frequency, True, question.bare, trial.peaks))
         else:
-            (damped,) = answers.compute(mode_question, [trial.choice])
+            (damped,) = evaluator.compute(mode_question, [trial.choice])
             peaks.append(ModePeaks(frequency, inside, mode_question.bare, damped.peaks))
     return tuple(peaks)
 
 
-def select_outside_band(question: Question, trials: Sequence[Trial], best: Trial, answers: Answers) -> Trial:
+def select_outside_band(question: Question, trials: Sequence[Trial], best: Trial, evaluator: Evaluator) -> Trial:
     """Select, among equal designs in the band, the design with the largest reduction outside the band.
 
-    The criterion is the mean over modes and levels in dB; ties keep the order of `rank_trials`. Clearances too small to
-    build are compared only if no others are available.
+    The criterion is the mean peak over modes and levels in dB; the best design in the band has priority in a tie.
+    Clearances that are too small to build are compared only if no others are available.
     """
     low, high = question.band
     outside = [mode_question for frequency, mode_question in mode_questions_of(question) if not low < frequency < high]
@@ -85,9 +85,10 @@ def select_outside_band(question: Question, trials: Sequence[Trial], best: Trial
         return best
     indices = np.linspace(0, len(buildable) - 1, min(_MAX_COMPARED, len(buildable))).round().astype(int)
     rivals = list(dict.fromkeys([best, *(buildable[k] for k in indices)]))
-    sizes = np.zeros(len(rivals))
+    rival_choices = [trial.choice for trial in rivals]
+    mean_peaks_db = np.zeros(len(rivals))
     for mode_question in outside:
-        sizes += [20.0 * np.log10(trial.mean) for trial in answers.compute(mode_question, [r.choice for r in rivals])]
-    sizes /= len(outside)
-    selected = 0 if sizes[0] <= sizes.min() + EQUAL_DB else int(sizes.argmin())
-    return rivals[selected]
+        mean_peaks_db += [20.0 * np.log10(trial.mean_peak) for trial in evaluator.compute(mode_question, rival_choices)]
+    mean_peaks_db /= len(outside)
+    is_best_equal = mean_peaks_db[0] <= mean_peaks_db.min() + EQUAL_DB
+    return best if is_best_equal else rivals[int(mean_peaks_db.argmin())]

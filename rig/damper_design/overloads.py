@@ -1,4 +1,4 @@
-"""Predict which sensors and converter inputs the check of a design overloads."""
+"""Prediction of the sensors and converter inputs that the check of a design overloads."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ class Overload:
     changes: tuple[str, ...]  # changes of the scene for ``--set`` that remove the overload
 
 
-def predict_overloads(scene: Scene, expected: Sequence[Expected], bare: Peak) -> list[Overload]:
+def predict_overloads(scene: Scene, expected: Sequence[Expected], undamped: Peak) -> list[Overload]:
     """Return overloaded accelerometers and converter inputs of a check, with remedies.
 
-    `scene`: the scene of the check; `expected`: expected results of the check at each level; `bare`: largest peak
+    `scene`: the scene of the check; `expected`: expected results of the check at each level; `undamped`: largest peak
     without dampers; it is recorded at the smallest of these levels.
     """
     system = assemble(scene)
     lowest = min(result.peak.level for result in expected)
-    motions = [(result.peak, result.peak.level) for result in expected] + [(bare, lowest)]
+    motions = [(result.peak, result.peak.level) for result in expected] + [(undamped, lowest)]
     overloaded: list[Overload] = []
     max_voltage, max_channel = 0.0, ""
     for number, channel in enumerate(scene.channels or (), 1):
@@ -95,11 +95,11 @@ def overload_lines(overloads: Sequence[Overload], finite_contact: bool) -> list[
     """Format overloads as text lines with the remedies on a test bench; empty without overloads."""
     if not overloads:
         return []
-    remedy = "a bench needs sensors of a larger range, or lower levels"
+    remedy = "on a real bench, use sensors with a larger range, or lower levels"
     if not finite_contact:
         remedy += (
-            "; or contact of finite duration, as shot has it: contact: {duration: 2 ms} in the first "
-            "damper of the scene, and repeat the design"
+            ". Impacts of shot take milliseconds: give contact: {duration: 2 ms} in the first damper of the scene, and "
+            "repeat the design"
         )
     changes = " ".join(f"--set {quote(change)}" for overload in overloads for change in overload.changes)
     return [

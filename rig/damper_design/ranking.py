@@ -24,20 +24,23 @@ _MEAN_WEIGHT = 0.01
 def rank_trials(trials: Iterable[Trial]) -> list[Trial]:
     """Sort trials, best first.
 
-    The criteria, each applied to trials that are equal by the previous criteria within `EQUAL_DB`: smallest worst peak;
-    smallest mean peak over the levels in dB; smallest mass; fewest dampers; clearances that can be built; no ceiling;
-    distance from the middle of the equal clearances, because the worst peak changes near the ends. A design with
-    fewer dampers precedes the best if the scatter of irregular motion does not distinguish them.
+    Each criterion decides between trials that are equal within `EQUAL_DB` by the previous criteria:
+
+    1. smallest worst peak, 2. smallest mean peak over the levels in dB, 3. smallest mass, 4. fewest dampers,
+    5. clearances that can be built, 6. no ceiling, 7. smallest distance from the middle of the equal clearances,
+    because the worst peak changes near their ends.
+
+    A design with fewer dampers becomes the first if it equals the best design within the scatter of irregular motion.
     """
     trials = list(trials)
-    worst = EQUAL_RATIO * min(trial.peak.size for trial in trials)
-    mean = EQUAL_RATIO * min(trial.mean for trial in trials if trial.peak.size <= worst)
+    worst_limit = EQUAL_RATIO * min(trial.peak.size for trial in trials)
+    mean_limit = EQUAL_RATIO * min(trial.mean_peak for trial in trials if trial.peak.size <= worst_limit)
 
     def criteria(trial: Trial) -> tuple[float, ...]:
         choice = trial.choice
         return (
-            max(trial.peak.size, worst),
-            max(trial.mean, mean),
+            max(trial.peak.size, worst_limit),
+            max(trial.mean_peak, mean_limit),
             round(choice.mass, 9),
             len(choice.bodies),
             min(choice.clearances) < MIN_MACHINABLE_CLEARANCE,
@@ -48,11 +51,11 @@ def rank_trials(trials: Iterable[Trial]) -> list[Trial]:
     equal_clearances = [np.log(trial.choice.clearances[0]) for trial in trials if criteria(trial) == best]
     middle = 0.5 * (min(equal_clearances) + max(equal_clearances))
 
-    def from_middle(trial: Trial) -> float:
+    def distance_from_middle(trial: Trial) -> float:
         clearance = float(np.log(trial.choice.clearances[0]))
         return 0.0 if clearance == middle else abs(clearance - middle)
 
-    order = sorted(trials, key=lambda trial: (criteria(trial), from_middle(trial), trial.choice))
+    order = sorted(trials, key=lambda trial: (criteria(trial), distance_from_middle(trial), trial.choice))
     fewer_dampers = [trial for trial in order if _is_equal_with_fewer_dampers(trial, order[0])]
     first = min(fewer_dampers, key=lambda trial: len(trial.choice.bodies), default=order[0])
     order.remove(first)
@@ -61,7 +64,7 @@ def rank_trials(trials: Iterable[Trial]) -> list[Trial]:
 
 def is_equally_good(trial: Trial, best: Trial) -> bool:
     """Return whether a trial equals the best trial at the worst level and in the mean over levels."""
-    return trial.peak.size <= EQUAL_RATIO * best.peak.size and trial.mean <= EQUAL_RATIO * best.mean
+    return trial.peak.size <= EQUAL_RATIO * best.peak.size and trial.mean_peak <= EQUAL_RATIO * best.mean_peak
 
 
 def equal_trials(trials: Iterable[Trial], best: Trial) -> list[Trial]:
@@ -83,13 +86,13 @@ def _is_equal_with_fewer_dampers(trial: Trial, best: Trial) -> bool:
         len(choice.bodies) < len(best_choice.bodies)
         and round(choice.mass, 9) <= round(best_choice.mass, 9)
         and trial.peak.size <= ratio * best.peak.size
-        and trial.mean <= ratio * best.mean
+        and trial.mean_peak <= ratio * best.mean_peak
     )
 
 
 def objective(trial: Trial) -> float:
     """Return the objective to be minimized; all levels contribute, for a gradient where the worst peak is flat."""
-    return float(np.log(trial.peak.size) + _MEAN_WEIGHT * np.log(trial.mean))
+    return float(np.log(trial.peak.size) + _MEAN_WEIGHT * np.log(trial.mean_peak))
 
 
 def pareto_front(trials: Sequence[Trial]) -> list[Trial]:

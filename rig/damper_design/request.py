@@ -1,4 +1,4 @@
-"""Parse and check a design request, with defaults from the scene."""
+"""Arguments of `rig design`: parsed, checked, and completed with defaults from the scene."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rig.damper_design.choice import Question, Space, landings_from, variants
+from rig.damper_design.choice import Question, Space, impact_law_of, variants
 from rig.errors import SceneError
-from rig.motion_map.grid import columns
+from rig.motion_map.grid import select_frequencies
 from rig.scene.body_names import body_number
 from rig.scene.quantities import (
     FORCE,
@@ -61,6 +61,7 @@ def mass_of(budget: float | str | None, scene: Scene) -> float:
 
 
 def _bodies(requested: Sequence[int | str] | None, scene: Scene, name: str) -> tuple[int, ...]:
+    """Return body numbers from numbers or names, sorted; all bodies by default. `name`: argument, for messages."""
     all_bodies = range(1, scene.structure.bodies + 1)
     names = [requested] if isinstance(requested, int | str) else requested
     try:
@@ -69,7 +70,7 @@ def _bodies(requested: Sequence[int | str] | None, scene: Scene, name: str) -> t
         raise SceneError(f"{name}: {error}") from None
 
 
-def _under_force(scene: Scene, levels: Sequence[float | str] | None) -> Scene:
+def _with_controlled_force(scene: Scene, levels: Sequence[float | str] | None) -> Scene:
     """Replace a drive level of the test by a controlled force, because the levels are forces."""
     if getattr(scene.test, "drive", None) is None or isinstance(scene.driven_shaker, ForceShaker):
         return scene
@@ -102,7 +103,8 @@ def parse_request(
 
     Raises `SceneError` if no candidate designs remain, or nothing drives the structure.
     """
-    carriers, evaluated = (_bodies(bodies, scene, "bodies"), tuple(sorted({*_bodies(watched, scene, "watched")})))
+    carriers = _bodies(bodies, scene, "bodies")
+    evaluated = tuple(sorted({*_bodies(watched, scene, "watched")}))
     if count(dampers, 1, "dampers") > len(carriers):
         raise SceneError(
             f"dampers: got {dampers}; expected 1 to {len(carriers)}, one for each body that may carry "
@@ -118,15 +120,15 @@ def parse_request(
         )
     if scene.gravity == 0.0:
         raise SceneError(
-            "gravity: got 0; expected more than 0, because dampers without weight do not return to their floor"
+            "gravity: got 0; expected more than 0, because dampers without weight do not return to their floors"
         )
-    landings = landings_from(scene.dampers)
-    undamped = with_ideal_force(_under_force(scene.replace(dampers=[], channels=None), levels))
+    impact_law = impact_law_of(scene.dampers)
+    undamped = with_ideal_force(_with_controlled_force(scene.replace(dampers=[], channels=None), levels))
     default_levels = [level_of(undamped) * factor for factor in DEFAULT_LEVEL_RATIOS]
     forces = tuple(sorted(positive_values(levels or default_levels, FORCE, "levels").tolist()))
-    band_ends = ascending_pair(band or columns(undamped, points=2), FREQUENCY, "band")
+    band_ends = ascending_pair(band or select_frequencies(undamped, points=2), FREQUENCY, "band")
     locations = Space.locations_of(carriers, dampers)
-    question = Question(variants(undamped, *uncertainties), forces, band_ends, evaluated, landings)
+    question = Question(variants(undamped, *uncertainties), forces, band_ends, evaluated, impact_law)
     if clearance is not None:
         return question, Space(
             locations, max_mass, ascending_pair(clearance, LENGTH, "clearance"), without_ceiling=False

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.damper_design.answers import Answers
 from rig.damper_design.choice import Question, Space, Trial
+from rig.damper_design.evaluator import Evaluator
 from rig.results import format_number
 
 #: Rise of the worst peak at the ends of the interval, dB.
@@ -61,18 +61,18 @@ class Tolerance:
 
 
 def clearance_tolerance(
-    question: Question, space: Space, best: Trial, trials: Iterable[Trial], answers: Answers
+    question: Question, space: Space, best: Trial, trials: Iterable[Trial], evaluator: Evaluator
 ) -> Tolerance:
     """Compute the interval: outward through the trials with the same dampers, then by bisection.
 
     `best`: the design whose interval is computed; `trials`: all designs computed.
     """
     max_peak = best.peak.size * 10.0 ** (MAX_RISE_DB / 20.0)
-    choice, heaviest = best.choice, best.choice.heaviest
+    choice, heaviest_index = best.choice, best.choice.heaviest_index
     unscaled = choice if choice.has_ceiling else choice.with_clearance(space.clearance[1])
     acceptable = {1.0: True} if choice.has_ceiling else {}
     for trial in trials:
-        factor = trial.choice.clearances[heaviest] / unscaled.clearances[heaviest]
+        factor = trial.choice.clearances[heaviest_index] / unscaled.clearances[heaviest_index]
         same_dampers = (trial.choice.bodies, trial.choice.masses) == (unscaled.bodies, unscaled.masses)
         if (
             same_dampers and np.isfinite(factor)
@@ -82,11 +82,11 @@ def clearance_tolerance(
 
     def is_acceptable(factor: float) -> bool:
         if factor not in acceptable:
-            (trial,) = answers.compute(question, [unscaled.scale_clearances(factor)])
+            (trial,) = evaluator.compute(question, [unscaled.scale_clearances(factor)])
             acceptable[factor] = trial.peak.size <= max_peak
         return acceptable[factor]
 
-    reference = unscaled.clearances[heaviest]
+    reference = unscaled.clearances[heaviest_index]
     if not is_acceptable(1.0):
         return Tolerance(np.inf, np.inf, (False, False), np.inf)
     low, low_limited = _interval_end(is_acceptable, acceptable, min(space.clearance[0] / min(unscaled.clearances), 1.0))
@@ -96,7 +96,7 @@ def clearance_tolerance(
         is_acceptable, acceptable, max(space.clearance[1] / max(unscaled.clearances), 1.0)
     )
     if high_limited and space.without_ceiling and len(set(choice.bodies)) == len(choice.bodies):
-        (unlimited,) = answers.compute(question, [choice.without_ceiling()])
+        (unlimited,) = evaluator.compute(question, [choice.without_ceiling()])
         if unlimited.peak.size <= max_peak:
             high, high_limited = np.inf, False
     return Tolerance(reference * low, reference * high, (low_limited, high_limited), reference)

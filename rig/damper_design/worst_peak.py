@@ -44,9 +44,9 @@ def response_at_level(problem: OrbitProblem, level: float, frequencies: Array) -
 def refined_peak(problem: OrbitProblem, response: OrbitResponse, body: int) -> tuple[float, float]:
     """Compute the largest compliance of a body over frequency [m/N], and its frequency [Hz].
 
-    If the largest point is an orbit, the maximum between its neighbors is computed over orbits with the same events,
-    so that it does not depend on the grid. If the point and its neighbors were simulated, a linear resonance is
-    fitted to the three points: 1 / |X|^2 is then a parabola.
+    If the largest point is a periodic orbit, the maximum between its neighbors is computed over orbits with the same
+    events, so that it does not depend on the grid. If the three points were simulated, a linear resonance is fitted to
+    them: 1 / |X|^2 is then a parabola.
     """
     size = np.abs(response.compliance[body - 1])
     i = int(size.argmax())
@@ -54,10 +54,10 @@ def refined_peak(problem: OrbitProblem, response: OrbitResponse, body: int) -> t
     orbit = response.orbits[i]
     if i in (0, size.size - 1):
         return largest, frequency
-    neighbors = slice(i - 1, i + 2)
-    if response.simulated[neighbors].all():
+    three_points = slice(i - 1, i + 2)
+    if response.simulated[three_points].all():
         curvature, slope, value_at_center = np.polyfit(
-            response.value[neighbors] - frequency, size[neighbors] ** -2.0, 2
+            response.value[three_points] - frequency, size[three_points] ** -2.0, 2
         ).tolist()
         minimum = value_at_center - slope**2 / (4 * curvature) if curvature > 0.0 else 0.0
         if minimum > 0.0:
@@ -65,8 +65,8 @@ def refined_peak(problem: OrbitProblem, response: OrbitResponse, body: int) -> t
     if orbit is None:
         return largest, frequency
 
-    def negative_size(trial: float) -> float:
-        operating_point = OperatingPoint(float(trial), orbit.setting.force)
+    def negative_size(trial_frequency: float) -> float:
+        operating_point = OperatingPoint(float(trial_frequency), orbit.setting.force)
         try:
             solution = solve(problem, orbit.plan, operating_point, orbit.unknowns)
         except RunError:
@@ -82,8 +82,8 @@ def linear_peak(scene: Scene, level: float, frequencies: Array, bodies: Sequence
     """Compute the largest peak of the given bodies without dampers."""
     rows = [body - 1 for body in bodies]
 
-    def largest_size(trial: float) -> float:
-        return float(abs(receptance(scene, [trial])[rows]).max())
+    def largest_size(trial_frequency: float) -> float:
+        return float(abs(receptance(scene, [trial_frequency])[rows]).max())
 
     size = abs(receptance(scene, frequencies)[rows]).max(axis=0)
     i = int(size.argmax())

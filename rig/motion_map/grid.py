@@ -1,4 +1,4 @@
-"""The grid of a map: levels or clearances, and frequencies with a finer spacing near resonances."""
+"""The grid of a map: levels or clearances (rows), and frequencies with a finer spacing near resonances (columns)."""
 
 from __future__ import annotations
 
@@ -22,6 +22,14 @@ DEFAULT_POINTS = 48
 DEFAULT_ROWS = 36
 #: Relative half-width of the finely spaced band around a natural frequency.
 RESONANCE_HALF_WIDTH = 0.02
+#: Smallest default range of levels, relative to the lowest take-off level.
+LEVELS_PER_TAKE_OFF = (0.5, 20.0)
+#: Smallest default range of levels, relative to the scene's own level.
+LEVELS_PER_OWN_LEVEL = (0.5, 4.0)
+#: Smallest default range of clearances, relative to the displacement of a damper on its floor.
+CLEARANCES_PER_DISPLACEMENT = (0.1, 3.0)
+#: Smallest default range of clearances, relative to the scene's own clearance.
+CLEARANCES_PER_OWN_CLEARANCE = (0.1, 5.0)
 
 
 def vertical_axis(scene: Scene, over: str | None) -> tuple[str, str]:
@@ -44,7 +52,9 @@ def vertical_axis(scene: Scene, over: str | None) -> tuple[str, str]:
     return over, "m" if over == "clearance" or isinstance(scene.driven_shaker, TableShaker) else "V"
 
 
-def columns(scene: Scene, low: float | None = None, high: float | None = None, points: int = DEFAULT_POINTS) -> Array:
+def select_frequencies(
+    scene: Scene, low: float | None = None, high: float | None = None, points: int = DEFAULT_POINTS
+) -> Array:
     """Select frequencies from low to high, half evenly spaced and half near the natural frequencies, Hz.
 
     `low`, `high`: Hz; None: the ends of the test's range, or 20 % below and above its single frequency. Raises
@@ -91,22 +101,22 @@ def _test_range(scene: Scene) -> tuple[float, float]:
     raise SceneError("test: has no frequency. Give a range with --from and --to.")
 
 
-def take_off(scene: Scene, frequency: Array) -> Array:
-    """Compute the level at which a damper reaches 1 g in the linear structure with all dampers riding.
+def take_off_levels(scene: Scene, frequency: Array) -> Array:
+    """Compute the level at which a damper reaches 1 g in the linear structure with all dampers on their floors.
 
     `frequency`, shape (frequencies,): Hz. Returns shape (frequencies,), N, or the unit of the drive.
     """
-    return assemble(scene).gravity / _dampers_accelerations(scene, frequency)
+    return assemble(scene).gravity / _max_damper_accelerations(scene, frequency)
 
 
-def _dampers_accelerations(scene: Scene, frequency: Array) -> Array:
-    """Compute the largest acceleration of a riding damper per unit of level, m/s^2; shape (frequencies,)."""
+def _max_damper_accelerations(scene: Scene, frequency: Array) -> Array:
+    """Compute the largest acceleration of a damper on its floor per unit of level, m/s^2; shape (frequencies,)."""
     system = assemble(scene)
     coordinates = system.damper_coordinate
     return np.array([accelerations_per_level(scene, system, 2.0 * np.pi * f)[coordinates].max() for f in frequency])
 
 
-def rows_of(
+def select_row_values(
     scene: Scene,
     over: str,
     frequency: Array,
@@ -116,9 +126,9 @@ def rows_of(
 ) -> Array:
     """Select levels or clearances, evenly spaced in the logarithm.
 
-    `over`: "force", "drive" or "clearance"; `frequency`: Hz; `lowest`, `highest`: ends of the range. Default for
-    levels: from below the first take-off to well above it. Default for clearances: from a damper that hardly moves to
-    a damper that hardly reaches its ceiling. Unless both are given, one row is the scene's own value. Raises
+    `over`: "force", "drive" or "clearance"; `frequency`: Hz; `lowest`, `highest`: ends of the range. The default
+    range of levels contains the lowest take-off level; that of clearances begins where a damper hardly moves, and ends
+    where it hardly reaches its ceiling. Unless both ends are given, one row is the scene's own value. Raises
     `SceneError` if the ends are not a valid range.
     """
     scene_value, default = (_clearances if over == "clearance" else _levels)(scene, frequency)
@@ -137,19 +147,26 @@ def rows_of(
 def _levels(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]:
     """Return the scene's own level and the ends of the range."""
     level = level_of(scene)
-    lowest_take_off = float(take_off(scene, frequency).min()) or level
-    return level, (min(0.5 * lowest_take_off, 0.5 * level), max(20.0 * lowest_take_off, 4.0 * level))
+    lowest_take_off = float(take_off_levels(scene, frequency).min()) or level
+    return level, _range_around(lowest_take_off, LEVELS_PER_TAKE_OFF, level, LEVELS_PER_OWN_LEVEL)
 
 
 def _clearances(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]:
     """Return the scene's own clearance (mean of several) and the ends of the range, m."""
-    accelerations = _dampers_accelerations(scene, frequency)
+    accelerations = _max_damper_accelerations(scene, frequency)
     peak = int(np.argmax(accelerations))
     displacement = level_of(scene) * float(accelerations[peak]) / (2.0 * np.pi * frequency[peak]) ** 2
     clearances = assemble(scene).clearance
     clearances = clearances[np.isfinite(clearances)]
     scene_clearance = float(np.exp(np.log(clearances).mean())) if len(clearances) else displacement
-    return scene_clearance, (
-        min(0.1 * displacement, 0.1 * scene_clearance),
-        max(3.0 * displacement, 5.0 * scene_clearance),
+    return scene_clearance, _range_around(
+        displacement, CLEARANCES_PER_DISPLACEMENT, scene_clearance, CLEARANCES_PER_OWN_CLEARANCE
     )
+
+
+def _range_around(
+    first: float, first_ratios: tuple[float, float], second: float, second_ratios: tuple[float, float]
+) -> tuple[float, float]:
+    """Return the smallest range that contains both values times their ratios."""
+    (first_low, first_high), (second_low, second_high) = first_ratios, second_ratios
+    return min(first_low * first, second_low * second), max(first_high * first, second_high * second)

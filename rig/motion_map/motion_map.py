@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from rig.arrays import Array
 from rig.escaping import escape_figure
 from rig.figure_style import cell_edges, new_figure, save_with_table, set_log_scale
-from rig.motion_map.grid import KIND_OF_UNIT, columns, rows_of, take_off, vertical_axis
+from rig.motion_map.grid import KIND_OF_UNIT, select_frequencies, select_row_values, take_off_levels, vertical_axis
 from rig.output_files import file_stem
 from rig.progress import CountProgress
 from rig.results import Result
@@ -153,9 +153,9 @@ class MotionMap(Result):
         (lowest_hz, *_, highest_hz), (lowest_value, *_, highest_value) = self.borders
         ax.grid(False)
         ax.set(xlim=(lowest_hz, highest_hz), xlabel="frequency / Hz")
-        in_millimetres = self.unit == "m"
-        set_log_scale(ax.yaxis, factor=1e3 if in_millimetres else 1.0)
-        ax.set(ylim=(lowest_value, highest_value), ylabel=f"{self.over} / {'mm' if in_millimetres else self.unit}")
+        in_millimeters = self.unit == "m"
+        set_log_scale(ax.yaxis, factor=1e3 if in_millimeters else 1.0)
+        ax.set(ylim=(lowest_value, highest_value), ylabel=f"{self.over} / {'mm' if in_millimeters else self.unit}")
         if self.over != "clearance":
             ax.plot(self.frequency, self.take_off, color="black", lw=1.2)
         scene_value = self.own_value
@@ -204,9 +204,9 @@ def map_motion(
     scene = scene_of(scene)
     over, unit = vertical_axis(scene, over)
     scene = with_ideal_force(scene)
-    requested = frequencies if frequencies is not None else columns(scene)
+    requested = frequencies if frequencies is not None else select_frequencies(scene)
     frequency = np.unique(positive_values(requested, FREQUENCY, "frequencies"))
-    levels = values if values is not None else rows_of(scene, over, frequency)
+    levels = values if values is not None else select_row_values(scene, over, frequency)
     value = np.unique(positive_values(levels, KIND_OF_UNIT[unit], "values"))
     max_wait, count = _max_wait_periods(scene, frequency), frequency.size
     rows = [_Row(_scene_at(scene, over, float(each)), frequency, max_wait) for each in value]
@@ -226,7 +226,7 @@ def map_motion(
         repetition=np.array([[point.repetition for point in row] for row in points]),
         periods=np.array([[point.periods for point in row] for row in points]),
         cpu=np.array([[point.cpu for point in row] for row in points]),
-        take_off=take_off(scene, frequency),
+        take_off=take_off_levels(scene, frequency),
     )
 
 

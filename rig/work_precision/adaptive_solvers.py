@@ -1,4 +1,8 @@
-"""General solvers of scipy and SUNDIALS, with event detection at every contact change or with springs as walls."""
+"""General solvers of scipy and SUNDIALS, as alternatives to the engine in `rig cost`.
+
+Contact changes are events: the solver locates the root of a guard, a function that is negative after the change.
+`penalty` needs no events, because it replaces the walls by stiff springs.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,7 @@ import numpy as np
 
 from rig.arrays import Array
 from rig.errors import RunError
-from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, FirstOrderForm, Outcome
+from rig.work_precision.first_order_form import CEILING, EVENT_KINDS, FLIGHT, FLOOR, ComputedMotion, FirstOrderForm
 
 #: Time for which a guard is disabled after its separation, s. Its value is then at rounding level.
 GUARD_PAUSE_S = 2e-5
@@ -27,16 +31,17 @@ ENDLESS_EVENTS = (
 SOLVER_STOPPED = "{} stops: {}. Use another tolerance."
 
 Guard = Callable[[float, Array], float]
-#: Maps (M of z' = M z, guards, t, z, later sample times) to (t, z, index of the triggered guard or -1, samples).
-Leg = Callable[[Array, list[Guard], float, Array, Array], tuple[float, Array, int, Array]]
+#: Integrates up to the first event: maps (M of z' = M z, guards, t, z, later sample times) to (t, z, index of the guard
+#: that is zero, or -1 at the end, and states at the sample times).
+SegmentSolver = Callable[[Array, list[Guard], float, Array, Array], tuple[float, Array, int, Array]]
 
 
 class _Contacts:
-    """Wall of each damper, and the guards that follow from it."""
+    """Contact state of each damper, and the guards of the contact changes that are possible from it."""
 
     def __init__(self, problem: FirstOrderForm, guard_pause: float) -> None:
         self.problem, self.guard_pause = problem, guard_pause
-        self.mode = [FLOOR] * len(problem.rows)
+        self.mode = [FLOOR] * len(problem.damper_coordinate)
         self.events: list[tuple[float, int, str]] = []
         self._disabled_until: dict[tuple[int, int], float] = {}
         self._update()
@@ -44,25 +49,25 @@ class _Contacts:
     def _update(self) -> None:
         problem = self.problem
         self.matrix: Array = problem.matrix(self.mode)
-        self.walls: list[tuple[int, int]] = []
+        self.changes: list[tuple[int, int]] = []  # damper and new contact state at the root of each guard
         self.guards: list[Guard] = []
         for j, mode in enumerate(self.mode):
             if mode != FLIGHT:
-                self._watch(j, FLIGHT, problem.pressing(j, mode, self.matrix), -1.0)
+                self._add_guard(j, FLIGHT, problem.contact_force_row(j, mode, self.matrix), -1.0)
                 continue
             for wall in (FLOOR, CEILING) if np.isfinite(problem.clearance[j]) else (FLOOR,):
-                self._watch(j, wall, problem.gap(j, wall), self._disabled_until.get((j, wall), -1.0))
+                self._add_guard(j, wall, problem.gap_row(j, wall), self._disabled_until.get((j, wall), -1.0))
 
-    def _watch(self, j: int, wall: int, row: Array, disabled_until: float) -> None:
-        self.walls.append((j, wall))
+    def _add_guard(self, j: int, new_mode: int, row: Array, disabled_until: float) -> None:
+        self.changes.append((j, new_mode))
         self.guards.append(lambda t, z: float(row @ z) if t > disabled_until else 1.0)
 
     def change(self, z: Array, now: float, j: int, wall: int) -> None:
-        """Separate a damper from its wall, or apply an impact on a wall."""
+        """Separate a damper from its wall (`wall` is `FLIGHT`), or apply an impact on a wall."""
         problem, wall_before = self.problem, self.mode[j]
-        self.events.append((now, j, WALLS[wall]))
+        self.events.append((now, j, EVENT_KINDS[wall]))
         if wall == FLIGHT:
-            problem.separate(z, j, wall_before, z[problem.system.coordinates + problem.rows[j]])
+            problem.separate(z, j, wall_before, z[problem.system.coordinates + problem.damper_coordinate[j]])
             self._disabled_until[j, wall_before] = now + self.guard_pause
             self.mode[j] = FLIGHT
         elif problem.impact(z, j, wall, float(problem.system.restitution[j])):
@@ -75,17 +80,19 @@ class _Contacts:
         """Separate dampers with a tensile contact force, one after another."""
         while tensile := [
             j
-            for (j, wall), guard in zip(self.walls, self.guards, strict=True)
+            for (j, wall), guard in zip(self.changes, self.guards, strict=True)
             if wall == FLIGHT and guard(now, z) < 0.0
         ]:
             self.change(z, now, tensile[0], FLIGHT)
 
 
-def follow(problem: FirstOrderForm, leg: Leg, guard_pause: float, max_cpu: float) -> Outcome:
+def integrate(
+    problem: FirstOrderForm, solve_segment: SegmentSolver, guard_pause: float, max_cpu: float
+) -> ComputedMotion:
     """Compute the motion with an adaptive solver.
 
-    `leg`: integrates from one contact change to the next; `guard_pause`: time for which a guard is disabled after its
-    separation, s; `max_cpu`: CPU time limit, s. Raises `RunError` if the solver makes no progress or takes too long.
+    `guard_pause`: time for which a guard is disabled after its separation, s; `max_cpu`: CPU time limit, s. Raises
+    `RunError` if the solver makes no progress or takes too long.
     """
     n, contacts = problem.system.coordinates, _Contacts(problem, guard_pause)
     state, now, times = np.array(problem.start), 0.0, problem.times
@@ -93,34 +100,39 @@ def follow(problem: FirstOrderForm, leg: Leg, guard_pause: float, max_cpu: float
     cpu_start = time.process_time()
     contacts.release(state, now)
     while len(samples) < problem.samples:
-        now, state, guard, samples_of_leg = leg(contacts.matrix, contacts.guards, now, state, times[len(samples) :])
-        samples += list(samples_of_leg[:, :n])
+        now, state, guard, segment_samples = solve_segment(
+            contacts.matrix, contacts.guards, now, state, times[len(samples) :]
+        )
+        samples += list(segment_samples[:, :n])
         if guard < 0:
             break
-        contacts.change(state, now, *contacts.walls[guard])
+        contacts.change(state, now, *contacts.changes[guard])
         contacts.release(state, now)
         if len(contacts.events) > MAX_EVENTS_PER_PERIOD * problem.periods:
             raise RunError(ENDLESS_EVENTS.format(now))
         if time.process_time() - cpu_start > max_cpu:
             raise RunError(f"not done after {max_cpu:.0f} s. Use a larger tolerance.")
-    return Outcome(np.array(samples).T, contacts.events)
+    return ComputedMotion(np.array(samples).T, contacts.events)
 
 
-def scipy_leg(method: str, rtol: float, max_step: float) -> Leg:
-    """Return a scipy solver with its event detection."""
+def scipy_solver(method: str, rtol: float, max_step: float) -> SegmentSolver:
+    """Return a solver of scipy, with its event detection; `method` and the other settings as of `solve_ivp`."""
 
-    def leg(matrix: Array, guards: list[Guard], t: float, z: Array, times: Array) -> tuple[float, Array, int, Array]:
+    def solve_segment(
+        matrix: Array, guards: list[Guard], t: float, z: Array, times: Array
+    ) -> tuple[float, Array, int, Array]:
         solution = _solve_ivp(
             lambda _, z: matrix.dot(z), (t, times[-1]), z, method=method, rtol=rtol, max_step=max_step,
             t_eval=times, events=[_event(guard, terminal=True, direction=-1) for guard in guards],
         )  # fmt: skip
         samples = solution.y.T if len(solution.t) else np.zeros((0, len(z)))
-        for k, hits in enumerate(solution.t_events or ()):
-            if len(hits):
-                return float(hits[0]), solution.y_events[k][0].copy(), k, samples[solution.t <= hits[0]]
+        for k, event_times in enumerate(solution.t_events or ()):
+            if len(event_times):
+                event_state = solution.y_events[k][0].copy()
+                return float(event_times[0]), event_state, k, samples[solution.t <= event_times[0]]
         return float(times[-1]), z, -1, samples
 
-    return leg
+    return solve_segment
 
 
 def _solve_ivp(*arguments: Any, rtol: float, **options: Any) -> Any:
@@ -144,7 +156,7 @@ def _event(guard: Guard, **attributes: Any) -> Any:
     return event
 
 
-def penalty(problem: FirstOrderForm, contacts: int) -> Outcome:
+def penalty(problem: FirstOrderForm, contacts: int) -> ComputedMotion:
     """Compute the motion with a spring and dashpot at every wall, by scipy's LSODA.
 
     The dashpot determines the restitution of a free impact. It acts during the whole penetration: without its tensile
@@ -152,64 +164,68 @@ def penalty(problem: FirstOrderForm, contacts: int) -> Outcome:
 
     `contacts`: number of contact durations (half periods on the spring) in a period of the drive.
     """
-    system, dampers = problem.system, len(problem.rows)
-    mass = 1.0 / (problem.inverse_mass + 1.0 / system.damper_mass)
-    rate = np.pi * contacts * problem.tone.frequency
-    logs = np.log(np.maximum(system.restitution, 1e-300))
-    ratio = np.where(system.restitution > 0.0, -logs / np.hypot(np.pi, logs), 1.0)
-    stiffness, dashpot = mass * rate**2, 2.0 * ratio * mass * rate
+    system, dampers = problem.system, len(problem.damper_coordinate)
+    reduced_mass = 1.0 / (problem.inverse_mass + 1.0 / system.damper_mass)
+    omega = np.pi * contacts * problem.tone.frequency  # contact on the spring lasts half a period
+    log_restitution = np.log(np.maximum(system.restitution, 1e-300))
+    damping_ratio = np.where(system.restitution > 0.0, -log_restitution / np.hypot(np.pi, log_restitution), 1.0)
+    stiffness, dashpot = reduced_mass * omega**2, 2.0 * damping_ratio * reduced_mass * omega
     matrix = problem.matrix([FLIGHT] * dampers)
-    gap = np.array([problem.gap(j, FLOOR) for j in range(dampers)]).reshape(dampers, problem.size)
-    rates, force_response = np.vstack([matrix, gap, gap @ matrix]), np.zeros((problem.size, dampers))
-    for j, row in enumerate(problem.rows):
-        force_response[system.coordinates + row, j] = -problem.inverse_mass[j]
-        force_response[problem.first + dampers + j, j] = 1.0 / system.damper_mass[j]
+    gap_rows = np.array([problem.gap_row(j, FLOOR) for j in range(dampers)]).reshape(dampers, problem.size)
+    # One product with z gives z', the gaps and their rates.
+    combined_matrix = np.vstack([matrix, gap_rows, gap_rows @ matrix])
+    force_response = np.zeros((problem.size, dampers))
+    for j, coordinate in enumerate(problem.damper_coordinate):
+        force_response[system.coordinates + coordinate, j] = -problem.inverse_mass[j]
+        force_response[problem.first_height + dampers + j, j] = 1.0 / system.damper_mass[j]
 
-    def slope(_: float, z: Array) -> Array:
-        rate = rates.dot(z)
-        height, closing = rate[problem.size : -dampers], rate[-dampers:]
+    def derivative_of(_: float, z: Array) -> Array:
+        product = combined_matrix.dot(z)
+        gap, gap_rate = product[problem.size : -dampers], product[-dampers:]
         # Negative: penetration of the floor; positive: penetration of the ceiling.
-        penetration = height - np.minimum(np.maximum(height, 0.0), system.clearance)
-        derivative = rate[: problem.size]
+        penetration = gap - np.minimum(np.maximum(gap, 0.0), system.clearance)
+        derivative = product[: problem.size]
         if penetration.any():
-            derivative += force_response.dot(-stiffness * penetration - (penetration != 0.0) * dashpot * closing)
+            derivative += force_response.dot(-stiffness * penetration - (penetration != 0.0) * dashpot * gap_rate)
         return derivative
 
     walls = [(j, FLOOR) for j in range(dampers)]
     walls += [(j, CEILING) for j in range(dampers) if np.isfinite(system.clearance[j])]
     start = np.array(problem.start)
-    start[problem.first : problem.first + dampers] -= system.damper_mass * system.gravity / stiffness
+    start[problem.first_height : problem.first_height + dampers] -= system.damper_mass * system.gravity / stiffness
     solution = _solve_ivp(
-        slope, (0.0, problem.times[-1]), start, method="LSODA", rtol=PENALTY_TOLERANCE, t_eval=problem.times,
-        events=[_event(partial(_distance, problem.gap(*wall))) for wall in walls],
+        derivative_of, (0.0, problem.times[-1]), start, method="LSODA", rtol=PENALTY_TOLERANCE, t_eval=problem.times,
+        events=[_event(partial(_distance, problem.gap_row(*wall))) for wall in walls],
     )  # fmt: skip
     events = [
-        # Dampers begin on the floor.
-        (float(instant), j, WALLS[FLIGHT if (k % 2 == 0) == (wall == FLOOR) else wall])
+        # Dampers begin on the floor, so that zeros of the gap to the floor are separation and landing in turn.
+        (float(instant), j, EVENT_KINDS[FLIGHT if (k % 2 == 0) == (wall == FLOOR) else wall])
         for (j, wall), times in zip(walls, solution.t_events or (), strict=True)
         for k, instant in enumerate(times)
     ]
-    return Outcome(solution.y[: system.coordinates], sorted(events))
+    return ComputedMotion(solution.y[: system.coordinates], sorted(events))
 
 
-def _distance(row: Array, _: float, z: Array) -> float:
-    return float(row @ z)
+def _distance(gap_row: Array, _: float, z: Array) -> float:
+    return float(gap_row @ z)
 
 
-def cvode_leg(rtol: float, max_step: float) -> Leg:
-    """Return the solver CVODE (Adams) of SUNDIALS, through scikit-sundae."""
+def cvode_solver(rtol: float, max_step: float) -> SegmentSolver:
+    """Return the solver CVODE (Adams) of SUNDIALS, from the package scikit-sundae."""
     from sksundae.cvode import CVODE
 
-    def leg(matrix: Array, guards: list[Guard], t: float, z: Array, times: Array) -> tuple[float, Array, int, Array]:
-        def slope(t: float, y: Array, yp: Array) -> None:
+    def solve_segment(
+        matrix: Array, guards: list[Guard], t: float, z: Array, times: Array
+    ) -> tuple[float, Array, int, Array]:
+        def derivative(t: float, y: Array, yp: Array) -> None:
             matrix.dot(y, out=yp)
 
-        def events(t: float, y: Array, e: Array) -> None:
-            e[:] = [guard(t, y) for guard in guards]
+        def events(t: float, y: Array, values: Array) -> None:
+            values[:] = [guard(t, y) for guard in guards]
 
         vars(events).update(terminal=[True] * len(guards), direction=[-1] * len(guards))
         solver = CVODE(
-            slope, method="Adams", rtol=rtol, atol=1e-3 * rtol, max_step=max_step, max_num_steps=100_000,
+            derivative, method="Adams", rtol=rtol, atol=1e-3 * rtol, max_step=max_step, max_num_steps=100_000,
             eventsfn=events if guards else None, num_events=len(guards),
         )  # fmt: skip
         solution = solver.solve(np.concatenate([[t], times]), z)
@@ -228,4 +244,4 @@ def cvode_leg(rtol: float, max_step: float) -> Leg:
             solution.y[requested & (solution.t <= event_time)],
         )
 
-    return leg
+    return solve_segment

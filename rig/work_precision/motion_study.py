@@ -1,4 +1,8 @@
-"""Work-precision study of a scene's motion: error against CPU time of every method, on this machine."""
+"""Work-precision study of a scene's motion: error against CPU time of every method, measured on this machine.
+
+The methods are the engine, general solvers, time stepping and penalty springs. The reference is a motion in decimal
+arithmetic.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +27,9 @@ from rig.simulation.simulate import Run, simulate
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive, accelerations_per_level, level_of, tone_drive
-from rig.work_precision.adaptive_solvers import GUARD_PAUSE_S, cvode_leg, follow, penalty, scipy_leg
-from rig.work_precision.first_order_form import SAMPLES_PER_PERIOD, FirstOrderForm, Outcome
-from rig.work_precision.high_precision import DIGITS, Exact, events_of, exact_motion
+from rig.work_precision.adaptive_solvers import GUARD_PAUSE_S, cvode_solver, integrate, penalty, scipy_solver
+from rig.work_precision.first_order_form import SAMPLES_PER_PERIOD, ComputedMotion, FirstOrderForm
+from rig.work_precision.high_precision import DIGITS, ExactMotion, events_of, exact_motion
 
 #: Periods of the drive that every method computes.
 PERIODS = 20
@@ -58,10 +62,10 @@ class Point:
     cpu: float  # CPU time, s: per period of the drive for the motion, total for the steady state
     error: float
     """Largest error of any displacement relative to the largest displacement; NaN if the method failed."""
-    event_error: float  # Largest error of an event's time, s; NaN if there are no events to compare
+    event_error: float  # largest error of an event's time, s; NaN if there are no events to compare
     right: bool
     """Whether events and their order are correct for each damper; for the steady state, whether it converged."""
-    note: str = ""  # Remarks, or the reason for a failure
+    note: str = ""  # remarks, or the reason for a failure
 
 
 def failure_reason(problem: ShotrigError) -> str:
@@ -75,14 +79,14 @@ class MotionStudy:
 
     scene: Scene
     frequency: float  # Hz
-    periods: int
-    events: int  # Length of the motion and the number of events in it
+    periods: int  # length of the motion, in periods of the drive
+    events: int  # number of events in the motion
     points: tuple[Point, ...]
-    reference: str  # Origin and accuracy of the reference
-    margin: float  # Ratio of the smallest error of all methods to the error of the reference
+    reference: str  # origin and accuracy of the reference
+    margin: float  # ratio of the smallest error of all methods to the error of the reference
 
 
-def hardest_frequency(scene: Scene, system: HybridSystem) -> float:
+def default_frequency(scene: Scene, system: HybridSystem) -> float:
     """Return the single frequency of the test, or the frequency of largest linear acceleration in its range, Hz.
 
     Raises `SceneError` if the scene has no shaker, or its test no frequency.
@@ -106,11 +110,11 @@ def motion_study(
 ) -> MotionStudy:
     """Measure all methods for the first periods of a scene's motion under a sinusoidal drive.
 
-    `frequency`: drive frequency, Hz; None: `hardest_frequency`. Raises `SceneError` if nothing drives the scene, or
+    `frequency`: drive frequency, Hz; None: `default_frequency`. Raises `SceneError` if nothing drives the scene, or
     its impacts are coupled by a full mass matrix.
     """
     system, periods = assemble(scene), count(periods, 1, "periods")
-    frequency = frequency if frequency is not None else hardest_frequency(scene, system)
+    frequency = frequency if frequency is not None else default_frequency(scene, system)
     tone = tone_drive(scene, system, frequency)
     assert tone is not None
     report = progress if progress is not None else lambda name: None
@@ -122,7 +126,7 @@ def motion_study(
     points = []
     for method, setting, compute in _methods(scene, system, tone, periods):
         report(f"{method}, {setting}")
-        points.append(comparison.point(method, setting, compute, periods))
+        points.append(comparison.measure(method, setting, compute, periods))
     best = min((p.error for p in points if p.error > 0.0), default=np.inf)
     margin = best / max(exact.agreement, 10.0 ** (-DIGITS))
     if margin < MIN_REFERENCE_MARGIN:
@@ -136,7 +140,7 @@ def motion_study(
     return MotionStudy(scene, frequency, periods, len(run.events), tuple(points), reference, margin)
 
 
-Methods = Iterator[tuple[str, str, Callable[[], Outcome]]]
+Methods = Iterator[tuple[str, str, Callable[[], ComputedMotion]]]
 
 
 def _methods(scene: Scene, system: HybridSystem, tone: ToneDrive, periods: int) -> Methods:
@@ -144,16 +148,16 @@ def _methods(scene: Scene, system: HybridSystem, tone: ToneDrive, periods: int) 
     frequency = tone.frequency
     duration, rate = periods / frequency, SAMPLES_PER_PERIOD * frequency
 
-    def simulated() -> Outcome:
-        return _outcome(simulate(scene, duration, rate, frequency=frequency), system)
+    def simulated() -> ComputedMotion:
+        return _motion_of(simulate(scene, duration, rate, frequency=frequency), system)
 
     yield "engine, tone", "as called", simulated
-    yield "engine, tone", "warm", _warm(system, tone, periods)
+    yield "engine, tone", "warm", _with_prepared_tables(system, tone, periods)
     if np.array_equal(tone.state, system.initial):
         # First run without measurement, so that compilation is not included in the time.
-        _sampled(scene, system, tone, DRIVE_SAMPLES_PER_PERIOD[0], 1)()
+        _with_sampled_drive(scene, system, tone, DRIVE_SAMPLES_PER_PERIOD[0], 1)()
         for samples in DRIVE_SAMPLES_PER_PERIOD:
-            sampled = _sampled(scene, system, tone, samples, periods)
+            sampled = _with_sampled_drive(scene, system, tone, samples, periods)
             yield "engine, sampled drive", f"{samples * frequency:.4g} Hz", sampled
     if system.finite_contact.any():
         return  # the other methods support instantaneous contact only
@@ -183,82 +187,82 @@ def _compiled(problem: FirstOrderForm, period: float) -> Methods:
     solver = DormandPrince(problem)
     # A failure is reported in the measured run.
     with suppress(RunError):
-        solver.follow(1e-6, GUARD_PAUSE_S, period)
+        solver.integrate(1e-6, GUARD_PAUSE_S, period)
     for rtol in (1e-6, 1e-9, 1e-12):
-        yield "compiled DP5", f"rtol {rtol:.0e}", partial(solver.follow, rtol, GUARD_PAUSE_S, np.inf)
-    yield "compiled DP5", SHORT_STEP_SETTING, partial(solver.follow, 1e-12, GUARD_PAUSE_S, SHORT_STEP_RATIO * period)
+        yield "compiled DP5", f"rtol {rtol:.0e}", partial(solver.integrate, rtol, GUARD_PAUSE_S, np.inf)
+    yield "compiled DP5", SHORT_STEP_SETTING, partial(solver.integrate, 1e-12, GUARD_PAUSE_S, SHORT_STEP_RATIO * period)
 
 
 def _adaptive(problem: FirstOrderForm, period: float) -> Methods:
     for method, tolerances in (("DOP853", (1e-4, 1e-6, 1e-9, 1e-12)), ("LSODA", (1e-6, 1e-9))):
         for rtol in tolerances:
-            leg = scipy_leg(method, rtol, np.inf)
-            yield f"scipy {method}", f"rtol {rtol:.0e}", partial(follow, problem, leg, 0.0, MAX_CPU_S)
+            solve_segment = scipy_solver(method, rtol, np.inf)
+            yield f"scipy {method}", f"rtol {rtol:.0e}", partial(integrate, problem, solve_segment, 0.0, MAX_CPU_S)
     if importlib.util.find_spec("sksundae") is None:
         return
     for rtol in (1e-4, 1e-6, 1e-9, 1e-12):
-        leg = cvode_leg(rtol, 0.0)
-        yield "CVODE", f"rtol {rtol:.0e}", partial(follow, problem, leg, 0.0, MAX_CPU_S)
-    short_steps = cvode_leg(1e-12, SHORT_STEP_RATIO * period)
-    yield "CVODE", SHORT_STEP_SETTING, partial(follow, problem, short_steps, GUARD_PAUSE_S, MAX_CPU_S)
+        solve_segment = cvode_solver(rtol, 0.0)
+        yield "CVODE", f"rtol {rtol:.0e}", partial(integrate, problem, solve_segment, 0.0, MAX_CPU_S)
+    short_steps = cvode_solver(1e-12, SHORT_STEP_RATIO * period)
+    yield "CVODE", SHORT_STEP_SETTING, partial(integrate, problem, short_steps, GUARD_PAUSE_S, MAX_CPU_S)
 
 
-def _outcome(run: Run, system: HybridSystem, sample_stride: int = 1) -> Outcome:
-    return Outcome(run.displacement[:, ::sample_stride], events_of(run.events, system))
+def _motion_of(run: Run, system: HybridSystem, sample_stride: int = 1) -> ComputedMotion:
+    return ComputedMotion(run.displacement[:, ::sample_stride], events_of(run.events, system))
 
 
-def _warm(system: HybridSystem, tone: ToneDrive, periods: int) -> Callable[[], Outcome]:
-    """Return a run of the engine with prepared tables, whose cost is that of a long run."""
+def _with_prepared_tables(system: HybridSystem, tone: ToneDrive, periods: int) -> Callable[[], ComputedMotion]:
+    """Return a run of the engine whose tables are prepared, so that its time per period is that of a long run."""
     propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega)
     propagator.set_state(tone.state, np.array([1.0, 0.0]))
-    begin = propagator.snapshot()
+    initial_state = propagator.snapshot()
     lengths, rows = np.full(periods, steps), np.full(periods, -1)
     rows[-1] = 0
 
-    def compute() -> Outcome:
-        propagator.resume(begin)
+    def compute() -> ComputedMotion:
+        propagator.resume(initial_state)
         trajectory = propagator.propagate_marks(lengths, rows, np.ones(periods, dtype=bool))
-        return Outcome(trajectory.state[:, : len(system.points)].T, [])
+        return ComputedMotion(trajectory.state[:, : len(system.points)].T, [])
 
     compute()
     return compute
 
 
-def _sampled(
+def _with_sampled_drive(
     scene: Scene, system: HybridSystem, tone: ToneDrive, samples_per_period: int, periods: int
-) -> Callable[[], Outcome]:
+) -> Callable[[], ComputedMotion]:
     """Return a run of the engine driven by samples of the sinusoid."""
     rate = samples_per_period * tone.frequency
     angle = 2.0 * np.pi * np.arange(periods * samples_per_period + 1) / samples_per_period
     drive = np.real(tone.amplitudes[:, None] * np.exp(1j * angle))
-    return lambda: _outcome(
+    return lambda: _motion_of(
         simulate(scene, periods / tone.frequency, rate, drive=drive), system, samples_per_period // SAMPLES_PER_PERIOD
     )
 
 
 class _Comparison:
-    """Compares outcomes with the reference."""
+    """Comparison of computed motions with the reference."""
 
-    def __init__(self, exact: Exact, run: Run, system: HybridSystem) -> None:
+    def __init__(self, exact: ExactMotion, run: Run, system: HybridSystem) -> None:
         self.exact = exact
         self.scale = float(np.abs(exact.displacement).max())
         times = zip(exact.event_time.astype(np.float64), events_of(run.events, system), strict=True)
         self.events = _by_damper([(float(t), j, kind) for t, (_, j, kind) in times], system.dampers)
 
-    def point(self, method: str, setting: str, compute: Callable[[], Outcome], periods: int) -> Point:
+    def measure(self, method: str, setting: str, compute: Callable[[], ComputedMotion], periods: int) -> Point:
         """Run a method and evaluate its error."""
         try:
-            cpu, outcome = timed(compute)
+            cpu, motion = timed(compute)
         except ShotrigError as failure:
             return Point(method, setting, np.nan, np.nan, np.nan, False, failure_reason(failure))
         # Subtract in decimal arithmetic, so that the reference is not rounded.
-        values = np.vectorize(Decimal, otypes=[object])(outcome.displacement)
-        last_only = values.shape[1] == 1
-        exact = self.exact.displacement[:, -1:] if last_only else self.exact.displacement
+        values = np.vectorize(Decimal, otypes=[object])(motion.displacement)
+        has_only_last_sample = values.shape[1] == 1
+        exact = self.exact.displacement[:, -1:] if has_only_last_sample else self.exact.displacement
         error = float(np.abs(values - exact).max()) / self.scale
-        if last_only:
+        if has_only_last_sample:
             return Point(method, setting, cpu / periods, error, np.nan, True, "flow and events alone")
-        computed_events = _by_damper(outcome.events, len(self.events))
+        computed_events = _by_damper(motion.events, len(self.events))
         correct_events = _kinds(computed_events) == _kinds(self.events)
         event_error = np.nan
         if correct_events and any(computed_events):

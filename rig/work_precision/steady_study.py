@@ -35,10 +35,10 @@ BAND_HALF_WIDTH = 0.04
 class SteadyStudy:
     """Result of `steady_study`."""
 
-    points: tuple[Point, ...]  # Points; errors refer to the compliance of all bodies, relative to the largest
+    points: tuple[Point, ...]  # their errors refer to the compliance of all bodies, relative to the largest
     frequency: float  # Hz
     motion_type: str
-    reference: str  # Reference of the errors; without periodic motion, the reason why there are no errors
+    reference: str  # reference of the errors; without periodic motion, the reason why there are no errors
 
 
 def steady_study(scene: Scene, frequency: float, progress: Callable[[str], None] | None = None) -> SteadyStudy:
@@ -128,5 +128,5 @@ def _approximate(scene: Scene, frequency: float, reference: ExactOrbit) -> Point
                 f"mode {mode}, {weighting} weights",
             )
             return Point("approximate", setting, cpu, error, np.nan, True, "the whole curve")
-        reasons.append("failed: finds no stable motion here")
+        reasons.append("failed: no stable motion at this frequency")
     return Point("approximate", f"mode {mode}", np.nan, np.nan, np.nan, False, reasons[-1])

@@ -19,7 +19,7 @@ from rig.simulation.plant import Plant
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive, tone_drive
-from rig.work_precision.adaptive_solvers import cvode_leg, follow, scipy_leg
+from rig.work_precision.adaptive_solvers import cvode_solver, integrate, scipy_solver
 from rig.work_precision.compiled_runge_kutta import DormandPrince
 from rig.work_precision.first_order_form import FirstOrderForm
 
@@ -71,15 +71,15 @@ def solver_periods(scene: rig.Scene) -> dict[str, float]:
     system, tone = tone_of(scene)
     problem = FirstOrderForm(system, tone, PERIODS)
     max_step = 2.0 * np.pi / tone.omega / 40
-    solvers = {"scipy DOP853": scipy_leg("DOP853", 1e-12, max_step)}
+    solvers = {"scipy DOP853": scipy_solver("DOP853", 1e-12, max_step)}
     if importlib.util.find_spec("sksundae") is not None:
-        solvers["CVODE"] = cvode_leg(1e-12, max_step)
+        solvers["CVODE"] = cvode_solver(1e-12, max_step)
     compiled_solver = DormandPrince(problem)
-    compiled_solver.follow(1e-6, GUARD_DELAY_S, max_step)
+    compiled_solver.integrate(1e-6, GUARD_DELAY_S, max_step)
     return {
-        "compiled DP5": shortest_time(lambda: compiled_solver.follow(1e-12, GUARD_DELAY_S, max_step), 3) / PERIODS,
+        "compiled DP5": shortest_time(lambda: compiled_solver.integrate(1e-12, GUARD_DELAY_S, max_step), 3) / PERIODS,
         **{
-            name: shortest_time(lambda solver=solver: follow(problem, solver, GUARD_DELAY_S, 600.0), 2) / PERIODS  # type: ignore[misc]
+            name: shortest_time(lambda solver=solver: integrate(problem, solver, GUARD_DELAY_S, 600.0), 2) / PERIODS  # type: ignore[misc]
             for name, solver in solvers.items()
         },
     }

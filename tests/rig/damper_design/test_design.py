@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 import analysis
 import daq
 import rig
-from rig.damper_design.answers import Answers
 from rig.damper_design.check import Expected
 from rig.damper_design.choice import FINE_DENSITY, INSTANTANEOUS, Choice
 from rig.damper_design.design import chart_levels
+from rig.damper_design.evaluator import Evaluator
 from rig.damper_design.figure import clearance_label, describe_check, grain_check, summary, write
 from rig.damper_design.request import mass_of, parse_request
 from rig.damper_design.worst_peak import Peak, response_at_level
@@ -87,7 +87,7 @@ def test_written_scene_loads_and_summary_matches(design: rig.Design, tmp_path: P
     assert [command[:3] for command in commands] == [["daq", "record", str(scene)]] * 2
     assert "dampers=null" in commands[0] and "dampers=null" not in commands[1]
     unsteady = replace(design, expected=tuple(replace(expectation, sizes=None) for expectation in design.expected))
-    assert "no steady motion found" in describe_check(unsteady, scene)
+    assert "no steady motion: values scatter" in describe_check(unsteady, scene)
 
 
 @pytest.mark.thorough
@@ -104,13 +104,13 @@ def test_damaged_table_loses_no_answer(tmp_path: Path) -> None:
     question, _ = parse_request(rig.load("fig9"), bodies=[2], levels=[0.5], band=(49.0, 50.0), watched=[2])
     choices = [Choice((2,), (0.05,), (clearance,)) for clearance in (1e-3, 2e-3)]
     with Workers() as workers:
-        first_trials = Answers(workers, table, None, 1).compute(question, choices[:1])
+        first_trials = Evaluator(workers, table, None, 1).compute(question, choices[:1])
         with table.open("a") as file:
             # An open quote ends with its line, and lines that are too long are not read.
             file.write('"' + "x" * 200_000 + "\n" + '"torn,2,0.1')
-        second_trials = Answers(workers, table, None, 1).compute(question, choices[1:])
-        answers = Answers(workers, table, None, 1)
-    assert [answers.trial(question, choice) for choice in choices] == first_trials + second_trials
+        second_trials = Evaluator(workers, table, None, 1).compute(question, choices[1:])
+        evaluator = Evaluator(workers, table, None, 1)
+    assert [evaluator.trial(question, choice) for choice in choices] == first_trials + second_trials
 
 
 def test_drawn_clearance_is_the_heaviest_dampers() -> None:

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rig
-from rig.damper_design.answers import Answers
 from rig.damper_design.choice import Choice, Question, Space, Trial
+from rig.damper_design.evaluator import Evaluator
 from rig.damper_design.ranking import pareto_front
 from rig.damper_design.search import _grid_row, _refine, search
 from rig.damper_design.worst_peak import Peak
@@ -47,7 +47,7 @@ class TwoLevels(Question):
 
 
 def search_in_this_process(question: Question, space: Space) -> tuple[Trial, list[Trial]]:
-    return search(question, space, Answers(ShuffledWorkers(0), None, None, 1))  # type: ignore[arg-type]
+    return search(question, space, Evaluator(ShuffledWorkers(0), None, None, 1))  # type: ignore[arg-type]
 
 
 def test_second_level_decides_if_worst_peaks_are_equal() -> None:
@@ -123,9 +123,9 @@ def test_killed_search_continues_in_order(dampers: int, seed: int, max_pieces: i
     space = Space(Space.locations_of((1, 2, 3), dampers), 0.1, (1e-4, 1e-2))
 
     def search_with(workers: Any, table: Path) -> tuple[Trial, list[Trial]]:
-        answers = Answers(workers, table, None, 1)
-        result = search(question, space, answers)
-        answers.sort()
+        evaluator = Evaluator(workers, table, None, 1)
+        result = search(question, space, evaluator)
+        evaluator.sort()
         return result
 
     uninterrupted_table, resumed_table = tmp_path / "one.csv", tmp_path / "other.csv"
@@ -139,8 +139,8 @@ def test_killed_search_continues_in_order(dampers: int, seed: int, max_pieces: i
 def test_table_of_larger_budget_respects_the_smaller(tmp_path: Path) -> None:
     question = QuadraticOptimum((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
     for mass in (0.06, 0.03):
-        answers = Answers(ShuffledWorkers(0), tmp_path / "table.csv", None, 1)  # type: ignore[arg-type]
-        best, trials = search(question, Space(((1,), (2,)), mass, (1e-4, 1e-2)), answers)
+        evaluator = Evaluator(ShuffledWorkers(0), tmp_path / "table.csv", None, 1)  # type: ignore[arg-type]
+        best, trials = search(question, Space(((1,), (2,)), mass, (1e-4, 1e-2)), evaluator)
         assert best.choice.mass == pytest.approx(mass)
         assert max(trial.choice.mass for trial in trials) <= mass * (1 + 1e-12)
 

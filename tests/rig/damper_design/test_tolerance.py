@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import rig
-from rig.damper_design.answers import Answers
 from rig.damper_design.choice import Choice, Question, Space, Trial
+from rig.damper_design.evaluator import Evaluator
 from rig.damper_design.flight import Flight, compute_flight, describe_shortfall, idle_levels
 from rig.damper_design.other_modes import mode_peaks, mode_questions_of, select_outside_band
 from rig.damper_design.request import parse_request
@@ -52,8 +52,8 @@ def _question(kind: type[Question]) -> Question:
     return kind((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
 
 
-def _answers() -> Answers:
-    return Answers(WorkersInThisProcess(), None, None, 1)  # type: ignore[arg-type]
+def _evaluator() -> Evaluator:
+    return Evaluator(WorkersInThisProcess(), None, None, 1)  # type: ignore[arg-type]
 
 
 def _trial(question: Question, clearance: float) -> Trial:
@@ -64,7 +64,7 @@ def _trial(question: Question, clearance: float) -> Trial:
 def test_tolerance_gives_both_edges_of_a_plateau() -> None:
     question = _question(Plateau)
     trials = [_trial(question, clearance) for clearance in np.geomspace(1e-4, 1e-2, 10)]
-    result = clearance_tolerance(question, SPACE, _trial(question, 4.6e-3), trials, _answers())
+    result = clearance_tolerance(question, SPACE, _trial(question, 4.6e-3), trials, _evaluator())
     assert result.low == pytest.approx(3.5e-3, rel=0.06) and result.high == pytest.approx(4.62e-3, rel=0.06)
     assert not any(result.limited) and "build to the middle" in str(result)
 
@@ -73,7 +73,7 @@ def test_tolerance_gives_both_edges_of_a_plateau() -> None:
 def test_tolerance_is_open_if_no_ceiling_is_reached(clearance: float) -> None:
     question = _question(UnreachedCeiling)
     space = Space(((1,),), 0.1, (1e-6, 1e-2))
-    result = clearance_tolerance(question, space, _trial(question, clearance), [], _answers())
+    result = clearance_tolerance(question, space, _trial(question, clearance), [], _evaluator())
     assert result.low == pytest.approx(7e-6, rel=0.06) and np.isinf(result.high)
     assert "for every clearance above" in str(result)
 
@@ -82,7 +82,7 @@ def test_modes_outside_the_band_decide_between_equals() -> None:
     question = _question(Plateau)
     trials = [_trial(question, clearance) for clearance in (3.6e-3, 4e-3, 4.6e-3)]
     # Outside the band, the peaks differ by more than equal designs do.
-    best_trial = select_outside_band(_question(SteepOutside), trials, trials[-1], _answers())
+    best_trial = select_outside_band(_question(SteepOutside), trials, trials[-1], _evaluator())
     assert best_trial.choice.clearances == (3.6e-3,)
 
 
@@ -101,7 +101,7 @@ def test_modes_inside_and_outside_the_band_are_listed() -> None:
     question, _ = parse_request(rig.load("fig9"), bodies=[2], levels=[0.01], band=(46.0, 54.0))
     choice = Choice((2,), (1e-6,), (1e-3,))
     trial = Trial(choice, (question.worst(choice),))
-    modes = mode_peaks(question, trial, _answers())
+    modes = mode_peaks(question, trial, _evaluator())
     assert [mode.inside for mode in modes] == [False, False, True]
     assert [frequency for frequency, _ in mode_questions_of(question)] == [mode.frequency for mode in modes]
     for mode in modes:
@@ -115,7 +115,7 @@ def test_flight_height_equals_the_simulated_motion() -> None:
     trial = Trial(choice, (question.worst(choice),))
     result = compute_flight(question, trial, unreached=True)
     assert result.body == 2 and 1.0 < result.acceleration_g(0.25) < 3.0
-    scene = question.scenes[0].replace(dampers=choice.dampers(question.landings))
+    scene = question.scenes[0].replace(dampers=choice.dampers(question.impact_law))
     scene = scene.replace(test=scene.test.replace(force=0.25))
     frequency = trial.peak.frequency
     motion = rig.simulate(scene, 600.0 / frequency, rate=64.0 * frequency, frequency=frequency)
@@ -129,11 +129,10 @@ def test_levels_too_weak_for_flight_are_named() -> None:
     charted = {level: Peak(size, 61.0, level, 2, 1.0, 0.0) for level, size in ((1.0, 9.5e-5), (1.41, 8e-5))}
     lines = describe_shortfall(trial, undamped, Flight(0.8, 1, np.nan), charted, [trial])
     assert "at 0.5 N the dampers cannot fly" in lines[0] and "body 1 reaches 0.625 g" in lines[0]
-    assert lines[1].startswith("use --levels 4N:")
+    assert lines[1].endswith("Give --levels 4N.")
     weak_trial = Trial(trial.choice, peaks[:1])
-    assert (
-        "from 1.41 N on" in describe_shortfall(weak_trial, undamped, Flight(0.8, 1, np.nan), charted, [weak_trial])[1]
-    )
+    lines = describe_shortfall(weak_trial, undamped, Flight(0.8, 1, np.nan), charted, [weak_trial])
+    assert "from 1.41 N. Give such levels" in lines[1]
     assert not describe_shortfall(Trial(trial.choice, peaks[1:]), undamped, Flight(0.8, 1, np.nan), charted, [])
 
 

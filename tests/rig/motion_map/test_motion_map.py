@@ -12,7 +12,7 @@ import pytest
 
 import rig
 from rig.errors import SceneError
-from rig.motion_map.grid import columns, rows_of, take_off, vertical_axis
+from rig.motion_map.grid import select_frequencies, select_row_values, take_off_levels, vertical_axis
 from rig.motion_map.motion_map import KINDS, summarize_map, write_map
 from rig.output_files import create_folder
 from rig.system.open_loop_drive import with_ideal_force
@@ -51,23 +51,27 @@ def test_take_off_accelerates_the_damper_at_gravity() -> None:
     frequency = np.array([12.0, 33.3, 47.6])
     response = receptance(scene, frequency, riding=(1, 2, 3))
     accelerance = np.abs(response).max(axis=0) * (2 * np.pi * frequency) ** 2
-    np.testing.assert_allclose(take_off(with_ideal_force(scene), frequency) * accelerance, scene.gravity, rtol=1e-9)
-    np.testing.assert_allclose(take_off(scene, frequency), take_off(with_ideal_force(scene), frequency), rtol=1e-6)
+    np.testing.assert_allclose(
+        take_off_levels(with_ideal_force(scene), frequency) * accelerance, scene.gravity, rtol=1e-9
+    )
+    np.testing.assert_allclose(
+        take_off_levels(scene, frequency), take_off_levels(with_ideal_force(scene), frequency), rtol=1e-6
+    )
 
 
 def test_rows_include_value_of_scene_and_take_off() -> None:
     scene = rig.load("fig9")
-    frequency = columns(scene)
-    levels = rows_of(scene, "force", frequency)
+    frequency = select_frequencies(scene)
+    levels = select_row_values(scene, "force", frequency)
     assert np.isclose(levels, 3.3, rtol=1e-12).sum() == 1
-    assert levels[0] < take_off(scene, frequency).min() < levels[-1]
-    clearances = rows_of(scene, "clearance", frequency)
+    assert levels[0] < take_off_levels(scene, frequency).min() < levels[-1]
+    clearances = select_row_values(scene, "clearance", frequency)
     assert np.isclose(clearances, 0.98e-3, rtol=1e-12).sum() == 1
     assert np.allclose(np.diff(np.log(clearances)), np.log(clearances[1] / clearances[0]))
 
 
 def test_frequencies_cluster_at_natural_frequencies() -> None:
-    frequency = columns(rig.load("fig8-three-dampers"))
+    frequency = select_frequencies(rig.load("fig8-three-dampers"))
     assert (frequency[0], frequency[-1], len(frequency)) == (8.0, 60.0, 48)
     assert (np.diff(frequency) > 0.0).all()
     narrowest = frequency[int(np.argmin(np.diff(frequency)))]
@@ -105,9 +109,9 @@ def test_linear_scene_is_rejected() -> None:
 def test_values_outside_a_range_are_quoted() -> None:
     scene = rig.load("fig9")
     with pytest.raises(SceneError, match="50 to 40 Hz"):
-        columns(scene, 50.0, 40.0)
+        select_frequencies(scene, 50.0, 40.0)
     with pytest.raises(SceneError, match="got 2 to 1; expected a rising range"):
-        rows_of(scene, "force", np.array([49.0]), 2.0, 1.0)
+        select_row_values(scene, "force", np.array([49.0]), 2.0, 1.0)
     with pytest.raises(SceneError, match="positive"):
         rig.map_motion(scene, values=[-1.0], frequencies=[49.0])
 

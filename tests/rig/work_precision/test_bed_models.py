@@ -40,8 +40,8 @@ def test_all_but_soft_contacts_agree_at_rest(tmp_path: Path) -> None:
 def test_shorter_time_steps_are_omitted() -> None:
     scene = with_grains()
 
-    assert models.with_step(scene, 0.05) is None
-    longer = models.with_step(scene, 0.19)
+    assert models.with_time_step(scene, 0.05) is None
+    longer = models.with_time_step(scene, 0.19)
     assert longer is not None
     assert longer.dampers[0].grains.time_step > scene.dampers[0].grains.time_step
 
@@ -49,7 +49,7 @@ def test_shorter_time_steps_are_omitted() -> None:
 def test_softer_grains_change_only_modulus_and_step() -> None:
     scene = with_grains()
 
-    softer = models.softened(scene)
+    softer = models.with_softer_grains(scene)
 
     grains = softer.dampers[0].grains
     assert grains.modulus == scene.dampers[0].grains.modulus / models.SOFTENING_RATIO

@@ -16,7 +16,7 @@ from rig.errors import RunError, SceneError
 from rig.system.assembly import assemble
 from rig.system.open_loop_drive import tone_drive, with_ideal_force
 from rig.system.structural_model import receptance
-from rig.work_precision.adaptive_solvers import GUARD_PAUSE_S, follow, penalty, scipy_leg
+from rig.work_precision.adaptive_solvers import GUARD_PAUSE_S, integrate, penalty, scipy_solver
 from rig.work_precision.compiled_runge_kutta import DormandPrince
 from rig.work_precision.cost import Cost
 from rig.work_precision.first_order_form import SAMPLES_PER_PERIOD, FirstOrderForm
@@ -26,8 +26,8 @@ from rig.work_precision.motion_study import (
     MotionStudy,
     Point,
     _compiled,
+    default_frequency,
     failure_reason,
-    hardest_frequency,
     motion_study,
 )
 from rig.work_precision.steady_study import SteadyStudy, _approximate, steady_study
@@ -86,7 +86,7 @@ def test_error_decreases_with_the_step(scheme: object, settings: tuple[int, int]
 
 def test_scipy_finds_events_at_its_tolerance(case: CaseB) -> None:
     problem, exact, run = case
-    outcome = follow(problem, scipy_leg("DOP853", 1e-9, np.inf), GUARD_PAUSE_S, 60.0)
+    outcome = integrate(problem, scipy_solver("DOP853", 1e-9, np.inf), GUARD_PAUSE_S, 60.0)
     assert [kind for _, _, kind in outcome.events] == list(run.events["kind"])
     assert error(outcome, exact) < 1e-6
 
@@ -94,7 +94,7 @@ def test_scipy_finds_events_at_its_tolerance(case: CaseB) -> None:
 @pytest.mark.parametrize(("rtol", "allowed"), [(1e-6, 1e-3), (1e-9, 1e-6), (1e-12, 1e-9)])
 def test_compiled_solver_finds_events_at_its_tolerance(case: CaseB, rtol: float, allowed: float) -> None:
     problem, exact, run = case
-    outcome = DormandPrince(problem).follow(rtol, GUARD_PAUSE_S, np.inf)
+    outcome = DormandPrince(problem).integrate(rtol, GUARD_PAUSE_S, np.inf)
     assert [kind for _, _, kind in outcome.events] == list(run.events["kind"])
     np.testing.assert_allclose([t for t, _, _ in outcome.events], run.events["time"], rtol=0, atol=allowed)
     assert error(outcome, exact) < allowed
@@ -170,21 +170,21 @@ def test_irregular_motion_uses_a_nearby_frequency() -> None:
 
 def test_hardest_frequency_is_a_resonance() -> None:
     scene = rig.load("fig9")
-    assert hardest_frequency(scene, assemble(scene)) == pytest.approx(49.0, abs=1.0)
+    assert default_frequency(scene, assemble(scene)) == pytest.approx(49.0, abs=1.0)
 
 
 def test_cost_without_shaker_is_rejected() -> None:
     scene = rig.load("fig10b-three-dampers")
     without_shaker = scene.replace(shaker=None)
     with pytest.raises(SceneError, match="no shaker"):
-        hardest_frequency(without_shaker, assemble(without_shaker))
+        default_frequency(without_shaker, assemble(without_shaker))
 
 
 def test_failing_solver_is_still_listed(case: CaseB, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise RunError("too many events at one instant")
 
-    monkeypatch.setattr(DormandPrince, "follow", fail)
+    monkeypatch.setattr(DormandPrince, "integrate", fail)
     assert {name for name, _, _ in _compiled(case[0], 0.02)} == {"compiled DP5"}
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import rig
 from rig.damper_design.check import scene_with_check
-from rig.damper_design.choice import INSTANTANEOUS, Choice, Trial, landings_from
+from rig.damper_design.choice import INSTANTANEOUS, Choice, Trial, impact_law_of
 from rig.damper_design.request import parse_request
 from rig.errors import SceneError
 
@@ -26,25 +26,25 @@ def with_dampers(*changes: dict[str, Any]) -> rig.Scene:
 def test_new_dampers_have_the_contact_of_the_scene() -> None:
     scene = with_dampers(FINITE_CONTACT, FINITE_CONTACT)
     question, _ = parse_request(scene, bodies=[2], levels=[3.3], band=(48.5, 50.5), watched=[2])
-    assert str(question.landings) == "new dampers land in 4 ms, restitution 0.2: as the scene's"
+    assert str(question.impact_law) == "new dampers land in 4 ms, restitution 0.2: as the scene's"
     choice = Choice((2,), (0.1,), (1e-3,))
     peak = question.worst(choice)
     trial = Trial(choice, (peak,))
     checked = scene_with_check(scene, trial, question)
     assert [(damper.restitution, damper.contact) for damper in checked.dampers] == [(0.2, scene.dampers[0].contact)]
-    instant = replace(question, landings=INSTANTANEOUS)
+    instant = replace(question, impact_law=INSTANTANEOUS)
     assert instant.digest != question.digest and instant.worst(choice).size != pytest.approx(peak.size, rel=1e-3)
 
 
 def test_first_of_different_contacts_is_used() -> None:
-    landings = landings_from(with_dampers(FINITE_CONTACT, {}).dampers)
-    assert (landings.restitution, landings.origin) == (0.2, "as the scene's first; others of it differ")
+    impact_law = impact_law_of(with_dampers(FINITE_CONTACT, {}).dampers)
+    assert (impact_law.restitution, impact_law.origin) == (0.2, "as the scene's first; others of it differ")
     walls = {"contact": {"floor": {"duration": "4 ms"}, "ceiling": {"duration": "1 ms"}}}
-    assert "in 4 ms on floors and 1 ms on ceilings" in str(landings_from(with_dampers(walls).dampers))
-    assert landings_from(()) == INSTANTANEOUS and "at once, restitution 0" in str(INSTANTANEOUS)
+    assert "in 4 ms on floors and 1 ms on ceilings" in str(impact_law_of(with_dampers(walls).dampers))
+    assert impact_law_of(()) == INSTANTANEOUS and "at once, restitution 0" in str(INSTANTANEOUS)
 
 
 def test_contact_by_stiffness_is_rejected() -> None:
     scene = with_dampers({"contact": {"stiffness": "100 kN/m", "damping": "5 N s/m"}})
     with pytest.raises(SceneError, match=r"dampers\[1\]\.contact: .* Give contact: \{duration"):
-        landings_from(scene.dampers)
+        impact_law_of(scene.dampers)

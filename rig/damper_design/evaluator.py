@@ -1,4 +1,4 @@
-"""Worst peaks of candidate designs: computed by workers and stored in a table, so that none is computed twice."""
+"""Evaluation of candidate designs: workers compute the worst peaks, a table stores them for later searches."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from rig.progress import CountProgress
 from rig.study import StoredValues, Study
 from rig.workers import Workers
 
-#: Returns the result of a candidate design if it has been computed.
-Computed = Callable[[Choice], Trial | None]
-#: A question about one structure at one level, and a candidate design.
+#: Returns the peaks of a candidate design, or None if they are not known yet.
+KnownTrials = Callable[[Choice], Trial | None]
+#: A question about one structure at one level (`Question.parts`), and a candidate design.
 Piece = tuple[Question, Choice]
 
 
-class Answers:
-    """Worst peaks of candidate designs, from a table or from workers.
+class Evaluator:
+    """Provider of the worst peaks of candidate designs, from a table or from workers.
 
-    `workers`: compute the designs that are not in the table; `table`: CSV file to which each result is added as soon
-    as it is known, one structure and level per row; `total`: approximate number of pieces. Raises `RunError` if the
-    table cannot be written.
+    `workers`: compute the designs that are not in the table; `table`: CSV file to which each result is added at once,
+    a row for each structure and level; `total`: approximate number of pieces, for `progress`. Raises `RunError` if
+    the table cannot be written.
     """
 
     def __init__(self, workers: Workers, table: Path | None, progress: CountProgress | None, total: int) -> None:
@@ -37,10 +37,11 @@ class Answers:
     def trial(self, question: Question, choice: Choice) -> Trial | None:
         """Return the worst peaks of a design if they are known."""
         peaks = [self._stored.values.get((part.digest, choice)) for part in question.parts]
-        available, levels = [peak for peak in peaks if peak is not None], len(question.levels)
-        if len(available) < len(peaks):
+        known, levels = [peak for peak in peaks if peak is not None], len(question.levels)
+        if len(known) < len(peaks):
             return None
-        return Trial(choice, tuple(max(available[level::levels]) for level in range(levels)))
+        # The parts are ordered by structure, then by level.
+        return Trial(choice, tuple(max(known[level::levels]) for level in range(levels)))
 
     def compute(self, question: Question, choices: Sequence[Choice]) -> list[Trial]:
         """Compute the worst peaks of each design."""
@@ -48,13 +49,13 @@ class Answers:
         return [trials[choice] for choice in choices]
 
     def run_searches(
-        self, question: Question, searches: Sequence[Callable[[Computed], Iterable[Choice]]]
+        self, question: Question, searches: Sequence[Callable[[KnownTrials], Iterable[Choice]]]
     ) -> dict[Choice, Trial]:
         """Compute the designs that several searches need, until all searches are finished.
 
-        `searches`: each returns, from the known results, the designs that it needs: those it has used and those it
-        waits for. It is called again after every result, so that no worker is idle while any search needs a design.
-        Returns trials in the order of the designs.
+        `searches`: functions that return the designs they need, given the known results. A search returns the designs
+        that it has used, and those for which it waits. It is called again after every new result, so that no worker is
+        idle while a search needs a design. Returns the trials, in the order of the designs.
         """
         requested: set[Choice] = set()
         pieces: list[Piece] = []
@@ -83,8 +84,8 @@ class Answers:
         self._stored.sort()
 
 
-def _compute(case: Piece) -> Peak:
-    question, choice = case
+def _compute(piece: Piece) -> Peak:
+    question, choice = piece
     return question.worst(choice)
 
 

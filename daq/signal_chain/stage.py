@@ -12,7 +12,7 @@ from daq.signal_chain.channel import ChannelInfo, Quantity
 from daq.signal_chain.converter import volts_per_count
 from daq.signal_chain.decimation_filter import DELAY, Decimation
 from rig.scene.measurement_chain import Converter
-from rig.scene.quantities import text
+from rig.scene.quantities import si_text
 from rig.scene.quantity_field import quantity_of
 from rig.scene.settings import Settings
 
@@ -75,7 +75,7 @@ def data_sheet(device: str, settings: Settings) -> dict[str, str]:
         parts = (*model_field.metadata, model_field.annotation)
         quantity = next((match for part in parts if (match := quantity_of(part)) is not None), None)
         if isinstance(value, float) and quantity is not None:
-            value = text(value, quantity.kinds[0])
+            value = si_text(value, quantity.kinds[0])
         sheet[f"{device}.{name}"] = str(value)
     return sheet
 

@@ -1,4 +1,4 @@
-"""Names of bodies, and their replacement by the body numbers that the settings store."""
+"""Names of bodies in a scene, and their replacement by the body numbers that the settings store."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from rig.errors import SceneError, suggestion
-from rig.scene.settings import Mistake, Place, at
+from rig.scene.settings import Mistake, Place, value_at
 
 _NAME = re.compile(r"[^\W\d][\w.-]{0,39}")
 #: Words with another meaning in the places where a scene names a body.
@@ -68,7 +68,8 @@ def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistak
             return value
         if names is not None and value in names:
             return names.index(value) + 1
-        if not bodies:  # the mistakes in the structure are reported elsewhere
+        if not bodies:
+            # The structure is invalid, which is reported elsewhere; any number avoids a second message.
             return 1
         mistakes.append(Mistake(place, _unknown_name(value, names, bodies)))
         return value
@@ -85,21 +86,22 @@ def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistak
         mistakes.append(Mistake(place, _unknown_name(name, names, bodies)))
         return value
 
-    def replace_in(part: Any, key: str, read: Any, place: Place) -> Any:
+    def replace_value(part: Any, key: str, replace: Any, place: Place) -> Any:
         if isinstance(part, list | tuple):
-            return [replace_in(item, key, read, (*place, k)) for k, item in enumerate(part)]
+            return [replace_value(item, key, replace, (*place, k)) for k, item in enumerate(part)]
         if not isinstance(part, Mapping) or key not in part:
             return part
-        return {**part, key: read(part[key], (*place, key))}
+        return {**part, key: replace(part[key], (*place, key))}
 
-    readers = {
+    replacements = {
         "dampers": ("body", replace_body),
         "shaker": ("body", replace_body),
         "test": ("body", replace_body),
         "channels": ("at", replace_channel_place),
     }
     replaced = {
-        part: replace_in(value, *readers[part], (part,)) if part in readers else value for part, value in scene.items()
+        part: replace_value(value, *replacements[part], (part,)) if part in replacements else value
+        for part, value in scene.items()
     }
     return replaced, mistakes
 
@@ -111,10 +113,10 @@ def missing_body_message(number: int, bodies: int) -> str:
 
 def _names(structure: Any) -> tuple[list[str] | None, int]:
     """Return the names of the bodies (None if unnamed) and the number of bodies, as far as they are valid."""
-    masses = at(structure, ("masses",))
-    names = list(masses) if isinstance(masses, Mapping) else at(structure, ("names",))
+    masses = value_at(structure, ("masses",))
+    names = list(masses) if isinstance(masses, Mapping) else value_at(structure, ("names",))
     texts = [str(name) for name in names] if isinstance(names, list | tuple) else None
-    lists: tuple[Any, ...] = (masses, at(structure, ("matrices", "mass")), texts)
+    lists: tuple[Any, ...] = (masses, value_at(structure, ("matrices", "mass")), texts)
     lengths = (len(part) for part in lists if hasattr(part, "__len__") and not isinstance(part, str))
     return texts, next(lengths, 0)
 

@@ -1,4 +1,4 @@
-"""Changes made to a scene as it is loaded: `--set test.force=5N` on a command line, a mapping from Python."""
+"""Changes of a scene before its validation: from `--set test.force=5N` on a command line, or a mapping in Python."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d{1,6}\])*)")
 
 @dataclass(frozen=True)
 class Change:
-    """One change to a scene: the key as written, the path to it (positions from 0), and the new value."""
+    """One change of a scene: the key as written, the path to it (positions from 0), and the new value."""
 
     key: str
     steps: Place
     value: Any
-    option: str = ""
-    """The command-line option that requested the change; empty from Python."""
+    option: str = ""  # command-line option of the change; empty from Python
 
     def __str__(self) -> str:
         return shorten(self.option or f"{self.key}={self.value}")
@@ -122,8 +121,8 @@ def _parse_key(key: str, prefix: str = "") -> Place:
         numbers = [] if match is None else [int(n) for n in re.findall(r"\d+", match[2])]
         if match is None or 0 in numbers:
             raise SceneError(
-                f"{prefix}no key {key[:60]!r}; expected one such as test.force, structure.masses[1] (lists count from "
-                "1) or, for every item of a list, dampers.clearance"
+                f"{prefix}no key {key[:60]!r}; expected a key such as test.force, structure.masses[1] (lists count "
+                "from 1) or, for every item of a list, dampers.clearance"
             )
         steps += [match[1], *(n - 1 for n in numbers)]
     return tuple(steps)

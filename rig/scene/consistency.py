@@ -1,7 +1,6 @@
-"""References between the parts of a scene: whether a named body, shaker or channel exists.
+"""Checks of references between the parts of a scene: whether a body, shaker or channel exists that another part names.
 
-Each check compares a part with the parts above it in `Scene`. `valid` contains those parts, except parts with
-mistakes of their own.
+Each check compares a part with the parts above it in `Scene`. `valid` contains the valid parts among these, by key.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from pydantic import AfterValidator, ValidationInfo
 from rig.scene.body_names import missing_body_message
 from rig.scene.excitation import Free, Impulse, Sine, SteppedSine
 from rig.scene.measurement_chain import Channel, Converter
-from rig.scene.settings import Mistake, Place, report
+from rig.scene.settings import Mistake, Place, combined_error
 from rig.scene.shaker import ForceShaker, Shaker, at_shaker
 
 if TYPE_CHECKING:
@@ -57,20 +56,20 @@ def _check_initial_state(test: Free, valid: ValidParts) -> Iterable[Mistake]:
 
 
 def _check_driven_shaker(test: Any, shakers: tuple[Shaker, ...]) -> Iterable[Mistake]:
-    count, number, also = len(shakers), test.shaker or 1, getattr(test, "also", None) or ()
+    count, number, other_numbers = len(shakers), test.shaker or 1, getattr(test, "also", None) or ()
     if not shakers:
-        message = f"{test.kind} requires a shaker; expected a shaker in the scene"
+        message = f"{test.kind} requires a shaker. Add a shaker to the scene."
         yield Mistake(("kind",), message, absent="shaker")
     elif count > 1 and test.shaker is None:
         yield Mistake((), f"shaker missing; expected shaker: with the number of the driven shaker, 1 to {count}")
     elif number > count:
         yield Mistake(("shaker",), f"shaker {number} of {count}; expected 1 to {count}")
-    elif any(other > count for other in also):
+    elif any(other > count for other in other_numbers):
         yield Mistake(("also",), f"names a shaker that does not exist; expected numbers up to {count}")
-    elif len({test.shaker, *also}) <= len(also):
+    elif len({test.shaker, *other_numbers}) <= len(other_numbers):
         yield Mistake(("also",), "names a shaker twice; expected the shakers other than test: shaker, each once")
     elif isinstance(shakers[number - 1], ForceShaker) and test.drive is not None:
-        yield Mistake(("drive",), "a shaker of kind force is driven by its force; expected force instead")
+        yield Mistake(("drive",), "a shaker of kind force is driven by its force. Give force instead.")
 
 
 def _check_channel(channel: Channel, valid: ValidParts) -> Iterable[Mistake]:
@@ -97,7 +96,7 @@ def _check_channels(channels: tuple[Channel, ...] | None, valid: ValidParts) -> 
 def _check_place_at_shaker(
     channel: Channel, shakers: tuple[Shaker, ...], test: Test | None, place: Place
 ) -> Iterable[Mistake]:
-    """Check that the shaker measured by a channel exists and provides the measured quantity."""
+    """Check that the shaker at which a channel measures exists and provides the measured quantity."""
     kind, count = channel.place_kind, len(shakers)
     if count > 1 and channel.number is None:
         names = ", ".join(at_shaker(kind, number, count) for number in range(1, count + 1))
@@ -114,7 +113,7 @@ def _check_place_at_shaker(
         message = "there is no table; expected a body, or a shaker of kind table or electrodynamic"
         yield Mistake(place, message, absent)
     elif kind == "drive" and shaker is None:
-        yield Mistake(place, "there is no drive; expected a shaker in the scene", absent)
+        yield Mistake(place, "there is no drive. Add a shaker to the scene.", absent)
     elif kind == "shaker" and shaker is None:
         message = "there is no shaker; expected a body, or a shaker of kind force in the scene"
         yield Mistake(place, message, absent)
@@ -138,7 +137,7 @@ def _check_converter(converter: Converter, valid: ValidParts) -> Iterable[Mistak
 def _check_recording(recording: RecordingSettings, valid: ValidParts) -> Iterable[Mistake]:
     converter = valid.get("converter")
     if converter is not None and recording.samples == "counts" and not (converter.bits or converter.preset):
-        yield Mistake(("samples",), "counts require a converter with bits; expected bits in converter")
+        yield Mistake(("samples",), "counts require a converter with bits. Add bits to converter.")
 
 
 Check = Callable[[Any, ValidParts], Iterable[Mistake]]
@@ -150,7 +149,7 @@ def _validator(check: Check) -> AfterValidator:
     def validate(part: Any, info: ValidationInfo) -> Any:
         mistakes = list(check(part, info.data))
         if mistakes:
-            raise report("references", mistakes)
+            raise combined_error("references", mistakes)
         return part
 
     return AfterValidator(validate)
@@ -174,8 +173,8 @@ def check_frequency(test: Test | None, converter: Converter) -> Iterable[Mistake
     if frequency >= rate / 2:
         yield Mistake(
             place,
-            f"{frequency:.6g} Hz at {rate:.6g} samples a second; expected less than half of that, "
-            f"{rate / 2:.6g} Hz, or a higher converter: rate",
+            f"{frequency:.6g} Hz at {rate:.6g} samples a second; expected less than half the rate, {rate / 2:.6g} Hz. "
+            "Lower the frequency, or raise converter: rate.",
         )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Annotated, ClassVar
 
 from rig.scene.quantities import DASHPOT, DENSITY, LENGTH, MASS, MODULUS, RATIO, STIFFNESS, TIME
-from rig.scene.quantity_field import Quantity, expectation
+from rig.scene.quantity_field import Quantity, unexpected_value_message
 from rig.scene.settings import Alternatives, Mistake, Settings, by_key
 from rig.scene.shaker import Body
 
@@ -15,7 +15,8 @@ class Landing(Settings):
     """A wall with a given duration of contact; the damper's restitution sets the rebound speed."""
 
     duration: Annotated[float, Quantity(TIME, above=0.0)]
-    """Contact time without other forces [s], touch to release; without loss, half the period of damper on body."""
+    """Time from touch to release without other forces [s]; without loss, half a period of the damper on the wall's
+    spring."""
 
 
 class SpringDamper(Settings):
@@ -81,7 +82,9 @@ class Grains(Settings):
     def relations(self) -> Iterable[Mistake]:
         """Check that a grain fits into the cavity."""
         if self.diameter * (1.0 + self.spread) > self.cavity:
-            yield Mistake(("cavity",), expectation(f"{self.cavity:g} m", "at least the largest grain's diameter"))
+            yield Mistake(
+                ("cavity",), unexpected_value_message(f"{self.cavity:g} m", "at least the largest grain's diameter")
+            )
 
 
 class Damper(Settings):
@@ -113,14 +116,14 @@ class Damper(Settings):
     def relations(self) -> Iterable[Mistake]:
         """Check that the restitution is given once, and that the bed is either one mass or grains."""
         if self.grains is not None and self.restitution:
-            yield Mistake(("restitution",), "given together with grains; expected the key in grains, for each grain")
+            yield Mistake(("restitution",), "given together with grains. Move it into grains.")
         if self.grains is not None and self.contact is not None:
             yield Mistake(
-                ("contact",), "given together with grains, which have their own contact; expected one of the two"
+                ("contact",), "given together with grains, which have their own contact. Remove one of the two."
             )
         has_landing = any(isinstance(wall, Landing) for wall in walls_of(self.contact))
         if self.restitution and self.contact is not None and not has_landing:
             yield Mistake(
                 ("restitution",),
-                "given together with stiffness and damping, which determine it; expected contact: duration",
+                "given together with stiffness and damping, which determine it. Remove it, or give contact: duration.",
             )

@@ -1,4 +1,4 @@
-"""Data sheets of common sensors and modules, which a scene names as `preset`."""
+"""Data sheets of common sensors, shakers and converter modules, which a scene names as `preset`."""
 
 from __future__ import annotations
 

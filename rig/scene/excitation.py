@@ -25,8 +25,8 @@ ShakerNumber = Annotated[int, Field(ge=1)]
 Start = Annotated[
     Literal["settled", "empty"],
     Field(
-        description="Where the motion starts, at rest with the dampers on their floors: in static equilibrium, or "
-        "at x = 0, the equilibrium of the empty structure, their weight not yet felt."
+        description="Initial position, at rest with the dampers on their floors. settled: static equilibrium; empty: "
+        "x = 0, the equilibrium of the structure without dampers."
     ),
 ]
 Spacing = Literal["linear", "log"]
@@ -49,11 +49,11 @@ class Sine(Settings):
     """Amplitude of the spring force, held by the controller; with a shaker of kind force, of the force itself
     [N]."""
     drive: Drive | None = None
-    """Instead of `force`: amplitude of the drive, open loop [V or m, as the shaker's kind takes]."""
+    """Instead of `force`: amplitude of the drive, open loop [V, or m for a table shaker]."""
     shaker: ShakerNumber | None = None
     """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
     duration: Duration = 2.0
-    """Time [s]."""
+    """Duration of the test [s]."""
 
 
 class Settle(Settings):
@@ -94,8 +94,8 @@ class SteppedSine(Settings):
     """Amplitude of the spring force, held by the controller; with a shaker of kind force, of the force itself
     [N]. Several levels are run one after another."""
     drive: Drives | None = None
-    """Instead of `force`: amplitude of the drive, open loop [V or m, as the shaker's kind takes]. Several levels are
-    run one after another."""
+    """Instead of `force`: amplitude of the drive, open loop [V, or m for a table shaker]. Several levels are run one
+    after another."""
     shaker: ShakerNumber | None = None
     """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
     settle: Settle = Settle()
@@ -104,10 +104,10 @@ class SteppedSine(Settings):
     """Measurement time of a step in steady state."""
 
     def relations(self) -> Iterable[Mistake]:
-        """Check the range, or the list of frequencies."""
+        """Check the range or the list of frequencies."""
         if self.frequencies is not None:
             if self.from_ is not None or self.to is not None:
-                yield Mistake((), "frequencies and from/to given together; expected one or the other")
+                yield Mistake((), "frequencies and from/to given together. Remove one of the two.")
             if any(b <= a for a, b in zip(self.frequencies, self.frequencies[1:], strict=False)):
                 yield Mistake(
                     ("frequencies",), "not ascending. List them from low to high; direction: down reverses them."
@@ -165,7 +165,7 @@ class SweptSine(Settings):
     """Amplitude of the spring force, held by the controller; with a shaker of kind force, of the force itself
     [N]."""
     drive: Drive | None = None
-    """Instead of `force`: amplitude of the drive, open loop [V or m, as the shaker's kind takes]."""
+    """Instead of `force`: amplitude of the drive, open loop [V, or m for a table shaker]."""
     shaker: ShakerNumber | None = None
     """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
 
@@ -186,13 +186,13 @@ class Random(Settings):
     to: Frequency
     """Upper end of the band [Hz]."""
     duration: Duration
-    """Time [s]."""
+    """Duration of the test [s]."""
     burst: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] | None = None
     """Fraction of each block during which the noise is on, above 0 and below 1; None: always on."""
     force: Force | None = None
     """Root mean square of the spring force; with a shaker of kind force, of the force itself [N]."""
     drive: Drive | None = None
-    """Instead of `force`: root mean square of the drive [V or m, as the shaker's kind takes]."""
+    """Instead of `force`: root mean square of the drive [V, or m for a table shaker]."""
     shaker: ShakerNumber | None = None
     """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
     also: Annotated[tuple[ShakerNumber, ...], Field(min_length=1)] | None = None
@@ -224,7 +224,7 @@ class Multisine(Settings):
     force: Force | None = None
     """Root mean square of the spring force; with a shaker of kind force, of the force itself [N]."""
     drive: Drive | None = None
-    """Instead of `force`: root mean square of the drive [V or m, as the shaker's kind takes]."""
+    """Instead of `force`: root mean square of the drive [V, or m for a table shaker]."""
     shaker: ShakerNumber | None = None
     """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
     also: Annotated[tuple[ShakerNumber, ...], Field(min_length=1)] | None = None
@@ -240,7 +240,7 @@ class Multisine(Settings):
         """Check the band."""
         yield from check_band(self.from_, self.to)
         if self.period is not None and math.floor(self.to * self.period) < math.ceil(self.from_ * self.period):
-            yield Mistake(("period",), "too short; no multiple of its inverse lies between from and to")
+            yield Mistake(("period",), "no multiple of its reciprocal lies between from and to. Give a longer period.")
 
 
 def check_band(first: float, last: float) -> Iterable[Mistake]:
@@ -281,11 +281,17 @@ class Impulse(Settings):
     def relations(self) -> Iterable[Mistake]:
         """Check that pulses do not overlap."""
         if self.width >= self.interval:
-            yield Mistake(("width",), "not shorter than the interval between hits")
+            yield Mistake(
+                ("width",), "not shorter than the interval between hits. Give a shorter width or a longer interval."
+            )
         if self.double_hit is None:
             return
         if self.double_hit.after < self.width or self.double_hit.after + self.width >= self.interval:
-            yield Mistake(("double_hit", "after"), "does not lie between the pulse's width and the next hit")
+            yield Mistake(
+                ("double_hit", "after"),
+                "does not lie between the end of the first pulse and the next hit. Give at least "
+                f"{self.width:g} s and less than {self.interval - self.width:g} s, or a longer interval.",
+            )
         for k, hit in enumerate(self.double_hit.hits or ()):
             if hit > self.repeats:
                 yield Mistake(("double_hit", "hits", k), f"hit {hit} of {self.repeats}; expected one of the repeats")
@@ -303,9 +309,9 @@ class Free(Settings):
     mode: Annotated[int, Field(ge=1)] | None = None
     """Instead of these: number of the mode whose shape is the initial displacement, from 1."""
     amplitude: Annotated[float, Quantity(LENGTH, above=0.0)] | None = None
-    """Largest element of that shape [m]."""
+    """Largest initial displacement of that mode shape [m]."""
     duration: Duration = 6.0
-    """Time [s]."""
+    """Duration of the test [s]."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check that the initial state is given in exactly one form."""

@@ -1,4 +1,4 @@
-"""Loading of scene files: search, reading and checks, with all mistakes reported together."""
+"""Loading of scenes from files, texts and mappings: search, reading and checks; all mistakes are reported together."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pydantic import ValidationError
 
 from rig.errors import SceneError, SceneWarning
 from rig.scene.changes import Change, parse_changes, parse_options
-from rig.scene.doubtful_units import improbable_values
 from rig.scene.matrices import FOLDER
+from rig.scene.missing_units import improbable_values
 from rig.scene.scene import Scene
 from rig.scene.scene_files import find_scene, read_text
 from rig.scene.settings import Mistake, Place, describe, dotted, mistakes_of
@@ -69,7 +69,7 @@ def load_with_options(scene: str, settings: Iterable[str]) -> Scene:
 
 
 def scene_of(scene: SceneLike) -> Scene:
-    """Return an argument that is a scene, or load the scene from it."""
+    """Load a scene from an argument; a `Scene` is returned unchanged."""
     return load(scene)
 
 

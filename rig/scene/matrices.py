@@ -88,7 +88,9 @@ class Matrices(Settings):
                 location = f"rows and columns {row + 1} and {column + 1}"
                 yield Mistake((key,), f"not symmetric ({values} in {location}); expected a symmetric matrix")
         if not positive_definite(mass):
-            yield Mistake(("mass",), "not positive definite; expected kinetic energy in every motion")
+            yield Mistake(
+                ("mass",), "not positive definite; expected a mass matrix with kinetic energy in every motion"
+            )
 
     def _check_definiteness(self) -> Iterable[Mistake]:
         mass, stiffness = np.array(self.mass), np.array(self.stiffness)
@@ -110,7 +112,7 @@ class Matrices(Settings):
 
 
 def asymmetry(matrix: NDArray[np.float64]) -> tuple[int, int] | None:
-    """Return the indices of the most asymmetric element pair of a matrix (n, n), None if it is symmetric."""
+    """Return the indices of the most asymmetric pair of elements of a matrix (n, n), None if it is symmetric."""
     difference = np.abs(matrix - matrix.T)
     row, column = np.unravel_index(int(np.argmax(difference)), matrix.shape)
     if difference[row, column] <= MAX_ASYMMETRY * np.abs(matrix).max():
@@ -160,7 +162,7 @@ def _from_file(name: str | Path, folder: Path | None) -> NDArray[Any]:
         raise validation_error(f"got {format_value(str(name))}; expected rows of numbers or the name of a .npy file")
     if folder is None:
         raise validation_error(
-            f"got {format_value(str(name))}; a .npy file needs a scene file next to it, expected rows of numbers here"
+            f"got {format_value(str(name))}; a .npy file needs a scene file next to it. Give rows of numbers."
         )
     path = folder / name
     if path.exists() and not path.is_file():
@@ -173,7 +175,9 @@ def _from_file(name: str | Path, folder: Path | None) -> NDArray[Any]:
     except Exception as error:
         # A damaged file can cause an exception of almost any type in the reader.
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise validation_error(f"{path} cannot be read as .npy ({reason})") from None
+        raise validation_error(
+            f"{path} cannot be read as .npy ({reason}). Save the matrix again, with numpy.save."
+        ) from None
     if not isinstance(mapped, np.ndarray):
         raise validation_error(f"{path} is an archive of arrays (.npz); expected one array (.npy)")
     if mapped.ndim != 2 or max(mapped.shape) > MAX_BODIES:

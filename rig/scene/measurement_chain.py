@@ -33,7 +33,7 @@ from rig.scene.quantities import (
     Kind,
 )
 from rig.scene.quantity_field import Quantity
-from rig.scene.settings import Mistake, Place, Settings, at
+from rig.scene.settings import Mistake, Place, Settings, value_at
 
 Corner = Annotated[float, Quantity(FREQUENCY, above=0.0)]
 Tolerance = Annotated[float, Quantity(RATIO, at_least=0.0, below=1.0)]
@@ -101,7 +101,7 @@ class Accelerometer(Settings):
         yield from check_preset(self.preset, "accelerometer")
         for key, other in self.needs.items():
             if self.preset is None and getattr(self, key) is not None and getattr(self, other) is None:
-                yield Mistake((key,), f"given without {other}, which it requires")
+                yield Mistake((key,), f"given without {other}. Add {other}, or remove {key}.")
 
 
 class Integrator(Settings):
@@ -182,9 +182,9 @@ class Channel(Settings):
     """Supply current of the sensor at this input [A], 0: none; None: as the converter."""
 
     @classmethod
-    def kind_by_neighbors(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
+    def kinds_from_other_keys(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
         """Return the measured quantity as the kind of the limits."""
-        kind = {"1": VELOCITY, "2": LENGTH}.get(str(at(content, ("integrator", "order"))), ACCELERATION)
+        kind = {"1": VELOCITY, "2": LENGTH}.get(str(value_at(content, ("integrator", "order"))), ACCELERATION)
         place = str(content.get("at")).partition(" ")[0]
         kind = FORCE if place in FORCE_PLACES else VOLTAGE if place == VOLTAGE_PLACE else kind
         return {("alarm",): kind, ("abort",): kind}
@@ -194,7 +194,7 @@ class Channel(Settings):
         if self.measures_voltage:
             for key in ("accelerometer", "integrator", "hammer"):
                 if getattr(self, key) is not None:
-                    yield Mistake((key,), "given at the drive; expected no sensor, because the signal is a voltage")
+                    yield Mistake((key,), "given at the drive, where the signal is a voltage. Remove it.")
         elif self.measures_force:
             for key in ("accelerometer", "integrator"):
                 if getattr(self, key) is not None:
@@ -239,7 +239,7 @@ class DroppedBlock(Settings):
 
 
 class Converter(Settings):
-    """The analogue-to-digital converter and its clock, common to all channels."""
+    """The analog-to-digital converter and its clock, common to all channels."""
 
     preset: Preset | None = None
     """Name of a module whose datasheet supplies the values not given here."""
@@ -285,9 +285,9 @@ class Converter(Settings):
             yield from self._check_rate()
             yield from self._check_sampling()
         if self.bits is not None and self.range is None and self.preset is None:
-            yield Mistake(("bits",), "given without range, the voltage at full scale such as 5 V")
+            yield Mistake(("bits",), "given without range. Add range, the voltage at full scale, such as 5 V.")
         if self.ac_corner is not None and self.coupling != "AC" and self.preset is None:
-            yield Mistake(("ac_corner",), "given without coupling: AC")
+            yield Mistake(("ac_corner",), "given without coupling: AC. Add it, or remove ac_corner.")
         if self.clock_error is not None and abs(self.clock_error) >= 0.1:
             yield Mistake(("clock_error",), f"got {self.clock_error}; expected a small ratio such as 20 ppm")
 
@@ -329,7 +329,7 @@ class RecordingSettings(Settings):
     """Content of the recording in addition to the channels."""
 
     display: bool = True
-    """Whether to record decimated channels for plots without configuration."""
+    """Whether to record decimated channels, which a viewer plots without configuration."""
     truth: bool = False
     """Whether to record the true motion, in separate topics."""
     samples: Literal["float64", "float32", "counts"] | None = None

@@ -43,13 +43,13 @@ class Rates:
     ----------
     slowest, fastest : float
         Hz.
-    ladder : tuple of float
-        All rates in ascending order, if whole numbers divide the clock; empty: any rate between the limits.
+    available : tuple of float
+        All rates in ascending order, if they are the clock divided by whole numbers; empty: any rate within limits.
     """
 
     slowest: float
     fastest: float
-    ladder: tuple[float, ...] = ()
+    available: tuple[float, ...] = ()
 
     def at_least(self, rate: float) -> float:
         """Return the rate that the clock generates for a request: the lowest rate not below it.
@@ -60,11 +60,11 @@ class Rates:
             If the request is not positive or exceeds the fastest rate.
         """
         # Tolerate a request that was rounded to a few digits.
-        lowest = rate * (1.0 - 1e-4)
-        if not 0.0 < lowest <= self.fastest:
+        min_rate = rate * (1.0 - 1e-4)
+        if not 0.0 < min_rate <= self.fastest:
             raise SceneError(f"got {rate:g} Hz; expected {self.slowest:g} to {self.fastest:g} Hz")
-        if self.ladder:
-            return self.ladder[bisect_left(self.ladder, lowest)]
+        if self.available:
+            return self.available[bisect_left(self.available, min_rate)]
         return min(max(rate, self.slowest), self.fastest)
 
 
@@ -204,8 +204,8 @@ def _rates(facts: dict[str, Any]) -> Rates:
         return Rates(parse(facts["slowest"], FREQUENCY), parse(facts["fastest"], FREQUENCY))
     clock = parse(facts["clock"], FREQUENCY)
     divisors = {prod(factors) for factors in product(*map(_factors, facts["divided_by"]))}
-    ladder = tuple(sorted(clock / divisor for divisor in divisors))
-    return Rates(ladder[0], ladder[-1], ladder)
+    available = tuple(sorted(clock / divisor for divisor in divisors))
+    return Rates(available[0], available[-1], available)
 
 
 def _factors(divisors: int | list[int] | dict[str, int]) -> Sequence[int]:

@@ -39,7 +39,7 @@ def complete_from_preset(settings: Device) -> Device:
 
 
 def preset_note(settings: Accelerometer | Hammer | None, key: str) -> str:
-    """Describe the preset and source of a figure; an empty string if the scene gives the figure.
+    """Describe the preset and source of a value; an empty string if the scene gives the value.
 
     >>> preset_note(Accelerometer(preset="PCB 352C33"), "saturation")
     ' by preset PCB 352C33, from no source'

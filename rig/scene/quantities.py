@@ -199,8 +199,8 @@ def number(value: float | str | None, kind: Kind, name: str) -> float | None:
     try:
         return parse(value, kind)
     except ValueError as error:
-        expectation = suggest_decimal_point(value, [kind]) or f"{kind.noun} such as {kind.example}"
-        raise SceneError(f"{name}: {error}; expected {expectation}") from None
+        expected = suggest_decimal_point(value, [kind]) or f"{kind.noun} such as {kind.example}"
+        raise SceneError(f"{name}: {error}; expected {expected}") from None
 
 
 def ascending_pair(values: ArrayLike, kind: Kind, name: str) -> tuple[float, float]:
@@ -253,7 +253,7 @@ def positive_value(value: ArrayLike, kind: Kind, name: str) -> float:
 
 
 def count(value: SupportsIndex, minimum: int, name: str) -> int:
-    """Return an argument that is a number of things.
+    """Return an argument that is a count, as an integer.
 
     Raises `SceneError` if it is not a whole number or is below the minimum; the message begins with its name.
 
@@ -261,18 +261,18 @@ def count(value: SupportsIndex, minimum: int, name: str) -> int:
     48
     """
     try:
-        whole = index(value)
+        number_of_items = index(value)
     except TypeError:
-        whole = minimum - 1
-    if whole < minimum:
+        number_of_items = minimum - 1
+    if number_of_items < minimum:
         raise SceneError(f"{name}: got {value!r}; expected a whole number of at least {minimum}")
-    return whole
+    return number_of_items
 
 
-def text(value: float, kind: Kind) -> str:
+def si_text(value: float, kind: Kind) -> str:
     """Write a quantity so that `parse` returns the identical double.
 
-    >>> text(0.00098, LENGTH)
+    >>> si_text(0.00098, LENGTH)
     '0.00098 m'
     """
     number = repr(value) if math.isfinite(value) else ".inf" if value > 0 else "-.inf"
@@ -303,7 +303,7 @@ def shortest_spelling(value: float, kind: Kind, previous: str | None = None) -> 
             match = _NUMBER.fullmatch(spelling)
             units = [match.group(2).strip()] if match else units
     if not math.isfinite(value):
-        return text(value, kind).split(" ")[0]
+        return si_text(value, kind).split(" ")[0]
     texts = [_shortest_decimal(value, unit, kind) for unit in units]
     return min(texts, key=_spelling_rank)
 

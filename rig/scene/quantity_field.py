@@ -17,7 +17,7 @@ class Quantity:
     Parameters
     ----------
     kinds : Kind
-        Allowed kinds. With several, another key decides (`Settings.kind_by_neighbors`).
+        Allowed kinds. With several, another key decides (`Settings.kinds_from_other_keys`).
     above, at_least, below : float
         Bounds, in SI.
     infinite : bool
@@ -112,7 +112,7 @@ def quantity_of(annotation: Any) -> Quantity | None:
 
 
 def format_value(value: Any) -> str:
-    """Return the start of a message with the value as given in a scene, shortened if long."""
+    """Return a value as given in a scene for a message, shortened if long."""
     if value is None:
         return "nothing"
     if isinstance(value, dict):
@@ -128,10 +128,10 @@ def shorten(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def expectation(value: Any, expected: str) -> str:
+def unexpected_value_message(value: Any, expected: str) -> str:
     """Return the message for an unexpected value.
 
-    >>> expectation("0.98 kg", "a length such as 0.98 mm")
+    >>> unexpected_value_message("0.98 kg", "a length such as 0.98 mm")
     'got "0.98 kg"; expected a length such as 0.98 mm'
     """
     return f"got {format_value(value)}; expected {expected}"
@@ -151,4 +151,4 @@ def printable(text: str) -> str:
 
 def unexpected_value_error(value: Any, expected: str) -> PydanticCustomError:
     """Return the pydantic error for a value that is not as expected."""
-    return validation_error(expectation(value, expected))
+    return validation_error(unexpected_value_message(value, expected))

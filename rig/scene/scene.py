@@ -14,7 +14,7 @@ from rig.scene.excitation import Test
 from rig.scene.measurement_chain import Channel, Converter, RecordingSettings
 from rig.scene.quantities import ACCELERATION, FORCE, LENGTH, VOLTAGE, Kind
 from rig.scene.quantity_field import Quantity, printable
-from rig.scene.settings import Mistake, Place, Settings, at
+from rig.scene.settings import Mistake, Place, Settings, value_at
 from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, Shakers, TableShaker, at_shaker
 from rig.scene.structure import Structure
 
@@ -43,7 +43,7 @@ class Scene(Settings):
     )
     """Measured signals and their places. None: ideal acceleration of every body and the table."""
     converter: Annotated[Converter, consistency.CONVERTER] = Converter()
-    """The analogue-to-digital converter and its clock; by default ideal, at 5120 Hz."""
+    """The analog-to-digital converter and its clock; by default ideal, at 5120 Hz."""
     recording: Annotated[RecordingSettings, consistency.RECORDING] = RecordingSettings()
     """Content of the recording in addition to the channels."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
@@ -55,14 +55,14 @@ class Scene(Settings):
         return replace_names(content)
 
     @classmethod
-    def kind_by_neighbors(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
-        """Return the drive's kind, in the unit of the shaker's input."""
+    def kinds_from_other_keys(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
+        """Return the kind of the drive, which depends on the kind of the driven shaker."""
         kinds = {"table": LENGTH, "electrodynamic": VOLTAGE, "force": FORCE}
-        shaker, number = content.get("shaker"), str(at(content, ("test", "shaker")))
+        shaker, number = content.get("shaker"), str(value_at(content, ("test", "shaker")))
         if isinstance(shaker, list | tuple):
-            chosen = int(number) if number.isdecimal() else 0
-            shaker = shaker[chosen - 1] if 0 < chosen <= len(shaker) else None
-        kind = kinds.get(str(at(shaker, ("kind",))))
+            driven = int(number) if number.isdecimal() else 0
+            shaker = shaker[driven - 1] if 0 < driven <= len(shaker) else None
+        kind = kinds.get(str(value_at(shaker, ("kind",))))
         return {} if kind is None else {("test", "drive"): kind}
 
     @property

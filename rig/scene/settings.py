@@ -1,7 +1,7 @@
-"""Base classes of a scene's settings: frozen models that report all their mistakes together.
+"""Base classes of a scene's settings: frozen pydantic models that report all their mistakes together.
 
-A mistake has a place (a tuple of keys and 0-based positions) and a message with the given value and the expected
-value. `rig.scene.loading` converts the place to a line of the file.
+A mistake has a place, a tuple of keys and positions from 0 such as ("dampers", 1, "clearance"), and a message with
+the given value and the expected value. `rig.scene.loading` converts the place to a line of the file.
 """
 
 from __future__ import annotations
@@ -30,7 +30,13 @@ from pydantic_core import CoreSchema, InitErrorDetails, core_schema
 
 from rig.errors import SceneError, suggestion
 from rig.scene.quantities import Kind, parse
-from rig.scene.quantity_field import Quantity, expectation, quantity_of, unexpected_value_error, validation_error
+from rig.scene.quantity_field import (
+    Quantity,
+    quantity_of,
+    unexpected_value_error,
+    unexpected_value_message,
+    validation_error,
+)
 
 Place = tuple[int | str, ...]
 
@@ -41,8 +47,7 @@ class Mistake:
 
     place: Place
     message: str
-    #: Key of the missing part that causes the mistake, if any. The mistake is not reported if that key is misspelt.
-    absent: str = ""
+    absent: str = ""  # key of the missing part that causes the mistake; it is not reported if that key is misspelt
 
 
 def mistakes_of(error: ValidationError) -> list[Mistake]:
@@ -72,7 +77,7 @@ def dotted(place: Place) -> str:
     return "".join(f"[{key + 1}]" if isinstance(key, int) else f".{key[:60]}" for key in place).lstrip(".")
 
 
-def report(title: str, mistakes: Iterable[Mistake]) -> ValidationError:
+def combined_error(title: str, mistakes: Iterable[Mistake]) -> ValidationError:
     """Combine several mistakes into one pydantic error."""
     details = [
         InitErrorDetails(type=validation_error(item.message, item.absent), loc=item.place, input=None)
@@ -138,12 +143,12 @@ class Settings(_Model):
         return ()
 
     @classmethod
-    def kind_by_neighbors(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
-        """Return the required kind of each quantity, by place, that depends on other keys."""
+    def kinds_from_other_keys(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
+        """Return the required kind of the quantities whose kind depends on other keys, by place."""
         return {}
 
     def forget_spelling(self) -> None:
-        """Discard the user's spelling and treat default values as not given, as in a recording."""
+        """Discard the user's spelling and treat default values as not given: a recording does not contain them."""
         self.__dict__.pop("written", None)
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)
@@ -160,7 +165,7 @@ class Settings(_Model):
 
     @classmethod
     def place_as_given(cls, place: Place, content: Mapping[str, Any]) -> Place:
-        """Return the place in the given content that corresponds to a place among the fields."""
+        """Convert a place in the prepared content to the place in the given content; the inverse of `prepare`."""
         return place
 
     @classmethod
@@ -194,7 +199,7 @@ class Settings(_Model):
             settings = cls._validate_all(prepared, handler, mistakes)
         except ValidationError as error:
             mistakes = mistakes_of(error)
-            raise report(
+            raise combined_error(
                 cls.__name__, [Mistake(cls.place_as_given(item.place, data), item.message) for item in mistakes]
             ) from None
         texts = {name: prepared.get(key, prepared.get(name)) for name, key in _quantities(cls).items()}
@@ -217,7 +222,7 @@ class Settings(_Model):
         if settings is not None and not mistakes:
             mistakes = list(settings.relations())
         if mistakes or settings is None:
-            raise report(cls.__name__, mistakes)
+            raise combined_error(cls.__name__, mistakes)
         return settings
 
     @classmethod
@@ -243,9 +248,9 @@ class Settings(_Model):
         if item["type"] == "missing" and len(place) == 1:
             return Mistake(place, f"missing; expected {cls._expected_value(str(place[0]))}")
         if item["type"] == "model_type" and not place:
-            return Mistake(place, expectation(value, f"keys such as {', '.join(cls.keys()[:4])}"))
+            return Mistake(place, unexpected_value_message(value, f"keys such as {', '.join(cls.keys()[:4])}"))
         if item["type"] == "string_pattern_mismatch" and len(place) == 1:
-            return Mistake(place, expectation(value, cls._expected_value(str(place[0]))))
+            return Mistake(place, unexpected_value_message(value, cls._expected_value(str(place[0]))))
         return Mistake(place, _message(item))
 
     @classmethod
@@ -269,15 +274,15 @@ class Settings(_Model):
 
     @classmethod
     def _wrong_kinds(cls, data: Mapping[str, Any], known_places: set[Place]) -> Iterable[Mistake]:
-        for place, kind in cls.kind_by_neighbors(data).items():
-            values = at(data, place)
+        for place, kind in cls.kinds_from_other_keys(data).items():
+            values = value_at(data, place)
             for value in values if isinstance(values, list | tuple) else [values]:
                 if not isinstance(value, str) or place in known_places:
                     continue
                 try:
                     parse(value, kind)
                 except ValueError:
-                    yield Mistake(place, expectation(value, f"{kind.noun} such as {kind.example}"))
+                    yield Mistake(place, unexpected_value_message(value, f"{kind.noun} such as {kind.example}"))
 
 
 @cache
@@ -294,7 +299,7 @@ def descriptions(cls: type[Settings]) -> dict[str, str]:
     return texts
 
 
-def at(data: Any, place: Place) -> Any:
+def value_at(data: Any, place: Place) -> Any:
     """Return the value at a place, in settings or plain mappings; None if there is no value."""
     for key in place:
         data = data.get(key) if isinstance(data, Mapping) else getattr(data, str(key), None)
@@ -359,7 +364,7 @@ def _message(item: Any) -> str:
         "literal_error": f"one of {str(context.get('expected')).replace(chr(39), '')}",
         "tuple_type": "a list",
     }.get(item["type"])
-    return expectation(item["input"], expected_value) if expected_value else str(item["msg"])
+    return unexpected_value_message(item["input"], expected_value) if expected_value else str(item["msg"])
 
 
 Classes = tuple[type[Settings], ...]
@@ -387,7 +392,7 @@ class Alternatives:
                 return chosen.model_validate(value)
             except ValidationError as error:
                 mistakes = [_name_other_kinds(wrong, chosen, classes) for wrong in mistakes_of(error)]
-                raise report(chosen.__name__, mistakes) from None
+                raise combined_error(chosen.__name__, mistakes) from None
 
         return core_schema.no_info_wrap_validator_function(read, handler(source))
 
@@ -402,10 +407,11 @@ def _name_other_kinds(mistake: Mistake, chosen: type[Settings], classes: Classes
     ]
     if key in own_keys or not kinds:
         return mistake
+    given_kind = chosen.model_fields["kind"].default
     return Mistake(
         mistake.place,
-        f"unknown key {key!r} for kind {chosen.model_fields['kind'].default}, which has {', '.join(own_keys)}; the key "
-        f"belongs to {', '.join(kinds)}",
+        f"unknown key {key!r} for kind {given_kind}, which has {', '.join(own_keys)}. Remove the key, or give kind: "
+        f"{' or '.join(kinds)}.",
     )
 
 
@@ -433,7 +439,7 @@ class OneOrSeveral:
             except ValidationError as error:
                 mistakes += [Mistake((k, *item.place), item.message) for item in mistakes_of(error)]
         if mistakes:
-            raise report("list", mistakes)
+            raise combined_error("list", mistakes)
         return tuple(settings)
 
 
@@ -445,8 +451,10 @@ def by_kind(content: Mapping[str, Any], classes: Classes) -> type[Settings]:
         return kinds[kind]
     names = f"one of {', '.join(kinds)}"
     hint = suggestion(str(kind), kinds)
-    message = f"missing; expected {names}" if kind is None else expectation(kind, names) + (hint and f". {hint}")
-    raise report("kind", [Mistake(("kind",), message)])
+    message = (
+        f"missing; expected {names}" if kind is None else unexpected_value_message(kind, names) + (hint and f". {hint}")
+    )
+    raise combined_error("kind", [Mistake(("kind",), message)])
 
 
 def by_key(content: Mapping[str, Any], classes: Classes) -> type[Settings]:
@@ -457,4 +465,4 @@ def by_key(content: Mapping[str, Any], classes: Classes) -> type[Settings]:
         return first_keys[given_keys[0]]
     names = f"exactly one of the keys {', '.join(first_keys)}"
     hint = suggestion(" ".join(map(str, content)), first_keys)
-    raise validation_error(expectation(dict(content), names) + (hint and f". {hint}"))
+    raise validation_error(unexpected_value_message(dict(content), names) + (hint and f". {hint}"))

@@ -59,7 +59,7 @@ class Output(Settings):
         """Check that the part is known, and that a resolution has a range."""
         yield from check_preset(self.preset, "output")
         if self.bits is not None and self.range is None and self.preset is None:
-            yield Mistake(("bits",), "given without range, the largest voltage such as 10 V")
+            yield Mistake(("bits",), "given without range. Add range, the largest voltage, such as 10 V.")
 
 
 class _BodyOrBodies:
@@ -157,7 +157,7 @@ class Amplifier(Settings):
     """Largest output [V or A]; infinite: no clipping."""
 
     @classmethod
-    def kind_by_neighbors(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
+    def kinds_from_other_keys(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
         """Return the unit of the output, V or A, according to the mode."""
         if content.get("mode") == "current":
             return {("gain",): TRANSCONDUCTANCE, ("limit",): CURRENT}

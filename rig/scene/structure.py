@@ -145,7 +145,9 @@ class Structure(Settings):
             yield Mistake(("springs",), f"got {len(self.springs)} springs; expected {count}, one for each mass")
         if self.matrices is not None:
             if self.springs is not None:
-                yield Mistake(("springs",), "given together with matrices, which contain the stiffness")
+                yield Mistake(
+                    ("springs",), "given together with matrices, which contain the stiffness. Remove springs."
+                )
             if self.damping is not None and self.matrices.damping is not None:
                 yield Mistake(("damping",), "given together with the damping matrix; expected one of the two")
             if isinstance(self.damping, Dashpots):

@@ -1,7 +1,7 @@
-"""YAML reader with line numbers, in which the key determines the type of a scalar.
+"""YAML reader for scene files, with the line number of each value.
 
-Every plain scalar is returned as text (`null`, `~` and an empty value as None), and the settings convert it to a
-number, a name or a switch. So `1e-5` is a number, `name: off` is a name, and no scalar becomes a date or a base-60
+Every plain scalar is returned as text (`null`, `~` and an empty value as None). The settings convert the text to the
+type that the key requires. So `1e-5` is a number, `name: off` is a name, and no scalar becomes a date or a base-60
 number, as it would in YAML 1.1.
 """
 
@@ -56,7 +56,7 @@ class _Unreadable(Exception):
 def read_yaml(text: str) -> Document:
     """Read a YAML text.
 
-    Returns content of the text; duplicate keys and invalid YAML are listed in its `mistakes`.
+    Returns the content; its `mistakes` list duplicate keys and invalid YAML.
     """
     document = Document()
     try:
@@ -66,7 +66,12 @@ def read_yaml(text: str) -> Document:
     except UnicodeEncodeError as error:
         line = text.count("\n", 0, error.start) + 1
         document.mistakes.append(
-            (line, Mistake((), "invalid YAML: an incomplete character, or bytes that are not UTF-8"))
+            (
+                line,
+                Mistake(
+                    (), "invalid YAML: an incomplete character, or bytes that are not UTF-8. Save the file as UTF-8."
+                ),
+            )
         )
     except _Unreadable as error:
         document.mistakes.append((error.line, Mistake((), str(error))))
@@ -88,7 +93,7 @@ def _parser_message(error: yaml.MarkedYAMLError, lines: Sequence[str]) -> tuple[
     if "\t" in line_text[: len(line_text) - len(line_text.lstrip())]:
         return line, "a tab in the indentation; expected spaces"
     if "mapping values are not allowed" in problem:
-        return (line, 'a second ": " in one value; expected "..." around text with a colon, or another indentation')
+        return (line, 'a second ": " in one value. Put "..." around text with a colon, or correct the indentation.')
     if "expected ':'" in problem:
         return start_line, 'a line without ": " after its key; expected key: value'
     if "expected ',' or" in problem:
@@ -112,7 +117,7 @@ class _Reader:
         self.events: Iterator[Any] = iter(yaml.parse(text, Loader=_LOADER))
         self.document = document
         self.anchors: dict[str, Any] = {}
-        self.repeated = 0
+        self.alias_nodes = 0
 
     def run(self) -> None:
         documents = 0
@@ -149,8 +154,8 @@ class _Reader:
         if event.anchor not in self.anchors:
             raise _Unreadable(line, f"alias *{event.anchor} is not defined above; expected &{event.anchor} before it")
         value = self.anchors[event.anchor]
-        self.repeated += _count_nodes(value, MAX_ALIAS_NODES)
-        if self.repeated > MAX_ALIAS_NODES:
+        self.alias_nodes += _count_nodes(value, MAX_ALIAS_NODES)
+        if self.alias_nodes > MAX_ALIAS_NODES:
             raise _Unreadable(line, f"aliases add more than {MAX_ALIAS_NODES} values. Write the values out.")
         return value
 
@@ -193,7 +198,7 @@ class _Reader:
 
 
 def _is_decimal(previous: Any, event: Any, pattern: re.Pattern[str]) -> bool:
-    """Return whether a scalar is the fraction of a number with a decimal comma, split by YAML in {mass: 1,5 kg}."""
+    """Return whether a scalar is the second part of a number with a decimal comma, as YAML splits {mass: 1,5 kg}."""
     return (
         isinstance(previous, yaml.ScalarEvent)
         and isinstance(event, yaml.ScalarEvent)

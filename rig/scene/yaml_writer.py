@@ -9,7 +9,7 @@ import yaml
 
 from rig.scene.matrices import Matrices
 from rig.scene.measurement_chain import Channel
-from rig.scene.quantities import Kind, shortest_spelling, text
+from rig.scene.quantities import Kind, shortest_spelling, si_text
 from rig.scene.quantity_field import Quantity
 from rig.scene.settings import Place, Settings, quantity_at
 from rig.scene.structure import Structure
@@ -70,7 +70,7 @@ _Dumper.add_representer(str, lambda dumper, value: dumper.represent_scalar("tag:
 
 def _given_values(settings: Settings, structure: Structure | None, kinds: Mapping[Place, Kind]) -> dict[str, Any]:
     values = {name: getattr(settings, name) for name in type(settings).model_fields}
-    kinds = {**kinds, **type(settings).kind_by_neighbors(values)}
+    kinds = {**kinds, **type(settings).kinds_from_other_keys(values)}
     result: dict[str, Any] = {}
     for name, field in type(settings).model_fields.items():
         value, quantity = values[name], quantity_at(field)
@@ -133,5 +133,5 @@ def _si_value(value: Any, quantity: Quantity | None) -> Any:
         return [_si_value(item, quantity) for item in value]
     if isinstance(value, float) and quantity is not None:
         # With several kinds another key decides; a bare number is in the SI unit of that kind.
-        return text(value, quantity.kinds[0]) if len(quantity.kinds) == 1 and quantity.kinds[0].si else value
+        return si_text(value, quantity.kinds[0]) if len(quantity.kinds) == 1 and quantity.kinds[0].si else value
     return value

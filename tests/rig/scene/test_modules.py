@@ -41,8 +41,8 @@ def test_requested_rate_becomes_the_next_higher_clock_rate(name: str, fraction: 
         assert rates.slowest <= rate <= rates.fastest
         assert rate >= requested * (1 - 1.0001e-4)
         assert rates.at_least(rate) == rate
-        if rates.ladder:
-            below = [step for step in rates.ladder if step < rate]
+        if rates.available:
+            below = [step for step in rates.available if step < rate]
             assert not below or below[-1] < requested
 
 
@@ -55,8 +55,8 @@ def test_requested_rate_becomes_the_next_higher_clock_rate(name: str, fraction: 
 )
 def test_delta_sigma_rates_are_those_of_the_clock(name: str, rates: tuple[float, ...]) -> None:
     inputs = module(name).inputs
-    assert inputs is not None and set(rates) <= set(inputs.rates.ladder)
-    assert inputs.rates.ladder[-1] == rates[0] and inputs.rates.ladder[0] == rates[-1]
+    assert inputs is not None and set(rates) <= set(inputs.rates.available)
+    assert inputs.rates.available[-1] == rates[0] and inputs.rates.available[0] == rates[-1]
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, 60e3, float("nan")])

@@ -33,7 +33,7 @@ from rig.scene.quantities import (
     Kind,
     parse,
     pint_factor,
-    text,
+    si_text,
 )
 
 
@@ -147,7 +147,7 @@ def test_example_of_a_kind_is_valid(kind: Kind) -> None:
 
 @given(st.floats(allow_nan=False), st.sampled_from(KINDS))
 def test_any_double_survives_writing_and_parsing(value: float, kind: Kind) -> None:
-    assert parse(text(value, kind), kind) == value
+    assert parse(si_text(value, kind), kind) == value
 
 
 @given(st.decimals(allow_nan=False, allow_infinity=False, min_value=-(10**6), max_value=10**6, places=6))

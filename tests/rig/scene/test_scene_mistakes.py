@@ -36,8 +36,8 @@ MISTAKES = [
     (STRUCTURE + "dampers:\n  - {body: 1, mass: 10 g}",
      ":3: dampers[1].clearance: missing; expected a length such as 0.98 mm"),
     (STRUCTURE + "shaker: {kind: force, body: 1, spring: 6.6 kN/m}",
-     ":2: shaker.spring: unknown key 'spring' for kind force, which has kind, body, output; the key belongs "
-     "to table, electrodynamic"),
+     ":2: shaker.spring: unknown key 'spring' for kind force, which has kind, body, output. Remove the "
+     "key, or give kind: table or electrodynamic."),
     (STRUCTURE + "shaker: {kind: table, body: 1}", ":2: shaker.spring: missing; expected a stiffness such as 6.6 kN/m"),
     (STRUCTURE + FORCE + "test: {kind: sine, force: 1 N}",
      ":3: test.frequency: missing; expected a frequency such as 50 Hz or 312.4 rad/s"),
@@ -106,7 +106,7 @@ MISTAKES = [
     (STRUCTURE + FORCE + "test: {kind: sine, frequency: 1 Hz}",
      ":3: test: force or drive missing; expected exactly one of force or drive"),
     (STRUCTURE + FORCE + "test: {kind: sine, frequency: 1 Hz, drive: 1}",
-     ":3: test.drive: a shaker of kind force is driven by its force; expected force instead"),
+     ":3: test.drive: a shaker of kind force is driven by its force. Give force instead."),
     (STRUCTURE + FORCE + "test: {kind: stepped_sine, from: 9 Hz, to: 8 Hz, points: 3, force: 1}",
      ":3: test.from: not below to. Give the lower end first; direction: down sweeps downward."),
     (STRUCTURE + FORCE + "test: {kind: stepped_sine, to: 8 Hz, points: 3, force: 1}",
@@ -121,11 +121,12 @@ MISTAKES = [
      ":3: test.to: equal to from"),
     (STRUCTURE + FORCE + "test: {kind: random, from: 9, to: 8, duration: 1, force: 1}", ":3: test.from: not below to"),
     (STRUCTURE + FORCE + "test: {kind: multisine, from: 8.1, to: 8.9, period: 1 s, force: 1}",
-     ":3: test.period: too short; no multiple of its inverse lies between from and to"),
+     ":3: test.period: no multiple of its reciprocal lies between from and to. Give a longer period."),
     (STRUCTURE + "test: {kind: impulse, body: 1, peak: 1, width: 9 s}",
-     ":2: test.width: not shorter than the interval"),
+     ":2: test.width: not shorter than the interval between hits. Give a shorter width or a longer interval."),
     (STRUCTURE + "test: {kind: impulse, body: 1, peak: 1, width: 9 ms, double_hit: {after: 1 ms}}",
-     ":2: test.double_hit.after: does not lie between"),
+     ":2: test.double_hit.after: does not lie between the end of the first pulse and the next hit. "
+     "Give at least 0.009 s and less than 5.991 s"),
     (STRUCTURE + "test: {kind: impulse, body: 1, peak: 1, width: 9 ms, double_hit: {hits: [2]}}",
      ":2: test.double_hit.hits[1]: hit 2 of 1"),
     (STRUCTURE + "test: {kind: free}", ":2: test: no initial state; expected displacement, velocity, or mode"),
@@ -133,7 +134,7 @@ MISTAKES = [
     (STRUCTURE + "test: {kind: free, mode: 1, amplitude: 1 mm, velocity: [1, 1]}",
      ":2: test.mode: given together with displacement or velocity"),
     (STRUCTURE + "channels: [{name: a, at: body 1, accelerometer: {q: 30}}]",
-     ":2: channels[1].accelerometer.q: given without resonance"),
+     ":2: channels[1].accelerometer.q: given without resonance. Add resonance, or remove q."),
     (STRUCTURE + "channels: [{name: a, at: body 1, hammer: {}}]",
      ":2: channels[1].hammer: given at body 1; expected it at: hammer or at: shaker"),
     # parts by name
@@ -146,7 +147,7 @@ MISTAKES = [
      ":2: converter.preset: unknown converter preset 'NI 9999'; expected one of NI 9234"),
     (STRUCTURE + "converter: {preset: NI 9234, rate: 60 kHz}",
      ":2: converter.rate: got 60000 Hz; expected 1651.61 to 51200 Hz, the sample rates of NI 9234"),
-    (STRUCTURE + "converter: {bits: 16}", ":2: converter.bits: given without range"),
+    (STRUCTURE + "converter: {bits: 16}", ":2: converter.bits: given without range. Add range"),
     (STRUCTURE + "converter: {ac_corner: 1 Hz}", ":2: converter.ac_corner: given without coupling: AC"),
     (STRUCTURE + "converter: {clock_error: 50 %}", ":2: converter.clock_error: got 0.5; expected a small"),
     # references from one part to another
@@ -157,7 +158,7 @@ MISTAKES = [
     (STRUCTURE + "test: {kind: free, velocity: [1]}", ":2: test.velocity: got 1 values; expected 2"),
     (STRUCTURE + "test: {kind: free, mode: 3, amplitude: 1}", ":2: test.mode: mode 3 of 2; expected 1 to 2"),
     (STRUCTURE + "test: {kind: sine, frequency: 1, force: 1}",
-     ":2: test.kind: sine requires a shaker; expected a shaker in the scene"),
+     ":2: test.kind: sine requires a shaker. Add a shaker to the scene."),
     (STRUCTURE + FORCE + "channels: [{name: a, at: table}]",
      ":3: channels[1].at: there is no table; expected a body, or a shaker of kind table"),
     (STRUCTURE + "channels: [{name: a, at: hammer}]", ":2: channels[1].at: there is no hammer"),
@@ -179,8 +180,8 @@ MISTAKES = [
     (STRUCTURE + "recording: {samples: counts}", ":2: recording.samples: counts require a converter with bits"),
     # frequencies above half the sample rate
     (STRUCTURE + FORCE + "test: {kind: sine, frequency: 2000 Hz, force: 1}\nconverter: {rate: 2048 Hz}",
-     ":3: test.frequency: 2000 Hz at 2048 samples a second; expected less than half of that, 1024 Hz, or a "
-     "higher converter: rate"),
+     ":3: test.frequency: 2000 Hz at 2048 samples a second; expected less than half the rate, 1024 Hz. "
+     "Lower the frequency, or raise converter: rate."),
     (
         STRUCTURE + FORCE + "test: {kind: stepped_sine, from: 9, to: 1500, points: 3, force: 1}\n"
         "converter: {rate: 2048 Hz}",

@@ -7,7 +7,7 @@ from math import inf
 from typing import Any
 
 from rig.scene.scene import Scene
-from rig.scene.settings import Mistake, Place, at
+from rig.scene.settings import Mistake, Place, value_at
 
 # Plausible limits: a bare number at or above them causes a warning.
 #: Clearance of real cavities [m].
@@ -28,7 +28,7 @@ def improbable_values(scene: Scene, content: Mapping[str, Any]) -> Iterator[Mist
         if damper.mass_ratio is not None:
             place: Place = ("dampers", k, "mass_ratio")
             yield from _check_number(content, place, damper.mass_ratio, _MAX_MASS_RATIO, "a ratio", 1e2, "%")
-    modal = at(scene.structure.damping, ("modal",))
+    modal = value_at(scene.structure.damping, ("modal",))
     is_list = isinstance(modal, tuple)
     for k, ratio in enumerate(modal if is_list else (modal or 0.0,)):
         place = ("structure", "damping", "modal", *((k,) if is_list else ()))
@@ -46,6 +46,6 @@ def _check_number(
     if str(number)[-1] in ".0123456789":
         yield Mistake(
             place,
-            f"got {number} without a unit, which is {meaning}: {factor * value:g} {unit}; expected a unit, such as "
-            f"{number} {unit}",
+            f"got {number} without a unit, which is {meaning}: {factor * value:g} {unit}. Add the intended unit, "
+            f"such as {number} {unit}.",
         )

@@ -1,4 +1,4 @@
-"""Types of numpy arrays."""
+"""Types of numpy arrays, real and complex."""
 
 import numpy as np
 from numpy.typing import NDArray

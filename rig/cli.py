@@ -117,15 +117,15 @@ def explain(
     import rig
     from rig.effects.extensions import test_predictions
 
-    setting = load_scene(scene, changes)
-    for prediction in test_predictions(setting):
+    loaded_scene = load_scene(scene, changes)
+    for prediction in test_predictions(loaded_scene):
         print(f"{prediction}\n")
-    print(rig.explain(setting))
+    print(rig.explain(loaded_scene))
     if measure:
         from rig.effects.effect_cost import effect_costs, text
 
         with show_activity() as report:
-            costs = effect_costs(setting, report)
+            costs = effect_costs(loaded_scene, report)
         print("\n" + text(costs))
 
 
@@ -155,22 +155,22 @@ def simulate(
 ) -> None:
     """Simulate the motion of a scene; print peaks, events and energy.
 
-    The test plays its drive without sensors and controller.
+    The drive of the test acts without sensors and controller.
     """
     from rig.provenance import allow_overwriting, output_source
     from rig.scene.quantities import FREQUENCY, TIME
     from rig.simulation.run_output import simulate_to_file, summary
 
-    setting = load_scene(scene, changes)
+    loaded_scene = load_scene(scene, changes)
     duration_s, tone_hz = (_quantity(duration, TIME, "--duration"), _quantity(frequency, FREQUENCY, "--frequency"))
     sample_rate = _quantity(rate, FREQUENCY, "--rate") or 0.0
     with (
         allow_overwriting(overwrite),
-        output_source("simulate", setting.to_yaml()),
-        count_progress("following the motion") as progress,
+        output_source("simulate", loaded_scene.to_yaml()),
+        count_progress("computing the motion") as progress,
     ):
-        run = simulate_to_file(output, setting, duration_s, sample_rate, tone_hz, progress)
-    print(setting.structure.relabel(summary(run)))
+        run = simulate_to_file(output, loaded_scene, duration_s, sample_rate, tone_hz, progress)
+    print(loaded_scene.structure.relabel(summary(run)))
     if output is not None:
         report_written(output)
 
@@ -203,13 +203,13 @@ def response(
     from rig.scene.quantities import FREQUENCY
     from rig.steady_response.response_output import format_response, write_csv
 
-    setting = load_scene(scene, changes)
+    loaded_scene = load_scene(scene, changes)
     band = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
-    with allow_overwriting(overwrite), output_source("response", setting.to_yaml()):
+    with allow_overwriting(overwrite), output_source("response", loaded_scene.to_yaml()):
         if output is not None:
             reject_foreign_files(output)
-        with count_progress("following the motion") as progress:
-            result = rig.response(setting, *band, points, direction, progress)
+        with count_progress("computing the motion") as progress:
+            result = rig.response(loaded_scene, *band, points, direction, progress)
         print(format_response(result, verbose))
         if output is not None:
             write_csv(result, output)
@@ -245,10 +245,10 @@ def grains(
     from rig.bed_response.bed_response import text
     from rig.scene.quantities import FREQUENCY
 
-    setting = load_scene(scene, changes)
+    loaded_scene = load_scene(scene, changes)
     band = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
-    with resumable(output is not None), count_progress("following the grains") as progress:
-        result = rig.grains(setting, *band, points, periods, output, cluster, progress)
+    with resumable(output is not None), count_progress("simulating the grains") as progress:
+        result = rig.grains(loaded_scene, *band, points, periods, output, cluster, progress)
     print(text(result))
     if output is not None:
         report_written(output)
@@ -282,12 +282,12 @@ def cost(
     from rig.provenance import allow_overwriting, output_source, reject_foreign_files
     from rig.scene.quantities import FREQUENCY
 
-    setting = load_scene(scene, changes)
+    loaded_scene = load_scene(scene, changes)
     create_folder(output)
-    with allow_overwriting(overwrite), output_source("cost", setting.to_yaml()), show_activity() as report:
-        reject_foreign_files(*_figure_and_table(output / file_stem("cost", setting.name)))
+    with allow_overwriting(overwrite), output_source("cost", loaded_scene.to_yaml()), show_activity() as report:
+        reject_foreign_files(*_figure_and_table(output / file_stem("cost", loaded_scene.name)))
         tone_hz = _quantity(frequency, FREQUENCY, "--frequency")
-        result = rig.cost(setting, tone_hz, periods, report)
+        result = rig.cost(loaded_scene, tone_hz, periods, report)
         files = result.write(output)
     print(result)
     report_written(*files)
@@ -328,18 +328,18 @@ def map_(
     from rig.provenance import allow_overwriting, output_source, reject_foreign_files
     from rig.scene.quantities import FREQUENCY
 
-    setting = load_scene(scene, changes)
-    over, unit = vertical_axis(setting, over)
+    loaded_scene = load_scene(scene, changes)
+    over, unit = vertical_axis(loaded_scene, over)
     band = _quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to")
     kind = KIND_OF_UNIT[unit]
     ends = _quantity(least, kind, "--least"), _quantity(most, kind, "--most")
     create_folder(output)
-    name = output_stem(setting, over, output)
+    name = output_stem(loaded_scene, over, output)
     finished_points = name.with_suffix(".csv.kept")
-    with resumable(), allow_overwriting(overwrite), output_source("map", setting.to_yaml()):
+    with resumable(), allow_overwriting(overwrite), output_source("map", loaded_scene.to_yaml()):
         reject_foreign_files(*_figure_and_table(name))
-        with count_progress("following the motion") as progress:
-            result = rig.map(setting, over, *ends, rows, *band, points, cluster, finished_points, progress)
+        with count_progress("computing the motion") as progress:
+            result = rig.map(loaded_scene, over, *ends, rows, *band, points, cluster, finished_points, progress)
         files = write_map(result, output)
     finished_points.unlink()
     print(summarize_map(result))
@@ -363,7 +363,8 @@ def design(
         ),
     ] = None,
     dampers: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Largest number of dampers; fewer are chosen if they are as good.")
+        int,
+        typer.Option(min=1, metavar="N", help="Largest number of dampers; fewer are chosen if they are as effective."),
     ] = 1,
     clearance: Annotated[
         str | None, typer.Option(metavar="LOW,HIGH", help="Range of clearances to search, such as '0.2 mm, 3 mm'.")
@@ -394,7 +395,7 @@ def design(
 ) -> None:
     """Choose mass, clearance and place of dampers.
 
-    The choice has the smallest worst peak over all levels. A second call continues the first.
+    The choice has the smallest worst peak over all levels. An interrupted run continues when it is started again.
 
     New dampers have the restitution and contact of the scene's dampers, or of the first one where they differ.
     """
@@ -404,19 +405,19 @@ def design(
     from rig.output_files import create_folder, file_stem
     from rig.provenance import allow_overwriting, output_source, reject_foreign_files
 
-    setting = load_scene(scene, changes)
+    loaded_scene = load_scene(scene, changes)
     create_folder(output)
-    name = output / file_stem("design", setting.name)
+    name = output / file_stem("design", loaded_scene.name)
     table = name.with_suffix(".csv")
     with (
         resumable(),
         allow_overwriting(overwrite),
-        output_source("design", setting.to_yaml()),
-        progress("trying designs") as report_progress,
+        output_source("design", loaded_scene.to_yaml()),
+        progress("evaluating designs") as report_progress,
     ):
         reject_foreign_files(*(name.with_suffix(ending) for ending in (".yaml", ".png", ".svg")))
         result = find_design(
-            setting,
+            loaded_scene,
             budget=budget,
             bodies=_split_list(bodies),
             dampers=dampers,
@@ -432,9 +433,9 @@ def design(
         )
         report_progress(1.0, "writing")
         files = write(result, output)
-    print(setting.structure.relabel(summary(result)))
+    print(loaded_scene.structure.relabel(summary(result)))
     report_written(*files, table)
-    print(setting.structure.relabel(describe_check(result, files[0])))
+    print(loaded_scene.structure.relabel(describe_check(result, files[0])))
     for prediction in test_predictions(result.scene):
         print(f"\n{prediction}")
 
@@ -450,17 +451,12 @@ def _split_list(text: str | None) -> list[str] | None:
 
 def _quantity(value: str | None, kind: Kind, name: str) -> float | None:
     """Parse an option with a unit; a bare number is in SI units."""
-    from rig.scene.quantities import parse
+    from rig.scene.quantities import number
 
-    if value is None:
-        return None
-    try:
-        number = float(parse(value, kind))
-    except ValueError as error:
-        raise SceneError(f"{name}: {error}") from None
-    if math.isinf(number) or not kind.supports(number):
+    quantity = number(value, kind, name)
+    if value is not None and quantity is not None and (math.isinf(quantity) or not kind.supports(quantity)):
         raise SceneError(f"{name}: got {value[:60]}; expected {kind.noun} {kind.range}")
-    return number
+    return quantity
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Help of the commands: options in groups, and an example for each command."""
+"""Layout of the help that `COMMAND --help` prints: options in groups, and an example for each command."""
 
 from __future__ import annotations
 

@@ -219,8 +219,8 @@ def describe_unexpected(error: BaseException) -> str:
         with open(descriptor, "w", encoding="utf-8", errors="backslashreplace") as file:  # noqa: PTH123
             file.write(details)
     except OSError:
-        return f"{beginning}: please report it, with the output of the command with --debug before its first word"
-    return f"{beginning}: please report it, with the details in {path}"
+        return f"{beginning}. Run the command again with --debug before its first word, and report the output."
+    return f"{beginning}. Report it with the details in {path}."
 
 
 # -- signals ---------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Errors and warnings; their messages state where and what was wrong, and what to do."""
+"""Errors and warnings meant for users; their messages state where and what was wrong, and what to do."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Common style of all figures, and reproducible output: the same input gives the same bytes."""
+"""Common style of all figures, and their reproducible output: the same data gives files with the same bytes."""
 
 from __future__ import annotations
 
@@ -156,8 +156,8 @@ def round_ticks(low: float, high: float, max_ticks: int = 8) -> list[float]:
     """
     from matplotlib.ticker import MaxNLocator
 
-    for digits in ((1, 1.5, 2, 3, 4, 5, 6, 8), (1, 2, 5), (1, 3), (1,)):
-        candidates = [float(f"{d}e{e}") for e in range(-12, 13) for d in digits]
+    for mantissas in ((1, 1.5, 2, 3, 4, 5, 6, 8), (1, 2, 5), (1, 3), (1,)):
+        candidates = [float(f"{mantissa}e{exponent}") for exponent in range(-12, 13) for mantissa in mantissas]
         ticks = [tick for tick in candidates if low <= tick <= high]
         if len(ticks) <= max_ticks:
             break

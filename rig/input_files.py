@@ -1,4 +1,4 @@
-"""Input files that are read completely: scenes, tables, certificates, data sheets."""
+"""Reading of input files into memory: scenes, tables, certificates, data sheets; and detection of duplicate files."""
 
 from __future__ import annotations
 

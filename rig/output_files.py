@@ -77,19 +77,20 @@ def atomic_write(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
     `SceneError` if `path` must not be written (`resolve_output`), or a protected file of that name was created in
     the meantime. Raises `RunError` if the disk is full or fails.
     """
-    marked, unmarked = (overwrite is None and can_contain_mark(path), overwrite is None and not can_contain_mark(path))
+    is_marked = overwrite is None and can_contain_mark(path)
+    is_unmarked = overwrite is None and not can_contain_mark(path)
     if overwrite is None:
         overwrite = may_overwrite() or is_unchanged_output(path)
-        if marked and not overwrite and path.is_file():
+        if is_marked and not overwrite and path.is_file():
             raise overwrite_error(path)
     # Whether an unmarked file has the same content is known only when the new file is complete.
-    file = resolve_output(path, overwrite or unmarked)
+    file = resolve_output(path, overwrite or is_unmarked)
     part = file.with_name(f".{token_hex(6)}{file.suffix}")
     try:
         yield part
-        if marked:
+        if is_marked:
             add_mark(part)
-        elif unmarked and not overwrite and file.is_file():
+        elif is_unmarked and not overwrite and file.is_file():
             if not cmp(part, file, shallow=False):
                 raise overwrite_error(path)
             part.unlink()
@@ -99,17 +100,18 @@ def atomic_write(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
         with suppress(OSError):
             part.unlink(missing_ok=True)
         if isinstance(error, OSError):
-            raise RunError(f"cannot write {path}: {error.strerror or error}") from error
+            reason = error.strerror or error
+            raise RunError(f"cannot write {path}: {reason}. Free disk space, or choose another folder.") from error
         raise
     try:
         _rename(part, file, overwrite)
     except FileExistsError:
         raise SceneError(
-            f"{path}: another program created this file in the meantime. The result is in {_save_beside(part, file)}."
+            f"{path}: another program created this file in the meantime. The result is in {_save_next_to(part, file)}."
         ) from None
     except OSError as error:
         raise RunError(
-            f"cannot write {path}: {error.strerror or error}. The result is in {_save_beside(part, file)}."
+            f"cannot write {path}: {error.strerror or error}. The result is in {_save_next_to(part, file)}."
         ) from error
 
 
@@ -147,7 +149,7 @@ def _rename(part: Path, file: Path, overwrite: bool) -> None:
     part.unlink()
 
 
-def _save_beside(part: Path, file: Path) -> Path:
+def _save_next_to(part: Path, file: Path) -> Path:
     """Rename a finished file to the first free name next to the intended name, if possible."""
     for number in range(2, 100):
         free = file.with_name(f"{file.stem}-{number}{file.suffix}")

@@ -1,4 +1,4 @@
-"""Types of the functions that long computations call with their progress."""
+"""Types of the functions by which long computations report their progress."""
 
 from __future__ import annotations
 

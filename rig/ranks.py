@@ -1,8 +1,9 @@
-"""MPI ranks, as started by `mpiexec -n 4 rig simulate SCENE`: the first rank runs the command, all share objects.
+"""MPI ranks (processes) of one command, as started by `mpiexec -n 4 rig simulate SCENE`.
 
-Each rank has a part of a `Shared` object. An operation of the first rank on it is executed by all ranks on their
-parts; no other data is exchanged. Everything else is computed once, on the first rank. Ranks on several machines
-therefore need neither a common folder nor processors with identical rounding.
+The first rank runs the command. A `Shared` object, such as a bed of grains, has a part on each rank. An operation of
+the first rank on the object is executed by all ranks on their parts; no other data is exchanged. Everything else is
+computed once, on the first rank. Ranks on several machines therefore need neither a common folder nor processors with
+identical rounding.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from rig.arrays import Array
 
 #: Environment variables with the number of processes: MPICH and its derivatives, and Open MPI.
-_SIZE_VARIABLES = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE")
+_COUNT_VARIABLES = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE")
 #: Communicator of all ranks in mpi4py; None in a single process.
 _world: Any = None
 #: Communicator of the ranks on this machine.
@@ -46,7 +47,7 @@ class OneRankError(RunError):
     """An error on a single rank, while the other ranks wait for it."""
 
 
-def size() -> int:
+def rank_count() -> int:
     """Return the number of ranks that share objects; 1 for a single process."""
     return 1 if _world is None else int(_world.size)
 
@@ -62,16 +63,16 @@ def join() -> None:
     Raises `SceneError` if mpiexec belongs to another MPI implementation.
     """
     global _world, _machine
-    sizes = [os.environ.get(name, "") for name in _SIZE_VARIABLES]
-    started = max((int(text) for text in sizes if text.isdecimal()), default=1)
+    counts = [os.environ.get(name, "") for name in _COUNT_VARIABLES]
+    n_started = max((int(text) for text in counts if text.isdecimal()), default=1)
     # Without mpi4py, objects cannot be shared: each process runs the command separately; only grains need MPI.
-    if started < 2 or _world is not None or find_spec("mpi4py") is None:
+    if n_started < 2 or _world is not None or find_spec("mpi4py") is None:
         return
     mpi = communicators()
     world = mpi.COMM_WORLD
-    if world.size != started:
+    if world.size != n_started:
         raise SceneError(
-            f"mpiexec has started {started} processes, which the MPI of this environment cannot join. Use its own "
+            f"mpiexec has started {n_started} processes, which the MPI of this environment cannot join. Use its own "
             f"mpiexec, {Path(sys.prefix) / 'bin' / 'mpiexec'}."
         )
     _world, _machine = world, world.Split_type(mpi.COMM_TYPE_SHARED)
@@ -80,7 +81,7 @@ def join() -> None:
         del os.environ[name]
     if world.rank > 0:
         _serve_first_rank()
-    atexit.register(_end)
+    atexit.register(_end_other_ranks)
 
 
 def communicators() -> Any:
@@ -111,17 +112,17 @@ class Shared:
 
     def __init__(self, make: Callable[..., Any], *arguments: Any) -> None:
         self._number = next(_numbers)
-        _on_all(self._number, None, (make, *arguments))
+        _execute_on_all_ranks(self._number, None, (make, *arguments))
         weakref.finalize(self, _released.append, self._number).atexit = False
 
     def __getattr__(self, name: str) -> Any:
         number = self._number
         if callable(getattr(type(_parts[number]), name, None)):
-            return lambda *arguments: _on_all(number, name, arguments)
-        return _on_all(number, name, None)
+            return lambda *arguments: _execute_on_all_ranks(number, name, arguments)
+        return _execute_on_all_ranks(number, name, None)
 
 
-def _on_all(number: int, name: str | None, arguments: tuple[Any, ...] | None) -> Any:
+def _execute_on_all_ranks(number: int, name: str | None, arguments: tuple[Any, ...] | None) -> Any:
     """Execute an operation on the parts of all ranks; return the result of this rank."""
     global _abort_code
     call = (list(_released), number, name, arguments)
@@ -129,7 +130,7 @@ def _on_all(number: int, name: str | None, arguments: tuple[Any, ...] | None) ->
         _abort_code = 1
         _world.bcast(call)
         del _released[: len(call[0])]
-        result = _execute(*call)
+        result = _execute_on_this_rank(*call)
     except OneRankError:
         raise
     except ShotrigError:
@@ -142,7 +143,7 @@ def _on_all(number: int, name: str | None, arguments: tuple[Any, ...] | None) ->
     return result
 
 
-def _execute(released: list[int], number: int, name: str | None, arguments: tuple[Any, ...] | None) -> Any:
+def _execute_on_this_rank(released: list[int], number: int, name: str | None, arguments: tuple[Any, ...] | None) -> Any:
     """Execute an operation on the part of this rank: create it, call a method, or read an attribute."""
     for released_number in released:
         del _parts[released_number]
@@ -163,7 +164,7 @@ def _serve_first_rank() -> NoReturn:
     try:
         while (call := _world.bcast(None)) is not None:
             try:
-                _execute(*call)
+                _execute_on_this_rank(*call)
             except OneRankError:
                 raise
             except ShotrigError:
@@ -181,7 +182,7 @@ def _serve_first_rank() -> NoReturn:
     sys.exit(0)
 
 
-def _end() -> None:
+def _end_other_ranks() -> None:
     """End the other ranks normally, or abort them if they wait in an incomplete collective operation."""
     if _abort_code:
         _abort(_abort_code)

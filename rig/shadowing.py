@@ -1,4 +1,4 @@
-"""Files that shadow modules: Python searches the folder of a script first."""
+"""Detection of user files that shadow modules, such as numpy.py: Python searches the folder of a script first."""
 
 from __future__ import annotations
 

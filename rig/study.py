@@ -1,4 +1,7 @@
-"""Studies of many independent pieces: computed by workers, stored in a CSV table, continued after an interruption."""
+"""Studies that consist of many independent computations (pieces), such as one design at one level.
+
+Workers compute the pieces. A CSV table stores their values, so that an interrupted study continues where it stopped.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,7 @@ def code_digest(*packages: str) -> str:
 
 
 def digest(inputs: object) -> str:
-    """Compute a short digest of the inputs of a result, by their `repr` or array bytes, and of the code of `rig`."""
+    """Return a short digest of the inputs of a result (their `repr` or array bytes) and of the code of `rig`."""
     content = inputs.tobytes() if isinstance(inputs, np.ndarray) else repr(inputs).encode()
     return hashlib.sha256(code_digest("rig").encode() + content).hexdigest()[:16]
 
@@ -49,7 +52,7 @@ class Study(Generic[Piece, Value]):
     `decode`: returns key and value of a row; raises `ValueError`, `KeyError` or `TypeError` for a damaged row.
     """
 
-    name: str  # content of the table, for messages
+    name: str  # content of the table, for messages, such as "designs"
     columns: tuple[str, ...]  # column names of the table
     compute: Callable[[Piece], Value]
     key: Callable[[Piece], Any]  # returns the identity of a piece, which includes all its inputs
@@ -57,7 +60,7 @@ class Study(Generic[Piece, Value]):
     decode: Callable[[list[str]], tuple[Any, Value]]
 
     def run(
-        self, cases: Sequence[Piece], table: Path | None = None, cluster: str | None = None,
+        self, pieces: Sequence[Piece], table: Path | None = None, cluster: str | None = None,
         progress: CountProgress | None = None, prepare: Callable[[], object] = lambda: None,
     ) -> list[Value]:  # fmt: skip
         """Compute pieces that are missing in the table; return the values of all pieces.
@@ -77,14 +80,14 @@ class Study(Generic[Piece, Value]):
             If the table cannot be read or written, or a worker process ends unexpectedly.
         """
         stored, report = StoredValues(self, table), progress or (lambda n_completed, total: None)
-        n_completed = sum(case in stored for case in cases)
+        n_completed = sum(piece in stored for piece in pieces)
         if n_completed:
-            report(n_completed, len(cases))
-        if n_completed < len(cases):
+            report(n_completed, len(pieces))
+        if n_completed < len(pieces):
             prepare()
-        for number, _ in enumerate(stored.complete(cases, cluster), n_completed + 1):
-            report(number, len(cases))
-        return [stored[case] for case in cases]
+        for number, _ in enumerate(stored.complete(pieces, cluster), n_completed + 1):
+            report(number, len(pieces))
+        return [stored[piece] for piece in pieces]
 
 
 class StoredValues(Generic[Piece, Value]):
@@ -118,21 +121,21 @@ class StoredValues(Generic[Piece, Value]):
                 continue
             self.values[key] = value
 
-    def __contains__(self, case: Piece) -> bool:
-        return self.study.key(case) in self.values
+    def __contains__(self, piece: Piece) -> bool:
+        return self.study.key(piece) in self.values
 
-    def __getitem__(self, case: Piece) -> Value:
-        return self.values[self.study.key(case)]
+    def __getitem__(self, piece: Piece) -> Value:
+        return self.values[self.study.key(piece)]
 
-    def add(self, case: Piece, value: Value) -> None:
+    def add(self, piece: Piece, value: Value) -> None:
         """Store the value of a piece."""
-        key = self.study.key(case)
+        key = self.study.key(piece)
         self.values[key] = value
         self._append(self.study.encode(key, value))
 
-    def complete(self, cases: Sequence[Piece], cluster: str | None = None) -> Iterator[Value]:
+    def complete(self, pieces: Sequence[Piece], cluster: str | None = None) -> Iterator[Value]:
         """Compute missing pieces; yield each value after it is stored."""
-        missing = [case for case in cases if case not in self]
+        missing = [piece for piece in pieces if piece not in self]
         if missing:
             with Workers(cluster) as workers:
                 for number, value in workers.compute(self.study.compute, missing):

@@ -1,7 +1,7 @@
-"""Workers for the independent pieces of a study: processes of this machine, or a Dask cluster.
+"""Workers that compute the independent pieces of a study: processes of this machine, or a Dask cluster.
 
 A piece is the argument of a module-level function. Function, piece and result are sent between process and worker, so
-that only the folder of recordings has to be shared. The result of a piece does not depend on the worker.
+that only the folder of recordings has to be shared. The result does not depend on the worker that computes it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from typing import Any, TypeVar
 
 from rig.ending_signals import TERMINATION_SIGNALS
 from rig.errors import RunError, SceneError
-from rig.ranks import size
+from rig.ranks import rank_count
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
@@ -55,7 +55,7 @@ class Workers:
     def __init__(self, cluster: str | None = None) -> None:
         self._cluster = cluster
         self._client: Any = None
-        self._reported = False
+        self._has_warned = False
         self._open = ExitStack()
         try:
             self._pool = self._start()
@@ -78,7 +78,7 @@ class Workers:
 
         Raises `RunError` if workers repeatedly end unexpectedly. An exception raised by `function` is passed on.
         """
-        if self._cluster is None and size() > 1:
+        if self._cluster is None and rank_count() > 1:
             # This includes pieces that are appended during the iteration.
             yield from enumerate(map(function, pieces))
             return
@@ -95,7 +95,7 @@ class Workers:
                             jobs[job] = number
                             job.add_done_callback(finished.put)
                     submitted = len(pieces)
-                    job = self._next(finished)
+                    job = self._wait_for_next(finished)
                     result = self._result(job)
                     done.add(jobs[job])
                     yield jobs.pop(job), result
@@ -125,18 +125,18 @@ class Workers:
                 f"({error}). Give the workers more memory, or make the study smaller."
             ) from None
 
-    def _next(self, finished: SimpleQueue[Future[Result]]) -> Future[Result]:
-        """Wait for a finished piece; report once if the cluster has no workers."""
+    def _wait_for_next(self, finished: SimpleQueue[Future[Result]]) -> Future[Result]:
+        """Wait for a finished piece; warn once if the cluster has no workers."""
         while self._cluster is not None:
             with suppress(Empty):
                 return finished.get(timeout=_WORKER_CHECK_INTERVAL_S)
-            if not self._reported and not self._client.nthreads():
+            if not self._has_warned and not self._client.nthreads():
                 warnings.warn(
-                    f"--cluster {self._cluster}: the scheduler has no workers. The study waits for one; start it with: "
+                    f"--cluster {self._cluster}: the scheduler has no workers. The study waits; start a worker with: "
                     f"dask worker {self._client.scheduler.address} --nthreads 1",
                     stacklevel=2,
                 )
-                self._reported = True
+                self._has_warned = True
         return finished.get()
 
     def _start(self) -> Executor:
@@ -164,7 +164,7 @@ class _OwnProcesses(SpawnContext):
 def _processes(cleanup: ExitStack) -> Executor:
     """Start worker processes of this machine."""
     context = _OwnProcesses()
-    pool = ProcessPoolExecutor(cores(), mp_context=context, initializer=_begin)
+    pool = ProcessPoolExecutor(cores(), mp_context=context, initializer=_initialize_worker)
 
     def end() -> None:
         # Waiting pieces are canceled before the workers end, because the pool would otherwise notify them.
@@ -229,7 +229,7 @@ def _deferred_signals() -> Iterator[None]:
             signal.raise_signal(received[0])
 
 
-def _begin() -> None:
+def _initialize_worker() -> None:
     """Initialize a worker: a single thread for linear algebra; signals are handled by the parent."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -16,7 +16,7 @@ from analysis.responses.systematic import (
     uncertain_reference_part,
 )
 from rig.arrays import Array
-from rig.results.uncertainty import RandomErrors, UncertaintyBudget, radius
+from rig.results.uncertainty import RandomErrors, UncertaintyBudget, coverage_factor
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -43,7 +43,7 @@ def assemble_budget(
     """
     limits = {**aliasing_part(rec, shares), **estimator_limits}
     if len(reference_limits):
-        bound = np.sqrt(np.sum(np.square([error * radius(0.95, degrees), *limits.values()]), axis=0))
+        bound = np.sqrt(np.sum(np.square([error * coverage_factor(0.95, degrees), *limits.values()]), axis=0))
         limits |= uncertain_reference_part(bound, np.sqrt(np.sum(np.square(reference_limits), axis=0)))
     limits |= sensitivity_part(rec, shares) | clock_part(rec, shares)
     return UncertaintyBudget.of(

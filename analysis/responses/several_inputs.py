@@ -44,7 +44,7 @@ from daq.recording.recorded_test import TestKind
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError, SceneError
 from rig.results.response import Point, Response
-from rig.results.uncertainty import UncertaintyBudget, stacked
+from rig.results.uncertainty import UncertaintyBudget, stack_budgets
 
 if TYPE_CHECKING:
     from daq.recording.markers import Marker
@@ -262,7 +262,7 @@ def _matrix_budget(
                     scale=common_scale(rec, [output.name], [force.name]),
                 )
             )  # fmt: skip
-    return replace(stacked(budgets, value.shape), errors=errors)
+    return replace(stack_budgets(budgets, value.shape), errors=errors)
 
 
 def _element_shares(output: str, force: str, frequency: Array, motion: str, value: ComplexArray) -> ReadingShares:

@@ -18,7 +18,7 @@ from analysis.responses.scatter import Scatter, moderate
 from analysis.responses.systematic import RESOLUTION, UNSETTLED, ReadingShares, common_scale
 from rig.arrays import Array, ComplexArray
 from rig.results.response import Response
-from rig.results.uncertainty import radius
+from rig.results.uncertainty import coverage_factor
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -126,7 +126,7 @@ class Lines:
         """
         variance = np.nan_to_num(noise.local_variance(reference_weights, self.n_neighbors))
         degrees = noise.degrees * (2 * self.n_neighbors + 1)
-        return np.asarray(np.sqrt(self.n_rotated * variance / 2.0) * radius(_REFERENCE_CONFIDENCE, degrees))
+        return np.asarray(np.sqrt(self.n_rotated * variance / 2.0) * coverage_factor(_REFERENCE_CONFIDENCE, degrees))
 
 
 def _noise(changes: ComplexArray) -> Array:

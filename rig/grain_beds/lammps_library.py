@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.errors import RunError, SceneError
-from rig.ranks import communicators, size
+from rig.ranks import communicators, rank_count
 
 
 def new_lammps(communicator: Any = None) -> Any:
@@ -24,7 +24,7 @@ def new_lammps(communicator: Any = None) -> Any:
     with suppress(OSError):
         ctypes.CDLL(str(Path(sys.prefix) / "lib" / "libmpi.so.12"), mode=ctypes.RTLD_GLOBAL)
     silent = ["-screen", "none", "-log", "none", "-nocite"]
-    if communicator is None and size() > 1:
+    if communicator is None and rank_count() > 1:
         communicator = communicators().COMM_SELF
     try:
         instance = package.lammps(cmdargs=silent, comm=communicator)

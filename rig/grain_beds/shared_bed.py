@@ -13,7 +13,7 @@ from rig.errors import RunError
 from rig.grain_beds.bed import Bed
 from rig.grain_beds.lammps_library import new_lammps
 from rig.grain_beds.spheres import Spheres
-from rig.ranks import OneRankError, Shared, communicators, ranks_on_machine, size, sum_over_ranks
+from rig.ranks import OneRankError, Shared, communicators, rank_count, ranks_on_machine, sum_over_ranks
 from rig.workers import cores
 
 #: Steps between checks of the distribution of the grains over the ranks.
@@ -25,7 +25,7 @@ _MAX_IMBALANCE = 1.05
 def new_bed(spheres: Spheres, positions: Array, ceiling: float, gravity: float, step: float) -> Bed:
     """Create a `Bed` on all ranks; warns if there are more ranks than cores of this machine."""
     arguments = (spheres, positions, ceiling, gravity, step)
-    if size() == 1:
+    if rank_count() == 1:
         return Bed(*arguments)
     if ranks_on_machine() > cores():
         warnings.warn(

@@ -1,4 +1,7 @@
-"""Frequency responses, measured, computed or read from a file: outputs over inputs, with uncertainty budgets."""
+"""Frequency responses, measured, computed or read from a file: outputs over inputs, with uncertainty budgets.
+
+A line is one frequency of a response. An element is one output over one input; a curve is a response of one element.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ from rig.results.uncertainty import (
     Contribution,
     Covariance,
     UncertaintyBudget,
-    stacked,
+    stack_budgets,
 )
 from rig.results.universal_file import universal_file, write_curve
 from rig.scene.quantities import FREQUENCY, number
@@ -68,9 +71,9 @@ class Point:
 class Response(Result, Sequence["Response"]):
     """Frequency responses of some outputs to some inputs, or one of them.
 
-    Indexing by a name selects, as in xarray: ``response["body3"]`` is the curve of that output; its arrays have one
-    axis. With several inputs it has one output and all inputs, and ``response["body3", "force2"]`` is a curve.
-    Iteration and integers give all elements as curves, output by output.
+    Indexing by a name selects, as in xarray: ``response["body3"]`` is the curve of that output, whose arrays have one
+    axis. With several inputs, ``response["body3"]`` has one output and all inputs, and ``response["body3", "force2"]``
+    is a curve. Iteration and integers give all elements as curves, output by output.
 
     Attributes
     ----------
@@ -91,7 +94,7 @@ class Response(Result, Sequence["Response"]):
     omitted : ndarray, shape (m,)
         Frequencies of the test without a line, Hz.
     resolution : float
-        Width over which leakage smears each line, Hz; 0 for steady tones.
+        Bandwidth of each line, over which leakage averages the response, Hz; 0 for steady tones.
     label : str
         Scene and setting, for legends.
     warnings : tuple of str
@@ -265,7 +268,7 @@ class Response(Result, Sequence["Response"]):
 
     def parts(self) -> list[str]:
         """Return the name of the largest contribution to the bound at each line of a curve."""
-        return self.uncertainty.largest()
+        return self.uncertainty.largest_contributions()
 
     def covariance(self) -> Covariance:
         """Return the covariance of the random errors over outputs and inputs (in C order), and from line to line."""
@@ -371,8 +374,8 @@ class Response(Result, Sequence["Response"]):
         """Return the ratios in words; for a curve also its peak and the largest contribution to the peak's bound."""
         if not self.is_curve:
             return (
-                f"{self.label}: {self.name} of {self.response}{self._several_inputs()}, {self.frequency.size} points, "
-                f"{self.frequency.min():.4g} to {self.frequency.max():.4g} Hz"
+                f"{self.label}: {self.name} of {self.response}{self._inputs_if_several()}, "
+                f"{self.frequency.size} points, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz"
             )
         heading = f"{self.label}, {self.ratio}: {self.name}, {self.frequency.size} points"
         if not np.isfinite(self.value).any():
@@ -392,7 +395,7 @@ class Response(Result, Sequence["Response"]):
             f"at {self.frequency[peak]:.4g} Hz{amplitude}{contribution}{'; '.join(['', *self.uncertain_peak()])}"
         )
 
-    def _several_inputs(self) -> str:
+    def _inputs_if_several(self) -> str:
         return f" by {self.input}" if len(self.inputs) > 1 else ""
 
     def peak_line(self) -> int:
@@ -401,9 +404,9 @@ class Response(Result, Sequence["Response"]):
         At low frequencies, where noise is divided by the square of frequency, the largest value may be noise.
         """
         magnitude = abs(self.value)
-        certain = ~(self.bound() > _MAX_PEAK_UNCERTAINTY_RATIO * magnitude)
-        if np.isfinite(magnitude[certain]).any():
-            magnitude = np.where(certain, magnitude, np.nan)
+        is_certain = ~(self.bound() > _MAX_PEAK_UNCERTAINTY_RATIO * magnitude)
+        if np.isfinite(magnitude[is_certain]).any():
+            magnitude = np.where(is_certain, magnitude, np.nan)
         return int(np.nanargmax(magnitude))
 
     def uncertain_peak(self) -> list[str]:
@@ -437,7 +440,7 @@ class Response(Result, Sequence["Response"]):
         return columns
 
     def to_xarray(self) -> xarray.Dataset:
-        """Return a data set of value, bound and coherence over frequency, output and input; for a curve its columns."""
+        """Return value, bound and coherence over frequency, output and input; for a curve, its columns."""
         if self.is_curve:
             return super().to_xarray()
         try:
@@ -473,15 +476,15 @@ class Response(Result, Sequence["Response"]):
         if self.reference != "force":
             raise SceneError(
                 f"{self.response}: UFF 58 files contain responses to a force, not to the {self.reference}. "
-                "Export another format."
+                "Choose another format."
             )
         file = universal_file(Path(path))
         if nodes is None:
             nodes = [_node(point.place, k) for k, point in enumerate(self.outputs, 1)]
-        places = [(node, force) for node in nodes for force in driven]
-        for count, (curve, (node, force)) in enumerate(zip(self.sorted().curves(), places, strict=True), 1):
+        node_pairs = [(node, force_node) for node in nodes for force_node in driven]
+        for count, (curve, (node, force_node)) in enumerate(zip(self.sorted().curves(), node_pairs, strict=True), 1):
             write_curve(
-                file, count, node, force, f"{curve.response}: {curve.name}", (curve.label, curve.ratio),
+                file, count, node, force_node, f"{curve.response}: {curve.name}", (curve.label, curve.ratio),
                 curve.motion, curve.resolution, curve.frequency, curve.value, curve.error,
             )  # fmt: skip
         return Path(path)
@@ -569,12 +572,12 @@ class Response(Result, Sequence["Response"]):
         with np.errstate(divide="ignore", invalid="ignore"):
             value = np.asarray(self.value / other.value)
             magnitude, contributions = abs(value), []
-            relative = [
+            relative_contributions = [
                 {part.name: (part, part.size / abs(response.value)) for part in response.uncertainty.contributions}
                 for response in (self, other)
             ]
-        for name in dict.fromkeys([*relative[0], *relative[1]]):
-            parts = [by_name[name] for by_name in relative if name in by_name]
+        for name in dict.fromkeys([*relative_contributions[0], *relative_contributions[1]]):
+            parts = [by_name[name] for by_name in relative_contributions if name in by_name]
             sizes = [size for _, size in parts]
             total = np.sum(sizes, axis=0) if name in TOLERANCES else np.linalg.norm(sizes, axis=0)
             degrees = [part.degrees for part, _ in parts if part.degrees is not None]
@@ -703,14 +706,14 @@ def stack(curves: Sequence[Response]) -> Response:
     first = curves[0]
     if any(not np.array_equal(curve.frequency, first.frequency) for curve in curves):
         lines = np.unique(np.concatenate([curve.frequency for curve in curves]))
-        curves = [_at_lines(curve, lines) for curve in curves]
+        curves = [_with_added_lines(curve, lines) for curve in curves]
     shape = (curves[0].frequency.size, len(curves), len(first.inputs))
     unsteady = [curve.unsteady for curve in curves if curve.unsteady is not None]
     return replace(
         curves[0],
         value=np.stack([curve.value for curve in curves], axis=1).reshape(shape),
         outputs=tuple(curve.outputs[0] for curve in curves),
-        uncertainty=stacked([curve.uncertainty for curve in curves], shape),
+        uncertainty=stack_budgets([curve.uncertainty for curve in curves], shape),
         coherence=np.stack([curve.coherence for curve in curves], axis=1).reshape(shape[:2]),
         unsteady=np.any(unsteady, axis=0) if unsteady else None,
         omitted=np.unique(np.concatenate([curve.omitted for curve in curves])),
@@ -719,11 +722,11 @@ def stack(curves: Sequence[Response]) -> Response:
     )
 
 
-def _at_lines(curve: Response, lines: Array) -> Response:
+def _with_added_lines(curve: Response, lines: Array) -> Response:
     """Return a curve at a superset of its lines, NaN at the added lines."""
     positions = np.searchsorted(lines, curve.frequency)
 
-    def spread(column: NDArray[Any]) -> NDArray[Any]:
+    def fill_added_lines(column: NDArray[Any]) -> NDArray[Any]:
         filled = np.full((lines.size, *column.shape[1:]), np.nan, dtype=np.result_type(column, float))
         filled[positions] = column
         return filled
@@ -731,11 +734,11 @@ def _at_lines(curve: Response, lines: Array) -> Response:
     return replace(
         curve,
         frequency=lines,
-        value=spread(curve.value),
-        uncertainty=curve.uncertainty.with_arrays(spread, None),
-        coherence=spread(curve.coherence),
+        value=fill_added_lines(curve.value),
+        uncertainty=curve.uncertainty.with_arrays(fill_added_lines, None),
+        coherence=fill_added_lines(curve.coherence),
         unsteady=None,
-        amplitude=None if curve.amplitude is None else spread(curve.amplitude),
+        amplitude=None if curve.amplitude is None else fill_added_lines(curve.amplitude),
     )
 
 

@@ -114,12 +114,12 @@ def join_columns(tables: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDAr
 
 
 def complete_style(style: Mapping[str, Any], **defaults: Any) -> dict[str, Any]:
-    """Complete a style by defaults."""
+    """Add defaults to a style; the style overrides them."""
     return defaults | dict(style)
 
 
 def missing_package(package: str) -> RunError:
-    """Return the error for a package of an extra that is not installed."""
+    """Return the error for a package that is not installed; it belongs to the extra `tables`."""
     return RunError(f'{package} is not installed. Run pip install "shotrig[tables]".')
 
 

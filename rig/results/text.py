@@ -23,7 +23,7 @@ def format_number(value: float) -> str:
 
 
 def round_to_bound(value: float, bound: float) -> str:
-    """Write a number to the second digit of its bound.
+    """Write a number, rounded to the second significant digit of its bound.
 
     >>> round_to_bound(0.0123456, 0.00021), round_to_bound(1078.4, 134.0), round_to_bound(3.14159, 0.0)
     ('0.01235', '1078', '3.142')

@@ -1,4 +1,6 @@
-"""Uncertainty budget of a response: its contributions by name and type, as the GUM lists them, and their sums.
+"""Uncertainty budget of a frequency response: its contributions by name and type, as in the GUM, and their sums.
+
+A line is one frequency of the response; an element is one output over one input.
 
 References
 ----------
@@ -22,13 +24,14 @@ from rig.results.text import round_to_bound
 Lines = NDArray[np.bool_] | NDArray[np.intp]
 
 SCATTER = "scatter"
-#: Tolerances of data sheets. They are added linearly, because clock and sensors of a test may deviate by all of them.
+#: Tolerances of data sheets. They are added linearly, because clock and sensors of a test may deviate by the full
+#: tolerance at the same time.
 CLOCK, SENSITIVITY = "sample clock", "sensors' sensitivity"
 TOLERANCES = (CLOCK, SENSITIVITY)
 
 
 class Covariance(Protocol):
-    """Covariance of the random errors of a response's elements, at each line and from line to line."""
+    """Covariance of the random errors e of a response, over its elements and lines."""
 
     @property
     def lines(self) -> ComplexArray:
@@ -36,7 +39,7 @@ class Covariance(Protocol):
 
     @property
     def shared(self) -> float:
-        """Number of neighboring lines with the same error."""
+        """Number of adjacent lines that have the same error, because they are computed from the same samples."""
 
     @property
     def reference(self) -> Array | None:
@@ -53,7 +56,7 @@ class Covariance(Protocol):
 
 
 class RandomErrors(Protocol):
-    """Dependence of the random errors of a response's elements on those of the readings."""
+    """Random errors of a response's elements, expressed by those of the readings: elements may share readings."""
 
     def at(self, lines: Lines) -> RandomErrors:
         """Select some lines."""
@@ -75,8 +78,8 @@ class RandomErrors(Protocol):
 class Contribution:
     """One cause of uncertainty.
 
-    `size`: type A: standard uncertainty of either quadrature component; NaN where a single average has no scatter.
-    Type B: largest deviation; infinite where it is unbounded.
+    `size`, of the shape of the values: for type A the standard uncertainty of either quadrature component, NaN where
+    a single average has no scatter; for type B the largest deviation, infinite where it is unbounded.
     """
 
     name: str
@@ -85,31 +88,30 @@ class Contribution:
     degrees: Array | None = None  # degrees of freedom of type A
 
     def standard(self) -> Array:
-        """Return the standard uncertainty; a largest deviation is that of a uniform distribution (GUM 4.3.7)."""
+        """Return the standard uncertainty; type B is assumed to have a uniform distribution (GUM 4.3.7)."""
         return self.size if self.evaluation == "A" else self.size / np.sqrt(3.0)
 
     def bound(self, confidence: float = 0.95) -> Array:
         """Return the expanded uncertainty of this contribution alone: the radius of a circle in the complex plane."""
         if self.evaluation == "B" or self.degrees is None:
             return self.size
-        return self.size * radius(confidence, self.degrees)
+        return self.size * coverage_factor(confidence, self.degrees)
 
 
 @dataclass(frozen=True)
 class UncertaintyBudget:
     """Contributions to the uncertainty of a response.
 
-    `errors`: random errors of the elements, for their covariance; None: they are independent.
-    `shared`: number of neighboring lines that are computed from the same samples, so that they have the same error.
-    `clock`: largest relative error of the sample clock, and so of all frequencies; its effect on values is one of the
-    contributions.
+    `errors`: random errors of the elements, for their covariance; None: they are independent. `shared`: number of
+    adjacent lines that have the same error, because they are computed from the same samples. `clock`: largest relative
+    error of the sample clock, and so of all frequencies; its effect on the values is one of the contributions.
     """
 
     contributions: tuple[Contribution, ...] = ()  # empty if the response is exact
     errors: RandomErrors | None = None
     shared: float = 1.0
     clock: float = 0.0
-    scale: float = 0.0  # largest relative error of the reference's sensor; all values have it
+    scale: float = 0.0  # largest relative error of the reference's sensor, common to all values
 
     @classmethod
     def of(
@@ -130,37 +132,35 @@ class UncertaintyBudget:
         return next((part for part in self.contributions if part.evaluation == "A"), None)
 
     def random_bound(self, confidence: float = 0.95) -> Array | float:
-        """Return the radius of the circle that contains the mean of many such measurements with a confidence.
+        """Return the expanded uncertainty from the scatter alone: radius of a circle in the complex plane.
 
-        A complex mean with equal, independent errors in its two components is F-distributed about the truth with 2 and
-        the stated degrees of freedom.
+        The two components have equal, independent errors, so that the squared deviation of a complex mean is
+        F-distributed with 2 and `degrees` degrees of freedom.
         """
         return 0.0 if self.scatter is None else self.scatter.bound(confidence)
 
-    def limit(self, names: Collection[str] | None = None, without: Collection[str] = ()) -> Array | float:
-        """Return the root of the sum of squares of the limits, or of those with some names."""
-        limits = [
-            limit for name, limit in self.limits.items() if (names is None or name in names) and name not in without
-        ]
+    def combined_limit(self, without: Collection[str] = ()) -> Array | float:
+        """Return the root of the sum of squares of the limits, except those with some names."""
+        limits = [limit for name, limit in self.limits.items() if name not in without]
         return np.asarray(np.linalg.norm(limits, axis=0)) if limits else 0.0
 
     def systematic_bound(self) -> Array | float:
         """Return the root of the sum of squares of the limits, plus the tolerances of data sheets."""
-        return self.limit(without=TOLERANCES) + self._tolerances()
+        return self.combined_limit(without=TOLERANCES) + self._tolerances()
 
     def bound(self, confidence: float = 0.95) -> Array | float:
         """Return the expanded uncertainty: the radius of the circle that contains the true value.
 
         It is infinite where a contribution is unbounded.
         """
-        without_tolerances = np.hypot(self.random_bound(confidence), self.limit(without=TOLERANCES))
+        without_tolerances = np.hypot(self.random_bound(confidence), self.combined_limit(without=TOLERANCES))
         return np.asarray(without_tolerances + self._tolerances())
 
     def _tolerances(self) -> Array | float:
         limits = self.limits
         return np.asarray(sum(limits[name] for name in TOLERANCES if name in limits))
 
-    def largest(self) -> list[str]:
+    def largest_contributions(self) -> list[str]:
         """Return the name of the largest contribution to the bound at each line of a curve."""
         bounds = np.nan_to_num([part.bound() for part in self.contributions], posinf=np.inf)
         return [self.contributions[index].name for index in np.argmax(bounds, axis=0)]
@@ -212,8 +212,8 @@ class UncertaintyBudget:
         return replace(self, contributions=parts, errors=errors)
 
 
-def stacked(budgets: Sequence[UncertaintyBudget], shape: tuple[int, ...]) -> UncertaintyBudget:
-    """Join the budgets of curves over the same lines to that of a matrix of values of some shape."""
+def stack_budgets(budgets: Sequence[UncertaintyBudget], shape: tuple[int, ...]) -> UncertaintyBudget:
+    """Join the budgets of curves over the same lines to the budget of values of a shape (lines, outputs, inputs)."""
     names = dict.fromkeys((part.name, part.evaluation) for budget in budgets for part in budget.contributions)
     lines = shape[0]
 
@@ -270,7 +270,7 @@ class BudgetTable:
     `rows`: name, type, standard uncertainty in `unit`, share of the combined variance; largest first.
     """
 
-    title: str  # what the value is of
+    title: str  # ratio and frequency of the value
     value: float
     expanded: float
     unit: str
@@ -291,7 +291,8 @@ class BudgetTable:
         widths = [max(len(row[k]) for row in (heading, *body)) for k in range(4)]
         lines = [
             "  ".join(
-                cell.ljust(w) if k < 2 else cell.rjust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True))
+                cell.ljust(width) if k < 2 else cell.rjust(width)
+                for k, (cell, width) in enumerate(zip(row, widths, strict=True))
             ).rstrip()
             for row in (heading, *body)
         ]
@@ -302,6 +303,6 @@ class BudgetTable:
     __repr__ = __str__
 
 
-def radius(confidence: float, degrees: Array) -> Array:
-    """Return the coverage factor of a complex mean: the radius of its circle over the standard uncertainty."""
+def coverage_factor(confidence: float, degrees: Array) -> Array:
+    """Return the coverage factor of a complex mean: radius of its circle relative to the standard uncertainty."""
     return np.asarray(np.sqrt(2.0 * special.fdtri(2.0, np.maximum(degrees, 1.0), confidence)))

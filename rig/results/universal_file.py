@@ -1,4 +1,4 @@
-"""Frequency responses as data sets 58 of Universal Files, a format of modal analysis programs."""
+"""Writing of frequency responses to Universal Files (data set 58), which programs for modal analysis read."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rig.escaping import escape_terminal
 
 #: Function types of data set 58.
 FRF, GENERAL = 4, 0
-#: Beginning of the text line that states the width over which leakage smears each line of a response.
+#: Beginning of the text line that states the bandwidth of each frequency of a response.
 RESOLUTION_LINE = "shotrig: resolution"
 #: Beginning of the text line that names the response whose standard deviation a general function is.
 DEVIATION_LINE = "standard deviation of"
@@ -23,22 +23,23 @@ _UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s²"}
 
 
 def write_curve(
-    file: Any, number: int, node: int, driven: int, title: str, labels: tuple[str, str], motion: str,
+    file: Any, number: int, output_node: int, force_node: int, title: str, labels: tuple[str, str], motion: str,
     resolution: float, frequency: Array, value: ComplexArray, error: Array,
 ) -> None:  # fmt: skip
     """Append a response to a force as a data set 58 of function type 4.
 
     Its standard deviation follows as a general function (type 0), which other programs skip.
 
-    `number`: number of the function. `node`, `driven`: nodes of the output and of the force, both in the direction +Z.
-    `title`: response and ratio. `labels`: scene, and ratio. `motion`: quantity of the response. `resolution`: Hz.
+    `number`: number of the function. `output_node`, `force_node`: nodes of the output and of the force, both in the
+    direction +Z. `title`: response and ratio. `labels`: scene, and ratio. `motion`: quantity of the response.
+    `resolution`: Hz.
     """
     steps = np.diff(frequency)
     fields = {
         "type": 58, "binary": 0, "id2": text_line(labels[0]), "id3": text_line(labels[1]),
         "id4": f"{RESOLUTION_LINE} {resolution!r} Hz",
-        "rsp_ent_name": "NONE", "rsp_node": node, "rsp_dir": 3,
-        "ref_ent_name": "NONE", "ref_node": driven, "ref_dir": 3,
+        "rsp_ent_name": "NONE", "rsp_node": output_node, "rsp_dir": 3,
+        "ref_ent_name": "NONE", "ref_node": force_node, "ref_dir": 3,
         "abscissa_spacing": int(np.ptp(steps) < 1e-6 * steps.mean()) if steps.size else 0,
         "abscissa_spec_data_type": 18, "abscissa_axis_lab": "Frequency", "abscissa_axis_units_lab": "Hz",
         "ordinate_spec_data_type": QUANTITY_NUMBERS[motion], "ordinate_axis_lab": motion.capitalize(),

@@ -1,8 +1,10 @@
 """The energy balance of a run: work of the drive, stored energy, and dissipated energy.
 
 Work and dissipation are quadratic forms of the state. They are integrated over every interval between samples and
-breaks by Gauss-Legendre quadrature of the exact flow. Losses in impacts are the jumps of kinetic energy. No term is
-computed as the difference of the others, so the residual is a test of the engine.
+breaks (impacts and separations) by Gauss-Legendre quadrature of the exact flow. Losses in impacts are the jumps of
+kinetic energy. No term is computed as the difference of the others, so that the residual is a test of the engine.
+
+A table index is the position of a contact configuration (the set of dampers at a wall) in the flow tables.
 """
 
 from __future__ import annotations
@@ -24,8 +26,7 @@ from rig.scene.scene import Scene
 from rig.scene.shaker import ElectrodynamicShaker, TableShaker, at_shaker
 from rig.system.hybrid_system import FORCE_OF_BED, HybridSystem
 
-#: Gauss-Legendre nodes and weights on [0, 1]; within a step 8 of them integrate a product of two solutions to
-#: rounding.
+#: Gauss-Legendre nodes and weights on [0, 1]. Within a step, 8 nodes integrate a product of two solutions to rounding.
 _GAUSS_NODES = tuple(0.5 * part for part in np.polynomial.legendre.leggauss(8) + np.array([[1.0], [0.0]]))
 # Largest number of values of a power series in memory.
 _MAX_VALUES = 1 << 21
@@ -57,25 +58,27 @@ class Energy:
 
 def total_energy(balances: Sequence[Energy]) -> Energy:
     """Add the energy balances of successive sections of a run."""
-    summed = ("work", "dissipated", "impacts", "contacts", "grains")
-    ends = {"stored": balances[-1].stored, "stored_before": balances[0].stored_before}
-    return Energy(**ends, **{name: sum(getattr(balance, name) for balance in balances) for name in summed})
+    sums = {
+        name: sum(getattr(balance, name) for balance in balances)
+        for name in ("work", "dissipated", "impacts", "contacts", "grains")
+    }
+    return Energy(stored=balances[-1].stored, stored_before=balances[0].stored_before, **sums)
 
 
 @dataclass(frozen=True)
 class QuadraticForms:
-    """Quadratic forms of the augmented state z (states, then drive), as symmetric matrices."""
+    """Quadratic forms of the augmented state z (states, then drive), as symmetric matrices (size, size)."""
 
-    stored: Array
-    dissipated: Array
-    power: Array
-    to_grains: Array
+    stored: Array  # z' stored z: energy, J
+    dissipated: Array  # the others: power, W
+    power: Array  # of the drive
+    to_grains: Array  # into beds of grains
 
 
 def quadratic_forms(scene: Scene, system: HybridSystem, output: Array) -> QuadraticForms:
     """Return stored energy, dissipation, and power of the drive and into beds of grains as quadratic forms.
 
-    `output`: u = output p.
+    `output`: matrix that maps the drive variables p of the augmented state to the inputs, u = output p.
     """
     n, ns = system.coordinates, system.states
     size = ns + output.shape[1]
@@ -122,6 +125,7 @@ def _symmetric(matrix: Array) -> Array:
 
 
 def _quadratic(form: Array, states: Array) -> Array:
+    """Return z' form z for each state z."""
     return ((states @ form) * states).sum(axis=-1)
 
 
@@ -130,9 +134,9 @@ class CompleteState:
     """Complete state at one instant: augmented state, and height, velocity and mode of every damper."""
 
     state: Array
-    height: Array
-    speed: Array
-    mode: NDArray[Any]
+    height: Array  # m
+    speed: Array  # m/s
+    mode: NDArray[Any]  # FLIGHT, FLOOR or CEILING
 
 
 def complete_state(propagator: Propagator) -> CompleteState:
@@ -174,7 +178,7 @@ def fourier_integral(
 ) -> NDArray[np.complex128]:
     """Integrate z(t) e^{-i omega t} over a motion with segments no longer than a step, shape (size,).
 
-    The jumps at impacts are ends of intervals, so quadrature has its full order.
+    Intervals end at the jumps of impacts, so that the quadrature has its full order.
     """
     states, table_indices, lengths, starts = _intervals(tables, trajectory, segment_states, durations)
     total = np.zeros(tables.size, dtype=np.complex128)
@@ -200,6 +204,7 @@ def _intervals(
     """Return the intervals between segment ends and breaks: initial states, table indices, durations, start times."""
     size = tables.size
     segments = len(durations)
+    # An interval begins with each segment, at offset 0, and at each break in a segment.
     segment = np.concatenate([np.arange(segments), trajectory.break_segment])
     offset = np.concatenate([np.zeros(segments), trajectory.break_offset])
     states = np.concatenate([segment_states[:, :size], trajectory.state_after[:, :size]])
@@ -207,10 +212,11 @@ def _intervals(
     order = np.lexsort((np.arange(len(segment)), offset, segment))
     segment, offset = segment[order], offset[order]
     first_index = trajectory.table_index_before[0] if len(trajectory.table_index_before) else trajectory.table_index[0]
-    segment_indices = np.concatenate([np.full(segments, -1), trajectory.table_index_after])[order]
-    segment_indices[0] = first_index if segment_indices[0] < 0 else segment_indices[0]
-    source = np.where(segment_indices >= 0, np.arange(len(segment_indices)), 0)
-    table_indices = segment_indices[np.maximum.accumulate(source)]
+    # Only breaks change the table index (-1: unchanged); other intervals have that of the previous interval.
+    new_indices = np.concatenate([np.full(segments, -1), trajectory.table_index_after])[order]
+    new_indices[0] = first_index if new_indices[0] < 0 else new_indices[0]
+    last_change = np.maximum.accumulate(np.where(new_indices >= 0, np.arange(len(new_indices)), 0))
+    table_indices = new_indices[last_change]
     next_offset = np.append(offset[1:], 0.0)
     has_next = np.append(segment[1:] == segment[:-1], False)
     lengths = np.where(has_next, next_offset, durations[segment]) - offset
@@ -252,7 +258,7 @@ def _integrate(
 
 
 def _walls(tables: FlowTables) -> NDArray[np.int64]:
-    """Return each damper's finite-duration contact (configurations, dampers): FLIGHT, FLOOR or CEILING."""
+    """Return the wall that each damper touches in each configuration: FLIGHT, FLOOR or CEILING; (configurations, dampers)."""
     system = tables.system
     configurations = np.array(sorted(tables.indices, key=tables.indices.__getitem__), dtype=np.int64)[:, None]
     bits = np.arange(system.dampers)
@@ -263,7 +269,7 @@ def _walls(tables: FlowTables) -> NDArray[np.int64]:
 
 
 def _contact_energy(system: HybridSystem, walls: NDArray[Any], states: Array) -> Array:
-    """Return the energy in contact springs, J; walls (states, dampers) as in `_walls`."""
+    """Return the energy in contact springs, J; `walls`, shape (states, dampers), as in `_walls`."""
     energy = np.zeros(len(states))
     for j in np.flatnonzero(system.finite_contact):
         stiffness = np.append(0.0, system.wall_stiffness[j])[walls[:, j]]
@@ -300,6 +306,7 @@ def _series(tables: FlowTables, table_index: int, states: Array) -> Array:
 
 
 def _sum_series(terms: Array, tau: Array) -> Array:
+    """Return the states at the shares `tau` of a step, shape (states, size), by Horner's method."""
     total = terms[-1].copy()
     for term in terms[-2::-1]:
         total *= tau[:, None]
@@ -312,10 +319,10 @@ def _stored_energy(tables: FlowTables, forms: QuadraticForms, complete: Complete
     system = tables.system
     n, body = system.coordinates, system.damper_coordinate
     state = complete.state[: tables.size]
-    flying = complete.mode == FLIGHT
-    position = state[body] + np.where(complete.mode == CEILING, system.clearance, 0.0)
-    height = np.where(flying, complete.height, position)
-    speed = np.where(flying, complete.speed, state[n + body])
+    is_flying = complete.mode == FLIGHT
+    wall_height = state[body] + np.where(complete.mode == CEILING, system.clearance, 0.0)
+    height = np.where(is_flying, complete.height, wall_height)
+    speed = np.where(is_flying, complete.speed, state[n + body])
     energy = float(_quadratic(forms.stored, state)) - float(system.force_constant @ state[:n])
     energy += float(_contact_energy(system, complete.mode[None], state[None])[0])
     # Beds with finite-duration contact are part of the mass matrix.

@@ -1,8 +1,8 @@
 """Open-loop runs of scenes with beds of grains, in sections, so that an interrupted run can be continued.
 
-When LAMMPS reads a bed from a file, it recomputes neighbors and forces, which changes the last digits of the motion.
-Therefore every run recomputes them at the end of every section: interrupted and uninterrupted runs are identical to
-the bit.
+When LAMMPS reads a bed from a file, it recomputes neighbor lists and forces, which changes the last digits of the
+motion. Therefore every run recomputes them at the end of every section: interrupted and uninterrupted runs are
+identical to the bit.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rig.scene.scene import Scene
 from rig.simulation.energy import Energy, complete_state, energy_balance
 from rig.system.open_loop_drive import ToneDrive
 
-#: Grain time steps in a section: the work at its end takes as long as about a hundred steps at most.
+#: Time steps of the grains in a section; the work at its end takes at most as long as about a hundred steps.
 STEPS_PER_SECTION = 20_000
 
 
@@ -44,7 +44,7 @@ class GrainsRun:
     """Simulation of a scene with beds of grains in sections.
 
     `samples`: number of samples of the whole run, including the sample at its start; `rate`: sample rate, Hz;
-    `drive`, shape (inputs, samples): a tone is evaluated at every grain time step; a sampled drive is interpolate_drive
+    `drive`, shape (inputs, samples): a tone is evaluated at every grain time step; a sampled drive is interpolated
     linearly.
     """
 

@@ -1,4 +1,4 @@
-"""Response of the rig to a block of drive: motion of its points, and the instants of breaks."""
+"""Motion of the rig's points over a block of drive samples, and the instants of impacts and separations (breaks)."""
 
 from __future__ import annotations
 
@@ -64,8 +64,9 @@ class Motion:
             Sample interval of this motion, s.
         """
         selected = slice(-self.first % step, None, step)
-        before = -(-self.break_sample // step) - 1
-        skipped = (self.break_sample - 1 - before * step) * interval
+        # Number of the last retained sample before each break, and the time from it to the last original sample.
+        last_before = -(-self.break_sample // step) - 1
+        skipped = (self.break_sample - 1 - last_before * step) * interval
         return replace(
             self,
             first=-(-self.first // step),
@@ -74,6 +75,6 @@ class Motion:
             acceleration=self.acceleration[:, selected],
             gap=self.gap[:, selected],
             contact=self.contact[:, selected],
-            break_sample=before + 1,
+            break_sample=last_before + 1,
             break_offset=self.break_offset + skipped,
         )

@@ -1,4 +1,4 @@
-"""The rig as a plant with drive samples as input and motion as output."""
+"""The rig as a plant, in the sense of control engineering: drive samples in, motion out, block by block."""
 
 from __future__ import annotations
 
@@ -48,16 +48,16 @@ class Plant:
         self.points = self.system.points
         self._propagator, self._steps = _propagator(scene, self.system, 1.0 / self.rate)
         # Largest drive of each input before the amplifier clips.
-        self._limit = np.full((len(self.inputs), 1), np.inf)
+        self._drive_limit = np.full((len(self.inputs), 1), np.inf)
         for number, shaker in enumerate(scene.shakers, 1):
             if shaker.kind == "electrodynamic":
                 row = self.inputs.index(at_shaker("shaker", number, len(scene.shakers)))
-                self._limit[row] = shaker.amplifier.limit / shaker.amplifier.gain
+                self._drive_limit[row] = shaker.amplifier.limit / shaker.amplifier.gain
         self._dampers = len(scene.dampers)
-        # Of a block without breaks; most blocks share these empty arrays.
+        # Empty arrays of a block without breaks, which most blocks share.
         self._no_breaks: tuple[Array, Array, Array] | None = None
-        self._next = 0
-        self._last = np.zeros((len(self.inputs), 1))
+        self._next_sample = 0
+        self._last_drive = np.zeros((len(self.inputs), 1))
 
     @property
     def ambiguous(self) -> int:
@@ -82,24 +82,24 @@ class Plant:
         RunError
             If the drive has the wrong shape, or is not finite.
         """
-        block = validate_drive(drive, self.inputs, self._next)
-        if np.isfinite(self._limit).any():
-            block = np.clip(block, -self._limit, self._limit)
-        first, samples = self._next, block.shape[1]
+        block = validate_drive(drive, self.inputs, self._next_sample)
+        if np.isfinite(self._drive_limit).any():
+            block = np.clip(block, -self._drive_limit, self._drive_limit)
+        first, samples = self._next_sample, block.shape[1]
         buffer = self._propagator.motion_samples(samples)
         separated = np.zeros(0, dtype=np.int64)
         offset = 0
         if first == 0 and samples:
             offset = 1
-            self._last = block[:, :1].copy()
+            self._last_drive = block[:, :1].copy()
             separated = self._propagator.set_state(
                 self.system.initial, np.concatenate([block[:, 0], np.zeros(len(self.inputs))])
             )
             self._propagator.store_present_motion(buffer, 0)
-        drive_in = np.concatenate([self._last, block[:, offset:]], axis=1)
-        trajectory = self._propagator.sample_motion(drive_in, self._steps, buffer, offset)
-        self._last = drive_in[:, -1:].copy()
-        self._next += samples
+        held_drive = np.concatenate([self._last_drive, block[:, offset:]], axis=1)
+        trajectory = self._propagator.sample_motion(held_drive, self._steps, buffer, offset)
+        self._last_drive = held_drive[:, -1:].copy()
+        self._next_sample += samples
         return self._motion(buffer, trajectory, first + offset, first, separated)
 
     def _motion(

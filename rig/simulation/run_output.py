@@ -1,4 +1,4 @@
-"""Output of a simulated run: a summary in words, and files for other programs."""
+"""Output of `rig simulate`: a summary as text, and files for other programs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,9 @@ def check_suffix(path: Path) -> None:
     Raises `SceneError` if the extension is unknown.
     """
     if path.suffix not in SUFFIXES:
-        raise SceneError(f"{path}: unknown extension {path.suffix!r}; expected {' or '.join(SUFFIXES)}")
+        raise SceneError(
+            f"{path}: unknown extension {path.suffix!r}. Give a name that ends in {' or '.join(SUFFIXES)}."
+        )
 
 
 def simulate_to_file(
@@ -80,7 +82,7 @@ def summary(run: Run) -> str:
         events = run.events[run.events["damper"] == damper]
         counts = Counter(str(kind) for kind in events["kind"])
         parts = [f"{kind} {counts[kind]}" for kind in dict.fromkeys(EVENT_NAMES.tolist()) if counts[kind]]
-        lines.append(f"damper {damper}: {', '.join(parts)}; hardest impact {events['speed'].max():.4g} m/s")
+        lines.append(f"damper {damper}: {', '.join(parts)}; fastest impact {events['speed'].max():.4g} m/s")
     lines.append(f"events: {len(run.events)}, decided within rounding: {run.ambiguous}")
     energy = run.energy
     lines += [

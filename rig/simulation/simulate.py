@@ -1,4 +1,4 @@
-"""Open-loop simulation of the true motion of a scene, without sensors, converter or controller."""
+"""Open-loop simulation of a scene: the true motion, without sensors, converter or controller."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rig.engine.trajectory import EVENT, Trajectory, event_table, gaps_and_conta
 from rig.errors import RunError, SceneError
 from rig.numerics.memory import require_memory
 from rig.progress import CountProgress
-from rig.ranks import size
+from rig.ranks import rank_count
 from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, TIME, number
@@ -30,7 +30,7 @@ from rig.system.open_loop_drive import ToneDrive, sampled_drive, tone_drive, val
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Samples per period of a tone above which time steps end at samples instead of at periods.
+#: Samples per period of a tone above which a time step is a sample interval instead of a period.
 MIN_DENSE_SAMPLES = 10
 
 
@@ -182,7 +182,7 @@ def simulate(
 
 
 def _check_memory(system: HybridSystem, instants: float) -> None:
-    """Reject a run whose motion exceeds the memory: states, points, dampers and extended-precision times."""
+    """Reject a run whose motion exceeds the memory: states, points, dampers and times at a number of instants."""
     numbers = 3 * system.states + 3 * len(system.points) + 4 * len(system.damper_mass) + 16
     require_memory(8.0 * numbers * instants, f"a motion of {instants:.3g} instants")
 
@@ -200,20 +200,21 @@ def _simulate_tone(
     is_dense = rate > MIN_DENSE_SAMPLES * tone.frequency
     propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega, 1.0 / rate if is_dense else None)
     separated = propagator.set_state(tone.state, np.array([1.0, 0.0]))
-    times, is_sample, new_period = _mark_times(duration, samples, rate, tone.frequency)
+    times, is_sample, is_period_start = _mark_times(duration, samples, rate, tone.frequency)
     start = complete_state(propagator)
     initial = propagator.current_state()
     durations = np.diff(times).astype(np.float64)
     segment_steps = durations / propagator.tables.step
     if is_dense:
         segment_steps[is_sample[:-1] & is_sample[1:]] = steps
-    trajectory = propagator.propagate_marks(segment_steps, np.arange(len(durations)), new_period[:-1])
-    starts = times[:-1].astype(np.float64)
-    begins = np.concatenate([initial.state, trajectory.state[:-1]])
-    rows = np.flatnonzero(is_sample[1:])
+    trajectory = propagator.propagate_marks(segment_steps, np.arange(len(durations)), is_period_start[:-1])
+    segment_starts = times[:-1].astype(np.float64)
+    segment_states = np.concatenate([initial.state, trajectory.state[:-1]])
+    sample_rows = np.flatnonzero(is_sample[1:])
     return _assemble_run(
-        scene, propagator, rate, start, initial, trajectory, rows, starts, durations, begins, separated
-    )
+        scene, propagator, rate, start, initial, trajectory, sample_rows, segment_starts, durations, segment_states,
+        separated,
+    )  # fmt: skip
 
 
 def _mark_times(
@@ -226,10 +227,10 @@ def _mark_times(
     period = 1 / np.longdouble(frequency)
     periods = np.arange(1, int(end / period) + 1, dtype=np.longdouble) * period
     times, positions = np.unique(np.concatenate([sample_times, periods, [end]]), return_inverse=True)
-    is_sample, new_period = np.zeros(len(times), dtype=bool), np.zeros(len(times), dtype=bool)
+    is_sample, is_period_start = np.zeros(len(times), dtype=bool), np.zeros(len(times), dtype=bool)
     is_sample[positions[:samples]] = True
-    new_period[positions[samples:-1]] = True
-    return times, is_sample, new_period
+    is_period_start[positions[samples:-1]] = True
+    return times, is_sample, is_period_start
 
 
 def _simulate_sampled(scene: Scene, system: HybridSystem, drive: Array, rate: float) -> Run:
@@ -239,15 +240,16 @@ def _simulate_sampled(scene: Scene, system: HybridSystem, drive: Array, rate: fl
     initial = propagator.current_state()
     trajectory = propagator.propagate_samples(drive, steps)
     intervals = drive.shape[1] - 1
-    begins = np.concatenate([initial.state, trajectory.state[:-1]])
+    segment_states = np.concatenate([initial.state, trajectory.state[:-1]])
     inputs, ns = len(system.inputs), system.states
-    begins[:, ns + inputs : ns + 2 * inputs] = np.diff(drive, axis=1).T
+    # First-order hold: the drive changes by this difference within a segment.
+    segment_states[:, ns + inputs : ns + 2 * inputs] = np.diff(drive, axis=1).T
     durations = np.full(intervals, 1.0 / rate)
-    starts = np.arange(intervals) / rate
-    rows = np.arange(intervals)
+    segment_starts = np.arange(intervals) / rate
     return _assemble_run(
-        scene, propagator, rate, start, initial, trajectory, rows, starts, durations, begins, separated
-    )
+        scene, propagator, rate, start, initial, trajectory, np.arange(intervals), segment_starts, durations,
+        segment_states, separated,
+    )  # fmt: skip
 
 
 def _simulate_grains(
@@ -270,7 +272,7 @@ def _simulate_grains(
         "rate": rate,
         "drive": tone or drive,
         "version of LAMMPS": lammps_version(),
-        "number of ranks": size(),
+        "number of ranks": rank_count(),
     }
     checkpoint = None if keep is None else read_checkpoint(keep, settings)
     run = GrainsRun(scene, samples, rate, drive)
@@ -299,10 +301,14 @@ def _simulate_grains(
 
 def _assemble_run(
     scene: Scene, propagator: Propagator, rate: float, start: CompleteState, initial: Trajectory,
-    trajectory: Trajectory, sample_rows: NDArray[np.int64], starts: Array, durations: Array, begins: Array,
-    separated: NDArray[np.int64],
+    trajectory: Trajectory, sample_rows: NDArray[np.int64], segment_starts: Array, durations: Array,
+    segment_states: Array, separated: NDArray[np.int64],
 ) -> Run:  # fmt: skip
-    """Return the run from the initial state and a trajectory of which only the rows `sample_rows` are samples."""
+    """Return the run from its initial state and a trajectory; row k of the trajectory is the end of segment k.
+
+    `sample_rows`: rows that are samples; `segment_starts`, `durations`: of the segments, s; `segment_states`: at their
+    starts; `separated`: dampers that separate at t = 0.
+    """
     system, end = propagator.system, complete_state(propagator)
     n, points = system.coordinates, len(system.points)
     states = np.concatenate([initial.state, trajectory.state[sample_rows]])
@@ -311,7 +317,7 @@ def _assemble_run(
     gap, contact = gaps_and_contacts(trajectory, system)
     zeros = np.zeros(len(separated))
     events = event_table(
-        np.concatenate([zeros, starts[trajectory.event_segment] + trajectory.event_offset]),
+        np.concatenate([zeros, segment_starts[trajectory.event_segment] + trajectory.event_offset]),
         np.concatenate([separated, trajectory.event_damper]),
         np.concatenate([zeros.astype(np.int64), trajectory.event_kind]),
         np.concatenate([zeros, trajectory.event_speed]),
@@ -328,5 +334,7 @@ def _assemble_run(
         contact=np.concatenate([initial_contact, contact[:, sample_rows]], axis=1),
         events=events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": propagator.ambiguous})),
         ambiguous=propagator.ambiguous,
-        _energy_balance=partial(energy_balance, scene, propagator.tables, start, end, trajectory, begins, durations),
+        _energy_balance=partial(
+            energy_balance, scene, propagator.tables, start, end, trajectory, segment_states, durations
+        ),
     )

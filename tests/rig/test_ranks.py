@@ -21,7 +21,7 @@ _JOINED = "from rig import ranks; ranks.join(); from tests.rig.mpi import Part; 
 def test_second_rank_executes_operations_of_the_first() -> None:
     program = (
         "other = ranks.Shared(Part, 30.0); del other;"
-        "print(ranks.size(), part.value, part.total, part.increase(0.5), part.total)"
+        "print(ranks.rank_count(), part.value, part.total, part.increase(0.5), part.total)"
     )
 
     completed = on_two_ranks(_JOINED + program)
@@ -98,7 +98,7 @@ def test_single_process_joins_alone(monkeypatch: pytest.MonkeyPatch) -> None:
 
     ranks.join()
 
-    assert ranks.size() == 1
+    assert ranks.rank_count() == 1
 
 
 @pytest.mark.parametrize("size", ["2", "two", ""])
@@ -108,13 +108,13 @@ def test_missing_mpi4py_leaves_processes_separate(monkeypatch: pytest.MonkeyPatc
 
     ranks.join()
 
-    assert ranks.size() == 1
+    assert ranks.rank_count() == 1
     with pytest.raises(SceneError, match=r"pip install 'shotrig\[grains\]'"):
         ranks.communicators()
 
 
 def test_several_ranks_compute_pieces_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.workers.size", lambda: 2)
+    monkeypatch.setattr("rig.workers.rank_count", lambda: 2)
     computed_numbers: list[float] = []
     pieces = [1.0, 2.0]
 

@@ -30,9 +30,9 @@ LOOKAHEAD = 3
 #: Trials around the best clearance of a location and mass.
 MAX_REFINEMENT_TRIALS = 8
 #: Trials per unknown when all dampers differ.
-POLISH_TRIALS_PER_UNKNOWN = 25
+SIMPLEX_TRIALS_PER_UNKNOWN = 25
 #: Locations whose best design is refined with all dampers different.
-MAX_POLISHED_LOCATIONS = 2
+MAX_SIMPLEX_LOCATIONS = 2
 #: Largest ratio of two dampers' masses. Large, so that a single damper can dominate if that is the optimum.
 MAX_MASS_RATIO = 300.0
 #: Largest ratio of the peak at a location to the best peak on the grid for which the location is refined.
@@ -61,6 +61,10 @@ def search(question: Question, space: Space, evaluator: Evaluator) -> tuple[Tria
 
     Returns the best design, with its peaks on a finer grid of frequencies, and all computed designs.
     """
+
+    def optimize_from(starts: Iterable[Choice], optimize: Callable[..., object]) -> dict[Choice, Trial]:
+        return evaluator.run_searches(question, [partial(_requested_designs, optimize, start) for start in starts])
+
     grid = [
         [choice for location in space.locations for choice in _grid_row(space, location, share)]
         for share in GRID_MASS_RATIOS
@@ -70,19 +74,18 @@ def search(question: Question, space: Space, evaluator: Evaluator) -> tuple[Tria
     starts = _best_of_locations(largest_mass, MAX_REFINED_PEAK_RATIO)
     for row in smaller_masses:
         starts += _best_of_locations(row, MAX_LIGHT_PEAK_RATIO)[:MAX_REFINED_LOCATIONS]
-    refine = partial(_refine, step=_clearance_step(space), bounds=space.clearance)
-    trials |= evaluator.run_searches(question, [partial(_requested_designs, refine, start) for start in starts])
+    optimize_common_factor = partial(_optimize_common_factor, step=_clearance_step(space), bounds=space.clearance)
+    trials |= optimize_from(starts, optimize_common_factor)
     if space.dampers > 1:
         masses = [row[0].choice.mass for row in (largest_mass, *smaller_masses)]
         starts = []
-        for mass, max_locations in zip(masses, (MAX_POLISHED_LOCATIONS, *[1] * len(smaller_masses)), strict=True):
+        for mass, max_locations in zip(masses, (MAX_SIMPLEX_LOCATIONS, *[1] * len(smaller_masses)), strict=True):
             locations = _best_of_locations(_ranked_at_mass(trials, mass), MAX_LIGHT_PEAK_RATIO)
             starts += _with_several_dampers(locations)[:max_locations]
-        polish = partial(_polish, bounds=space.clearance)
-        trials |= evaluator.run_searches(question, [partial(_requested_designs, polish, start) for start in starts])
+        trials |= optimize_from(starts, partial(_optimize_each_damper, bounds=space.clearance))
         finalists = [_ranked_at_mass(trials, mass)[0].choice for mass in masses]
         starts = [choice.without_lightest() for choice in _with_several_dampers(finalists) if choice.has_ceiling]
-        trials |= evaluator.run_searches(question, [partial(_requested_designs, refine, start) for start in starts])
+        trials |= optimize_from(starts, optimize_common_factor)
     # A coarse frequency grid may miss a peak, so the first three designs are compared on a fine grid. The first
     # design without its lightest damper, whose mass may be negligible, and the best of each smaller mass are
     # compared too.
@@ -193,7 +196,9 @@ def _requested_designs(search: Callable[..., object], start: Choice, known_trial
     return requested
 
 
-def _refine(start: Choice, cost: Callable[[Choice], float], step: float, bounds: tuple[float, float]) -> None:
+def _optimize_common_factor(
+    start: Choice, cost: Callable[[Choice], float], step: float, bounds: tuple[float, float]
+) -> None:
     """Optimize a common factor of all clearances within one step of the grid, by Brent's method.
 
     `cost`: objective of a design; `step`: logarithmic; `bounds`: smallest and largest clearance, m.
@@ -208,8 +213,8 @@ def _refine(start: Choice, cost: Callable[[Choice], float], step: float, bounds:
     minimize_scalar(cost_at, bounds=ends, method="bounded", options={"maxiter": MAX_REFINEMENT_TRIALS, "xatol": 2e-3})
 
 
-def _polish(start: Choice, cost: Callable[[Choice], float], bounds: tuple[float, float]) -> None:
-    """Optimize clearance and mass share of every damper by the Nelder-Mead simplex method; arguments as `_refine`."""
+def _optimize_each_damper(start: Choice, cost: Callable[[Choice], float], bounds: tuple[float, float]) -> None:
+    """Optimize clearance and mass share of every damper by the Nelder-Mead simplex method; `bounds`: m."""
     count = len(start.bodies)
 
     def cost_at(unknowns: np.ndarray) -> float:
@@ -221,7 +226,7 @@ def _polish(start: Choice, cost: Callable[[Choice], float], bounds: tuple[float,
     initial = np.concatenate([np.log(start.clearances), log_mass_ratios])
     simplex = np.vstack([initial, initial + np.diag([0.25] * count + [0.3] * (count - 1))])
     limits = [tuple(np.log(bounds))] * count + [(-np.log(MAX_MASS_RATIO), np.log(MAX_MASS_RATIO))] * (count - 1)
-    max_trials = POLISH_TRIALS_PER_UNKNOWN * initial.size
+    max_trials = SIMPLEX_TRIALS_PER_UNKNOWN * initial.size
     minimize(
         cost_at, initial, method="Nelder-Mead", bounds=limits,
         options={"initial_simplex": simplex, "maxfev": max_trials, "xatol": 2e-3, "fatol": np.inf},

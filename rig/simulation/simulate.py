@@ -199,8 +199,9 @@ def _simulate_tone(
 ) -> Run:
     is_dense = rate > MIN_DENSE_SAMPLES * tone.frequency
     propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega, 1.0 / rate if is_dense else None)
+    # Cosine and sine of the drive at t = 0.
     separated = propagator.set_state(tone.state, np.array([1.0, 0.0]))
-    times, is_sample, is_period_start = _mark_times(duration, samples, rate, tone.frequency)
+    times, is_sample, is_period_start = _segment_times(duration, samples, rate, tone.frequency)
     start = complete_state(propagator)
     initial = propagator.current_state()
     durations = np.diff(times).astype(np.float64)
@@ -217,10 +218,13 @@ def _simulate_tone(
     )  # fmt: skip
 
 
-def _mark_times(
+def _segment_times(
     duration: float, samples: int, rate: float, frequency: float
 ) -> tuple[NDArray[np.longdouble], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the sorted times of samples, period starts and the end, with masks of samples and period starts."""
+    """Return the ends of all segments: times of samples, period starts and the end of the run, s, in order.
+
+    The two masks mark samples and period starts.
+    """
     sample_times = np.arange(samples, dtype=np.longdouble) / np.longdouble(rate)
     end = max(np.longdouble(duration), sample_times[-1])
     # Computed from the frequency in Hz, because the rounding of omega causes a phase error over a million periods.

@@ -16,7 +16,7 @@ import rig
 from rig.damper_design.choice import Choice, Question, Space, Trial
 from rig.damper_design.evaluator import Evaluator
 from rig.damper_design.ranking import pareto_front
-from rig.damper_design.search import _grid_row, _refine, search
+from rig.damper_design.search import _grid_row, _optimize_common_factor, search
 from rig.damper_design.worst_peak import Peak
 from rig.errors import RunError
 
@@ -160,4 +160,4 @@ def test_tried_clearances_are_allowed_and_distinct(place: tuple[int, ...], start
     row = _grid_row(Space((place,), 0.1, (1e-4, 1e-2), without_ceiling=False), place, 1.0)
     for choice in row:
         check_choice(choice)
-    _refine(row[start], check_choice, step, (1e-4, 1e-2))
+    _optimize_common_factor(row[start], check_choice, step, (1e-4, 1e-2))

@@ -23,7 +23,7 @@ def improbable_values(scene: Scene, content: Mapping[str, Any]) -> Iterator[Mist
     for k, damper in enumerate(scene.dampers):
         if damper.clearance < inf:
             yield from _check_number(
-                content, ("dampers", k, "clearance"), damper.clearance, _MAX_CLEARANCE_M, "metres", 1e3, "mm"
+                content, ("dampers", k, "clearance"), damper.clearance, _MAX_CLEARANCE_M, "meters", 1e3, "mm"
             )
         if damper.mass_ratio is not None:
             place: Place = ("dampers", k, "mass_ratio")
@@ -32,7 +32,7 @@ def improbable_values(scene: Scene, content: Mapping[str, Any]) -> Iterator[Mist
     is_list = isinstance(modal, tuple)
     for k, ratio in enumerate(modal if is_list else (modal or 0.0,)):
         place = ("structure", "damping", "modal", *((k,) if is_list else ()))
-        yield from _check_number(content, place, ratio, _MAX_DAMPING_RATIO, "a ratio to critical", 1e2, "%")
+        yield from _check_number(content, place, ratio, _MAX_DAMPING_RATIO, "a ratio to critical damping", 1e2, "%")
 
 
 def _check_number(
@@ -46,6 +46,6 @@ def _check_number(
     if str(number)[-1] in ".0123456789":
         yield Mistake(
             place,
-            f"got {number} without a unit, which is {meaning}: {factor * value:g} {unit}. Add the intended unit, "
+            f"got {number} without a unit, read as {meaning} ({factor * value:g} {unit}). Add the intended unit, "
             f"such as {number} {unit}.",
         )

@@ -45,7 +45,7 @@ def refined_peak(problem: OrbitProblem, response: OrbitResponse, body: int) -> t
     """Compute the largest compliance of a body over frequency [m/N], and its frequency [Hz].
 
     If the largest point is a periodic orbit, the maximum between its neighbors is computed over orbits with the same
-    events, so that it does not depend on the grid. If the three points were simulated, a linear resonance is fitted to
+    events. It then does not depend on the grid. If the three points were simulated, a linear resonance is fitted to
     them: 1 / |X|^2 is then a parabola.
     """
     size = np.abs(response.compliance[body - 1])

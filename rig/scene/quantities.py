@@ -1,8 +1,8 @@
 """Conversion of quantities with units (`0.98 mm`, `312.4 rad/s`, `10 %`) to numbers in SI.
 
 Frequencies are converted to Hz: 312.4 rad/s is 49.72 Hz, 600 rpm is 10 Hz. Pint does the unit arithmetic with a
-custom table in which the turn is a dimension. With the usual table (radian = 1), a frequency in rad/s would be read
-as the same number of Hz, and the ambiguous `50 1/s` would be accepted.
+custom table in which the turn is a dimension. With the usual table (radian = 1), Pint would read rad/s as Hz,
+and accept the ambiguous `50 1/s`.
 """
 
 from __future__ import annotations

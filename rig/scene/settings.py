@@ -1,7 +1,8 @@
 """Base classes of a scene's settings: frozen pydantic models that report all their mistakes together.
 
 A mistake has a place and a message. The place is a tuple of keys and positions from 0, such as ("dampers", 1,
-"clearance"). The message states the given value and the expected value. `rig.scene.loading` converts the place to a line of the file.
+"clearance"). The message states the given value and the expected value. `rig.scene.loading` converts the place to a
+line of the file.
 """
 
 from __future__ import annotations

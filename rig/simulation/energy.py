@@ -258,7 +258,7 @@ def _integrate(
 
 
 def _walls(tables: FlowTables) -> NDArray[np.int64]:
-    """Return the wall that each damper touches in each configuration: FLIGHT, FLOOR or CEILING; (configurations, dampers)."""
+    """Return the wall that each damper touches: FLIGHT, FLOOR or CEILING; shape (configurations, dampers)."""
     system = tables.system
     configurations = np.array(sorted(tables.indices, key=tables.indices.__getitem__), dtype=np.int64)[:, None]
     bits = np.arange(system.dampers)

@@ -228,7 +228,7 @@ def fit(
             raise RecordingError(f"fit: {recording!r:.60} is not a recording. Give paths, or recordings from daq.open.")
     paths = [Path(source) if isinstance(source, str | Path) else source.path for source in sources]
     for first, duplicate in duplicate_files(paths):
-        raise SceneError(f"{duplicate}: same content as {first}, so it would count twice. Give each recording once.")
+        raise SceneError(f"{duplicate}: the same content as {first}. Give each recording once.")
     curves = [sweep_curves for recording in sources for sweep_curves in _curves(recording)]
     if not curves:
         raise RecordingError("fit: no recordings. Give at least one.")

@@ -72,8 +72,9 @@ class UnitReadings(NamedTuple):
 class ImpactModel:
     """Readings of unit velocity jump, acceleration step and acceleration kink, and the filters that estimate them.
 
-    All arrays are differences of the readings, of an order two higher than the number of integrations in the channel,
-    so that the response to a jump is short. The fit itself is least squares in the readings, whose noise is white.
+    All arrays are differences of the readings, so that the response to a jump is short. The order of the differences is
+    two higher than the number of integrations in the channel. The fit itself is least squares in the readings, whose
+    noise is white.
 
     The arrays have one row for each of 2 `MAX_SHIFT` `instants_per_sample` times. Row g is for a jump
     (g + 1/2) / `instants_per_sample` - `MAX_SHIFT` samples after sample 0 of a window.

@@ -259,7 +259,7 @@ def _remove_spurious_poles(
     """Remove poles that are not modes; also return their frequencies, in Hz.
 
     A pole is not a mode if its damping is undetermined, or if its peak is below the systematic uncertainty of every
-    curve, because residual transients and images cause similar peaks. A distinct peak narrower than the resolution is
+    curve: residual transients and images cause similar peaks. A distinct peak narrower than the resolution is
     accepted as a mode, because its width cannot be measured.
     """
     rejected: list[float] = []

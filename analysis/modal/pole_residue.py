@@ -185,8 +185,8 @@ class Projection:
     def poles(self, x: Array) -> ComplexArray:
         """Convert parameters to poles, rad/s.
 
-        They are changes from the initial poles: of the logarithms of the decay rates, so that poles remain stable,
-        then of the frequencies in units of the initial decay rates.
+        The first half are changes of the logarithms of the decay rates, so that poles remain stable. The second half
+        are changes of the frequencies in units of the initial decay rates.
         """
         count = self.start.size
         return np.asarray(

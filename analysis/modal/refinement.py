@@ -109,8 +109,8 @@ class Likelihood:
     def _derivatives(self, model: ModalModel, lines: slice) -> tuple[ComplexArray, ComplexArray]:
         """Differentiate the model at some lines.
 
-        Returns the derivatives with respect to the parameters of the poles, shape (lines, responses, 2 modes), and to
-        the residues and residual terms of a response, shape (lines, unknowns), which are equal for all responses.
+        Returns the derivatives with respect to the parameters of the poles, shape (lines, responses, 2 modes). Those
+        with respect to residues and residual terms, shape (lines, unknowns), are equal for all responses.
         """
         s = self.s[lines, None]
         direct, mirror = 1.0 / (s - model.poles), 1.0 / (s - model.poles.conj())

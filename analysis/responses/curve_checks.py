@@ -15,10 +15,11 @@ from rig.results.response import Response
 
 # Largest relative uncertainty of points that are evaluated.
 _MAX_UNCERTAINTY = 0.3
-# A step of a curve is a jump if it exceeds each of three limits: an absolute value (nepers or radians), a multiple
-# of the steps on either side, and a multiple of its standard error.
+# Smallest step of a curve that is a jump, nepers or radians; the following two limits also apply.
 _MIN_STEP = 0.25
+# Smallest ratio of a jump to the steps on either side.
 _MIN_RATIO_TO_NEIGHBORS = 4.0
+# Smallest jump in standard errors.
 _MIN_SIGMAS = 5.0
 
 

@@ -1,7 +1,7 @@
 """Scatter of a mean of several channels, as a square-root factor of its covariance.
 
-A variance computed as a quadratic form ``w C w*`` may be negative by rounding if the covariance C has a null space,
-for example that of two averages of four channels. Computed from the factor, it is a sum of squares. Variances with
+A variance computed as a quadratic form ``w C w*`` may be negative by rounding if the covariance C has a null space.
+That of two averages of four channels is an example. Computed from the factor, it is a sum of squares. Variances with
 few degrees of freedom may be close to zero by chance. They are moderated by the variances of neighboring lines, as
 empirical Bayes estimates [1]_.
 

@@ -1,8 +1,9 @@
 """Responses to several shakers at once: the matrix of outputs over inputs, with coherences and a reciprocity check.
 
-Random tests are evaluated by the local rational method with one numerator for each input and a common denominator, or
-by block averages: H1, and Hv by total least squares on spectra of unit power [1]_, [2]_. A multisine test consists of
-one experiment with orthogonal phases for each shaker, so that the matrix of inputs can be inverted at each line [3]_.
+Random tests are evaluated by the local rational method, with one numerator for each input and a common denominator.
+Block averages are the alternative: H1, and Hv by total least squares on spectra of unit power [1]_, [2]_. A multisine
+test consists of one experiment with orthogonal phases for each shaker, so that the matrix of inputs can be inverted at
+each line [3]_.
 
 References
 ----------

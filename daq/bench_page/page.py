@@ -99,7 +99,10 @@ def band_peaks(frequency: Array, values: Array) -> tuple[Array, Array]:
 
 
 class Chart:
-    """A line chart with a series for each (name, unit, color) and an axis for each unit."""
+    """A line chart with a curve for each of `series` (name, unit, color), and a y axis for each unit.
+
+    `x` and `y` are settings of the axes for the chart library (ECharts).
+    """
 
     def __init__(self, title: str, x: dict[str, Any], series: list[tuple[str, str, str]], y: dict[str, Any]) -> None:
         units = list(dict.fromkeys(unit for _, unit, _ in series)) or [""]

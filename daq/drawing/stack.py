@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     Box = tuple[Point, Point]
 
+# Sizes of the drawn parts: width and depth of a body, thickness of its walls, height of a damper, and of the space above
+# it.
 WIDTH = 0.16
 DEPTH = 0.10
 WALL = 0.012
@@ -27,9 +29,12 @@ HEADROOM = 0.100
 HOLLOW_HEIGHT = WALL + DAMPER_HEIGHT + HEADROOM + WALL
 # Distance of a damper from the sides and the back of its cavity.
 _DAMPER_MARGIN = 0.003
+# Height of a body without cavities, and lengths at rest of a spring and of a coil spring.
 SOLID_HEIGHT = 0.060
 SPRING_LENGTH = 0.080
 COIL_LENGTH = 0.110
+# Thickness of the plate of a shaker table, height of the shaker below it, and width of a lug (a bracket of a body for a
+# coil spring next to the rig).
 PLATE = 0.018
 PLINTH = 0.050
 LUG = 0.050

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
     Box = tuple[Point, Point]
 
-# Sizes of the drawn parts: width and depth of a body, thickness of its walls, height of a damper, and of the space above
-# it.
+# Width and depth of a body, thickness of its walls, height of a damper, and height of the space above the damper.
 WIDTH = 0.16
 DEPTH = 0.10
 WALL = 0.012

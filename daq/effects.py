@@ -11,8 +11,8 @@ from typing import Any
 from daq.recording.recorder import Recorder
 from daq.recording.sample_block import stored_as
 from daq.signal_chain.chain import Chain
-from daq.signal_chain.converter import volt_effect
-from daq.signal_chain.oversampling import oversampling
+from daq.signal_chain.converter import describe_output
+from daq.signal_chain.oversampling import choose_oversampling
 from daq.virtual_bench.bench import Bench
 from rig.arrays import Array
 from rig.effects.effect_cost import EffectStep, bench_drive
@@ -26,7 +26,7 @@ from rig.system.assembly import assemble
 def measurement_effects(scene: Scene) -> Iterable[Effect]:
     """Yield the effects of each channel, as its chain lists them, of the converter, and of the recording."""
     # Computed first: with thousands of bodies, its matrices and those of the chain would exceed the memory together.
-    intervals = oversampling(scene)
+    intervals = choose_oversampling(scene)
     system = assemble(scene)
     chain = Chain(scene, scene.converter.true_rate, system.points, system.inputs)
     for channel in chain.channels:
@@ -35,7 +35,7 @@ def measurement_effects(scene: Scene) -> Iterable[Effect]:
             yield Effect(part, name, states)
         yield Effect(part, "sample clock", 0, f"{scene.converter.sample_rate:.6g} Hz")
     for number in range(1, len(scene.shakers) + 1):
-        yield Effect("outputs", f"ao{number - 1}", 0, volt_effect(scene, number))
+        yield Effect("outputs", f"ao{number - 1}", 0, describe_output(scene, number))
     if intervals > 1:
         yield Effect("converter", "oversampling", 0, f"{intervals} intervals a sample, for fast oscillations")
     recording = scene.recording

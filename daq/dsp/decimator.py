@@ -18,7 +18,7 @@ from rig.numerics.simd import LANES, aligned_zeros
 class Decimator:
     """Decimation filter of one channel, delayed by `delay` intervals.
 
-    `taps`, shape (oversampling, moments, length): from `daq.signal_chain.decimation_filter.taps_of`.
+    `taps`, shape (oversampling, moments, length): from `daq.signal_chain.decimation_filter.legendre_taps`.
     """
 
     def __init__(self, taps: Array, delay: int, buffers: BlockBuffers) -> None:

@@ -18,7 +18,7 @@ from daq.foresight.linear import channel_readings, test_frequencies
 from daq.measurement.estimate import estimate
 from daq.measurement.limits import controlled_places
 from daq.signal_chain.channel import ChannelInfo
-from daq.signal_chain.oversampling import oversampling
+from daq.signal_chain.oversampling import choose_oversampling
 from rig.arrays import Array
 from rig.scene.excitation import Free, Impulse, Multisine, Random, Settle, Sine, SteppedSine, SweptSine, Test
 from rig.scene.presets import complete_from_preset, input_settings
@@ -75,7 +75,7 @@ def affordable_seconds(scene: Scene) -> float:
     states = system.states + system.dampers
     channel_cpu_s = _CHANNEL_S * (1.0 if complete_from_preset(scene.converter).filter is None else _FILTER_TIME_RATIO)
     sample_cpu_s = _SAMPLE_S + _STATE_S * states + _ELEMENT_S * states**2 + channel_cpu_s * channels
-    return _BUDGET_S / (scene.converter.true_rate * oversampling(scene) * sample_cpu_s)
+    return _BUDGET_S / (scene.converter.true_rate * choose_oversampling(scene) * sample_cpu_s)
 
 
 def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...]) -> RehearsalPlan:

@@ -13,7 +13,7 @@ from daq.importing.units import quantity_and_scale
 from daq.recording.truth import points_of
 from daq.signal_chain.chain import default_channels
 from daq.signal_chain.channel import ChannelInfo, Quantity
-from daq.signal_chain.devices import stages
+from daq.signal_chain.devices import channel_stages
 from daq.signal_chain.stage import channel_info
 from rig.arrays import Array
 from rig.errors import SceneError, suggestion
@@ -199,7 +199,7 @@ def describe_channel(scene: Scene, channel: Channel, rate: float, delay: float) 
     only if the scene states it. The delay of the filter is the same for all channels and therefore ignored.
     """
     settings = input_settings(scene.converter, channel).replace(excitation=None, remove_delay=True)
-    chain_stages = stages(channel, settings, scene.seed)
+    chain_stages = channel_stages(channel, settings, scene.seed)
     info = channel_info(channel.name, channel.at, chain_stages, settings, rate, delay)
     return replace(info, average=settings.sampling == "average")
 

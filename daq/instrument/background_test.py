@@ -1,4 +1,4 @@
-"""The test of a scene, played on the bench while no client drives its outputs."""
+"""Plays the test of a scene on the bench while no client drives the outputs."""
 
 from __future__ import annotations
 
@@ -12,20 +12,19 @@ from numpy.typing import NDArray
 
 from daq.excitation import Excitation, Station, excitation
 from daq.measurement.bench_loop import RAMP_S, ramp_down
-from daq.signal_chain.oversampling import DriveLine
+from daq.signal_chain.oversampling import DriveInterpolator
 from rig.arrays import Array
 from rig.errors import ShotrigError
 
 
 class BackgroundTest:
-    """Plays a test on a bench; the controller of the test reads the channels.
+    """Plays a test on a bench window by window; the controller of the test reads the channels after each window.
 
-    `station`: the test's view of the bench; `station.now` is the number of its first sample; `ticks`: ticks of the
-    bench per sample; the drive is interpolated linearly between samples; `physical`: converts samples to the
-    channels' units; `lead`: ticks without drive before the first sample; `excite`: creates the excitation; by
-    default, that of the scene's test; `ended`: called once with the reason when the test ends; the reason is empty
-    at a regular end. By default the test restarts, and an error is logged as a warning; `quiet`: whether nothing is
-    played: no test, the test has ended or failed, or a client has taken its output.
+    `station` is the test's view of the bench; `station.now` is the number of the first sample. The drive is
+    interpolated linearly over the `ticks` of the bench per sample. `physical` converts samples to the channels' units.
+    `lead_ticks` ticks without drive precede the first sample. `excite` creates the excitation. `ended` is called once
+    when the test ends, with the reason, which is empty at a regular end. Without `ended`, the test restarts at its
+    end, and an error is a warning.
     """
 
     def __init__(
@@ -33,22 +32,23 @@ class BackgroundTest:
         station: Station,
         ticks: int,
         physical: Callable[[NDArray[Any]], Array],
-        lead: int = 0,
+        lead_ticks: int = 0,
         excite: Callable[[Station], Excitation] = excitation,
         ended: Callable[[str], None] | None = None,
     ) -> None:
         self._station, self._physical, self._excite, self._ended = station, physical, excite, ended
-        self._line = DriveLine(len(station.inputs), ticks)
+        self._interpolator = DriveInterpolator(len(station.inputs), ticks)
         self._stopping = False
-        self._at = 0
+        self._position = 0  # in the drive of the window, ticks
         self._readings: list[Array] = []
         self._drive = np.zeros((len(station.inputs), 0))
+        # Nothing is played: there is no test, it has ended or failed, or a client uses its output.
         self.quiet = station.scene.test is None
         if not self.quiet:
-            self._begin("cannot be played")
-            self._drive = np.concatenate([np.zeros((len(self._drive), lead)), self._drive], axis=1)
+            self._start_test("cannot be played")
+            self._drive = np.concatenate([np.zeros((len(self._drive), lead_ticks)), self._drive], axis=1)
 
-    def _begin(self, failure: str) -> None:
+    def _start_test(self, failure: str) -> None:
         try:
             self._test = self._excite(self._station)
             self._start_window(next(self._test))
@@ -56,8 +56,8 @@ class BackgroundTest:
             self._finish(failure, str(error))
 
     def _start_window(self, window: Array) -> None:
-        """Start the drive of the next samples; the test receives their readings after the last sample."""
-        self._window, self._drive, self._at = window, self._line.through(window), 0
+        """Start the next window, the drive of the next samples; the test receives their readings at its end."""
+        self._window, self._drive, self._position = window, self._interpolator.interpolate(window), 0
 
     def _finish(self, failure: str, reason: str) -> None:
         self.quiet = True
@@ -85,27 +85,27 @@ class BackgroundTest:
                 self._test.close()
                 self._finish("", "a client has taken the output")
 
-    def horizon(self, ticks: int) -> int:
+    def limit_ticks(self, ticks: int) -> int:
         """Limit a number of ticks to the current window: the next window depends on its readings."""
-        return ticks if self.quiet else min(ticks, self._drive.shape[1] - self._at)
+        return ticks if self.quiet else min(ticks, self._drive.shape[1] - self._position)
 
     def drive(self, ticks: int) -> Array:
         """Return the drive of the next ticks, shape (inputs, ticks)."""
         if self.quiet:
             return np.zeros((len(self._station.inputs), ticks))
-        return self._drive[:, self._at : self._at + ticks]
+        return self._drive[:, self._position : self._position + ticks]
 
     def add_readings(self, samples: NDArray[np.float64] | NDArray[np.int32], ticks: int) -> None:
         """Add the readings of `ticks` ticks, shape (channels, samples)."""
         if self.quiet:
             return
         self._readings.append(self._physical(samples))
-        self._at += ticks
-        if self._at < self._drive.shape[1]:
+        self._position += ticks
+        if self._position < self._drive.shape[1]:
             return
         size = self._window.shape[1]
         latest = np.concatenate(self._readings, axis=1)[:, -size:]
-        # A filter whose delay is removed from the sample numbers returns no samples at first.
+        # With a removed filter delay, the first window has fewer readings than samples.
         readings = np.zeros((latest.shape[0], size))
         readings[:, size - latest.shape[1] :] = latest
         self._station.now += size
@@ -123,7 +123,7 @@ class BackgroundTest:
                 self._finish("", "")
             else:
                 self._station = replace(self._station, now=0)
-                self._begin("cannot be played again")
+                self._start_test("cannot be played again")
         except ShotrigError as error:
             self._finish("has ended", str(error))
 

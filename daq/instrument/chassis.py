@@ -1,13 +1,12 @@
-"""The chassis on the bench: one clock, the modules on it, and the engines that tasks run on them.
+"""The chassis: runs the tasks of clients on the bench of a scene, on one clock.
 
 There is an input for every channel of the scene (including the force of the hammer) and an output for every shaker.
-Time is counted in ticks of one clock: tasks are synchronous to the tick, and outputs act on the inputs through the
-plant. Inputs and outputs of any rate use this clock and may start in any order: no task changes the samples of
-another.
+Time is counted in ticks of one clock. Tasks start at ticks, and outputs act on the inputs through the plant. Tasks of
+any rate use this clock and may start in any order; no task changes the samples of another task.
 
 An output keeps its last value when a task ends; `rig.scene.shaker.DRIVE_PER_VOLT` defines the effect of its voltage.
-Bench time stops while no task needs the bench. Until a task takes an output for the first time, the test of the scene
-is played, see `daq.instrument.background_test`.
+Bench time stops while no task needs the bench. The test of the scene is played until a task uses an output for the
+first time, see `daq.instrument.background_test`.
 """
 
 from __future__ import annotations
@@ -36,18 +35,18 @@ if TYPE_CHECKING:
 
 # Longest step of the bench, ticks.
 _MAX_BLOCK_TICKS = 4096
-# A number of ticks that no run reaches.
+# More ticks than any run has.
 UNLIMITED_TICKS = 1 << 62
-# Delay of the bench relative to the wall clock from which its input buffers overflow, s.
+# If the bench is later than this relative to the wall clock, its input buffers overflow.
 _MAX_DELAY_S = 5.0
-# Maximum pause of the fast clock for the callback of an event, s of the wall clock.
+# Maximum pause of the fast clock for the callback of an event, in wall-clock time.
 _CALLBACK_WAIT_S = 0.25
 # Number of consecutive unanswered events after which the clock no longer waits for a listener.
 _MAX_UNANSWERED = 8
 
 
 class Runner(Protocol):
-    """The interface through which the chassis runs a task."""
+    """A task, as the chassis sees it."""
 
     name: str
 
@@ -59,11 +58,11 @@ class Runner(Protocol):
     def sample_rate(self) -> float | None:
         """Sampling rate of its inputs, S/s; None on demand, or without inputs."""
 
-    def horizon(self) -> int:
+    def max_ticks(self) -> int:
         """Return the number of ticks that may pass before `notify_samples` must be called."""
 
     def notify_samples(self) -> bool:
-        """Report new samples; return whether a callback must finish before the next samples."""
+        """Process new samples; return whether a callback must finish before the next samples."""
 
     @property
     def callback_finished(self) -> bool:
@@ -71,22 +70,21 @@ class Runner(Protocol):
 
 
 class Chassis:
-    """Devices in front of a bench.
+    """The instrument in front of a bench: its devices, its clock, and the tasks that use them.
 
-    `modules`: devices that scripts can use, including a chassis; `terminals`: of the bench, at rest; `clock`: clock
-    that advances the bench; `devices`: devices by name; `position`: ticks that have passed since the bench was
-    switched on; `changed`: notified when samples have passed; its lock protects the whole chassis; `sleepers`:
-    threads that wait for samples; `listeners`: called with every block of the bench at the bench's sample rate, for
-    example by the scope or a recording; `wiring_listeners`: called with the inputs of a task before they are
-    sampled.
+    `modules` are the devices that scripts can use, including the chassis itself. `terminals` belong to a bench at
+    rest. `clock` advances the bench.
     """
 
     def __init__(self, modules: Sequence[Module], terminals: Terminals, clock: Clock) -> None:
         self.devices, self.terminals, self.bench = DeviceList(modules), terminals, terminals.bench
         self.clock = clock
         lock = threading.RLock()
+        # `changed` is notified when samples have passed; its lock protects the whole chassis.
         self.changed, self.sleepers = threading.Condition(lock), Sleepers(lock)
+        # Called with every block at the sample rate of the bench, for example by the scope or a recording.
         self.listeners: list[Callable[[Bench, Block], None]] = []
+        # Called with the inputs of a task before they are sampled.
         self.wiring_listeners: list[Callable[[Sequence[Channel]], None]] = []
         self.inputs: dict[Runner, Acquisition] = {}
         self.outputs: dict[Runner, Generation] = {}
@@ -96,15 +94,15 @@ class Chassis:
         self._live_tasks: weakref.WeakSet[Any] = weakref.WeakSet()
         self._unanswered: weakref.WeakKeyDictionary[Runner, int] = weakref.WeakKeyDictionary()
         self.tasks: dict[str, Runner] = {}
-        self.position = 0
-        # Ticks and the wall-clock times that belong to them: bench time may stop and continue later.
+        self.position = 0  # ticks since the bench was switched on
+        # Ticks and their wall-clock times, ns: bench time may stop and continue later.
         self._anchors: list[tuple[int, int]] = []
         self.anchor()
-        self.last_volts = np.zeros(len(terminals.drive_per_volt))
+        self.last_volts = np.zeros(len(terminals.drive_per_volt))  # present voltage of each output
 
     def anchor(self) -> None:
         """Store the time of the next tick; see `Timeline.anchor`."""
-        # The fast and the manual clock have no date; times are then counted from power-on of the bench.
+        # The fast and the manual clock have no date; their times count from power-on of the bench.
         now_ns = time.time_ns() if self.clock.runs_free else round(self.position * 1e9 / self.rate)
         self._anchors.append((self.position, now_ns))
 
@@ -169,19 +167,19 @@ class Chassis:
     def reserve(self, task: Runner, resources: Mapping[Hashable, str]) -> None:
         """Reserve the resources that a task needs.
 
-        `resources`: names by resource: the inputs of a module, and the numbers of the bench's drives. Raises
-        `DaqError` with -50103, if another task has reserved a resource.
+        `resources` maps each resource to its name for messages. A resource is the inputs of a device (text), or a
+        drive of the bench (its row, an integer). Raises `DaqError` -50103 if another task has reserved a resource.
         """
         with self.changed:
             for other, reserved in self._reserved.items():
-                shared = [name for each, name in resources.items() if each in reserved]
-                if other is not task and shared:
+                conflicts = [name for resource, name in resources.items() if resource in reserved]
+                if other is not task and conflicts:
                     raise DaqError(
-                        f"{', '.join(sorted(shared))} is in use by task {other.name!r}. Stop or close that task, or "
+                        f"{', '.join(sorted(conflicts))} is in use by task {other.name!r}. Stop or close that task, or "
                         "put the channels into one task.",
                         Code.PAL_RESOURCE_RESERVED,
                     )
-            if any(isinstance(each, int) for each in resources) and not self._output_taken:
+            if any(isinstance(resource, int) for resource in resources) and not self._output_taken:
                 self._output_taken = True
                 self.terminals.release_outputs()
             self._reserved[task] = resources
@@ -193,10 +191,10 @@ class Chassis:
             self.halt(task)
 
     def return_outputs(self) -> None:
-        """Return the outputs to the test of the scene; with -50103 while a task has reserved an output."""
+        """Return the outputs to the test of the scene; `DaqError` -50103 while a task has reserved an output."""
         with self.changed:
             for task, resources in self._reserved.items():
-                if names := [name for each, name in resources.items() if isinstance(each, int)]:
+                if names := [name for resource, name in resources.items() if isinstance(resource, int)]:
                     raise DaqError(
                         f"{', '.join(sorted(names))} is in use by task {task.name!r}. Stop or close that task.",
                         Code.PAL_RESOURCE_RESERVED,
@@ -224,9 +222,9 @@ class Chassis:
         return len(self._live_tasks) > 0
 
     def wire(self, task: Runner, channels: Sequence[Channel]) -> None:
-        """Set the couplings and supplies of a task; with -50103 for running inputs with other settings."""
-        running = [each.plan.rows for other, each in self.inputs.items() if other is not task]
-        self.terminals.wire(channels, {row for rows in running for row in rows})
+        """Set the couplings and sensor supplies of a task's inputs; see `Terminals.wire`."""
+        in_use = {row for other, each in self.inputs.items() if other is not task for row in each.plan.rows}
+        self.terminals.wire(channels, in_use)
         for listener in self.wiring_listeners:
             listener(channels)
 
@@ -243,7 +241,7 @@ class Chassis:
 
     @property
     def read_at_rest(self) -> bool:
-        """Whether inputs were read although neither a task nor the test has excited the bench."""
+        """Whether inputs were read, but neither a task nor the test has excited the bench."""
         return self._read and not self._output_taken and self.terminals.quiet
 
     def wait(self, ready: Callable[[], bool], missing: Callable[[], int], timeout: float) -> bool:
@@ -260,10 +258,11 @@ class Chassis:
                 self._step(target - self.position)
 
     def _step(self, limit: int) -> None:
+        """Advance by at most `limit` ticks, such that every event is processed at its tick."""
         terminals, tick = self.terminals, self.position
-        ticks = terminals.horizon(min(limit, _MAX_BLOCK_TICKS, self._ticks_to_output()))
+        ticks = terminals.limit_ticks(min(limit, _MAX_BLOCK_TICKS, self._ticks_to_output()))
         for task in (*self.inputs, *self.outputs):
-            ticks = max(1, min(ticks, task.horizon()))
+            ticks = max(1, min(ticks, task.max_ticks()))
         volts = None
         if self._output_taken:
             volts = np.repeat(self.last_volts[:, None], ticks, axis=1)
@@ -276,9 +275,9 @@ class Chassis:
         rates |= {acquisition.plan.rate for acquisition in self.inputs.values()}
         blocks = terminals.advance(volts, ticks, rates)
         self.position += ticks
-        # Tasks that wait for other tasks are processed last.
-        waiting = sorted(self.inputs.values(), key=lambda each: isinstance(each.plan.start, OtherTask))
-        for acquisition in waiting:
+        # Tasks that other tasks start are processed last.
+        in_order = sorted(self.inputs.values(), key=lambda each: isinstance(each.plan.start, OtherTask))
+        for acquisition in in_order:
             self._pass_block(acquisition, blocks[acquisition.plan.rate])
         full_rate = blocks[self.bench.rate]
         for listener in self.listeners if full_rate.samples.size else ():
@@ -300,7 +299,7 @@ class Chassis:
             self._unanswered[task] = 0 if task.callback_finished else self._unanswered.get(task, 0) + 1
 
     def _pass_block(self, acquisition: Acquisition, block: Block) -> None:
-        """Pass samples to an acquisition, up to the first sample lost in a buffer overflow."""
+        """Pass samples to an acquisition, up to the first sample that was lost after the converter."""
         if acquisition.done:
             return
         stop = block.first + block.samples.shape[1]
@@ -313,14 +312,14 @@ class Chassis:
         if lost and not acquisition.done:
             acquisition.stop(
                 DaqError(
-                    f"samples from number {min(lost)} on were lost after the converter (the scene's "
-                    "converter.dropped_blocks). Stop and start the task to acquire again.",
+                    f"the samples from number {min(lost)} were lost after the converter, as the scene requires "
+                    "(converter.dropped_blocks). Stop and start the task to acquire again.",
                     Code.INPUT_FIFO_OVERFLOW_2,
                 )
             )
 
     def event_tick(self, source: OtherTask) -> int | None:
-        """Return the tick at which another task started or was triggered; None before that."""
+        """Return the tick of the start or of the reference trigger of another task; None before that."""
         runs: dict[Any, Any] = self.inputs if source.kind == "ai" else self.outputs
         device = source.device.lower()
         on_device = [run for task, run in runs.items() if device and task.device.lower().startswith(device)]
@@ -331,18 +330,18 @@ class Chassis:
         return None
 
     def _ticks_to_output(self) -> int:
-        """Count the ticks until the next sample that may start an output, an upper limit for one step."""
-        waiting = [
+        """Return the number of ticks until the next sample of an input that may start an output."""
+        awaited = [
             run.plan.start
             for run in self.outputs.values()
-            if run.first_tick is None and isinstance(run.plan.start, OtherTask) and run.plan.start.kind == "ai"
+            if not run.has_started and isinstance(run.plan.start, OtherTask) and run.plan.start.kind == "ai"
         ]
         return min(
             (
-                run.ticks(1, self.position)
-                for source in waiting
+                run.ticks_until(1, self.position)
+                for source in awaited
                 for run in self.inputs.values()
-                if (source.reference or (run.first_tick is None and isinstance(run.plan.start, AnalogSource)))
+                if (source.reference or (not run.has_started and isinstance(run.plan.start, AnalogSource)))
                 and self.event_tick(source) is None
             ),
             default=_MAX_BLOCK_TICKS,
@@ -351,7 +350,9 @@ class Chassis:
     def fail(self, error: BaseException) -> None:
         """Report a failure of the simulation, and end all waiting calls."""
         traceback.print_exception(error)
-        self._stop_all(DaqError(f"the simulation of the scene has failed: {error!r}", Code.UNKNOWN))
+        self._stop_all(
+            DaqError(f"the simulation of the scene has failed: {error!r}. Change the scene or the drive.", Code.UNKNOWN)
+        )
 
     def _stop_all(self, error: DaqError) -> None:
         with self.changed:
@@ -364,7 +365,7 @@ class Chassis:
                 task.notify_samples()
 
     def _wake_all(self) -> None:
-        """Wake all waiting threads: they may wait for more than time."""
+        """Wake all waiting threads: the condition for which they wait may have changed."""
         self.changed.notify_all()
         self.sleepers.wake()
 

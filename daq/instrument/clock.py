@@ -1,7 +1,7 @@
 """Clocks that advance a bench: as fast as the computer allows, in real time, or on request.
 
 A bench counts its time in samples, and only the clock decides when the next samples are due. A call that must wait
-(a read, a write into a full buffer, `wait_until_done`) waits through the clock; timeouts are in the clock's time.
+(a read, a write into a full buffer, `wait_until_done`) waits by the clock, and its timeout is in the clock's time.
 
 * `FastClock`: time passes only during waiting calls, as fast as the computer simulates. A run is
   deterministic: nothing happens between two calls. Repeated queries of a task's progress count as waiting
@@ -29,9 +29,9 @@ from daq.instrument.errors import invalid_value
 from rig.errors import SceneError
 
 _LOG = logging.getLogger("shotrig.clock")
-# Maximum sleep before a condition is checked again, s: it may have become impossible.
+# Maximum sleep before a condition is checked again: the condition may have become impossible.
 _MAX_SLEEP_S = 1.0
-# Linux nice value: before ordinary programs (0), after the most urgent system programs (-20).
+# Priority on Linux: higher than that of ordinary programs (0), lower than that of urgent system programs (-20).
 _NICE = -10
 
 
@@ -49,9 +49,8 @@ class Sleepers:
     """Threads that wait for positions of a bench.
 
     A thread is woken when its position is reached. If the bench woke every thread at each step of 4 ms, a reader that
-    waits for 100 ms would wake 25 times, and delay the reader whose samples are available.
-
-    `lock`: lock of the bench; the calling thread holds it, and releases it while it sleeps.
+    waits for 100 ms would wake 25 times, and delay the reader whose samples are available. The calling thread holds
+    the `lock` of the bench, which is released while the thread sleeps.
     """
 
     def __init__(self, lock: threading.RLock) -> None:
@@ -69,26 +68,24 @@ class Sleepers:
 
     def wake(self, position: int | None = None) -> None:
         """Wake the threads whose position has been reached; without a position, wake all."""
-        for each, until in self._waiting.items():
+        for condition, until in self._waiting.items():
             if position is None or until <= position:
-                each.notify()
+                condition.notify()
 
 
 def seconds(timeout: float) -> float:
-    """Return a time to wait, s; a negative time is infinite.
-
-    Raises `DaqError` with -200077, if it is not a valid time.
+    """Return a timeout in s, -1 or another negative number for an infinite timeout; `DaqError` -200077 for NaN.
 
     >>> seconds(2), seconds(-1.0), seconds(float("inf"))
     (2.0, -1.0, -1.0)
     """
     if math.isnan(timeout):
-        raise invalid_value(f"timeout is {timeout}: expected seconds, or -1 to wait for ever")
+        raise invalid_value(f"timeout is {timeout}; expected seconds, or -1 to wait without limit.")
     return -1.0 if timeout == math.inf else float(timeout)
 
 
 class Timeline(Protocol):
-    """The interface of a bench that a clock advances; it counts samples."""
+    """A bench, as the clock that advances it sees it."""
 
     position: int  # samples that have passed
     # Notified whenever samples have passed; its lock protects the bench.
@@ -118,7 +115,7 @@ class Timeline(Protocol):
 
 
 class Clock:
-    """Base of all clocks; on this clock no time passes."""
+    """Base class of all clocks; on this clock no time passes."""
 
     # Whether time passes without waiting calls.
     runs_free = False
@@ -136,12 +133,11 @@ class Clock:
     def wait(
         self, bench: Timeline, ready: Callable[[], bool], samples_needed: Callable[[], int], timeout: float
     ) -> bool:
-        """Wait until a condition is met.
+        """Wait until `ready` is true; return whether that was before the timeout.
 
-        `bench`: the bench; the caller holds its lock; `ready`: returns whether the condition is met; `samples_needed`:
-        returns a lower bound of the samples until then; the bench advances by at most this number at once; `timeout`:
-        bench time, s; 0 checks once, a negative timeout is infinite. Returns whether the condition was met before the
-        timeout.
+        The caller holds the lock of the bench. `samples_needed` returns a lower bound of the samples until the
+        condition can be met; the bench advances by at most this number at once. `timeout` is bench time in s: 0 checks
+        once, a negative timeout is infinite.
         """
         return ready()
 
@@ -149,9 +145,8 @@ class Clock:
 class FastClock(Clock):
     """Time passes during waiting calls, as fast as the computer simulates."""
 
-    # Interval of the pauses in which a long wait lets other threads take the lock, s of the wall clock.
+    # A long wait pauses at this interval of wall-clock time, so that other threads can take the lock.
     PAUSE_INTERVAL_S = 0.05
-    # Duration of these pauses, s.
     PAUSE_S = 0.002
 
     def pass_query(self, bench: Timeline) -> None:
@@ -204,13 +199,13 @@ class RealClock(Clock):
     """
 
     runs_free = True
-    # Interval at which bench time is updated, s: on average a reader waits half of it for its last sample.
-    TICK_S = 0.004
-    # Upper limit of one step, s: other threads need the lock in between.
+    # Interval at which bench time is updated: on average a reader waits half of it for its last sample.
+    UPDATE_INTERVAL_S = 0.004
+    # Upper limit of one step: other threads need the lock in between.
     MAX_STEP_S = 0.04
-    # A delayed bench catches up at this multiple of real time: at a higher speed, client buffers would overflow.
-    CATCH_UP = 2.0
-    # Interval at which a waiting call checks its condition, s.
+    # A delayed bench runs at this multiple of real time. If it were faster, the buffers of clients would overflow.
+    CATCH_UP_SPEED = 2.0
+    # Interval at which a waiting call checks its condition.
     CHECK_INTERVAL_S = 0.02
 
     def __init__(self) -> None:
@@ -230,7 +225,7 @@ class RealClock(Clock):
         """See `Clock.wait`."""
         self.start(bench)
         end = math.inf if timeout < 0 else bench.position + timeout * bench.rate
-        # Timeouts are in bench time, which is behind the wall clock during compilation.
+        # Bench time, not the wall clock, decides: during compilation, bench time is late.
         while not ready() and bench.position < end and bench in self._running:
             # The run may also end early.
             samples = min(max(1, samples_needed()), math.ceil(self.CHECK_INTERVAL_S * bench.rate), end - bench.position)
@@ -238,18 +233,18 @@ class RealClock(Clock):
         return ready()
 
 
-# Longer steps of the bench are attributed to the compiler, s.
+# A longer step of the bench is attributed to the compilation of kernels.
 _COMPILATION_S = 1.0
-# Maximum number of these steps.
+# Maximum number of steps that are attributed to compilation.
 _MAX_COMPILATIONS = 20
-# Minimum delay that is reported, s.
+# Minimum delay that is reported.
 _REPORTED_DELAY_S = 0.25
-# Minimum interval between two reports, s.
+# Minimum interval between two reports.
 _REPORT_INTERVAL_S = 10.0
 
 
 class _Delays:
-    """Reports the largest delay relative to the wall clock, after the bench has caught up."""
+    """Reports the largest delay of the bench relative to the wall clock, when the delay is over."""
 
     def __init__(self) -> None:
         self._largest, self._reported = 0.0, -math.inf
@@ -268,20 +263,19 @@ class _Delays:
 
 
 def longest_step(elapsed: float) -> float:
-    """Limit a step of a bench in real time, s.
-
-    `elapsed`: seconds of the wall clock since the previous step.
+    """Return the longest step of a bench in real time, s, given the wall-clock time since the previous step, s.
 
     >>> longest_step(0.004), longest_step(1.0)
     (0.008, 0.04)
     """
-    return min(RealClock.MAX_STEP_S, RealClock.CATCH_UP * max(elapsed, RealClock.TICK_S / 4))
+    return min(RealClock.MAX_STEP_S, RealClock.CATCH_UP_SPEED * max(elapsed, RealClock.UPDATE_INTERVAL_S / 4))
 
 
 def _keep_time(reference: weakref.ref[Timeline], running: weakref.WeakSet[Timeline]) -> None:
     """Keep a bench at wall-clock time while it is live."""
     raise_priority()
     pause, delays = threading.Event(), _Delays()
+    # Wall-clock time in ns, position and rate from which the due position is computed.
     origin: tuple[int, int, float] | None = None
     compilations, last = 0, time.monotonic_ns()
     while True:
@@ -306,26 +300,23 @@ def _keep_time(reference: weakref.ref[Timeline], running: weakref.WeakSet[Timeli
                     running.discard(bench)
                     bench.fail(error)
                     return
-                # Kernels used for the first time may be compiled; the scene does not cause this delay.
+                # The compilation of a kernel at its first use is not a delay of the scene.
                 compiled = compilations < _MAX_COMPILATIONS and time.monotonic_ns() - now > _COMPILATION_S * 1e9
                 compilations += compiled
                 if compiled or bench.report_delay(due / bench.rate):
                     origin, due = None, 0
             delays.note(due / bench.rate, now * 1e-9)
-        behind = due > RealClock.MAX_STEP_S * bench.rate
+        is_late = due > RealClock.MAX_STEP_S * bench.rate
         del bench
-        # A delayed bench continues almost at once, but other threads can take the lock in between.
-        pause.wait(RealClock.TICK_S / 4 if behind else RealClock.TICK_S)
+        # Even if the bench is late, a pause lets other threads take the lock.
+        pause.wait(RealClock.UPDATE_INTERVAL_S / 4 if is_late else RealClock.UPDATE_INTERVAL_S)
 
 
 CLOCKS: dict[str, Callable[[], Clock]] = {"real": RealClock, "fast": FastClock, "manual": ManualClock}
 
 
 def clock(kind: str | Clock) -> Clock:
-    """Create a clock by name, or return the given clock.
-
-    `kind`: 'real', 'fast', 'manual', or a clock. Raises `SceneError` if there is no clock of
-    that name.
+    """Return the clock of a name ('real', 'fast' or 'manual'), or the given clock.
 
     >>> type(clock("fast")).__name__
     'FastClock'
@@ -333,5 +324,5 @@ def clock(kind: str | Clock) -> Clock:
     if not isinstance(kind, str):
         return kind
     if kind not in CLOCKS:
-        raise SceneError(f"clock {kind!r}: expected one of {', '.join(CLOCKS)}")
+        raise SceneError(f"clock {kind!r}; expected one of {', '.join(CLOCKS)}.")
     return CLOCKS[kind]()

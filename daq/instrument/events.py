@@ -8,7 +8,7 @@ from typing import Any
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.values import EverySamples, Signal, enum_member
 
-# A function called with the value of an event: the number of samples, the status at the end, or the signal.
+# Function that is called with the value of an event: the number of samples, the status at the end, or the signal.
 Listener = Callable[[int], None]
 
 _ALREADY_REGISTERED = {
@@ -19,7 +19,7 @@ _NOT_SUPPORTED = {
     EverySamples.ACQUIRED: Code.EVERY_N_SAMPLES_ACQ_INTO_BUFFER_EVENT_NOT_SUPPORTED_BY_DEVICE,
     EverySamples.TRANSFERRED: Code.EVERY_N_SAMPS_TRANSFERRED_FROM_BUFFER_EVENT_NOT_SUPPORTED_BY_DEVICE,
 }
-# Signals that occur with every sample, or once.
+# Signals that occur with every sample; the other signals occur once.
 _EACH_SAMPLE = (Signal.SAMPLE_COMPLETE, Signal.SAMPLE_CLOCK)
 
 
@@ -45,7 +45,8 @@ class Events:
             return
         if event != (EverySamples.TRANSFERRED if outputs else EverySamples.ACQUIRED):
             raise DaqError(
-                f"an event for samples {event.name.lower()}: the task has {'outputs' if outputs else 'inputs'}",
+                f"an event for samples {event.name.lower()}: the task has {'outputs' if outputs else 'inputs'}. "
+                f"Register for samples {'transferred' if outputs else 'acquired'}.",
                 _NOT_SUPPORTED[event],
             )
         if self._every is not None:
@@ -105,17 +106,17 @@ class Events:
 
     def begin(self) -> None:
         """Reset the counts at the start of a run."""
-        self._sent, self._signalled, self._done_sent = 0, 0, False
+        self._sent, self._signaled, self._done_sent = 0, 0, False
         self._triggered: set[Signal] = set()
 
-    def due(self, n_samples: int) -> int | None:
+    def next_due(self, n_samples: int) -> int | None:
         """Return the total number of samples at which the next event is due; None without a listener."""
         return None if self._every is None else (n_samples // self._every[1] + 1) * self._every[1]
 
     def notify(self, n_samples: int, run: Any) -> bool:
-        """Send all events that are due; return whether a callback may respond with a read or a write.
+        """Send all events that are due; return whether an every-N-samples event was sent, whose callback may read.
 
-        `n_samples`: samples per channel acquired or generated; `run`: their run.
+        `n_samples` is the number of samples per channel that the run has acquired or generated.
         """
         sent = False
         if self._every is not None:
@@ -126,13 +127,16 @@ class Events:
                 sent = True
         for signal in _EACH_SAMPLE:
             if signal in self._signals:
-                for _ in range(n_samples - self._signalled):
+                for _ in range(n_samples - self._signaled):
                     self._signals[signal](int(signal))
-        self._signalled = n_samples
+        self._signaled = n_samples
         if run is None:
             return sent
-        started, triggered = run.first_tick is not None, getattr(run, "trigger", None) is not None
-        for signal, has_occurred in ((Signal.START_TRIGGER, started), (Signal.REFERENCE_TRIGGER, triggered)):
+        has_triggered = getattr(run, "trigger", None) is not None
+        for signal, has_occurred in (
+            (Signal.START_TRIGGER, run.has_started),
+            (Signal.REFERENCE_TRIGGER, has_triggered),
+        ):
             if has_occurred and signal in self._signals and signal not in self._triggered:
                 self._triggered.add(signal)
                 self._signals[signal](int(signal))

@@ -1,4 +1,4 @@
-"""Conversion of the checked settings of a task into plans for the engines."""
+"""Checks the settings of a task and converts them into triggers and plans for the engines."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ _OWN_CLOCK = re.compile(r"|OnboardClock|.*/OnboardClock|/?([^/]+/)?(a[io]/)?Samp
 def check_timing(task: TaskSettings) -> None:
     """Check the timing of a task.
 
-    Raises `DaqError` with -201087 for channels that need a sample clock, -89136 for a clock that does not exist,
-    -200077 for invalid rates and numbers, -89121 for a signal exported to an invalid terminal.
+    Raises `DaqError` -201087 for channels that need a sample clock, -89136 for a clock that does not exist, -200077
+    for invalid rates and numbers, -89121 for a signal that is exported to an invalid terminal.
     """
     timing = task.groups["timing"]
     for side, attribute, problem in (
@@ -49,7 +49,7 @@ def check_timing(task: TaskSettings) -> None:
             and not all(getattr(each.module, attribute) for each in task.channels)
         ):
             raise DaqError(
-                f"{task.channels[0].module.product_type} {problem}: call timing.cfg_samp_clk_timing first",
+                f"{task.channels[0].module.product_type} {problem}. Call timing.cfg_samp_clk_timing first.",
                 Code.SAMP_CLK_RATE_MUST_BE_SPECD,
             )
     if task.kind == "ai":
@@ -58,8 +58,8 @@ def check_timing(task: TaskSettings) -> None:
     if task.clocked:
         if not _OWN_CLOCK.fullmatch(timing["samp_clk_src"]):
             raise DaqError(
-                f"sample clock source {timing['samp_clk_src']!r}: the bench has one sample clock; leave the "
-                "source empty, or name OnboardClock or another task's ai/SampleClock",
+                f"sample clock source {timing['samp_clk_src']!r}: the bench has only one sample clock. Leave the "
+                "source empty, or name OnboardClock or another task's ai/SampleClock.",
                 Code.ROUTE_NOT_SUPPORTED_BY_HW_ROUTING,
             )
         rates = {each.module.coerced(timing["samp_clk_rate"], task.kind == "ao") for each in task.channels}
@@ -81,10 +81,10 @@ def check_timing(task: TaskSettings) -> None:
 
 
 def sources(task: TaskSettings, chassis: Chassis) -> tuple[Source | None, Source | None]:
-    """Return the sources of the start trigger and the reference trigger.
+    """Return the sources of the start trigger and of the reference trigger; None without that trigger.
 
-    Raises `DaqError` with -200262 without a sample clock, -200358 for a reference trigger of a continuous task,
-    -200213 for more pretrigger samples than the record has, -200265 for a source that does not exist.
+    Raises `DaqError` -200262 for a trigger without a sample clock, -200358 for a reference trigger of a continuous
+    task, -200213 for more pretrigger samples than the record has, -200265 for a source that does not exist.
     """
     settings = task.groups["trig"]
     kinds = [settings[f"{name}_trig_type"] for name in ("start", "ref")]
@@ -125,9 +125,10 @@ def _source(task: TaskSettings, name: str, chassis: Chassis) -> Source | None:
         for row, each in enumerate(task.channels):
             if terminal in (each.name.lower(), each.port.name.lower()):
                 return row, condition
+        names = ", ".join(each.name for each in task.channels)
+        remedy = f"Give one of {names}." if names else "Add an input channel first."
         raise DaqError(
-            f"analog trigger source {source!r}: expected one of the task's input channels, "
-            + (", ".join(each.name for each in task.channels) or "but the task has none"),
+            f"analog trigger source {source!r} is not an input channel of the task. {remedy}",
             Code.INVALID_ANALOG_TRIG_SRC,
         )
 
@@ -153,7 +154,8 @@ def _source(task: TaskSettings, name: str, chassis: Chassis) -> Source | None:
         names, slopes, levels = unflatten(setting("srcs")), setting("slopes"), setting("lvls")
         if not len(names) == len(slopes) == len(levels):
             raise DaqError(
-                f"{len(names)} trigger sources, {len(slopes)} slopes and {len(levels)} levels: give as many of each",
+                f"the trigger has {len(names)} sources, {len(slopes)} slopes and {len(levels)} levels. Give the same "
+                "number of each.",
                 Code.MISMATCHED_INPUT_ARRAY_SIZES,
             )
         conditions = [
@@ -166,10 +168,9 @@ def _source(task: TaskSettings, name: str, chassis: Chassis) -> Source | None:
 def input_plan(
     task: TaskSettings, bench: Bench, start: Source | None, reference: Source | None, on_demand: int | None = None
 ) -> InputPlan:
-    """Return the plan of an acquisition.
+    """Return the plan of an acquisition with its start and reference trigger.
 
-    `start`, `reference`: its triggers; `on_demand`: samples to acquire immediately, independent of the settings of
-    the sample clock.
+    `on_demand` is the number of samples to acquire immediately, without the task's sample clock.
     """
     samples, size, rate = on_demand, on_demand or 1, bench.rate
     if on_demand is None:
@@ -191,22 +192,22 @@ def input_plan(
     )
 
 
-def output_plan(task: TaskSettings, ticks: float, start: Source | None) -> tuple[OutputPlan, OtherTask | None]:
-    """Return the plan of a generation, and the task whose clock it uses, if any.
+def output_plan(task: TaskSettings, tick_rate: float, start: Source | None) -> tuple[OutputPlan, OtherTask | None]:
+    """Return the plan of a generation, and the start of the task whose clock it uses, if any.
 
-    An output on the clock of the inputs starts with the inputs.
+    An output on the clock of the inputs starts with the inputs. `tick_rate` is in ticks of the bench per second.
     """
     if isinstance(start, AnalogSource):
         raise unsupported("an analog start trigger of an output", "Start it by ai/StartTrigger.")
-    joins = None
+    clock_task = None
     if start is None and task.groups["timing"]["samp_clk_src"].lower().endswith("ai/sampleclock"):
-        start = joins = OtherTask("", "ai", reference=False)
+        start = clock_task = OtherTask("", "ai", reference=False)
     plan = OutputPlan(
         rows=tuple(each.row for each in task.channels),
-        rate=ticks,
-        per_tick=samples_per_tick(task.rate, ticks),
+        tick_rate=tick_rate,
+        per_tick=samples_per_tick(task.rate, tick_rate),
         samples=task.samples if task.finite else None,
         regenerate=task.regenerates,
         start=start,
     )
-    return plan, joins
+    return plan, clock_task

@@ -1,4 +1,4 @@
-"""Tasks: their settings (channels, timing, triggers, streams) and their states on the chassis."""
+"""Tasks of clients, as in NI-DAQmx: settings (channels, timing, triggers, streams), states, reads and writes."""
 
 from __future__ import annotations
 
@@ -27,21 +27,20 @@ from rig.arrays import Array
 class Task:
     """A task on the chassis: settings, an input or an output, events, and its state.
 
-    `chassis`: chassis of the task; `name`: name; an empty name is replaced by a generated name; `scales`: custom
-    scales that its channels may use; `settings`: settings of the script; `input`, `output`: its parts; a task with
-    inputs uses `input`, a task with outputs uses `output`; `events`: registered callbacks; `running`, `closed`:
-    state of the task.
+    An empty `name` is replaced by a generated name. `scales` are the custom scales that its channels may use.
     """
 
     def __init__(self, chassis: Chassis, name: str, scales: Mapping[str, Scale]) -> None:
         self.chassis, self.settings = chassis, TaskSettings(chassis.devices.module, scales)
+        # A task with input channels uses `input`, a task with output channels `output`.
         self.input = TaskInput(chassis, self.settings, self)
         self.output = TaskOutput(chassis, self.settings, self)
         self.events = Events()
         self.running = self.closed = False
-        # Flags: started by a read or a write; modules stay reserved after a stop; failure already raised.
-        self._automatic = self._committed = self._reported = False
-        self._query_positions: dict[str, int] = {}
+        self._automatic = False  # started by a read or a write
+        self._committed = False  # modules stay reserved after a stop
+        self._reported = False  # the failure of the run has been raised
+        self._query_positions: dict[str, int] = {}  # tick of the last query of each kind
         self.name = ""
         self.name = chassis.register(self, name)
 
@@ -74,7 +73,8 @@ class Task:
         self.check_idle("start")
         if not self.settings.channels:
             raise DaqError(
-                "the task has no channels. Add some before starting it.", Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK
+                "the task has no channels. Add a channel before starting it.",
+                Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK,
             )
         with self.chassis.changed:
             self.reserve()
@@ -103,8 +103,8 @@ class Task:
     def stop(self) -> int:
         """Stop the task.
 
-        Returns the warning 200010, if a finite task is not done yet; else 0. Raises `DaqError` if the task ended
-        early and the error has not been reported.
+        Returns the code of NI's warning 200010 if a finite task is not done yet, otherwise 0. Raises `DaqError` if
+        the run ended early and the error has not been raised yet.
         """
         if not self.running:
             return 0
@@ -142,7 +142,7 @@ class Task:
     def control(self, action: int) -> int:
         """Change the state of the task; COMMIT and RESERVE keep its modules reserved until UNRESERVE or close."""
         if action not in list(TaskMode):
-            raise invalid_value(f"task mode {action}: expected one of {', '.join(each.name for each in TaskMode)}")
+            raise invalid_value(f"task mode {action}; expected one of {', '.join(each.name for each in TaskMode)}.")
         if action == TaskMode.START:
             self.start()
         elif action == TaskMode.STOP:
@@ -179,7 +179,7 @@ class Task:
 
     @property
     def memory(self) -> int:
-        """Bytes of its buffers."""
+        """Size of the buffers, bytes."""
         return self.input.memory + self.output.memory
 
     def free_memory(self) -> None:
@@ -195,22 +195,22 @@ class Task:
         return None if self.run is None else self.run.error
 
     def raise_failure(self) -> None:
-        """Raise the reason why the run ended early, at every call until the task is stopped."""
+        """Raise the reason if the run ended early, at every call until the task is stopped."""
         if self.failure is not None and self.running:
             self._reported = True
             raise self.failure
 
-    def note_query(self, question: str) -> None:
+    def note_query(self, query: str) -> None:
         """Note that a script queries the progress of the run.
 
         A script that repeats a query while no samples have passed is waiting in a loop: the fast clock then lets a
         short time pass.
         """
         chassis = self.chassis
-        is_repeated = self._query_positions.get(question) == chassis.position
+        is_repeated = self._query_positions.get(query) == chassis.position
         if is_repeated and self.running and not self.finished:
             chassis.clock.pass_query(chassis)
-        self._query_positions[question] = chassis.position
+        self._query_positions[query] = chassis.position
 
     def is_done(self) -> bool:
         """Return whether the task is done or not running; a task without a sample clock is always done."""
@@ -220,19 +220,19 @@ class Task:
             return not self.running or self.finished or not self.settings.clocked
 
     def wait_until_done(self, timeout: float) -> None:
-        """Wait until a finite task is done; with -200560, if it is not done in time."""
+        """Wait until a finite task is done; `DaqError` -200560 after the timeout."""
         timeout = seconds(timeout)
         with self.chassis.changed:
             is_done = (
                 not self.running
                 or not self.settings.clocked
-                or self.chassis.wait(lambda: self.finished or not self.running, self._part.missing, timeout)
+                or self.chassis.wait(lambda: self.finished or not self.running, self._part.ticks_to_end, timeout)
             )
             self.raise_failure()
         if not is_done:
-            hint = "Wait longer, or check that it is triggered."
+            hint = "Wait longer, or check its trigger."
             if not self.settings.finite:
-                hint = "Stop it: a continuous task does not end."
+                hint = "A continuous task does not end. Stop it."
             raise DaqError(
                 f"the task is not done after {timeout:g} s. {hint}", Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE
             )
@@ -244,15 +244,15 @@ class Task:
         """Name of the first device in use."""
         return self.settings.device
 
-    def horizon(self) -> int:
+    def max_ticks(self) -> int:
         """See `daq.instrument.chassis.Runner`."""
         part = self._part
-        due = None if self.chassis.clock.runs_free else self.events.due(part.samples_passed)
-        return part.horizon() if due is None else min(part.horizon(), part.ticks_to(due))
+        due = None if self.chassis.clock.runs_free else self.events.next_due(part.samples_passed)
+        return part.ticks_until_log() if due is None else min(part.ticks_until_log(), part.ticks_until(due))
 
     def notify_samples(self) -> bool:
         """See `daq.instrument.chassis.Runner`."""
-        self._part.follow()
+        self._part.write_log()
         return self.running and self.events.notify(self._part.samples_passed, self.run)
 
     @property
@@ -265,14 +265,15 @@ class Task:
     def read(
         self, samples: int, timeout: float, raw: bool = False, check: Callable[[int], None] = lambda samples: None
     ) -> Reading:
-        """Read samples; starts the task where necessary.
+        """Read samples; start the task if necessary.
 
-        `samples`: samples per channel; -1 reads all of a finite task, and the available samples of a continuous
-        task; `timeout`: seconds to wait; 0 tries once, a negative timeout is infinite; `raw`: whether to return the
-        converter's counts instead of the channels' units; `check`: called with the samples per channel before the
-        read; an exception that it raises ends the read. Returns samples before an error, and the error: -200284
-        after the timeout, -200279 when samples were overwritten (the next read begins with the oldest stored
-        sample), -200278 after the end of a finite acquisition, or the reason why the acquisition stopped.
+        `samples` per channel: -1 reads all samples of a finite task, or the available samples of a continuous task.
+        `timeout` in s: 0 tries once, a negative timeout is infinite. `raw` returns the counts of the converter instead
+        of readings. `check` is called with the samples per channel before the read and may raise an exception.
+
+        The result has the samples before an error, and the error: -200284 after the timeout, -200279 if samples were
+        overwritten (the next read begins with the oldest stored sample), -200278 after the end of a finite
+        acquisition, or the reason why the acquisition stopped.
         """
         timeout = seconds(timeout)
         with self.chassis.changed:
@@ -286,7 +287,7 @@ class Task:
             if not self.settings.clocked:
                 with self._on_demand():
                     return self.input.read_on_demand(rows, out, timeout, raw)
-            self._begin()
+            self._start_for_read()
             if timeout == 0:
                 self.note_query("read")
             try:
@@ -299,10 +300,10 @@ class Task:
                     self.end()
 
     def write(self, volts: Array, auto_start: bool, timeout: float) -> int:
-        """Write samples, shape (channels, n), in the channels' units.
+        """Write samples, V, shape (channels, n); return the number of samples per channel written.
 
-        Returns samples per channel written, n. Raises `DaqError` with -200292 after the timeout; the reason why the
-        output stopped; -200561 for samples beyond the channel's limits, -200524 for the wrong number of channels.
+        Raises `DaqError` -200292 after the timeout, -200561 for samples beyond the limits of a channel, -200524 for
+        a wrong number of channels, or the reason why the output stopped.
         """
         timeout = seconds(timeout)
         self.settings.require("ao")
@@ -350,7 +351,7 @@ class Task:
             end = settings.samples if run.trigger is None else run.first_readable + settings.samples
             return max(end - run.position, 0) or settings.samples
         if run is None:
-            self._begin()
+            self._start_for_read()
             run = self.input.run
             assert run is not None
         if run.readable <= run.position and self.running and not run.done:
@@ -359,10 +360,10 @@ class Task:
 
     @property
     def raw_width(self) -> int:
-        """Bytes of a converter count."""
+        """Size of a count of the converter, bytes."""
         return 2 if all((each.module.bits or 32) <= 16 for each in self.settings.channels) else 4
 
-    def _begin(self) -> None:
+    def _start_for_read(self) -> None:
         """Start the task for a read, unless the script forbids it."""
         if self.running or not self.settings.clocked:
             return

@@ -25,24 +25,21 @@ if TYPE_CHECKING:
 
 @dataclass
 class Reading:
-    """Samples of a read, shape (channels, n), and the reason why there are fewer than requested."""
+    """Result of a read."""
 
-    samples: NDArray[Any]
-    first: int = 0
-    error: DaqError | None = None
+    samples: NDArray[Any]  # shape (channels, n)
+    first: int = 0  # number of the first sample
+    error: DaqError | None = None  # reason why there are fewer samples than requested
 
 
 class TaskInput:
-    """The input of a task.
-
-    `run`: the present acquisition, or the last acquisition; `log`: log of the present acquisition.
-    """
+    """The input of a task."""
 
     def __init__(self, chassis: Chassis, settings: TaskSettings, task: Runner) -> None:
         self._chassis, self._settings, self._task = chassis, settings, task
-        self.run: Acquisition | None = None
-        self.log: TaskLog | None = None
-        self._overloads_reported: list[str] | None = None
+        self.run: Acquisition | None = None  # present or last acquisition
+        self.log: TaskLog | None = None  # of the present acquisition
+        self._overloads_reported: list[str] | None = None  # names of channels
 
     # States
 
@@ -54,10 +51,10 @@ class TaskInput:
         self.run = chassis.run_input(self._task, plan)
         if read["logging_mode"] == LoggingMode.OFF or not read["logging_file_path"]:
             return
-        began, ticks = chassis.position, chassis.rate / plan.rate
+        first_tick, ticks_per_sample = chassis.position, chassis.rate / plan.rate
 
         def time_ns(sample: int) -> int:
-            return chassis.time_ns(began + round(sample * ticks))
+            return chassis.time_ns(first_tick + round(sample * ticks_per_sample))
 
         self.log = open_log(self._task.name, self._settings, chassis.bench, plan, time_ns)
 
@@ -95,28 +92,29 @@ class TaskInput:
         """Whether all samples have been read."""
         return self.run is None or self.run.position >= self.run.readable
 
-    def missing(self) -> int:
-        """Lower bound of the ticks until the acquisition is complete."""
+    def ticks_to_end(self) -> int:
+        """Return a lower bound of the ticks until the acquisition is complete; 10 ms if it does not end."""
         run = self.run
         if run is None or run.plan.samples is None or run.plan.rearms:
             return max(1, int(self._chassis.rate / 100))
-        return run.ticks(run.missing(run.plan.samples - run.position), self._chassis.position)
+        return run.ticks_until(run.samples_to_wait(run.plan.samples - run.position), self._chassis.position)
 
-    def ticks_to(self, samples: int) -> int:
-        """Count the ticks until that many samples have been acquired."""
-        run = self.run
-        return UNLIMITED_TICKS if run is None else run.ticks(samples - self.samples_passed, self._chassis.position)
+    def ticks_until(self, samples: int) -> int:
+        """Return the number of ticks until that many samples have been acquired."""
+        if self.run is None:
+            return UNLIMITED_TICKS
+        return self.run.ticks_until(samples - self.samples_passed, self._chassis.position)
 
-    def horizon(self) -> int:
+    def ticks_until_log(self) -> int:
         """Return the number of ticks that may pass before the log must be written."""
         if self.run is None or self.log is None or not self.log.logs_only or self.run.done:
             return UNLIMITED_TICKS
-        return self.run.ticks(self.run.plan.buffer, self._chassis.position)
+        return self.run.ticks_until(self.run.plan.buffer, self._chassis.position)
 
-    def follow(self) -> None:
+    def write_log(self) -> None:
         """Write new samples to the log of a task that only logs."""
         if self.run is not None and self.log is not None and self.log.logs_only:
-            self.log.follow(self.run)
+            self.log.write_new(self.run)
             self.run.position = max(self.run.position, self.run.readable)
 
     def start_new_file(self, path: Path) -> None:
@@ -146,8 +144,7 @@ class TaskInput:
         """Return the names of the channels that `overloaded_exist` reported."""
         if self._overloads_reported is None:
             raise DaqError(
-                "overloaded_chans is available after a read of overloaded_chans_exist only. Read in_stream."
-                "overloaded_chans_exist first.",
+                "overloaded_chans is not available yet. Read in_stream.overloaded_chans_exist first.",
                 Code.OVERLOADED_CHANS_EXIST_NOT_READ,
             )
         return list(self._overloads_reported)
@@ -163,7 +160,7 @@ class TaskInput:
             )
 
     def read_on_demand(self, rows: Sequence[int], out: NDArray[Any], timeout: float, raw: bool) -> Reading:
-        """Acquire samples from now on, whatever the settings of the sample clock."""
+        """Acquire samples from now on, without the task's sample clock."""
         chassis = self._chassis
         chassis.wire(self._task, self._settings.channels)
         plan = input_plan(self._settings, chassis.bench, None, None, on_demand=out.shape[1])
@@ -183,26 +180,27 @@ class TaskInput:
     def _seek(self, run: Acquisition) -> None:
         """Set the read position; with -200277 before the first sample, -200282 for a missing reference trigger."""
         settings = self._settings.groups["read"]
-        relative, offset = RelativeTo(settings["relative_to"]), settings["offset"]
+        origin, offset = RelativeTo(settings["relative_to"]), settings["offset"]
         position = run.position
-        if relative == RelativeTo.CURRENT_READ_POSITION:
+        if origin == RelativeTo.CURRENT_READ_POSITION:
             position += offset
-        elif relative == RelativeTo.FIRST_SAMPLE:
+        elif origin == RelativeTo.FIRST_SAMPLE:
             position = offset
-        elif relative == RelativeTo.MOST_RECENT_SAMPLE:
+        elif origin == RelativeTo.MOST_RECENT_SAMPLE:
             position = max(0, run.ring.written + offset)
         elif run.plan.reference is None:
             raise DaqError(
-                f"in_stream.relative_to is {relative.name}, but the task has no reference trigger",
+                f"in_stream.relative_to is {origin.name}, but the task has no reference trigger. Configure a "
+                "reference trigger, or choose another relative_to.",
                 Code.NO_REF_TRIG_CONFIGURED,
             )
         elif run.trigger is not None:
-            at_trigger = relative == RelativeTo.REFERENCE_TRIGGER
+            at_trigger = origin == RelativeTo.REFERENCE_TRIGGER
             position = (run.trigger if at_trigger else run.first_readable) + offset
         if position < 0:
             raise DaqError(
-                f"the read would begin {-position} samples before the first one: in_stream.relative_to is "
-                f"{relative.name} and in_stream.offset {offset}",
+                f"the read would begin {-position} samples before the first sample: in_stream.relative_to is "
+                f"{origin.name} and in_stream.offset is {offset}. Increase the offset.",
                 Code.NEGATIVE_READ_SAMPLE_NUMBER,
                 samples_done=0,
             )
@@ -226,7 +224,7 @@ class TaskInput:
                     DaqError(
                         f"{lost} samples per channel were overwritten before they were read; the next read begins "
                         "with the oldest stored sample. Read more often or more at a time, or enlarge "
-                        "in_stream.input_buf_size",
+                        "in_stream.input_buf_size.",
                         Code.SAMPLES_NO_LONGER_AVAILABLE,
                     )
                 )
@@ -235,11 +233,11 @@ class TaskInput:
                 first = first if n_read else run.position
                 samples = run.read_next(n_available)
                 for index, row in enumerate(rows):
-                    values = _counts(channels[row], samples[row]) if raw else run.plan.reading(row, samples[row])
+                    values = _counts(channels[row], samples[row]) if raw else run.plan.physical(row, samples[row])
                     out[index, n_read : n_read + n_available] = values
                 n_read += n_available
                 if self.log is not None:
-                    self.log.follow(run)
+                    self.log.write_new(run)
             if n_read == n_requested:
                 return reading(None)
             if run.done and run.readable <= run.position:
@@ -253,7 +251,7 @@ class TaskInput:
             time_left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - start_s))
             ready = chassis.wait(
                 lambda: run.done or run.readable - run.position >= chunk_size(),
-                lambda: run.ticks(run.missing(chunk_size()), chassis.position),
+                lambda: run.ticks_until(run.samples_to_wait(chunk_size()), chassis.position),
                 time_left,
             )
             if not ready and run.readable <= run.position:
@@ -268,19 +266,21 @@ class TaskInput:
 
 
 def _counts(channel: Channel, samples: NDArray[Any]) -> NDArray[Any]:
+    """Return the counts of samples, which are in volts if the scene's converter is ideal."""
     if np.issubdtype(samples.dtype, np.integer):
         return samples
     bits = channel.module.bits
     if bits is None or not np.isfinite(channel.range):
         raise unsupported(
-            "an unscaled read", "The scene's converter has no counts: give it bits and a range, or read volts."
+            "an unscaled read",
+            "The scene's converter has no counts. Set converter.bits and converter.range in the scene, or read volts.",
         )
     full_scale = 2.0 ** (bits - 1)
     return np.clip(np.rint(samples / channel.range * full_scale), -full_scale, full_scale - 1)
 
 
 def _missing_trigger(run: Acquisition) -> str:
-    if run.first_tick is None:
+    if not run.has_started:
         return " (the start trigger has not occurred)"
     if run.plan.reference is not None and run.trigger is None:
         return " (the reference trigger has not occurred)"

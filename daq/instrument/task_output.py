@@ -1,4 +1,4 @@
-"""The output of a task: its buffer, its generation, and the writes that wait for room."""
+"""The output of a task: its buffer, its generation, and writes that wait until the buffer has space."""
 
 from __future__ import annotations
 
@@ -19,18 +19,15 @@ if TYPE_CHECKING:
 
 
 class TaskOutput:
-    """The output of a task.
-
-    `run`: the present generation, or the last generation; `buffer`: written samples.
-    """
+    """The output of a task."""
 
     # An output has no retriggerable start, and no event waits for its response.
     retriggers, all_read = False, True
 
     def __init__(self, chassis: Chassis, settings: TaskSettings, task: Runner) -> None:
         self._chassis, self._settings, self._task = chassis, settings, task
-        self.run: Generation | None = None
-        self.buffer: OutputBuffer | None = None
+        self.run: Generation | None = None  # present or last generation
+        self.buffer: OutputBuffer | None = None  # written samples
         self._running = self._has_played = False
 
     # States
@@ -41,11 +38,11 @@ class TaskOutput:
             raise DaqError(
                 "the output has no samples. Write samples before starting the task.", Code.OUTPUT_BUFFER_EMPTY
             )
-        plan, joins = output_plan(self._settings, self._chassis.rate, start)
+        plan, clock_task = output_plan(self._settings, self._chassis.rate, start)
         self.run = self._chassis.run_output(self._task, plan, self.buffer)
         self._running = self._has_played = True
-        if joins is not None:
-            self.run.join(self._chassis.event_tick(joins))
+        if clock_task is not None:
+            self.run.start_if_clock_runs(self._chassis.event_tick(clock_task))
 
     def stop(self) -> None:
         """End the generation."""
@@ -69,19 +66,19 @@ class TaskOutput:
         """Samples per channel generated so far."""
         return 0 if self.run is None else self.run.generated
 
-    def missing(self) -> int:
-        """Lower bound of the ticks until the generation is complete."""
-        return max(1, int(self._chassis.rate / 100)) if self.run is None else self.run.missing()
+    def ticks_to_end(self) -> int:
+        """Return a lower bound of the ticks until the generation is complete."""
+        return max(1, int(self._chassis.rate / 100)) if self.run is None else self.run.ticks_to_end()
 
-    def ticks_to(self, samples: int) -> int:
-        """Count the ticks until that many samples have been generated."""
-        return UNLIMITED_TICKS if self.run is None or self.run.first_tick is None else self.run.ticks_until(samples)
+    def ticks_until(self, samples: int) -> int:
+        """Return the number of ticks until that many samples have been generated."""
+        return UNLIMITED_TICKS if self.run is None or not self.run.has_started else self.run.ticks_until(samples)
 
-    def horizon(self) -> int:
-        """Count the ticks that may pass before `follow`."""
+    def ticks_until_log(self) -> int:
+        """Return the number of ticks that may pass before `write_log`."""
         return UNLIMITED_TICKS
 
-    def follow(self) -> None:
+    def write_log(self) -> None:
         """Do nothing: an output has no log."""
 
     @property
@@ -104,7 +101,7 @@ class TaskOutput:
     def write(self, volts: Array, timeout: float) -> int:
         """Write samples into the buffer; see `Task.write`."""
         if not self._running and (self.buffer is None or self._has_played):
-            # A buffer that has been played is complete: a new write starts another buffer.
+            # The first write after a run starts a new buffer.
             settings = self._settings.groups["buffer"]
             size = int(settings["output_buf_size"]) if settings.was_set("output_buf_size") else None
             self.buffer, self._has_played = OutputBuffer(volts.shape[0], size), False
@@ -120,7 +117,7 @@ class TaskOutput:
             per_tick = samples_per_tick(chassis.bench.rate, chassis.rate)
             plan = OutputPlan(tuple(rows), chassis.rate, per_tick, volts.shape[1], False)
             run = chassis.run_output(self._task, plan, buffer)
-            chassis.wait(lambda: run.done, run.missing, -1.0)
+            chassis.wait(lambda: run.done, run.ticks_to_end, -1.0)
             chassis.halt(self._task)
             if run.error is not None:
                 raise run.error
@@ -132,6 +129,7 @@ class TaskOutput:
         return int(buffer.free(generated, self._running, self._settings.regenerates))
 
     def _fill(self, buffer: OutputBuffer, volts: Array, timeout: float) -> int:
+        """Write samples as the buffer has space for them; return the number of samples per channel written."""
         chassis, n_requested, n_written = self._chassis, volts.shape[1], 0
         start_s = chassis.clock.now(chassis)
 
@@ -143,6 +141,7 @@ class TaskOutput:
             return self._free(buffer, 0 if run is None else run.generated)
 
         def chunk_size() -> int:
+            # A write may be longer than the buffer: it waits for half the buffer at a time.
             return min(n_requested - n_written, max(1, buffer.size // 2))
 
         while True:
@@ -175,7 +174,7 @@ class TaskOutput:
 
 
 def check_volts(channels: Sequence[Channel], volts: Array) -> None:
-    """Check samples against channels; with -200524 or -200561."""
+    """Check samples, V, shape (channels, n); raise `DaqError` -200524 for their shape, -200561 beyond the limits."""
     if volts.ndim != 2 or volts.shape[0] != len(channels):
         raise DaqError(
             f"the data have {volts.shape[0]} channels, the task has {len(channels)}. Write a row for each channel.",
@@ -187,7 +186,8 @@ def check_volts(channels: Sequence[Channel], volts: Array) -> None:
         wrong = ~((row >= low) & (row <= high))
         if wrong.any():
             raise DaqError(
-                f"{channel.name}: {row[wrong][0]:g} V is outside its limits, {low:g} to {high:g} V. Stay within them.",
+                f"{channel.name}: {row[wrong][0]:g} V is outside its limits, {low:g} to {high:g} V. Write less, or "
+                "extend the limits of the channel.",
                 Code.INVALID_AO_DATA_WRITE,
                 samples_done=0,
             )

@@ -1,4 +1,4 @@
-"""Properties of a task, stored and derived: reading, setting and resetting them by the driver's names."""
+"""Reads, sets and resets the properties of a task, stored or computed, by NI's names of the properties."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ def get_channel(task: Task, names: str, name: str) -> Any:
     """
     channels = task.settings.find(names)
     if not channels:
-        raise DaqError(f"{name}: the task has no channels", Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK)
+        raise DaqError(
+            f"{name}: the task has no channels. Add a channel first.", Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK
+        )
     if name in ("ai_filter_delay", "ai_remove_filter_delay"):
         return task.chassis.terminals.filter_properties(
             channels[0].row, task.settings.rate if task.settings.clocked else None
@@ -52,10 +54,7 @@ def reset_channel(task: Task, names: str, name: str) -> None:
 
 
 def get_value(task: Task, group: str, name: str) -> Any:
-    """Read a setting or a derived value.
-
-    `name`: the driver's name. Raises `DaqError` with -200452, if there is no property of that name.
-    """
+    """Return a setting or a computed value by NI's name; `DaqError` -200452 if there is no such property."""
     computed = _COMPUTED.get((group, name))
     with task.chassis.changed:
         return task.settings.groups[group][name] if computed is None else computed(task)
@@ -68,7 +67,7 @@ def set_value(task: Task, group: str, name: str, value: Any) -> None:
     if name == "samp_clk_timebase_div":
         divisor = coerce(name, value, 1.0)
         if divisor <= 0.0:
-            raise invalid_value(f"{name} is {divisor:g}: expected a positive number")
+            raise invalid_value(f"{name} is {divisor:g}; expected a positive number.")
         name, value = "samp_clk_rate", _module(task).timebase / divisor
     settings = task.settings.groups[group]
     value = coerce(name, value, settings[name])
@@ -77,7 +76,7 @@ def set_value(task: Task, group: str, name: str, value: Any) -> None:
     if name == "channels_to_read":
         task.settings.find(value)
     if name.endswith("_buf_size") and value < 0:
-        raise invalid_value(f"{name} {value}: expected 0 samples at least")
+        raise invalid_value(f"{name} is {value}; expected 0 or more samples.")
     settings[name] = value
     if name == "output_buf_size":
         task.output.buffer = None
@@ -96,16 +95,16 @@ def reset_value(task: Task, group: str, name: str) -> None:
 
 
 def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
-    """Return the time at which the task started or was triggered, ns.
+    """Return the time of the start or of a trigger of the task, ns.
 
-    Raises `DaqError` with -209842, if timestamps of triggers are disabled; with -200284, if the event did not occur
+    Raises `DaqError` -209842 if the timestamp of the trigger is disabled, and -200284 if the event does not occur
     before the timeout.
     """
     name = {TimestampEvent.START_TRIGGER: "start", TimestampEvent.REFERENCE_TRIGGER: "ref"}.get(event)
     settings, key = task.settings.groups["trig"], f"{name}_trig_timestamp_enable"
     if name is not None and settings.was_set(key) and not settings[key]:
         raise DaqError(
-            "the time of that trigger is not stored. Set timestamp_enable before starting the task.",
+            f"{event.name.lower()}: its time was not stored. Set timestamp_enable to True before starting the task.",
             Code.TIMESTAMP_NOT_ENABLED,
         )
     if name is None:
@@ -131,7 +130,7 @@ def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
 
 
 def full_terminal(task: Task, name: str) -> str:
-    """Return the driver's full name of a terminal, with its device.
+    """Return NI's full name of a terminal, which begins with the device.
 
     Raises `DaqError` with -89120, if it is not a terminal.
     """
@@ -148,12 +147,14 @@ def full_terminal(task: Task, name: str) -> str:
     return f"/{task.settings.device}/{name}"
 
 
-def _counter(question: str, value: Callable[[Task], int]) -> Callable[[Task], int]:
-    def ask(task: Task) -> int:
-        task.note_query(question)
+def _counter(query: str, value: Callable[[Task], int]) -> Callable[[Task], int]:
+    """Return a function that reads a count of samples and notes the query; see `Task.note_query`."""
+
+    def read_count(task: Task) -> int:
+        task.note_query(query)
         return value(task)
 
-    return ask
+    return read_count
 
 
 def _seconds_of(task: Task, event: TimestampEvent) -> float:
@@ -167,11 +168,12 @@ def _run_input(task: Task, value: Callable[[Any], int]) -> int:
 def _module(task: Task) -> Module:
     """Return the module whose clock the task uses; with -200478, if it has no channels."""
     if not task.settings.channels:
-        raise DaqError("the task has no channels: add some first", Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK)
+        raise DaqError("the task has no channels. Add a channel first.", Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK)
     return task.settings.channels[0].module
 
 
-def _edge_source(task: Task, name: str) -> str:
+def _trigger_source(task: Task, name: str) -> str:
+    """Return the source of a trigger: the name of a channel, or the full name of a terminal."""
     source = str(task.settings.groups["trig"][name])
     names = {name.lower() for each in task.settings.channels for name in (each.name, each.port.name)}
     return source if source.lower() in names else full_terminal(task, source)
@@ -211,7 +213,7 @@ _COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {
     ("write", "curr_write_pos"): lambda task: task.output.written,
     ("write", "total_samp_per_chan_generated"): _counter("generated", lambda task: task.output.samples_passed),
     **{
-        ("trig", name): partial(_edge_source, name=name)
+        ("trig", name): partial(_trigger_source, name=name)
         for kind in ("anlg_edge", "anlg_win", "dig_edge")
         for name in (f"{kind}_start_trig_src", f"{kind}_ref_trig_src")
     },

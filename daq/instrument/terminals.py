@@ -1,4 +1,4 @@
-"""The terminals of a scene's bench: output voltages, settings of its inputs, and the test of the scene."""
+"""Connects the bench of a scene to the instrument: output voltages, settings of the inputs, and the scene's test."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from daq.instrument.devices.modules import DIVIDED
 from daq.instrument.devices.teds import with_sensitivity
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.values import Coupling, Excitation
-from daq.signal_chain.oversampling import oversampling
+from daq.signal_chain.oversampling import choose_oversampling
 from daq.virtual_bench.bench import Bench, at_rate
 from rig.progress import FractionProgress
 from rig.scene.modules import module
@@ -33,28 +33,28 @@ if TYPE_CHECKING:
 class Terminals:
     """The interface between a bench and its instrument.
 
-    The time step of the plant suits the fastest module, so that neither the motion nor a sample depends on the
-    running tasks.
-
-    `drive_per_volt`, shape (outputs,): drive per volt at each output; `dtype`: type of the samples: volts, or counts
-    of a converter.
+    The bench computes in ticks that are short enough for the fastest module. Neither the motion nor a sample
+    therefore depends on the running tasks.
     """
 
     def __init__(self, scene: Scene) -> None:
-        # Ticks per sample of the converter that suit the fastest rate of each module and the intervals that its
-        # converter needs: where modules divide one clock, all their samples then coincide with ticks.
-        sample_rate, named = scene.converter.sample_rate, scene.converter.preset
-        sheets = [None if shaker.output is None else shaker.output.preset for shaker in scene.shakers]
-        inputs = None if named is None else module(named).inputs
-        outputs = [None if name is None else module(name).outputs for name in sheets]
-        fastest, *others = (DIVIDED.fastest if each is None else each.rates.fastest for each in (inputs, *outputs))
-        needed = [sample_rate * oversampling(scene), *others]
-        if fastest > sample_rate:
-            needed.append(fastest * oversampling(at_rate(scene, fastest)))
-        self.bench = bench = Bench(scene, math.ceil(max(needed) / sample_rate - 1e-6))
-        counts = bool(bench.channels) and bench.channels[0].volts_per_count is not None
-        self.dtype: type[np.generic] = np.int32 if counts else np.float64
+        # The tick rate is a multiple of the converter's rate, at least the fastest rate of each module and the rate
+        # that oversampling requires. The samples of modules that divide one clock then coincide with ticks.
+        sample_rate, input_preset = scene.converter.sample_rate, scene.converter.preset
+        output_presets = [None if shaker.output is None else shaker.output.preset for shaker in scene.shakers]
+        inputs = None if input_preset is None else module(input_preset).inputs
+        outputs = [None if preset is None else module(preset).outputs for preset in output_presets]
+        fastest_input, *fastest_outputs = (
+            DIVIDED.fastest if each is None else each.rates.fastest for each in (inputs, *outputs)
+        )
+        min_tick_rates = [sample_rate * choose_oversampling(scene), *fastest_outputs]
+        if fastest_input > sample_rate:
+            min_tick_rates.append(fastest_input * choose_oversampling(at_rate(scene, fastest_input)))
+        self.bench = bench = Bench(scene, math.ceil(max(min_tick_rates) / sample_rate - 1e-6))
+        has_counts = bool(bench.channels) and bench.channels[0].volts_per_count is not None
+        self.dtype: type[np.generic] = np.int32 if has_counts else np.float64  # of samples: counts or volts
         self._outputs = [row for row, name in enumerate(bench.inputs) if name != "hammer"]
+        # Shape (outputs,).
         self.drive_per_volt = np.array([DRIVE_PER_VOLT[bench.drive_units[row]] for row in self._outputs])
         self._converter = complete_from_preset(scene.converter)
         station = Station(scene, bench.channels, bench.inputs, bench.rate, mark=lambda *arguments, **fields: None)
@@ -66,14 +66,14 @@ class Terminals:
 
     # Time
 
-    def horizon(self, ticks: int) -> int:
-        """Limit a number of ticks to the known drive of the test."""
-        return self._test.horizon(ticks)
+    def limit_ticks(self, ticks: int) -> int:
+        """Limit a number of ticks to those for which the drive of the test is known."""
+        return self._test.limit_ticks(ticks)
 
     def advance(self, volts: NDArray[np.float64] | None, ticks: int, rates: Collection[float]) -> Mapping[float, Block]:
-        """Advance the bench with output voltages, shape (outputs, ticks), or with the test alone for None.
+        """Advance the bench and return its samples by rate; see `Bench.advance`.
 
-        The samples are those of `Bench.advance`.
+        The drive is that of the output voltages, shape (outputs, ticks), or that of the test if `volts` is None.
         """
         drive = self._test.drive(ticks).copy()
         if volts is not None and self._outputs:
@@ -95,14 +95,14 @@ class Terminals:
     ) -> BackgroundTest:
         """Play the test of a scene once, from the first sample after `position` ticks; see `BackgroundTest`."""
         bench = self.bench
-        first = -(-position // bench.ticks)
-        station = Station(scene, bench.channels, bench.inputs, bench.rate, mark, report, now=first)
-        lead = first * bench.ticks - position
-        self._test = BackgroundTest(station, bench.ticks, bench.physical, lead, excite, ended)
+        first_sample = -(-position // bench.ticks)
+        station = Station(scene, bench.channels, bench.inputs, bench.rate, mark, report, now=first_sample)
+        lead_ticks = first_sample * bench.ticks - position
+        self._test = BackgroundTest(station, bench.ticks, bench.physical, lead_ticks, excite, ended)
         return self._test
 
     def release_outputs(self) -> None:
-        """End the drive of the test because a task has taken an output."""
+        """End the drive of the test because a task uses an output."""
         self._test.release_outputs()
 
     @property
@@ -113,28 +113,28 @@ class Terminals:
     # Inputs
 
     def wire(self, channels: Sequence[Channel], in_use: Collection[int]) -> None:
-        """Set couplings and supplies for a task's channels.
+        """Set the couplings and sensor supplies of a task's channels.
 
-        Raises `DaqError` with -50103 for an input in use that has another coupling or supply.
+        `in_use` are the rows of the inputs that other tasks are reading; `DaqError` -50103 if one of them has another
+        coupling or supply.
         """
         wiring, used = list(self.bench.wiring), set(in_use)
         for each in channels:
             before = wiring[each.row]
-            # The supply current, A; None if the scene does not model the supply.
-            supply = self._converter.excitation
+            supply = self._converter.excitation  # current, A; None if the scene does not model the supply
             if supply is not None and each.settings["ai_excit_src"] == Excitation.NONE:
                 supply = 0.0
             elif supply is not None:
                 supply = supply or each.module.currents[0]
             coupling = Coupling(each.settings["ai_coupling"]).name
             requested = before.replace(coupling=coupling, excitation=supply)
-            present, new = (input_settings(self.bench.scene.converter, wired) for wired in (before, requested))
+            present, new = (input_settings(self.bench.scene.converter, channel) for channel in (before, requested))
             if (present.coupling or "DC", present.excitation) == (new.coupling or "DC", new.excitation):
                 continue
             if each.row in used:
                 raise DaqError(
                     f"the resource is reserved: {each.port.name} is in use with another coupling or sensor supply. "
-                    "Stop that task, or use the same settings.",
+                    "Stop the task that uses it, or choose the same settings.",
                     Code.PAL_RESOURCE_RESERVED,
                 )
             wiring[each.row] = requested
@@ -147,7 +147,7 @@ class Terminals:
         return input_settings(self.bench.scene.converter, channel).excitation if needs_supply(channel) else None
 
     def data_sheet(self, row: int) -> bytes | None:
-        """Return the electronic data sheet of a channel's sensor; None without a readable data sheet."""
+        """Return the electronic data sheet (TEDS) of a channel's sensor; None without a readable data sheet."""
         channel = self.bench.wiring[row]
         sheet = None if channel.integrator else electronic_data_sheet(channel, self.bench.scene.seed)
         if sheet is None:
@@ -155,7 +155,7 @@ class Terminals:
         return with_sensitivity(sheet.bits, sheet.template, self.bench.channels[row].sensitivity)
 
     def filter_properties(self, row: int, rate: float | None) -> dict[str, Any]:
-        """Return the delay [s] of a channel's filter at a rate, and whether the scene removes it."""
+        """Return NI's filter properties of a channel at a rate in S/s: the delay in s, and whether it is removed."""
         info = self.bench.channels[row]
         delay = info.delay * (info.rate / rate if rate and info.filter else 1.0)
         return {

@@ -12,6 +12,7 @@ import numpy as np
 from daq.recording.layout import EVENTS, MARKERS
 from daq.recording.protobuf import Schema
 from daq.signal_chain.field_checks import (
+    BOOLEAN,
     COUNT,
     MAX_SAMPLES,
     NAME,
@@ -19,7 +20,6 @@ from daq.signal_chain.field_checks import (
     NUMBER,
     POSITIVE,
     TEXT,
-    TRUTH,
     Check,
     check,
     is_count,
@@ -31,7 +31,7 @@ _FIELD_CHECKS = {
     **dict.fromkeys(("frequency", "from", "to", "duration"), POSITIVE),
     **dict.fromkeys(("period", "periods", "block", "number", "realisation"), COUNT),
     "level": NUMBER,
-    "settled": TRUTH,
+    "settled": BOOLEAN,
     **dict.fromkeys(("spacing", "direction", "reason"), TEXT),
     "channel": NAME,
     "channels": NAMES,

@@ -23,7 +23,7 @@ from daq.server.live import LiveRecording, LiveView
 from daq.server.served_instrument import Limits
 from daq.server.service import Server
 from daq.server.starter_script import report_missing_excitation, starter_script
-from daq.signal_chain.converter import volt_effect
+from daq.signal_chain.converter import describe_output
 from rig.ending_signals import TERMINATION_SIGNALS
 from rig.errors import SceneError
 from rig.input_files import read_file
@@ -148,7 +148,7 @@ def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str
                 f"  {terminal}: {info.name} at {info.at}, {1e3 * info.sensitivity:.4g} mV per {info.unit}{supply_note}"
             )
         for terminal, row in zip(module.channel_names("ao"), module.outputs, strict=True):
-            lines.append(f"  {terminal}: {volt_effect(chassis.bench.scene, row + 1)}")
+            lines.append(f"  {terminal}: {describe_output(chassis.bench.scene, row + 1)}")
     channel_function = "grpc.insecure_channel" if not encrypted else "grpc.secure_channel"
     credentials_argument = "" if not encrypted else ', grpc.ssl_channel_credentials(open("ca.pem", "rb").read())'
     return "\n".join([*lines, *starter_script(chassis, f'{channel_function}("{address}"{credentials_argument})')])

@@ -1,4 +1,5 @@
-"""Signal chain from motion to volts at the converter: sensor, amplifier, coupling, sampling, quantization.
+"""Simulates the signal chain from motion to counts: sensor, amplifier, coupling, sampling, quantization.
 
-This room does not depend on tests or files. Start with `chain`; `devices` turns data sheets into stages.
+Start with `chain`; `devices` turns data sheets into stages. The package depends neither on tests of a scene nor on
+files.
 """

@@ -1,4 +1,4 @@
-"""The measurement chain of a scene: motion and forces in, volts at the converter out."""
+"""The measurement chain of a scene: computes the volts at the converter from motion and forces, block by block."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from daq.dsp.interpolation import ForceInterpolator, MotionInterpolator
 from daq.dsp.noise import generator
 from daq.dsp.skew import delays
 from daq.signal_chain.channel import ChannelInfo
-from daq.signal_chain.decimation_filter import DELAY
-from daq.signal_chain.devices import stages
+from daq.signal_chain.decimation_filter import DELAY_SAMPLES
+from daq.signal_chain.devices import channel_stages
 from daq.signal_chain.signal_path import SignalPath
 from daq.signal_chain.stage import channel_effects, channel_info
 from rig.arrays import Array
@@ -28,12 +28,12 @@ from rig.simulation.motion import Motion
 class Chain:
     """All channels of a scene, up to the converter's input; results do not depend on the division into blocks.
 
-    Between samples a point's acceleration is a row of cubics joined at samples and breaks
-    (`daq.dsp.interpolation`); impacts enter as impulses at their instants. The analogue stages are linear and
-    propagated exactly for that input (`daq.dsp.propagation`). A sample is taken behind a decimation filter where
-    the scene names one; otherwise a signal behind an integrator is read at the instant of the sample, and any
-    other, which may hold impulses, is averaged over the interval that ends at the sample. Everything is at rest
-    before sample 0. Random numbers of a channel depend on the seed and its name alone.
+    The acceleration of a point is piecewise cubic between samples and impacts (`daq.dsp.interpolation`). Each impact
+    is an impulse of acceleration at its instant. The analog stages are linear, and their response to this input is
+    exact (`daq.dsp.propagation`). Samples are the output of the decimation filter if the scene has a filter. Without
+    it, the output of an integrator is read at the instant of the sample. A signal without integration may contain
+    impulses, so it is averaged over the interval that ends at the sample. All stages are at rest before sample 0.
+    The random numbers of a channel depend only on the seed and the name of the channel.
 
     >>> import rig
     >>> scene = rig.loads("structure: {masses: [1 kg], springs: [1 kN/m]}")
@@ -57,40 +57,42 @@ class Chain:
         self._interpolators = [_interpolator(channel, rate, points) for channel in channels]
         self._buffers = BlockBuffers()
         self._jitter = generator(scene.seed, "", "jitter") if converter.jitter else None
-        self.latency = DELAY if converter.filter is not None and converter.remove_delay else 0
-        parts = [self._wire(row, channel) for row, channel in enumerate(channels)]
+        # The first samples, before the removed delay of the filter has passed, are not returned.
+        self.latency = DELAY_SAMPLES if converter.filter is not None and converter.remove_delay else 0
+        setups = [self._set_up(row, channel) for row, channel in enumerate(channels)]
         self.wiring: tuple[Channel, ...] = tuple(channels)
-        self.overload = np.zeros((len(channels), 0), dtype=bool)
-        self._paths = [path for path, _, _ in parts]
-        self.channels: tuple[ChannelInfo, ...] = tuple(info for _, info, _ in parts)
-        self.effects = {info.name: effects for _, info, effects in parts}
+        self.overload = np.zeros((len(channels), 0), dtype=bool)  # of the latest block, like its samples
+        self._paths = [path for path, _, _ in setups]
+        self.channels: tuple[ChannelInfo, ...] = tuple(info for _, info, _ in setups)
+        self.effects = {info.name: effects for _, info, effects in setups}
 
-    def _wire(self, row: int, channel: Channel) -> tuple[SignalPath, ChannelInfo, dict[str, int]]:
-        """Set up a channel, from rest."""
+    def _set_up(self, row: int, channel: Channel) -> tuple[SignalPath, ChannelInfo, dict[str, int]]:
+        """Return the signal path of a channel, at rest, its description and its effects."""
         scene, delay = self._scene, self._delays[row]
         settings, converter = input_settings(scene.converter, channel), complete_from_preset(scene.converter)
-        devices = stages(channel, settings, scene.seed)
-        path = SignalPath(channel.name, devices, converter, self._oversampling, delay, scene.seed, self._buffers)
-        info = channel_info(channel.name, channel.at, devices, settings, converter.sample_rate, delay)
-        effects = channel_effects(devices, converter, delay)
+        stages = channel_stages(channel, settings, scene.seed)
+        path = SignalPath(channel.name, stages, converter, self._oversampling, delay, scene.seed, self._buffers)
+        info = channel_info(channel.name, channel.at, stages, settings, converter.sample_rate, delay)
+        effects = channel_effects(stages, converter, delay)
         if "1/f noise" in effects:
             effects["1/f noise"] = path.noise_states
         return path, info, effects
 
     def rewire(self, wiring: Sequence[Channel]) -> None:
-        """Change couplings and supplies; a channel that changes restarts from rest, its sensor just switched on."""
+        """Change couplings and sensor supplies; a changed channel restarts from rest, as at power-on."""
         infos = list(self.channels)
-        for row, (before, channel) in enumerate(zip(self.wiring, wiring, strict=True)):
-            if channel != before:
-                self._paths[row], infos[row], self.effects[channel.name] = self._wire(row, channel)
+        for row, (previous, channel) in enumerate(zip(self.wiring, wiring, strict=True)):
+            if channel != previous:
+                self._paths[row], infos[row], self.effects[channel.name] = self._set_up(row, channel)
         self.wiring, self.channels = tuple(wiring), tuple(infos)
 
     def measure(self, motion: Motion, forces: Array | None = None) -> Array:
-        """Measure the next block, in volts; shape (channels, samples).
+        """Return the voltages of the next block, V, shape (channels, samples); see also `overload`.
 
-        The forces, shape (inputs, samples), at the hammer, a shaker or a drive are interpolated linearly.
+        `forces`, shape (inputs, motion samples), are forces or drives of the inputs, interpolated linearly.
         """
         count = motion.displacement.shape[1]
+        # Converter samples in the block: sample n is at motion sample n times the oversampling.
         first, stop = (-(-k // self._oversampling) for k in (motion.first, motion.first + count))
         jitter = None if self._jitter is None else self._jitter.standard_normal(stop - first)
         volts = np.empty((len(self._paths), stop - first))
@@ -99,7 +101,7 @@ class Chain:
             if isinstance(interpolator, MotionInterpolator):
                 cubics = interpolator.interpolate(motion)
             else:
-                # The force or voltage at a channel is a factor times an input; zero of a hammer that is not used.
+                # An input that does not exist is zero: the force of a hammer that is not used.
                 name, factor = self._sources[row]
                 external = np.zeros(count)
                 if forces is not None and name in self._inputs:
@@ -111,7 +113,7 @@ class Chain:
 
 
 def default_channels(scene: Scene, points: Sequence[str]) -> tuple[Channel, ...]:
-    """Return the ideal channels of a scene that names none: accelerations of all points, and external forces."""
+    """Return ideal channels for a scene without `channels`: accelerations of all points, and external forces."""
     channels = [Channel(name=point.replace(" ", ""), at=point) for point in points]
     if isinstance(scene.test, Impulse):
         channels.append(Channel(name="force", at="hammer"))
@@ -124,7 +126,7 @@ def default_channels(scene: Scene, points: Sequence[str]) -> tuple[Channel, ...]
 
 
 def _source(channel: Channel, scene: Scene) -> tuple[str, float]:
-    """Return the input that a channel measures, and its reading per unit."""
+    """Return the input that a force or drive channel measures, and the voltage or force per unit of the input."""
     if not channel.measures_voltage:
         return channel.at, 1.0
     number = channel.number or 1

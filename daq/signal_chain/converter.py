@@ -1,4 +1,4 @@
-"""Converters: the input turns volts into counts; the outputs limit and quantize the drives of the shakers."""
+"""Converters: the inputs turn volts into counts; the outputs clip and quantize the drives of the shakers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rig.scene.shaker import DRIVE_PER_VOLT, ElectrodynamicShaker, ForceShaker, 
 
 
 def volts_per_count(settings: Settings) -> float | None:
-    """Return the size of a count, V; None without bits and a range.
+    """Return the voltage of one count, V; None if the converter has no bits or no range.
 
     >>> volts_per_count(Settings(bits=8, range="1 V"))
     0.0078125
@@ -26,7 +26,7 @@ def volts_per_count(settings: Settings) -> float | None:
 
 
 class Quantizer:
-    """Quantizes and clips; the most positive code is a count less than the range, as in two's complement.
+    """Quantizes and clips voltages; the largest code is one count less than the range, as in two's complement.
 
     >>> quantizer = Quantizer(Settings(bits=8, range="1 V"))
     >>> quantizer.convert(np.array([[0.5, -0.004, 1.5]]))
@@ -36,18 +36,19 @@ class Quantizer:
     def __init__(self, settings: Settings) -> None:
         settings = complete_from_preset(settings)
         self._bits, self._range = settings.bits, settings.range
-        self._count = volts_per_count(settings)
+        self._volts_per_count = volts_per_count(settings)
         dropped = [(round(block.at * settings.sample_rate), block.samples) for block in settings.dropped_blocks]
+        # First and last sample of each run of samples that is lost between converter and recording.
         self.lost = _merge_blocks((first, first + samples - 1) for first, samples in sorted(dropped))
 
     def convert(self, volts: Array) -> tuple[Array | NDArray[np.int32], NDArray[np.bool_]]:
-        """Return the volts, or counts where the converter has bits, and where the volts exceed the range."""
+        """Return the samples, in counts (in volts if the converter has no bits), and whether each was clipped."""
         if self._range is None:
             return volts, np.zeros(volts.shape, dtype=bool)
-        if self._bits is None or self._count is None:
+        if self._bits is None or self._volts_per_count is None:
             samples = np.clip(volts, -self._range, self._range)
             return samples, samples != volts
-        codes = volts / self._count
+        codes = volts / self._volts_per_count
         np.rint(codes, out=codes)
         full_scale = 2.0 ** (self._bits - 1)
         clipped = np.minimum(np.maximum(codes, -full_scale), full_scale - 1.0)
@@ -55,7 +56,7 @@ class Quantizer:
 
 
 def _merge_blocks(blocks: Iterable[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
-    """Join blocks that overlap or touch."""
+    """Merge blocks (first, last) that overlap or are adjacent; the blocks are sorted by their first sample."""
     merged: list[tuple[int, int]] = []
     for first, last in blocks:
         if merged and first <= merged[-1][1] + 1:
@@ -66,33 +67,33 @@ def _merge_blocks(blocks: Iterable[tuple[int, int]]) -> tuple[tuple[int, int], .
 
 
 class Outputs:
-    """Clips and quantizes the drive at the range of each output; the hammer and unspecified outputs pass everything.
+    """Clips and quantizes the drives at the outputs; an output without a range, and the hammer, are ideal.
 
     >>> import rig
     >>> scene = rig.load("reference-A")
     >>> scene = scene.replace(shaker=scene.shaker.replace(output={"range": 1.0, "bits": 8}))
-    >>> Outputs(scene, ["shaker"], ["N"]).put_out(np.array([[0.3, 5.0, -5.0]]))
+    >>> Outputs(scene, ["shaker"], ["N"]).convert(np.array([[0.3, 5.0, -5.0]]))
     array([[ 0.296875 ,  0.9921875, -1.       ]])
     """
 
     def __init__(self, scene: Scene, inputs: Sequence[str], units: Sequence[str]) -> None:
-        self._rows: list[tuple[int, float, float | None]] = []
+        # Row of the drive, full scale and step (None: not quantized) of each output with a range, in the drive's unit.
+        self._limited: list[tuple[int, float, float | None]] = []
         for number, shaker in enumerate(scene.shakers, 1):
             settings = complete_from_preset(shaker.output)
             if settings.range is None:
                 continue
             row = inputs.index(at_shaker("shaker", number, len(scene.shakers)))
             full_scale = settings.range * DRIVE_PER_VOLT[units[row]]
-            self._rows.append(
-                (row, full_scale, None if settings.bits is None else 2.0 * full_scale / 2.0**settings.bits)
-            )
+            step = None if settings.bits is None else 2.0 * full_scale / 2.0**settings.bits
+            self._limited.append((row, full_scale, step))
 
-    def put_out(self, drive: Array) -> Array:
-        """Return the output for a drive, shape (inputs, samples)."""
-        if not self._rows:
+    def convert(self, drive: Array) -> Array:
+        """Return the drive after clipping and quantization, shape (inputs, samples)."""
+        if not self._limited:
             return drive
         output = drive.copy()
-        for row, full_scale, step in self._rows:
+        for row, full_scale, step in self._limited:
             if step is None:
                 np.clip(output[row], -full_scale, full_scale, out=output[row])
             else:
@@ -100,11 +101,11 @@ class Outputs:
         return output
 
 
-def volt_effect(scene: Scene, number: int) -> str:
-    """Describe the effect of one volt of the output of a shaker, by the shaker's number from 1.
+def describe_output(scene: Scene, number: int) -> str:
+    """Describe the quantity that the output of shaker `number` (from 1) drives, and its scale per volt.
 
     >>> import rig
-    >>> volt_effect(rig.load("bare-structure"), 1), volt_effect(rig.load("fig8-no-damper"), 1)
+    >>> describe_output(rig.load("bare-structure"), 1), describe_output(rig.load("fig8-no-damper"), 1)
     ('table position, 1 mm/V', 'voltage at the coil, 1 V/V')
     """
     shaker = scene.shakers[number - 1]

@@ -1,9 +1,9 @@
 """The decimation filter of a delta-sigma converter.
 
-Such a converter oversamples and reports the output of a long symmetric low-pass filter, which removes content above
-half the sample rate. Here the filter acts on the continuous signal: the chain provides the exact Legendre moments of
-the signal over every sample interval, impacts included, and the filter, divided into sample intervals and expanded in
-Legendre polynomials, weights these moments. The sum is the integral of signal times filter.
+A delta-sigma converter oversamples. Its samples are the output of a long symmetric low-pass filter, which removes
+content above half the sample rate. Here the filter acts on the continuous signal. The signal chain provides the exact
+Legendre moments of the signal over every interval, impacts included. The impulse response of the filter is expanded in
+Legendre polynomials over the same intervals. The sum of moments times coefficients is the convolution integral.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from rig.arrays import Array
 
 # Eight moments represent any signal over a sample interval with an error of 3e-6 of the filter's output.
 MOMENTS = 8
-# Edge of the pass band, ratio to the sample rate.
-PASS = 0.4535
-# Edge of the stop band, ratio to the sample rate.
-STOP = 0.5465
-# Delay in samples. A Kaiser window of this length falls by over 100 dB between pass and stop band.
-DELAY = 38
+# Ratio to the sample rate.
+PASSBAND_EDGE = 0.4535
+# Ratio to the sample rate.
+STOPBAND_EDGE = 0.5465
+# With a Kaiser window of twice this length, the response falls by over 100 dB between passband and stopband.
+DELAY_SAMPLES = 38
 # Design attenuation of the Kaiser window, dB.
 _ATTENUATION_DB = 109.0
 
@@ -33,27 +33,27 @@ _ATTENUATION_DB = 109.0
 class Decimation:
     """A linear-phase low pass: a sinc with a Kaiser window, symmetric about its delay.
 
-    Flat within 0.0001 dB up to 0.4535 of the sample rate and below -100 dB from 0.5465 of it on, so that
-    everything up to 0.4535 is free of aliases.
+    The response is flat within 0.0001 dB up to 0.4535 of the sample rate, and below -100 dB from 0.5465 of it.
+    Frequencies up to 0.4535 of the sample rate are therefore free of aliases.
 
     >>> low_pass = Decimation.standard(5120.0)
-    >>> [f"{20 * np.log10(abs(low_pass.magnitude(share * 5120.0))):.4f}" for share in (0.1, 0.4, 0.5)]
+    >>> [f"{20 * np.log10(abs(low_pass.magnitude(ratio * 5120.0))):.4f}" for ratio in (0.1, 0.4, 0.5)]
     ['0.0000', '0.0000', '-6.0206']
     """
 
-    rate: float
-    delay: float
-    cutoff: float
-    beta: float
+    rate: float  # sample rate, Hz
+    delay: float  # in sample intervals: half the length
+    cutoff: float  # ratio to the sample rate
+    beta: float  # shape parameter of the Kaiser window
 
     @classmethod
     def standard(cls, rate: float) -> Decimation:
-        """Return the filter of this design for a sample rate in Hz."""
-        return cls(rate, float(DELAY), 0.5 * (PASS + STOP), 0.1102 * (_ATTENUATION_DB - 8.7))
+        """Return the filter of every delta-sigma converter here, for a sample rate in Hz."""
+        return cls(rate, float(DELAY_SAMPLES), 0.5 * (PASSBAND_EDGE + STOPBAND_EDGE), 0.1102 * (_ATTENUATION_DB - 8.7))
 
     @property
     def design(self) -> dict[str, float]:
-        """Parameters, for metadata."""
+        """The fields, for the metadata of a recording."""
         return asdict(self)
 
     @property
@@ -62,31 +62,31 @@ class Decimation:
         return int(np.ceil(2 * self.delay))
 
     def impulse_response(self, time: Array) -> Array:
-        """Value at times in samples from its middle; its integral is 1 within 1e-5."""
+        """Return the impulse response at times from its middle, in sample intervals; its integral is 1 within 1e-5."""
         inside = np.clip(1.0 - (time / self.delay) ** 2, 0.0, None)
         window = np.where(inside > 0, np.i0(self.beta * np.sqrt(inside)) / np.i0(self.beta), 0.0)
         return 2 * self.cutoff * np.sinc(2 * self.cutoff * time) * window
 
     def magnitude(self, frequency: ArrayLike) -> Array:
-        """Response without the delay; real, as the filter is symmetric. Frequencies in Hz, any shape."""
-        # A sum over 16 points a sample instead of the integral: accurate to 1e-6 up to 15 times the sample
-        # rate.
-        points = 16
-        values = self.impulse_response(np.arange(self.delay * points) / points)
+        """Return the response without the delay at frequencies in Hz, of any shape; it is real by symmetry."""
+        # Sum instead of the integral: with 16 points it is accurate to 1e-6 up to 15 times the sample rate.
+        points_per_sample = 16
+        values = self.impulse_response(np.arange(self.delay * points_per_sample) / points_per_sample)
         values[1:] *= 2.0
-        angle = 2 * np.pi * np.asarray(frequency, dtype=float) / (self.rate * points)
+        angle = 2 * np.pi * np.asarray(frequency, dtype=float) / (self.rate * points_per_sample)
+        # A sum of cosines of multiples of the angle is a Chebyshev series in the cosine of the angle.
         return np.asarray(chebyshev.chebval(np.cos(angle), values / values.sum()))
 
 
 @lru_cache(maxsize=8)
-def taps_of(low_pass: Decimation, oversampling: int) -> Array:
-    """Project the impulse response on the Legendre polynomials of every interval; (oversampling, MOMENTS, length).
+def legendre_taps(low_pass: Decimation, oversampling: int) -> Array:
+    """Return the Legendre coefficients of the impulse response in every interval; (oversampling, MOMENTS, length).
 
-    Entry (p, k, j) weighs moment k of the interval that ends p intervals and j samples before the output.
+    Entry (p, k, j) weights moment k of the interval that ends p intervals and j samples before the output sample.
     """
     nodes, weights = legendre.leggauss(32)
     interval = np.arange(low_pass.length * oversampling)[:, None]
-    # Time from the nodes of each interval (-1: start, 1: end) to the output.
+    # From the quadrature nodes of each interval (-1: start, 1: end) to the output sample, in sample intervals.
     lag = (interval + 0.5 * (1.0 - nodes)) / oversampling
     values = low_pass.impulse_response(lag - low_pass.delay) * weights
     polynomials = legendre.legvander(nodes, MOMENTS - 1) * (2 * np.arange(MOMENTS) + 1)

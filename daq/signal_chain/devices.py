@@ -1,4 +1,4 @@
-"""Devices of a channel from their data sheets: accelerometer or force sensor, integrating amplifier, coupling."""
+"""Turns data sheets into the stages of a channel: accelerometer or force sensor, integrating amplifier, coupling."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ DEFAULT_LATERAL_RATIO = 0.1
 DEFAULT_AC_CORNER_HZ = 0.5
 
 
-def stages(channel: Channel, converter: Converter, seed: int) -> tuple[Stage, ...]:
-    """Describe the devices of a channel: sensor, then amplifier and the coupling of the converter's input if any."""
+def channel_stages(channel: Channel, converter: Converter, seed: int) -> tuple[Stage, ...]:
+    """Return the stages of a channel: the sensor, then an amplifier and the AC coupling of the input, if present."""
     coupling: tuple[Stage, ...] = ()
     if converter.coupling == "AC":
         corner = DEFAULT_AC_CORNER_HZ if converter.ac_corner is None else converter.ac_corner
@@ -33,18 +33,18 @@ def stages(channel: Channel, converter: Converter, seed: int) -> tuple[Stage, ..
     else:
         sensor = accelerometer(complete_from_preset(channel.accelerometer or Accelerometer()), seed, channel.name)
     if needs_supply(channel) and converter.excitation == 0.0:
-        # The output of an amplifier without supply is zero.
+        # The output of a sensor's amplifier without supply is zero.
         sensor = replace(sensor, deviation=-1.0, noise=None, noise_corner=None, offset=None, settling=None)
     amplifier = () if channel.integrator is None else (integrating_amplifier(channel.integrator),)
     return (sensor, *amplifier, *coupling)
 
 
 def accelerometer(settings: Accelerometer, seed: int, channel: str) -> Stage:
-    """Describe an accelerometer: mounted resonance and low cut-off, limit of the output, noise and offset.
+    """Return the stage of an accelerometer: mounted resonance and low cut-off, limit of the output, noise and offset.
 
-    Tolerance, drift with temperature and transverse sensitivity act as one deviation of the sensitivity, unknown
-    to the user. The rig moves vertically: the lateral acceleration is proportional to the vertical acceleration, in
-    phase, at a random angle.
+    Tolerance, temperature drift and transverse sensitivity add up to one deviation of the sensitivity, which the
+    data sheet does not state. The rig moves vertically. The lateral acceleration is assumed to be in phase with the
+    vertical acceleration and proportional to it; its direction is random.
 
     >>> ideal = accelerometer(Accelerometer(), 1, "body1")
     >>> ideal.nominal, ideal.effects
@@ -86,13 +86,13 @@ def _deviation(settings: Accelerometer, seed: int, channel: str) -> float:
     return float(factor - 1.0)
 
 
-def _draw_uniform(seed: int, channel: str, stage: str) -> float:
+def _draw_uniform(seed: int, channel: str, purpose: str) -> float:
     """Draw a uniformly distributed number from -1 to 1."""
-    return float(generator(seed, channel, stage).uniform(-1.0, 1.0))
+    return float(generator(seed, channel, purpose).uniform(-1.0, 1.0))
 
 
 def force_sensor(settings: Hammer, seed: int, channel: str) -> Stage:
-    """Describe a force sensor, ideal by default, as in `accelerometer`."""
+    """Return the stage of a force sensor, ideal by default: low cut-off, tolerance, limit of the output, noise."""
     sensitivity = 1.0 if settings.sensitivity is None else settings.sensitivity
     tolerance = settings.sensitivity_tolerance
     return Stage(
@@ -107,10 +107,10 @@ def force_sensor(settings: Hammer, seed: int, channel: str) -> Stage:
 
 
 def integrating_amplifier(settings: Integrator) -> Stage:
-    """Describe an integrating amplifier of order n, ``gain / (s + w)^n`` with w = 2 pi corner, in volts and seconds.
+    """Return the stage of an integrating amplifier of order n: ``gain / (s + w)^n`` with w = 2 pi corner, in rad/s.
 
-    A low cut-off adds a high pass at the input. The gain is divided equally among the integrations, and no
-    output exceeds the saturation voltage. The noise is that of the output.
+    A low cut-off adds a high pass at the input. The gain is divided equally among the integrations. The output of
+    each integration is limited to the saturation voltage. The noise is that at the amplifier's output.
 
     >>> from rig.scene.measurement_chain import Integrator
     >>> integrating_amplifier(Integrator(order=2, corner="1 Hz", gain=1000.0)).effects

@@ -1,4 +1,4 @@
-"""Checks of the metadata fields of a file when it is read; later code relies on them."""
+"""Checks of the metadata fields of a recording when it is opened, so that later code can rely on their values."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 from rig.errors import RecordingError
 from rig.escaping import is_single_line
 
-# Largest length of a name, characters.
+# In characters.
 MAX_NAME_LENGTH = 200
-# Sample numbers up to this value are exact as floats, to which the computation of times converts them.
+# Times are computed from sample numbers as floats, which are exact up to this value.
 MAX_SAMPLES = 2**53
 
 
@@ -23,7 +23,7 @@ class Check(NamedTuple):
 
 
 def check(fields: Mapping[str, Any], checks: Mapping[str, Check]) -> None:
-    """Check the fields that have a check; raise `RecordingError` at the first invalid one.
+    """Check the fields that have a check; raise `RecordingError` at the first invalid value.
 
     >>> check({"rate": 0.0}, {"rate": POSITIVE})
     Traceback (most recent call last):
@@ -45,7 +45,7 @@ def is_number(value: Any) -> bool:
 
 
 def is_name(value: Any) -> bool:
-    r"""Return whether a value is a single printable line of text.
+    r"""Return whether a value is one line of printable text, at most `MAX_NAME_LENGTH` characters long.
 
     >>> is_name("body 1"), is_name(""), is_name("a\x1b[31m"), is_name("a" * 1000)
     (True, False, False, False)
@@ -90,11 +90,11 @@ NUMBER = Check(is_number, "a finite number")
 POSITIVE = Check(lambda value: is_number(value) and value > 0, "a positive number")
 NOT_ZERO = Check(lambda value: is_number(value) and value != 0, "a number other than zero")
 COUNT = Check(is_count, "a whole number, at least 1")
-TRUTH = Check(lambda value: isinstance(value, bool), "true or false")
+BOOLEAN = Check(lambda value: isinstance(value, bool), "true or false")
 TEXT = Check(lambda value: isinstance(value, str), "text")
 NAMES = Check(lambda value: isinstance(value, list) and all(map(is_name, value)), "a list of names")
 
-CHANNEL = {
+CHANNEL_CHECKS = {
     "name": NAME,
     "at": Check(_is_location, "a place such as body 1 or table"),
     "sensitivity": NOT_ZERO,
@@ -102,7 +102,7 @@ CHANNEL = {
     "zeros": Check(_are_roots, "at most 100 pairs of numbers, rad/s"),
     "poles": Check(_are_roots, "at most 100 pairs of numbers, rad/s"),
     "gain": NUMBER,
-    "average": TRUTH,
+    "average": BOOLEAN,
     "delay": Check(lambda value: is_number(value) and abs(value) < 1e6, "a time in seconds"),
     "filter": Check(_is_filter, f"{', '.join(_FILTER_FIELDS)} as positive numbers, or nothing"),
     "volts_per_count": _optional(NOT_ZERO),

@@ -1,4 +1,8 @@
-"""Sampling of the voltage at the converter's input."""
+"""Sampling of the voltage at the converter's input: at an instant, as an average, or through a decimation filter.
+
+The voltage is known in equal intervals, one or more per sample (oversampling). Its moments over an interval are the
+integrals of the voltage times the Legendre polynomials; the first is the average.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,7 @@ import numpy as np
 from daq.dsp.block_buffers import BlockBuffers, History
 from daq.dsp.circuit import Circuit
 from daq.dsp.decimator import Decimator
-from daq.signal_chain.decimation_filter import MOMENTS, Decimation, taps_of
+from daq.signal_chain.decimation_filter import MOMENTS, Decimation, legendre_taps
 from rig.arrays import Array
 from rig.numerics.fma import SUMS_AT_ONCE
 from rig.numerics.simd import LANES
@@ -20,23 +24,27 @@ class Sampler(Protocol):
 
     moments: int  # number of required moments of the voltage over each interval
     intervals: int  # intervals that affect a sample, up to the interval that ends at it
-    rows: Array  # required voltages at the end of each interval, from the state; (outputs, states)
-    rows_input: Array  # and from the input; (outputs,)
+    # Required outputs at the end of each interval: from the state (outputs, states), and from the input (outputs,).
+    output_matrix: Array
+    feedthrough: Array
 
     def moments_buffer(self, intervals: int) -> Array:
         """Return the array for the moments of the next intervals, (at least intervals + SUMS_AT_ONCE or 0, LANES)."""
 
-    def read(self, points: Array, sample_ends: slice) -> Array:
-        """Return the samples in V, valid until the next call, from the voltages of `rows` and the latest moments."""
+    def read(self, outputs: Array, sample_ends: slice) -> Array:
+        """Return the samples of a block, V, from the outputs (outputs, intervals) and the moments in the buffer.
+
+        `sample_ends` are the intervals that end at a sample. The result is valid until the next call.
+        """
 
 
 class PointSampler:
-    """Reads the voltage at the instant of the sample; an impulse between two instants does not show."""
+    """Reads the voltage at the instant of the sample; it misses an impulse between two instants."""
 
     moments = 0
 
     def __init__(self, circuit: Circuit, gain: float, oversampling: int, delay_intervals: int) -> None:
-        self.rows, self.rows_input = circuit.c[None], np.array([circuit.d[0] * gain])
+        self.output_matrix, self.feedthrough = circuit.c[None], np.array([circuit.d[0] * gain])
         self.intervals = oversampling + delay_intervals
         self._delay_intervals, self._voltage = delay_intervals, History(delay_intervals)
         self._no_moments = np.zeros((0, LANES))
@@ -45,11 +53,11 @@ class PointSampler:
         """Return the array for the moments; see `Sampler`."""
         return self._no_moments
 
-    def read(self, points: Array, sample_ends: slice) -> Array:
+    def read(self, outputs: Array, sample_ends: slice) -> Array:
         """Return the samples; see `Sampler`."""
         if not self._delay_intervals:
-            return np.asarray(points[0, sample_ends])
-        self._voltage.place(points.shape[1])[:] = points[0]
+            return np.asarray(outputs[0, sample_ends])
+        self._voltage.place(outputs.shape[1])[:] = outputs[0]
         return self._voltage.samples[sample_ends].copy()
 
 
@@ -59,23 +67,24 @@ class AverageSampler:
     moments = 1
 
     def __init__(self, circuit: Circuit, oversampling: int, delay_intervals: int, buffers: BlockBuffers) -> None:
-        self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
-        self._oversampling, self._past = oversampling, History(oversampling - 1 + delay_intervals)
+        self.output_matrix, self.feedthrough = np.zeros((0, circuit.c.size)), np.zeros(0)
+        self._oversampling, self._averages = oversampling, History(oversampling - 1 + delay_intervals)
         self.intervals = oversampling + delay_intervals
         self._buffers = buffers
-        self._averages = buffers.rows(0)
+        self._moments = buffers.rows(0)
 
     def moments_buffer(self, intervals: int) -> Array:
         """Return the array for the moments; see `Sampler`."""
-        self._averages = self._buffers.rows(intervals + SUMS_AT_ONCE)
-        return self._averages
+        self._moments = self._buffers.rows(intervals + SUMS_AT_ONCE)
+        return self._moments
 
-    def read(self, points: Array, sample_ends: slice) -> Array:
+    def read(self, outputs: Array, sample_ends: slice) -> Array:
         """Return the samples; see `Sampler`."""
-        self._past.place(points.shape[1])[:] = self._averages[: points.shape[1], 0]
-        samples = self._past.samples[sample_ends].copy()
+        self._averages.place(outputs.shape[1])[:] = self._moments[: outputs.shape[1], 0]
+        averages = self._averages.samples
+        samples = averages[sample_ends].copy()
         for offset in range(1, self._oversampling):
-            samples += self._past.samples[sample_ends.start + offset : sample_ends.stop + offset : sample_ends.step]
+            samples += averages[sample_ends.start + offset : sample_ends.stop + offset : sample_ends.step]
         samples /= self._oversampling
         return samples
 
@@ -88,33 +97,33 @@ class FilteredSampler:
     def __init__(
         self, circuit: Circuit, low_pass: Decimation, oversampling: int, delay_intervals: int, buffers: BlockBuffers
     ) -> None:
-        self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
-        self._filter = Decimator(taps_of(low_pass, oversampling), delay_intervals, buffers)
+        self.output_matrix, self.feedthrough = np.zeros((0, circuit.c.size)), np.zeros(0)
+        self._filter = Decimator(legendre_taps(low_pass, oversampling), delay_intervals, buffers)
         self.intervals = low_pass.length * oversampling + delay_intervals
 
     def moments_buffer(self, intervals: int) -> Array:
         """Return the array for the moments; see `Sampler`."""
         return self._filter.place(intervals)
 
-    def read(self, points: Array, sample_ends: slice) -> Array:
+    def read(self, outputs: Array, sample_ends: slice) -> Array:
         """Return the samples; see `Sampler`."""
-        return self._filter.filter(points.shape[1])
+        return self._filter.filter(outputs.shape[1])
 
 
 class Jitter:
-    """Timing jitter: the change of each sample is the timing error times the slope between neighboring samples.
+    """Timing jitter: the error of each sample is the timing error times the slope between neighboring samples.
 
-    The difference quotient underestimates the slope of a sinusoid by sinc(f / rate); second-order terms and delays of
-    whole intervals are neglected.
+    The difference quotient underestimates the slope of a sinusoid by the factor sinc(f / rate). Second-order terms and
+    delays of whole intervals are neglected. `standard_deviation` is that of the sampling instant, `filter_delay` the
+    delay of the decimation filter, both in sample intervals.
     """
 
-    def __init__(self, circuit: Circuit, gain: float, standard_deviation: float, filter_delay: int) -> None:
-        self.row, self.row_input = circuit.c, float(circuit.d[0] * gain)
-        self._standard_deviation = standard_deviation  # of the sampling instant, in sample intervals
+    def __init__(self, standard_deviation: float, filter_delay: int) -> None:
+        self._standard_deviation = standard_deviation
         self._voltage = History(filter_delay + 1)
 
     def error(self, voltage: Array, timing_error: Array) -> Array:
-        """Return the change of each sample, V, from the nominal voltage and the timing error in standard deviations."""
+        """Return the error of each sample, V, from voltages without jitter and timing errors in standard deviations."""
         count = voltage.size
         self._voltage.place(count)[:] = voltage
         delayed = self._voltage.samples

@@ -1,4 +1,4 @@
-"""Signal path of one channel, from the input to the converter."""
+"""Computes the samples of one channel from the motion or force at its sensor, through amplifier and coupling."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ from daq.dsp.limiting import tabulate_limits
 from daq.dsp.noise import FastNoise, Noise, generator
 from daq.dsp.propagation import circuit_workspace, propagate
 from daq.dsp.skew import Delay
-from daq.signal_chain.decimation_filter import DELAY, Decimation
+from daq.signal_chain.decimation_filter import DELAY_SAMPLES, Decimation
 from daq.signal_chain.sampling import AverageSampler, FilteredSampler, Jitter, PointSampler, Sampler
 from daq.signal_chain.stage import Stage, is_averaged
 from rig.arrays import Array
 from rig.scene.measurement_chain import Converter
 
-# Polynomials per sample that noise behind a filter is made of: see `FastNoise`.
+# Number of Legendre polynomials per sample interval that represent noise in front of a filter; see `FastNoise`.
 NOISE_TERMS = 3
 # The zero shift after an overload is negligible below this ratio to the limit: the last digit of a data sheet.
 NEGLIGIBLE_ZERO_SHIFT_RATIO = 1e-3
 
 
 class SignalPath:
-    """Sensor, amplifier, coupling and sampling of one channel, sampled with a delay in s.
+    """Sensor, amplifier, coupling and sampling of one channel.
 
-    The limits of sensor and amplifier act on the signal itself, in front of filter and samples.
+    The limits of sensor and amplifier act on the continuous signal, before it is filtered and sampled. `delay`, in s,
+    is the delay of the channel by skew.
     """
 
     def __init__(
@@ -48,7 +49,7 @@ class SignalPath:
         circuit = Circuit.series(sections)
         sensor, sample_rate = stages[0], converter.true_rate
         rate, gain = sample_rate * oversampling, sensor.nominal * (1.0 + sensor.deviation)
-        # The filter delays by whole intervals.
+        # The sampler delays by whole intervals, `Delay` by the remaining part of an interval.
         delay_intervals = int(delay * rate)
         filtered, self._oversampling, self._interval = converter.filter is not None, oversampling, 0
         self._sampler: Sampler
@@ -64,71 +65,73 @@ class SignalPath:
         direct = np.array([0.0 if filtered else circuit.d[entry.section] for entry in entries])
         self._disturbances = Disturbances(sources, direct, [entry.degree for entry in entries], oversampling)
         self._discrete = _discretized(circuit, gain, rate, self._sampler.moments, entries)
-        # Largest voltage of each state.
-        rails: list[float] = []
+        state_limits: list[float] = []  # V
         for stage in stages:
             limit = np.inf if stage.rails is None else stage.rails
             for section in stage.sections:
-                rails += [limit if section.name == INTEGRATION else np.inf] * section.states
+                state_limits += [limit if section.name == INTEGRATION else np.inf] * section.states
+        # The section whose input is the output of the sensor, which the sensor's limit clips.
         limited_section = len(sensor.sections)
         self._limits = tabulate_limits(
-            sections, limited_section, sensor.limit, np.array(rails), gain, rate, entries, self._discrete
+            sections, limited_section, sensor.limit, np.array(state_limits), gain, rate, entries, self._discrete
         )
         self._state, self._workspace = np.zeros(circuit.c.size), circuit_workspace(self._discrete)
         self._overloads = Overloads(stages, rate, self._sampler.intervals)
-        self._rows, self._rows_input = self._sampler.rows, self._sampler.rows_input
+        self._output_matrix, self._feedthrough = self._sampler.output_matrix, self._sampler.feedthrough
 
         delay_fraction = delay * rate - delay_intervals
         self._delay = Delay(delay_fraction) if delay_fraction else None
         self._jitter = None
         if converter.jitter:
-            filter_delay = DELAY if filtered else 0
-            self._jitter = Jitter(circuit, gain, converter.jitter * sample_rate, filter_delay)
-            self._rows = np.concatenate([self._rows, self._jitter.row[None]])
-            self._rows_input = np.append(self._rows_input, self._jitter.row_input)
-        self._rows_excess = np.full(len(self._rows), -circuit.d[limited_section])
+            filter_delay = DELAY_SAMPLES if filtered else 0
+            self._jitter = Jitter(converter.jitter * sample_rate, filter_delay)
+            # The last output is the voltage, from which the jitter takes the slope.
+            self._output_matrix = np.concatenate([self._output_matrix, circuit.c[None]])
+            self._feedthrough = np.append(self._feedthrough, circuit.d[0] * gain)
+        self._feedthrough_excess = np.full(len(self._output_matrix), -circuit.d[limited_section])
         self._noise = None
         if converter.noise is not None:
             noise_generator = generator(seed, name, "converter noise")
             self._noise = Noise(converter.noise, None, sample_rate, noise_generator)
 
     def measure(self, cubics: CubicInput, timing_error: Array | None) -> tuple[Array, NDArray[np.bool_] | bool]:
-        """Return the volts at the samples that end intervals of a block, and where a limit has affected them.
+        """Return the samples of a block in V, and for each sample whether a limit has affected it.
 
-        `timing_error`: delay of each sample, in standard deviations of the jitter.
+        `timing_error` is the timing error of each sample, in standard deviations of the jitter.
         """
         if self._delay is not None:
             cubics = self._delay.shift(cubics)
         intervals = cubics.whole.shape[1]
-        ends = slice(-self._interval % self._oversampling, intervals, self._oversampling)
+        # The intervals of the block that end at a sample.
+        sample_ends = slice(-self._interval % self._oversampling, intervals, self._oversampling)
         self._interval += intervals
         disturbances = self._disturbances.draw(intervals)
-        points = np.empty((self._rows_input.size, intervals))
+        outputs = np.empty((self._feedthrough.size, intervals))
         propagate(
-            cubics, self._discrete, self._limits, self._state, disturbances, self._rows, self._rows_input,
-            self._rows_excess, points, self._sampler.moments_buffer(intervals),
+            cubics, self._discrete, self._limits, self._state, disturbances, self._output_matrix, self._feedthrough,
+            self._feedthrough_excess, outputs, self._sampler.moments_buffer(intervals),
             self._overloads.severity_buffer(intervals), self._workspace,
         )  # fmt: skip
-        volts = self._sampler.read(points, ends)
-        self._disturbances.add_direct(disturbances[:, ends], volts)
+        volts = self._sampler.read(outputs, sample_ends)
+        self._disturbances.add_direct(disturbances[:, sample_ends], volts)
         if self._jitter is not None and timing_error is not None:
-            volts += self._jitter.error(points[-1, ends], timing_error)
+            volts += self._jitter.error(outputs[-1, sample_ends], timing_error)
         if self._noise is not None:
             noise = np.empty(volts.size)
             self._noise.fill(noise)
             volts += noise
-        return volts, False if self._limits is None else self._overloads.flags(ends)
+        return volts, False if self._limits is None else self._overloads.flags(sample_ends)
 
 
 class Overloads:
-    """Flags samples with an interval at a limit, or with a zero shift that is not negligible yet."""
+    """Flags samples that depend on an interval in overload, or on one whose zero shift is not yet negligible."""
 
-    def __init__(self, stages: Sequence[Stage], rate: float, intervals: int) -> None:
+    def __init__(self, stages: Sequence[Stage], rate: float, intervals_per_sample: int) -> None:
         recovery_rates = [-section.a[0, 0] for section in stages[0].sections if section.name == RECOVERY]
         self._decay_intervals = rate / recovery_rates[0] if recovery_rates else 0.0
-        self._intervals_per_sample = intervals
+        self._intervals_per_sample = intervals_per_sample
         self._severity = np.zeros(1)
-        self._flagged_ahead = 0
+        self._flagged_ahead = 0  # intervals of the next block that are already known to be affected
 
     def severity_buffer(self, intervals: int) -> Array:
         """Return the array for the severity of each interval; see `daq.dsp.propagation.propagate`."""
@@ -136,25 +139,25 @@ class Overloads:
         self._severity[0] = last_severity
         return self._severity
 
-    def flags(self, ends: slice) -> NDArray[np.bool_]:
-        """Return the flag of each sample that ends at one of the intervals `ends`."""
+    def flags(self, sample_ends: slice) -> NDArray[np.bool_]:
+        """Return the flag of each sample, given the intervals that end at a sample."""
         severity = self._severity[1:]  # 0: within the limit; otherwise 1 + zero shift / limit
         if self._flagged_ahead <= 0 and not severity.any():
-            return np.zeros(severity[ends].size, dtype=bool)
+            return np.zeros(severity[sample_ends].size, dtype=bool)
         overloaded = np.flatnonzero(severity)
         # The zero shift decays exponentially; count the intervals until it is negligible.
         excess = np.maximum((severity[overloaded] - 1.0) / NEGLIGIBLE_ZERO_SHIFT_RATIO, 1.0)
         recovery = np.ceil(self._decay_intervals * np.log(excess)).astype(np.int64)
         valid_from = np.zeros(severity.size + 1, dtype=np.int64)
-        valid_from[0] = self._flagged_ahead  # carried over from the previous block
+        valid_from[0] = self._flagged_ahead
         valid_from[overloaded + 1] = overloaded + self._intervals_per_sample + recovery
         valid_from = np.maximum.accumulate(valid_from)
         self._flagged_ahead = int(valid_from[-1]) - severity.size
-        return (valid_from[1:] > np.arange(severity.size))[ends]
+        return (valid_from[1:] > np.arange(severity.size))[sample_ends]
 
 
-# Matrices by the content of the circuit: channels with equal data sheets, and further benches of a scene, share them.
-_CACHE: dict[tuple[object, ...], DiscreteCircuit] = {}
+# Discretized circuits by their matrices. Channels with equal data sheets, also of other benches, share them.
+_CIRCUIT_CACHE: dict[tuple[object, ...], DiscreteCircuit] = {}
 # Number of circuits at which the cache is emptied.
 _MAX_CIRCUITS = 64
 
@@ -163,17 +166,17 @@ def _discretized(circuit: Circuit, gain: float, rate: float, moments: int, entri
     """Discretize a circuit, or return the matrices of an equal circuit."""
     matrices = (np.asarray(matrix).tobytes() for matrix in (circuit.a, circuit.b, circuit.c, circuit.d))
     key = (*matrices, np.asarray(circuit.sections).tobytes(), gain, rate, moments, tuple(entries))
-    if key not in _CACHE:
-        if len(_CACHE) >= _MAX_CIRCUITS:
-            _CACHE.clear()
-        _CACHE[key] = discretize(circuit, gain, rate, moments, entries)
-    return _CACHE[key]
+    if key not in _CIRCUIT_CACHE:
+        if len(_CIRCUIT_CACHE) >= _MAX_CIRCUITS:
+            _CIRCUIT_CACHE.clear()
+        _CIRCUIT_CACHE[key] = discretize(circuit, gain, rate, moments, entries)
+    return _CIRCUIT_CACHE[key]
 
 
 def _disturbances(
     stages: Sequence[Stage], channel: str, rate: float, seed: int, filtered: bool
 ) -> tuple[list[Entry], list[Disturbance]]:
-    """List the disturbances and the section at which each enters."""
+    """Return the entry of each disturbance into the circuit, and its source: the noise and offset of each stage."""
     entries: list[Entry] = []
     sources: list[Disturbance] = []
     section = 0

@@ -1,4 +1,4 @@
-"""Devices of a channel: their effects on the signal, and the resulting description of the channel."""
+"""Description of a channel's devices in series (stages), and the frequency response and effects that follow from it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from daq.dsp.circuit import INTEGRATION, Section
 from daq.signal_chain.channel import ChannelInfo, Quantity
 from daq.signal_chain.converter import volts_per_count
-from daq.signal_chain.decimation_filter import DELAY, Decimation
+from daq.signal_chain.decimation_filter import DELAY_SAMPLES, Decimation
 from rig.scene.measurement_chain import Converter
 from rig.scene.quantities import si_text
 from rig.scene.quantity_field import quantity_of
@@ -25,20 +25,20 @@ class Stage:
     """One device of a channel: its linear circuit, and its deviations from linearity and from the data sheet."""
 
     name: str  # accelerometer, hammer, cable, integrator or converter
-    sections: tuple[Section, ...] = ()  # its circuit
-    nominal: float = 1.0  # volts out per unit in (V per m/s^2 for an accelerometer), by the data sheet
-    deviation: float = 0.0  # true sensitivity relative to the nominal sensitivity, less 1
-    noise: float | None = None  # density of the noise at its output, V/sqrt(Hz)
+    sections: tuple[Section, ...] = ()  # linear circuit, in the order of the signal
+    nominal: float = 1.0  # sensitivity or gain by the data sheet: V per m/s^2, V/N or V/V
+    deviation: float = 0.0  # relative deviation of the true from the nominal sensitivity
+    noise: float | None = None  # noise density at the output, V/sqrt(Hz)
     noise_corner: float | None = None  # frequency below which the noise rises as 1/f, Hz
-    offset: float | None = None  # of its output, V
+    offset: float | None = None  # at the output, V
     settling: float | None = None  # time constant with which the offset settles from zero after power-on, s
-    limit: float | None = None  # largest output that the signal can reach, V
-    rails: float | None = None  # largest voltage that each integration can reach, V
-    data: Mapping[str, str] = field(default_factory=dict)  # its data sheet as text, figures with units
+    limit: float | None = None  # largest output voltage, V
+    rails: float | None = None  # largest output voltage of each integration, V
+    data: Mapping[str, str] = field(default_factory=dict)  # settings as text, from `data_sheet`
 
     @property
     def effects(self) -> dict[str, int]:
-        """Effects of the device, with the number of states that each adds."""
+        """Names of the device's effects, with the number of states that each adds to the simulation."""
         effects: dict[str, int] = {}
         for section in self.sections:
             effects[section.name] = effects.get(section.name, 0) + section.states
@@ -54,14 +54,14 @@ class Stage:
 
 
 def is_averaged(stages: Sequence[Stage], converter: Converter) -> bool:
-    """Return whether a sample is an average over its interval: by default where the signal may contain impulses."""
+    """Return whether each sample is an average over its interval: by default if the signal may contain impulses."""
     if converter.filter is not None or converter.sampling is not None:
         return converter.filter is None and converter.sampling == "average"
     return not any(section.name == INTEGRATION for stage in stages for section in stage.sections)
 
 
 def data_sheet(device: str, settings: Settings) -> dict[str, str]:
-    """List the settings of a device that are not the default, with units.
+    """Return the settings of a device that differ from their defaults, as text with units.
 
     >>> from rig.scene.measurement_chain import Accelerometer
     >>> data_sheet("accelerometer", Accelerometer(resonance="30 kHz"))
@@ -72,8 +72,8 @@ def data_sheet(device: str, settings: Settings) -> dict[str, str]:
         value = getattr(settings, name)
         if value == model_field.default:
             continue
-        parts = (*model_field.metadata, model_field.annotation)
-        quantity = next((match for part in parts if (match := quantity_of(part)) is not None), None)
+        annotations = (*model_field.metadata, model_field.annotation)
+        quantity = next((match for annotation in annotations if (match := quantity_of(annotation)) is not None), None)
         if isinstance(value, float) and quantity is not None:
             value = si_text(value, quantity.kinds[0])
         sheet[f"{device}.{name}"] = str(value)
@@ -83,25 +83,25 @@ def data_sheet(device: str, settings: Settings) -> dict[str, str]:
 def channel_info(
     name: str, at: str, stages: Sequence[Stage], converter: Converter, rate: float, delay: float
 ) -> ChannelInfo:
-    """Describe how a channel's readings relate to the measured quantity, at a rate in Hz, with a delay in s."""
+    """Describe a channel by the nominal response of its stages, at a sample rate in Hz, with a delay by skew in s."""
     sections = [section for stage in stages for section in stage.sections]
-    order = sum(section.name == INTEGRATION for section in sections)
+    integrations = sum(section.name == INTEGRATION for section in sections)
     zeros = [zero for section in sections for zero in section.zeros]
     poles = [pole for section in sections for pole in section.poles]
     gain = float(np.prod([section.gain for section in sections]))
     for stage in stages[1:]:
         gain /= stage.nominal
-    # From acceleration to the reading: one more zero at 0 Hz for each integration, which cancels a pole there.
-    zeros += [0j] * order
+    # The response refers to the integrated quantity: each integration adds a zero at 0 Hz, which cancels a pole there.
+    zeros += [0j] * integrations
     for _ in range(min(zeros.count(0j), poles.count(0j))):
         zeros.remove(0j)
         poles.remove(0j)
     low_pass = None if converter.filter is None else Decimation.standard(rate)
-    filter_delay = 0.0 if low_pass is None or converter.remove_delay else DELAY / rate
+    filter_delay = 0.0 if low_pass is None or converter.remove_delay else DELAY_SAMPLES / rate
     return ChannelInfo(
         name=name,
         at=at,
-        quantity=_QUANTITY_BY_SENSOR.get(stages[0].name, _QUANTITY_BY_INTEGRATIONS[order]),
+        quantity=_QUANTITY_BY_SENSOR.get(stages[0].name, _QUANTITY_BY_INTEGRATIONS[integrations]),
         sensitivity=float(np.prod([stage.nominal for stage in stages])),
         rate=rate,
         zeros=tuple(zeros),
@@ -117,13 +117,13 @@ def channel_info(
 
 
 def channel_effects(stages: Sequence[Stage], converter: Converter, delay: float) -> dict[str, int]:
-    """List the effects in a channel, in the order of the signal, with the states each adds."""
+    """Return the names of a channel's effects in the order of the signal, with the number of states that each adds."""
     effects: dict[str, int] = {}
     for stage in stages:
         for name, states in stage.effects.items():
             effects[f"{stage.name} {name}" if name in effects else name] = states
     if converter.filter is not None:
-        effects["decimation filter"] = 2 * DELAY
+        effects["decimation filter"] = 2 * DELAY_SAMPLES
     elif is_averaged(stages, converter):
         effects["averaging"] = 1
     else:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from daq.signal_chain.chain import Chain
 from daq.signal_chain.converter import Outputs, Quantizer
-from daq.signal_chain.oversampling import DriveLine, oversampling
+from daq.signal_chain.oversampling import DriveInterpolator, choose_oversampling
 from daq.virtual_bench.motion_rate import MotionAtRate
 from rig.arrays import Array
 from rig.errors import SceneError
@@ -50,7 +50,7 @@ class Bench:
 
     def __init__(self, scene: Scene, ticks: int | None = None) -> None:
         self.scene = scene
-        self.ticks = oversampling(scene) if ticks is None else ticks
+        self.ticks = choose_oversampling(scene) if ticks is None else ticks
         # Samples and ticks per second of the nominal clock; the bench runs at the true rate of the converter.
         self.rate = scene.converter.sample_rate
         self.tick_rate = self.rate * self.ticks
@@ -58,7 +58,7 @@ class Bench:
         self._base_stream = Stream(scene, self.rate, Fraction(1, self.ticks), plant)
         self._streams = {self.rate: self._base_stream}
         self._outputs = Outputs(scene, plant.inputs, plant.drive_units)
-        self._drive_line = DriveLine(len(plant.inputs), self.ticks)
+        self._drive_interpolator = DriveInterpolator(len(plant.inputs), self.ticks)
         # Motion and drive of the last ticks of `advance`.
         self._past_motion: deque[tuple[Motion, Array]] = deque()
         self.latency = self._base_stream.latency
@@ -98,7 +98,7 @@ class Bench:
         The drive, shape (inputs, samples) in `drive_units`, is interpolated linearly between samples.
         """
         drive = validate_drive(drive, self.inputs)
-        plant_drive = self._drive_line.through(self._outputs.put_out(drive))
+        plant_drive = self._drive_interpolator.interpolate(self._outputs.convert(drive))
         return self._base_stream.take(self._plant.advance(plant_drive), plant_drive)
 
     def advance(self, drive: Array, rates: Collection[float] = ()) -> dict[float, Block]:
@@ -109,7 +109,7 @@ class Bench:
         """
         rates = {self.rate, *rates}
         self._streams = {rate: self._streams.get(rate) or self._new_stream(rate) for rate in sorted(rates)}
-        drive = self._outputs.put_out(drive)
+        drive = self._outputs.convert(drive)
         motion = self._plant.advance(drive)
         self._past_motion.append((motion, drive))
         self.drive = drive[:, -motion.first % self.ticks :: self.ticks]
@@ -153,7 +153,7 @@ class Stream:
         wiring: Sequence[Channel] | None = None,
     ) -> None:
         self._scene = at_rate(scene, rate)
-        min_intervals = oversampling(self._scene)
+        min_intervals = choose_oversampling(self._scene)
         if any(channel.measures_force or channel.measures_voltage for channel in scene.channels or ()):
             # The drive is linear from tick to tick: longer intervals would undersample the force and voltage channels.
             min_intervals = max(min_intervals, math.ceil(1 / per_tick))

@@ -108,8 +108,8 @@ class SimulatedSignals:
         """See `Bench.lost_at`."""
         return ()
 
-    def horizon(self, ticks: int) -> int:
-        """See `Terminals.horizon`."""
+    def limit_ticks(self, ticks: int) -> int:
+        """See `Terminals.limit_ticks`."""
         return ticks
 
     def advance(self, volts: NDArray[np.float64] | None, ticks: int, rates: Collection[float]) -> Mapping[float, Any]:

@@ -1,4 +1,4 @@
-"""A running input task: its triggers, its buffer, and its remaining samples."""
+"""A running input task: detects its triggers and stores its samples in a buffer until they are read."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from daq.instrument.errors import Code, DaqError
 from daq.instrument.settings.scales import Scale
 from daq.virtual_bench.bench import first_sample, first_tick, samples_per_tick
 
-# A function that returns the tick at which another task started or was triggered; None before that.
+# Function from the event of another task (start or reference trigger) to the tick of that event; None before it.
 EventTick = Callable[[OtherTask], int | None]
 
 
@@ -24,20 +24,20 @@ EventTick = Callable[[OtherTask], int | None]
 class InputPlan:
     """The settings of an input task."""
 
-    rows: tuple[int, ...]  # the bench's channels, in the order of the task's
-    factors: NDArray[np.float64]  # units of each channel per unit of the converter samples, shape (channels,)
+    rows: tuple[int, ...]  # index of each channel of the task among the channels of the bench
+    factors: NDArray[np.float64]  # reading per count or volt of each channel, shape (channels,)
     scales: tuple[Scale | None, ...]  # custom scale of each channel
     rate: float  # samples per second
     samples: int | None  # samples of a finite acquisition; None for a continuous acquisition
     buffer: int  # capacity of the buffer, samples per channel
-    stops_when_full: bool = False  # whether it stops before it overwrites unread samples
-    start: Source | None = None  # triggers
-    reference: Source | None = None  # triggers
+    stops_when_full: bool = False  # stop instead of overwriting unread samples
+    start: Source | None = None  # start trigger
+    reference: Source | None = None  # reference trigger
     pretrigger: int = 0  # samples before the reference trigger
-    rearms: bool = False  # whether the start trigger is re-armed after each complete record
+    rearms: bool = False  # re-arm the start trigger after each complete record
 
-    def reading(self, row: int, samples: NDArray[Any]) -> NDArray[np.float64]:
-        """Convert converter samples to the units of their channel."""
+    def physical(self, row: int, samples: NDArray[Any]) -> NDArray[np.float64]:
+        """Convert converter samples of a channel of the task to readings in its unit."""
         values: NDArray[np.float64] = samples * self.factors[row]
         scale = self.scales[row]
         return values if scale is None else scale.convert(values)
@@ -46,60 +46,60 @@ class InputPlan:
 class Acquisition:
     """The state of an input task from start to stop.
 
-    Sample 0 is the first sample after the start trigger. Instants are sample numbers at the task's rate since
-    power-on. The bench counts the ticks.
+    Three counts of time are used. Ticks count the steps of the bench since power-on. Instants count sample periods of
+    the task since power-on. Sample numbers count the stored samples; sample 0 is the first after the start trigger.
 
     A reader that is late by more than the buffer loses the older samples, and continues with the oldest sample in the
     buffer. The buffer is then full, and the next sample would overwrite the oldest. After an overflow the ring
     therefore stores up to twice as many samples, until the reader is half a buffer behind. Without this reserve, a
     reader that pauses between its reads would lose samples at every read.
 
-    `plan`: what to acquire; `tick_rate`: ticks of the bench per second; `position`: number of ticks that have passed
-    on the bench; `dtype`: type of the converter's samples; `ring`: the converter's samples; `overloads`: whether
-    each of them was overloaded; `position`: number of the sample that is read next by default; `first_tick`: tick of
-    the first sample of the current record; None before the start trigger; `trigger`: number of the sample at which
-    the reference trigger was detected; `done`: whether the acquisition is complete or has stopped; `error`: reason
-    of an early stop; `overloaded`, shape (channels,): channels overloaded since the flags were last cleared.
+    `tick_rate` is in ticks per second, `tick` the present tick, `dtype` the type of the converter's samples.
     """
 
-    def __init__(self, plan: InputPlan, tick_rate: float, position: int, dtype: Any) -> None:
+    def __init__(self, plan: InputPlan, tick_rate: float, tick: int, dtype: Any) -> None:
         self.plan, self._per_tick = plan, samples_per_tick(plan.rate, tick_rate)
         self.ring = RingBuffer(len(plan.rows), 2 * plan.buffer, dtype)
-        self.overloads = RingBuffer(len(plan.rows), 2 * plan.buffer, bool)
-        self.position = 0
-        self.first_tick: int | None = None
-        self.trigger: int | None = None
-        self.done = False
+        self.overloads = RingBuffer(len(plan.rows), 2 * plan.buffer, bool)  # flag of each sample
+        self.position = 0  # number of the sample that is read next by default
+        self.first_instant: int | None = None  # of the present record; None before the start trigger
+        self.trigger: int | None = None  # number of the sample at the reference trigger
+        self.done = False  # complete, or stopped by `error`
         self.error: DaqError | None = None
-        self.overloaded = np.zeros(len(plan.rows), bool)
+        self.overloaded = np.zeros(len(plan.rows), bool)  # for each channel; the reader of the flags clears them
         self._has_overflowed = False
         # Number of the first sample not yet reported as lost.
         self._first_unreported = 0
         self._record_start = 0
-        # Number and tick of the first sample of each record, in order of time.
+        # Number and instant of the first sample of each record, in order of time.
         self._records: deque[tuple[int, int]] = deque(maxlen=1000)
         self._end: int | None = None
-        instant = first_sample(self._per_tick, position)
+        instant = first_sample(self._per_tick, tick)
         self._arm(instant)
         if plan.start is None:
-            self._begin(instant)
+            self._begin_record(instant)
 
-    def _arm(self, tick: int) -> None:
-        self.armed_at, self.first_tick, self._end = tick, None, None
+    def _arm(self, instant: int) -> None:
+        self.armed_instant, self.first_instant, self._end = instant, None, None
         start = self.plan.start
         self._start_finders = start.finders() if isinstance(start, AnalogSource) else []
 
-    def _begin(self, tick: int) -> None:
-        self.first_tick, self._record_start = tick, self.ring.written
-        self._records.append((self._record_start, tick))
+    def _begin_record(self, instant: int) -> None:
+        self.first_instant, self._record_start = instant, self.ring.written
+        self._records.append((self._record_start, instant))
         reference = self.plan.reference
         self._reference_finders = reference.finders() if isinstance(reference, AnalogSource) else []
         if self.plan.samples is not None and reference is None:
             self._end = self._record_start + self.plan.samples
 
     @property
+    def has_started(self) -> bool:
+        """Whether the start trigger of the present record has occurred."""
+        return self.first_instant is not None
+
+    @property
     def readable(self) -> int:
-        """Number after the last sample that may be read; 0 until the record of a reference trigger is complete."""
+        """Number of samples that may be read; 0 until the record of a reference trigger is complete."""
         return 0 if self.plan.reference is not None and not self.done else self.ring.written
 
     @property
@@ -132,80 +132,83 @@ class Acquisition:
         for first, instant in reversed(self._records):
             if first <= sample:
                 return instant + sample - first
-        return self.armed_at
+        return self.armed_instant
 
     def tick_at(self, instant: int) -> int:
         """Return the first tick at or after an instant."""
         return first_tick(self._per_tick, instant)
 
-    def ticks(self, samples: int, position: int) -> int:
-        """Count the ticks after a position until that many samples have been taken."""
-        instant = first_sample(self._per_tick, position)
-        return max(1, self.tick_at(instant + samples - 1) - position + 1)
+    def ticks_until(self, samples: int, tick: int) -> int:
+        """Return the number of ticks after a tick until that many samples have been taken."""
+        instant = first_sample(self._per_tick, tick)
+        return max(1, self.tick_at(instant + samples - 1) - tick + 1)
 
-    def missing(self, samples: int) -> int:
-        """Lower bound of the instants until that number of samples is available after the read position.
+    def samples_to_wait(self, samples: int) -> int:
+        """Return a lower bound of the sample periods until that many samples are available from the read position.
 
         Before a trigger the number is unknown; 10 ms is assumed.
         """
         polling_samples = max(1, int(self.plan.rate / 100))
-        if self.first_tick is None:
+        if self.first_instant is None:
             return polling_samples
         if self.plan.reference is not None:
             return self._end - self.ring.written if self._end is not None else polling_samples
         return self.position + samples - self.ring.written
 
-    def start_tick(self, reference: bool, position: int) -> int | None:
-        """Return the tick at or after a position at which this task starts or started (was triggered)."""
-        instant = self.first_tick
+    def start_tick(self, reference: bool, tick: int) -> int | None:
+        """Return the tick of the start, or of the reference trigger; None if it is not known at the present tick."""
+        instant = self.first_instant
         if reference:
             instant = None if self.trigger is None else self.instant_of(self.trigger)
         elif instant is None and isinstance(self.plan.start, SyncPulse | AtTime):
-            earliest = max(first_sample(self._per_tick, position), self.armed_at)
-            instant = self.plan.start.next_tick(earliest, self.plan.rate)
+            earliest = max(first_sample(self._per_tick, tick), self.armed_instant)
+            instant = self.plan.start.next_instant(earliest, self.plan.rate)
         return None if instant is None else self.tick_at(instant)
 
-    def add_block(self, tick: int, samples: NDArray[Any], overload: NDArray[np.bool_], event_tick: EventTick) -> None:
-        """Process a block of the bench.
+    def add_block(
+        self, instant: int, samples: NDArray[Any], overload: NDArray[np.bool_], event_tick: EventTick
+    ) -> None:
+        """Process a block of converter samples and their overload flags, shape (channels of the bench, n).
 
-        `tick`: instant of the block's first sample; blocks are contiguous; `samples`, shape (bench channels, n):
-        converter samples; `overload`, shape (bench channels, n): overload flags; `event_tick`: see `EventTick`.
+        `instant` is that of the first sample; blocks are contiguous.
         """
         rows = list(self.plan.rows)
         selected, flags = samples[rows], overload[rows]
-        # Samples that were still delayed in a filter when the task started precede the start.
-        offset, count = max(0, self.armed_at - tick), selected.shape[1]
+        # A filter delays its samples: at the start of the task, the first samples precede the start.
+        offset, count = max(0, self.armed_instant - instant), selected.shape[1]
         while offset < count and not self.done:
-            if self.first_tick is None:
-                start_offset = self._find_start(tick, selected, offset, event_tick)
+            if self.first_instant is None:
+                start_offset = self._find_start(instant, selected, offset, event_tick)
                 if start_offset is None:
                     return
                 offset = start_offset
-                self._begin(tick + offset)
-            offset += self._store(tick + offset, selected[:, offset:], flags[:, offset:], event_tick)
+                self._begin_record(instant + offset)
+            offset += self._store(instant + offset, selected[:, offset:], flags[:, offset:], event_tick)
 
-    def _find_start(self, tick: int, samples: NDArray[Any], offset: int, event_tick: EventTick) -> int | None:
+    def _find_start(self, first: int, samples: NDArray[Any], offset: int, event_tick: EventTick) -> int | None:
+        """Return the index of the start trigger in a block from instant `first`; None if it is not in the block."""
         source = self.plan.start
         if isinstance(source, AnalogSource):
             crossing = self._crossing(self._start_finders, samples[:, offset:])
             return None if crossing is None else offset + crossing
         if isinstance(source, SyncPulse | AtTime):
-            instant: int | None = source.next_tick(max(self.armed_at, tick + offset), self.plan.rate)
+            instant: int | None = source.next_instant(max(self.armed_instant, first + offset), self.plan.rate)
         else:
             assert source is not None
             instant = self._instant_after(event_tick(source))
-        if instant is None or instant < self.armed_at or instant - tick >= samples.shape[1]:
+        if instant is None or instant < self.armed_instant or instant - first >= samples.shape[1]:
             return None
-        return max(instant - tick, offset)
+        return max(instant - first, offset)
 
     def _crossing(self, finders: list[tuple[int, CrossingFinder]], samples: NDArray[Any], skip: int = 0) -> int | None:
-        """Return the first crossing of several channels; all finders process all samples."""
-        crossings = [finder.find(self.plan.reading(row, samples[row]), skip) for row, finder in finders]
+        """Return the index of the first crossing in any channel; all finders process all samples."""
+        crossings = [finder.find(self.plan.physical(row, samples[row]), skip) for row, finder in finders]
         return min((each for each in crossings if each is not None), default=None)
 
-    def _store(self, tick: int, samples: NDArray[Any], overload: NDArray[np.bool_], event_tick: EventTick) -> int:
+    def _store(self, first: int, samples: NDArray[Any], overload: NDArray[np.bool_], event_tick: EventTick) -> int:
+        """Store samples from instant `first` up to the end of the record; return the number of processed samples."""
         if self.plan.reference is not None and self.trigger is None:
-            self._find_reference_trigger(tick, samples, event_tick)
+            self._find_reference_trigger(first, samples, event_tick)
         count = samples.shape[1] if self._end is None else min(samples.shape[1], self._end - self.ring.written)
         room = self.plan.buffer - (self.ring.written - self.position)
         if self.plan.stops_when_full and count > room:
@@ -221,24 +224,26 @@ class Acquisition:
         self.overloads.write(overload[:, :count])
         self.overloaded |= overload[:, :count].any(axis=1)
         if self.ring.written == self._end:
-            self._complete(tick + count)
+            self._complete(first + count)
         return max(count, 1)
 
-    def _find_reference_trigger(self, tick: int, samples: NDArray[Any], event_tick: EventTick) -> None:
-        assert self.first_tick is not None and self.plan.samples is not None
+    def _find_reference_trigger(self, first: int, samples: NDArray[Any], event_tick: EventTick) -> None:
+        assert self.first_instant is not None and self.plan.samples is not None
         count, source = samples.shape[1], self.plan.reference
-        earliest = self.first_tick + self.plan.pretrigger
-        skip = min(max(0, earliest - tick), count)
+        earliest = self.first_instant + self.plan.pretrigger
+        skip = min(max(0, earliest - first), count)
+        crossing = None
         if isinstance(source, AnalogSource):
             crossing = self._crossing(self._reference_finders, samples, skip)
         else:
             assert source is not None
             instant = (
-                source.next_tick(max(earliest, tick), self.plan.rate)
+                source.next_instant(max(earliest, first), self.plan.rate)
                 if isinstance(source, SyncPulse | AtTime)
                 else self._instant_after(event_tick(source))
             )
-            crossing = None if instant is None or not max(earliest, tick) <= instant < tick + count else instant - tick
+            if instant is not None and max(earliest, first) <= instant < first + count:
+                crossing = instant - first
         if crossing is not None:
             self.trigger = self.ring.written + crossing
             self._end = self.trigger + self.plan.samples - self.plan.pretrigger
@@ -247,9 +252,9 @@ class Acquisition:
     def _instant_after(self, tick: int | None) -> int | None:
         return None if tick is None else first_sample(self._per_tick, tick)
 
-    def _complete(self, tick: int) -> None:
+    def _complete(self, instant: int) -> None:
         if self.plan.rearms:
-            self._arm(tick)
+            self._arm(instant)
         else:
             self.done = True
 

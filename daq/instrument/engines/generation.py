@@ -1,4 +1,4 @@
-"""A running output task: its buffer, its triggers, and its output voltages."""
+"""A running output task: plays the samples of its buffer from its start trigger on, at the rate of the task."""
 
 from __future__ import annotations
 
@@ -18,9 +18,7 @@ from rig.arrays import Array
 class OutputBuffer:
     """Samples to play, shape (channels, size), repeated in a loop.
 
-    Until the task starts the buffer grows with every write, unless its size is set.
-
-    `size`: samples per channel; None to grow.
+    Without a `size` in samples per channel, the buffer grows with every write until the task starts.
     """
 
     def __init__(self, channels: int, size: int | None) -> None:
@@ -34,7 +32,7 @@ class OutputBuffer:
         return self.data.shape[1]
 
     def free(self, generated: int, running: bool, regenerate: bool) -> int:
-        """Return how many samples can be written now."""
+        """Return the number of samples per channel that can be written now."""
         if not running and self._grows:
             return np.iinfo(np.int64).max
         if running and regenerate:
@@ -54,53 +52,56 @@ class OutputBuffer:
 class OutputPlan:
     """The settings of an output task."""
 
-    rows: tuple[int, ...]  # the bench's drives, in the order of the task's channels
-    rate: float  # ticks of the bench per second
+    rows: tuple[int, ...]  # index of each channel of the task among the drives of the bench
+    tick_rate: float  # ticks of the bench per second
     per_tick: Fraction  # samples of the output per tick of the bench
     samples: int | None  # samples of a finite generation; None for a continuous generation
-    regenerate: bool  # whether the buffer is repeated
+    regenerate: bool  # repeat the buffer
     start: SyncPulse | AtTime | OtherTask | None = None  # start trigger
 
 
 class Generation:
     """The state of an output task from start to stop.
 
-    `plan`: what to generate; `buffer`: samples to play; may be written during the run; `tick`: position of the bench
-    at the start; `last_volts`, shape (channels,): output voltage before the start, V; `generated`: samples per channel
-    generated so far; `done`: whether the generation has ended; the output keeps its last value; `error`: reason of
-    an early end.
+    The buffer may be written during the run. `tick` is the present tick, `last_volts` the output voltages in V, shape
+    (channels,).
     """
 
     def __init__(self, plan: OutputPlan, buffer: OutputBuffer, tick: int, last_volts: Array) -> None:
         self.plan, self.buffer, self.last_volts = plan, buffer, last_volts
-        self.generated = 0
-        self._ticks = 0
-        self.done = False
+        self.generated = 0  # samples per channel
+        self._ticks = 0  # ticks since the first sample
+        self.done = False  # complete, or stopped by `error`; the output keeps its last value
         self.error: DaqError | None = None
-        self.armed_at = tick
+        self.armed_tick = tick
         self.first_tick: int | None = tick if plan.start is None else None
 
-    def join(self, started: int | None) -> None:
-        """Begin at once if the task that provides the clock has started already."""
-        if started is not None and started <= self.armed_at:
-            self.first_tick = self.armed_at
+    @property
+    def has_started(self) -> bool:
+        """Whether the start trigger has occurred."""
+        return self.first_tick is not None
+
+    def start_if_clock_runs(self, clock_start: int | None) -> None:
+        """Start at once if the task that provides the clock started earlier, at the tick `clock_start`."""
+        if clock_start is not None and clock_start <= self.armed_tick:
+            self.first_tick = self.armed_tick
 
     def start_tick(self, reference: bool, tick: int) -> int | None:
-        """Return the tick at which this task started or will start; an output has no reference trigger."""
+        """Return the tick of the start, None if it is not known yet; an output has no reference trigger."""
         if reference:
             return None
         if self.first_tick is None and isinstance(self.plan.start, SyncPulse | AtTime):
-            return self.plan.start.next_tick(max(tick, self.armed_at), self.plan.rate)
+            return self.plan.start.next_instant(max(tick, self.armed_tick), self.plan.tick_rate)
         return self.first_tick
 
-    def missing(self) -> int:
-        """Lower bound of the ticks until a finite generation is complete."""
+    def ticks_to_end(self) -> int:
+        """Return a lower bound of the ticks until a finite generation is complete; 10 ms if it is not known."""
         if self.first_tick is None or self.plan.samples is None:
-            return max(1, int(self.plan.rate / 100))
+            return max(1, int(self.plan.tick_rate / 100))
         return max(1, self.ticks_until(self.plan.samples))
 
     def ticks_until(self, samples: int) -> int:
-        """Count the ticks until the total number of generated samples is `samples`."""
+        """Return the number of ticks until the total number of generated samples is `samples`."""
         assert self.first_tick is not None
         return math.ceil(samples / self.plan.per_tick) - self._ticks
 
@@ -114,13 +115,11 @@ class Generation:
             if self.first_tick is None:
                 return out
         offset = max(0, self.first_tick - tick)
-        first_index_tick, self._ticks = self._ticks, self._ticks + count - offset
+        ticks_before, self._ticks = self._ticks, self._ticks + count - offset
         ratio = self.plan.per_tick
-        # Ticks of the bench between two samples are interpolated linearly.
-        index, remainder = np.divmod(
-            (first_index_tick + np.arange(count - offset)) * ratio.numerator, ratio.denominator
-        )
-        last = self._ticks * ratio.numerator // ratio.denominator
+        # The output at a tick between two samples is interpolated linearly.
+        index, remainder = np.divmod((ticks_before + np.arange(count - offset)) * ratio.numerator, ratio.denominator)
+        next_sample = self._ticks * ratio.numerator // ratio.denominator
         ends = [] if self.plan.samples is None else [self.plan.samples]
         if not self.plan.regenerate:
             ends.append(self.buffer.written)
@@ -143,21 +142,22 @@ class Generation:
                     Code.GEN_STOPPED_TO_PREVENT_REGEN_OF_OLD_SAMPLES,
                 )
             )
-        if self.plan.samples is not None and last >= self.plan.samples:
+        if self.plan.samples is not None and next_sample >= self.plan.samples:
             self.done = True
         return out
 
     def _find_start(self, tick: int, count: int, event_tick: EventTick) -> int | None:
+        """Return the tick of the start, if it is among the next ticks."""
         source = self.plan.start
         if isinstance(source, SyncPulse | AtTime):
-            start_tick: int | None = source.next_tick(max(self.armed_at, tick), self.plan.rate)
+            start_tick: int | None = source.next_instant(max(self.armed_tick, tick), self.plan.tick_rate)
         else:
             assert source is not None
             start_tick = event_tick(source)
-            if start_tick is not None and start_tick >= self.armed_at:
-                # The trigger is in samples of the block before: the output follows at the next tick.
+            if start_tick is not None and start_tick >= self.armed_tick:
+                # A trigger in the previous block starts the output at the first tick of this block.
                 start_tick = max(start_tick, tick)
-        if start_tick is None or start_tick < self.armed_at or start_tick >= tick + count:
+        if start_tick is None or start_tick < self.armed_tick or start_tick >= tick + count:
             return None
         return start_tick
 

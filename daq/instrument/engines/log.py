@@ -1,4 +1,4 @@
-"""Logging of the samples of a task into a recording (.mcap), or into a TDMS file for scripts that expect it."""
+"""Logs the samples of a task into a recording (.mcap), or into a TDMS file for scripts that expect it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class MarkedRecording:
-    """A recording in the format of `daq record` that marks its overloads; it has no truth of a complete test."""
+    """A recording in the format of `daq record` with markers at its overloads, without the simulated true motion."""
 
     def __init__(
         self,
@@ -54,12 +54,12 @@ class MarkedRecording:
         self._overloads.add(first, overload)
 
     def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
-        """Mark the samples from `first` to before `stop`, unless writing has failed."""
+        """Add a marker for the samples from `first` to before `stop`, unless writing has failed."""
         if self._recorder.accepts_samples:
             self._recorder.mark(kind, first, stop - 1, **fields)
 
     def gap(self, samples: int) -> None:
-        """Append lost samples."""
+        """Append a gap of lost samples."""
         self._recorder.gap(samples)
 
     def trigger(self, sample: int) -> None:
@@ -94,8 +94,8 @@ class _Tdms:
             import nptdms
         except ImportError:
             raise DaqError(
-                f"logging to {path} needs the package nptdms (pip install nptdms); or log to a recording: name the "
-                "file .mcap",
+                f"{path}: TDMS files require the package nptdms. Install it (pip install nptdms), or log to a "
+                "recording with a name that ends in .mcap.",
                 Code.UNKNOWN,
             ) from None
         if append and path.exists():
@@ -120,7 +120,7 @@ class _Tdms:
         self._writer.open()
 
     def write(self, samples: NDArray[Any], overload: NDArray[np.bool_]) -> None:
-        self._segment(np.stack([self._plan.reading(row, each) for row, each in enumerate(samples)]))
+        self._segment(np.stack([self._plan.physical(row, each) for row, each in enumerate(samples)]))
 
     def gap(self, samples: int) -> None:
         self._segment(np.full((len(self._properties), samples), np.nan))
@@ -152,12 +152,12 @@ _File = MarkedRecording | _Tdms
 class TaskLog:
     """The log of one run of a task.
 
-    With `LOG_AND_READ` it is written when the script reads, and at the end: samples overwritten before that are
-    also lost in the log and marked as a gap. With `LOG` it is written as samples are acquired. While it is paused,
-    samples are omitted.
+    With `LOG_AND_READ` it is written when the script reads, and at the end. Samples that are overwritten before the
+    read are a gap in the log. With `LOG` it is written as samples are acquired. While the log is paused, samples are
+    omitted.
 
-    `open_file`: opens a file by its path and the number of its first sample; `settings`: path, size of one file, and
-    whether the log is paused.
+    `open_file` opens a file by its path and the number of its first sample. `settings` contain the path, the samples
+    per file, and whether the log is paused.
     """
 
     def __init__(self, open_file: Callable[[Path, int], _File], settings: Properties) -> None:
@@ -165,46 +165,46 @@ class TaskLog:
         self.logs_only = self._settings["logging_mode"] == LoggingMode.LOG
         self._base, self._number = Path(self._settings["logging_file_path"]), 0
         self._file = open_file(self._base, 0)
-        self._logged: int | None = None
-        self._in_file = 0
+        self._next: int | None = None  # number of the sample that is logged next
+        self._in_file = 0  # samples in the present file
 
     def start_new_file(self, path: Path, acquisition: Acquisition) -> None:
         """Complete the file and continue in another file."""
-        self.follow(acquisition)
+        self.write_new(acquisition)
         self._file.close()
-        self._file, self._in_file = self._open(path, self._logged or 0), 0
+        self._file, self._in_file = self._open(path, self._next or 0), 0
 
-    def follow(self, acquisition: Acquisition) -> None:
+    def write_new(self, acquisition: Acquisition) -> None:
         """Log the samples acquired since the last call."""
         stop = acquisition.readable
         if stop == 0:
             return
-        if self._logged is None:
-            self._logged = acquisition.first_readable
+        if self._next is None:
+            self._next = acquisition.first_readable
             if acquisition.trigger is not None:
-                self._file.trigger(acquisition.trigger - self._logged)
+                self._file.trigger(acquisition.trigger - self._next)
         oldest = acquisition.oldest
-        if self._logged < oldest:
-            self._file.gap(oldest - self._logged)
-            self._logged = oldest
+        if self._next < oldest:
+            self._file.gap(oldest - self._next)
+            self._next = oldest
         if self._settings["logging_pause"]:
-            self._logged = max(self._logged, stop)
+            self._next = max(self._next, stop)
         max_samples = self._settings["logging_samps_per_file"] or math.inf
-        while self._logged < stop:
+        while self._next < stop:
             if self._in_file >= max_samples:
                 self._number += 1
                 self._file.close()
                 name = f"{self._base.stem}_{self._number:04d}{self._base.suffix}"
-                self._file, self._in_file = self._open(self._base.with_name(name), self._logged), 0
-            first, count = self._logged, int(min(stop - self._logged, max_samples - self._in_file))
+                self._file, self._in_file = self._open(self._base.with_name(name), self._next), 0
+            first, count = self._next, int(min(stop - self._next, max_samples - self._in_file))
             self._file.write(acquisition.ring.read(first, count), acquisition.overloads.read(first, count))
-            self._logged += count
+            self._next += count
             self._in_file += count
 
     def close(self, acquisition: Acquisition) -> None:
         """Log the remaining samples and the reason of an early end, and complete the file."""
         try:
-            self.follow(acquisition)
+            self.write_new(acquisition)
             if acquisition.error is not None:
                 self._file.abort(str(acquisition.error))
         finally:
@@ -214,9 +214,9 @@ class TaskLog:
 def open_log(name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_ns: Callable[[int], int]) -> TaskLog:
     """Open a log for a task at its start.
 
-    `name`: name of the task; `task`: its settings. The suffix of the log's path selects the format, `.mcap` or
-    `.tdms`; `plan`: plan of the acquisition; `time_ns`: returns the time of a sample by its number, ns. Raises
-    `DaqError` if the file cannot be opened with these settings; the message contains the remedy.
+    `name` is the name of the task, `task` its settings. The suffix of the log's path selects the format, `.mcap` or
+    `.tdms`. `time_ns` returns the time of a sample in ns by its number. Raises `DaqError` if the file cannot be opened
+    with these settings.
     """
     settings = task.groups["read"]
     infos = [replace(bench.channels[row], rate=plan.rate) for row in plan.rows]
@@ -226,20 +226,20 @@ def open_log(name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_
         start_ns, operation = time_ns(first), settings["logging_tdms_operation"]
         suffix, exists = path.suffix.lower(), path.exists()
         append = operation in (LoggingOperation.OPEN, LoggingOperation.OPEN_OR_CREATE) and exists
-        refused = ""
+        problem = ""
         if suffix not in (".mcap", ".tdms"):
-            refused = f"cannot log to {path}: expected a name that ends in .mcap (a recording) or .tdms"
+            problem = f"cannot log to {path}: unknown suffix. Give a name that ends in .mcap (a recording) or .tdms."
         elif operation == LoggingOperation.CREATE and exists:
-            refused = f"{path} exists: choose another name, or LoggingOperation.CREATE_OR_REPLACE"
+            problem = f"{path}: the file exists. Choose another name, or LoggingOperation.CREATE_OR_REPLACE."
         elif operation == LoggingOperation.OPEN and not exists:
-            refused = f"{path} does not exist: LoggingOperation.OPEN appends to a file; use CREATE"
+            problem = f"{path}: the file does not exist, and LoggingOperation.OPEN appends to a file. Use CREATE."
         elif suffix == ".mcap" and append:
-            refused = (
-                f"{path} exists, and a recording cannot be appended to: use LoggingOperation.CREATE_OR_REPLACE or "
-                "another name"
+            problem = (
+                f"{path}: the recording exists and cannot be appended to. Use LoggingOperation.CREATE_OR_REPLACE, or "
+                "another name."
             )
-        if refused:
-            raise DaqError(refused, Code.UNKNOWN)
+        if problem:
+            raise DaqError(problem, Code.UNKNOWN)
         try:
             if suffix == ".tdms":
                 group = settings["logging_tdms_group_name"] or name
@@ -255,10 +255,10 @@ def open_log(name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_
 
 
 def _named(channels: Sequence[ChannelInfo], names: Sequence[str]) -> list[ChannelInfo]:
-    """Set the names of channels in a recording: from the script, otherwise from the bench.
+    """Set the names of channels in a recording: the name in the script, otherwise the name on the bench.
 
-    The name of a channel that no script named is its terminal, which contains a slash. If its name on the bench is
-    taken (two modules on one sensor), the module is added to the name.
+    A channel that the script did not name has the name of its terminal, which contains a slash. The device is added to
+    a name on the bench that is taken already (two modules on one sensor).
     """
     named: list[ChannelInfo] = []
     for info, name in zip(channels, names, strict=True):

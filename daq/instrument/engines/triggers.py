@@ -1,13 +1,13 @@
-"""Triggers: start triggers of acquisitions and outputs, and reference triggers of acquisitions.
+"""Detects triggers: start triggers of acquisitions and outputs, and reference triggers of acquisitions.
 
-A rising analog edge is at the first sample *above* the level after a sample at or below it (at or below
-``level - hysteresis`` with a hysteresis); a falling edge is the mirror image. A window trigger is at the first sample
-inside the window after a sample outside, or the reverse. That sample has number 0 after a start trigger, and index
-`pretrigger_samples` in the record of a reference trigger.
+A rising analog edge is at the first sample *above* the level after a sample at or below ``level - hysteresis``. A
+falling edge is the mirror image. A window trigger is at the first sample inside the window after a sample outside,
+or the reverse. The trigger's sample is number 0 after a start trigger, and has index `pretrigger_samples` in the record
+of a reference trigger.
 
-Digital edges are signals at terminals. Every PFI line of the chassis has the sync output of the bench, one pulse per
-second: it rises at 1 s, 2 s, ... of bench time and falls half a second later. `ai/StartTrigger`,
-`ao/StartTrigger` and `ai/ReferenceTrigger` are the times at which other tasks start or are triggered.
+Digital edges are signals at terminals. Every PFI line of the chassis carries the sync output of the bench, one pulse
+per second: it rises at 1 s, 2 s, ... of bench time and falls half a second later. `ai/StartTrigger`,
+`ao/StartTrigger` and `ai/ReferenceTrigger` are the start and the reference trigger of other tasks.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from daq.instrument.values import Slope, WindowCondition
 
 _SIGNAL = re.compile(r"/?(?:([^/]+)/)?(PFI\d+|a[io]/(?:StartTrigger|ReferenceTrigger))", re.IGNORECASE)
 
-# A function that returns, for each sample, whether it meets the condition and whether it arms the trigger.
+# Function from samples to two flags for each sample: whether it fires an armed trigger, and whether it arms it.
 Condition = Callable[[NDArray[np.float64]], tuple[NDArray[np.bool_], NDArray[np.bool_]]]
 
 
 def edge(slope: Slope, level: float, hysteresis: float = 0.0) -> Condition:
     """Return the condition of a level crossing.
 
-    `slope`: direction of the crossing; `level`: level, in the units of the samples; `hysteresis`: distance from the
-    level that the signal must have had before the crossing, on the opposite side.
+    Level and hysteresis are in the unit of the samples. The hysteresis is the distance from the level, on the other
+    side, at which the trigger is armed.
     """
     sign = 1.0 if slope == Slope.RISING else -1.0
     return lambda x: (sign * x > sign * level, sign * x <= sign * level - hysteresis)
 
 
 def window(condition: WindowCondition, bottom: float, top: float) -> Condition:
-    """Return the condition of entering or leaving a window, limits included."""
+    """Return the condition of entering or leaving a window that includes its limits."""
 
     def classify(x: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         inside = (x >= bottom) & (x <= top)
@@ -50,9 +50,7 @@ def window(condition: WindowCondition, bottom: float, top: float) -> Condition:
 
 
 class CrossingFinder:
-    """Finds the first sample at which a signal meets a condition.
-
-    `condition`: see `edge` and `window`.
+    """Finds the first sample that fires a trigger after a sample that armed it.
 
     >>> finder = CrossingFinder(edge(Slope.RISING, 1.0))
     >>> finder.find(np.array([2.0, 1.0, 1.5, 3.0]))
@@ -64,10 +62,9 @@ class CrossingFinder:
         self._armed = False
 
     def find(self, samples: NDArray[np.float64], skip: int = 0) -> int | None:
-        """Return the first crossing in samples that directly follow those of the last call.
+        """Return the index of the sample that fires the trigger, in the samples after those of the last call.
 
-        `samples` has the shape (n,); `skip`: number of first samples in which crossings are ignored; they still arm
-        the trigger. Returns index of the first sample after the crossing; None without a crossing.
+        The first `skip` samples arm the trigger but do not fire it. Returns None if no sample fires it.
         """
         fires, arms = self._condition(samples)
         if skip:
@@ -78,24 +75,25 @@ class CrossingFinder:
             if arming.size == 0:
                 return None
             start += int(arming[0])
-        hits = np.flatnonzero(fires[start:])
+        firing = np.flatnonzero(fires[start:])
         self._observe(fires[skip:], arms[skip:])
-        return start + int(hits[0]) if hits.size else None
+        return start + int(firing[0]) if firing.size else None
 
     def _observe(self, fires: NDArray[np.bool_], arms: NDArray[np.bool_]) -> None:
-        last_beyond, last_before = (int(np.flatnonzero(each)[-1]) if each.any() else -1 for each in (fires, arms))
-        if last_beyond != last_before:
-            self._armed = last_before > last_beyond
+        """Update whether the trigger is armed: the last sample that fires or arms it decides."""
+        last_firing, last_arming = (int(np.flatnonzero(each)[-1]) if each.any() else -1 for each in (fires, arms))
+        if last_firing != last_arming:
+            self._armed = last_arming > last_firing
 
 
 @dataclass(frozen=True)
 class AnalogSource:
-    """Analog triggers on channels of a task, by the positions of the channels; the earliest trigger is used."""
+    """Analog triggers on channels of a task; the earliest trigger counts."""
 
-    conditions: tuple[tuple[int, Condition], ...]
+    conditions: tuple[tuple[int, Condition], ...]  # index of the channel in the task, and its condition
 
     def finders(self) -> list[tuple[int, CrossingFinder]]:
-        """Return new finders."""
+        """Return a new finder for each channel, with the index of the channel."""
         return [(row, CrossingFinder(condition)) for row, condition in self.conditions]
 
 
@@ -105,32 +103,31 @@ class SyncPulse:
 
     edge: Slope
 
-    def next_tick(self, tick: int, rate: float) -> int:
-        """Return the tick of the first edge at or after a given tick."""
+    def next_instant(self, earliest: int, rate: float) -> int:
+        """Return the first instant of an edge from `earliest` on; instants count from power-on, at a rate in Hz."""
         phase = 0.0 if self.edge == Slope.RISING else 0.5
-        # The edge at 0 s is power-on; the first rising edge that can trigger is at 1 s, the first falling edge at
-        # 1.5 s.
-        second = max(1, math.ceil(tick / rate - phase - 1e-9))
+        # The first rising edge that can trigger is at 1 s, the first falling edge at 1.5 s.
+        second = max(1, math.ceil(earliest / rate - phase - 1e-9))
         return math.ceil((second + phase) * rate - 1e-6)
 
 
 @dataclass(frozen=True)
 class AtTime:
-    """A time that is known in advance: a start at a wall-clock time."""
+    """A start at a given time."""
 
-    seconds: float
+    seconds: float  # of bench time, from power-on
 
-    def next_tick(self, tick: int, rate: float) -> int:
-        """Return the tick of that time; see `SyncPulse.next_tick`."""
-        return max(math.ceil(self.seconds * rate - 1e-6), tick)
+    def next_instant(self, earliest: int, rate: float) -> int:
+        """Return the instant of the time, `earliest` if the time has passed; see `SyncPulse.next_instant`."""
+        return max(math.ceil(self.seconds * rate - 1e-6), earliest)
 
 
 @dataclass(frozen=True)
 class OtherTask:
-    """The time at which another task starts or detects its reference trigger."""
+    """The start of another task, or its reference trigger."""
 
-    device: str
-    kind: str
+    device: str  # empty: any device
+    kind: str  # "ai" or "ao"
     reference: bool
 
 
@@ -138,15 +135,12 @@ Source = AnalogSource | SyncPulse | AtTime | OtherTask
 
 
 def digital_source(source: str, slope: Slope) -> SyncPulse | OtherTask:
-    """Return the signal at a terminal.
-
-    Raises `DaqError` with -89136, if the terminal does not exist.
-    """
+    """Return the trigger at a terminal, such as ``/cDAQ1/PFI0``; `DaqError` -89136 if there is no such terminal."""
     match = _SIGNAL.fullmatch(source.strip())
     if not match:
         raise DaqError(
-            f"there is no trigger signal on terminal {source!r}: expected /Dev1/PFI0 (one pulse a second), "
-            "/Dev1/ai/StartTrigger, /Dev1/ao/StartTrigger or /Dev1/ai/ReferenceTrigger",
+            f"terminal {source!r} has no trigger signal. Give /Dev1/PFI0 (one pulse per second), "
+            "/Dev1/ai/StartTrigger, /Dev1/ao/StartTrigger or /Dev1/ai/ReferenceTrigger.",
             Code.ROUTE_NOT_SUPPORTED_BY_HW_ROUTING,
         )
     device, signal = match[1] or "", match[2].lower()

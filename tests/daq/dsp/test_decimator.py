@@ -11,7 +11,7 @@ from scipy.integrate import quad, trapezoid
 
 from daq.dsp.block_buffers import BlockBuffers
 from daq.dsp.decimator import Decimator
-from daq.signal_chain.decimation_filter import DELAY, MOMENTS, PASS, STOP, Decimation, taps_of
+from daq.signal_chain.decimation_filter import DELAY_SAMPLES, MOMENTS, PASSBAND_EDGE, STOPBAND_EDGE, Decimation, legendre_taps
 
 
 @pytest.mark.parametrize(("oversampling", "delay"), [(1, 0), (1, 3), (3, 0), (4, 5)])
@@ -42,16 +42,16 @@ def test_filtered_sample_is_the_weighted_sum(oversampling, delay):
 @pytest.mark.parametrize("oversampling", [1, 3])
 def test_taps_are_integrals_of_the_kernel(oversampling):
     low_pass = Decimation.standard(1000.0)
-    taps = taps_of(low_pass, oversampling)
-    assert taps.shape == (oversampling, MOMENTS, 2 * DELAY)
+    taps = legendre_taps(low_pass, oversampling)
+    assert taps.shape == (oversampling, MOMENTS, 2 * DELAY_SAMPLES)
     # A constant is unchanged, and a ramp is delayed by 38 samples.
     assert taps[:, 0].sum() == pytest.approx(1.0, rel=1e-12)
-    interval = np.arange(2 * DELAY * oversampling).reshape(2 * DELAY, oversampling).T
+    interval = np.arange(2 * DELAY_SAMPLES * oversampling).reshape(2 * DELAY_SAMPLES, oversampling).T
     middle = -(interval + 0.5) / oversampling
     half = 0.5 / oversampling
     ramp = np.sum(taps[:, 0] * middle) + np.sum(taps[:, 1] * half / 3.0)
-    assert ramp == pytest.approx(-DELAY, abs=1e-9)
-    total = quad(lambda t: float(low_pass.impulse_response(np.array(t))), -DELAY, DELAY, limit=400)[0]
+    assert ramp == pytest.approx(-DELAY_SAMPLES, abs=1e-9)
+    total = quad(lambda t: float(low_pass.impulse_response(np.array(t))), -DELAY_SAMPLES, DELAY_SAMPLES, limit=400)[0]
     for p, j, k in ((0, 40, 0), (0, 40, 3), (oversampling - 1, 37, 1), (0, 2, 2)):
         # Moment k is the mean of the signal times P_k: its weight is (2 k + 1) times the mean of kernel times P_k.
         end = j + p / oversampling
@@ -59,14 +59,14 @@ def test_taps_are_integrals_of_the_kernel(oversampling):
 
         def weighted_polynomial(lag, end=end, polynomial=polynomial):
             position = 1.0 - 2.0 * oversampling * (lag - end)  # In the interval, from -1 to 1.
-            return float(low_pass.impulse_response(np.array(lag - DELAY)) * polynomial(position))
+            return float(low_pass.impulse_response(np.array(lag - DELAY_SAMPLES)) * polynomial(position))
 
         expected = quad(weighted_polynomial, end, end + 1 / oversampling)[0] * (2 * k + 1) / total
         assert taps[p, k, j] == pytest.approx(expected, rel=1e-6, abs=1e-9)
 
 
 def test_constant_is_not_changed_by_the_filter():
-    time = np.linspace(-DELAY, DELAY, 100 * DELAY + 1)
+    time = np.linspace(-DELAY_SAMPLES, DELAY_SAMPLES, 100 * DELAY_SAMPLES + 1)
     kernel = Decimation.standard(5120.0).impulse_response(time)
     assert trapezoid(kernel, time) == pytest.approx(1.0, abs=1e-5)
 
@@ -77,9 +77,9 @@ def test_filter_response_is_the_fourier_integral():
     time = np.linspace(-38.0, 38.0, 200_001)
     kernel = low_pass.impulse_response(time)
     step = time[1] - time[0]
-    for cycles_per_sample in (0.0, 0.2, 0.44, PASS, 0.5, STOP, 0.7, 3.0):
+    for cycles_per_sample in (0.0, 0.2, 0.44, PASSBAND_EDGE, 0.5, STOPBAND_EDGE, 0.7, 3.0):
         expected = np.sum(kernel * np.cos(2 * np.pi * cycles_per_sample * time)) * step / (np.sum(kernel) * step)
         assert low_pass.magnitude(cycles_per_sample * 5120.0) == pytest.approx(expected, abs=2e-6)
-    assert 20 * np.log10(abs(low_pass.magnitude(np.linspace(STOP, 8.0, 4000) * 5120.0)).max()) < -100.0
-    assert abs(20 * np.log10(abs(low_pass.magnitude(np.linspace(0.0, PASS, 2000) * 5120.0)))).max() < 1e-4
+    assert 20 * np.log10(abs(low_pass.magnitude(np.linspace(STOPBAND_EDGE, 8.0, 4000) * 5120.0)).max()) < -100.0
+    assert abs(20 * np.log10(abs(low_pass.magnitude(np.linspace(0.0, PASSBAND_EDGE, 2000) * 5120.0)))).max() < 1e-4
     assert not low_pass.impulse_response(np.array([-38.0, -40.0, 38.0, 41.5])).any()

@@ -131,7 +131,8 @@ def test_output_starts_with_triggered_input(chassis):
         driving.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger")
         driving.start()
         reading.read(READ_ALL_AVAILABLE)
-        output_tick, input_sample = (chassis.tasks[each.name].run.first_tick for each in (driving, reading))
+        output_tick = chassis.tasks[driving.name].run.first_tick
+        input_sample = chassis.tasks[reading.name].run.first_instant
         assert output_tick == chassis.rate / RATE * input_sample + 1
         assert driving.is_task_done()
 

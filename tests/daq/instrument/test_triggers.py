@@ -83,13 +83,13 @@ def test_next_pulse_is_first_from_sample(rate, second, offset):
     for slope, first in ((Slope.RISING, Fraction(1)), (Slope.FALLING, Fraction(3, 2))):
         edges = (first + k for k in range(second + 3))
         expected = next(ceil(time * rate) for time in edges if time * rate >= tick)
-        assert SyncPulse(slope).next_tick(tick, float(rate)) == expected
+        assert SyncPulse(slope).next_instant(tick, float(rate)) == expected
 
 
 def test_time_trigger_is_at_next_sample():
     start = AtTime(0.3)
-    assert [start.next_tick(tick, 1000.0) for tick in (0, 300, 301)] == [300, 300, 301]
-    assert AtTime(0.30001).next_tick(0, 1000.0) == 301
+    assert [start.next_instant(tick, 1000.0) for tick in (0, 300, 301)] == [300, 300, 301]
+    assert AtTime(0.30001).next_instant(0, 1000.0) == 301
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ Frequencies are relative to the sample rate.
 import numpy as np
 import pytest
 
-from daq.signal_chain.decimation_filter import PASS, STOP, Decimation
+from daq.signal_chain.decimation_filter import PASSBAND_EDGE, STOPBAND_EDGE, Decimation
 from tests.daq.dsp.analytic_motion import Path, at_rest, chain_of, cut, motion_of, scene_of
 
 RATE = 1000.0  # Hz
@@ -25,7 +25,7 @@ def test_pass_band_is_flat_and_delayed():
     chain, rate = chain_of(scene_of("", converter=FILTERED), oversampling=8)
     info = chain.channels[0]
     assert info.delay == 38 / RATE
-    for relative_frequency in (0.02, 0.2, 0.4, PASS):
+    for relative_frequency in (0.02, 0.2, 0.4, PASSBAND_EDGE):
         chain, _ = chain_of(scene_of("", converter=FILTERED), oversampling=8)
         path = Path(tones=((1.0, relative_frequency * RATE, 0.0),))
         result = amplitude(chain.measure(motion_of([path], rate, 8 * 3000))[0], relative_frequency * RATE, RATE)
@@ -35,7 +35,7 @@ def test_pass_band_is_flat_and_delayed():
         assert result == pytest.approx(complex(info.response(relative_frequency * RATE)), abs=1e-5)
 
 
-@pytest.mark.parametrize("relative_frequency", [STOP, 0.62, 0.97, 1.2, 1.9, 2.45, 3.3])
+@pytest.mark.parametrize("relative_frequency", [STOPBAND_EDGE, 0.62, 0.97, 1.2, 1.9, 2.45, 3.3])
 def test_out_of_band_tone_is_suppressed(relative_frequency):
     chain, rate = chain_of(scene_of("", converter=FILTERED), oversampling=16)
     samples = chain.measure(motion_of([Path(tones=((1.0, relative_frequency * RATE, 0.7),))], rate, 16 * 1500))[0]

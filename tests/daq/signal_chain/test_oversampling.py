@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rig
-from daq.signal_chain.oversampling import oversampling
+from daq.signal_chain.oversampling import choose_oversampling
 from daq.virtual_bench.bench import Bench
 from rig.simulation.plant import Plant
 
@@ -111,4 +111,4 @@ shaker: {{kind: table, body: 1, spring: 100 kN/m, bandwidth: 400 Hz}}
 test: {{kind: sine, frequency: 5 Hz, force: 8 N, duration: 1 s}}
 converter: {{rate: {rate}, filter: delta_sigma}}
 """)
-    assert oversampling(scene) == expected
+    assert choose_oversampling(scene) == expected

@@ -11,7 +11,14 @@ from scipy.integrate import quad, trapezoid
 
 from daq.dsp.block_buffers import BlockBuffers
 from daq.dsp.decimator import Decimator
-from daq.signal_chain.decimation_filter import DELAY_SAMPLES, MOMENTS, PASSBAND_EDGE, STOPBAND_EDGE, Decimation, legendre_taps
+from daq.signal_chain.decimation_filter import (
+    DELAY_SAMPLES,
+    MOMENTS,
+    PASSBAND_EDGE,
+    STOPBAND_EDGE,
+    Decimation,
+    legendre_taps,
+)
 
 
 @pytest.mark.parametrize(("oversampling", "delay"), [(1, 0), (1, 3), (3, 0), (4, 5)])

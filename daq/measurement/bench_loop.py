@@ -1,4 +1,8 @@
-"""The loop between the excitation of a test and the bench: windows of drive in, readings within their limits out."""
+"""The loop between the excitation of a test and the bench.
+
+The excitation is a generator: it yields windows of drive, and receives the readings of each window. The loop plays the
+windows on the bench and ends the test when a reading exceeds a limit.
+"""
 
 from __future__ import annotations
 
@@ -16,22 +20,26 @@ from rig.arrays import Array
 from rig.errors import RunError
 from rig.scene.scene import Scene
 
-#: Duration of the drive's ramp to zero after an early end of a test, s.
+# Duration of the drive's ramp to zero after an early end of a test.
 RAMP_S = 0.05
 
 
 def ramp_down(last: Array, samples: int) -> Array:
     """Return a ramp of the drive to zero, continuous in value and slope, from its last two samples (inputs, 2)."""
-    part = np.arange(1, samples + 1)
-    return (last[:, -1:] + (last[:, -1:] - last[:, :1]) * part) * (1 + np.cos(np.pi * part / samples)) / 2
+    index = np.arange(1, samples + 1)
+    # A straight line of the last slope, times a half cosine.
+    return (last[:, -1:] + (last[:, -1:] - last[:, :1]) * index) * (1 + np.cos(np.pi * index / samples)) / 2
 
 
 class LimitReached(RunError):
-    """A channel exceeded its abort limit, or the controlled force could no longer be read."""
+    """A channel exceeded its abort limit, or the controlled force could no longer be measured."""
 
 
 class BenchLoop(ABC):
-    """A test on the bench of its scene; `on_block`, `on_window` and `mark` receive blocks, windows and markers."""
+    """A test on the bench of its scene; subclasses process its blocks, windows and markers.
+
+    `block` is the maximum number of samples per block.
+    """
 
     def __init__(self, scene: Scene, block: int | None = None) -> None:
         self.bench = bench = Bench(scene)
@@ -44,23 +52,23 @@ class BenchLoop(ABC):
         self._limits = Limits(scene, bench.channels, self.mark)
         self._control = ControlLoss(scene, bench.channels)
         self._control_lost: str | None = None
-        self._last = np.zeros((len(bench.inputs), 2))
+        self._last = np.zeros((len(bench.inputs), 2))  # last two samples of the drive
 
     @abstractmethod
     def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
-        """Receive a marker of the samples first to stop - 1."""
+        """Process a marker of the samples `first` to `stop` - 1."""
 
     @abstractmethod
     def report(self, fraction: float, message: str) -> None:
-        """Receive the progress of the test."""
+        """Process the progress of the test."""
 
     @abstractmethod
     def on_block(self, block: Block, readings: Array) -> None:
-        """Receive a block, and its readings in the unit of each channel."""
+        """Process a block, and its readings in the unit of each channel."""
 
     @abstractmethod
     def on_window(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
-        """Receive the drive and the overloads of a window from the sample `first` on."""
+        """Process the drive and the overload flags of a window from the sample `first` on."""
 
     @property
     def last_sample(self) -> int:
@@ -68,15 +76,15 @@ class BenchLoop(ABC):
         return max(0, self.station.now - self.bench.latency - 1)
 
     def play(self, test: Excitation, drive: Array, longest: float = math.inf) -> bool:
-        """Play a test from its first window; return whether it came to its end within `longest` s.
+        """Play a test from its first window `drive`; return whether it ended regularly within `longest` s.
 
-        An error of `ending` is raised after a ramp of the drive to zero, continuous in value and slope.
+        An error of `ending` is raised after a ramp of the drive to zero.
         """
-        quantum = self.station.samples(self._limits.interval)
+        check_samples = self.station.samples(self._limits.interval)
         while self.station.now < longest * self.bench.rate:
             readings = []
-            for start in range(0, drive.shape[1], quantum):
-                readings.append(self.acquire(drive[:, start : start + quantum]))
+            for start in range(0, drive.shape[1], check_samples):
+                readings.append(self.acquire(drive[:, start : start + check_samples]))
                 error = self.ending(readings[-1])
                 if error is not None:
                     # The test is closed first: its markers of held intervals must not include the ramp.
@@ -94,22 +102,22 @@ class BenchLoop(ABC):
     def ending(self, readings: Array) -> BaseException | None:
         """Return the error that ends the test after these readings, if any."""
         first = self.station.now - self.bench.latency - readings.shape[1]
-        trip = self._limits.watch(first, readings)
-        if trip is None and self._control_lost is None:
+        exceedance = self._limits.watch(first, readings)
+        if exceedance is None and self._control_lost is None:
             return None
-        self.ended = self.last_sample if trip is None else trip.sample
-        return LimitReached(self._control_lost if trip is None else str(trip))
+        self.ended = self.last_sample if exceedance is None else exceedance.sample
+        return LimitReached(self._control_lost if exceedance is None else str(exceedance))
 
     def acquire(self, drive: Array) -> Array:
-        """Acquire a window in blocks; return the readings of the channels."""
+        """Acquire a window in blocks; return the readings of the channels, shape (channels, samples)."""
         first, size = self.station.now, drive.shape[1]
-        longest = size if self._block is None else self._block
+        block_size = size if self._block is None else self._block
         readings = np.zeros((len(self.bench.channels), size))
         overload = np.zeros(readings.shape, dtype=bool)
-        for start in range(0, size, longest):
-            stop = min(start + longest, size)
+        for start in range(0, size, block_size):
+            stop = min(start + block_size, size)
             block = self.bench.acquire(drive[:, start:stop])
-            # If the latency of a filter is removed from the sample numbers, the first blocks have no samples.
+            # With a removed filter delay, the first blocks have fewer samples than drive.
             columns = slice(stop - block.samples.shape[1], stop)
             readings[:, columns] = self.bench.physical(block.samples)
             overload[:, columns] = block.overload

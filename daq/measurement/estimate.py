@@ -1,4 +1,4 @@
-"""Estimates of the time, samples, disk space and memory of a test before it begins."""
+"""Estimates the duration, samples, disk space and memory of a test, and rejects an impossible test before it runs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rig.scene.scene import Scene
 
 # A test with more samples is assumed to be a mistake.
 MAX_SAMPLES = 1e12
-# Approximate bytes per sample in a recording with display, by storage type.
+# Approximate bytes per sample in a recording that contains display data, by storage type.
 BYTES_PER_SAMPLE = {"counts": 4.5, "float32": 6.0, "float64": 10.7}
 # Smallest ratio of the size after compression to the approximate size.
 MIN_COMPRESSION_RATIO = 0.005
@@ -24,7 +24,7 @@ MIN_COMPRESSION_RATIO = 0.005
 TRUTH_BYTES_PER_SAMPLE = 6.0
 # Measured memory of a recording process without channels: libraries and kernels.
 PROGRAM_BYTES = 0.33e9
-# Measured memory of the devices of a channel without and with a decimation filter.
+# Measured memory of the signal path of a channel without and with a decimation filter.
 CHANNEL_BYTES = 0.15e6
 FILTERED_CHANNEL_BYTES = 0.4e6
 # Number of copies of a block in memory during recording: of each channel, of the motion, and of recorded motion.
@@ -60,9 +60,12 @@ def estimate(scene: Scene) -> Estimate:
     seconds = _min_duration(scene)
     samples = seconds * rate
     buffer_length = flush_length(rate) + 2 * block_length(rate)
-    state = CHANNEL_BYTES if complete_from_preset(scene.converter).filter is None else FILTERED_CHANNEL_BYTES
-    motion = 3 * scene.structure.bodies * (TRUTH_COPIES if scene.recording.truth else MOTION_COPIES)
-    memory = PROGRAM_BYTES + channels * state + 8.0 * buffer_length * (CHANNEL_COPIES * channels + motion)
+    filtered = complete_from_preset(scene.converter).filter is not None
+    channel_bytes = FILTERED_CHANNEL_BYTES if filtered else CHANNEL_BYTES
+    motion_copies = 3 * scene.structure.bodies * (TRUTH_COPIES if scene.recording.truth else MOTION_COPIES)
+    memory = (
+        PROGRAM_BYTES + channels * channel_bytes + 8.0 * buffer_length * (CHANNEL_COPIES * channels + motion_copies)
+    )
     if isinstance(scene.test, Multisine):
         memory += 8.0 * PERIOD_COPIES * scene.test.period_s * rate
     points = scene.structure.bodies + len(scene.tables)
@@ -73,18 +76,18 @@ def estimate(scene: Scene) -> Estimate:
 
 
 def check_resources(resources: Estimate, path: Path) -> None:
-    """Reject a test that exceeds the samples, the free disk space or the memory permitted."""
+    """Raise `SceneError` for a test with too many samples, or more than the free disk space or memory."""
     if not resources.samples <= MAX_SAMPLES:
         raise SceneError(
-            f"test: {duration_text(resources.seconds)} and {resources.samples:.3g} samples of each channel are too "
-            f"many (at most {MAX_SAMPLES:.0e}). Choose a shorter test or a lower rate."
+            f"test: {duration_text(resources.seconds)} have {resources.samples:.3g} samples per channel, the maximum "
+            f"is {MAX_SAMPLES:.0e}. Choose a shorter test or a lower rate."
         )
     require_memory(resources.memory, "the test, with half a second of all its channels before it is written,")
     folder = next(folder for folder in path.absolute().parents if folder.is_dir())
     free = shutil.disk_usage(folder).free
     if resources.disk * MIN_COMPRESSION_RATIO + RESERVE > free:
         raise SceneError(
-            f"{path}: the test would take about {_size(resources.disk)}, and the disk has {_size(free)} left. Choose "
+            f"{path}: the test requires about {_size(resources.disk)}, and the disk has {_size(free)} left. Choose "
             "another disk (-o FILE.mcap), a shorter test, or a lower rate."
         )
 

@@ -1,4 +1,7 @@
-"""Limits of the channels: overloads and alarms are marked, an abort limit ends the test."""
+"""Monitors the limits of the channels: marks overloads and alarms, and detects when a test must end.
+
+A marker is an entry of a recording that names an interval of samples and its kind, such as "overload" or "alarm".
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ if TYPE_CHECKING:
 _MIN_GAP_S = 0.5
 # Interval at which the channels are checked, independent of the block size.
 _CHECK_INTERVAL_S = 0.1
-# The same if the channels have no limits, and only the control can be lost.
+# The interval if no channel has a limit, and only the control of the force is monitored.
 _CONTROL_CHECK_INTERVAL_S = 0.5
 # Duration of an overload of a control channel after which a test ends.
 _MAX_OVERLOAD_S = 1.0
@@ -30,13 +33,13 @@ _MAX_SETTLING_S = 60.0
 
 
 @dataclass(frozen=True)
-class Trip:
-    """A channel beyond its abort limit: sample number, channel, reading and limit."""
+class Exceedance:
+    """A reading beyond the abort limit of its channel."""
 
-    sample: int
+    sample: int  # number of the sample
     channel: ChannelInfo
-    value: float
-    limit: float
+    value: float  # in the channel's unit
+    limit: float  # in the channel's unit
 
     def __str__(self) -> str:
         name, unit = self.channel.name, self.channel.unit
@@ -47,7 +50,7 @@ class Trip:
 
 
 class FlaggedIntervals:
-    """Merges flagged samples into intervals and marks each complete interval.
+    """Merges flagged samples of each channel into intervals, and calls `mark` for each complete interval.
 
     >>> info = ChannelInfo("body1", "body 1", "acceleration", sensitivity=1.0, rate=10.0)
     >>> intervals = FlaggedIntervals("overload", [info], lambda *args, **fields: print(*args, fields))
@@ -57,7 +60,7 @@ class FlaggedIntervals:
 
     def __init__(self, kind: str, channels: Sequence[ChannelInfo], mark: Callable[..., Any]) -> None:
         self._kind, self._channels, self._mark = kind, channels, mark
-        self._open_intervals: dict[int, tuple[int, int]] = {}
+        self._open_intervals: dict[int, tuple[int, int]] = {}  # first sample and end, by row
 
     def add(self, first: int, flags: NDArray[np.bool_]) -> None:
         """Add the flags of the next samples, shape (channels, samples); `first` is the number of the first sample."""
@@ -93,32 +96,34 @@ class Limits:
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo], mark: Callable[..., Any]) -> None:
         settings = {channel.name: channel for channel in scene.channels or ()}
 
-        def limits(name: str) -> Array:
-            values = [getattr(settings.get(info.name), name, None) for info in channels]
+        def limits(key: str) -> Array:
+            """Return the limit of each channel, infinite if it has none, shape (channels, 1)."""
+            values = [getattr(settings.get(info.name), key, None) for info in channels]
             return np.array([[np.inf if limit is None else limit] for limit in values])
 
         self._channels = channels
-        self._alarm, self._abort = limits("alarm"), limits("abort")
+        self._alarm_limits, self._abort_limits = limits("alarm"), limits("abort")
         self._alarms = FlaggedIntervals("alarm", channels, mark)
-        self.has_limits = bool(np.isfinite(self._alarm).any() or np.isfinite(self._abort).any())
+        self.has_limits = bool(np.isfinite(self._alarm_limits).any() or np.isfinite(self._abort_limits).any())
 
     @property
     def interval(self) -> float:
-        """Return the interval at which the channels are checked, s."""
+        """Interval at which the channels are checked, s."""
         return _CHECK_INTERVAL_S if self.has_limits else _CONTROL_CHECK_INTERVAL_S
 
-    def watch(self, first: int, readings: Array) -> Trip | None:
+    def watch(self, first: int, readings: Array) -> Exceedance | None:
         """Check readings, shape (channels, samples), and return the first reading beyond an abort limit."""
         if not self.has_limits:
             return None
-        size = abs(readings)
-        self._alarms.add(first, size > self._alarm)
-        exceeded = size > self._abort
+        magnitude = abs(readings)
+        self._alarms.add(first, magnitude > self._alarm_limits)
+        exceeded = magnitude > self._abort_limits
         if not exceeded.any():
             return None
         sample = int(np.argmax(exceeded.any(axis=0)))
         row = int(np.argmax(exceeded[:, sample]))
-        return Trip(first + sample, self._channels[row], float(readings[row, sample]), float(self._abort[row, 0]))
+        value, limit = float(readings[row, sample]), float(self._abort_limits[row, 0])
+        return Exceedance(first + sample, self._channels[row], value, limit)
 
     def close(self) -> None:
         """Mark the open alarms."""
@@ -126,7 +131,7 @@ class Limits:
 
 
 def controlled_places(scene: Scene) -> tuple[str, ...]:
-    """Return the places whose channels measure a controlled spring force; none without such a force."""
+    """Return the places whose channels measure the controlled spring force; empty if no spring force is controlled."""
     shaker = scene.driven_shaker
     if shaker is None or shaker.kind == "force" or getattr(scene.test, "force", None) is None:
         return ()
@@ -134,15 +139,15 @@ def controlled_places(scene: Scene) -> tuple[str, ...]:
 
 
 class ControlLoss:
-    """Monitors the channels of a controlled spring force: clipped channels do not measure the force."""
+    """Monitors the channels that measure a controlled spring force: a clipped channel does not measure the force."""
 
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo]) -> None:
         self._rows = [row for row, info in enumerate(channels) if info.at in controlled_places(scene)]
         self._scene, self._channels = scene, channels
-        self._since: int | None = None
+        self._since: int | None = None  # first sample of the present overload
 
     def watch(self, first: int, flags: NDArray[np.bool_]) -> str | None:
-        """Check overload flags, shape (channels, samples); return a message if an overload is too long."""
+        """Check overload flags, shape (channels, samples); return a message if an overload lasts too long."""
         clipped = [row for row in self._rows if flags[row].any()]
         if not clipped:
             self._since = None
@@ -153,13 +158,13 @@ class ControlLoss:
             return None
         cause = bias_overload(self._scene, clipped[0], stop / info.rate)
         return (
-            f"input {info.name}: overloaded since {self._since / info.rate:.2f} s, so that the spring force cannot be "
+            f"input {info.name}: overloaded since {self._since / info.rate:.2f} s, so the spring force cannot be "
             f"controlled. {cause or 'Choose a lower force, a larger converter range or a lower sensitivity.'}"
         )
 
 
 def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
-    """Return a message if, in a simulation at rest, a bias overloads an input `seconds` after power-on."""
+    """Simulate the bench at rest; return a message if the bias of a sensor overloads its input after `seconds`."""
     channel = None if scene.channels is None else scene.channels[row]
     if channel is None or channel.accelerometer is None:
         return None
@@ -173,16 +178,16 @@ def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
         overloaded = bool(bench.acquire(zero_output).overload[row].any())
     if not overloaded:
         return None
-    settling, where = "", ""
+    settling, integrated = "", ""
     if sensor.bias_settling is not None:
         settling = f" (time constant {sensor.bias_settling:g} s)"
     remedies = ["bias: 0 V in its accelerometer (a sensor that was switched on long before)"]
     if channel.integrator is not None:
-        where = " behind its integrator"
+        integrated = " after integration"
         remedies.append("a low_cutoff of several hertz or less gain in the integrator")
     elif complete_from_preset(scene.converter).coupling != "AC":
         remedies.append("coupling: AC in the converter")
     return (
-        f"With the shaker at rest the bias of its sensor, {sensor.bias:g} V{settling}, overloads it{where} as well. "
-        f"Set {', '.join(remedies)}, or a larger converter range."
+        f"The bias of its sensor, {sensor.bias:g} V{settling}, overloads the input{integrated} even with the shaker at "
+        f"rest. Set {', '.join(remedies)}, or a larger converter range."
     )

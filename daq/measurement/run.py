@@ -1,4 +1,4 @@
-"""Run and recording of the test of a scene on its bench."""
+"""Runs the test of a scene on its bench and records it: `daq.record`."""
 
 from __future__ import annotations
 
@@ -97,8 +97,8 @@ def record(
 class MeasurementRun(BenchLoop):
     """A run of a test that is recorded.
 
-    `listener` is called with each block and the readings of the channels; `kind` differs from the scene's for a
-    manual test.
+    `excite` creates the excitation of the test. `listener` is called with each block and the readings of the channels.
+    `kind` is the kind of test that the recording states, by default that of the scene; a manual test has another kind.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class MeasurementRun(BenchLoop):
         self._excite, self._listener, self._progress = excite, listener, progress
         self._recorder: Recorder | None = None
         self._interrupted: Callable[[], bool] = lambda: False
-        self._lost = 0
+        self._lost = 0  # samples lost since the last recorded sample
         self._overloads = FlaggedIntervals("overload", self.bench.channels, self.mark)
 
     def run(self, overwrite: bool) -> Path:
@@ -126,13 +126,12 @@ class MeasurementRun(BenchLoop):
         test = self._excite(self.station)
         drive = next(test)
         bench, path = self.bench, self._path
-        missing = missing_force_reference(bench.scene, bench.channels)
-        if missing is not None:
-            warnings.warn(missing, RunWarning, stacklevel=4)
+        warning = missing_force_reference(bench.scene, bench.channels)
+        if warning is not None:
+            warnings.warn(warning, RunWarning, stacklevel=4)
         make_folder(path)
         try:
-            # Interrupts are deferred while the file is created and while it is completed: otherwise it would be
-            # invalid.
+            # An interrupt is deferred while the file is created or completed, so that the file is always valid.
             with (
                 interrupt_flag() as self._interrupted,
                 Recorder(
@@ -141,7 +140,7 @@ class MeasurementRun(BenchLoop):
             ):
                 self._recorder = recorder
                 try:
-                    # The test must write its last markers while the recorder is open.
+                    # Closing the test writes its last markers; the recorder must still be open.
                     with closing(test):
                         self.play(test, drive)
                 except (ShotrigError, _Stopped) as error:
@@ -149,7 +148,7 @@ class MeasurementRun(BenchLoop):
                     self.mark("abort", ended, ended + 1, reason=str(error))
                     raise
                 finally:
-                    self._note_loss()
+                    self._record_gap()
                     self._limits.close()
                     self._overloads.close()
             if self._interrupted():
@@ -157,7 +156,7 @@ class MeasurementRun(BenchLoop):
         except _Stopped as stopped:
             raise KeyboardInterrupt(self._recorded_duration()) from stopped
         except DiskError:
-            # The message of the recorder includes the content of the file.
+            # The recorder's message already describes the content of the file.
             raise
         except ShotrigError as error:
             if self._recorder is None:
@@ -168,7 +167,7 @@ class MeasurementRun(BenchLoop):
         return path
 
     def ending(self, readings: Array) -> BaseException | None:
-        """Return the error of a limit, or of an interrupt by the user."""
+        """Return the error that ends the test: of a limit, or of an interrupt by the user; None if it continues."""
         error = super().ending(readings)
         if error is not None:
             return RunError(f"test aborted: {error}")
@@ -195,14 +194,15 @@ class MeasurementRun(BenchLoop):
             if not recorded[start]:
                 self._lost += stop - start
                 continue
-            self._note_loss()
+            self._record_gap()
             self._recorder.write(block.samples[:, start:stop])
 
     def on_window(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
         """Mark the overloads of a window."""
         self._overloads.add(first - self.bench.latency, overload)
 
-    def _note_loss(self) -> None:
+    def _record_gap(self) -> None:
+        """Record the samples lost since the last recorded sample as a gap."""
         if self._lost and self._recorder is not None and self._recorder.accepts_samples:
             self._recorder.gap(self._lost)
             self._lost = 0
@@ -215,22 +215,22 @@ class MeasurementRun(BenchLoop):
             self._recorder.mark(kind, first, stop - 1, **fields)
 
     def report(self, fraction: float, message: str) -> None:
-        """Report progress, with a warning if the disk space will not suffice: the first estimate excludes waits."""
+        """Report progress, with a warning if the disk space will not suffice; the check before the test omits waits."""
         if self._progress is None:
             return
         if self._recorder is not None and fraction > _MIN_FRACTION:
             remaining, free = self._recorder.size * (1.0 / fraction - 1.0), self._recorder.free
             if remaining > free:
-                sizes = f"{remaining / 1e6:.3g} MB to come, {free / 1e6:.3g} MB free"
+                sizes = f"{remaining / 1e6:.3g} MB required, {free / 1e6:.3g} MB free"
                 message += f"; the disk will be full before the end: {sizes}"
         self._progress(fraction, message)
 
     def _recorded_duration(self) -> str:
-        return f"{self._path} contains the {self.station.now / self.bench.rate:.2f} s until then."
+        return f"{self._path} contains the first {self.station.now / self.bench.rate:.2f} s."
 
 
 def missing_force_reference(scene: Scene, channels: Sequence[ChannelInfo]) -> str | None:
-    """Return a text with the channels that are missing for the shaker's force; None if they are complete.
+    """Return a warning that names the channels that are missing for the shaker's force; None if none is missing.
 
     >>> import rig
     >>> from daq.virtual_bench.bench import Bench

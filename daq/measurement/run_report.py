@@ -1,4 +1,4 @@
-"""Progress of a test during the run, and its summary at the end."""
+"""Shows the progress of a test during `daq record`, and its summary at the end."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def record_and_report(name: str, scene: Scene, path: Path, overwrite: bool, bloc
 
 
 def is_recorded(scene: Scene, path: Path) -> bool:
-    """Return whether a file is the complete recording of a scene's test by this version."""
+    """Return whether a file is the complete recording of a scene's test by this version of shotrig."""
     from importlib.metadata import version
 
     import daq
@@ -59,9 +59,9 @@ def is_recorded(scene: Scene, path: Path) -> bool:
         if not path.is_file():
             return False
         with daq.open(path) as rec:
-            ours = rec.metadata.get("run", {}).get("shotrig") == version("shotrig") and not rec.source
+            is_same_version = rec.metadata.get("run", {}).get("shotrig") == version("shotrig") and not rec.source
             # Live recordings, of the scope or of clients, have no markers of a test.
-            return ours and rec.status == "complete" and bool(rec.markers) and rec.scene == scene
+            return is_same_version and rec.status == "complete" and bool(rec.markers) and rec.scene == scene
     except (ShotrigError, OSError):
         return False
 
@@ -81,14 +81,14 @@ def summary(path: Path) -> str:
             unsettled = sum(not mark.fields["settled"] for mark in measured)
             tones = [mark.fields for mark in measured if "frequency" in mark.fields]
             unsteady = [not fields["settled"] for fields in tones]
-            where = ""
+            frequencies = ""
             if any(unsteady):
-                where = f", at {format_frequencies([fields['frequency'] for fields in tones], unsteady)}"
-            lines.append(f"not settled: {unsettled or 'none'} of {len(measured)} measurements{where}")
+                frequencies = f", at {format_frequencies([fields['frequency'] for fields in tones], unsteady)}"
+            lines.append(f"not settled: {unsettled or 'none'} of {len(measured)} measurements{frequencies}")
         deviations = [mark for mark in rec.markers if mark.kind == "level"]
         if deviations:
             seconds = sum(mark.stop - mark.first_sample for mark in deviations) / rec.rate
-            lines.append(f"force off its level: {seconds:.2f} s in all (markers 'level' say where and by how much)")
+            lines.append(f"force outside its tolerance: {seconds:.2f} s in total (see the markers 'level')")
         lines += [f"aborted: {mark.fields['reason']}" for mark in rec.markers if mark.kind == "abort"]
         lines.append(f"next: {'   or: '.join(next_steps(rec))}")
     return "\n".join(lines)
@@ -104,17 +104,17 @@ def next_steps(rec: Recording) -> list[str]:
         return [f"daq replay {path}"]
     kinds = {mark.kind for mark in rec.markers}
     channels = rec.channels.values()
-    forces = any(info.quantity == "force" for info in channels)
-    reference = not outline.missing_force_places(channels)
+    has_force_channel = any(info.quantity == "force" for info in channels)
+    has_force_reference = not outline.missing_force_places(channels)
     steps = ["decay"] if "hit" in kinds or kind is TestKind.FREE else []
-    if ("hit" in kinds and forces) or ("measure" in kinds and reference):
+    if ("hit" in kinds and has_force_channel) or ("measure" in kinds and has_force_reference):
         steps += ["frf"] if outline.test == "sine" else ["frf", "modes"]
     steps += ["dampers"] if kind is TestKind.TONES and "measure" in kinds and outline.dampers else []
     return [*(f"analysis {step} {path}" for step in steps), f"daq replay {path}"]
 
 
 def _overloads(rec: Recording) -> list[str]:
-    """Describe the overloads: a line, and a table with times, frequencies and limits of each channel."""
+    """Return lines about the overloads: a count, and a table with times, frequencies and limits of each channel."""
     by_channel: dict[str, list[Marker]] = {}
     for mark in sorted((mark for mark in rec.markers if mark.kind == "overload"), key=lambda mark: mark.first_sample):
         by_channel.setdefault(str(mark.fields["channel"]), []).append(mark)
@@ -122,25 +122,26 @@ def _overloads(rec: Recording) -> list[str]:
         return ["overloads: none"]
     rows = [("channel", "intervals", "total / s", "first / s", "frequency / Hz", "limit")]
     for name, marks in by_channel.items():
-        tones = sorted(
+        frequencies = sorted(
             float(tone.fields["frequency"])
             for tone in rec.markers
             if tone.kind in ("settle", "measure") and "frequency" in tone.fields
             if any(tone.first_sample < mark.stop and mark.first_sample < tone.stop for mark in marks)
         )
-        ends = dict.fromkeys(f"{tone:.4g}" for tone in (tones[:1] + tones[-1:]))
+        lowest_and_highest = dict.fromkeys(f"{frequency:.4g}" for frequency in (frequencies[:1] + frequencies[-1:]))
         seconds = sum(mark.stop - mark.first_sample for mark in marks) / rec.rate
         first = f"{marks[0].first_sample / rec.rate:.2f}"
-        rows.append((name, str(len(marks)), f"{seconds:.3g}", first, " to ".join(ends), _limit(rec, name)))
+        frequency_range = " to ".join(lowest_and_highest)
+        rows.append((name, str(len(marks)), f"{seconds:.3g}", first, frequency_range, _limit(rec, name)))
     count = f"{len(by_channel)} channel{'s' if len(by_channel) > 1 else ''}"
     return [
-        f"overloads: {count}{_sudden_landings(rec, by_channel)}",
+        f"overloads: {count}{_instantaneous_impact_note(rec, by_channel)}",
         *(f"  {line}" for line in table_lines(rows, "<>>>><")),
     ]
 
 
 def _limit(rec: Recording, name: str) -> str:
-    """Describe the range of a channel: sensor and input."""
+    """Return the limits of a channel as text: saturation of the sensor, and range of the input."""
     from rig.scene.presets import preset_note
 
     info, limits = rec.channels[name], []
@@ -151,24 +152,26 @@ def _limit(rec: Recording, name: str) -> str:
         if key.endswith(".saturation"):
             limits.append(f"sensor {text}{preset_note(settings.get(name), 'saturation')}")
     if info.range is not None:
-        reach = info.range / abs(info.sensitivity)
-        limits.append(f"input ±{info.range:g} V, {reach:.4g} {info.unit}")
+        max_reading = info.range / abs(info.sensitivity)
+        limits.append(f"input ±{info.range:g} V, {max_reading:.4g} {info.unit}")
     return "; ".join(limits)
 
 
-def _sudden_landings(rec: Recording, overloaded: Iterable[str]) -> str:
-    """Distinguish overloads by impacts of zero duration, which overload any real sensor, from too high a level."""
+def _instantaneous_impact_note(rec: Recording, overloaded: Iterable[str]) -> str:
+    """Return a note if impacts of zero duration, not the level, may have overloaded the sensors; otherwise ''."""
     from rig.scene.presets import complete_from_preset
 
     try:
         scene = rec.scene
     except ShotrigError:
         return ""
-    beds = [damper.contact is None and damper.grains is None for damper in scene.dampers]
+    has_instant_impacts = [damper.contact is None and damper.grains is None for damper in scene.dampers]
     sensors = {each.name: each.accelerometer for each in scene.channels or () if each.name in set(overloaded)}
-    if not any(beds) or all(each is None or complete_from_preset(each).saturation is None for each in sensors.values()):
+    if not any(has_instant_impacts) or all(
+        each is None or complete_from_preset(each).saturation is None for each in sensors.values()
+    ):
         return ""
     return (
-        f". An impact of zero duration overloads most real sensors. Set dampers[{beds.index(True) + 1}].contact: "
-        "{duration: 2 ms}, as for shot."
+        ". An impact of zero duration overloads most real sensors. "
+        f"Set dampers[{has_instant_impacts.index(True) + 1}].contact: {{duration: 2 ms}}, as for shot."
     )

@@ -37,8 +37,8 @@ INTEGRATOR = ", integrator: {order: 2, corner: 1 Hz, gain: 1000"
 @pytest.mark.parametrize(
     ("integrator", "cause"),
     [
-        (f"{INTEGRATOR}}}", r"overloads it behind its integrator as well. Set bias: 0 V .* low_cutoff of"),
-        ("", r"overloads it as well. Set bias: 0 V .* coupling: AC in the converter, or a larger"),
+        (f"{INTEGRATOR}}}", r"overloads the input after integration even with .* rest. Set bias: 0 V .* low_cutoff of"),
+        ("", r"overloads the input even with .* rest. Set bias: 0 V .* coupling: AC in the converter, or a larger"),
     ],
 )
 def test_error_names_bias_and_remedies(integrator, cause, tmp_path) -> None:

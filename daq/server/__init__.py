@@ -1,4 +1,4 @@
-"""The device on the network: NI's gRPC device protocol for the instrument.
+"""Serves the emulated instrument to clients by NI's gRPC device protocol.
 
 Start with `service`, which receives calls; `protocol` decodes requests and encodes responses, `calls` executes them.
 """

@@ -1,4 +1,4 @@
-"""Attributes: the calls that read, set and reset a property of a task, a channel, a device or a scale."""
+"""Handlers of the calls that read, set and reset an attribute of a task, a channel, a device or a scale."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from daq.server.calls.call import Call
 
 _CALL = re.compile(r"(Get|Set|Reset)([A-Za-z]+?)Attribute(Ex)?(\w*?)")
-# Groups of a task's settings, by the names in the calls.
+# Groups of a task's settings, by their names in the calls.
 _GROUPS = {
     "Timing": "timing",
     "Trig": "trig",
@@ -166,11 +166,11 @@ def _of_persisted(call: Call, name: str) -> Any:
     field, saved, code = next(each for each in groups if each[0] in call.fields)
     key = call.fields[field]
     if key not in saved:
-        raise DaqError(f"nothing is saved under the name {key!r}", code)
+        raise DaqError(f"nothing is saved under the name {key!r}. Save it first.", code)
     return storage.authors.get(key, "") if name == "author" else True
 
 
-# Values of the driver's simulated devices, which are never calibrated: temperatures in °C, an interval in months.
+# Values of NI's simulated devices, which are never calibrated: temperatures in °C, an interval in months.
 _CALIBRATION = {
     "cal_dev_temp": 0.0,
     "ext_cal_last_temp": 0.0,
@@ -181,10 +181,10 @@ _CALIBRATION = {
 
 def _of_calibration(call: Call, name: str) -> Any:
     call.instrument.chassis.devices.module(call.fields["device_name"])
-    return _CALIBRATION[name] if name in _CALIBRATION else _refuse(call, name)
+    return _CALIBRATION[name] if name in _CALIBRATION else _reject(call, name)
 
 
-def _refuse(call: Call, name: str) -> Any:
+def _reject(call: Call, name: str) -> Any:
     raise DaqError(f"the property {name} does not exist", Code.ATTR_NOT_SUPPORTED)
 
 
@@ -198,6 +198,6 @@ _OWNERS: dict[str, Callable[[Any, str], Any]] = {
     "PersistedChan": _of_persisted,
     "PersistedScale": _of_persisted,
     "CalInfo": _of_calibration,
-    "RealTime": _refuse,
-    "Watchdog": _refuse,
+    "RealTime": _reject,
+    "Watchdog": _reject,
 }

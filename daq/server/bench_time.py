@@ -1,4 +1,4 @@
-"""Bench time for scripts: it passes while a script sleeps or waits for Enter."""
+"""Lets bench time pass while a script sleeps or waits for Enter, and interrupts a script at its time limit."""
 
 from __future__ import annotations
 
@@ -14,19 +14,16 @@ from daq.instrument.chassis import Chassis
 
 # Bench time for which a prompt waits if the run of the script has no time limit.
 PROMPT_TIMEOUT_S = 10.0
-# Longest step in which time passes. After each step the wait ends if the client has disconnected.
+# Longest step of a wait. After each step, the wait ends if the client has disconnected.
 _MAX_STEP_S = 100.0
 
 
 class TimeLimit:
-    """Interrupts a process when a given bench time is reached.
-
-    `chassis`: the bench; `seconds`: bench time; None for no limit.
-    """
+    """Interrupts a process when the bench time reaches `seconds`; None is no limit."""
 
     def __init__(self, chassis: Chassis, seconds: float | None) -> None:
         self._chassis, self._seconds = chassis, seconds
-        self.process: int | None = None
+        self.process: int | None = None  # id of the process
         self.reached = False
         if seconds is not None:
             chassis.at(seconds, self._interrupt)
@@ -53,9 +50,10 @@ class TimeLimit:
 
 
 class BenchTime(grpc.GenericRpcHandler):
-    """Answers /shotrig.Bench/Pass and /shotrig.Bench/Prompt.
+    """Handles two calls of shotrig's own service, which wait in bench time.
 
-    `chassis`: the bench; `limit`: limit of the waiting time of a prompt.
+    /shotrig.Bench/Pass waits for the seconds in the request, /shotrig.Bench/Prompt until the time `limit`. Both return
+    the bench time, s, as text.
     """
 
     def __init__(self, chassis: Chassis, limit: TimeLimit | None = None) -> None:

@@ -1,11 +1,11 @@
 """Connects scripts without gRPC options to the rig, through changed defaults of NI's client.
 
-Only public names are changed, when Python starts: the client's classes with a parameter `grpc_options` receive default
+When Python starts, public names are changed: the client's classes with a parameter `grpc_options` receive default
 options, and `System.local` returns `System.remote`. This applies to the process of the script and to its child
 processes, by fork and by spawn.
 
-On the fast clock bench time passes only during calls. `time.sleep` and `input` are therefore replaced by calls:
-Python's audit events report them, but no public hook replaces their waiting.
+On the fast clock, bench time passes only during calls to the server. `time.sleep` and `input` are therefore replaced by
+such calls; Python has no other public way to do this.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from collections.abc import Callable
 from typing import Any
 
 SERVER, FAST, LIMITED = "SHOTRIG_SERVER", "SHOTRIG_FAST", "SHOTRIG_LIMITED"
-# Key of clients without sessions: a duplicate name is then an error of the driver.
+# API key of clients that do not use sessions: a duplicate name of a task is then the error of NI's driver.
 STRICT = "shotrig: no sessions"
 _channels: dict[int, Any] = {}
 

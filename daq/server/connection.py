@@ -23,9 +23,8 @@ from rig.scene.scene import Scene
 class Connection(GrpcSessionOptions):
     """A rig in this process, for NI's client: ``nidaqmx.Task(grpc_options=connection)``.
 
-    It extends the client's session options. Close it, or use it in a `with` block.
-
-    `chassis`: the instrument; `address`: address of the server for other processes.
+    It extends the client's session options. Close it, or use it in a `with` block. `chassis` is the instrument,
+    `address` the address of the server for other processes.
     """
 
     def __init__(self, scene: Scene | str | Path | None, clock: str | Clock | None, limits: Limits) -> None:
@@ -34,7 +33,7 @@ class Connection(GrpcSessionOptions):
         self.address = f"127.0.0.1:{self._server.port}"
         self._open = True
         super().__init__(open_channel(self.address), "")
-        _left_open.add(self)
+        _open_connections.add(self)
 
     @property
     def options(self) -> GrpcSessionOptions:
@@ -51,10 +50,10 @@ class Connection(GrpcSessionOptions):
         self.chassis.pass_time(seconds)
 
     def close(self, grace: float | None = 0.5) -> None:
-        """Close the rig and all its tasks; running calls have `grace` seconds to finish, for None no time."""
+        """Close the rig and all its tasks; running calls may finish within `grace` s (None: they are aborted)."""
         if self._open:
             self._open = False
-            _left_open.discard(self)
+            _open_connections.discard(self)
             self.grpc_channel.close()
             self._server.close(grace)
 
@@ -67,18 +66,17 @@ class Connection(GrpcSessionOptions):
         self.close()
 
 
-# Rigs that are still open.
-_left_open: set[Connection] = set()
+_open_connections: set[Connection] = set()
 
 
-def _close_left_open() -> None:
+def _close_open_connections() -> None:
     # Closing with a grace period starts a thread, which Python does not allow during its shutdown.
-    for each in list(_left_open):
+    for each in list(_open_connections):
         each.close(grace=None)
 
 
-# Python joins the threads that answer calls before it runs `atexit` functions: the threads must end earlier.
-getattr(threading, "_register_atexit", atexit.register)(_close_left_open)
+# Before it runs `atexit` functions, Python waits for the threads that answer calls: they must end earlier.
+getattr(threading, "_register_atexit", atexit.register)(_close_open_connections)
 
 
 def connect(

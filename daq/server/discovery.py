@@ -1,4 +1,4 @@
-"""Description of the server for clients in other languages: reflection, health service, and .proto files."""
+"""Describes the server to clients in other languages: reflection service, health service, and .proto files."""
 
 from __future__ import annotations
 
@@ -22,10 +22,7 @@ SERVICES = (SERVICE, SESSION_SERVICE, _HEALTH, _REFLECTION)
 
 
 class Discovery:
-    """The reflection service and the health service.
-
-    `handlers`: handlers of their calls.
-    """
+    """The reflection service and the health service; `handlers` are the handlers of their calls."""
 
     def __init__(self) -> None:
         names = [each.full_name for each in SERVICES]

@@ -1,4 +1,4 @@
-"""Live view of a client's test in the rerun viewer, and a recording of it."""
+"""Shows and records the bench while clients of a server use it: live view in the rerun viewer, and recording."""
 
 from __future__ import annotations
 
@@ -20,15 +20,12 @@ from rig.errors import ShotrigError
 if TYPE_CHECKING:
     import rerun as rr
 
-# Maximum number of blocks that wait for the display; a delayed view omits blocks, a recording never does.
+# Maximum number of blocks that wait for the display. If the view is late, it omits blocks; a recording never does.
 _MAX_WAITING_BLOCKS = 64
 
 
 class LiveView:
-    """Shows the bench of a chassis in a viewer, from a separate thread.
-
-    `chassis`: the instrument; `stream`: stream with a sink.
-    """
+    """Shows the bench of a chassis in the viewer of a rerun stream, from a separate thread."""
 
     def __init__(self, chassis: Chassis, stream: rr.RecordingStream) -> None:
         from daq.live_scope.screen import Screen
@@ -50,7 +47,7 @@ class LiveView:
             self._screen.show(*block)
 
     def close(self) -> None:
-        """Show the waiting blocks, and end."""
+        """Show the waiting blocks, and end the view."""
         with self._chassis.changed:
             self._chassis.listeners.remove(self._on_block)
         self._blocks.put(None)
@@ -60,11 +57,9 @@ class LiveView:
 class LiveRecording:
     """Records all channels of a bench while clients use it, and marks overloads.
 
-    A change of the input settings starts another file, with a number appended to its name.
-
-    `chassis`: the instrument; `path`: recording to write; `overwrite`: whether an existing file may be replaced. An
-    error while it records is reported on stderr and ends the recording; clients continue. Raises `RecordingError` if
-    its folder cannot be created.
+    A change of the input settings starts another file, with a number appended to its name. An error while it records
+    is reported on stderr and ends the recording; clients continue. Raises `RecordingError` if the folder of `path`
+    cannot be created.
     """
 
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool = False) -> None:
@@ -104,7 +99,7 @@ class LiveRecording:
             self._recording = None
 
     def close(self) -> None:
-        """Complete the recording; if it is empty, report this on stderr."""
+        """Complete the recording; report on stderr if nothing was recorded."""
         with self._chassis.changed:
             self._chassis.listeners.remove(self._on_block)
             self._complete()

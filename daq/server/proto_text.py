@@ -1,4 +1,4 @@
-"""Conversion of a protocol descriptor to the text of a .proto file, for compilers of all languages.
+"""Converts a protocol descriptor to the text of a .proto file, for compilers of all languages.
 
 Reference: the grammar at https://protobuf.dev/reference/protobuf/proto3-spec/. Options are omitted, except those that
 change the meaning of the text or the bytes: `allow_alias`, `packed`.
@@ -16,10 +16,7 @@ _INDENT = "  "
 
 
 def proto_text(file: Any) -> str:
-    """Return the text of a .proto file.
-
-    `file`: descriptor in syntax proto3.
-    """
+    """Return the text of a .proto file, given its descriptor in syntax proto3."""
     described = descriptor_pb2.FileDescriptorProto()
     file.CopyToProto(described)
     lines = ['syntax = "proto3";', ""]

@@ -39,10 +39,10 @@ DeviceProperties = message_factory.GetMessageClass(_SESSION_FILE.message_types_b
 class Method:
     """A remote call."""
 
-    name: str  # its name in the service
-    request: Any  # message classes
-    response: Any  # message classes
-    streams: bool  # whether its response is a stream
+    name: str  # in the service
+    request: Any  # class of the message
+    response: Any  # class of the message
+    streams: bool  # the response is a stream of messages
 
 
 def methods(service: Any = SERVICE) -> list[Method]:
@@ -59,13 +59,13 @@ def methods(service: Any = SERVICE) -> list[Method]:
 
 
 def decode(request: Any) -> dict[str, Any]:
-    """Return the fields of a request by name.
+    """Return the fields of a request by name, as Python values.
 
-    A choice between a named and a raw value becomes the number, under the name of the choice, 0 if absent; a
-    session becomes its name; lists become lists, or arrays of numbers; a time becomes seconds since 1970.
+    A choice (`oneof`) between a named and a raw value becomes its number, under the name of the choice, 0 if absent.
+    A session becomes its name, a time seconds since 1970, a list of numbers an array, any other list a list.
 
-    Raises `DaqError` with -200077 for a text, or a list other than samples, above the maximum length, and for a text
-    with a null character.
+    Raises `DaqError` -200077 for a text, or a list other than samples, above the maximum length, and for a text with a
+    null character.
     """
     fields: dict[str, Any] = {}
     for name, choice, kind, repeated in _fields(request.DESCRIPTOR):
@@ -75,11 +75,11 @@ def decode(request: Any) -> dict[str, Any]:
             continue
         value = getattr(request, name)
         if repeated and name not in _SAMPLES and len(value) > _MAX_ENTRIES:
-            raise invalid_value(f"{name} has {len(value)} entries: expected {_MAX_ENTRIES} at most")
+            raise invalid_value(f"{name} has {len(value)} entries; expected {_MAX_ENTRIES} at most.")
         if isinstance(value, str):
             _check_text(name, value)
         if repeated:
-            fields[name] = value if kind == "message" else _listed(value, kind)
+            fields[name] = value if kind == "message" else _to_list(value, kind)
         elif kind == _SESSION:
             _check_text(name, value.name)
             fields[name] = value.name
@@ -92,18 +92,18 @@ def decode(request: Any) -> dict[str, Any]:
 
 def _check_text(name: str, text: str) -> None:
     if len(text) > _MAX_CHARACTERS:
-        raise invalid_value(f"{name} is a text of {len(text)} characters: expected {_MAX_CHARACTERS} at most")
+        raise invalid_value(f"{name} is a text of {len(text)} characters; expected {_MAX_CHARACTERS} at most.")
     if "\0" in text:
-        raise invalid_value(f"{name} contains a null character, which ends a driver's text. Remove it.")
+        raise invalid_value(f"{name} contains a null character, which ends a text of NI's driver. Remove it.")
 
 
-def _listed(values: Any, kind: str) -> Any:
+def _to_list(values: Any, kind: str) -> Any:
     return np.array(values, dtype=np.float64) if kind == "double" else list(values)
 
 
 @cache
 def _fields(descriptor: Any) -> list[tuple[str, str, str, bool]]:
-    """List the fields of a request: name, choice, kind, and whether it is a list."""
+    """Return name, choice ('' if none), kind of value, and whether it is a list, of each field of a request."""
     fields, names = [], set()
     for field in descriptor.fields:
         choice = field.containing_oneof.name if field.containing_oneof is not None else ""
@@ -125,9 +125,9 @@ def _is_list(field: Any) -> bool:
 
 
 def encode(response: Any, values: Mapping[str, Any]) -> bytes:
-    """Encode a response from values by field name, including the raw forms of fields.
+    """Encode a response from values by field name; a value also becomes the raw form of its field, if there is one.
 
-    Samples are copied from memory, because the protocol has the same format: a conversion of thousands of samples to
+    Samples are copied from memory, which has the format of the protocol. The conversion of thousands of samples to
     Python numbers would delay all other clients.
     """
     names, samples = response.DESCRIPTOR.fields_by_name, b""
@@ -157,10 +157,7 @@ def timestamp(seconds: float) -> Timestamp:
 
 
 def attribute_name(request: Any) -> str | None:
-    """Return the driver's name of the attribute in a request; None if this release has no name for it.
-
-    The name is that of the attribute's number in the protocol, without the prefix of its group.
-    """
+    """Return NI's name of the attribute in a request, without the prefix of its group; None without a name."""
     field = request.DESCRIPTOR.fields_by_name["attribute"]
     member = request.WhichOneof("attribute_enum")
     number = getattr(request, member) if member else 0

@@ -1,4 +1,4 @@
-"""Execution of a script for NI's client with the rig as its hardware: `daq run`."""
+"""Runs a script for NI's client with the rig as its hardware: `daq run`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from daq.server.starter_script import report_missing_excitation
 from rig.errors import SceneError
 from rig.scene.scene import Scene
 
-#: Exit code of a process after Ctrl-C on Windows.
+# Exit code of a process after Ctrl-C on Windows.
 CTRL_C_EXIT = 0xC000013A
 STARTUP = Path(__file__).resolve().parent / "startup"
 
@@ -80,11 +80,12 @@ def run_script(
     return code
 
 
-#: Alias with the name of the command, `daq.run`.
+# Public as `daq.run`, like the command.
 run = run_script
 
 
 def _run(command: list[str], port: int, real: bool, limit: TimeLimit) -> int:
+    """Run a Python command as a client of the server at a port; return the exit code of `run_script`."""
     paths = [str(STARTUP), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = os.environ | {SERVER: f"127.0.0.1:{port}", "PYTHONPATH": os.pathsep.join(paths)}
     # Forked child processes open new connections, which grpc allows only if this is set before the fork.

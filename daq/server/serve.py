@@ -1,4 +1,4 @@
-"""Server of a rig for other processes and computers: `daq serve`."""
+"""Serves a rig to other processes and computers: `daq serve`."""
 
 from __future__ import annotations
 
@@ -32,16 +32,11 @@ from rig.scene.scene import Scene
 
 @dataclass(frozen=True)
 class Certificates:
-    """Certificate files of the server, and of the authority that signs clients' certificates.
+    """Certificate files of the server, and of the authority that signs clients' certificates; format PEM."""
 
-    `certificate`, `key`: the server's certificate chain and its private key, PEM.
-
-    `clients`: certificate of the authority that signs clients' certificates; clients must then have a certificate.
-    """
-
-    certificate: Path
-    key: Path
-    clients: Path | None = None
+    certificate: Path  # certificate chain of the server
+    key: Path  # private key of the server
+    clients: Path | None = None  # of the authority; with it, clients must have a certificate
 
     def credentials(self) -> grpc.ServerCredentials:
         """Read the files; raises `SceneError` if a file cannot be read."""
@@ -122,7 +117,7 @@ def serve(
             stream = stack.enter_context(outputs.recording_stream())
             stream.connect_grpc(viewer_window.url)
             stack.callback(LiveView(chassis, stream).close)
-        # Otherwise Python's garbage collector would repeatedly scan all present objects while the clients wait.
+        # Python's garbage collector need not scan the present objects again while clients wait.
         gc.collect()
         gc.freeze()
         print(announcement(chassis, host, server.port, certificates is not None), flush=True)
@@ -169,7 +164,7 @@ def parse_address(address: str, port: int) -> tuple[str, int]:
     host = match and (match["six"] or match["six_only"] or match["name"])
     digits = match and (match["port"] or match["at"] or "")[1:]
     if not host or (digits and not (digits.isdecimal() and int(digits) < 65536)):
-        raise SceneError(f"address {address!r}: expected HOST, HOST:PORT or [IPV6]:PORT")
+        raise SceneError(f"address {address!r}; expected HOST, HOST:PORT or [IPV6]:PORT.")
     return host, int(digits) if digits else port
 
 

@@ -1,4 +1,4 @@
-"""The instrument that all clients share: chassis, tasks, stored settings, reservations, errors."""
+"""The instrument as all clients share it: chassis, tasks, stored settings, reservations, and texts of errors."""
 
 from __future__ import annotations
 
@@ -14,32 +14,26 @@ from daq.server.sessions import Reservations, Sessions
 if TYPE_CHECKING:
     from daq.instrument.chassis import Chassis
 
-# Maximum length of an error text, bytes: it is sent in a header of limited size.
+# Maximum length of an error text, which is sent in a header of limited size.
 _MAX_TEXT_BYTES = 3000
-# Maximum length of the name of a task in it, bytes.
+# Maximum length of the name of a task in an error text.
 _MAX_NAME_BYTES = 200
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the resources of clients.
-
-    `all_calls`: maximum number of simultaneous calls of all clients; further calls are rejected immediately.
-    """
+    """Limits of the resources of clients."""
 
     message: int = 256 << 20  # maximum size of a message, bytes
     tasks: int = 64  # maximum number of open tasks per client
     memory: int = 2 << 30  # maximum total size of the buffers of a client's tasks, bytes
     calls: int = 256  # maximum number of simultaneous calls per client, including event streams
-    all_calls: int = 1024
+    all_calls: int = 1024  # maximum number of simultaneous calls of all clients; further calls are rejected
     patience: float = 30.0  # time after which the sessions of a disconnected client are ended, s
 
 
 class ServedInstrument:
-    """The instrument and the state that all clients share.
-
-    `chassis`: the instrument; `limits`: limits of the resources of clients.
-    """
+    """The instrument and the state that all clients share."""
 
     def __init__(self, chassis: Chassis, limits: Limits) -> None:
         self.chassis, self.limits = chassis, limits
@@ -54,7 +48,7 @@ class ServedInstrument:
         return self.chassis.terminals.data_sheet(row) if module.teds else None
 
     def check_size(self, size: int) -> None:
-        """Check that a response is not too large; with -200077."""
+        """Raise `DaqError` -200077 if a response of that size, bytes, is too large."""
         if size > self.limits.message:
             raise invalid_value(
                 f"a response of {size >> 20} MB exceeds the maximum of this server, {self.limits.message >> 20} MB. "
@@ -68,19 +62,19 @@ class ServedInstrument:
         self._reported[peer, error.code] = error_text(error, task)
 
     def text_of_error(self, peer: str, code: int) -> str:
-        """Return the latest text of an error number for this client, or its general meaning."""
+        """Return the text of the client's latest error with this code, or the general meaning of the code."""
         if (peer, code) in self._reported:
             return self._reported[peer, code]
         return meaning(code)
 
 
-def cut(text: str, max_bytes: int = _MAX_TEXT_BYTES) -> str:
-    """Shorten a text to the size of a header."""
+def truncated(text: str, max_bytes: int = _MAX_TEXT_BYTES) -> str:
+    """Return the beginning of a text, at most `max_bytes` of UTF-8."""
     return text.encode(errors="replace")[:max_bytes].decode(errors="ignore")
 
 
 def error_text(error: DaqError, task: str) -> str:
-    """Return the text of an error in the driver's format."""
-    named = f"Task Name: {cut(task, _MAX_NAME_BYTES)}" if task else ""
-    lines = [DRIVER_TEXTS.get(error.code, ""), cut(str(error)), named, f"Status Code: {error.code}"]
-    return "\n\n".join(line for line in lines if line)
+    """Return the text of an error in the format of NI's driver."""
+    task_line = f"Task Name: {truncated(task, _MAX_NAME_BYTES)}" if task else ""
+    paragraphs = [DRIVER_TEXTS.get(error.code, ""), truncated(str(error)), task_line, f"Status Code: {error.code}"]
+    return "\n\n".join(paragraph for paragraph in paragraphs if paragraph)

@@ -1,4 +1,4 @@
-"""The server: it receives remote calls and sends responses, events and errors, as defined by the protocol."""
+"""The server: receives remote calls of clients, and sends responses, events and errors as NI's protocol defines."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from google.protobuf.message import DecodeError
 from daq.instrument.clock import raise_priority
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.task import Task
-from daq.server.calls.answers import answer_to, refusal
+from daq.server.calls.answers import handler_of, rejection
 from daq.server.calls.call import Call
 from daq.server.client_defaults import STRICT
 from daq.server.discovery import Discovery
 from daq.server.protocol import SERVICE, SESSION_SERVICE, Method, decode, encode, methods
-from daq.server.served_instrument import Limits, ServedInstrument, cut, error_text
+from daq.server.served_instrument import Limits, ServedInstrument, error_text, truncated
 from daq.server.sessions import SessionExists
 from rig.command_line import describe_unexpected
 
@@ -31,17 +31,17 @@ if TYPE_CHECKING:
 
 # Default port of the protocol.
 PORT = 31763
-# Interval at which Python switches threads, s. Responses wait for the simulation to release the interpreter lock,
-# several times per call: Python's default of 5 ms is too long.
+# Interval at which Python switches threads. A response waits several times for the simulation to release the
+# interpreter lock: Python's default of 5 ms is too long.
 _SWITCH_INTERVAL_S = 0.0005
 
 
 class Server:
     """An instrument on the network.
 
-    `chassis`: the instrument; `address`: address and port; port 0 selects a free port; `credentials`: certificates;
-    without them the connection is not encrypted; `limits`: limits of the resources of clients; `further`: additional
-    handlers; `port`: port of the server.
+    `address` is host and port; port 0 selects a free port, and the attribute `port` is the selected port. Without
+    `credentials` the connection is not encrypted. `limits` are those of the resources of clients. `further` are
+    handlers of other services.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class Server:
         threading.Thread(target=self._watch, name="sessions", daemon=True).start()
 
     def close(self, grace: float | None = 0.5) -> None:
-        """End all sessions and close the server; running calls have `grace` seconds to finish, for None no time."""
+        """End all sessions and close the server; running calls may finish within `grace` s (None: they are aborted)."""
         self._closing.set()
         self._discovery.end()
         sys.setswitchinterval(self._previous_switch_interval)
@@ -97,13 +97,13 @@ class Server:
         self._server.wait_for_termination()
 
     def _handler(self, method: Method) -> Any:
-        # Requests are decoded here: for an invalid request, gRPC would print a traceback on the terminal.
+        # Requests are decoded in the handler: for an invalid request, gRPC would print a traceback on the terminal.
         if method.streams:
             return grpc.unary_stream_rpc_method_handler(self._stream(method))
-        handler = answer_to(method.name) or refusal(method.name)
+        handler = handler_of(method.name) or rejection(method.name)
 
         def respond(request: bytes, context: grpc.ServicerContext) -> Any:
-            with self._reporting(method, request, context) as call:
+            with self._decoded(method, request, context) as call:
                 answer = handler(call)
                 if method.name.startswith(("Read", "Write", "Start")):
                     self.sessions.check_memory(call.fields["task"], self.limits.memory)
@@ -112,8 +112,8 @@ class Server:
         return grpc.unary_unary_rpc_method_handler(respond)
 
     @contextlib.contextmanager
-    def _reporting(self, method: Method, request: bytes, context: grpc.ServicerContext) -> Iterator[Call]:
-        """Read a request and report errors as the protocol does."""
+    def _decoded(self, method: Method, request: bytes, context: grpc.ServicerContext) -> Iterator[Call]:
+        """Decode a request; report errors, also those of the body, to the client as the protocol requires."""
         peer, name = context.peer(), method.name
         api_key = dict(context.invocation_metadata()).get("ni-api-key", "")
         call = Call(self.instrument, peer, strict=api_key == STRICT, is_active=context.is_active)
@@ -134,7 +134,7 @@ class Server:
             context.set_trailing_metadata(tuple(metadata))
             context.abort(grpc.StatusCode.UNKNOWN, message)
         except SessionExists as error:
-            context.abort(grpc.StatusCode.ALREADY_EXISTS, cut(str(error)))
+            context.abort(grpc.StatusCode.ALREADY_EXISTS, truncated(str(error)))
         except Exception as error:
             # Details of equal errors are printed only once.
             kind = name, type(error)
@@ -142,10 +142,10 @@ class Server:
                 self._unexpected[kind] = describe_unexpected(error)
                 print(self._unexpected[kind], file=sys.stderr, flush=True)
             context.set_trailing_metadata((("ni-error", str(int(Code.INVALID_ATTRIBUTE_VALUE))),))
-            context.abort(grpc.StatusCode.INVALID_ARGUMENT, cut(f"{name}: {self._unexpected[kind]}"))
+            context.abort(grpc.StatusCode.INVALID_ARGUMENT, truncated(f"{name}: {self._unexpected[kind]}"))
 
     def _count_call(self, peer: str, context: grpc.ServicerContext) -> None:
-        """Count a running call of a client; with -50103, if the client has reached its maximum."""
+        """Count a running call of a client; `DaqError` -50103 if the client has the maximum of running calls."""
 
         def uncount() -> None:
             with self._count_lock:
@@ -154,7 +154,7 @@ class Server:
         with self._count_lock:
             if self._running_calls[peer] >= self.limits.calls:
                 raise DaqError(
-                    f"this client has {self.limits.calls} unfinished calls, the maximum. Wait until some have ended.",
+                    f"this client has {self.limits.calls} unfinished calls, the maximum. Wait until a call has ended.",
                     Code.PAL_RESOURCE_RESERVED,
                 )
             self._running_calls[peer] += 1
@@ -166,7 +166,7 @@ class Server:
 
         def events(request: bytes, context: grpc.ServicerContext) -> Iterator[Any]:
             values: queue.SimpleQueue[int | None] = queue.SimpleQueue()
-            with self._reporting(method, request, context) as call:
+            with self._decoded(method, request, context) as call:
                 task, fields = call.task, call.fields
                 with task.chassis.changed:
                     task.check_idle(
@@ -175,7 +175,7 @@ class Server:
                     register(task, fields, values.put)
             task.events.at_end(values.put)
             context.add_callback(lambda: values.put(None))
-            # The client continues only after this header: the listener is then registered.
+            # The client waits for this header, so that no event precedes its registration.
             context.send_initial_metadata(())
             try:
                 while (value := values.get()) is not None and context.is_active():
@@ -187,7 +187,7 @@ class Server:
         return events
 
     def _watch(self) -> None:
-        """End sessions of disconnected clients, periodically."""
+        """End the sessions of disconnected clients, in a thread."""
         while not self._closing.wait(min(1.0, self.limits.patience / 4)):
             connected = _connected_to(self.port)
             if connected is None:
@@ -196,6 +196,7 @@ class Server:
                 print(f"task {name} was closed: its client has disconnected", file=sys.stderr, flush=True)
 
 
+# Calls that register for events: the function that registers the queue of a stream, and the fields of a response.
 _EVENTS: dict[str, tuple[Callable[[Task, dict[str, Any], Any], None], Callable[..., dict[str, Any]]]] = {
     "RegisterEveryNSamplesEvent": (
         lambda task, fields, queue_event: task.events.listen_every(

@@ -1,4 +1,4 @@
-"""Sessions: the tasks of all clients, the right to end them, the end of abandoned tasks, and reserved names."""
+"""Sessions: the tasks of all clients, which client may end a task, the end of abandoned tasks, and reserved names."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from daq.instrument.values import TaskMode
 from rig.errors import ShotrigError
 
 INITIALIZE, ATTACH = 1, 2
-# Interval at which the server checks whether a client that waits for a name is still connected, s.
+# Interval at which the server checks whether a client that waits for a name is still connected.
 _CHECK_INTERVAL_S = 0.1
 _MAX_NAMES = 10_000
 
@@ -29,7 +29,7 @@ class Session:
     task: Task
     owner: str  # connection that created it
     users: set[str] = field(default_factory=set)  # connections that have used it
-    disconnected_at: float | None = None  # time at which all of them were disconnected, s
+    disconnected_at: float | None = None  # time from which no user was connected, s; None while one is connected
 
 
 class SessionExists(ShotrigError):
@@ -37,11 +37,7 @@ class SessionExists(ShotrigError):
 
 
 class Sessions:
-    """The sessions of a server.
-
-    `chassis`: chassis of the tasks; `storage`: storage of their custom scales; `max_sessions`: maximum number of open
-    tasks per connection.
-    """
+    """The sessions of a server, at most `max_sessions` per connection; `storage` has the custom scales of the tasks."""
 
     def __init__(self, chassis: Chassis, storage: Storage, max_sessions: int) -> None:
         self._chassis, self._storage, self._max_sessions = chassis, storage, max_sessions
@@ -68,14 +64,14 @@ class Sessions:
         with self._lock:
             if name and name in self._open and not strict:
                 if behavior == INITIALIZE:
-                    raise SessionExists(f"there is a session {name!r} already")
+                    raise SessionExists(f"there is a session {name!r} already. Attach to it, or choose another name.")
                 self._open[name].users.add(peer)
                 return name, False
             if behavior == ATTACH:
-                raise DaqError(f"there is no session {name!r} to attach to", Code.INVALID_TASK)
+                raise DaqError(f"there is no session {name!r} to attach to. Create it first.", Code.INVALID_TASK)
             if sum(each.owner == peer for each in self._open.values()) >= self._max_sessions:
                 raise DaqError(
-                    f"this client has {self._max_sessions} open tasks, the maximum. Close some.",
+                    f"this client has {self._max_sessions} open tasks, the maximum. Close a task first.",
                     Code.PAL_RESOURCE_RESERVED,
                 )
             task = Task(self._chassis, name, self._storage.scales)
@@ -84,7 +80,7 @@ class Sessions:
             return session, True
 
     def check_memory(self, name: str, max_bytes: int) -> None:
-        """Check that the buffers of a client do not exceed `max_bytes`; otherwise release the last buffer."""
+        """Raise `DaqError` -200077 and release the buffers of a session if its client has more than `max_bytes`."""
         with self._lock:
             session = self._open.get(name)
             if session is None:
@@ -93,12 +89,12 @@ class Sessions:
         if size > max_bytes:
             session.task.free_memory()
             raise invalid_value(
-                f"the buffers of this client's tasks would take {size >> 20} MB; the maximum is {max_bytes >> 20} MB. "
+                f"the buffers of this client's tasks require {size >> 20} MB, the maximum is {max_bytes >> 20} MB. "
                 "Use smaller buffers, or close tasks."
             )
 
     def find(self, name: str, peer: str) -> Task:
-        """Return the task of a session; with -200088, if the session does not exist."""
+        """Return the task of a session; `DaqError` -200088 if the session does not exist."""
         with self._lock:
             session = self._open.get(name)
             if session is None:
@@ -114,7 +110,7 @@ class Sessions:
             return name if session is None else session.task.name
 
     def close(self, name: str, peer: str) -> None:
-        """End a session; a client that only attached to it detaches, and the session stays with its creator."""
+        """End a session; a client that did not create it only detaches from it."""
         with self._lock:
             self.find(name, peer)
             session = self._open[name]
@@ -125,7 +121,7 @@ class Sessions:
         session.task.close()
 
     def abort_on_device(self, device: str, peer: str) -> None:
-        """Abort the tasks of a client on a device; with -50103, if other clients use the device too."""
+        """Abort the tasks of a client on a device; `DaqError` -50103 if other clients use the device."""
         with self._lock:
             sessions = [each for each in self._open.values() if device in each.task.settings.device_names]
             others = [each.task.name for each in sessions if each.owner != peer]
@@ -138,10 +134,10 @@ class Sessions:
                 each.task.control(TaskMode.ABORT)
 
     def end_abandoned(self, connected: Collection[tuple[str, int]], patience: float) -> list[str]:
-        """End the sessions of clients that disconnected without closing them.
+        """End the sessions of clients that disconnected without closing them; return the names of the ended tasks.
 
-        `connected`: address and port of every connected client; `patience`: time for which a session waits for its
-        client to reconnect, s. Returns names of the ended tasks.
+        `connected` has the address and port of every connected client. A session is ended `patience` seconds after its
+        clients have disconnected.
         """
         ended = []
         with self._lock:
@@ -172,14 +168,14 @@ def _endpoint(peer: str) -> tuple[str, int]:
 
 
 class Reservations:
-    """Names that clients reserve among themselves; they have no meaning for the server."""
+    """Names that clients reserve to coordinate with each other; the server does not interpret them."""
 
     def __init__(self) -> None:
         self._holders: dict[str, str] = {}
         self._changed = threading.Condition()
 
     def reserve(self, name: str, client: str, is_waiting: Callable[[], bool]) -> bool:
-        """Reserve a name as soon as no other client has reserved it; return False if the client no longer waits."""
+        """Wait until no other client has reserved a name, and reserve it; return False if the client stops waiting."""
         with self._changed:
             while self._holders.get(name, client) != client:
                 if not is_waiting():
@@ -187,7 +183,7 @@ class Reservations:
                 self._changed.wait(_CHECK_INTERVAL_S)
             if name not in self._holders and len(self._holders) >= _MAX_NAMES:
                 raise DaqError(
-                    f"{_MAX_NAMES} names are reserved, the maximum. Release some before reserving {name!r}.",
+                    f"{_MAX_NAMES} names are reserved, the maximum. Release a name before reserving {name!r}.",
                     Code.PAL_RESOURCE_RESERVED,
                 )
             self._holders[name] = client

@@ -1,4 +1,4 @@
-"""Forwarding of signals from `daq run` to its script, so that the script ends too."""
+"""Forwards signals from `daq run` to its script, so that the script ends too."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from typing import Any
 
 from rig.ending_signals import handle_interrupts
 
-# Time between the request to end and the kill of a script, s.
-PATIENCE_S = 1.0
-# Time after which a signal to a process group has reached all its processes, s.
+# Time from the request to end until a script is killed.
+GRACE_PERIOD_S = 1.0
+# Time after which a signal to a process group has reached all its processes.
 _DELIVERY_S = 1.0
 
 
 class _GroupProbe:
-    """A process that ends at Ctrl-C: its end shows that the whole process group, and thus the script, received it."""
+    """A process that ends at Ctrl-C. Its end shows that the whole process group, and thus the script, received it."""
 
     _COMMAND = (sys.executable, "-I", "-S", "-c", "import sys; sys.stdin.read()")
 
@@ -52,13 +52,12 @@ class _GroupProbe:
 
 @contextmanager
 def forward_signals(process: subprocess.Popen[Any]) -> Iterator[None]:
-    """Forward signals to a process while the body runs, and end the process afterwards.
+    """Forward signals to the process of a script while the body runs, and end the process afterwards.
 
-    The script handles Ctrl-C. Other signals request its end; after `PATIENCE_S` it is killed.
-
-    `process`: process in the group of this process; Ctrl-C in a terminal reaches the whole group.
+    The script handles Ctrl-C, which in a terminal reaches the whole process group. Other signals request its end;
+    after `GRACE_PERIOD_S` it is killed.
     """
-    kill_timer = threading.Timer(PATIENCE_S, process.kill)
+    kill_timer = threading.Timer(GRACE_PERIOD_S, process.kill)
     kill_timer.daemon = True
     try:
         with closing(_GroupProbe()) as probe:

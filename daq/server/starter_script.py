@@ -1,4 +1,4 @@
-"""Help for clients: a script that reads the inputs of a bench, and a note on sensors without excitation current."""
+"""Writes an example script that reads the inputs of a bench, and reports sensors without excitation current."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from daq.instrument.settings.channels import Channel
 from daq.signal_chain.channel import ChannelInfo
 from rig.scene.scene import STANDARD_GRAVITY
 
-# Ratio of limits to full scale: rounded limits do not exceed it.
+# Ratio of limits to full scale, slightly below 1 so that rounded limits do not exceed full scale.
 _LIMIT_RATIO = 1 - 1e-5
 # Channels by quantity: the driver's call, the unit, and the factor from V per SI unit to the unit of sensitivity.
 _SENSORS = {
@@ -25,19 +25,17 @@ _CONSTANTS = ("AccelUnits", "Coupling", "ExcitationSource", "ForceUnits")
 
 
 def starter_script(chassis: Chassis, channel: str) -> list[str]:
-    """Return a script that reads the inputs of a bench in their units.
+    """Return the lines of a script that reads the inputs of a bench in their units; the first line is empty.
 
-    The modules of a chassis are one task; of several separate devices, the script uses the first.
-
-    `chassis`: the instrument; `channel`: expression for the connection to the instrument. Returns lines of the
-    script, beginning with an empty line.
+    The modules of a chassis are one task. If there are several separate devices, the script uses the first. `channel`
+    is the expression for the connection to the server.
     """
     modules = [each for name in chassis.devices.names if (each := chassis.devices.module(name)).inputs]
     first = modules[0]
     in_task = [each for each in modules if each is first or (each.chassis and each.chassis == first.chassis)]
     statements: list[str] = []
     for module in in_task:
-        # Equal neighbors are one statement.
+        # Neighboring inputs with equal settings are created by one statement.
         numbered = [(_create_channel(chassis, module, row), number) for number, row in enumerate(module.inputs)]
         for statement, group in groupby(numbered, key=lambda each: each[0]):
             numbers = [number for _, number in group]
@@ -60,7 +58,7 @@ def starter_script(chassis: Chassis, channel: str) -> list[str]:
 
 
 def _create_channel(chassis: Chassis, module: Module, row: int) -> str:
-    """Return the statement that creates a channel, with a placeholder for the terminal, and further settings."""
+    """Return the statements that create a channel, with a placeholder for the terminal."""
     info = chassis.bench.channels[row]
     needs_supply, current = chassis.terminals.supply(row) is not None, module.currents[0]
     if info.quantity in _SENSORS:
@@ -85,11 +83,11 @@ def _create_channel(chassis: Chassis, module: Module, row: int) -> str:
 
 
 def _limits(info: ChannelInfo, volts_per_unit: float) -> str:
-    """Return limits for the full range; an empty text without a range."""
+    """Return the arguments with the limits of a channel, for its full range; empty without a range."""
     if info.range is None:
         return ""
-    largest = info.range if volts_per_unit == 1.0 else _LIMIT_RATIO * info.range / volts_per_unit
-    return f", min_val={-largest:.6g}, max_val={largest:.6g}"
+    limit = info.range if volts_per_unit == 1.0 else _LIMIT_RATIO * info.range / volts_per_unit
+    return f", min_val={-limit:.6g}, max_val={limit:.6g}"
 
 
 def report_missing_excitation(chassis: Chassis) -> None:

@@ -1,1 +1,1 @@
-"""Handlers that execute the remote calls on the instrument."""
+"""Handlers that execute the remote calls of clients on the instrument; the names of calls are NI's."""

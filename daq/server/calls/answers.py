@@ -1,4 +1,4 @@
-"""The handlers of remote calls; calls that no device on a bench supports return the same error as hardware."""
+"""Finds the handler of a remote call. A call that no device on a bench supports returns the same error as hardware."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _CHANNEL = re.compile(r"Create(TEDS)?([ACD][IO])(\w*Chan\w*)")
 _WORDS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[a-z])(?=[0-9])|(?<=[A-Z])(?=[A-Z][a-z])")
 
 
-def answer_to(name: str) -> Handler | None:
+def handler_of(name: str) -> Handler | None:
     """Return the handler of a call of the service; None if the instrument does not support the call."""
     for group in (tasks, channels, settings, samples):
         if name in group.CALLS:
@@ -30,7 +30,7 @@ def answer_to(name: str) -> Handler | None:
 
 
 def script_function(method: str) -> str:
-    """Return the function name in a script: for channels and timing that of the package nidaqmx, else the driver's.
+    """Return the function of a script that makes a call: that of the package nidaqmx, or the name in NI's driver.
 
     >>> script_function("CreateTEDSAIRTDChan"), script_function("ReadDigitalU32")
     ('add_teds_ai_rtd_chan', 'DAQmxReadDigitalU32')
@@ -42,22 +42,22 @@ def script_function(method: str) -> str:
     return _WORDS.sub("_", method).lower() if method.startswith("Cfg") else f"DAQmx{method}"
 
 
-def refusal(method: str) -> Callable[[Call], NoReturn]:
+def rejection(method: str) -> Callable[[Call], NoReturn]:
     """Return the handler of a call that the instrument does not support.
 
-    The error is -200220 for a device that is not on the bench, -200170 for a counter or a digital line, -200431 for a
-    measurement that no input supports, and -200452 for anything else.
+    It raises `DaqError` -200220 for a device that is not on the bench, -200170 for a counter or a digital line, -200431
+    for a measurement that no input supports, and -200452 for anything else.
     """
     function = script_function(method)
 
-    def refuse(call: Call) -> NoReturn:
+    def reject(call: Call) -> NoReturn:
         fields, modules = call.fields, call.instrument.chassis.devices
         for name in ("lines", "counter"):
             if name in fields:
                 module = modules.module(fields[name])
                 raise DaqError(
-                    f"{function}: {module.name} has no {fields[name]!r}; the devices of the rig have analog inputs and "
-                    "outputs only",
+                    f"{function}: {module.name} has no {fields[name]!r}. The devices of the rig have only analog inputs "
+                    "and outputs: use these.",
                     Code.PHYSICAL_CHAN_DOES_NOT_EXIST,
                 )
         terminals = next((fields[name] for name in fields if name.endswith("physical_channel")), "")
@@ -68,4 +68,4 @@ def refusal(method: str) -> Callable[[Call], NoReturn]:
             raise module.measurement_error(f"{port.name}: {function}")
         raise unsupported(function)
 
-    return refuse
+    return reject

@@ -14,27 +14,24 @@ if TYPE_CHECKING:
     from daq.server.served_instrument import ServedInstrument
 
 Answer = dict[str, Any]
-Handler = Callable[["Call"], Answer | None]  # None: an empty answer
+# Function that executes a call and returns the fields of the response; None is an empty response.
+Handler = Callable[["Call"], Answer | None]
 
 
 @dataclass
 class Call:
-    """A remote call.
+    """A remote call."""
 
-    `fields`: decoded fields of the request, see `daq.server.protocol.decode`; `strict`: whether a duplicate name is
-    the error of the driver instead of that of the network.
-    """
-
-    instrument: ServedInstrument  # instrument of the server
+    instrument: ServedInstrument
     peer: str  # address of the client
     message: Any = None  # the request
-    fields: dict[str, Any] = field(default_factory=dict)
-    strict: bool = False
+    fields: dict[str, Any] = field(default_factory=dict)  # of the request, see `daq.server.protocol.decode`
+    strict: bool = False  # a duplicate name of a task is the error of NI's driver, not that of a session
     is_active: Callable[[], bool] = lambda: True  # returns whether the client still waits for the response
 
     @property
     def task(self) -> Task:
-        """Task of the call; with -200088, if there is no task of that name."""
+        """Task of the call; `DaqError` -200088 if there is no task of that name."""
         return self.instrument.sessions.find(self.fields["task"], self.peer)
 
 
@@ -44,7 +41,7 @@ def plain_value(value: Any) -> Any:
 
 
 def task_action(action: Callable[[Task, dict[str, Any]], Any]) -> Handler:
-    """Return the handler for an action of a task; a number that the action returns is the status."""
+    """Return the handler for an action of a task; an integer that the action returns is the status of the response."""
 
     def act(call: Call) -> Answer:
         status = action(call.task, call.fields)

@@ -1,4 +1,4 @@
-"""Calls that create channels."""
+"""Handlers of the calls that create channels."""
 
 from __future__ import annotations
 
@@ -12,10 +12,7 @@ from daq.server.calls.call import Call, Handler, plain_value
 
 
 def create_input(kind: Measurement, teds: bool) -> Handler:
-    """Return the handler that creates inputs.
-
-    `teds`: whether the sensors' electronic data sheets give their sensitivities.
-    """
+    """Return the handler that creates inputs; with `teds`, electronic data sheets of sensors give the sensitivities."""
 
     def create(call: Call) -> None:
         call.task.check_idle("adding channels")
@@ -35,9 +32,9 @@ def create_input(kind: Measurement, teds: bool) -> Handler:
 
 
 def _settings_of_sensor(call: Call, physical: str, kind: Measurement) -> dict[str, Any]:
-    """Return the settings of a channel from its sensor's TEDS.
+    """Return the settings of a channel by the electronic data sheet (TEDS) of its sensor.
 
-    Raises `DaqError` with -200709 for a sensor without TEDS, -200826 for a sensor of another kind.
+    Raises `DaqError` -200709 for a sensor without TEDS, -200826 for a sensor of another kind.
     """
     port = parse_port(physical)
     volts = sensitivity(call.instrument.teds.sheet(port))

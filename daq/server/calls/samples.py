@@ -1,4 +1,4 @@
-"""Calls that read and write samples."""
+"""Handlers of the calls that read and write samples."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from daq.server.calls.call import Answer, Call, Handler
 _BY_CHANNEL = 0
 
 
-# Integer types in which calls transfer converter counts; unsigned integers are the two's complement.
+# Integer types in which calls transfer counts; unsigned integers contain the two's complement.
 _Counts = type[np.signedinteger[Any]] | type[np.unsignedinteger[Any]]
 _COUNTS: dict[str, _Counts] = {"I16": np.int16, "I32": np.int32, "U16": np.uint16, "U32": np.uint32}
 
 
 def _check_width(counts: _Counts, width: int, code: Code) -> None:
-    """Reject converters with wider counts, with the code."""
+    """Raise `DaqError` with the code if counts of `width` bits do not fit into the integer type."""
     bits = np.iinfo(counts).bits
     if width > bits:
         raise DaqError(
@@ -59,7 +59,7 @@ def _read(counts: _Counts | None = None) -> Handler:
         if counts is not None:
             values = values.astype(counts)
         if by_channel and reading.error is None and samples_read < samples:
-            # These are the remaining samples of a finite task: each channel keeps its position in the array.
+            # A finite task has ended: pad the samples, so that each channel begins where the client expects it.
             values = np.pad(values, ((0, 0), (0, samples - samples_read)))
         values = values if by_channel else values.T
         return _with_status(call, reading, {"read_array": values, "samps_per_chan_read": samples_read})
@@ -68,7 +68,7 @@ def _read(counts: _Counts | None = None) -> Handler:
 
 
 def _with_status(call: Call, reading: Reading, answer: Answer) -> Answer:
-    """Return the samples read, with the error if there are fewer than requested."""
+    """Return an answer with the error of its read as status; raise the error if there are no samples."""
     error = reading.error
     if error is None:
         return answer
@@ -118,7 +118,7 @@ def _read_waveforms(call: Call) -> Answer:
         waveform = DoubleAnalogWaveform(y_data=samples.tolist())
         if mode & 1:
             start = task.input.time_of_sample(reading.first)
-            # The time of a waveform counts from 1904, in seconds and fractions of 2^-64 s.
+            # Waveform times count from 1904, in seconds and in fractions of 2^-64 s.
             seconds, remainder = divmod(start, 10**9)
             waveform.t0.seconds = seconds + 2_082_844_800
             waveform.t0.fractional_seconds = remainder * 2**64 // 10**9
@@ -132,11 +132,11 @@ def _read_waveforms(call: Call) -> Answer:
 
 
 def _table(task: Task, data: NDArray[np.float64], samples: int, by_channel: bool) -> NDArray[np.float64]:
-    """Arrange samples in rows, one row per channel."""
+    """Return samples in volts or counts as a table, shape (channels, samples)."""
     channels = len(task.settings.channels) or 1
     if data.size != channels * samples:
         raise DaqError(
-            f"the data have {data.size} samples: expected {samples} for each of the task's {channels} channels",
+            f"the data have {data.size} samples; expected {samples} for each of the task's {channels} channels.",
             Code.WRITE_NUM_CHANS_MISMATCH,
             samples_done=0,
         )
@@ -154,7 +154,7 @@ def _write(counts: _Counts | None = None) -> Handler:
             wrong = (numbers < limits.min) | (numbers > limits.max)
             if wrong.any():
                 raise DaqError(
-                    f"{numbers[wrong][0]} is not a number of {limits.bits} bits: write {limits.min} to {limits.max}",
+                    f"{numbers[wrong][0]} is not a number of {limits.bits} bits. Write {limits.min} to {limits.max}.",
                     Code.INVALID_AO_DATA_WRITE,
                     samples_done=0,
                 )
@@ -177,7 +177,7 @@ def _volts_per_count(task: Task) -> NDArray[np.float64]:
     sizes = []
     for each in task.settings.channels:
         if each.module.output_bits is None:
-            raise unsupported("an unscaled write", "The rig's output has no counts: write volts.")
+            raise unsupported("an unscaled write", "The rig's output has no counts. Write volts.")
         sizes.append([each.module.output_range / 2.0 ** (each.module.output_bits - 1)])
     return np.array(sizes)
 
@@ -190,7 +190,7 @@ def _write_scalar(call: Call) -> None:
 def _write_raw(call: Call) -> Answer:
     fields, task = call.fields, call.task
     kind = np.dtype(f"i{_count_bits(task) // 8}")
-    # An incomplete sample at the end of the array is not written.
+    # Bytes of an incomplete number at the end of the array are ignored.
     n_values = fields["num_samps"] * len(task.settings.channels)
     count = min(n_values, len(fields["write_array"]) // kind.itemsize)
     data = np.frombuffer(fields["write_array"], dtype=kind, count=max(count, 0))
@@ -203,7 +203,7 @@ def _write_waveforms(call: Call) -> Answer:
     fields = call.fields
     rows = [np.array(each.y_data) for each in fields["waveforms"]]
     if len({row.size for row in rows}) > 1:
-        raise DaqError("the waveforms differ in length: write as many samples for each channel", -200101, 0)
+        raise DaqError("the waveforms differ in length. Write the same number of samples for each.", -200101, 0)
     volts = np.stack(rows) if rows else np.zeros((0, 0))
     return {"samps_per_chan_written": call.task.write(volts, fields["auto_start"], fields["timeout"])}
 

@@ -1,4 +1,4 @@
-"""Calls about timing, triggers, buffers and logs of a task, custom scales, and saved tasks, channels and scales."""
+"""Handlers of calls about timing, triggers, buffers and logs of tasks, custom scales, and saved settings."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from daq.instrument.task_properties import get_value, set_value, set_values, tim
 from daq.instrument.values import Signal, TimestampEvent, TimingType, TriggerType, enum_member
 from daq.server.calls.call import Answer, Call, Handler, plain_value, task_action
 
-# Kinds of triggers that calls configure, by the driver's prefix of their settings.
+# Kinds of triggers that calls configure, by the prefix of their settings in NI's driver.
 _TRIGGERS = {
     "anlg_edge": TriggerType.ANALOG_EDGE,
     "anlg_win": TriggerType.ANALOG_WINDOW,
@@ -95,7 +95,7 @@ def _save_task(call: Call) -> None:
 def _save_channel(call: Call) -> None:
     channels = call.task.settings.find(call.fields["channel_name"])
     if not channels:
-        raise invalid_value("there is no channel to save. Add a channel, and name it.")
+        raise invalid_value("the task has no channel to save. Add a channel, and name it.")
     name = call.fields["save_as"] or channels[0].name
     call.instrument.storage.save_channel(channels[0], name, call.fields["author"])
 
@@ -107,7 +107,7 @@ def _save_scale(call: Call) -> None:
     storage.authors[name] = fields["author"]
 
 
-def _forget(group: str, field_name: str) -> Handler:
+def _delete(group: str, field_name: str) -> Handler:
     def delete(call: Call) -> None:
         for each in (getattr(call.instrument.storage, group), call.instrument.storage.authors):
             each.pop(call.fields[field_name], None)
@@ -183,7 +183,7 @@ CALLS: dict[str, Handler] = {
     "SaveTask": _save_task,
     "SaveGlobalChan": _save_channel,
     "SaveScale": _save_scale,
-    "DeleteSavedTask": _forget("tasks", "task_name"),
-    "DeleteSavedGlobalChan": _forget("channels", "channel_name"),
-    "DeleteSavedScale": _forget("scales", "scale_name"),
+    "DeleteSavedTask": _delete("tasks", "task_name"),
+    "DeleteSavedGlobalChan": _delete("channels", "channel_name"),
+    "DeleteSavedScale": _delete("scales", "scale_name"),
 }

@@ -1,4 +1,4 @@
-"""Calls about tasks as a whole, devices, and the names that clients reserve."""
+"""Handlers of calls about tasks as a whole, devices, and the names that clients reserve."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _create_task(call: Call) -> Answer:
 def _load_task(call: Call) -> Answer:
     name = call.fields["session_name"]
     if name not in call.instrument.storage.tasks:
-        raise DaqError(f"there is no saved task {name!r}", Code.TASK_NOT_IN_DATA_NEIGHBORHOOD)
+        raise DaqError(f"there is no saved task {name!r}. Save it first.", Code.TASK_NOT_IN_DATA_NEIGHBORHOOD)
     answer = _create_task(call)
     if answer["new_session_initialized"]:
         task = call.instrument.sessions.find(answer["task"], call.peer)
@@ -34,7 +34,7 @@ def _nth_name(values: Callable[[Task], list[str]]) -> Handler:
     def get_name(call: Call) -> Answer:
         names, index = values(call.task), call.fields["index"]
         if not 1 <= index <= len(names):
-            raise invalid_value(f"number {index}: expected 1 to {len(names)}")
+            raise invalid_value(f"index is {index}; expected 1 to {len(names)}.")
         return {"buffer": names[index - 1]}
 
     return get_name
@@ -63,7 +63,9 @@ def _teds(action: str) -> Handler:
             try:
                 teds.write(port, read_file(Path(path)) if path else b"")
             except OSError as error:
-                raise DaqError(f"{path}: {error.strerror}", Code.VIRTUAL_TEDS_FILE_NOT_FOUND) from None
+                raise DaqError(
+                    f"{path}: {error.strerror}. Give the file of a data sheet.", Code.VIRTUAL_TEDS_FILE_NOT_FOUND
+                ) from None
         else:
             teds.write(port, call.fields["bit_stream"])
 
@@ -89,7 +91,7 @@ def _enumerate_devices(call: Call) -> Answer:
 def _reservation(call: Call) -> tuple[str, str]:
     name, client = call.fields["reservation_id"], call.fields["client_id"]
     if not (name and client):
-        raise invalid_value("a reservation needs a reservation_id and a client_id: give both")
+        raise invalid_value("a reservation requires a reservation_id and a client_id. Give both.")
     return name, client
 
 

@@ -17,7 +17,7 @@ from nidaqmx.scale import Scale
 
 import daq
 from daq.instrument.clock import ManualClock
-from daq.server.calls.answers import answer_to
+from daq.server.calls.answers import handler_of
 from daq.server.client_defaults import open_channel
 from daq.server.protocol import SERVICE, _is_list, methods
 from daq.server.served_instrument import Limits
@@ -152,7 +152,7 @@ def read_witness_during(actions):
 
 def test_random_calls_harm_only_their_client(capfd):
     rng, sessions, errors = random.Random(20), ["nobody"], []
-    supported = [each for each in methods() if not each.streams and answer_to(each.name)]
+    supported = [each for each in methods() if not each.streams and handler_of(each.name)]
     # Outputs drive the shaker, and change the readings of all clients by design.
     without_outputs = [each for each in supported if "AO" not in each.name and "Write" not in each.name]
 

@@ -20,7 +20,7 @@ from nidaqmx.errors import DaqError, DaqReadError, DaqResourceWarning, DaqWriteE
 
 import rig
 from daq.instrument.clock import ManualClock
-from daq.server.calls.answers import answer_to, script_function
+from daq.server.calls.answers import handler_of, script_function
 from daq.server.protocol import methods
 from tests.daq.client import RATE, Task, connect, inputs, options, pass_samples, raises_code
 
@@ -295,7 +295,7 @@ def test_unsupported_channel_calls_exist_in_client():
         for kind in ("AI", "AO", "CI", "CO", "DI", "DO")
         for name in dir(getattr(collections, f"{kind}ChannelCollection"))
     }
-    unsupported = {script_function(call) for call in calls if answer_to(call) is None}
+    unsupported = {script_function(call) for call in calls if handler_of(call) is None}
     assert unsupported and unsupported <= client_functions
 
 

@@ -1,5 +1,5 @@
-"""The emulated DAQ device: modules on one clock, tasks, and engines that run the tasks.
+"""Emulates an NI DAQ device on the bench of a scene: modules on one clock, tasks, and engines that run the tasks.
 
-This package does not depend on clients or on a network. Start with `chassis`, then `task`; `plans` converts the
-settings of a task into plans for the engines.
+The package does not depend on clients or on a network. Start with `chassis`, then `task`; `plans` converts the
+settings of a task into plans for the engines. Names of settings, values and errors are those of NI-DAQmx.
 """

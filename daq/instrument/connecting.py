@@ -1,4 +1,4 @@
-"""Connection of a chassis to a scene: modules, clock and bench."""
+"""Connects a chassis to the bench of a scene: creates its modules, its clock and its terminals."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from rig.scene.shaker import Output
 def connect_scene(scene: rig.Scene | str | Path | None = None, clock: str | Clock | None = None) -> Chassis:
     """Connect a chassis to the bench of a scene.
 
-    `scene`: scene, name of a bundled scene, or path of a scene file. The default is the environment variable
-    SHOTRIG_SCENE, then `default_scene`; `clock`: 'real', 'fast' or 'manual'. Clock that advances the bench, see
-    `daq.instrument.clock`. The default is the environment variable SHOTRIG_CLOCK, then 'real'. Raises `SceneError`
-    if the scene cannot be used or there is no clock of that name.
+    `scene` is a scene, the name of a bundled scene, or the path of a scene file. The default is the environment
+    variable SHOTRIG_SCENE, then `default_scene`. `clock` is 'real', 'fast', 'manual' or a clock of
+    `daq.instrument.clock`. The default is the environment variable SHOTRIG_CLOCK, then 'real'. Raises `SceneError` if
+    the scene cannot be used or there is no clock of that name.
     """
     if scene is None:
         scene = os.environ.get("SHOTRIG_SCENE") or default_scene()
@@ -39,21 +39,19 @@ def connect_scene(scene: rig.Scene | str | Path | None = None, clock: str | Cloc
 
 
 def _modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
-    """Create the devices of a scene.
+    """Create the devices of a scene, given the terminals of its bench.
 
-    The converter of the scene names the type of the input modules, the shakers name the output modules; there are as
-    many modules as the channels need. C Series modules are in a chassis, others are separate devices. Without a named
-    module, an ideal module has all inputs, or all outputs.
-
-    `terminals`: terminals of its bench.
+    The converter of the scene names the type of the input modules, the shakers name the output modules. There are as
+    many modules as the channels require. C Series modules are in a chassis, others are separate devices. Without a
+    named module, an ideal module has all inputs, or all outputs.
     """
-    described = _inputs(scene, terminals)
+    unnamed = _input_modules(scene, terminals)
     outputs = [complete_from_preset(shaker.output) for shaker in scene.shakers]
     for row, output in enumerate(outputs):
-        _add_output(described, output, row)
+        _add_output(unnamed, output, row)
     if not outputs:
-        described.append(_IDEAL_OUTPUTS)
-    usb, compact = ([each for each in described if each.bus == bus] for bus in (USB_BUS, COMPACT_DAQ_BUS))
+        unnamed.append(_IDEAL_OUTPUTS)
+    usb, compact = ([each for each in unnamed if each.bus == bus] for bus in (USB_BUS, COMPACT_DAQ_BUS))
     modules = [replace(each, name=f"Dev{number}") for number, each in enumerate(usb, 1)]
     slots = [replace(each, name=f"cDAQ1Mod{slot}", chassis="cDAQ1", slot=slot) for slot, each in enumerate(compact, 1)]
     chassis = [Module("cDAQ1", "cDAQ-9178", category=CHASSIS_CATEGORY, bus=USB_BUS)] if slots else []
@@ -73,10 +71,11 @@ def _modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
 _IDEAL_OUTPUTS = Module("", "shotrig outputs")
 
 
-def _inputs(scene: rig.Scene, terminals: Terminals) -> list[Module]:
-    converter, named = complete_from_preset(scene.converter), scene.converter.preset
+def _input_modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
+    """Return the modules with the inputs of a scene, without names."""
+    converter, preset = complete_from_preset(scene.converter), scene.converter.preset
     # The coupling of the scene is the default of an input; scripts may override it.
-    order = (Coupling.AC, Coupling.DC) if converter.coupling == "AC" else (Coupling.DC, Coupling.AC)
+    couplings = (Coupling.AC, Coupling.DC) if converter.coupling == "AC" else (Coupling.DC, Coupling.AC)
     rows = tuple(range(len(terminals.bench.channels)))
     ideal = Module(
         name="",
@@ -84,32 +83,32 @@ def _inputs(scene: rig.Scene, terminals: Terminals) -> list[Module]:
         inputs=rows,
         ranges=(float(converter.range),) if converter.range else (),
         bits=converter.bits,
-        couplings=order,
+        couplings=couplings,
         own_rate=terminals.bench.rate,
         on_demand=converter.filter is None,
     )
-    if named is None:
+    if preset is None:
         return [ideal]
-    sheet = module(named)
-    assert sheet.inputs is not None  # as the scene's converter is one
+    sheet = module(preset)
+    assert sheet.inputs is not None  # the check of the scene ensures this
     inputs = sheet.inputs
-    kind = replace(
+    template = replace(
         _device(sheet, ideal),
         ranges=inputs.ranges,
         rates=inputs.rates,
-        couplings=tuple(each for each in order if each.name in inputs.couplings),
+        couplings=tuple(each for each in couplings if each.name in inputs.couplings),
         wirings=tuple(Wiring[each.upper()] for each in inputs.terminals),
         currents=inputs.supply,
         supply_coupling=inputs.supply_coupling,
         on_demand=inputs.on_demand,
         teds=inputs.teds,
     )
-    starts = range(0, max(1, len(rows)), inputs.channels)
-    return [replace(kind, inputs=rows[first : first + inputs.channels]) for first in starts]
+    first_rows = range(0, max(1, len(rows)), inputs.channels)
+    return [replace(template, inputs=rows[first : first + inputs.channels]) for first in first_rows]
 
 
 def _device(sheet: Sheet, template: Module) -> Module:
-    """Set the product type of a module; modules other than the C Series are separate USB devices."""
+    """Return a template with the product type of a data sheet; only C Series modules are in a chassis."""
     if sheet.family == "c_series":
         return replace(template, product_type=sheet.product_type)
     return replace(template, product_type=sheet.product_type, category=SOUND_AND_VIBRATION, bus=USB_BUS)
@@ -133,8 +132,9 @@ def _add_output(modules: list[Module], output: Output, row: int) -> None:
     max_outputs = 1 << 30 if outputs is None else outputs.channels
     settings = ("output_range", "output_bits", "output_rates", "output_on_demand")
     for number, each in enumerate(modules):
-        fits = each.product_type == template.product_type and len(each.outputs) < max_outputs
-        if fits and (not each.outputs or all(getattr(each, key) == getattr(template, key) for key in settings)):
+        has_free_output = each.product_type == template.product_type and len(each.outputs) < max_outputs
+        is_equal = not each.outputs or all(getattr(each, key) == getattr(template, key) for key in settings)
+        if has_free_output and is_equal:
             modules[number] = replace(
                 each, outputs=(*each.outputs, row), **{key: getattr(template, key) for key in settings}
             )

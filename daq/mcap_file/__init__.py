@@ -1,4 +1,5 @@
-"""MCAP chunks in and out, whole or damaged; nothing about vibration.
+"""Reads and writes MCAP files (https://mcap.dev), the container of a recording: records, chunks and summary.
 
-Start with `writer` and `reader`; `chunk` unpacks chunks, `damaged_file` reads the intact parts of a torn file.
+The package does not depend on the content of a recording. Start with `writer` and `reader`; `chunk` unpacks chunks,
+`damaged_file` reads the intact parts of a damaged file.
 """

@@ -1,4 +1,7 @@
-"""Chunks of an MCAP file: sizes are bounded, checksums verified."""
+"""Unpacks and parses the chunks of an MCAP file; sizes are bounded, checksums verified.
+
+A chunk is a compressed sequence of records: messages, and the schemas and channels that they require.
+"""
 
 from __future__ import annotations
 
@@ -10,43 +13,43 @@ from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
 
-# Largest chunk that is unpacked, bytes; a recorder's chunks are a thousandth of it.
+# Largest chunk that is unpacked, bytes. The recorder's chunks are a thousand times smaller.
 LARGEST_CHUNK = 1 << 26
-# The following limits reject small files that would keep a reader busy for minutes.
-# Unpacked size up to which any compression ratio is accepted, bytes.
+# The next three limits reject small files that would keep a reader busy for minutes.
+# Unpacked size up to which any compression ratio is accepted.
 _FREE_RATIO_BYTES = 1 << 21
-# Largest compression ratio beyond this size.
+# Largest compression ratio above this size.
 _MAX_RATIO = 1000
-# Largest excess of the number of records in a chunk over its bytes in the file.
+# A chunk may have this number of records more than bytes in the file.
 _MAX_EXCESS_RECORDS = 1 << 10
 
 MAGIC = b"\x89MCAP0\r\n"
 
 RECORD_HEAD = struct.Struct("<BQ")
 CHUNK_HEAD = struct.Struct("<QQQII")
-_IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+_CHUNK_OPCODES = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _of_thread = threading.local()
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 
 
 class Damage(Exception):
-    """Damage of a part of a file; becomes a `RecordingError` where the file's name is known."""
+    """Damage of a part of a file; callers that know the file raise it as a `RecordingError`."""
 
 
 class Stored(NamedTuple):
-    """A message of a chunk: number of its channel, place in its topic, times in ns, content."""
+    """A message of a chunk."""
 
-    channel: int
-    sequence: int
-    log_time: int
-    publish_time: int
+    channel: int  # number of the channel
+    sequence: int  # position in the topic
+    log_time: int  # ns
+    publish_time: int  # ns
     data: memoryview
 
 
 def unpack_chunk(content: memoryview, checksum_needed: bool = False, largest: int | None = None) -> memoryview:
-    """Unpack the content of a chunk record, without opcode and length, and verify its checksum.
+    """Return the records in a chunk, given its content without opcode and length; verify its checksum.
 
-    `largest` limits the unpacked bytes at any ratio; by default `LARGEST_CHUNK` and the ratio do. Raises `Damage`.
+    `largest` limits the unpacked bytes; by default `LARGEST_CHUNK` and the compression ratio do. Raises `Damage`.
     """
     if len(content) < CHUNK_HEAD.size + 8:
         raise Damage("it is cut short")
@@ -61,7 +64,7 @@ def unpack_chunk(content: memoryview, checksum_needed: bool = False, largest: in
     if largest is None and size > _FREE_RATIO_BYTES + _MAX_RATIO * len(content):
         raise Damage(f"it claims to unpack from {len(content)} bytes to {size}")
     if begin + 8 + packed != len(content):
-        raise Damage(f"it claims {packed} bytes of records in {len(content) - begin - 8}")
+        raise Damage(f"it claims {packed} bytes of records, but has {len(content) - begin - 8}")
     records = _unpack(compression, content[begin + 8 :], size)
     if len(records) != size:
         raise Damage(f"it unpacks to {len(records)} bytes instead of {size}")
@@ -73,7 +76,7 @@ def unpack_chunk(content: memoryview, checksum_needed: bool = False, largest: in
 
 
 def _unpack(compression: bytes, packed: memoryview, size: int) -> bytes | memoryview:
-    """Unpack at most `size` bytes; a larger result is rejected before it is made."""
+    """Unpack at most `size` bytes; a larger result is rejected before it is allocated."""
     if compression == b"":
         return packed
     if compression == b"zstd":
@@ -91,7 +94,7 @@ def _unpack(compression: bytes, packed: memoryview, size: int) -> bytes | memory
 
         try:
             unpacker = lz4.frame.LZ4FrameDecompressor()
-            # One byte more than expected reveals a chunk that is too large.
+            # Request one byte more than expected, to detect a chunk that is too large.
             records = unpacker.decompress(packed, max_length=size + 1)
         except (RuntimeError, ValueError, EOFError) as error:
             raise Damage(f"it cannot be unpacked ({error})") from error
@@ -102,7 +105,7 @@ def _unpack(compression: bytes, packed: memoryview, size: int) -> bytes | memory
 
 
 def _decompressor() -> Any:
-    """Return this thread's decompressor, which takes as long to make as unpacking ten kilobytes."""
+    """Return the decompressor of this thread. It is stored: creating it takes as long as unpacking 10 kB."""
     if not hasattr(_of_thread, "zstd"):
         import zstandard
 
@@ -111,9 +114,9 @@ def _decompressor() -> Any:
 
 
 def record_at(read: Callable[[int, int], bytes], place: int, end: int, largest: int) -> tuple[int, memoryview]:
-    """Read opcode and content of the record at a place in a file of `end` bytes; raise `Damage` if it is malformed.
+    """Return opcode and content of the record at a place in a file of `end` bytes; raise `Damage` if it is malformed.
 
-    ``read(place, length)`` gives bytes; content of more than `largest` bytes is rejected.
+    ``read(place, length)`` returns bytes of the file. Content of more than `largest` bytes is rejected.
     """
     head = read(place, RECORD_HEAD.size)
     if len(head) < RECORD_HEAD.size:
@@ -125,28 +128,28 @@ def record_at(read: Callable[[int, int], bytes], place: int, end: int, largest: 
 
 
 def records_in(records: memoryview, stored: int) -> Iterator[tuple[int, memoryview]]:
-    """Yield opcode and content of the records of an unpacked chunk; raise `Damage` if they do not fit into it.
+    """Yield opcode and content of the records of an unpacked chunk; raise `Damage` if a record is malformed.
 
-    `stored` is the number of bytes that the chunk takes in the file.
+    `stored` is the size of the chunk in the file, bytes.
     """
-    place, end, budget = 0, len(records), _MAX_EXCESS_RECORDS + stored
+    place, end, records_left = 0, len(records), _MAX_EXCESS_RECORDS + stored
     while place < end:
-        budget -= 1
-        if budget < 0:
-            raise Damage(f"it holds more than {_MAX_EXCESS_RECORDS + stored} records in {stored} bytes")
+        records_left -= 1
+        if records_left < 0:
+            raise Damage(f"it has more than {_MAX_EXCESS_RECORDS + stored} records in {stored} bytes")
         if end - place < RECORD_HEAD.size:
             raise Damage("a record in it is cut short")
         opcode, length = RECORD_HEAD.unpack_from(records, place)
         begin, place = place + RECORD_HEAD.size, place + RECORD_HEAD.size + length
         if place > end:
             raise Damage(f"a record in it claims {length} bytes")
-        if opcode not in _IN_CHUNKS:
+        if opcode not in _CHUNK_OPCODES:
             raise Damage(f"a record of kind {opcode} in it, which does not belong in a chunk")
         yield opcode, records[begin:place]
 
 
 def messages_in(records: memoryview, stored: int) -> list[Stored]:
-    """Return the messages among the records of a chunk; raises `Damage` as `records_in`."""
+    """Return the messages among the records of a chunk; raises `Damage` like `records_in`."""
     return [parse_message(content) for opcode, content in records_in(records, stored) if opcode == Opcode.MESSAGE]
 
 

@@ -1,7 +1,7 @@
-"""The intact parts of an MCAP file that is torn or damaged, by its records alone.
+"""Reads the intact parts of an MCAP file that is cut off or damaged, record by record, without its summary.
 
-Only records with a checksum are used: chunks, attachments, and the metadata records of our recordings. Where a record's
-length is damaged, the next consistent record is searched.
+Only records with a checksum are used: chunks, attachments, and the metadata records of shotrig's recordings. If the
+length of a record is damaged, the file is searched for the next consistent record.
 """
 
 from __future__ import annotations
@@ -23,39 +23,40 @@ from rig.errors import RecordingError
 if TYPE_CHECKING:
     from mcap.records import Attachment, Metadata
 
-# The next record is searched in pieces of this size, bytes.
+# The file is searched in pieces of this size.
 _PIECE_BYTES = 1 << 20
 # A record begins with its opcode and a length of eight bytes, the last four of which are zero.
 _BEGIN = re.compile(rb"(?=[\x06\x07\x09\x0c\x0f].{4}\0{4})", re.DOTALL)
 _COMPRESSIONS = (b"", b"zstd", b"lz4")
 _MAX_NAME_BYTES = max(map(len, _COMPRESSIONS))
-# Size of the records of a chunk in the file, behind the name of the compression.
+# Field of a chunk with the size of its packed records; it follows the name of the compression.
 _PACKED_SIZE = struct.Struct("<Q")
-# Channel, and size of the entries, of a message index; size of an entry: log time and place, bytes.
+# Message index: channel and size of the entries.
 _INDEX_HEAD = struct.Struct("<HI")
+# Entry of a message index: log time and place.
 _ENTRY_BYTES = 16
 # Size of a text or a map, in front of its content.
 _TEXT_SIZE = struct.Struct("<I")
-# Length of the record at the end of the data section: a checksum, bytes.
+# Length of the record at the end of the data section: a checksum.
 _DATA_END_BYTES = 4
-# Bytes that are read to check the beginning of a record.
+# A check of the beginning of a record reads this number of bytes.
 _CHECKED_BYTES = 64
 
 
 @dataclass(frozen=True)
 class Intact:
-    """A part of the file that passed its checksum: a chunk's records, a metadata record, or an attachment."""
+    """A part of the file whose checksum is right: the records of a chunk, a metadata record, or an attachment."""
 
     content: memoryview | Metadata | Attachment
-    stored: int  # Its size in the file, bytes
+    stored: int  # size in the file, bytes
 
 
 @dataclass(frozen=True)
 class Unreadable:
-    """Bytes of the file that cannot be read, and why."""
+    """Bytes of the file that cannot be read."""
 
-    begin: int
-    end: int
+    begin: int  # first byte
+    end: int  # byte after the last
     reason: str
 
 
@@ -78,7 +79,7 @@ class DamagedFile:
         self._file.close()
 
     def _read(self, place: int, length: int) -> memoryview:
-        """Read bytes; none where the disk cannot."""
+        """Return bytes of the file; none if the disk cannot read them."""
         try:
             self._file.seek(place)
             return memoryview(self._file.read(max(0, min(length, self.size - place))))
@@ -86,7 +87,7 @@ class DamagedFile:
             return memoryview(b"")
 
     def parts(self) -> Iterator[Intact | Unreadable]:
-        """Yield the parts of the data section in order, up to its end or that of the file."""
+        """Yield the parts of the data section in order, up to its end or the end of the file."""
         place = len(MAGIC)
         if self._read(0, place) != MAGIC:
             place = self._next_record(0)
@@ -103,7 +104,7 @@ class DamagedFile:
             place = end
 
     def _part(self, place: int) -> tuple[Intact | Unreadable | None, int | None]:
-        """Identify the record at a place, and its end: None if it cannot be identified."""
+        """Return the part at a place (None for a record without use) and its end, None if no record is identified."""
         head = self._read(place, RECORD_HEAD.size)
         if len(head) < RECORD_HEAD.size:
             return Unreadable(place, self.size, "the file ends within a record"), self.size
@@ -112,9 +113,9 @@ class DamagedFile:
         chunk = self._chunk(place, length)
         if chunk is not None:
             return chunk
-        # The checksum of fields does not cover the length; too large a length would include the next records.
-        sized = opcode == Opcode.ATTACHMENT or (opcode == Opcode.METADATA and self._is_consistent(place))
-        if sized and length <= LARGEST_RECORD and end <= self.size:
+        # The checksum of a metadata record does not cover its length, which must be checked by its fields.
+        has_valid_length = opcode == Opcode.ATTACHMENT or (opcode == Opcode.METADATA and self._is_consistent(place))
+        if has_valid_length and length <= LARGEST_RECORD and end <= self.size:
             try:
                 return Intact(parse(opcode, self._read(place + RECORD_HEAD.size, length), True), length), end
             except Damage as damage:
@@ -130,34 +131,38 @@ class DamagedFile:
         return None, None
 
     def _chunk(self, place: int, length: int) -> tuple[Intact | Unreadable, int] | None:
-        """Try to read a chunk at a place; its length is stated twice, and either may be damaged."""
+        """Return the chunk at a place and its end, None if there is no chunk.
+
+        Its length is stated twice, in the record's head and by the packed size; both values are tried.
+        """
         begin = place + RECORD_HEAD.size
         head = self._read(begin, CHUNK_HEAD.size + _MAX_NAME_BYTES + _PACKED_SIZE.size)
         if len(head) < CHUNK_HEAD.size + _PACKED_SIZE.size:
             return None
         name_length = CHUNK_HEAD.unpack_from(head)[4]
-        fixed = CHUNK_HEAD.size + name_length + _PACKED_SIZE.size
-        if len(head) < fixed:
+        fields_size = CHUNK_HEAD.size + name_length + _PACKED_SIZE.size
+        if len(head) < fields_size:
             return None
-        (packed,) = _PACKED_SIZE.unpack_from(head, fixed - _PACKED_SIZE.size)
+        (packed,) = _PACKED_SIZE.unpack_from(head, fields_size - _PACKED_SIZE.size)
         reason = ""
-        for content_length in sorted({length, fixed + packed}, key=lambda candidate: candidate != length):
-            if not fixed <= content_length <= LARGEST_CHUNK + fixed or begin + content_length > self.size:
+        for content_length in sorted({length, fields_size + packed}, key=lambda candidate: candidate != length):
+            is_possible = fields_size <= content_length <= LARGEST_CHUNK + fields_size
+            if not is_possible or begin + content_length > self.size:
                 continue
             content = bytearray(self._read(begin, content_length))
             if len(content) == content_length:
-                _PACKED_SIZE.pack_into(content, fixed - _PACKED_SIZE.size, content_length - fixed)
+                _PACKED_SIZE.pack_into(content, fields_size - _PACKED_SIZE.size, content_length - fields_size)
             try:
                 records = unpack_chunk(memoryview(content), checksum_needed=True)
                 return Intact(records, content_length), begin + content_length
             except Damage as damage:
                 reason = f"a chunk: {damage}"
-        if length == fixed + packed and begin + length <= self.size and self._is_consistent(begin + length):
+        if length == fields_size + packed and begin + length <= self.size and self._is_consistent(begin + length):
             return Unreadable(place, begin + length, reason or "a chunk that is too large"), begin + length
         return None
 
     def _is_consistent(self, place: int) -> bool:
-        """Whether a consistent record begins at a place, or the file ends there."""
+        """Return whether a consistent record begins at a place, or the file ends there."""
         if place == self.size:
             return True
         head = self._read(place, _CHECKED_BYTES)
@@ -179,10 +184,10 @@ class DamagedFile:
                 return bool(length == _DATA_END_BYTES)
             if opcode in (Opcode.METADATA, Opcode.HEADER):
                 # Two texts, or a text and a map.
-                (first,) = _TEXT_SIZE.unpack_from(content)
-                second_place = place + RECORD_HEAD.size + _TEXT_SIZE.size + first
-                (second,) = _TEXT_SIZE.unpack(self._read(second_place, _TEXT_SIZE.size))
-                return bool(length == 2 * _TEXT_SIZE.size + first + second)
+                (first_size,) = _TEXT_SIZE.unpack_from(content)
+                second_place = place + RECORD_HEAD.size + _TEXT_SIZE.size + first_size
+                (second_size,) = _TEXT_SIZE.unpack(self._read(second_place, _TEXT_SIZE.size))
+                return bool(length == 2 * _TEXT_SIZE.size + first_size + second_size)
             if opcode == Opcode.ATTACHMENT and length <= LARGEST_RECORD:
                 parse(opcode, self._read(place + RECORD_HEAD.size, length), True)
                 return True

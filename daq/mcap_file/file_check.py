@@ -1,10 +1,10 @@
-"""The check of every record of an MCAP file: its checksum, and its agreement with other records.
+"""Checks every record of an MCAP file: its checksum, and its agreement with other records.
 
-MCAP has checksums for chunks, attachments and the summary. Records without checksum are compared with the records that
-they repeat: message indexes and the times of a chunk with its messages, the summary with the file. Two kinds of damage
-have no effect and are not detected: another name of the writing program in the header, and packed bytes that unpack to
-the same records. A checksum of the data section covers both and is verified where there is one. https://mcap.dev/spec
-describes the records.
+MCAP has checksums for chunks, attachments and the summary. Records without a checksum are compared with the records
+that they repeat: message indexes and the times of a chunk with its messages, the summary with the file. Two kinds of
+damage have no effect and are not detected: another name of the writing program in the header, and packed bytes that
+unpack to the same records. A checksum of the data section covers both and is verified if it exists.
+https://mcap.dev/spec describes the records.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from daq.mcap_file.chunk import (
 from daq.mcap_file.reader import Container
 from daq.mcap_file.summary import parse
 
-# Opcodes from here on belong to applications; readers pass over them.
-_PRIVATE = 0x80
+# Opcodes from this number on belong to applications; readers ignore their records.
+_FIRST_PRIVATE_OPCODE = 0x80
 _ENTRY = np.dtype([("log_time", "<u8"), ("place", "<u8")])
-# The checksum of the data section is computed in pieces of this size, bytes.
+# The checksum of the data section is computed in pieces of this size.
 _PIECE_BYTES = 1 << 20
 
 
@@ -52,29 +52,29 @@ def check_file(container: Container) -> None:
 
 
 def _fingerprint(record: Any) -> int:
-    """Hash the fields of an index of the summary."""
+    """Return a hash of the fields of an index record."""
     fields = vars(record).values()
     return hash(tuple(frozenset(each.items()) if isinstance(each, dict) else each for each in fields))
 
 
 class _Check:
-    """A check: `place` is the first byte of the present record."""
+    """The check of one file."""
 
     def __init__(self, container: Container) -> None:
-        self.place = 0
+        self.place = 0  # first byte of the present record
         self._file = container
-        # Our files have a checksum for every record and a complete summary; those of other programs may lack them.
+        # Files of shotrig have a checksum for every record and a complete summary; those of other programs may not.
         self._is_ours = container.checksums_needed
         self._descriptions: dict[int, dict[int, Any]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
-        # Places of the records that the summary should list, by the kind of their index, with a hash of their fields,
-        # which takes less memory: of a million empty chunks the fields would take a gigabyte.
+        # Records that the summary should list: by the opcode of their index, the place of each record and the hash of
+        # its index. A hash takes less memory: the fields of a million empty chunks would take a gigabyte.
         self._unlisted: dict[int, dict[int, int]] = {
             Opcode.CHUNK_INDEX: {}, Opcode.ATTACHMENT_INDEX: {}, Opcode.METADATA_INDEX: {}
         }  # fmt: skip
         self._listed: Counter[int] = Counter()
         self._counts: Counter[int] = Counter()
         self._times: tuple[int, int] | None = None
-        # Of the latest chunk, its index as the summary should repeat it, and log times and places of its messages.
+        # The index that the summary should have of the latest chunk, and the entries of its message indexes by channel.
         self._chunk: records.ChunkIndex | None = None
         self._messages: dict[int, NDArray[Any]] = {}
 
@@ -101,7 +101,7 @@ class _Check:
         self._summary()
 
     def _next(self, move: bool = True) -> tuple[int, memoryview]:
-        """Read the record at `place`."""
+        """Return opcode and content of the record at `place`."""
         opcode, content = record_at(self._file.read, self.place, self._file.size, LARGEST_CHUNK + (1 << 16))
         if move:
             self.place += RECORD_HEAD.size + len(content)
@@ -139,11 +139,11 @@ class _Check:
             message = parse_message(content)
             self._counts[message.channel] += 1
             self._extend_times(message.log_time, message.log_time)
-        elif opcode != Opcode.DATA_END and (opcode < _PRIVATE or self._is_ours):
+        elif opcode != Opcode.DATA_END and (opcode < _FIRST_PRIVATE_OPCODE or self._is_ours):
             raise Damage(f"a record of kind {opcode}, which does not belong there")
 
     def _check_record(self, record: Any, content: memoryview) -> None:
-        """Reject a record that is not encoded as our writer does: its lengths have no checksum."""
+        """Reject a record that shotrig's writer would encode differently: no checksum covers its lengths."""
         builder = RecordBuilder()
         record.write(builder)
         if self._is_ours and builder.end()[RECORD_HEAD.size :] != content:
@@ -209,7 +209,7 @@ class _Check:
         chunk.message_index_length += RECORD_HEAD.size + len(content)
 
     def _end_chunk(self) -> None:
-        """Complete a chunk behind its message indexes."""
+        """Complete the latest chunk after its message indexes."""
         chunk, self._chunk = self._chunk, None
         if chunk is None:
             return
@@ -241,7 +241,7 @@ class _Check:
                 continue
             first, _ = groups.get(opcode, (place, 0))
             groups[opcode] = first, self.place - first
-            if opcode < _PRIVATE:
+            if opcode < _FIRST_PRIVATE_OPCODE:
                 self._summary_record(opcode, parse(opcode, content), written)
         if self.place != self._file.size - len(MAGIC) or footer.summary_start not in (0, begin):
             raise Damage("the footer does not agree with the file")

@@ -1,6 +1,6 @@
-"""The MCAP container of a recording. Only the summary at the end of the file is read at first.
+"""Reads an MCAP file that was closed properly, by the summary at its end.
 
-Chunks, metadata and attachments are read on demand; every length is bounded, every checksum verified.
+Chunks, metadata and attachments are read when they are requested. Every length is bounded, every checksum verified.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from daq.mcap_file.chunk import LARGEST_CHUNK, MAGIC, RECORD_HEAD, Damage, Store
 from daq.mcap_file.summary import Summary, parse, read_summary
 from rig.errors import RecordingError
 
-# Largest record outside the chunks, and largest summary, that are read, bytes.
+# Largest record outside the chunks that is read, bytes.
 LARGEST_RECORD = 1 << 24
+# Largest summary that is read, bytes.
 LARGEST_SUMMARY = 1 << 28
 
 FOOTER_RECORD = struct.Struct("<BQQQI")
@@ -30,7 +31,7 @@ class Container:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        # Whether records without a checksum are damaged: our writer gives every record a checksum.
+        # Whether a record without a checksum is damaged: shotrig's writer gives every record a checksum.
         self.checksums_needed = False
         if path.exists() and not path.is_file():
             raise RecordingError(f"{path}: not a file. Give the path of a recording.")
@@ -38,7 +39,7 @@ class Container:
             self._file = path.open("rb", buffering=0)
         except OSError as error:
             raise RecordingError(f"{path}: cannot open ({error.strerror}). Check the path.") from error
-        # A recording without a reference is closed.
+        # Close the file when there is no reference to this object.
         weakref.finalize(self, self._file.close)
         try:
             self.size = os.fstat(self._file.fileno()).st_size
@@ -57,7 +58,7 @@ class Container:
             raise self.error("is damaged: its summary has no checksum")
 
     def error(self, problem: str) -> RecordingError:
-        """Make an error with the remedy for a damaged file."""
+        """Return an error with the remedy for a damaged file."""
         return RecordingError(
             f"{self.path}: the file {problem}. Run `daq recover {self.path} -o FIXED.mcap` to recover the intact part."
         )
@@ -87,7 +88,7 @@ class Container:
         return read_summary(memoryview(section), self.size)
 
     def read(self, offset: int, length: int) -> bytes:
-        """Read bytes of the file; fewer where it ends."""
+        """Return bytes of the file, fewer at its end."""
         if self._file.closed:
             raise RecordingError(f"{self.path}: the recording is closed. Open it again.")
         try:
@@ -97,7 +98,7 @@ class Container:
             raise RecordingError(f"{self.path}: cannot read ({error.strerror}). Check the disk.") from error
 
     def _record(self, opcode: int, offset: int, length: int, largest: int) -> memoryview:
-        """Read the content of a record that an index points to."""
+        """Return the content of a record, given the place and length in its index."""
         if length > largest:
             raise Damage(f"a record at byte {offset} claims {length} bytes; at most {largest} are accepted")
         if offset > self.size - length:
@@ -106,11 +107,11 @@ class Container:
         if len(data) != length or length < RECORD_HEAD.size:
             raise Damage(f"the record at byte {offset} is cut short")
         if RECORD_HEAD.unpack_from(data) != (opcode, length - RECORD_HEAD.size):
-            raise Damage(f"the record at byte {offset} is not that of the summary")
+            raise Damage(f"the record at byte {offset} does not agree with the summary")
         return data[RECORD_HEAD.size :]
 
     def messages(self, number: int) -> list[Stored]:
-        """Return the messages of a chunk of the summary; raise `RecordingError` where it is damaged."""
+        """Return the messages of a chunk, given its number in the summary; `RecordingError` if it is damaged."""
         offset, length = int(self.summary.offsets[number]), int(self.summary.lengths[number])
         try:
             record = self._record(Opcode.CHUNK, offset, length, LARGEST_CHUNK + (1 << 16))
@@ -119,7 +120,7 @@ class Container:
             raise self.error(f"is damaged: the chunk at byte {offset} cannot be used: {damage}") from damage
 
     def metadata(self) -> dict[str, dict[str, str]]:
-        """Read the metadata records by their names; the last record of a name is used."""
+        """Return the fields of the metadata records by their names; the last record of a name counts."""
         try:
             metadata = {}
             for index in self.summary.metadata:
@@ -131,7 +132,7 @@ class Container:
             raise self.error(f"is damaged: {damage}") from damage
 
     def attachment(self, name: str) -> bytes | None:
-        """Read an attachment; None if there is none of that name."""
+        """Return an attachment; None if there is none of that name."""
         for index in self.summary.attachments:
             if index.name == name:
                 try:

@@ -1,4 +1,7 @@
-"""The records of an MCAP file outside its chunks, and the summary at its end."""
+"""Parses the records of an MCAP file outside its chunks, and the summary at its end.
+
+The summary repeats schemas and channels, and has an index of every chunk, metadata record and attachment.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +22,13 @@ from daq.mcap_file.chunk import RECORD_HEAD, Damage
 if TYPE_CHECKING:
     from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statistics
 
-# Most records of one kind in a summary, except chunk indexes; each takes memory.
-MOST_RECORDS = 1 << 16
+# Largest number of records of one kind in a summary, except chunk indexes: each takes memory.
+MAX_RECORDS = 1 << 16
 
-_MAP = struct.Struct("<QQQQI")
+# Beginning of a chunk index: times, place and length of the chunk, bytes of the map that follows.
+_CHUNK_INDEX_HEAD = struct.Struct("<QQQQI")
+# Size of the fields of a chunk index behind the map, without the name of the compression.
+_CHUNK_INDEX_TAIL_BYTES = 28
 _COLUMNS = ("starts", "ends", "offsets", "lengths", "unpacked")
 
 
@@ -37,14 +43,14 @@ def checked(fields: Mapping[str, str]) -> dict[str, str]:
 
 
 def is_intact(fields: Mapping[str, str]) -> bool:
-    """Whether a metadata record agrees with its checksum."""
+    """Return whether the fields of a metadata record agree with their checksum."""
     return fields == checked({key: value for key, value in fields.items() if key != "crc32"})
 
 
 def parse(opcode: int, content: memoryview, checksum_needed: bool = False) -> Any:
-    """Parse a record of the other kinds into its mcap class; raise `Damage` if it is malformed.
+    """Return a record outside the chunks as an object of the package mcap; raise `Damage` if it is malformed.
 
-    The checksums of attachments and metadata records are verified where there are any, or if they are needed.
+    The checksums of attachments and metadata records are verified if they exist or are needed.
     """
     from mcap import records
     from mcap.data_stream import ReadDataStream
@@ -83,22 +89,22 @@ class Summary:
 
     schemas: dict[int, Schema]
     channels: dict[int, Channel]
-    # Of each chunk: earliest and latest time, ns; place and length in the file and size of its records, bytes.
-    starts: NDArray[np.uint64]
-    ends: NDArray[np.uint64]
-    offsets: NDArray[np.int64]
-    lengths: NDArray[np.int64]
-    unpacked: NDArray[np.int64]
-    holders: Mapping[int, NDArray[np.int64]]  # the chunks with messages of each channel, in the order of time
+    # The next arrays have an element for each chunk, in the order of the latest times.
+    starts: NDArray[np.uint64]  # earliest time, ns
+    ends: NDArray[np.uint64]  # latest time, ns
+    offsets: NDArray[np.int64]  # place in the file, bytes
+    lengths: NDArray[np.int64]  # length in the file, bytes
+    unpacked: NDArray[np.int64]  # size of the records, bytes
+    chunks_of_channel: Mapping[int, NDArray[np.int64]]  # indexes of the chunks with messages of a channel
     metadata: list[MetadataIndex]
     attachments: list[AttachmentIndex]
-    statistics: Statistics | None  # counts; None where the file has none
+    statistics: Statistics | None  # counts; None if the file has none
 
 
 def read_summary(data: memoryview, file_size: int) -> Summary:
-    """Parse a summary section whose checksum is verified; raise `Damage` if it is malformed.
+    """Return the summary in a section whose checksum is verified; raise `Damage` if it is malformed.
 
-    No record may lie beyond `file_size` bytes.
+    No record may be beyond `file_size` bytes.
     """
     chunk_places: defaultdict[int, list[int]] = defaultdict(list)
     kinds = (
@@ -118,16 +124,16 @@ def read_summary(data: memoryview, file_size: int) -> Summary:
             chunk_places[length].append(place)
         elif opcode in others:
             records = others[opcode]
-            if len(records) == MOST_RECORDS:
-                raise Damage(f"the summary has more than {MOST_RECORDS} records of one kind")
+            if len(records) == MAX_RECORDS:
+                raise Damage(f"the summary has more than {MAX_RECORDS} records of one kind")
             records.append(parse(opcode, data[place : place + length]))
         place += length
-    table, holders = _chunk_table(data, chunk_places, file_size)
+    table, chunks_of_channel = _chunk_table(data, chunk_places, file_size)
     return Summary(
         schemas={record.id: record for record in others[Opcode.SCHEMA]},
         channels={record.id: record for record in others[Opcode.CHANNEL]},
         **table,
-        holders=holders,
+        chunks_of_channel=chunks_of_channel,
         metadata=others[Opcode.METADATA_INDEX],
         attachments=others[Opcode.ATTACHMENT_INDEX],
         statistics=next(iter(others[Opcode.STATISTICS]), None),
@@ -137,13 +143,16 @@ def read_summary(data: memoryview, file_size: int) -> Summary:
 def _chunk_table(
     data: memoryview, places: Mapping[int, list[int]], file_size: int
 ) -> tuple[dict[str, NDArray[Any]], dict[int, NDArray[np.int64]]]:
-    """Parse chunk indexes, those of one length together: an hour has tens of thousands."""
+    """Return columns of the chunk indexes, and the chunks of each channel, given the places of the indexes by length.
+
+    Indexes of equal length are parsed in one operation: a recording of an hour has tens of thousands.
+    """
     columns: dict[str, list[NDArray[Any]]] = {column: [] for column in _COLUMNS}
-    holders: list[tuple[NDArray[Any], NDArray[np.int64]]] = []
+    channels_and_chunks: list[tuple[NDArray[Any], NDArray[np.int64]]] = []
     count = 0
-    for length, at in places.items():
-        for start in range(0, len(at), 4096):
-            table = _chunk_indexes(data, length, at[start : start + 4096])
+    for length, index_places in places.items():
+        for start in range(0, len(index_places), 4096):
+            table = _chunk_indexes(data, length, index_places[start : start + 4096])
             beyond = table["offsets"].clip(0, file_size) + table["lengths"].clip(0, file_size) > file_size
             if (beyond | (table["offsets"] > file_size)).any():
                 raise Damage("a chunk index points beyond the end of the file")
@@ -151,11 +160,11 @@ def _chunk_table(
                 parts.append(table[column].copy())
             channels = table["map"]["channel"]
             numbers = np.arange(count, count + len(table))
-            holders.append((channels.ravel(), np.repeat(numbers, channels.shape[1])))
+            channels_and_chunks.append((channels.ravel(), np.repeat(numbers, channels.shape[1])))
             count += len(table)
     joined = {column: np.concatenate([np.empty(0, np.uint64), *parts]) for column, parts in columns.items()}
-    place = np.argsort(joined["offsets"], kind="stable")
-    if (np.diff(joined["offsets"][place]) < joined["lengths"][place][:-1]).any():
+    by_place = np.argsort(joined["offsets"], kind="stable")
+    if (np.diff(joined["offsets"][by_place]) < joined["lengths"][by_place][:-1]).any():
         raise Damage("its chunks overlap")
     order = np.lexsort((joined["offsets"], joined["ends"]))
     rank = np.empty(count, np.int64)
@@ -163,23 +172,23 @@ def _chunk_table(
     arrays = {name: column[order] for name, column in joined.items()}
     for name in ("offsets", "lengths"):
         arrays[name] = arrays[name].astype(np.int64)
-    if not holders:
+    if not channels_and_chunks:
         return arrays, {}
-    # Channel and chunk in one number, so that a single sort puts chunks in order under their channels.
-    channel_ids = np.concatenate([channels for channels, _ in holders]).astype(np.int64)
-    pairs = np.sort(channel_ids * count + rank[np.concatenate([numbers for _, numbers in holders])])
+    # With channel and chunk in one number, a single sort orders the chunks of each channel.
+    channel_ids = np.concatenate([channels for channels, _ in channels_and_chunks]).astype(np.int64)
+    pairs = np.sort(channel_ids * count + rank[np.concatenate([chunks for _, chunks in channels_and_chunks])])
     channel, chunk = np.divmod(pairs[np.diff(pairs, prepend=-1) > 0], count)
     begins = np.flatnonzero(np.diff(channel, prepend=-1) > 0)
     split = np.split(chunk, begins)[1:]
     return arrays, dict(zip(channel[begins].tolist(), split, strict=True))
 
 
-def _chunk_indexes(data: memoryview, length: int, at: list[int]) -> NDArray[Any]:
-    """View chunk indexes of one length as a table."""
-    if length < _MAP.size + 28:
+def _chunk_indexes(data: memoryview, length: int, places: list[int]) -> NDArray[Any]:
+    """Return the chunk indexes of one length at the given places as a structured array."""
+    if length < _CHUNK_INDEX_HEAD.size + _CHUNK_INDEX_TAIL_BYTES:
         raise Damage("a chunk index is cut short")
-    map_bytes = _MAP.unpack_from(data, at[0])[4]
-    name_bytes = length - _MAP.size - map_bytes - 28
+    map_bytes = _CHUNK_INDEX_HEAD.unpack_from(data, places[0])[4]
+    name_bytes = length - _CHUNK_INDEX_HEAD.size - map_bytes - _CHUNK_INDEX_TAIL_BYTES
     if map_bytes % 10 or name_bytes < 0:
         raise Damage("a chunk index is malformed")
     entry = np.dtype([("channel", "<u2"), ("offset", "<u8")])
@@ -195,7 +204,7 @@ def _chunk_indexes(data: memoryview, length: int, at: list[int]) -> NDArray[Any]
             ("unpacked", "<u8"),
         ]
     )
-    rows = np.frombuffer(data, np.uint8)[np.array(at)[:, None] + np.arange(length)]
+    rows = np.frombuffer(data, np.uint8)[np.array(places)[:, None] + np.arange(length)]
     table: NDArray[Any] = rows.view(record)[:, 0]
     if (table["map_bytes"] != map_bytes).any() or (table["name_bytes"] != name_bytes).any():
         raise Damage("a chunk index is malformed")

@@ -1,8 +1,8 @@
-"""Writing an MCAP file chunk by chunk; the caller determines the content of each chunk.
+"""Writes an MCAP file chunk by chunk; the caller determines the content of each chunk.
 
-The records are those of the package mcap. Its writer takes messages one by one, too slow for the thousand small
-messages of a second of display; here messages of one size are encoded and indexed together. https://mcap.dev/spec
-describes the records.
+https://mcap.dev/spec describes the records. The writer of the package mcap encodes messages one by one, which is too
+slow for the thousand small messages of a second of display data. This writer encodes and indexes messages of equal size
+in one operation.
 """
 
 from __future__ import annotations
@@ -22,23 +22,24 @@ from numpy.typing import NDArray
 
 from daq.mcap_file.chunk import MAGIC, RECORD_HEAD
 
-# Opcodes as plain numbers: those of the package are enumerations, slow to convert.
+# Opcodes as plain numbers: the enumeration members of the package are slow to convert.
 _MESSAGE_CODE, _CHUNK_CODE = int(Opcode.MESSAGE), int(Opcode.CHUNK)
 _INDEX_CODE, _CHUNK_INDEX_CODE = int(Opcode.MESSAGE_INDEX), int(Opcode.CHUNK_INDEX)
-# Level of zstd. Samples with noise shrink as much as at the default level 3, in 70 % of the time.
+# Samples with noise become as small as at zstd's default level 3, in 70 % of the time.
 ZSTD_LEVEL = 1
 
 # Opcode, length, channel, sequence, log time, publish time.
 _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_FIELDS = _MESSAGE.size - RECORD_HEAD.size
-# Log time, place in the chunk.
+# Entry of a message index: log time, place in the chunk.
 _ENTRY = struct.Struct("<QQ")
 _ENTRIES = np.dtype([("log_time", "<u8"), ("place", "<u8")])
+# Message index: opcode, length, channel, bytes of the entries that follow.
 _INDEX = struct.Struct("<BQHI")
 _INDEX_FIELDS = _INDEX.size - RECORD_HEAD.size
 # Opcode, length, first and last time, place and length of the chunk, bytes of the places that follow; then sizes.
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
-# Channel, place of its index in the file.
+# Channel, place of its message index in the file.
 _PLACE = struct.Struct("<HQ")
 _FOOTER = struct.Struct("<BQQQ")
 
@@ -47,10 +48,10 @@ class Stream(Protocol):
     """A sink of bytes."""
 
     def write(self, data: bytes) -> object:
-        """Take further bytes."""
+        """Write further bytes."""
 
     def tell(self) -> int:
-        """Return the number of bytes taken so far."""
+        """Return the number of bytes written so far."""
 
 
 class ChunkedFile:
@@ -60,7 +61,7 @@ class ChunkedFile:
         self._stream, self._compression = stream, compression.encode()
         name = f"I{len(self._compression)}s"
         self._chunk, self._chunk_sizes = (struct.Struct(form) for form in (f"<BQQQQI{name}Q", f"<Q{name}QQ"))
-        # A compressor takes as long to make as packing a small chunk.
+        # The compressor is stored: creating it takes as long as compressing a small chunk.
         if compression == "lz4":
             import lz4.frame  # type: ignore[import-untyped]
 
@@ -73,11 +74,11 @@ class ChunkedFile:
         self._channels: list[records.Channel] = []
         # Schemas and channels that the next chunk announces.
         self._announced = RecordBuilder()
-        self._chunks: list[bytes] = []
+        self._chunk_indexes: list[bytes] = []
         self._attachments: list[records.AttachmentIndex] = []
         self._metadata: list[records.MetadataIndex] = []
-        self._counts: dict[int, int] = {}
-        self._times: tuple[int, int] | None = None
+        self._counts: dict[int, int] = {}  # messages of each channel
+        self._times: tuple[int, int] | None = None  # earliest and latest log time, ns
         stream.write(MAGIC)
         self._write_records(records.Header("", library))
 
@@ -118,7 +119,7 @@ class ChunkedFile:
         times: list[int] = []
         for each in messages:
             if isinstance(each, Messages):
-                encoded = _encoded(each)
+                encoded = _encode(each)
                 index = _index_of(each, encoded, place)
                 if isinstance(each.channel, int):
                     entries[each.channel].append(index.tobytes())
@@ -145,28 +146,32 @@ class ChunkedFile:
     def add_chunk_per_channel(self, channels: Sequence[int], messages: Sequence[Messages]) -> int:
         """Write a chunk for each channel; return their number.
 
-        Row k of `data`, shape (channels, messages, bytes), belongs to the channel in place k; times and sequences of
-        shape (messages,) are common to all channels.
+        Row k of `data`, shape (channels, messages, bytes), belongs to `channels[k]`. Times and sequences, shape
+        (messages,), are common to all channels.
         """
         numbers = np.array(channels)[:, None]
-        rows = [_encoded(each._replace(channel=numbers)) for each in messages]
+        rows = [_encode(each._replace(channel=numbers)) for each in messages]
         times = [time for each in messages for time in _range_of(each.log_time)]
         index, index_place = b"", -1
         for row, channel in enumerate(channels):
             announced = self._announced.end()
+            # The index is equal for all channels whose messages begin at the same place.
             if index_place != len(announced):
                 index_place = place = len(announced)
-                pieces = []
+                entries = []
                 for each, encoded in zip(messages, rows, strict=True):
-                    pieces.append(_index_of(each, encoded[row], place).tobytes())
+                    entries.append(_index_of(each, encoded[row], place).tobytes())
                     place += encoded[row].nbytes
-                index = b"".join(pieces)
+                index = b"".join(entries)
             content = b"".join([announced, *(encoded[row].tobytes() for encoded in rows)])
             self._write_chunk(content, {channel: [index]}, min(times), max(times))
         return len(channels)
 
     def _write_chunk(self, content: bytes, entries: Mapping[int, Sequence[bytes]], earliest: int, latest: int) -> None:
-        """Write the records of a chunk, and the index of each of its channels."""
+        """Compress and write the records of a chunk, and the message index of each of its channels.
+
+        `entries` are the entries of the indexes by channel, `earliest` and `latest` the log times of the chunk, ns.
+        """
         packed = self._compress(content)
         begin = self._stream.tell()
         name, size = self._compression, len(content)
@@ -177,13 +182,13 @@ class ChunkedFile:
         )  # fmt: skip
         self._stream.write(head + packed)
         places, indexes, end = [], [], begin + length
-        for channel, pieces in entries.items():
+        for channel, channel_entries in entries.items():
             places.append(_PLACE.pack(channel, end))
-            listed = sum(map(len, pieces))
-            indexes.append(_INDEX.pack(_INDEX_CODE, _INDEX_FIELDS + listed, channel, listed))
-            indexes += pieces
-            end += _INDEX.size + listed
-            self._counts[channel] = self._counts.get(channel, 0) + listed // _ENTRY.size
+            entries_size = sum(map(len, channel_entries))
+            indexes.append(_INDEX.pack(_INDEX_CODE, _INDEX_FIELDS + entries_size, channel, entries_size))
+            indexes += channel_entries
+            end += _INDEX.size + entries_size
+            self._counts[channel] = self._counts.get(channel, 0) + entries_size // _ENTRY.size
         self._stream.write(b"".join(indexes))
         first_time, last_time = self._times or (earliest, latest)
         self._times = min(first_time, earliest), max(last_time, latest)
@@ -192,7 +197,7 @@ class ChunkedFile:
             _CHUNK_INDEX_CODE, fixed_size, earliest, latest, begin, length, _PLACE.size * len(places)
         )
         sizes = self._chunk_sizes.pack(end - begin - length, len(name), name, len(packed), size)
-        self._chunks.append(b"".join((head, *places, sizes)))
+        self._chunk_indexes.append(b"".join((head, *places, sizes)))
 
     def add_attachment(self, create_time: int, log_time: int, name: str, media_type: str, data: bytes) -> None:
         """Write an attachment."""
@@ -216,7 +221,7 @@ class ChunkedFile:
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
             channel_message_counts=self._counts,
-            chunk_count=len(self._chunks),
+            chunk_count=len(self._chunk_indexes),
             message_count=sum(self._counts.values()),
             message_end_time=last,
             message_start_time=first,
@@ -227,7 +232,7 @@ class ChunkedFile:
             Opcode.SCHEMA: [*self._schemas],
             Opcode.CHANNEL: [*self._channels],
             Opcode.STATISTICS: [statistics],
-            Opcode.CHUNK_INDEX: [*self._chunks],
+            Opcode.CHUNK_INDEX: [*self._chunk_indexes],
             Opcode.ATTACHMENT_INDEX: [*self._attachments],
             Opcode.METADATA_INDEX: [*self._metadata],
         }
@@ -251,14 +256,14 @@ class ChunkedFile:
 
 @cache
 def _record_of(size: int) -> np.dtype[Any]:
-    """Describe the record of a message with `size` bytes of content, as `_MESSAGE` and the content."""
+    """Return the numpy type of a message record with `size` bytes of content: the fields of `_MESSAGE`, and content."""
     fields = {"opcode": "u1", "length": "<u8", "channel": "<u2", "sequence": "<u4"}
     times = {"log_time": "<u8", "publish_time": "<u8"}
     return np.dtype([*(fields | times).items(), ("data", "u1", (size,))])
 
 
-def _encoded(messages: Messages) -> NDArray[Any]:
-    """Encode messages of one size as records."""
+def _encode(messages: Messages) -> NDArray[Any]:
+    """Return messages of equal size as records."""
     size = messages.data.shape[-1]
     encoded = np.empty(messages.data.shape[:-1], _record_of(size))
     encoded["opcode"], encoded["length"] = _MESSAGE_CODE, _MESSAGE_FIELDS + size
@@ -269,7 +274,7 @@ def _encoded(messages: Messages) -> NDArray[Any]:
 
 
 def _index_of(messages: Messages, encoded: NDArray[Any], place: int) -> NDArray[Any]:
-    """Return the index of encoded messages whose first record is at a place in the chunk."""
+    """Return the index entries of encoded messages, given the place of the first record in the chunk."""
     index = np.empty(encoded.shape, _ENTRIES)
     index["log_time"] = messages.log_time
     index["place"] = np.arange(place, place + encoded.nbytes, encoded.itemsize).reshape(index.shape)
@@ -282,7 +287,7 @@ def _range_of(times: NDArray[np.uint64] | int) -> tuple[int, int]:
 
 
 def _by_channel(channels: NDArray[Any], index: NDArray[Any]) -> Iterator[tuple[int, bytes]]:
-    """Sort the index of messages by channels, in the order of their first messages."""
+    """Yield each channel with its index entries, in the order of the first messages."""
     channels, index = channels.ravel(), index.ravel()
     order = np.argsort(channels, kind="stable")
     starts = np.flatnonzero(np.diff(channels[order], prepend=-1))
@@ -292,23 +297,20 @@ def _by_channel(channels: NDArray[Any], index: NDArray[Any]) -> Iterator[tuple[i
 
 
 class Message(NamedTuple):
-    """A message: number of its channel, times in ns, content, position in its topic."""
+    """A message."""
 
-    channel: int
-    log_time: int
-    publish_time: int
+    channel: int  # number of the channel
+    log_time: int  # ns
+    publish_time: int  # ns
     data: bytes
-    sequence: int
+    sequence: int  # position in the topic
 
 
 class Messages(NamedTuple):
-    """One or more messages of one size, in the order of `data`.
+    """Messages of equal size, in the order of `data`; the other fields are broadcast to their shape, as by numpy."""
 
-    Numbers and times are broadcast to the messages, as numpy does.
-    """
-
-    channel: NDArray[np.int64] | int
-    log_time: NDArray[np.uint64] | int  # Nanoseconds
-    publish_time: NDArray[np.uint64] | int  # Nanoseconds
-    data: NDArray[np.uint8]  # their content; uint8, shape (..., bytes)
-    sequence: NDArray[np.int64] | int  # their positions in their topics
+    channel: NDArray[np.int64] | int  # number of the channel
+    log_time: NDArray[np.uint64] | int  # ns
+    publish_time: NDArray[np.uint64] | int  # ns
+    data: NDArray[np.uint8]  # content; shape (..., bytes)
+    sequence: NDArray[np.int64] | int  # position in the topic

@@ -63,7 +63,7 @@ class Series:
         self.topic, self.metadata = channel.topic, channel.metadata
         self._container, self._channel = container, channel.id
         self._schema = summary.schemas[channel.schema_id].name
-        self._chunks = summary.holders.get(channel.id, np.empty(0, np.int64))
+        self._chunks = summary.chunks_of_channel.get(channel.id, np.empty(0, np.int64))
         self._block_cache = block_cache
         try:
             self.scale = float(self.metadata.get("scale", 1.0))

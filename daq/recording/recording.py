@@ -120,7 +120,7 @@ class Recording(Result):
             raise RecordingError(
                 f"{self.path}: no samples on topics {layout.RAW}...; expected the layout of daq/recording/LAYOUT.md."
             )
-        if not summary.holders and summary.statistics is not None and summary.statistics.message_count:
+        if not summary.chunks_of_channel and summary.statistics is not None and summary.statistics.message_count:
             raise RecordingError(f"{self.path}: no index of its chunks. Write it again with an index.")
         self.truth_points = tuple(self._truth.get("displacement", ()))
 
@@ -314,7 +314,7 @@ class Recording(Result):
     def _messages(self, topic: str) -> Iterator[memoryview]:
         if topic in self._topics:
             number = self._topics[topic].id
-            for chunk in self._container.summary.holders.get(number, ()):
+            for chunk in self._container.summary.chunks_of_channel.get(number, ()):
                 for message in self._container.messages(int(chunk)):
                     if message.channel == number:
                         yield message.data

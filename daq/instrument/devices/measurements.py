@@ -1,4 +1,4 @@
-"""Kinds of measurement: the settings of their channels, and their sensitivities in volts per unit."""
+"""Kinds of measurement, such as voltage or acceleration: settings of their channels, and volts per unit."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from daq.instrument.errors import invalid_value
 from daq.instrument.values import FROM_CUSTOM_SCALE, FROM_TEDS
 from rig.scene.scene import STANDARD_GRAVITY
 
-# The driver's numbers of the types of measurement (DAQmx_Val_...).
+# NI's numbers of the types of measurement (DAQmx_Val_...).
 VOLTAGE, ACCELERATION, FORCE, VELOCITY, MICROPHONE = 10322, 10356, 15895, 15966, 10354
 
 _G, _POUND, _INCH = STANDARD_GRAVITY, 4.4482216152605, 0.0254
 
-# SI factors and names of the units of readings, by the driver's numbers.
+# SI factors and names of the units of readings, by NI's numbers.
 UNITS: dict[int, tuple[float, str]] = {
     10348: (1.0, "V"),
     10186: (_G, "g"),
@@ -30,7 +30,7 @@ UNITS: dict[int, tuple[float, str]] = {
     FROM_CUSTOM_SCALE: (1.0, ""),
     FROM_TEDS: (1.0, ""),
 }
-# Volts per SI unit and names of the units of sensitivities, by the driver's numbers.
+# Volts per SI unit and names of the units of sensitivities, by NI's numbers.
 SENSITIVITY_UNITS: dict[int, tuple[float, str]] = {
     12509: (1e-3 / _G, "mV/g"),
     12510: (1.0 / _G, "V/g"),
@@ -45,15 +45,11 @@ _MICROPHONE_UNIT_V_PER_PA = 1e-3
 
 @dataclass(frozen=True)
 class Measurement:
-    """A kind of measurement.
+    """A kind of measurement."""
 
-    `sensitivity`: setting with the sensitivity of the sensor; the setting of the same name plus `_units` has its
-    units.
-    """
-
-    type: int  # the driver's number
-    units: str  # setting with the units of the readings
-    sensitivity: str = ""
+    type: int  # NI's number
+    units: str  # name of the setting with the units of the readings
+    sensitivity: str = ""  # name of the setting with the sensitivity; its units are in the setting with `_units` added
 
     def defaults(self) -> dict[str, Any]:
         """Return the settings of this kind with their defaults."""
@@ -67,7 +63,7 @@ class Measurement:
         return defaults
 
     def settings(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
-        """Convert the arguments of a script for a channel to the driver's names of the settings."""
+        """Return the arguments with which a script creates a channel, by the names of the settings."""
         names = _SETTINGS | {
             "units": self.units,
             "sensitivity": self.sensitivity,
@@ -76,7 +72,7 @@ class Measurement:
         return {names[name]: value for name, value in arguments.items()}
 
     def volts_per_unit(self, settings: Mapping[str, Any]) -> float:
-        """Volts per unit of the readings."""
+        """Return the volts per unit of the readings."""
         if not self.sensitivity:
             return 1.0
         volts = _MICROPHONE_UNIT_V_PER_PA
@@ -85,29 +81,29 @@ class Measurement:
         return float(settings[self.sensitivity] * volts * UNITS[settings[self.units]][0])
 
     def check_units(self, settings: Mapping[str, Any]) -> None:
-        """Reject units that do not belong to this kind, with -200077."""
+        """Raise `DaqError` -200077 for units that do not belong to this kind."""
         units = settings[self.units]
         supported = _UNITS_OF[self.units]
         if units not in (*supported, FROM_CUSTOM_SCALE, FROM_TEDS):
             raise invalid_value(
-                f"{self.units} is {units}: expected "
+                f"{self.units} is {units}; expected "
                 + ", ".join(f"{UNITS[each][1]} ({each})" for each in supported)
-                + f" or those of a custom scale ({FROM_CUSTOM_SCALE})"
+                + f" or those of a custom scale ({FROM_CUSTOM_SCALE})."
             )
         name = f"{self.sensitivity}_units"
         supported = _UNITS_OF.get(name, ())
         if supported and settings[name] not in supported:
             raise invalid_value(
-                f"{name} is {settings[name]}: expected "
+                f"{name} is {settings[name]}; expected "
                 + ", ".join(f"{SENSITIVITY_UNITS[each][1]} ({each})" for each in supported)
             )
 
     def sensitivity_settings(self, volts_per_unit: float) -> dict[str, Any]:
-        """Convert a sensitivity [V per SI unit] to the units of a data sheet: V/g, mV/N, V s/m or mV/Pa."""
-        size, units = {ACCELERATION: (_G, 12510), FORCE: (1e3, 15891), VELOCITY: (1.0, 15963), MICROPHONE: (1e3, 0)}[
+        """Return the settings for a sensitivity in V per SI unit, in the units of data sheets: V/g, mV/N, mV/Pa."""
+        factor, units = {ACCELERATION: (_G, 12510), FORCE: (1e3, 15891), VELOCITY: (1.0, 15963), MICROPHONE: (1e3, 0)}[
             self.type
         ]
-        settings = {self.sensitivity: volts_per_unit * size}
+        settings = {self.sensitivity: volts_per_unit * factor}
         return settings | ({f"{self.sensitivity}_units": units} if units else {})
 
     def unit(self, settings: Mapping[str, Any]) -> str:

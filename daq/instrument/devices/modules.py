@@ -1,4 +1,4 @@
-"""Modules and devices with the properties of their data sheets, as scripts can query them."""
+"""Modules and other devices of the instrument, with the properties of their data sheets as scripts can query them."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from daq.instrument.values import Coupling, SampleMode, Wiring
 from rig.errors import SceneError
 from rig.scene.modules import Rates
 
-# Bits of the sets that the driver encodes in one number.
+# NI's driver encodes a set of these values in one number, one bit for each.
 _COUPLING_BITS = {Coupling.AC: 1, Coupling.DC: 2, Coupling.GND: 4}
 WIRING_BITS = {Wiring.RSE: 1, Wiring.NRSE: 2, Wiring.DIFFERENTIAL: 4, Wiring.PSEUDO_DIFFERENTIAL: 8}
 _REFERENCE_TRIGGER, _START_TRIGGER = 4, 8
 
-# Product categories and bus types, as the driver numbers them.
+# NI's numbers of product categories and bus types.
 CHASSIS_CATEGORY, MODULE_CATEGORY, SOUND_AND_VIBRATION = 14658, 14659, 14649
 COMPACT_DAQ_BUS, USB_BUS = 14637, 12586
 # Terminals with the signals of the chassis, or of a separate device.
@@ -35,49 +35,38 @@ DIVIDED = Rates(51200.0 / 31, 51200.0, tuple(51200.0 / divisor for divisor in ra
 
 @dataclass(frozen=True)
 class Module:
-    """A device that scripts can use.
-
-    `category`, `bus`: the driver's numbers for product category and bus type; `inputs`, `outputs`: channels of the
-    bench on ai0, ai1, ... and drives of the bench on ao0, ao1, ..; `bits`, `output_bits`: resolution of its
-    converters; None if they are ideal; `rates`, `output_rates`: rates that the sample clocks of its inputs and
-    outputs can generate; `couplings`, `wirings`, `currents`: couplings and terminal configurations of its inputs,
-    the first is the default; currents of its IEPE supply, A; `on_demand`, `output_on_demand`: whether its inputs can
-    be read and its outputs written without a sample clock; delta-sigma modules require a clock; `chassis`, `slot`:
-    its chassis and slot; empty and 0 for a separate device.
-
-    `own_rate`: a rate that the clock generates exactly: that of the scene's converter, where no module is named.
-    """
+    """A device that scripts can use. Of several couplings, wirings or currents, the first is the default."""
 
     name: str  # name on this bench
-    product_type: str  # name in the driver, for example "NI 9234"
+    product_type: str  # NI's name, for example "NI 9234"
     category: int = MODULE_CATEGORY
     bus: int = COMPACT_DAQ_BUS
-    inputs: tuple[int, ...] = ()
-    outputs: tuple[int, ...] = ()
+    inputs: tuple[int, ...] = ()  # rows of the bench's channels at ai0, ai1, ...
+    outputs: tuple[int, ...] = ()  # rows of the bench's drives at ao0, ao1, ...
     ranges: tuple[float, ...] = ()  # input ranges, ± V, smallest first; empty if the inputs are not limited
     output_range: float = 10.0  # range of the outputs, ± V
-    bits: int | None = None
-    output_bits: int | None = None
-    rates: Rates = DIVIDED
+    bits: int | None = None  # resolution of the inputs; None if they are ideal
+    output_bits: int | None = None  # resolution of the outputs; None if they are ideal
+    rates: Rates = DIVIDED  # sample rates of the inputs
     output_rates: Rates = DIVIDED
-    timebase: float = 13.1072e6  # frequency of the clock that they divide, Hz
-    own_rate: float | None = None
+    timebase: float = 13.1072e6  # frequency of the clock that the sample clocks divide, Hz
+    own_rate: float | None = None  # further rate of the inputs: that of the scene's converter without a named module
     couplings: tuple[Coupling, ...] = (Coupling.AC, Coupling.DC)
-    wirings: tuple[Wiring, ...] = (Wiring.PSEUDO_DIFFERENTIAL,)
-    currents: tuple[float, ...] = (0.002,)
-    supply_coupling: Literal["AC", "any"] = "any"  # coupling that this supply requires
-    on_demand: bool = True
-    output_on_demand: bool = True
-    teds: bool = True  # whether it reads the electronic data sheets of sensors
-    simultaneous: bool = True
-    chassis: str = ""
-    slot: int = 0
-    number: int = 0  # the driver's product number; 0 if not known
+    wirings: tuple[Wiring, ...] = (Wiring.PSEUDO_DIFFERENTIAL,)  # terminal configurations
+    currents: tuple[float, ...] = (0.002,)  # of the IEPE supply, A
+    supply_coupling: Literal["AC", "any"] = "any"  # coupling that the IEPE supply requires
+    on_demand: bool = True  # inputs can be read without a sample clock; delta-sigma modules require a clock
+    output_on_demand: bool = True  # outputs can be written without a sample clock
+    teds: bool = True  # reads the electronic data sheets of sensors
+    simultaneous: bool = True  # samples all inputs at the same time
+    chassis: str = ""  # empty for a separate device
+    slot: int = 0  # 0 for a separate device
+    number: int = 0  # NI's product number; 0 if not known
 
     def coerced(self, rate: float, output: bool = False) -> float:
-        """Return the lowest rate of the sample clock that is not below the requested rate.
+        """Return the lowest rate of the sample clock, S/s, that is not below the requested rate.
 
-        Raises `DaqError` with -200077, if the rate is not positive or faster than the clock.
+        Raises `DaqError` -200077 if the requested rate is not positive or exceeds the highest rate.
 
         >>> module = Module("Mod1", "NI 9234")
         >>> module.coerced(5000.0), module.coerced(8000.0), module.coerced(1000.0)
@@ -91,16 +80,18 @@ class Module:
             raise invalid_value(f"sample clock rate of {self.product_type}: {error}") from None
 
     def range_for(self, limit: float) -> float:
-        """Return the smallest range that includes ± a voltage; infinite if the inputs are not limited.
+        """Return the smallest range, ± V, that includes a limit in V; infinite if the inputs are not limited.
 
-        Raises `DaqError` with -200077, if no range does.
+        Raises `DaqError` -200077 if the limit exceeds all ranges.
         """
         if not self.ranges:
             return math.inf
         for each in self.ranges:
             if limit <= each * (1 + 1e-9):
                 return each
-        raise invalid_value(f"{limit:g} V: the inputs of {self.product_type} take ±{self.ranges[-1]:g} V at most")
+        raise invalid_value(
+            f"{limit:g} V exceeds the largest range of {self.product_type}, ±{self.ranges[-1]:g} V. Give a lower limit."
+        )
 
     @property
     def fastest(self) -> float:
@@ -113,19 +104,16 @@ class Module:
         return [f"{self.name}/{kind}{number}" for number in range(count)]
 
     def row(self, kind: str, number: int) -> int:
-        """Return the bench's channel or drive at a terminal.
-
-        Raises `DaqError` with -200170, if the terminal does not exist.
-        """
+        """Return the row of the bench's channel or drive at a terminal; `DaqError` -200170 if it does not exist."""
         rows = {"ai": self.inputs, "ao": self.outputs}.get(kind, ())
         if not 0 <= number < len(rows):
             raise self.channel_error(kind, number)
         return rows[number]
 
     def measurement_error(self, where: str) -> DaqError:
-        """Return the error for a measurement that it does not support (-200431)."""
+        """Return the error for a measurement that the device does not support (-200431)."""
         return DaqError(
-            f"{where}: {self.product_type} does not support this measurement; it measures {', '.join(MEASUREMENTS)}",
+            f"{where}: {self.product_type} does not support this measurement. Choose {', '.join(MEASUREMENTS)}.",
             Code.PHYS_CHAN_MEAS_TYPE,
         )
 
@@ -133,15 +121,12 @@ class Module:
         """Return the error for a terminal that does not exist, or is of the other kind (-200170)."""
         names = self.channel_names("ai") + self.channel_names("ao")
         return DaqError(
-            f"there is no channel {self.name}/{kind}{number}: {self.name} has " + (", ".join(names) or "none"),
+            f"there is no channel {self.name}/{kind}{number}. {self.name} has {', '.join(names) or 'none'}.",
             Code.PHYSICAL_CHAN_DOES_NOT_EXIST,
         )
 
     def attributes(self, modules: Sequence[str] = ()) -> dict[str, Any]:
-        """Return the properties of the device, by the driver's names of the attributes.
-
-        `modules`: names of the modules in a chassis.
-        """
+        """Return the properties of the device by NI's names; `modules` are the names of the modules in a chassis."""
         attributes: dict[str, Any] = {
             "product_type": self.product_type,
             "product_category": self.category,
@@ -197,18 +182,15 @@ class Module:
 
 
 class DeviceList:
-    """Finds devices by their names.
-
-    `modules`: devices, including a chassis; a module without a name has all inputs and outputs.
-    """
+    """Finds devices by their names; the module without a name has all inputs and outputs."""
 
     def __init__(self, modules: Sequence[Module]) -> None:
         self._modules = {each.name.lower(): each for each in modules}
 
     def module(self, name: str) -> Module:
-        """Return a device by its name; a typical driver name selects all inputs and outputs.
+        """Return a device by its name; a name that NI's driver typically assigns selects all inputs and outputs.
 
-        Raises `DaqError` with -200220, if there is no device of that name.
+        Raises `DaqError` -200220 if there is no device of that name.
         """
         device_name = name.strip().lstrip("/").partition("/")[0]
         module = self._modules.get(device_name.lower())
@@ -218,8 +200,8 @@ class DeviceList:
         if unnamed is not None and GIVEN_BY_DRIVER.fullmatch(device_name):
             return replace(unnamed, name=device_name)
         raise DaqError(
-            f"there is no device {name!r}: the bench has {', '.join(self.names)}"
-            + (", which also go by names like Dev1, cDAQ1Mod1, PXI1Slot2" if unnamed else ""),
+            f"there is no device {name!r}: the bench has {', '.join(self.names)}. Give one of these"
+            + (", or a name like Dev1, cDAQ1Mod1, PXI1Slot2." if unnamed else "."),
             Code.INVALID_DEVICE_ID,
         )
 

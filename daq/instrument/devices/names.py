@@ -1,9 +1,9 @@
 """Names on the instrument: devices, physical channels, terminals, and lists and ranges of them.
 
-The bench has a chassis with modules, named by `Chassis`. Scripts are written for other hardware too, so names that
-the driver typically assigns are also accepted: `Dev1`, `cDAQ1Mod1`, `cDAQ9189-1D91958Mod1`, `PXI1Slot2`. Each of
-these devices has all inputs and all outputs. Inputs under different names are separate modules on the same sensors
-(a T-piece in every cable); an output is the same under all names.
+The bench has a chassis with modules. Scripts are written for other hardware too, so names that NI's driver typically
+assigns are also accepted: `Dev1`, `cDAQ1Mod1`, `cDAQ9189-1D91958Mod1`, `PXI1Slot2`. Each of these devices has all
+inputs and all outputs. Inputs under different names are separate modules on the same sensors (a T-piece in every
+cable); an output is the same under all names.
 """
 
 from __future__ import annotations
@@ -33,9 +33,7 @@ class Port(NamedTuple):
 
 
 def parse_port(name: str) -> Port:
-    """Parse the name of a physical channel.
-
-    Raises `DaqError` with -200170, if it is not the name of a physical channel.
+    """Return the physical channel of a name; `DaqError` -200170 if it is not the name of a physical channel.
 
     >>> parse_port("cDAQ9189-1D91958Mod1/ai3")
     Port(device='cDAQ9189-1D91958Mod1', kind='ai', number=3)
@@ -44,16 +42,16 @@ def parse_port(name: str) -> Port:
     match = re.fullmatch(r"([A-Za-z]+)(\d{1,9})", port)
     if not match:
         raise DaqError(
-            f"{name!r} is not a physical channel: expected a device and a channel, such as cDAQ1Mod1/ai0",
+            f"{name!r} is not a physical channel. Give a device and a channel, such as cDAQ1Mod1/ai0.",
             Code.PHYSICAL_CHAN_DOES_NOT_EXIST,
         )
     return Port(device, match[1].lower(), int(match[2]))
 
 
 def unflatten(names: str) -> list[str]:
-    """Expand a list with ranges.
+    """Return the names in a list of names and ranges, separated by commas.
 
-    Raises `DaqError` with -200498, if a range is not of the form `ai0:3` or `Dev1/ai0:Dev1/ai3`, or too long.
+    Raises `DaqError` -200498 if a range is not of the form `ai0:3` or `Dev1/ai0:Dev1/ai3`, or is too long.
 
     >>> unflatten("Dev1/ai0:2, Dev1/ai7")
     ['Dev1/ai0', 'Dev1/ai1', 'Dev1/ai2', 'Dev1/ai7']

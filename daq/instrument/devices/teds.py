@@ -1,4 +1,4 @@
-"""Transducer electronic data sheets (TEDS, IEEE 1451.4): in the sensors, or virtual TEDS in files."""
+"""Reads transducer electronic data sheets (TEDS, IEEE 1451.4): from the sensors, or from files as virtual TEDS."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ _FILE_HEADER_BYTES = 40
 
 
 def basic_teds(data: bytes) -> dict[str, Any]:
-    """Read the basic TEDS of a data sheet, and the number of the template that follows.
+    """Return the values of the basic TEDS of a data sheet, and the number of the template, by NI's names.
 
-    `data`: the memory of the sensor without the checksum bytes, which TEDS readers remove. Returns values by the
-    driver's names of the properties. Raises `DaqError` with -200826, if it is not a data sheet.
+    `data` is the memory of the sensor without the checksum bytes, which TEDS readers remove. Raises `DaqError` -200826
+    if it is not a data sheet.
 
     >>> values = basic_teds(bytes([17, 64, 0, 32, 4, 57, 48, 0, 120]))
     >>> values["teds_mfg_id"], values["teds_version_letter"], values["teds_serial_num"], values["teds_template_i_ds"]
@@ -41,7 +41,7 @@ def basic_teds(data: bytes) -> dict[str, Any]:
     """
     if len(data) < _MIN_BYTES:
         raise DaqError(
-            f"{len(data)} bytes are not an electronic data sheet: its basic part has {_MIN_BYTES} bytes",
+            f"an electronic data sheet has at least {_MIN_BYTES} bytes, this has {len(data)}. Give a complete sheet.",
             Code.TEDS_SENSOR_DATA_ERROR,
         )
     bits = int.from_bytes(data, "little")
@@ -56,7 +56,7 @@ def basic_teds(data: bytes) -> dict[str, Any]:
 
 
 def sensitivity(data: bytes) -> float | None:
-    """Read the sensitivity of a sensor [V per unit]; None for a template without sensitivity.
+    """Return the sensitivity in a data sheet, V per unit; None for a template without sensitivity.
 
     >>> sheet = with_sensitivity(bytes([17, 64, 0, 32, 4, 57, 48, 0]), 25, 0.0102)
     >>> f"{sensitivity(sheet):.5f}"
@@ -70,7 +70,7 @@ def sensitivity(data: bytes) -> float | None:
 
 
 def with_sensitivity(basic: bytes, template: int, volts: float) -> bytes:
-    """Append a template with a sensor's sensitivity [V per unit] to its basic TEDS."""
+    """Return a basic TEDS with a template appended that contains the sensitivity, V per unit."""
     bits = int.from_bytes(basic, "little") | template << 66
     if template in _SENSITIVITY:
         offset, smallest, ratio = _SENSITIVITY[template]
@@ -81,11 +81,11 @@ def with_sensitivity(basic: bytes, template: int, volts: float) -> bytes:
 class TedsMemory:
     """The data sheets of the sensors, and the virtual data sheets that replace them.
 
-    `sensor`: returns the data sheet of the sensor at a terminal, None without a data sheet.
+    `sensor_sheet` returns the data sheet of the sensor at a terminal, None without a data sheet.
     """
 
-    def __init__(self, sensor: Callable[[Port], bytes | None]) -> None:
-        self._sensor = sensor
+    def __init__(self, sensor_sheet: Callable[[Port], bytes | None]) -> None:
+        self._sensor_sheet = sensor_sheet
         self._virtual: dict[str, bytes] = {}
 
     def configure(self, port: Port, path: str) -> None:
@@ -97,7 +97,9 @@ class TedsMemory:
         try:
             data = read_file(Path(path))
         except OSError as error:
-            raise DaqError(f"{path}: {error.strerror}", Code.VIRTUAL_TEDS_FILE_NOT_FOUND) from None
+            raise DaqError(
+                f"{path}: {error.strerror}. Give the file of a data sheet.", Code.VIRTUAL_TEDS_FILE_NOT_FOUND
+            ) from None
         if not set(data) - {0, 1}:
             # A virtual data sheet: a header and one byte per bit.
             bits = data[_FILE_HEADER_BYTES:]
@@ -113,11 +115,14 @@ class TedsMemory:
     def write(self, port: Port, data: bytes) -> None:
         """Reject a write into a sensor: the emulated sensors have no writable memory."""
         basic_teds(data)
-        raise DaqError(f"{port.name}: the sensor has no writable memory.", Code.TEDS_SENSOR_NOT_DETECTED)
+        raise DaqError(
+            f"{port.name}: the sensor has no writable memory. Configure a virtual data sheet instead.",
+            Code.TEDS_SENSOR_NOT_DETECTED,
+        )
 
     def sheet(self, port: Port) -> bytes:
-        """Return the data sheet at a terminal; with -200709, if there is no data sheet."""
-        data = self._virtual.get(port.name.lower()) or self._sensor(port)
+        """Return the data sheet at a terminal; `DaqError` -200709 if there is no data sheet."""
+        data = self._virtual.get(port.name.lower()) or self._sensor_sheet(port)
         if data is None:
             raise DaqError(
                 f"{port.name}: the sensor has no electronic data sheet. Set its sensitivity in the channel.",
@@ -126,7 +131,7 @@ class TedsMemory:
         return data
 
     def read(self, port: Port, name: str) -> Any:
-        """Read a property of the data sheet at a terminal; with -200709, if the property is missing."""
+        """Return a property of the data sheet at a terminal; `DaqError` -200709 if the property is missing."""
         values = basic_teds(self.sheet(port))
         if name not in values:
             raise DaqError(f"{port.name}: the electronic data sheet has no {name}", Code.TEDS_SENSOR_NOT_DETECTED)

@@ -1,1 +1,1 @@
-"""Settings of tasks as data: channels, timing, triggers and streams, and settings saved under a name."""
+"""Settings of tasks: channels, timing, triggers and streams, custom scales, and settings saved under a name."""

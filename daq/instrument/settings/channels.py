@@ -1,4 +1,4 @@
-"""Channels of a task: a script's settings for the terminals that it uses."""
+"""Channels of a task: the settings of a script for the terminals that it uses, and their checks."""
 
 from __future__ import annotations
 
@@ -69,20 +69,20 @@ class Channel:
     name: str  # virtual name
     port: Port  # the terminal, by the name in the script
     module: Module
-    row: int  # channel or drive of the bench at the terminal
+    row: int  # index of the bench's channel or drive at the terminal
     kind: Measurement | None  # kind of measurement of an input; None for an output
-    defaults: dict[str, Any]  # by the driver's names of the properties
-    settings: dict[str, Any]
+    defaults: dict[str, Any]  # by NI's names of the properties
+    settings: dict[str, Any]  # by NI's names of the properties
     unset_limits: set[str] = field(default_factory=set)  # limits that a script has reset and must set again
 
     @classmethod
     def declare(
         cls, name: str, port: Port, module: Module, kind: Measurement | None, given: Mapping[str, Any]
     ) -> Channel:
-        """Declare an input, or an output for no kind of measurement.
+        """Create an input, or an output if `kind` is None, with the given settings.
 
-        Raises `DaqError` with -200170, if the terminal does not exist; -200077, for limits, a sensitivity, a wiring or
-        a coupling that its module does not support.
+        Raises `DaqError` -200170 if the terminal does not exist, -200077 for limits, a sensitivity, a wiring or a
+        coupling that the module does not support.
         """
         row, defaults = module.row("ao" if kind is None else "ai", port.number), dict(_OUTPUT)
         if kind is not None:
@@ -94,7 +94,7 @@ class Channel:
             level_db = given["ai_sound_pressure_max_sound_pressure_lvl"]
             if not -1000.0 < level_db < 1000.0:
                 raise invalid_value(
-                    f"channel {name}: a sound pressure level of {level_db:g} dB: expected less than 1000 dB"
+                    f"channel {name}: the sound pressure level is {level_db:g} dB; expected less than 1000 dB."
                 )
             # Peak of a sine with this RMS level; the reference is 20 uPa.
             limit = 20e-6 * 10 ** (level_db / 20) * math.sqrt(2)
@@ -105,7 +105,7 @@ class Channel:
 
     @property
     def side(self) -> str:
-        """Side of the task: "ai" of an input, "ao" of an output."""
+        """Direction of the channel: "ai" for an input, "ao" for an output."""
         return "ao" if self.kind is None else "ai"
 
     @property
@@ -145,10 +145,7 @@ class Channel:
         return max(limits) * self.volts_per_unit
 
     def check_complete(self) -> None:
-        """Check that the channel has limits, and that its module can supply the sensor with its coupling.
-
-        Raises `DaqError` with -200695 or -200694, and with -200077.
-        """
+        """Raise `DaqError` for missing limits (-200695, -200694), or a supply that the coupling excludes (-200077)."""
         settings, module = self.settings, self.module
         for name in self.unset_limits:
             self.get(name)
@@ -166,7 +163,7 @@ class Channel:
             self.kind.check_units(settings)
         low, high = settings[f"{self.side}_min"], settings[f"{self.side}_max"]
         if not (math.isfinite(low) and math.isfinite(high)):
-            raise invalid_value(f"channel {self.name}: limits {low:g} to {high:g}: expected finite numbers")
+            raise invalid_value(f"channel {self.name}: limits {low:g} to {high:g}; expected finite numbers.")
         if not sys.float_info.min <= self.volts_per_unit < math.inf:
             raise invalid_value(f"channel {self.name}: the sensitivity is not positive and finite. Correct it.")
         if not low < high:
@@ -191,15 +188,16 @@ class Channel:
         for setting, value, names, supported in choices:
             if value not in supported:
                 name = names(value).name if value in list(names) else value
+                choice = ", ".join(each.name for each in supported if each != Wiring.DEFAULT)
                 raise invalid_value(
-                    f"channel {self.name}: {setting} {name}: {self.module.product_type} has "
-                    + ", ".join(each.name for each in supported if each != Wiring.DEFAULT)
+                    f"channel {self.name}: {self.module.product_type} does not support {setting} {name}. "
+                    f"Choose {choice}."
                 )
 
     def get(self, name: str) -> Any:
-        """Read a property by the driver's name; with -200452, if channels of this kind do not have it."""
+        """Return a property by NI's name; `DaqError` -200452 if channels of this kind do not have it."""
         if name in self.unset_limits:
-            raise DaqError(f"channel {self.name} has no {name}: it was reset. Set it.", _NOT_SPECIFIED[name])
+            raise DaqError(f"channel {self.name}: {name} was reset and has no default. Set it.", _NOT_SPECIFIED[name])
         computed = _INPUT_COMPUTED if self.kind is not None else _OUTPUT_COMPUTED
         if name in computed:
             return computed[name](self)
@@ -208,18 +206,18 @@ class Channel:
         return self.settings[name]
 
     def set(self, name: str, value: Any) -> None:
-        """Set a property; errors as of `get` and `check`."""
+        """Set a property; raises the errors of `get` and `check`."""
         if name in ("ai_rng_high", "ai_rng_low"):
             self.settings["rng"] = self.module.range_for(abs(coerce(name, value, 0.0)))
             return
         if name not in self.defaults:
             raise unsupported(f"setting property {name} of channel {self.name}")
-        before = self.settings
-        self.settings = before | {name: coerce(name, value, self.defaults[name])}
+        previous = self.settings
+        self.settings = previous | {name: coerce(name, value, self.defaults[name])}
         try:
             self.check()
         except DaqError:
-            self.settings = before
+            self.settings = previous
             raise
         self.unset_limits.discard(name)
 

@@ -1,4 +1,4 @@
-"""Settings of a task by the driver's names, with their defaults."""
+"""Settings of a task by NI's names of the properties, with their defaults."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ TRIGGER: dict[str, Any] = {
     "ref_trig_auto_trig_enable": False,
     "start_trig_delay_units": _SAMPLE_CLOCK_PERIODS,
     "start_trig_timescale": _USE_DEVICE,
-    # Wall-clock time of a timed start, s since 1970; the driver's default is the beginning of 1904.
+    # Wall-clock time of a timed start, s since 1970; NI's default is the beginning of 1904.
     "start_trig_trig_when": -2_082_844_800.0,
     "pause_trig_type": TriggerType.NONE,
     "arm_start_trig_type": TriggerType.NONE,
@@ -141,9 +141,9 @@ WHILE_RUNNING = {
 
 
 def coerce(name: str, value: Any, default: Any) -> Any:
-    """Convert the value of a setting to the type of its default.
+    """Return the value of a setting in the type of its default.
 
-    Raises `DaqError` with -200077, if it is not one of the named values, or not a finite number.
+    Raises `DaqError` -200077 if it is not among the named values, or not a finite number.
 
     >>> coerce("samp_clk_rate", 5120, 1000.0)
     5120.0
@@ -152,15 +152,13 @@ def coerce(name: str, value: Any, default: Any) -> Any:
         return enum_member(type(default), value, name)
     if isinstance(default, float):
         if not isfinite(value):
-            raise invalid_value(f"{name} is {value}: expected a finite number")
+            raise invalid_value(f"{name} is {value}; expected a finite number.")
         return float(value)
     return list(value) if isinstance(default, list) else value
 
 
 class Properties:
-    """Settings with their defaults.
-
-    `owner`: group of the settings, for error messages; `defaults`: all settings with their defaults.
+    """A group of settings with their defaults; `group` is its name, for messages.
 
     >>> timing = Properties("timing", TIMING)
     >>> timing["samp_clk_rate"] = 5120
@@ -168,13 +166,13 @@ class Properties:
     (5120.0, True)
     """
 
-    def __init__(self, owner: str, defaults: Mapping[str, Any]) -> None:
-        self._owner, self._defaults = owner, defaults
+    def __init__(self, group: str, defaults: Mapping[str, Any]) -> None:
+        self._group, self._defaults = group, defaults
         self._set: dict[str, Any] = {}
 
     def __getitem__(self, name: str) -> Any:
         if name not in self._defaults:
-            raise unsupported(f"{self._owner} property {name}")
+            raise unsupported(f"{self._group} property {name}")
         return self._set.get(name, self._defaults[name])
 
     def __setitem__(self, name: str, value: Any) -> None:

@@ -1,4 +1,4 @@
-"""Custom scales: conversions of readings before a script receives them."""
+"""Custom scales: convert readings to the units of a script by a line, a map of ranges, a polynomial or a table."""
 
 from __future__ import annotations
 
@@ -18,11 +18,7 @@ LINEAR, MAP_RANGES, POLYNOMIAL, TABLE = 10447, 10448, 10449, 10450
 
 
 class Scale:
-    """A custom scale, as in the driver.
-
-    `kind`: LINEAR, MAP_RANGES, POLYNOMIAL or TABLE; `settings`: its parameters, by the driver's names of the
-    attributes.
-    """
+    """A custom scale of kind LINEAR, MAP_RANGES, POLYNOMIAL or TABLE; `settings` are its parameters by NI's names."""
 
     def __init__(self, kind: int, settings: dict[str, Any]) -> None:
         self.settings: dict[str, Any] = {
@@ -33,16 +29,15 @@ class Scale:
         } | settings
         for name, value in self.settings.items():
             if isinstance(value, float | list) and not np.all(np.isfinite(value)):
-                raise invalid_value(f"{name} of a scale is {str(value)[:80]}: expected finite numbers")
+                raise invalid_value(f"{name} of a scale is {str(value)[:80]}; expected finite numbers.")
             if value == [] and name != "poly_reverse_coeff":
-                raise invalid_value(f"{name} of a scale is empty: expected one number at least")
+                raise invalid_value(f"{name} of a scale is empty; expected at least one number.")
         self.convert(np.zeros(1))
 
     def changed(self, name: str, value: Any) -> Scale:
         """Return the scale with a changed parameter.
 
-        Raises `DaqError` with -200077 for an invalid value, -200601 for a parameter that a scale of this type does
-        not have.
+        Raises `DaqError` -200077 for an invalid value, -200601 for a parameter that this type of scale does not have.
         """
         settings = self.settings
         if name not in settings or name == "type":
@@ -50,10 +45,7 @@ class Scale:
         return Scale(settings["type"], settings | {name: coerce(name, value, settings[name])})
 
     def convert(self, values: Array) -> Array:
-        """Scale readings.
-
-        Raises `DaqError` with -200077, if the scale is invalid.
-        """
+        """Return scaled readings, of the same shape; `DaqError` -200077 if the scale is invalid."""
         settings = self.settings
         if settings["type"] == LINEAR:
             scaled = settings["lin_slope"] * values + settings["lin_y_intercept"]
@@ -67,8 +59,8 @@ class Scale:
             scaled = np.polynomial.polynomial.polyval(values, settings["poly_forward_coeff"])
         elif len(settings["table_pre_scaled_vals"]) != len(settings["table_scaled_vals"]):
             raise DaqError(
-                f"a table scale with {len(settings['table_pre_scaled_vals'])} values before and "
-                f"{len(settings['table_scaled_vals'])} after scaling: give as many of both",
+                f"a table scale has {len(settings['table_pre_scaled_vals'])} values before and "
+                f"{len(settings['table_scaled_vals'])} after scaling. Give the same number of both.",
                 Code.MISMATCHED_INPUT_ARRAY_SIZES,
             )
         else:
@@ -79,18 +71,18 @@ class Scale:
 
 
 def reverse_polynomial(forward: list[float], low: float, high: float, points: int, order: int) -> list[float]:
-    """Fit the inverse polynomial, from scaled values to readings.
+    """Fit the inverse polynomial, from scaled values to readings, in the range `low` to `high` of the readings.
 
     >>> [round(each, 6) for each in reverse_polynomial([1.0, 2.0], -10.0, 10.0, 100, 1)]
     [-0.5, 0.5]
     """
     if not forward:
-        raise invalid_value("no coefficients to reverse. Give at least one.")
+        raise invalid_value("there are no coefficients to reverse. Give at least one.")
     points, degree = points if points > 0 else 1000, order if order >= 0 else len(forward) - 1
     if not degree < points <= _MAX_POINTS or degree > _MAX_ORDER:
         raise invalid_value(
-            f"a polynomial of order {degree} through {points} points: expected an order of {_MAX_ORDER} at most "
-            f"and more points than that, up to {_MAX_POINTS}"
+            f"a polynomial of order {degree} through {points} points; expected an order of {_MAX_ORDER} at most, "
+            f"and more points than the order, up to {_MAX_POINTS}."
         )
     x = np.linspace(low, high, points)
     with np.errstate(all="ignore"):
@@ -98,7 +90,7 @@ def reverse_polynomial(forward: list[float], low: float, high: float, points: in
         largest_power = np.abs(y).max() ** max(degree, 1)
     if not (np.isfinite(x).all() and np.isfinite(largest_power)):
         raise invalid_value(
-            "a polynomial whose powers are not finite over the range: expected smaller coefficients and limits"
+            "the powers of the polynomial are not finite over the range. Give smaller coefficients or limits."
         )
     # With full=True, numpy returns the fit diagnostics and does not warn of a poor fit.
     fitted, _ = np.polynomial.polynomial.polyfit(y, x, degree, full=True)

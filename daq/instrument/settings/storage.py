@@ -35,15 +35,15 @@ class Storage:
     authors: dict[str, str] = field(default_factory=dict)
 
     def store(self, saved: dict[str, Value], name: str, value: Value) -> None:
-        """Store a value under a name; with -200077, if the maximum number is reached."""
+        """Store a value under a name; `DaqError` -200077 if the maximum number of values is stored."""
         if name not in saved and len(saved) >= MAX_SAVED:
-            raise invalid_value(f"{MAX_SAVED} of these are saved already, the maximum. Delete some.")
+            raise invalid_value(f"{name!r}: {MAX_SAVED} of this kind are saved, the maximum. Delete one first.")
         saved[name] = value
 
     def scale(self, name: str) -> Scale:
-        """Return a scale by name; with -200378, if it does not exist."""
+        """Return a scale by name; `DaqError` -200378 if it does not exist."""
         if name not in self.scales:
-            raise DaqError(f"there is no scale {name!r}", Code.CUSTOM_SCALE_DOES_NOT_EXIST)
+            raise DaqError(f"there is no scale {name!r}. Create it first.", Code.CUSTOM_SCALE_DOES_NOT_EXIST)
         return self.scales[name]
 
     def save_task(self, task: TaskSettings, name: str, author: str) -> None:
@@ -64,7 +64,7 @@ class Storage:
         self.authors[name] = author
 
     def channel(self, name: str) -> Channel:
-        """Return a saved channel by name; with -200882, if it does not exist."""
+        """Return a saved channel by name; `DaqError` -200882 if it does not exist."""
         if name not in self.channels:
-            raise DaqError(f"there is no saved channel {name!r}", Code.INVALID_GLOBAL_CHAN)
+            raise DaqError(f"there is no saved channel {name!r}. Save it first.", Code.INVALID_GLOBAL_CHAN)
         return deepcopy(self.channels[name])

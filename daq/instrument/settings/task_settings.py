@@ -15,14 +15,14 @@ from daq.instrument.settings.properties import GROUPS, Properties
 from daq.instrument.settings.scales import Scale
 from daq.instrument.values import Regeneration, SampleMode, TimingType
 
-# Size of the buffer of a continuous task, by maximum rate.
-_BUFFERS = ((100.0, 1000), (10_000.0, 10_000), (1_000_000.0, 100_000), (math.inf, 1_000_000))
+# Buffer of a continuous task, samples per channel, up to each rate in S/s, as in NI's driver.
+_BUFFER_SIZES = ((100.0, 1000), (10_000.0, 10_000), (1_000_000.0, 100_000), (math.inf, 1_000_000))
 
 
 class TaskSettings:
-    """The settings of a task, by the driver's names, in groups: timing, trig, read, write, buffer, exported_signal.
+    """The settings of a task by NI's names, in groups: timing, trig, read, write, buffer, exported_signal.
 
-    `module`: returns a device by its name; `scales`: custom scales that channels may use.
+    `module` returns a device by its name. `scales` are the custom scales that channels may use.
     """
 
     def __init__(self, module: Callable[[str], Module], scales: Mapping[str, Scale]) -> None:
@@ -69,32 +69,33 @@ class TaskSettings:
         return bool(self.groups["write"]["regen_mode"] == Regeneration.ALLOWED)
 
     def scale_of(self, channel: Channel) -> Scale | None:
-        """Return the custom scale of a channel."""
+        """Return the custom scale of a channel; None without a scale."""
         if not channel.scaled:
             return None
         if channel.scale_name not in self._scales:
+            remedy = f"Choose {', '.join(self._scales)}." if self._scales else "Create it first."
             raise DaqError(
-                f"channel {channel.name}: there is no scale {channel.scale_name!r}; there is "
-                + (", ".join(self._scales) or "none"),
+                f"channel {channel.name}: there is no scale {channel.scale_name!r}. {remedy}",
                 Code.CUSTOM_SCALE_DOES_NOT_EXIST,
             )
         return self._scales[channel.scale_name]
 
     def require(self, kind: str) -> None:
-        """Check that the task has inputs (-200460) or outputs (-200459)."""
+        """Raise `DaqError` if the task has no inputs (-200460) or no outputs (-200459)."""
         if self.kind != kind:
-            problem, code = {
-                "ai": ("input channels: add some with ai_channels.add_...", Code.READ_NO_INPUT_CHANS_IN_TASK),
-                "ao": ("output channels: add some with ao_channels.add_...", Code.WRITE_NO_OUTPUT_CHANS_IN_TASK),
+            name, code = {
+                "ai": ("input", Code.READ_NO_INPUT_CHANS_IN_TASK),
+                "ao": ("output", Code.WRITE_NO_OUTPUT_CHANS_IN_TASK),
             }[kind]
-            raise DaqError(f"the task has no {problem}", code)
+            raise DaqError(f"the task has no {name} channels. Add a channel with {kind}_channels.add_...", code)
 
     def add(self, physical: str, name: str, kind: Measurement | None, given: Mapping[str, Any]) -> list[Channel]:
-        """Add channels.
+        """Add channels and return them.
 
-        `physical`: terminals, such as "cDAQ1Mod1/ai0:3"; `name`: virtual name, or the common prefix of several
-        names. Empty: the names of the terminals; `kind`: kind of measurement of inputs, None for outputs; `given`:
-        settings, by the driver's names. Raises `DaqError`: see `Channel.declare`; -200171 for a duplicate name.
+        `physical` are terminals, such as "cDAQ1Mod1/ai0:3". `name` is the virtual name, or the common prefix of several
+        names; if it is empty, the names are those of the terminals. `kind` is the kind of measurement of inputs, None
+        for outputs. `given` are settings by NI's names. Raises `DaqError` -200171 for a duplicate name, and the errors
+        of `Channel.declare`.
         """
         side = "ao" if kind is None else "ai"
         ports = [parse_port(each) for each in unflatten(physical)]
@@ -112,7 +113,7 @@ class TaskSettings:
         if "," in name:
             listed = [each.strip() for each in name.split(",")]
             if len(listed) > len(names):
-                raise invalid_value(f"{len(listed)} names for {len(names)} channels: expected one for each at most")
+                raise invalid_value(f"{len(listed)} names for {len(names)} channels. Give at most one for each.")
             names[: len(listed)] = listed
         elif name:
             names = numbered(name, len(names))
@@ -130,12 +131,12 @@ class TaskSettings:
                 virtual = f"{virtual}_{number}"
             elif virtual.lower() in used_names:
                 raise DaqError(
-                    f"the task has a channel {virtual!r} already: choose another name", Code.VIRTUAL_CHAN_NAME_USED
+                    f"the task has a channel {virtual!r} already. Choose another name.", Code.VIRTUAL_CHAN_NAME_USED
                 )
             channel = Channel.declare(virtual, port, module, kind, given)
             if side == "ao" and channel.row in [each.row for each in (*self.channels, *added)]:
                 raise DaqError(
-                    f"{port.name} is in the task already; an output can be used once", Code.CHAN_ALREADY_IN_TASK
+                    f"{port.name} is in the task already. Add each output only once.", Code.CHAN_ALREADY_IN_TASK
                 )
             self.scale_of(channel)
             added.append(channel)
@@ -145,16 +146,16 @@ class TaskSettings:
     def find(self, names: str) -> list[Channel]:
         """Return channels by their names or the names of their terminals; all channels for an empty string.
 
-        Raises `DaqError` with -200488, if there is no channel of that name.
+        Raises `DaqError` -200488 if there is no channel of that name.
         """
         selected = []
         for name in unflatten(names):
             key = name.lower().lstrip("/")
             matches = [each for each in self.channels if key in (each.name.lower(), each.port.name.lower())]
             if not matches:
+                present = ", ".join(each.name for each in self.channels) or "none"
                 raise DaqError(
-                    f"the task has no channel {name!r}: it has "
-                    + (", ".join(each.name for each in self.channels) or "none"),
+                    f"the task has no channel {name!r}: it has {present}. Add the channel first.",
                     Code.VIRTUAL_CHAN_DOES_NOT_EXIST,
                 )
             selected.append(matches[0])
@@ -171,19 +172,19 @@ class TaskSettings:
         samples = int(self.groups["timing"]["samp_quant_samp_per_chan"])
         if self.finite:
             return samples
-        return max(next(size for rate, size in _BUFFERS if self.rate <= rate), samples)
+        return max(next(size for rate, size in _BUFFER_SIZES if self.rate <= rate), samples)
 
     @property
     def samples(self) -> int:
-        """Samples per channel of a finite task; minimum size of the buffer of a continuous task.
+        """Samples per channel of a finite task, or minimum size of the buffer of a continuous task.
 
-        Raises `DaqError` with -200077, if there are too few.
+        Raises `DaqError` -200077 for fewer than 2.
         """
         samples = int(self.groups["timing"]["samp_quant_samp_per_chan"])
         if samples < 2 and self.clocked:
-            raise invalid_value(f"{samples} samples per channel: expected 2 at least")
+            raise invalid_value(f"{samples} samples per channel; expected 2 or more.")
         return samples
 
     def rows_to_read(self) -> list[int]:
-        """Positions in the task of the channels that reads return."""
+        """Return the indexes in the task of the channels that reads return."""
         return [self.channels.index(each) for each in self.find(self.groups["read"]["channels_to_read"])]

@@ -56,8 +56,7 @@ def rejection(method: str) -> Callable[[Call], NoReturn]:
             if name in fields:
                 module = modules.module(fields[name])
                 raise DaqError(
-                    f"{function}: {module.name} has no {fields[name]!r}. The devices of the rig have only analog inputs "
-                    "and outputs: use these.",
+                    f"{function}: {module.name} has no {fields[name]!r}. Use its analog inputs and outputs.",
                     Code.PHYSICAL_CHAN_DOES_NOT_EXIST,
                 )
         terminals = next((fields[name] for name in fields if name.endswith("physical_channel")), "")

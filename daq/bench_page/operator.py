@@ -96,7 +96,7 @@ class Operator:
         """Start bench time without a test."""
         with self._chassis.changed:
             self._terminals.play(self._scene, 0, _ignore, _ignore, _ignore, _zero_drive)
-            self._chassis.wake(cast(Any, self))
+            self._chassis.keep_time_running(cast(Any, self))
 
     def switch_off(self) -> None:
         """Mark the hits, and stop bench time unless a client runs a task."""

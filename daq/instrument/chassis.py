@@ -208,7 +208,7 @@ class Chassis:
             self.outputs.pop(task, None)
             self._wake_all()
 
-    def wake(self, task: Runner) -> None:
+    def keep_time_running(self, task: Runner) -> None:
         """Keep bench time running from now on, until this task is closed."""
         with self.changed:
             if not self.live:

@@ -79,7 +79,7 @@ class Task:
         with self.chassis.changed:
             self.reserve()
             try:
-                self.chassis.wake(self)
+                self.chassis.keep_time_running(self)
                 self._run()
             except BaseException:
                 self._end()
@@ -332,7 +332,7 @@ class Task:
         self.verify()
         self.reserve()
         try:
-            self.chassis.wake(self)
+            self.chassis.keep_time_running(self)
             yield
         finally:
             if not (self.running or self._committed):

@@ -124,12 +124,15 @@ class SignalPath:
 
 
 class Overloads:
-    """Flags samples that depend on an interval in overload, or on one whose zero shift is not yet negligible."""
+    """Flags samples that depend on an interval in overload, or on one whose zero shift is not yet negligible.
 
-    def __init__(self, stages: Sequence[Stage], rate: float, intervals_per_sample: int) -> None:
+    `affecting_intervals` is the number of intervals on which a sample depends.
+    """
+
+    def __init__(self, stages: Sequence[Stage], rate: float, affecting_intervals: int) -> None:
         recovery_rates = [-section.a[0, 0] for section in stages[0].sections if section.name == RECOVERY]
         self._decay_intervals = rate / recovery_rates[0] if recovery_rates else 0.0
-        self._intervals_per_sample = intervals_per_sample
+        self._affecting_intervals = affecting_intervals
         self._severity = np.zeros(1)
         self._flagged_ahead = 0  # intervals of the next block that are already known to be affected
 
@@ -150,7 +153,7 @@ class Overloads:
         recovery = np.ceil(self._decay_intervals * np.log(excess)).astype(np.int64)
         valid_from = np.zeros(severity.size + 1, dtype=np.int64)
         valid_from[0] = self._flagged_ahead
-        valid_from[overloaded + 1] = overloaded + self._intervals_per_sample + recovery
+        valid_from[overloaded + 1] = overloaded + self._affecting_intervals + recovery
         valid_from = np.maximum.accumulate(valid_from)
         self._flagged_ahead = int(valid_from[-1]) - severity.size
         return (valid_from[1:] > np.arange(severity.size))[sample_ends]

@@ -168,7 +168,7 @@ def test_irregular_motion_uses_a_nearby_frequency() -> None:
     assert study.points and study.motion_type
 
 
-def test_hardest_frequency_is_a_resonance() -> None:
+def test_default_frequency_is_a_resonance() -> None:
     scene = rig.load("fig9")
     assert default_frequency(scene, assemble(scene)) == pytest.approx(49.0, abs=1.0)
 

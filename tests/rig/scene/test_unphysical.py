@@ -57,7 +57,7 @@ def test_free_structure_may_move_as_rigid_body() -> None:
 def test_improbable_clearance_without_unit_causes_warning() -> None:
     chain = "structure: {masses: [1 kg], springs: [1 kN/m]}\ndampers: [{body: 1, mass: 1 g, clearance: %s}]"
     with pytest.warns(
-        SceneWarning, match=r"scene:2: dampers\[1\].clearance: got 0.98 .* 980 mm\). Add .* such as 0.98 mm"
+        SceneWarning, match=r"scene:2: dampers\[1\].clearance: got 0.98 .* \(980 mm\). Add .* such as 0.98 mm"
     ):
         rig.loads(chain % "0.98")
     for clearance in ("0.98 m", "0.00098", ".inf", "0"):
@@ -67,8 +67,8 @@ def test_improbable_clearance_without_unit_causes_warning() -> None:
 @pytest.mark.parametrize(
     ("damping", "message"),
     [
-        ("damping: {modal: 0.5}", r"structure.damping.modal: got 0.5 .* 50 %\). Add .* such as 0.5 %"),
-        ("damping: {modal: [0.5 %, 0.3]}", r"structure.damping.modal\[2\]: got 0.3 .* 30 %"),
+        ("damping: {modal: 0.5}", r"structure.damping.modal: got 0.5 .* \(50 %\). Add .* such as 0.5 %"),
+        ("damping: {modal: [0.5 %, 0.3]}", r"structure.damping.modal\[2\]: got 0.3 .*\(30 %"),
         ("damping: {modal: 50 %}", None),
         ("damping: {modal: 0.005}", None),
     ],

@@ -13,6 +13,8 @@ from rig.scene.scene import Scene
 from rig.system.assembly import assemble, matrices_without_free_beds
 from rig.system.open_loop_drive import riding_equations, riding_response
 
+_Matrices = tuple[Array, Array, Array]
+
 
 def scene_of_test(model: Scene, curves: Curves) -> Scene:
     """Return the model with the shaker and test of a recording, and with those dampers that the recording has.
@@ -58,27 +60,29 @@ def linear_response(test_scene: Scene, curves: Curves, frequency: Array) -> tupl
 
 
 def linear_derivatives(
-    test_scene: Scene, curves: Curves, frequency: Array, changed: Sequence[tuple[Scene, Scene, float]]
+    test_scene: Scene, curves: Curves, frequency: Array, changed: Sequence[tuple[Scene, float]]
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return the derivatives of displacement / reference with respect to values of the scene, and to the frequency.
 
     They follow from the derivatives of the matrices, which are linear in masses and springs. Differences of the
     response itself are too inaccurate near narrow resonances for combinations of values that hardly change it.
 
-    `changed`: for each value, the scene with a larger and with a smaller value, and their difference. The shapes are
+    `changed`: for each value, the scene with a slightly larger value, and the change of the value. The shapes are
     (values, bodies, frequencies) and (bodies, frequencies); the second is per Hz.
     """
     system = assemble(test_scene)
-    inertia, matrix, _ = riding_equations(system, _drive(test_scene))
+    equations = riding_equations(system, _drive(test_scene))
+    inertia, matrix, _ = equations
+    matrices = matrices_without_free_beds(test_scene)
     omega = 2.0 * np.pi * frequency
     states = riding_response(system, _drive(test_scene), omega)
     # Derivative of the equations (j omega inertia - matrix) states = inflow: by omega first, then by each value.
     right_sides = [-1j * (inertia @ states)]
-    for larger, smaller, difference in changed:
+    for changed_scene, change in changed:
         if test_scene.dampers:
-            by_inertia, by_matrix, by_inflow = _equation_derivatives(larger, smaller, difference)
+            by_inertia, by_matrix, by_inflow = _equation_derivatives(equations, changed_scene, change)
         else:
-            by_inertia, by_matrix, by_inflow = _matrix_derivatives(larger, smaller, difference, system.states)
+            by_inertia, by_matrix, by_inflow = _matrix_derivatives(matrices, changed_scene, change, system.states)
         right_sides.append(by_matrix @ states + by_inflow[:, None] - 1j * omega * (by_inertia @ states))
     dynamic_stiffness = 1j * omega[:, None, None] * inertia - matrix
     solution = np.linalg.solve(dynamic_stiffness, np.array(right_sides).transpose(2, 1, 0)).transpose(2, 1, 0)
@@ -91,22 +95,27 @@ def linear_derivatives(
     return np.asarray(derivatives[1:]), np.asarray(2.0 * np.pi * derivatives[0])
 
 
-def _equation_derivatives(larger: Scene, smaller: Scene, difference: float) -> tuple[Array, Array, Array]:
+def _equation_derivatives(equations: _Matrices, changed_scene: Scene, change: float) -> _Matrices:
     """Differentiate the result of `riding_equations` with respect to a value of the scene."""
-    pairs = zip(*(riding_equations(assemble(scene), _drive(scene)) for scene in (larger, smaller)), strict=True)
-    by_inertia, by_matrix, by_inflow = ((high - low) / difference for high, low in pairs)
-    return by_inertia, by_matrix, by_inflow
+    changed = riding_equations(assemble(changed_scene), _drive(changed_scene))
+    return _difference_quotients(equations, changed, change)
 
 
-def _matrix_derivatives(larger: Scene, smaller: Scene, difference: float, states: int) -> tuple[Array, Array, Array]:
+def _matrix_derivatives(matrices: _Matrices, changed_scene: Scene, change: float, states: int) -> _Matrices:
     """Return the same derivatives without dampers, faster: fitted values change only the structure's matrices."""
-    pairs = zip(matrices_without_free_beds(larger), matrices_without_free_beds(smaller), strict=True)
-    by_mass, by_damping, by_stiffness = ((high - low) / difference for high, low in pairs)
+    by_mass, by_damping, by_stiffness = _difference_quotients(
+        matrices, matrices_without_free_beds(changed_scene), change
+    )
     n = len(by_mass)
     by_inertia, by_matrix = np.zeros((2, states, states))
     by_inertia[n : 2 * n, n : 2 * n] = by_mass
     by_matrix[n : 2 * n, :n], by_matrix[n : 2 * n, n : 2 * n] = -by_stiffness, -by_damping
     return by_inertia, by_matrix, np.zeros(states)
+
+
+def _difference_quotients(initial: _Matrices, changed: _Matrices, change: float) -> _Matrices:
+    first, second, third = ((new - old) / change for old, new in zip(initial, changed, strict=True))
+    return first, second, third
 
 
 def _drive(test_scene: Scene) -> str:

@@ -29,8 +29,9 @@ PRIOR_SD = 1.0
 _MAX_CHANGE = 6.0
 # Step of an unknown for finite differences of orbits, which are accurate to about 1e-13.
 _UNKNOWN_STEP = 1e-6
-# Relative step of a parameter for derivatives of the matrices, which are linear in all parameters but modal damping.
-_PARAMETER_STEP = 1e-3
+# Relative step of a parameter for derivatives of the matrices. These are linear in all parameters, except that modal
+# damping depends on masses and springs.
+_PARAMETER_STEP = 1e-6
 # Residual assigned to a point where the model has no periodic solution, in standard deviations.
 _FAILED_RESIDUAL = 30.0
 # Residual above which a point is an outlier, in standard deviations and in medians of the residuals.
@@ -295,9 +296,9 @@ class Problem:
             if k < count
             and (self.parameters[k].damper is None or self.parameters[k].quantity in ("mass", "mass_ratio"))
         ]
-        perturbed = [self._perturbed_scenes(x, k, scene, curves) for k in effective]
+        changed = [self._changed_scene(x, k, scene, curves) for k in effective]
         frequency = self.operating_points(x, curves)[1]
-        by_value, by_frequency = linear_derivatives(scene_of_test(scene, curves), curves, frequency, perturbed)
+        by_value, by_frequency = linear_derivatives(scene_of_test(scene, curves), curves, frequency, changed)
         values, (channel_gains, reference_gain) = self.values(x), self.gains(x, curves)
         channel_gains, bodies = channel_gains[:, None], list(curves.bodies)
         ratio = self._displacement_ratio(x, group, scene)[bodies]
@@ -318,17 +319,14 @@ class Problem:
         whitened = np.einsum("nij,cjn->nic", curves.whiten[used], derivatives[:, :, used])
         return whitened / np.sqrt(1.0 + (model_error * group.local_peak[used]) ** 2)[..., None]
 
-    def _perturbed_scenes(self, x: Array, k: int, scene: Scene, curves: Curves) -> tuple[Scene, Scene, float]:
-        """Return the scene of a test with parameter k slightly larger and smaller, and the difference of its values.
+    def _changed_scene(self, x: Array, k: int, scene: Scene, curves: Curves) -> tuple[Scene, float]:
+        """Return the scene of a test with a slightly larger value of parameter k, and the change of the value.
 
         `scene`: the model with the values of the unknowns x.
         """
-        value, place = float(self.values(x)[k]), self.parameters[k].place
-        larger, smaller = (
-            scene_of_test(with_values(scene, {place: value * factor}), curves)
-            for factor in (1.0 + _PARAMETER_STEP, 1.0 - _PARAMETER_STEP)
-        )
-        return larger, smaller, 2.0 * _PARAMETER_STEP * value
+        value = float(self.values(x)[k])
+        changed = value * (1.0 + _PARAMETER_STEP)
+        return scene_of_test(with_values(scene, {self.parameters[k].place: changed}), curves), changed - value
 
 
 def _local_peaks(curves: Curves) -> Array:

@@ -157,7 +157,7 @@ def test_missing_response_reports_the_cause() -> None:
         receptance(table, [-1.0])
     with pytest.raises(SceneError, match="frequencies"):
         receptance(table, [np.nan])
-    with pytest.raises(SceneError, match="damper 2 does not exist.*from 1 to 1"):
+    with pytest.raises(SceneError, match=r"damper 2 does not exist.*from 1 to 1"):
         receptance(force, [1.0], riding=[2])
     with pytest.raises(SceneError, match="no coil spring"):
         receptance(force, [1.0], attached=True)

@@ -13,7 +13,7 @@ import analysis.cli
 import daq
 import daq.cli
 from daq.recording.recorder import Recorder
-from daq.viewing.description import about
+from daq.viewing.description import markdown_page
 from daq.viewing.replay import Replay
 from tests.analysis.responses import synthetic
 
@@ -96,7 +96,7 @@ def test_page_escapes_hostile_text(folder: Path, monkeypatch: pytest.MonkeyPatch
 def test_replay_escapes_hostile_text(folder: Path) -> None:
     with daq.open(folder / "r.mcap") as recording:
         replay = Replay(recording)
-        page = about(recording, replay.motion, replay.view)
+        page = markdown_page(recording, replay.motion, replay.view)
     prose, _, scene = page.partition("```yaml")
     assert "<script>" not in prose.replace("\\<", "") and "\x1b" not in page and scene.count("```") == 1
 

@@ -224,7 +224,7 @@ def grains(
     last: Last = None,
     points: Points = None,
     periods: Annotated[
-        int, typer.Option(min=1, max=MAX_COUNT, metavar="N", help="Drive periods in each block that is averaged.")
+        int, typer.Option(min=1, max=MAX_COUNT, metavar="N", help="Number of drive periods in each averaged block.")
     ] = 20,
     cluster: Cluster = None,
     output: Annotated[

@@ -57,8 +57,8 @@ def expand_chain(scene: Scene) -> Scene:
     if shaker is not None and shaker.kind == "force":
         if channels is not None and not any(channel.measures_force for channel in channels):
             raise SceneError(
-                "channels: none measures the force, so that the compliance has no reference. Add "
-                "{name: force, at: shaker}, or remove channels: for ideal channels."
+                "channels: no channel measures the force, so that the compliance has no reference. Add "
+                "{name: force, at: shaker}, or delete the key channels to assume ideal channels."
             )
     elif channels is None:
         bodies = [f"body {number}" for number in range(1, scene.structure.bodies + 1)]

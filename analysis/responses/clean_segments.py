@@ -94,7 +94,7 @@ def remedy(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
     sensor = f", or use a sensor of a larger range ({', '.join(limits)})" if limits else ""
     remedies = [] if reasons == {SETTLING} else [f"lower the level, widen the range (converter: range){sensor}"]
     if SETTLING in reasons:
-        remedies.append("switch the sensors on earlier before the test")
+        remedies.append("switch the sensors on longer before the test")
     text = ", and ".join(remedies)
     return text[0].upper() + text[1:]
 

@@ -133,7 +133,8 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
         data, frequency = np.asarray(data_set["data"]), np.asarray(data_set["x"], dtype=float)
         if not np.iscomplexobj(data) or data.size != frequency.size:
             raise RecordingError(
-                f"{path}: {name} is not a row of complex numbers over frequency. Export the file again."
+                f"{path}: {name} is not a complex value for each frequency. Export the response as complex values "
+                "(real and imaginary part)."
             )
         # The unit of the ratio, from the axis labels.
         numerator, denominator = uff.label(data_set, "ordinate"), uff.label(data_set, "orddenom")

@@ -206,7 +206,8 @@ def read_labview_heading(lines: Sequence[str], where: str) -> LabviewHeading:
     ends = [number for number, line in enumerate(lines) if line.startswith(_LABVIEW_END)]
     if len(ends) < 2 or len(lines) <= ends[1] + 1:
         raise RecordingError(
-            f"{where}: its LabVIEW heading does not end; expected {_LABVIEW_END} twice, names, and numbers"
+            f"{where}: its LabVIEW heading does not end; expected {_LABVIEW_END} twice, then "
+            "a line of names, then numbers"
         )
     separator = "," if _cells_by_key(lines[: ends[0]], r"[\t,]").get("Separator", ["Tab"])[0] == "Comma" else "\t"
     file_keys, segment = (

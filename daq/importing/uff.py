@@ -81,7 +81,9 @@ def functions(path: Path) -> list[dict[str, Any]]:
                 continue
             value_count, stated_count = np.asarray(content["data"]).size, int(content["num_pts"])
             if value_count != stated_count:
-                raise ValueError(f"its header states {stated_count} values, it contains {value_count}")
+                raise ValueError(
+                    f"its header states {stated_count} values, it contains {value_count}. Export it again."
+                )
         except Exception as error:
             raise RecordingError(
                 f"{path}: data set {index + 1} (type {set_type}) cannot be read: the file is cut off or damaged "
@@ -90,7 +92,7 @@ def functions(path: Path) -> list[dict[str, Any]]:
         sets.append(content)
     if not sets:
         other_types = ", ".join(map(str, sorted(set(set_types) - {0}))) or "none"
-        raise RecordingError(f"{path} holds no data set 58 (functions); its data sets: {other_types}")
+        raise RecordingError(f"{path} contains no data set 58 (functions), but {other_types}. Export functions.")
     for data_set in sets:
         data_set["si"] = units == _UNITS_SI
     return sets

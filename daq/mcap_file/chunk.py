@@ -122,8 +122,9 @@ def record_at(read: Callable[[int, int], bytes], place: int, end: int, largest: 
     if len(head) < RECORD_HEAD.size:
         raise Damage("the file ends within a record")
     opcode, length = RECORD_HEAD.unpack(head)
-    if length > min(largest, end - place - RECORD_HEAD.size):
-        raise Damage(f"a record of kind {opcode} claims {length} bytes")
+    longest = min(largest, end - place - RECORD_HEAD.size)
+    if length > longest:
+        raise Damage(f"a record of kind {opcode} claims {length} bytes; at most {longest} are possible there")
     return opcode, memoryview(read(place + RECORD_HEAD.size, length))
 
 

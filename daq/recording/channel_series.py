@@ -139,7 +139,7 @@ class Series:
     def _check(self, block: SampleBlock, log_time: int, clock: Timebase) -> None:
         """Raise `RecordingError` if the times of a block contradict its sample numbers."""
         if block.stop > MAX_SAMPLES:
-            raise self._error(f"a block begins at sample {block.first_sample}; expected at most {MAX_SAMPLES}.")
+            raise self._error(f"a block ends at sample {block.stop}; expected at most {MAX_SAMPLES}.")
         start_error = (block.t0_ns - clock.start_ns) * clock.rate * 1e-9 - block.first_sample
         end_error = (log_time - clock.start_ns) * clock.rate * 1e-9 - block.stop
         if block.rate != clock.rate or not (abs(start_error) < 0.5 and abs(end_error) < 0.5):

@@ -102,7 +102,10 @@ class Recording(Result):
         for channel in sorted(summary.channels.values(), key=lambda channel: channel.id):
             schema = summary.schemas.get(channel.schema_id)
             if channel.topic in self._topics:
-                raise RecordingError(f"{self.path}: two channels on the topic {channel.topic}. Rename one.")
+                raise RecordingError(
+                    f"{self.path}: two channels have the topic {channel.topic}. Write the file again with "
+                    "another topic for each channel."
+                )
             self._topics[channel.topic] = channel
             if schema is None or schema.name not in SAMPLE_TYPE or schema.encoding != "protobuf":
                 continue

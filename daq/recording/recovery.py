@@ -236,7 +236,8 @@ class _Salvager:
                 if marker.kind in ("gap", "lost"):
                     self._gaps.append((marker.first_sample, marker.end + 1))
         except RecordingError as error:
-            self._notes.append(f"{channel.topic}: {error}")
+            text = str(error)
+            self._notes.append(text if text.startswith(f"{channel.topic}:") else f"{channel.topic}: {text}")
             return False
         return True
 
@@ -282,7 +283,9 @@ class _Salvager:
             if expected > self._n_messages[number]:
                 messages[channels[number].topic] = expected - self._n_messages[number]
         if self._n_without_topic:
-            self._notes.append(f"{self._n_without_topic} messages belong to topics whose description is lost")
+            self._notes.append(
+                f"{self._n_without_topic} messages are left out, because the description of their topics is lost"
+            )
         if not self._has_scene:
             self._notes.append(f"the scene ({layout.SCENE_FILE}) is lost")
         return Salvage(self._source, self._target, clock.rate, recovered, lost, messages, self._notes)

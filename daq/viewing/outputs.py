@@ -165,7 +165,10 @@ def show(
                 _send(replay, stream, lambda: stream.flush(timeout_sec=_MAX_SINK_WAIT_S), progress)
             except RuntimeError as error:
                 if running.process.poll() is None:
-                    raise RunError(f"the rerun viewer stopped receiving data: {error}") from error
+                    raise RunError(
+                        f"the rerun viewer stopped receiving data ({error}). Show the recording again, or a part of it "
+                        "with --from and --to."
+                    ) from error
         with pause_reports():
             running.process.wait()
 

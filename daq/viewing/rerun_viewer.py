@@ -99,7 +99,7 @@ class Viewer:
                 # A viewer without a graphics device closes its connections before it ends.
                 self.process.wait(timeout=2.0)
             except subprocess.TimeoutExpired:
-                raise RunError(f"the rerun viewer stopped answering: {error}") from error
+                raise RunError(f"the rerun viewer stopped answering ({error}). Start it again.") from error
             raise RunError(_end_reason(self.output())) from error
 
 

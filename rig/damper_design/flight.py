@@ -119,7 +119,7 @@ def describe_shortfall(
     if effective_levels:
         forces = ",".join(f"{format_number(level)}N" for level in effective_levels)
         reductions_text = ", ".join(f"{largest_reductions[level]:.1f} dB" for level in effective_levels)
-        lines.append(f"at some levels dampers reduce the peak, by up to {reductions_text}. Give --levels {forces}.")
+        lines.append(f"at {forces}, dampers reduce the peak by up to {reductions_text}. Give --levels {forces}.")
     elif charted_levels:
         lines.append(
             f"these dampers reduce the peak by {EFFECTIVE_DB:g} dB or more from "

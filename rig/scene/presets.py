@@ -42,14 +42,14 @@ def preset_note(settings: Accelerometer | Hammer | None, key: str) -> str:
     """Describe the preset and source of a value; an empty string if the scene gives the value.
 
     >>> preset_note(Accelerometer(preset="PCB 352C33"), "saturation")
-    ' by preset PCB 352C33, from no source'
+    ' from preset PCB 352C33, without a source'
     >>> preset_note(Accelerometer(preset="PCB 352C33", saturation=500.0), "saturation")
     ''
     """
     if settings is None or settings.preset is None or getattr(settings, key) is not None:
         return ""
     sheet = data_sheet(settings.preset)
-    return f" by preset {sheet.name}{', from no source' if key in sheet.unchecked else ''}"
+    return f" from preset {sheet.name}{', without a source' if key in sheet.unchecked else ''}"
 
 
 def needs_supply(channel: Channel) -> bool:

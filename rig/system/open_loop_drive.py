@@ -231,7 +231,10 @@ def validate_drive(drive: ArrayLike, inputs: Sequence[str], first: int = 0) -> A
     try:
         block: Array = np.asarray(drive, dtype=np.float64)
     except (TypeError, ValueError):
-        raise RunError("drive: the values are not real numbers, or the rows differ in length. Give an array.") from None
+        raise RunError(
+            "drive: the values are not real numbers, or the rows differ in length. Give an array of real numbers of "
+            f"shape ({len(inputs)}, samples)."
+        ) from None
     if block.ndim != 2 or block.shape[0] != len(inputs):
         raise RunError(
             f"drive: the array has shape {block.shape}. Give one of shape ({len(inputs)}, samples) for the inputs "

@@ -41,7 +41,10 @@ class Scale:
         """
         settings = self.settings
         if name not in settings or name == "type":
-            raise DaqError(f"a scale of this type has no {name} to set", Code.PROPERTY_NOT_SUPPORTED_FOR_SCALE_TYPE)
+            raise DaqError(
+                f"a scale of this type has no {name}. Set a property of its type.",
+                Code.PROPERTY_NOT_SUPPORTED_FOR_SCALE_TYPE,
+            )
         return Scale(settings["type"], settings | {name: coerce(name, value, settings[name])})
 
     def convert(self, values: Array) -> Array:

@@ -37,7 +37,10 @@ class Storage:
     def store(self, saved: dict[str, Value], name: str, value: Value) -> None:
         """Store a value under a name; `DaqError` -200077 if the maximum number of values is stored."""
         if name not in saved and len(saved) >= MAX_SAVED:
-            raise invalid_value(f"{name!r}: {MAX_SAVED} of this kind are saved, the maximum. Delete one first.")
+            raise invalid_value(
+                f"{name!r} cannot be saved: the maximum is {MAX_SAVED} tasks, {MAX_SAVED} channels and {MAX_SAVED} "
+                "scales. Delete one of the same kind first."
+            )
         saved[name] = value
 
     def scale(self, name: str) -> Scale:

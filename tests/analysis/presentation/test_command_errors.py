@@ -26,7 +26,7 @@ CASES = [
     ("silent", None, 4, np.zeros(2560), [tone_marker(2559)], "frf", "force on the structure is zero throughout"),
     ("window", None, 4, np.ones(60), [tone_marker(59)], "frf", "shorter than a period of its tone"),
     ("clipped", None, 4, np.ones(2560), [tone_marker(2559), *overload_markers(2559)], "frf", "overloaded in every"),
-    ("no table", None, 3, np.ones(2560), [tone_marker(2559)], "modes", "needs a channel at the table"),
+    ("no table", None, 3, np.ones(2560), [tone_marker(2559)], "modes", "needs a motion channel at the table"),
     ("never steady", None, 4, np.ones(2560), [("settle", 0, 2559, {})], "frf", "no steady state was measured"),
     ("dead", IMPULSE, 3, np.zeros(9000), [("hit", 900, 910, {})], "decay", "is constant throughout the decay"),
     (

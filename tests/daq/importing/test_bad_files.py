@@ -177,7 +177,7 @@ def test_uff_without_time_responses_names_the_command(tmp_path):
     write_uff(tmp_path / "a.uff", random_samples(50))
     text = (tmp_path / "a.uff").read_text(encoding="utf-8")
     (tmp_path / "b.uff").write_text(text.replace("    58", "    82"))
-    assert "holds no data set 58" in rejection_message(tmp_path / "b.uff", tmp_path)
+    assert "contains no data set 58" in rejection_message(tmp_path / "b.uff", tmp_path)
     lines = text.splitlines(keepends=True)
     type_lines = [number + 6 for number, line in enumerate(lines) if line.startswith("    58")]
     for number in type_lines:

@@ -18,13 +18,13 @@ from rig.errors import ShotrigError
 
 
 class BackgroundTest:
-    """Plays a test on a bench window by window; the controller of the test reads the channels after each window.
+    """Plays a test on a bench in windows: intervals whose drive depends on the readings of the previous window.
 
-    `station` is the test's view of the bench; `station.now` is the number of the first sample. The drive is
+    `station` describes the bench to the test; `station.now` is the number of the first sample. The excitation is a
+    generator that yields the drive of each window and receives the readings; `excite` creates it. The drive is
     interpolated linearly over the `ticks` of the bench per sample. `physical` converts samples to the channels' units.
-    `lead_ticks` ticks without drive precede the first sample. `excite` creates the excitation. `ended` is called once
-    when the test ends, with the reason, which is empty at a regular end. Without `ended`, the test restarts at its
-    end, and an error is a warning.
+    `lead_ticks` ticks without drive precede the first sample. `ended` is called once when the test ends, with the
+    reason, which is empty at a regular end. Without `ended`, the test restarts at its end, and an error is a warning.
     """
 
     def __init__(
@@ -40,15 +40,16 @@ class BackgroundTest:
         self._interpolator = DriveInterpolator(len(station.inputs), ticks)
         self._stopping = False
         self._position = 0  # in the drive of the window, ticks
-        self._readings: list[Array] = []
-        self._drive = np.zeros((len(station.inputs), 0))
-        # Nothing is played: there is no test, it has ended or failed, or a client uses its output.
+        self._readings: list[Array] = []  # of the present window
+        self._drive = np.zeros((len(station.inputs), 0))  # of the present window, at every tick
+        # True while nothing is played: there is no test, it has ended or failed, or a client uses its output.
         self.quiet = station.scene.test is None
         if not self.quiet:
             self._start_test("cannot be played")
             self._drive = np.concatenate([np.zeros((len(self._drive), lead_ticks)), self._drive], axis=1)
 
     def _start_test(self, failure: str) -> None:
+        """Start the test with its first window; `failure` is the predicate of the message if it cannot start."""
         try:
             self._test = self._excite(self._station)
             self._start_window(next(self._test))
@@ -60,6 +61,7 @@ class BackgroundTest:
         self._window, self._drive, self._position = window, self._interpolator.interpolate(window), 0
 
     def _finish(self, failure: str, reason: str) -> None:
+        """Play nothing from now on, and report the reason; `failure` is the predicate of the warning."""
         self.quiet = True
         if self._ended is not None:
             self._ended(reason)
@@ -96,7 +98,7 @@ class BackgroundTest:
         return self._drive[:, self._position : self._position + ticks]
 
     def add_readings(self, samples: NDArray[np.float64] | NDArray[np.int32], ticks: int) -> None:
-        """Add the readings of `ticks` ticks, shape (channels, samples)."""
+        """Add converter samples of `ticks` ticks, shape (channels, samples); start the next window if one ends."""
         if self.quiet:
             return
         self._readings.append(self._physical(samples))
@@ -129,4 +131,5 @@ class BackgroundTest:
 
 
 def _ramp(last: Array, samples: int) -> Excitation:
+    """Return an excitation of one window: a ramp to zero from the last two samples of the drive, shape (inputs, 2)."""
     yield ramp_down(last, samples)

@@ -1,8 +1,9 @@
 """The chassis: runs the tasks of clients on the bench of a scene, on one clock.
 
 There is an input for every channel of the scene (including the force of the hammer) and an output for every shaker.
-Time is counted in ticks of one clock. Tasks start at ticks, and outputs act on the inputs through the plant. Tasks of
-any rate use this clock and may start in any order; no task changes the samples of another task.
+Time is counted in ticks, the steps of the simulation of the bench. Tasks start at ticks. The outputs act on the inputs
+through the simulated rig: shaker, structure and dampers. Tasks of any rate use this clock and may start in any order;
+no task changes the sampling of another task.
 
 An output keeps its last value when a task ends; `rig.scene.shaker.DRIVE_PER_VOLT` defines the effect of its voltage.
 Bench time stops while no task needs the bench. The test of the scene is played until a task uses an output for the
@@ -70,10 +71,10 @@ class Runner(Protocol):
 
 
 class Chassis:
-    """The instrument in front of a bench: its devices, its clock, and the tasks that use them.
+    """The instrument that is connected to a bench: its devices, its clock, and the tasks that use them.
 
-    `modules` are the devices that scripts can use, including the chassis itself. `terminals` belong to a bench at
-    rest. `clock` advances the bench.
+    `modules` are the devices that scripts can use, including the chassis itself. `terminals` are those of a bench that
+    has not been advanced yet. `clock` advances the bench.
     """
 
     def __init__(self, modules: Sequence[Module], terminals: Terminals, clock: Clock) -> None:
@@ -88,10 +89,15 @@ class Chassis:
         self.wiring_listeners: list[Callable[[Sequence[Channel]], None]] = []
         self.inputs: dict[Runner, Acquisition] = {}
         self.outputs: dict[Runner, Generation] = {}
-        self._output_taken = self._read = False
+        self._output_taken = False  # a task uses the outputs instead of the test of the scene
+        self._read = False  # an acquisition has been started
+        # Times of the bench, s, with the actions that are due then.
         self._alarms: list[tuple[float, Callable[[], None]]] = []
+        # Resources of each task, with their names for messages; see `reserve`.
         self._reserved: dict[Runner, Mapping[Hashable, str]] = {}
+        # Tasks that have been started and are still open: bench time runs for them.
         self._live_tasks: weakref.WeakSet[Any] = weakref.WeakSet()
+        # Consecutive events of each task whose callback did not finish in time.
         self._unanswered: weakref.WeakKeyDictionary[Runner, int] = weakref.WeakKeyDictionary()
         self.tasks: dict[str, Runner] = {}
         self.position = 0  # ticks since the bench was switched on
@@ -101,7 +107,7 @@ class Chassis:
         self.last_volts = np.zeros(len(terminals.drive_per_volt))  # present voltage of each output
 
     def anchor(self) -> None:
-        """Store the time of the next tick; see `Timeline.anchor`."""
+        """Store the wall-clock time of the next tick; see `Timeline.anchor` in `daq.instrument.clock`."""
         # The fast and the manual clock have no date; their times count from power-on of the bench.
         now_ns = time.time_ns() if self.clock.runs_free else round(self.position * 1e9 / self.rate)
         self._anchors.append((self.position, now_ns))
@@ -117,11 +123,11 @@ class Chassis:
         return self.position / self.rate
 
     def at(self, seconds: float, action: Callable[[], None]) -> None:
-        """Schedule an action at a time of the bench, s."""
+        """Schedule an action at a time of the bench, s; see `elapsed`."""
         self._alarms.append((seconds, action))
 
     def pass_time(self, seconds: float) -> None:
-        """Wait for a time of the bench, s; while no task needs the bench, wait for wall-clock time."""
+        """Wait until a duration, s, has passed on the bench; on the wall clock while no task needs the bench."""
         with self.changed:
             end = self.position + round(seconds * self.rate)
 
@@ -222,20 +228,20 @@ class Chassis:
         return len(self._live_tasks) > 0
 
     def wire(self, task: Runner, channels: Sequence[Channel]) -> None:
-        """Set the couplings and sensor supplies of a task's inputs; see `Terminals.wire`."""
+        """Set the input couplings and sensor supplies of a task's channels; see `Terminals.wire`."""
         in_use = {row for other, each in self.inputs.items() if other is not task for row in each.plan.rows}
         self.terminals.wire(channels, in_use)
         for listener in self.wiring_listeners:
             listener(channels)
 
     def run_input(self, task: Runner, plan: InputPlan) -> Acquisition:
-        """Start an acquisition."""
+        """Start an acquisition at the present tick and return it."""
         self._read = True
         self.inputs[task] = Acquisition(plan, self.rate, self.position, self.terminals.dtype)
         return self.inputs[task]
 
     def run_output(self, task: Runner, plan: OutputPlan, buffer: OutputBuffer) -> Generation:
-        """Start a generation."""
+        """Start a generation of voltages from a buffer at the present tick and return it."""
         self.outputs[task] = Generation(plan, buffer, self.position, self.last_volts[list(plan.rows)])
         return self.outputs[task]
 
@@ -245,7 +251,7 @@ class Chassis:
         return self._read and not self._output_taken and self.terminals.quiet
 
     def wait(self, ready: Callable[[], bool], missing: Callable[[], int], timeout: float) -> bool:
-        """Wait until a condition is met; see `Clock.wait`."""
+        """Wait until a condition is met, and return whether it was; see `Clock.wait`."""
         return self.clock.wait(self, ready, missing, timeout)
 
     # Time
@@ -319,7 +325,7 @@ class Chassis:
             )
 
     def event_tick(self, source: OtherTask) -> int | None:
-        """Return the tick of the start or of the reference trigger of another task; None before that."""
+        """Return the tick of the start or reference trigger of the task that `source` names; None before it."""
         runs: dict[Any, Any] = self.inputs if source.kind == "ai" else self.outputs
         device = source.device.lower()
         on_device = [run for task, run in runs.items() if device and task.device.lower().startswith(device)]
@@ -370,7 +376,7 @@ class Chassis:
         self.sleepers.wake()
 
     def report_delay(self, seconds: float) -> bool:
-        """Process the delay of the bench relative to the wall clock; a long delay overflows its buffers."""
+        """Return whether a delay relative to the wall clock, s, overflows the buffers; if so, stop all runs."""
         if seconds < _MAX_DELAY_S:
             return False
         self._stop_all(

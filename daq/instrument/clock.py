@@ -1,7 +1,8 @@
 """Clocks that advance a bench: as fast as the computer allows, in real time, or on request.
 
-A bench counts its time in samples, and only the clock decides when the next samples are due. A call that must wait
-(a read, a write into a full buffer, `wait_until_done`) waits by the clock, and its timeout is in the clock's time.
+A bench counts its time in ticks, the steps of its simulation. Its position is the number of ticks that have passed.
+Only the clock decides when the next ticks are due. A call that must wait (a read, a write into a full buffer,
+`wait_until_done`) waits by the clock, and its timeout is in the clock's time.
 
 * `FastClock`: time passes only during waiting calls, as fast as the computer simulates. A run is
   deterministic: nothing happens between two calls. Repeated queries of a task's progress count as waiting
@@ -46,7 +47,7 @@ def raise_priority() -> None:
 
 
 class Sleepers:
-    """Threads that wait for positions of a bench.
+    """Threads that wait until a bench has reached a position, in ticks.
 
     A thread is woken when its position is reached. If the bench woke every thread at each step of 4 ms, a reader that
     waits for 100 ms would wake 25 times, and delay the reader whose samples are available. The calling thread holds
@@ -87,22 +88,22 @@ def seconds(timeout: float) -> float:
 class Timeline(Protocol):
     """A bench, as the clock that advances it sees it."""
 
-    position: int  # samples that have passed
-    # Notified whenever samples have passed; its lock protects the bench.
+    position: int  # ticks that have passed
+    # Notified whenever ticks have passed; its lock protects the bench.
     changed: threading.Condition
-    # Threads that wait for samples; woken when enough samples have passed, and whenever a task ends.
+    # Threads that wait for ticks; woken when enough ticks have passed, and whenever a task ends.
     sleepers: Sleepers
 
     @property
     def rate(self) -> float:
-        """Samples per second."""
+        """Ticks per second."""
 
     @property
     def live(self) -> bool:
         """Whether bench time must pass (a task has been started and is still open)."""
 
-    def advance(self, samples: int) -> None:
-        """Advance by a number of samples."""
+    def advance(self, ticks: int) -> None:
+        """Advance by a number of ticks."""
 
     def fail(self, error: BaseException) -> None:
         """Process an error that stops bench time."""
@@ -111,11 +112,11 @@ class Timeline(Protocol):
         """Store the wall-clock time at which bench time continues after a stop."""
 
     def report_delay(self, seconds: float) -> bool:
-        """Process the delay relative to the clock, s; return whether to skip the delayed time."""
+        """Process the delay of the bench relative to the wall clock, s; return whether to skip the delayed time."""
 
 
 class Clock:
-    """Base class of all clocks; on this clock no time passes."""
+    """Base class of all clocks; time on this clock does not pass."""
 
     # Whether time passes without waiting calls.
     runs_free = False
@@ -124,20 +125,18 @@ class Clock:
         """Start to advance a bench; called whenever a task starts."""
 
     def now(self, bench: Timeline) -> float:
-        """Seconds on this clock, for timeouts."""
+        """Return the time of a bench on this clock, s, for timeouts."""
         return bench.position / bench.rate
 
     def pass_query(self, bench: Timeline) -> None:
         """Let a short time pass for a query, on a clock that advances only while a call waits."""
 
-    def wait(
-        self, bench: Timeline, ready: Callable[[], bool], samples_needed: Callable[[], int], timeout: float
-    ) -> bool:
+    def wait(self, bench: Timeline, ready: Callable[[], bool], ticks_needed: Callable[[], int], timeout: float) -> bool:
         """Wait until `ready` is true; return whether that was before the timeout.
 
-        The caller holds the lock of the bench. `samples_needed` returns a lower bound of the samples until the
-        condition can be met; the bench advances by at most this number at once. `timeout` is bench time in s: 0 checks
-        once, a negative timeout is infinite.
+        The caller holds the lock of the bench. `ticks_needed` returns a lower bound of the ticks until the condition
+        can be met; the bench advances by at most this number at once. `timeout` is bench time in s: 0 checks once, a
+        negative timeout is infinite.
         """
         return ready()
 
@@ -153,17 +152,15 @@ class FastClock(Clock):
         """Let 10 ms pass, so that a loop which only queries the progress terminates."""
         bench.advance(max(1, int(bench.rate / 100)))
 
-    def wait(
-        self, bench: Timeline, ready: Callable[[], bool], samples_needed: Callable[[], int], timeout: float
-    ) -> bool:
+    def wait(self, bench: Timeline, ready: Callable[[], bool], ticks_needed: Callable[[], int], timeout: float) -> bool:
         """See `Clock.wait`."""
         end = math.inf if timeout < 0 else bench.position + math.ceil(timeout * bench.rate - 1e-6)
         next_pause = time.monotonic() + self.PAUSE_INTERVAL_S
         while not ready():
-            samples = min(max(1, samples_needed()), end - bench.position, math.ceil(bench.rate))
-            if samples <= 0:
+            ticks = min(max(1, ticks_needed()), end - bench.position, math.ceil(bench.rate))
+            if ticks <= 0:
                 return False
-            bench.advance(int(samples))
+            bench.advance(int(ticks))
             if time.monotonic() > next_pause:
                 # The condition may depend on another client, or may never be met.
                 bench.changed.wait(self.PAUSE_S)
@@ -186,7 +183,7 @@ class ManualClock(Clock):
         self._benches.add(bench)
 
     def advance(self, seconds: float) -> None:
-        """Advance every bench of this clock, to the nearest sample."""
+        """Advance every bench of this clock by a time in s, rounded to ticks."""
         for bench in list(self._benches):
             with bench.changed:
                 bench.advance(round(seconds * bench.rate))
@@ -219,17 +216,15 @@ class RealClock(Clock):
             self._running.add(bench)
         threading.Thread(target=_keep_time, args=(weakref.ref(bench), self._running), name="bench", daemon=True).start()
 
-    def wait(
-        self, bench: Timeline, ready: Callable[[], bool], samples_needed: Callable[[], int], timeout: float
-    ) -> bool:
+    def wait(self, bench: Timeline, ready: Callable[[], bool], ticks_needed: Callable[[], int], timeout: float) -> bool:
         """See `Clock.wait`."""
         self.start(bench)
         end = math.inf if timeout < 0 else bench.position + timeout * bench.rate
         # Bench time, not the wall clock, decides: during compilation, bench time is late.
         while not ready() and bench.position < end and bench in self._running:
             # The run may also end early.
-            samples = min(max(1, samples_needed()), math.ceil(self.CHECK_INTERVAL_S * bench.rate), end - bench.position)
-            bench.sleepers.sleep(bench.position + math.ceil(samples))
+            ticks = min(max(1, ticks_needed()), math.ceil(self.CHECK_INTERVAL_S * bench.rate), end - bench.position)
+            bench.sleepers.sleep(bench.position + math.ceil(ticks))
         return ready()
 
 
@@ -277,7 +272,7 @@ def _keep_time(reference: weakref.ref[Timeline], running: weakref.WeakSet[Timeli
     pause, delays = threading.Event(), _Delays()
     # Wall-clock time in ns, position and rate from which the due position is computed.
     origin: tuple[int, int, float] | None = None
-    compilations, last = 0, time.monotonic_ns()
+    compilations, last = 0, time.monotonic_ns()  # number of compilations; wall-clock time of the last step, ns
     while True:
         bench = reference()
         if bench is None:
@@ -291,6 +286,7 @@ def _keep_time(reference: weakref.ref[Timeline], running: weakref.WeakSet[Timeli
             if origin is None or origin[2] != bench.rate or bench.position < origin[1]:
                 origin = (now, bench.position, bench.rate)
                 bench.anchor()
+            # Ticks by which the bench is behind the wall clock.
             due = origin[1] + (now - origin[0]) * bench.rate // 10**9 - bench.position
             elapsed, last = (now - last) * 1e-9, now
             if due > 0:

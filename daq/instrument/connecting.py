@@ -68,6 +68,7 @@ def _modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
     return [*chassis, *slots, *modules, all_channels]
 
 
+# Module of the outputs whose shakers name no module.
 _IDEAL_OUTPUTS = Module("", "shotrig outputs")
 
 
@@ -108,7 +109,7 @@ def _input_modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
 
 
 def _device(sheet: Sheet, template: Module) -> Module:
-    """Return a template with the product type of a data sheet; only C Series modules are in a chassis."""
+    """Return a copy of a module with the product type of a data sheet; only C Series modules are in a chassis."""
     if sheet.family == "c_series":
         return replace(template, product_type=sheet.product_type)
     return replace(template, product_type=sheet.product_type, category=SOUND_AND_VIBRATION, bus=USB_BUS)
@@ -129,6 +130,7 @@ def _add_output(modules: list[Module], output: Output, row: int) -> None:
         )
     elif output.range is not None:
         template = replace(template, output_range=output.range, output_bits=output.bits)
+    # An output without a named module is ideal: its module has any number of outputs.
     max_outputs = 1 << 30 if outputs is None else outputs.channels
     settings = ("output_range", "output_bits", "output_rates", "output_on_demand")
     for number, each in enumerate(modules):

@@ -27,6 +27,7 @@ class Events:
     """The listeners of a task; they are called with the chassis locked and must return immediately."""
 
     def __init__(self) -> None:
+        # Kind of samples, number of samples between two events, listener.
         self._every: tuple[EverySamples, int, Listener] | None = None
         self._done: Listener | None = None
         self._signals: dict[Signal, Listener] = {}
@@ -106,8 +107,10 @@ class Events:
 
     def begin(self) -> None:
         """Reset the counts at the start of a run."""
-        self._sent, self._signaled, self._done_sent = 0, 0, False
-        self._triggered: set[Signal] = set()
+        self._sent = 0  # every-N-samples events
+        self._signaled = 0  # samples whose signals have been sent
+        self._done_sent = False
+        self._triggered: set[Signal] = set()  # triggers whose signals have been sent
 
     def next_due(self, n_samples: int) -> int | None:
         """Return the total number of samples at which the next event is due; None without a listener."""

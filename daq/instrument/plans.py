@@ -1,4 +1,7 @@
-"""Checks the settings of a task and converts them into triggers and plans for the engines."""
+"""Checks the settings of a task and converts them into triggers and plans for the engines.
+
+An engine runs a task: an acquisition (inputs) or a generation (outputs). Its plan has all settings that it needs.
+"""
 
 from __future__ import annotations
 
@@ -29,6 +32,7 @@ if TYPE_CHECKING:
     from daq.instrument.settings.task_settings import TaskSettings
     from daq.virtual_bench.bench import Bench
 
+# Names of the bench's own sample clock; the source of a clock may also be empty.
 _OWN_CLOCK = re.compile(r"|OnboardClock|.*/OnboardClock|/?([^/]+/)?(a[io]/)?SampleClock(Timebase)?", re.IGNORECASE)
 
 
@@ -114,6 +118,7 @@ def sources(task: TaskSettings, chassis: Chassis) -> tuple[Source | None, Source
 
 
 def _source(task: TaskSettings, name: str, chassis: Chassis) -> Source | None:
+    """Return the source of the trigger `name`, "start" or "ref"; None without that trigger."""
     settings = task.groups["trig"]
     kind = settings[f"{name}_trig_type"]
 

@@ -1,4 +1,8 @@
-"""Tasks of clients, as in NI-DAQmx: settings (channels, timing, triggers, streams), states, reads and writes."""
+"""Tasks of clients, as in NI-DAQmx: settings (channels, timing, triggers, streams), states, reads and writes.
+
+A run lasts from the start of a task to its stop. Only a task with a sample clock has runs; without the clock, a task
+reads or writes on demand, one call at a time.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +41,7 @@ class Task:
         self.output = TaskOutput(chassis, self.settings, self)
         self.events = Events()
         self.running = self.closed = False
-        self._automatic = False  # started by a read or a write
+        self._automatic = False  # started by a read, not by the script
         self._committed = False  # modules stay reserved after a stop
         self._reported = False  # the failure of the run has been raised
         self._query_positions: dict[str, int] = {}  # tick of the last query of each kind
@@ -69,7 +73,7 @@ class Task:
         sources(self.settings, self.chassis)
 
     def start(self, automatic: bool = False) -> None:
-        """Start the task: arm its triggers and keep bench time running."""
+        """Start the task: arm its triggers and keep bench time running; `automatic` if a read starts it."""
         self.check_idle("start")
         if not self.settings.channels:
             raise DaqError(
@@ -98,7 +102,7 @@ class Task:
         self.input.run = self.output.run = None
         self.events.begin()
         if self.settings.clocked:
-            self._part.start(*sources(self.settings, self.chassis))
+            self._used_direction.start(*sources(self.settings, self.chassis))
 
     def stop(self) -> int:
         """Stop the task.
@@ -126,7 +130,7 @@ class Task:
             self.chassis.halt(self)
         else:
             self.chassis.release(self)
-        self._part.stop()
+        self._used_direction.stop()
 
     def close(self) -> None:
         """Stop the task and release its resources; it cannot be used again."""
@@ -159,13 +163,14 @@ class Task:
         return 0
 
     @property
-    def _part(self) -> TaskInput | TaskOutput:
+    def _used_direction(self) -> TaskInput | TaskOutput:
+        """The output of a task with output channels, otherwise the input."""
         return self.output if self.settings.kind == "ao" else self.input
 
     @property
     def run(self) -> Acquisition | Generation | None:
-        """The present run, or the last run."""
-        return self._part.run
+        """The present run, or the last run; None before the first."""
+        return self._used_direction.run
 
     @property
     def finished(self) -> bool:
@@ -175,7 +180,7 @@ class Task:
     @property
     def endless(self) -> bool:
         """Whether the task runs until it is stopped."""
-        return not self.settings.clocked or not self.settings.finite or self._part.retriggers
+        return not self.settings.clocked or not self.settings.finite or self._used_direction.retriggers
 
     @property
     def memory(self) -> int:
@@ -191,7 +196,7 @@ class Task:
 
     @property
     def failure(self) -> DaqError | None:
-        """Reason why the run ended early."""
+        """Reason why the run ended early; None without an error."""
         return None if self.run is None else self.run.error
 
     def raise_failure(self) -> None:
@@ -226,7 +231,9 @@ class Task:
             is_done = (
                 not self.running
                 or not self.settings.clocked
-                or self.chassis.wait(lambda: self.finished or not self.running, self._part.ticks_to_end, timeout)
+                or self.chassis.wait(
+                    lambda: self.finished or not self.running, self._used_direction.ticks_to_end, timeout
+                )
             )
             self.raise_failure()
         if not is_done:
@@ -246,19 +253,20 @@ class Task:
 
     def max_ticks(self) -> int:
         """See `daq.instrument.chassis.Runner`."""
-        part = self._part
-        due = None if self.chassis.clock.runs_free else self.events.next_due(part.samples_passed)
-        return part.ticks_until_log() if due is None else min(part.ticks_until_log(), part.ticks_until(due))
+        direction = self._used_direction
+        log_ticks = direction.ticks_until_log()
+        due = None if self.chassis.clock.runs_free else self.events.next_due(direction.samples_passed)
+        return log_ticks if due is None else min(log_ticks, direction.ticks_until(due))
 
     def notify_samples(self) -> bool:
         """See `daq.instrument.chassis.Runner`."""
-        self._part.write_log()
-        return self.running and self.events.notify(self._part.samples_passed, self.run)
+        self._used_direction.write_log()
+        return self.running and self.events.notify(self._used_direction.samples_passed, self.run)
 
     @property
     def callback_finished(self) -> bool:
         """See `daq.instrument.chassis.Runner`."""
-        return not self.running or self._part.all_read
+        return not self.running or self._used_direction.all_read
 
     # Samples
 
@@ -339,7 +347,7 @@ class Task:
                 self.chassis.release(self)
 
     def default_count(self) -> int:
-        """Return the default size of a read: all samples of a finite task, the available samples otherwise."""
+        """Return the samples per channel of a read without a number: all of a finite task, otherwise the available."""
         settings = self.settings
         settings.require("ai")
         if not settings.clocked:

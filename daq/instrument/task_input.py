@@ -1,4 +1,8 @@
-"""The input of a task: its acquisition, its log, and the reads that wait for samples."""
+"""The input of a task: its acquisition, its log, and the reads that wait for samples.
+
+The acquisition stores samples in a buffer. The log is a file with the same samples. The read position is the number
+of the sample that the next read returns first.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +48,7 @@ class TaskInput:
     # States
 
     def start(self, start: Source | None, reference: Source | None) -> None:
-        """Start an acquisition, and its log."""
+        """Start an acquisition, and its log; `start` and `reference` are the sources of its triggers."""
         chassis, read = self._chassis, self._settings.groups["read"]
         chassis.wire(self._task, self._settings.channels)
         plan = input_plan(self._settings, chassis.bench, start, reference)
@@ -100,7 +104,7 @@ class TaskInput:
         return run.ticks_until(run.samples_to_wait(run.plan.samples - run.position), self._chassis.position)
 
     def ticks_until(self, samples: int) -> int:
-        """Return the number of ticks until that many samples have been acquired."""
+        """Return the number of ticks until the total number of acquired samples is `samples`."""
         if self.run is None:
             return UNLIMITED_TICKS
         return self.run.ticks_until(samples - self.samples_passed, self._chassis.position)
@@ -118,7 +122,7 @@ class TaskInput:
             self.run.position = max(self.run.position, self.run.readable)
 
     def start_new_file(self, path: Path) -> None:
-        """Continue the log in another file."""
+        """Continue the log in another file; without a log, do nothing."""
         if self.log is not None and self.run is not None:
             self.log.start_new_file(path, self.run)
 
@@ -160,7 +164,7 @@ class TaskInput:
             )
 
     def read_on_demand(self, rows: Sequence[int], out: NDArray[Any], timeout: float, raw: bool) -> Reading:
-        """Acquire samples from now on, without the task's sample clock."""
+        """Acquire samples from now on, without the task's sample clock; see `_collect`."""
         chassis = self._chassis
         chassis.wire(self._task, self._settings.channels)
         plan = input_plan(self._settings, chassis.bench, None, None, on_demand=out.shape[1])
@@ -172,13 +176,16 @@ class TaskInput:
             self.run = None
 
     def read(self, rows: Sequence[int], out: NDArray[Any], timeout: float, raw: bool) -> Reading:
-        """Read from the position that the script has set; see `Task.read`."""
+        """Read from the position that the script has set; see `_collect`."""
         assert self.run is not None
         self._seek(self.run)
         return self._collect(self.run, rows, out, timeout, raw)
 
     def _seek(self, run: Acquisition) -> None:
-        """Set the read position; with -200277 before the first sample, -200282 for a missing reference trigger."""
+        """Set the read position as `in_stream.relative_to` and `in_stream.offset` require.
+
+        Raises `DaqError` -200277 for a position before the first sample, -200282 for a missing reference trigger.
+        """
         settings = self._settings.groups["read"]
         origin, offset = RelativeTo(settings["relative_to"]), settings["offset"]
         position = run.position
@@ -207,7 +214,11 @@ class TaskInput:
         run.position = position
 
     def _collect(self, run: Acquisition, rows: Sequence[int], out: NDArray[Any], timeout: float, raw: bool) -> Reading:
-        """Read from the present position into `out`, shape (len(rows), n); the caller holds the chassis's lock."""
+        """Read from the present position into `out`, shape (len(rows), n), and return the part that was read.
+
+        `rows` are the indexes of the channels in the task. `raw` reads counts of the converter. See `Task.read` for
+        `timeout` and errors. The caller holds the lock of the chassis.
+        """
         chassis, channels = self._chassis, self._settings.channels
         n_requested, start_s, n_read, first = out.shape[1], chassis.clock.now(chassis), 0, run.position
 
@@ -280,6 +291,7 @@ def _counts(channel: Channel, samples: NDArray[Any]) -> NDArray[Any]:
 
 
 def _missing_trigger(run: Acquisition) -> str:
+    """Return a note for an error message on the trigger that has not occurred; empty if none is missing."""
     if not run.has_started:
         return " (the start trigger has not occurred)"
     if run.plan.reference is not None and run.trigger is None:

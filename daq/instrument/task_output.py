@@ -1,4 +1,7 @@
-"""The output of a task: its buffer, its generation, and writes that wait until the buffer has space."""
+"""The output of a task: its buffer, its generation, and writes that wait until the buffer has space.
+
+The generation converts the samples of the buffer into the output voltages of the bench.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ if TYPE_CHECKING:
 class TaskOutput:
     """The output of a task."""
 
-    # An output has no retriggerable start, and no event waits for its response.
+    # See `TaskInput`: an output has no retriggerable start, and no event waits until its samples are read.
     retriggers, all_read = False, True
 
     def __init__(self, chassis: Chassis, settings: TaskSettings, task: Runner) -> None:
@@ -33,7 +36,7 @@ class TaskOutput:
     # States
 
     def start(self, start: Source | None, reference: Source | None) -> None:
-        """Start to play the buffer."""
+        """Start to play the buffer at the trigger `start`; an output has no reference trigger."""
         if self.buffer is None or self.buffer.written == 0:
             raise DaqError(
                 "the output has no samples. Write samples before starting the task.", Code.OUTPUT_BUFFER_EMPTY
@@ -71,7 +74,7 @@ class TaskOutput:
         return max(1, int(self._chassis.rate / 100)) if self.run is None else self.run.ticks_to_end()
 
     def ticks_until(self, samples: int) -> int:
-        """Return the number of ticks until that many samples have been generated."""
+        """Return the number of ticks until the total number of generated samples is `samples`."""
         return UNLIMITED_TICKS if self.run is None or not self.run.has_started else self.run.ticks_until(samples)
 
     def ticks_until_log(self) -> int:
@@ -99,7 +102,7 @@ class TaskOutput:
     # Writes
 
     def write(self, volts: Array, timeout: float) -> int:
-        """Write samples into the buffer; see `Task.write`."""
+        """Write samples, V, into the buffer; return the number of samples per channel written. See `Task.write`."""
         if not self._running and (self.buffer is None or self._has_played):
             # The first write after a run starts a new buffer.
             settings = self._settings.groups["buffer"]
@@ -109,7 +112,7 @@ class TaskOutput:
         return self._fill(self.buffer, volts, timeout)
 
     def write_on_demand(self, volts: Array) -> int:
-        """Output samples sequentially at the rate of the bench; the output keeps the last value."""
+        """Output samples, V, at the rate of the bench; return their number per channel. The last value is kept."""
         chassis, rows = self._chassis, [each.row for each in self._settings.channels]
         if volts.shape[1] > 1:
             buffer = OutputBuffer(volts.shape[0], None)
@@ -126,6 +129,7 @@ class TaskOutput:
         return volts.shape[1]
 
     def _free(self, buffer: OutputBuffer, generated: int) -> int:
+        """Return the samples per channel that can be written after `generated` samples have been played."""
         return int(buffer.free(generated, self._running, self._settings.regenerates))
 
     def _fill(self, buffer: OutputBuffer, volts: Array, timeout: float) -> int:

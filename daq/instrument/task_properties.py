@@ -14,13 +14,14 @@ from daq.instrument.settings.properties import WHILE_RUNNING, coerce
 from daq.instrument.task import Task
 from daq.instrument.values import TimestampEvent
 
+# Names of the terminals of NI's devices, without the device.
 _TERMINAL = re.compile(r"A?PFI\d+|RTSI\d+|(a[io]/)?\w*(Clock|Timebase|Trigger)\w*|Ctr\d\w*", re.IGNORECASE)
 
 
 def get_channel(task: Task, names: str, name: str) -> Any:
-    """Read a property of channels.
+    """Return a property of the channels with the given names, by NI's name.
 
-    Raises `DaqError` with -200077, if the channels have different values.
+    Raises `DaqError` -200077 if the channels have different values, -200478 if the task has no channels.
     """
     channels = task.settings.find(names)
     if not channels:
@@ -40,14 +41,14 @@ def get_channel(task: Task, names: str, name: str) -> Any:
 
 
 def set_channel(task: Task, names: str, name: str, value: Any) -> None:
-    """Set a property of channels."""
+    """Set a property of the channels with the given names; no names select all channels."""
     task.check_idle(name, Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
     for each in task.settings.find(names):
         each.set(name, value)
 
 
 def reset_channel(task: Task, names: str, name: str) -> None:
-    """Reset a property of channels to its default."""
+    """Reset a property of the channels with the given names to its default."""
     task.check_idle(name, Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
     for each in task.settings.find(names):
         each.reset(name)
@@ -61,7 +62,7 @@ def get_value(task: Task, group: str, name: str) -> Any:
 
 
 def set_value(task: Task, group: str, name: str, value: Any) -> None:
-    """Change a setting; with -200557 while the task runs, -200077 for an invalid value."""
+    """Change a setting; `DaqError` -200557 while the task runs, -200077 for an invalid value."""
     if name not in WHILE_RUNNING.get(group, ()):
         task.check_idle(name, Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
     if name == "samp_clk_timebase_div":
@@ -132,7 +133,7 @@ def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
 def full_terminal(task: Task, name: str) -> str:
     """Return NI's full name of a terminal, which begins with the device.
 
-    Raises `DaqError` with -89120, if it is not a terminal.
+    Raises `DaqError` -89120 if it is not a terminal.
     """
     if not name or name.startswith("/"):
         return name
@@ -158,15 +159,17 @@ def _counter(query: str, value: Callable[[Task], int]) -> Callable[[Task], int]:
 
 
 def _seconds_of(task: Task, event: TimestampEvent) -> float:
+    """Return the time of an event of the task, s; wait for the event up to 10 s."""
     return time_of(task, event, 10.0) * 1e-9
 
 
-def _run_input(task: Task, value: Callable[[Any], int]) -> int:
+def _of_input_run(task: Task, value: Callable[[Any], int]) -> int:
+    """Return a value of the present or last acquisition; 0 before the first acquisition."""
     return 0 if task.input.run is None else value(task.input.run)
 
 
 def _module(task: Task) -> Module:
-    """Return the module whose clock the task uses; with -200478, if it has no channels."""
+    """Return the module whose clock the task uses; `DaqError` -200478 if the task has no channels."""
     if not task.settings.channels:
         raise DaqError("the task has no channels. Add a channel first.", Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK)
     return task.settings.channels[0].module
@@ -179,6 +182,7 @@ def _trigger_source(task: Task, name: str) -> str:
     return source if source.lower() in names else full_terminal(task, source)
 
 
+# Properties that are computed when a script reads them, by group and NI's name.
 _COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {
     ("timing", "samp_clk_rate"): lambda task: task.settings.rate,
     ("timing", "samp_clk_max_rate"): lambda task: _module(task).fastest,
@@ -196,15 +200,16 @@ _COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {
     ("trig", "ref_trig_term"): lambda task: full_terminal(task, f"{task.settings.kind}/ReferenceTrigger"),
     ("buffer", "input_buf_size"): lambda task: task.settings.input_size,
     ("buffer", "output_buf_size"): lambda task: task.output.size,
+    # Constant, in samples: the emulated modules have no buffers of their own.
     ("buffer", "input_onbrd_buf_size"): lambda task: 4095,
     ("buffer", "output_onbrd_buf_size"): lambda task: 8191,
     ("read", "num_chans"): lambda task: len(task.settings.rows_to_read()),
     ("read", "raw_data_width"): lambda task: 4 * len(task.settings.rows_to_read()),
     ("read", "avail_samp_per_chan"): _counter(
-        "available", lambda task: _run_input(task, lambda run: max(0, run.readable - run.position))
+        "available", lambda task: _of_input_run(task, lambda run: max(0, run.readable - run.position))
     ),
     ("read", "total_samp_per_chan_acquired"): _counter("acquired", lambda task: task.input.samples_passed),
-    ("read", "curr_read_pos"): lambda task: _run_input(task, lambda run: run.position),
+    ("read", "curr_read_pos"): lambda task: _of_input_run(task, lambda run: run.position),
     ("read", "default_number_of_samples"): lambda task: task.default_count(),
     ("read", "overloaded_chans_exist"): lambda task: task.input.overloaded_exist(),
     ("read", "overloaded_chans"): lambda task: task.input.overloaded(),

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 class Terminals:
     """The interface between a bench and its instrument.
 
-    The bench computes in ticks that are short enough for the fastest module. Neither the motion nor a sample
-    therefore depends on the running tasks.
+    A tick is one step of the bench, short enough for the fastest module. The motion and the samples therefore do not
+    depend on which tasks run.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -53,8 +53,9 @@ class Terminals:
         self.bench = bench = Bench(scene, math.ceil(max(min_tick_rates) / sample_rate - 1e-6))
         has_counts = bool(bench.channels) and bench.channels[0].volts_per_count is not None
         self.dtype: type[np.generic] = np.int32 if has_counts else np.float64  # of samples: counts or volts
+        # Rows of the outputs among the drives of the bench.
         self._outputs = [row for row, name in enumerate(bench.inputs) if name != "hammer"]
-        # Shape (outputs,).
+        # Factor from output voltage to drive (N, m or V), shape (outputs,).
         self.drive_per_volt = np.array([DRIVE_PER_VOLT[bench.drive_units[row]] for row in self._outputs])
         self._converter = complete_from_preset(scene.converter)
         station = Station(scene, bench.channels, bench.inputs, bench.rate, mark=lambda *arguments, **fields: None)
@@ -93,7 +94,10 @@ class Terminals:
         ended: Callable[[str], None],
         excite: Callable[[Station], PlayedSignal] = excitation,
     ) -> BackgroundTest:
-        """Play the test of a scene once, from the first sample after `position` ticks; see `BackgroundTest`."""
+        """Play the test of a scene once, from the first sample at or after `position` ticks; see `BackgroundTest`.
+
+        `mark` adds markers to a recording, `report` receives the progress.
+        """
         bench = self.bench
         first_sample = -(-position // bench.ticks)
         station = Station(scene, bench.channels, bench.inputs, bench.rate, mark, report, now=first_sample)

@@ -13,7 +13,7 @@ Member = TypeVar("Member", bound=IntEnum)
 def enum_member(kind: type[Member], value: int, setting: str) -> Member:
     """Return the named value of a number.
 
-    Raises `DaqError` with -200077, if there is no value of that number.
+    `setting` is the name of the setting, for the message. Raises `DaqError` -200077 for an unknown number.
     """
     if value not in list(kind):
         names = ", ".join(f"{each.name} ({int(each)})" for each in kind)
@@ -90,4 +90,5 @@ TimestampEvent = IntEnum("TimestampEvent", {"START_TRIGGER": 12491, "REFERENCE_T
 # Samples that an event counts: acquired or generated.
 EverySamples = IntEnum("EverySamples", {"ACQUIRED": 1, "TRANSFERRED": 2})
 
+# Units that a custom scale, or the electronic data sheet (TEDS) of the sensor, defines.
 FROM_CUSTOM_SCALE, FROM_TEDS = 10065, 12516

@@ -1,7 +1,8 @@
 """The loop between the excitation of a test and the bench.
 
-The excitation is a generator: it yields windows of drive, and receives the readings of each window. The loop plays the
-windows on the bench and ends the test when a reading exceeds a limit.
+The drive is the signal at the inputs of the simulated rig. The excitation is a generator: it yields the drive in
+windows, and receives the readings of each window. The loop plays the windows on the bench and ends the test when a
+reading exceeds a limit.
 """
 
 from __future__ import annotations
@@ -25,7 +26,10 @@ RAMP_S = 0.05
 
 
 def ramp_down(last: Array, samples: int) -> Array:
-    """Return a ramp of the drive to zero, continuous in value and slope, from its last two samples (inputs, 2)."""
+    """Return a ramp of the drive to zero, shape (inputs, samples), continuous in value and slope.
+
+    `last` are the last two samples of the drive before the ramp, shape (inputs, 2).
+    """
     index = np.arange(1, samples + 1)
     # A straight line of the last slope, times a half cosine.
     return (last[:, -1:] + (last[:, -1:] - last[:, :1]) * index) * (1 + np.cos(np.pi * index / samples)) / 2
@@ -38,7 +42,8 @@ class LimitReached(RunError):
 class BenchLoop(ABC):
     """A test on the bench of its scene; subclasses process its blocks, windows and markers.
 
-    `block` is the maximum number of samples per block.
+    A window of drive is acquired in blocks; `block` is the maximum number of samples per block. A marker names an
+    interval of samples, for example that of an overload.
     """
 
     def __init__(self, scene: Scene, block: int | None = None) -> None:
@@ -51,16 +56,16 @@ class BenchLoop(ABC):
         self._block = block
         self._limits = Limits(scene, bench.channels, self.mark)
         self._control = ControlLoss(scene, bench.channels)
-        self._control_lost: str | None = None
+        self._control_lost: str | None = None  # message if the force can no longer be controlled
         self._last = np.zeros((len(bench.inputs), 2))  # last two samples of the drive
 
     @abstractmethod
     def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
-        """Process a marker of the samples `first` to `stop` - 1."""
+        """Process a marker of a kind, such as "overload", of the samples `first` to `stop` - 1."""
 
     @abstractmethod
     def report(self, fraction: float, message: str) -> None:
-        """Process the progress of the test."""
+        """Process the progress of the test: its completed fraction, 0 to 1, and a message."""
 
     @abstractmethod
     def on_block(self, block: Block, readings: Array) -> None:
@@ -68,7 +73,7 @@ class BenchLoop(ABC):
 
     @abstractmethod
     def on_window(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
-        """Process the drive and the overload flags of a window from the sample `first` on."""
+        """Process drive (inputs, samples) and overload flags (channels, samples) of a window from sample `first` on."""
 
     @property
     def last_sample(self) -> int:
@@ -100,7 +105,7 @@ class BenchLoop(ABC):
         return False
 
     def ending(self, readings: Array) -> BaseException | None:
-        """Return the error that ends the test after these readings, if any."""
+        """Return the error that ends the test after these readings, shape (channels, samples); None if it continues."""
         first = self.station.now - self.bench.latency - readings.shape[1]
         exceedance = self._limits.watch(first, readings)
         if exceedance is None and self._control_lost is None:
@@ -109,7 +114,7 @@ class BenchLoop(ABC):
         return LimitReached(self._control_lost if exceedance is None else str(exceedance))
 
     def acquire(self, drive: Array) -> Array:
-        """Acquire a window in blocks; return the readings of the channels, shape (channels, samples)."""
+        """Play a window of drive (inputs, samples) in blocks; return the readings, shape (channels, samples)."""
         first, size = self.station.now, drive.shape[1]
         block_size = size if self._block is None else self._block
         readings = np.zeros((len(self.bench.channels), size))

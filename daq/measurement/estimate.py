@@ -20,14 +20,15 @@ MAX_SAMPLES = 1e12
 BYTES_PER_SAMPLE = {"counts": 4.5, "float32": 6.0, "float64": 10.7}
 # Smallest ratio of the size after compression to the approximate size.
 MIN_COMPRESSION_RATIO = 0.005
-# Bytes per sample of a true quantity, measured on random motion with dampers.
+# Bytes per sample of a true (simulated) quantity in a recording, measured on random motion with dampers.
 TRUTH_BYTES_PER_SAMPLE = 6.0
 # Measured memory of a recording process without channels: libraries and kernels.
 PROGRAM_BYTES = 0.33e9
 # Measured memory of the signal path of a channel without and with a decimation filter.
 CHANNEL_BYTES = 0.15e6
 FILTERED_CHANNEL_BYTES = 0.4e6
-# Number of copies of a block in memory during recording: of each channel, of the motion, and of recorded motion.
+# Number of copies of a block in memory during recording: of each channel, of the motion, and of true motion that is
+# recorded.
 CHANNEL_COPIES = 5.0
 MOTION_COPIES = 2.0
 TRUTH_COPIES = 7.0
@@ -119,6 +120,7 @@ def duration_text(seconds: float) -> str:
 
 
 def _size(count: float) -> str:
+    """Write a number of bytes in a readable unit."""
     for unit, size in (("TB", 1e12), ("GB", 1e9)):
         if count >= size:
             return f"{count / size:.3g} {unit}"

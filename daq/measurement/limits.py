@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _MIN_GAP_S = 0.5
 # Interval at which the channels are checked, independent of the block size.
 _CHECK_INTERVAL_S = 0.1
-# The interval if no channel has a limit, and only the control of the force is monitored.
+# The same if no channel has a limit, and only the control of the force is monitored.
 _CONTROL_CHECK_INTERVAL_S = 0.5
 # Duration of an overload of a control channel after which a test ends.
 _MAX_OVERLOAD_S = 1.0
@@ -51,6 +51,8 @@ class Exceedance:
 
 class FlaggedIntervals:
     """Merges flagged samples of each channel into intervals, and calls `mark` for each complete interval.
+
+    The arguments of `mark` are the kind of marker, the first sample, the sample after the last, and the channel's name.
 
     >>> info = ChannelInfo("body1", "body 1", "acceleration", sensitivity=1.0, rate=10.0)
     >>> intervals = FlaggedIntervals("overload", [info], lambda *args, **fields: print(*args, fields))
@@ -86,12 +88,16 @@ class FlaggedIntervals:
             self._mark_interval(row)
 
     def _mark_interval(self, row: int) -> None:
+        """Close and mark the open interval of a channel."""
         start, stop = self._open_intervals.pop(row)
         self._mark(self._kind, start, stop, channel=self._channels[row].name)
 
 
 class Limits:
-    """Monitors alarm and abort limits, in the unit of each channel."""
+    """Monitors alarm and abort limits, in the unit of each channel.
+
+    A reading beyond an alarm limit is marked; a reading beyond an abort limit ends the test.
+    """
 
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo], mark: Callable[..., Any]) -> None:
         settings = {channel.name: channel for channel in scene.channels or ()}

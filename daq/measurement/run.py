@@ -121,7 +121,7 @@ class MeasurementRun(BenchLoop):
         self._overloads = FlaggedIntervals("overload", self.bench.channels, self.mark)
 
     def run(self, overwrite: bool) -> Path:
-        """Run the test to its end and close the recording."""
+        """Run the test to its end, close the recording and return its path; for errors see `record`."""
         # Errors of the test are reported before a file is created.
         test = self._excite(self.station)
         drive = next(test)
@@ -215,7 +215,7 @@ class MeasurementRun(BenchLoop):
             self._recorder.mark(kind, first, stop - 1, **fields)
 
     def report(self, fraction: float, message: str) -> None:
-        """Report progress, with a warning if the disk space will not suffice; the check before the test omits waits."""
+        """Report progress, with a warning if the disk will be full; the estimate before the test omits waits."""
         if self._progress is None:
             return
         if self._recorder is not None and fraction > _MIN_FRACTION:
@@ -226,6 +226,7 @@ class MeasurementRun(BenchLoop):
         self._progress(fraction, message)
 
     def _recorded_duration(self) -> str:
+        """Return a sentence with the recorded duration, for messages."""
         return f"{self._path} contains the first {self.station.now / self.bench.rate:.2f} s."
 
 

@@ -24,7 +24,11 @@ if TYPE_CHECKING:
 
 
 def record_and_report(name: str, scene: Scene, path: Path, overwrite: bool, block: int | None) -> int:
-    """Record a scene's test with a progress bar and print a summary; return the exit code, 130 if interrupted."""
+    """Record the test of a scene with a progress bar and print a summary.
+
+    `name` is the scene as the user gave it, `block` the maximum number of samples per block. Returns the exit code: 0,
+    or 130 if the user interrupted the test.
+    """
     import daq
 
     print(f"recording {name} to {path.absolute()}", file=sys.stderr)

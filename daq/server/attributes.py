@@ -1,4 +1,7 @@
-"""Handlers of the calls that read, set and reset an attribute of a task, a channel, a device or a scale."""
+"""Handlers of the calls that read, set and reset an attribute of a task, a channel, a device or a scale.
+
+An attribute is a property in NI's protocol. Its owner is the object that it describes, such as a task or a device.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,7 @@ if TYPE_CHECKING:
     from daq.instrument.task import Task
     from daq.server.calls.call import Call
 
+# Parts of a call's name: action, owner, "Ex" if it names a device of the task, and type of the value.
 _CALL = re.compile(r"(Get|Set|Reset)([A-Za-z]+?)Attribute(Ex)?(\w*?)")
 # Groups of a task's settings, by their names in the calls.
 _GROUPS = {
@@ -69,7 +73,7 @@ def attribute_call(name: str) -> Callable[[Call], dict[str, Any] | None] | None:
 
 
 def _to_call_type(value: Any, kind: str) -> Any:
-    """Convert a value to the type of the call."""
+    """Convert a value to the type of the call, which ends the call's name, such as "Int32"."""
     if kind == "String":
         return ", ".join(value) if isinstance(value, list) else str(value)
     if kind in ("Int32", "UInt32", "UInt64"):
@@ -80,6 +84,7 @@ def _to_call_type(value: Any, kind: str) -> Any:
 
 
 def _get(call: Call, owner: str, name: str) -> Any:
+    """Return the value of an attribute of an owner."""
     if owner in _GROUPS:
         return get_value(call.task, _GROUPS[owner], name)
     if owner == "Chan":
@@ -157,6 +162,7 @@ def _of_scale(call: Call, name: str) -> Any:
 
 
 def _of_persisted(call: Call, name: str) -> Any:
+    """Return an attribute of a saved task, channel or scale: its author, or true for what it permits."""
     storage: Storage = call.instrument.storage
     groups: tuple[tuple[str, dict[str, Any], Code], ...] = (
         ("task_name", storage.tasks, Code.TASK_NOT_IN_DATA_NEIGHBORHOOD),
@@ -185,9 +191,11 @@ def _of_calibration(call: Call, name: str) -> Any:
 
 
 def _reject(call: Call, name: str) -> Any:
+    """Reject an attribute that no device here has."""
     raise DaqError(f"the property {name} does not exist", Code.ATTR_NOT_SUPPORTED)
 
 
+# Functions that return an attribute of the call's object, by its kind in the names of the calls.
 _OWNERS: dict[str, Callable[[Any, str], Any]] = {
     "Device": _of_device,
     "PhysicalChan": _of_physical_channel,

@@ -34,7 +34,7 @@ class TimeLimit:
         return self._seconds is None
 
     def take_remaining(self) -> float:
-        """Return the time for which a prompt waits, s. From then on the limit no longer interrupts the process."""
+        """Return the bench time for which a prompt waits, s. From now on the limit no longer interrupts the process."""
         self.reached = True
         return PROMPT_TIMEOUT_S if self._seconds is None else max(0.0, self._seconds - self._chassis.elapsed)
 

@@ -18,9 +18,11 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+# Environment variables of the script's process: address of the server; fast clock; run with a time limit.
 SERVER, FAST, LIMITED = "SHOTRIG_SERVER", "SHOTRIG_FAST", "SHOTRIG_LIMITED"
 # API key of clients that do not use sessions: a duplicate name of a task is then the error of NI's driver.
 STRICT = "shotrig: no sessions"
+# Connection of each process, by its id.
 _channels: dict[int, Any] = {}
 
 
@@ -53,6 +55,8 @@ def _set_default_connection() -> None:
 
 
 def _with_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function of the client with default session options."""
+
     @functools.wraps(function)
     def call(*arguments: Any, **keywords: Any) -> Any:
         if keywords.get("grpc_options") is None:
@@ -91,10 +95,12 @@ def open_channel(address: str) -> Any:
 
 
 def _pass_bench_time(call: str, seconds: float = 0.0) -> None:
+    """Send a call, "Pass" or "Prompt", that waits in bench time; see `daq.server.bench_time.BenchTime`."""
     _channel().unary_unary(f"/shotrig.Bench/{call}")(repr(float(seconds)).encode())
 
 
 def _wait_for_enter(text: object = "", /) -> str:
+    """Replace `input`: print the prompt, let bench time pass, and return an empty line."""
     print(text, end="", flush=True)
     _pass_bench_time("Prompt")
     return ""

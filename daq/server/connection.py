@@ -46,7 +46,7 @@ class Connection(GrpcSessionOptions):
         return tuple(self.chassis.bench.channels)
 
     def pass_time(self, seconds: float) -> None:
-        """Wait for a time of the bench, s."""
+        """Wait until a duration, s, has passed on the bench."""
         self.chassis.pass_time(seconds)
 
     def close(self, grace: float | None = 0.5) -> None:

@@ -25,7 +25,7 @@ _MAX_WAITING_BLOCKS = 64
 
 
 class LiveView:
-    """Shows the bench of a chassis in the viewer of a rerun stream, from a separate thread."""
+    """Shows the bench of a chassis in the rerun viewer, from a separate thread; `stream` is the connection to it."""
 
     def __init__(self, chassis: Chassis, stream: rr.RecordingStream) -> None:
         from daq.live_scope.screen import Screen
@@ -65,7 +65,7 @@ class LiveRecording:
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool = False) -> None:
         make_folder(path)
         self._chassis, self._path, self._overwrite = chassis, path, overwrite
-        self._channels: Any = None
+        self._channels: Any = None  # descriptions of the channels in the present file
         self._recording: MarkedRecording | None = None
         self._has_failed = False
         self.paths: list[Path] = []
@@ -81,6 +81,7 @@ class LiveRecording:
             self._report(f"the recording has stopped: {error}")
 
     def _record(self, bench: Any, block: Any) -> None:
+        """Write a block; first start a file if there is none, or if the input settings have changed."""
         if bench.channels is not self._channels:
             self._complete()
             number = f"-{len(self.paths) + 1}" if self.paths else ""

@@ -32,6 +32,7 @@ def proto_text(file: Any) -> str:
 
 
 def _block(head: str, body: Iterator[str] | Any) -> Iterator[str]:
+    """Yield the lines of a block in braces, with its body indented."""
     yield f"{head} {{"
     for line in body:
         yield f"{_INDENT}{line}"
@@ -50,6 +51,7 @@ def _enum(enum: Any) -> Iterator[str]:
 
 
 def _message(message: Any, scope: str) -> Iterator[str]:
+    """Yield the lines of a message type; `scope` is the full name of the package or message that contains it."""
     scope = f"{scope}.{message.name}"
     maps = {f"{scope}.{each.name}": each for each in message.nested_type if each.options.map_entry}
     body: list[str] = []
@@ -75,6 +77,7 @@ def _in_choice(field: Any) -> bool:
 
 
 def _field(field: Any, maps: dict[str, Any]) -> str:
+    """Return the line of a field; `maps` are the descriptors of map entries by full name."""
     entry = maps.get(field.type_name)
     if entry is not None:
         key, value = (_type(each) for each in entry.field)

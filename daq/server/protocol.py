@@ -28,7 +28,9 @@ SESSION_SERVICE = _SESSION_FILE.services_by_name["SessionUtilities"]
 _MAX_ENTRIES = 10_000
 # Maximum length of a text, characters: it may name thousands of channels.
 _MAX_CHARACTERS = 1 << 16
+# Lists of samples, whose length is not limited here.
 _SAMPLES = ("write_array", "waveforms")
+# Full names of the messages for a session and a time; suffix of a choice between a named and a raw number.
 _SESSION, _TIMESTAMP, _ENUM = "nidevice_grpc.Session", "google.protobuf.Timestamp", "_enum"
 
 
@@ -103,7 +105,10 @@ def _to_list(values: Any, kind: str) -> Any:
 
 @cache
 def _fields(descriptor: Any) -> list[tuple[str, str, str, bool]]:
-    """Return name, choice ('' if none), kind of value, and whether it is a list, of each field of a request."""
+    """Return name, choice ('' if none), kind of value, and whether it is a list, of each field of a request.
+
+    The kind is "double", "message", the full name of a session or time message, or '' for any other type.
+    """
     fields, names = [], set()
     for field in descriptor.fields:
         choice = field.containing_oneof.name if field.containing_oneof is not None else ""
@@ -121,6 +126,7 @@ def _fields(descriptor: Any) -> list[tuple[str, str, str, bool]]:
 
 
 def _is_list(field: Any) -> bool:
+    """Return whether a field is repeated; the attribute depends on the release of protobuf."""
     return bool(getattr(field, "is_repeated", None) or getattr(field, "label", 0) == 3)
 
 

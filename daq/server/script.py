@@ -21,6 +21,7 @@ from rig.scene.scene import Scene
 
 # Exit code of a process after Ctrl-C on Windows.
 CTRL_C_EXIT = 0xC000013A
+# Folder with the startup code of the script's process.
 STARTUP = Path(__file__).resolve().parent / "startup"
 
 
@@ -85,7 +86,10 @@ run = run_script
 
 
 def _run(command: list[str], port: int, real: bool, limit: TimeLimit) -> int:
-    """Run a Python command as a client of the server at a port; return the exit code of `run_script`."""
+    """Run a Python command as a client of the server at a port; return the exit code of `run_script`.
+
+    `real` is true if the clock follows the wall clock.
+    """
     paths = [str(STARTUP), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = os.environ | {SERVER: f"127.0.0.1:{port}", "PYTHONPATH": os.pathsep.join(paths)}
     # Forked child processes open new connections, which grpc allows only if this is set before the fork.

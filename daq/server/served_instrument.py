@@ -40,7 +40,7 @@ class ServedInstrument:
         self.storage, self.teds = Storage(), TedsMemory(self._sensor_sheet)
         self.sessions = Sessions(chassis, self.storage, limits.tasks)
         self.reservations = Reservations()
-        self._reported: dict[tuple[str, int], str] = {}
+        self._reported: dict[tuple[str, int], str] = {}  # latest text by client and code
 
     def _sensor_sheet(self, port: Port) -> bytes | None:
         module = self.chassis.devices.module(port.device)

@@ -41,7 +41,7 @@ class Server:
 
     `address` is host and port; port 0 selects a free port, and the attribute `port` is the selected port. Without
     `credentials` the connection is not encrypted. `limits` are those of the resources of clients. `further` are
-    handlers of other services.
+    handlers of services other than NI's.
     """
 
     def __init__(
@@ -97,6 +97,7 @@ class Server:
         self._server.wait_for_termination()
 
     def _handler(self, method: Method) -> Any:
+        """Return the gRPC handler of a call."""
         # Requests are decoded in the handler: for an invalid request, gRPC would print a traceback on the terminal.
         if method.streams:
             return grpc.unary_stream_rpc_method_handler(self._stream(method))
@@ -113,7 +114,7 @@ class Server:
 
     @contextlib.contextmanager
     def _decoded(self, method: Method, request: bytes, context: grpc.ServicerContext) -> Iterator[Call]:
-        """Decode a request; report errors, also those of the body, to the client as the protocol requires."""
+        """Decode a request; report its errors, and those of the `with` body, to the client as the protocol requires."""
         peer, name = context.peer(), method.name
         api_key = dict(context.invocation_metadata()).get("ni-api-key", "")
         call = Call(self.instrument, peer, strict=api_key == STRICT, is_active=context.is_active)
@@ -136,7 +137,7 @@ class Server:
         except SessionExists as error:
             context.abort(grpc.StatusCode.ALREADY_EXISTS, truncated(str(error)))
         except Exception as error:
-            # Details of equal errors are printed only once.
+            # An unexpected error of a kind is printed only once.
             kind = name, type(error)
             if kind not in self._unexpected:
                 self._unexpected[kind] = describe_unexpected(error)
@@ -162,6 +163,7 @@ class Server:
             uncount()
 
     def _stream(self, method: Method) -> Callable[[Any, grpc.ServicerContext], Iterator[Any]]:
+        """Return the function that registers a client for an event and yields a response at each event."""
         register, response_fields = _EVENTS[method.name]
 
         def events(request: bytes, context: grpc.ServicerContext) -> Iterator[Any]:

@@ -1,4 +1,7 @@
-"""Sessions: the tasks of all clients, which client may end a task, the end of abandoned tasks, and reserved names."""
+"""Sessions: the tasks of all clients, which client may end a task, the end of abandoned tasks, and reserved names.
+
+A session is a task under a name by which several clients can use it. A peer is the address of a client's connection.
+"""
 
 from __future__ import annotations
 
@@ -16,9 +19,11 @@ from daq.instrument.task import Task
 from daq.instrument.values import TaskMode
 from rig.errors import ShotrigError
 
+# Requested behaviors when a session is opened: only create a session, or only attach to an existing session.
 INITIALIZE, ATTACH = 1, 2
 # Interval at which the server checks whether a client that waits for a name is still connected.
 _CHECK_INTERVAL_S = 0.1
+# Maximum number of reserved names.
 _MAX_NAMES = 10_000
 
 
@@ -46,7 +51,9 @@ class Sessions:
         self._lock = threading.RLock()
 
     def open(self, name: str, behavior: int, peer: str, strict: bool = False) -> tuple[str, bool]:
-        """Open a session, or attach to the session of that name; `strict` does not attach.
+        """Open a session, or attach to the session of that name; with `strict`, do not attach.
+
+        `behavior` is `INITIALIZE`, `ATTACH`, or 0 for either.
 
         Returns
         -------
@@ -171,7 +178,7 @@ class Reservations:
     """Names that clients reserve to coordinate with each other; the server does not interpret them."""
 
     def __init__(self) -> None:
-        self._holders: dict[str, str] = {}
+        self._holders: dict[str, str] = {}  # client of each reserved name
         self._changed = threading.Condition()
 
     def reserve(self, name: str, client: str, is_waiting: Callable[[], bool]) -> bool:

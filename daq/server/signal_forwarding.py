@@ -21,7 +21,10 @@ _DELIVERY_S = 1.0
 
 
 class _GroupProbe:
-    """A process that ends at Ctrl-C. Its end shows that the whole process group, and thus the script, received it."""
+    """A process in the group of the script that ends at Ctrl-C.
+
+    Its end shows that the whole process group, and thus the script, received Ctrl-C.
+    """
 
     _COMMAND = (sys.executable, "-I", "-S", "-c", "import sys; sys.stdin.read()")
 

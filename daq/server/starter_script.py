@@ -15,12 +15,14 @@ from rig.scene.scene import STANDARD_GRAVITY
 
 # Ratio of limits to full scale, slightly below 1 so that rounded limits do not exceed full scale.
 _LIMIT_RATIO = 1 - 1e-5
-# Channels by quantity: the driver's call, the unit, and the factor from V per SI unit to the unit of sensitivity.
+# Channels by quantity: the method of nidaqmx, the unit, and the factor from V per SI unit to the unit of sensitivity.
 _SENSORS = {
     "acceleration": ("add_ai_accel_chan", "AccelUnits.METERS_PER_SECOND_SQUARED", 1e3 * STANDARD_GRAVITY),
     "force": ("add_ai_force_iepe_chan", "ForceUnits.NEWTONS", 1e3),
 }
+# Placeholder in a statement.
 _TERMINAL = "TERMINAL"
+# Classes of nidaqmx.constants that the script imports if it uses them.
 _CONSTANTS = ("AccelUnits", "Coupling", "ExcitationSource", "ForceUnits")
 
 
@@ -83,7 +85,7 @@ def _create_channel(chassis: Chassis, module: Module, row: int) -> str:
 
 
 def _limits(info: ChannelInfo, volts_per_unit: float) -> str:
-    """Return the arguments with the limits of a channel, for its full range; empty without a range."""
+    """Return the text of the arguments that set a channel's limits to its full range; empty without a range."""
     if info.range is None:
         return ""
     limit = info.range if volts_per_unit == 1.0 else _LIMIT_RATIO * info.range / volts_per_unit

@@ -28,6 +28,9 @@ from rig.simulation.motion import Motion
 class Chain:
     """All channels of a scene, up to the converter's input; results do not depend on the division into blocks.
 
+    `rate` is the rate of the motion, Hz, a multiple of the converter's true rate. `points` are the places whose motion
+    is given, such as "body 1"; `inputs` are the inputs of the rig whose forces or drives are given.
+
     The acceleration of a point is piecewise cubic between samples and impacts (`daq.dsp.interpolation`). Each impact
     is an impulse of acceleration at its instant. The analog stages are linear, and their response to this input is
     exact (`daq.dsp.propagation`). Samples are the output of the decimation filter if the scene has a filter. Without
@@ -79,7 +82,10 @@ class Chain:
         return path, info, effects
 
     def rewire(self, wiring: Sequence[Channel]) -> None:
-        """Change couplings and sensor supplies; a changed channel restarts from rest, as at power-on."""
+        """Change couplings and sensor supplies; a changed channel restarts from rest, as at power-on.
+
+        `wiring` has the new settings of all channels, in their order.
+        """
         infos = list(self.channels)
         for row, (previous, channel) in enumerate(zip(self.wiring, wiring, strict=True)):
             if channel != previous:
@@ -135,6 +141,7 @@ def _source(channel: Channel, scene: Scene) -> tuple[str, float]:
 
 
 def _interpolator(channel: Channel, rate: float, points: Sequence[str]) -> MotionInterpolator | ForceInterpolator:
+    """Return the interpolator of the quantity that a channel measures: of motion, or of a force or drive."""
     if channel.measures_force or channel.measures_voltage:
         return ForceInterpolator()
     if channel.at not in points:

@@ -42,7 +42,7 @@ class Quantizer:
         self.lost = _merge_blocks((first, first + samples - 1) for first, samples in sorted(dropped))
 
     def convert(self, volts: Array) -> tuple[Array | NDArray[np.int32], NDArray[np.bool_]]:
-        """Return the samples, in counts (in volts if the converter has no bits), and whether each was clipped."""
+        """Return samples in counts (in volts if there are no bits), and whether each was clipped; same shape."""
         if self._range is None:
             return volts, np.zeros(volts.shape, dtype=bool)
         if self._bits is None or self._volts_per_count is None:
@@ -68,6 +68,8 @@ def _merge_blocks(blocks: Iterable[tuple[int, int]]) -> tuple[tuple[int, int], .
 
 class Outputs:
     """Clips and quantizes the drives at the outputs; an output without a range, and the hammer, are ideal.
+
+    `inputs` are the names of the rig's inputs, `units` the units of their drives.
 
     >>> import rig
     >>> scene = rig.load("reference-A")

@@ -75,6 +75,7 @@ def accelerometer(settings: Accelerometer, seed: int, channel: str) -> Stage:
 
 
 def _deviation(settings: Accelerometer, seed: int, channel: str) -> float:
+    """Return the relative deviation of an accelerometer's true sensitivity from its data sheet."""
     factor = 1.0
     if settings.sensitivity_tolerance is not None:
         factor += settings.sensitivity_tolerance * _draw_uniform(seed, channel, "tolerance")

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from rig.errors import RecordingError
 from rig.escaping import is_single_line
 
-# In characters.
+# Maximum length of a name, characters.
 MAX_NAME_LENGTH = 200
 # Times are computed from sample numbers as floats, which are exact up to this value.
 MAX_SAMPLES = 2**53
@@ -59,12 +59,14 @@ def is_count(value: Any) -> bool:
 
 
 def _is_location(value: Any) -> bool:
+    """Return whether a value is a place on the rig, such as "body 1" or "table"; it may be empty."""
     if isinstance(value, str) and value.startswith("body "):
         return re.fullmatch(r"body [1-9][0-9]{0,5}", value) is not None
     return value == "" or is_name(value)
 
 
 def _are_roots(value: Any) -> bool:
+    """Return whether a value is a list of zeros or poles, each as a list of real and imaginary part."""
     return (
         isinstance(value, list)
         and len(value) <= 100
@@ -72,6 +74,7 @@ def _are_roots(value: Any) -> bool:
     )
 
 
+# Fields of `Decimation`.
 _FILTER_FIELDS = ("rate", "delay", "cutoff", "beta")
 
 
@@ -82,6 +85,7 @@ def _is_filter(value: Any) -> bool:
 
 
 def _optional(check: Check) -> Check:
+    """Return the check that also allows a missing value."""
     return Check(lambda value: value is None or check.is_valid(value), f"{check.expected}, or null")
 
 

@@ -27,7 +27,7 @@ MAX_RATE = 1.024e6
 
 
 def choose_oversampling(scene: Scene) -> int:
-    """Return the number of intervals per sample, at least 1.
+    """Return the number of intervals per sample of a scene's converter, at least 1.
 
     Without a decimation filter, motion between samples matters only if a sensor can saturate or a contact has a
     finite duration. With a filter, oscillations above half the sample rate must be resolved, so that the filter can
@@ -89,7 +89,10 @@ class DriveInterpolator:
         self._last = np.zeros((inputs, 0))
 
     def interpolate(self, drive: Array) -> Array:
-        """Return the next drive (inputs, samples) at the higher rate; the first sample of all is returned as it is."""
+        """Return the next block of drive at the higher rate, from its samples (inputs, samples).
+
+        Each sample after the first becomes `factor` values. The very first sample of the drive becomes one value.
+        """
         if self._fractions.size == 1:
             return drive
         nodes = np.concatenate([self._last, drive], axis=1)

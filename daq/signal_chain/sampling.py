@@ -29,7 +29,10 @@ class Sampler(Protocol):
     feedthrough: Array
 
     def moments_buffer(self, intervals: int) -> Array:
-        """Return the array for the moments of the next intervals, (at least intervals + SUMS_AT_ONCE or 0, LANES)."""
+        """Return the array into which the moments of the next intervals are written.
+
+        Its shape is (rows, LANES), with at least intervals + SUMS_AT_ONCE rows, or no rows if no moments are required.
+        """
 
     def read(self, outputs: Array, sample_ends: slice) -> Array:
         """Return the samples of a block, V, from the outputs (outputs, intervals) and the moments in the buffer.

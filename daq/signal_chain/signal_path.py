@@ -1,4 +1,9 @@
-"""Computes the samples of one channel from the motion or force at its sensor, through amplifier and coupling."""
+"""Computes the samples of one channel from the motion or force at its sensor, through amplifier and coupling.
+
+A stage is one device of the channel: sensor, amplifier or coupling. A section is one linear element of its circuit,
+such as a high pass. An interval is the sample interval divided by the oversampling; the circuit is propagated from
+interval to interval.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +37,7 @@ class SignalPath:
     """Sensor, amplifier, coupling and sampling of one channel.
 
     The limits of sensor and amplifier act on the continuous signal, before it is filtered and sampled. `delay`, in s,
-    is the delay of the channel by skew.
+    is the delay of the channel by skew, the time difference between the sampling of different channels.
     """
 
     def __init__(
@@ -95,9 +100,10 @@ class SignalPath:
             self._noise = Noise(converter.noise, None, sample_rate, noise_generator)
 
     def measure(self, cubics: CubicInput, timing_error: Array | None) -> tuple[Array, NDArray[np.bool_] | bool]:
-        """Return the samples of a block in V, and for each sample whether a limit has affected it.
+        """Return the samples of a block in V, and for each sample whether a limit of sensor or amplifier affected it.
 
-        `timing_error` is the timing error of each sample, in standard deviations of the jitter.
+        `cubics` is the sensor's input, piecewise cubic, in every interval of the block. `timing_error` is the timing
+        error of each sample, in standard deviations of the jitter.
         """
         if self._delay is not None:
             cubics = self._delay.shift(cubics)
@@ -126,7 +132,8 @@ class SignalPath:
 class Overloads:
     """Flags samples that depend on an interval in overload, or on one whose zero shift is not yet negligible.
 
-    `affecting_intervals` is the number of intervals on which a sample depends.
+    The zero shift is the offset of a sensor after an overload; it decays exponentially. `rate` is in intervals per
+    second, `affecting_intervals` the number of intervals on which a sample depends.
     """
 
     def __init__(self, stages: Sequence[Stage], rate: float, affecting_intervals: int) -> None:

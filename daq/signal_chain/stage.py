@@ -1,4 +1,7 @@
-"""Description of a channel's devices in series (stages), and the frequency response and effects that follow from it."""
+"""Description of a channel's devices in series (stages), and the frequency response and effects that follow from it.
+
+An effect is a property by which a real channel deviates from an ideal one, such as noise, saturation or a resonance.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ class Stage:
     """One device of a channel: its linear circuit, and its deviations from linearity and from the data sheet."""
 
     name: str  # accelerometer, hammer, cable, integrator or converter
-    sections: tuple[Section, ...] = ()  # linear circuit, in the order of the signal
+    sections: tuple[Section, ...] = ()  # linear circuit, from input to output
     nominal: float = 1.0  # sensitivity or gain by the data sheet: V per m/s^2, V/N or V/V
     deviation: float = 0.0  # relative deviation of the true from the nominal sensitivity
     noise: float | None = None  # noise density at the output, V/sqrt(Hz)
@@ -117,7 +120,7 @@ def channel_info(
 
 
 def channel_effects(stages: Sequence[Stage], converter: Converter, delay: float) -> dict[str, int]:
-    """Return the names of a channel's effects in the order of the signal, with the number of states that each adds."""
+    """Return the effects of a channel, from sensor to converter, with the number of states that each adds."""
     effects: dict[str, int] = {}
     for stage in stages:
         for name, states in stage.effects.items():

@@ -13,7 +13,7 @@ from rig.scene.scene import STANDARD_GRAVITY
 # NI's numbers of the types of measurement (DAQmx_Val_...).
 VOLTAGE, ACCELERATION, FORCE, VELOCITY, MICROPHONE = 10322, 10356, 15895, 15966, 10354
 
-_G, _POUND, _INCH = STANDARD_GRAVITY, 4.4482216152605, 0.0254
+_G, _POUND, _INCH = STANDARD_GRAVITY, 4.4482216152605, 0.0254  # m/s^2, N, m
 
 # SI factors and names of the units of readings, by NI's numbers.
 UNITS: dict[int, tuple[float, str]] = {

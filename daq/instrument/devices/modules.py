@@ -17,7 +17,7 @@ from rig.scene.modules import Rates
 # NI's driver encodes a set of these values in one number, one bit for each.
 _COUPLING_BITS = {Coupling.AC: 1, Coupling.DC: 2, Coupling.GND: 4}
 WIRING_BITS = {Wiring.RSE: 1, Wiring.NRSE: 2, Wiring.DIFFERENTIAL: 4, Wiring.PSEUDO_DIFFERENTIAL: 8}
-_REFERENCE_TRIGGER, _START_TRIGGER = 4, 8
+_REFERENCE_TRIGGER, _START_TRIGGER = 4, 8  # kinds of trigger
 
 # NI's numbers of product categories and bus types.
 CHASSIS_CATEGORY, MODULE_CATEGORY, SOUND_AND_VIBRATION = 14658, 14659, 14649
@@ -35,7 +35,10 @@ DIVIDED = Rates(51200.0 / 31, 51200.0, tuple(51200.0 / divisor for divisor in ra
 
 @dataclass(frozen=True)
 class Module:
-    """A device that scripts can use. Of several couplings, wirings or currents, the first is the default."""
+    """A device that scripts can use: a module, a chassis or a separate device.
+
+    Of several couplings, wirings or currents, the first is the default.
+    """
 
     name: str  # name on this bench
     product_type: str  # NI's name, for example "NI 9234"
@@ -182,7 +185,10 @@ class Module:
 
 
 class DeviceList:
-    """Finds devices by their names; the module without a name has all inputs and outputs."""
+    """Finds devices by their names.
+
+    The device with an empty name has all inputs and outputs. It replaces devices that scripts for other hardware name.
+    """
 
     def __init__(self, modules: Sequence[Module]) -> None:
         self._modules = {each.name.lower(): each for each in modules}

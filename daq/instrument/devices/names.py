@@ -16,6 +16,7 @@ from daq.instrument.errors import Code, DaqError
 # Maximum number of names in a range, as in the driver.
 MAX_NAMES = 14_999
 
+# Names that NI's driver assigns to devices.
 GIVEN_BY_DRIVER = re.compile(r"(Dev\d+|cDAQ\w*(-\w+)?|PXI\d+Slot\d+)", re.IGNORECASE)
 
 
@@ -70,6 +71,7 @@ def unflatten(names: str) -> list[str]:
 
 
 def _expand(item: str) -> list[str]:
+    """Return the names in one range, in its order."""
     match = re.fullmatch(r"(.*?)(\d{1,9}):(.*?)(\d{1,9})", item)
     if not match or (match[3] and match[3].lower() != match[1].lower()):
         raise DaqError(

@@ -1,4 +1,8 @@
-"""A running input task: detects its triggers and stores its samples in a buffer until they are read."""
+"""A running input task: detects its triggers and stores its samples in a buffer until they are read.
+
+A record is the sequence of samples that one start trigger, or the start of the task, begins. It ends after the required
+number of samples.
+"""
 
 from __future__ import annotations
 
@@ -70,21 +74,23 @@ class Acquisition:
         self._has_overflowed = False
         # Number of the first sample not yet reported as lost.
         self._first_unreported = 0
-        self._record_start = 0
+        self._record_start = 0  # number of the first sample of the present record
         # Number and instant of the first sample of each record, in order of time.
         self._records: deque[tuple[int, int]] = deque(maxlen=1000)
-        self._end: int | None = None
+        self._end: int | None = None  # number of the sample after the present record; None while it is unknown
         instant = first_sample(self._per_tick, tick)
         self._arm(instant)
         if plan.start is None:
             self._begin_record(instant)
 
     def _arm(self, instant: int) -> None:
+        """Wait for a start trigger from an instant on."""
         self.armed_instant, self.first_instant, self._end = instant, None, None
         start = self.plan.start
         self._start_finders = start.finders() if isinstance(start, AnalogSource) else []
 
     def _begin_record(self, instant: int) -> None:
+        """Begin a record with the sample at an instant."""
         self.first_instant, self._record_start = instant, self.ring.written
         self._records.append((self._record_start, instant))
         reference = self.plan.reference
@@ -201,7 +207,10 @@ class Acquisition:
         return max(instant - first, offset)
 
     def _crossing(self, finders: list[tuple[int, CrossingFinder]], samples: NDArray[Any], skip: int = 0) -> int | None:
-        """Return the index of the first crossing in any channel; all finders process all samples."""
+        """Return the index of the first sample, after `skip`, that fires a trigger in any channel; None without it.
+
+        All finders process all samples, so that their states stay correct.
+        """
         crossings = [finder.find(self.plan.physical(row, samples[row]), skip) for row, finder in finders]
         return min((each for each in crossings if each is not None), default=None)
 
@@ -228,6 +237,7 @@ class Acquisition:
         return max(count, 1)
 
     def _find_reference_trigger(self, first: int, samples: NDArray[Any], event_tick: EventTick) -> None:
+        """Search the samples from instant `first` for the reference trigger; if it occurs, set the record's end."""
         assert self.first_instant is not None and self.plan.samples is not None
         count, source = samples.shape[1], self.plan.reference
         earliest = self.first_instant + self.plan.pretrigger
@@ -250,9 +260,11 @@ class Acquisition:
             self.position = self.first_readable
 
     def _instant_after(self, tick: int | None) -> int | None:
+        """Return the first instant at or after a tick; None without a tick."""
         return None if tick is None else first_sample(self._per_tick, tick)
 
     def _complete(self, instant: int) -> None:
+        """End the record before an instant, and the acquisition unless the start trigger is re-armed."""
         if self.plan.rearms:
             self._arm(instant)
         else:

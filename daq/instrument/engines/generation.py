@@ -16,9 +16,9 @@ from rig.arrays import Array
 
 
 class OutputBuffer:
-    """Samples to play, shape (channels, size), repeated in a loop.
+    """Samples to play, V, in a ring buffer that is played in a loop.
 
-    Without a `size` in samples per channel, the buffer grows with every write until the task starts.
+    `size` is its capacity, samples per channel. Without it, the buffer grows with every write until the task starts.
     """
 
     def __init__(self, channels: int, size: int | None) -> None:
@@ -32,7 +32,10 @@ class OutputBuffer:
         return self.data.shape[1]
 
     def free(self, generated: int, running: bool, regenerate: bool) -> int:
-        """Return the number of samples per channel that can be written now."""
+        """Return the number of samples per channel that can be written after `generated` samples have been played.
+
+        While the task is running and `regenerate` is true, played samples are repeated and can be replaced at any time.
+        """
         if not running and self._grows:
             return np.iinfo(np.int64).max
         if running and regenerate:

@@ -1,4 +1,8 @@
-"""Logs the samples of a task into a recording (.mcap), or into a TDMS file for scripts that expect it."""
+"""Logs the samples of a task into a recording (.mcap), or into a TDMS file for scripts that expect it.
+
+TDMS is NI's file format for measured data. A recording marks intervals of samples, for example overloads; such an entry
+is a marker. A gap is a sequence of samples that were lost.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +32,10 @@ if TYPE_CHECKING:
 
 
 class MarkedRecording:
-    """A recording in the format of `daq record` with markers at its overloads, without the simulated true motion."""
+    """A recording in the format of `daq record` with markers at its overloads, without the simulated true motion.
+
+    `rate` is in samples per second, `start_ns` the time of the first sample since 1970, ns.
+    """
 
     def __init__(
         self,
@@ -78,7 +85,11 @@ class MarkedRecording:
 
 
 class _Tdms:
-    """A TDMS file with scaled samples; lost samples are NaN."""
+    """A TDMS file with scaled samples in the group `group`; lost samples are NaN.
+
+    With `append`, the samples are added to an existing file, in a group of a new name. The methods are those of
+    `MarkedRecording`.
+    """
 
     def __init__(
         self,
@@ -138,6 +149,7 @@ class _Tdms:
         self._writer.close()
 
     def _segment(self, values: NDArray[np.float64]) -> None:
+        """Append scaled samples, shape (channels, n), with the present properties."""
         self._writer.write_segment(
             [
                 self._nptdms.ChannelObject(self._group, properties["NI_ChannelName"], row, properties)
@@ -163,6 +175,7 @@ class TaskLog:
     def __init__(self, open_file: Callable[[Path, int], _File], settings: Properties) -> None:
         self._open, self._settings = open_file, settings
         self.logs_only = self._settings["logging_mode"] == LoggingMode.LOG
+        # Path of the first file, and number of the present file.
         self._base, self._number = Path(self._settings["logging_file_path"]), 0
         self._file = open_file(self._base, 0)
         self._next: int | None = None  # number of the sample that is logged next

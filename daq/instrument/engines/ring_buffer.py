@@ -16,7 +16,7 @@ MAX_BYTES = 2 << 30
 def memory(channels: int, samples: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
     """Allocate an array of zeros, shape (channels, samples).
 
-    Raises `DaqError` with -200077, if there is not enough memory.
+    Raises `DaqError` -200077 if `samples` is negative or there is not enough memory.
     """
     if samples < 0:
         raise invalid_value(f"{samples} samples per channel: expected 0 at least, or READ_ALL_AVAILABLE (-1)")
@@ -35,7 +35,7 @@ class RingBuffer:
     """The last `size` samples of a stream whose samples are numbered from 0.
 
     `size`: samples per channel that fit; `dtype`: type of a sample; `written`: samples per channel written so far,
-    which is the number of the next sample. Raises `DaqError` with -200077, if there is not enough memory.
+    which is the number of the next sample. Raises `DaqError` -200077 if there is not enough memory.
 
     >>> ring = RingBuffer(1, 4, float)
     >>> ring.write(np.arange(6.0)[None])

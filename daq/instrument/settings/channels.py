@@ -16,11 +16,13 @@ from daq.instrument.errors import Code, DaqError, invalid_value, unsupported
 from daq.instrument.settings.properties import coerce
 from daq.instrument.values import FROM_CUSTOM_SCALE, Coupling, Excitation, Wiring
 
+# NI's numbers of values that scripts can only read.
 _ANALOG_INPUT, _ANALOG_OUTPUT = 10100, 10102
+_RIGHT_JUSTIFIED, _BITS = 10279, 10109
 # Limits that a script has reset: they have no default.
 _NOT_SPECIFIED = {"ai_max": Code.AI_MAX_NOT_SPECIFIED, "ai_min": Code.AI_MIN_NOT_SPECIFIED}
 
-# Settings of every input, with their defaults.
+# Settings of every input, with their defaults; the numbers of named values are those of NI-DAQmx.
 _INPUT: dict[str, Any] = {
     "ai_min": -5.0,
     "ai_max": 5.0,
@@ -46,6 +48,7 @@ _INPUT: dict[str, Any] = {
     "chan_descr": "",
     "chan_is_global": False,
 }
+# Settings of every output, with their defaults.
 _OUTPUT: dict[str, Any] = {
     "ao_min": -10.0,
     "ao_max": 10.0,
@@ -53,7 +56,7 @@ _OUTPUT: dict[str, Any] = {
     "ao_custom_scale_name": "",
     "ao_term_cfg": Wiring.DEFAULT,
     "ao_output_type": VOLTAGE,
-    "ao_resolution_units": 10109,
+    "ao_resolution_units": _BITS,
     "ao_idle_output_behavior": 10164,
     "ao_dac_ref_allow_conn_to_gnd": False,
     "ao_use_only_on_brd_mem": False,
@@ -141,6 +144,7 @@ class Channel:
         return str(self.settings[f"{self.side}_custom_scale_name"])
 
     def _largest_volts(self) -> float:
+        """Return the larger magnitude of both limits, V."""
         limits = (abs(self.settings[f"{self.side}_{end}"]) for end in ("min", "max"))
         return max(limits) * self.volts_per_unit
 
@@ -233,11 +237,13 @@ class Channel:
 
 
 def _limit(channel: Channel, sign: float) -> float:
+    """Return the upper (sign 1) or lower (sign -1) limit of an input, in the unit of its readings."""
     if channel.scaled or channel.range == math.inf:
         return float(channel.settings["ai_max" if sign > 0 else "ai_min"])
     return sign * channel.range / channel.volts_per_unit
 
 
+# Properties that are computed when a script reads them, by NI's names.
 _COMMON: dict[str, Any] = {"physical_chan_name": lambda channel: channel.port.name}
 _INPUT_COMPUTED: dict[str, Any] = _COMMON | {
     "chan_type": lambda channel: _ANALOG_INPUT,
@@ -253,9 +259,9 @@ _INPUT_COMPUTED: dict[str, Any] = _COMMON | {
         else channel.settings["ai_term_cfg"]
     ),
     "ai_raw_samp_size": lambda channel: 16 if (channel.module.bits or 32) <= 16 else 32,
-    "ai_raw_samp_justification": lambda channel: 10279,
+    "ai_raw_samp_justification": lambda channel: _RIGHT_JUSTIFIED,
     "ai_resolution": lambda channel: float(channel.module.bits or 64),
-    "ai_resolution_units": lambda channel: 10109,
+    "ai_resolution_units": lambda channel: _BITS,
     "ai_excit_actual_val": lambda channel: channel.settings["ai_excit_val"],
     "ai_gain": lambda channel: 1.0,
 }

@@ -23,10 +23,12 @@ from daq.instrument.values import (
     enum_member,
 )
 
+# NI's numbers of values that the instrument reports without using them.
 _WAIT_FOR_INTERRUPT, _POLL = 12523, 12524
 _USE_HOST, _USE_DEVICE = 16126, 16127
 _PULSE, _ACTIVE_HIGH = 10265, 10095
 _SECONDS, _SAMPLE_CLOCK_PERIODS = 10364, 10286
+_PATTERN_MATCHES = 10254
 
 TIMING: dict[str, Any] = {
     "samp_timing_type": TimingType.ON_DEMAND,
@@ -75,6 +77,7 @@ WRITE: dict[str, Any] = {
 }
 BUFFER: dict[str, Any] = {"input_buf_size": 0, "output_buf_size": 0}
 
+# Settings of the digital filter of a trigger.
 _FILTER = {
     "dig_fltr_enable": False,
     "dig_fltr_min_pulse_width": 0.0,
@@ -85,7 +88,7 @@ _FILTER = {
 
 
 def _trigger_defaults(name: str) -> dict[str, Any]:
-    """Return the settings of the start trigger or the reference trigger."""
+    """Return the default settings of the start trigger ("start") or the reference trigger ("ref")."""
     defaults: dict[str, Any] = {
         f"{name}_trig_type": TriggerType.NONE,
         f"{name}_trig_delay": 0.0,
@@ -102,7 +105,7 @@ def _trigger_defaults(name: str) -> dict[str, Any]:
         "anlg_win": window | _FILTER,
         "anlg_multi_edge": multi_edge,
         "dig_edge": {"src": "", "edge": Slope.RISING} | _FILTER,
-        "dig_pattern": {"src": "", "pattern": "", "when": 10254},
+        "dig_pattern": {"src": "", "pattern": "", "when": _PATTERN_MATCHES},
     }
     for kind, settings in kinds.items():
         defaults |= {f"{kind}_{name}_trig_{key}": value for key, value in settings.items()}

@@ -76,6 +76,9 @@ class Scale:
 def reverse_polynomial(forward: list[float], low: float, high: float, points: int, order: int) -> list[float]:
     """Fit the inverse polynomial, from scaled values to readings, in the range `low` to `high` of the readings.
 
+    Returns its coefficients, the constant first, like `forward`. `points` is the number of fitted points, 0 or less for
+    1000. A negative `order` selects the order of `forward`. Raises `DaqError` -200077 if the fit is not possible.
+
     >>> [round(each, 6) for each in reverse_polynomial([1.0, 2.0], -10.0, 10.0, 100, 1)]
     [-0.5, 0.5]
     """

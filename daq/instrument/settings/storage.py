@@ -32,7 +32,7 @@ class Storage:
     tasks: dict[str, SavedTask] = field(default_factory=dict)
     channels: dict[str, Channel] = field(default_factory=dict)
     scales: dict[str, Scale] = field(default_factory=dict)
-    authors: dict[str, str] = field(default_factory=dict)
+    authors: dict[str, str] = field(default_factory=dict)  # of all three, by their names
 
     def store(self, saved: dict[str, Value], name: str, value: Value) -> None:
         """Store a value under a name; `DaqError` -200077 if the maximum number of values is stored."""

@@ -15,6 +15,7 @@ from daq.server.calls.call import Call, Handler
 
 _INPUT_CHANNEL = re.compile(r"Create(TEDS)?AI(\w+)Chan")
 _CHANNEL = re.compile(r"Create(TEDS)?([ACD][IO])(\w*Chan\w*)")
+# Boundaries between the words of a call's name.
 _WORDS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[a-z])(?=[0-9])|(?<=[A-Z])(?=[A-Z][a-z])")
 
 

@@ -32,7 +32,7 @@ def create_input(kind: Measurement, teds: bool) -> Handler:
 
 
 def _settings_of_sensor(call: Call, physical: str, kind: Measurement) -> dict[str, Any]:
-    """Return the settings of a channel by the electronic data sheet (TEDS) of its sensor.
+    """Return the settings of a channel from the electronic data sheet (TEDS) of its sensor.
 
     Raises `DaqError` -200709 for a sensor without TEDS, -200826 for a sensor of another kind.
     """
@@ -59,6 +59,7 @@ def _create_output(call: Call) -> None:
 
 
 def _add_saved_channels(call: Call) -> None:
+    """Add copies of saved channels to a task."""
     call.task.check_idle("adding channels")
     saved = [call.instrument.storage.channel(name) for name in unflatten(call.fields["channel_names"])]
     call.task.settings.channels += saved

@@ -12,9 +12,11 @@ from daq.instrument.task import Task
 from daq.instrument.task_input import Reading
 from daq.server.calls.call import Answer, Call, Handler
 
+# NI's number of the sample order in an array: all samples of one channel, then those of the next.
 _BY_CHANNEL = 0
 
-
+# Time from the beginning of 1904 to the beginning of 1970 (UTC), s.
+_SECONDS_1904_TO_1970 = 2_082_844_800
 # Integer types in which calls transfer counts; unsigned integers contain the two's complement.
 _Counts = type[np.signedinteger[Any]] | type[np.unsignedinteger[Any]]
 _COUNTS: dict[str, _Counts] = {"I16": np.int16, "I32": np.int32, "U16": np.uint16, "U32": np.uint32}
@@ -32,7 +34,7 @@ def _check_width(counts: _Counts, width: int, code: Code) -> None:
 
 
 def _check_room(room: int, needed: int, unit: str) -> None:
-    """Check that the array of the client is large enough for the samples."""
+    """Check that the array of the client is large enough; `unit` is "samples" or "bytes", for both numbers."""
     if needed > room:
         raise DaqError(
             f"the array has room for {room} {unit}, but the read returns {needed}. Use a larger array.",
@@ -42,6 +44,8 @@ def _check_room(room: int, needed: int, unit: str) -> None:
 
 
 def _read(counts: _Counts | None = None) -> Handler:
+    """Return the handler that reads samples as readings, or as counts of an integer type."""
+
     def read(call: Call) -> Answer:
         fields, task = call.fields, call.task
         task.settings.require("ai")
@@ -87,6 +91,7 @@ def _read_scalar(call: Call) -> Answer:
 
 
 def _read_raw(call: Call) -> Answer:
+    """Read counts as bytes, at their own width."""
     fields, task = call.fields, call.task
     task.settings.require("ai")
     width, room = task.raw_width, fields["array_size_in_bytes"]
@@ -106,6 +111,7 @@ def _read_raw(call: Call) -> Answer:
 
 
 def _read_waveforms(call: Call) -> Answer:
+    """Read samples with their times (bit 0 of the mode) and names and units (bit 1)."""
     from ni.protobuf.types import waveform_conversion
     from ni.protobuf.types.waveform_pb2 import DoubleAnalogWaveform, WaveformAttributeValue
 
@@ -120,7 +126,7 @@ def _read_waveforms(call: Call) -> Answer:
             start = task.input.time_of_sample(reading.first)
             # Waveform times count from 1904, in seconds and in fractions of 2^-64 s.
             seconds, remainder = divmod(start, 10**9)
-            waveform.t0.seconds = seconds + 2_082_844_800
+            waveform.t0.seconds = seconds + _SECONDS_1904_TO_1970
             waveform.t0.fractional_seconds = remainder * 2**64 // 10**9
             waveform.dt = 1.0 / task.settings.rate
         if mode & 2:
@@ -132,7 +138,10 @@ def _read_waveforms(call: Call) -> Answer:
 
 
 def _table(task: Task, data: NDArray[np.float64], samples: int, by_channel: bool) -> NDArray[np.float64]:
-    """Return samples in volts or counts as a table, shape (channels, samples)."""
+    """Return an array of a client, in volts or counts, as a table of shape (channels, samples).
+
+    `samples` is the number per channel; `by_channel`: the array has all samples of one channel, then the next.
+    """
     channels = len(task.settings.channels) or 1
     if data.size != channels * samples:
         raise DaqError(
@@ -144,6 +153,8 @@ def _table(task: Task, data: NDArray[np.float64], samples: int, by_channel: bool
 
 
 def _write(counts: _Counts | None = None) -> Handler:
+    """Return the handler that writes samples in volts, or as counts of an integer type."""
+
     def write(call: Call) -> Answer:
         fields, task = call.fields, call.task
         if counts is None:

@@ -18,7 +18,10 @@ _TRIGGERS = {
 
 
 def _trigger(role: str, prefix: str, **names: str) -> Handler:
-    """Return the handler that configures a trigger; `names` maps fields to settings."""
+    """Return the handler that configures a trigger.
+
+    `role` is "start" or "ref" (reference), `prefix` the kind of trigger. `names` maps fields of the call to settings.
+    """
 
     def configure(call: Call) -> None:
         settings = {
@@ -32,6 +35,7 @@ def _trigger(role: str, prefix: str, **names: str) -> Handler:
 
 
 def _triggers(role: str) -> dict[str, Handler]:
+    """Return the handlers of the calls that configure the start trigger ("start") or the reference trigger ("ref")."""
     name = role.capitalize()
     source, when = {"trigger_source": "src"}, {"trigger_when": "when"}
     slope = {"trigger_slope": "slope", "trigger_level": "lvl"}
@@ -60,6 +64,8 @@ def _export_signal(call: Call) -> None:
 
 
 def _timestamp(event: TimestampEvent | None) -> Handler:
+    """Return the handler that waits for an event and returns its time; None: for the event that the call names."""
+
     def get_time(call: Call) -> Answer:
         requested_event = event
         if requested_event is None:
@@ -71,6 +77,8 @@ def _timestamp(event: TimestampEvent | None) -> Handler:
 
 
 def _create_scale(kind: int, *names: tuple[str, str]) -> Handler:
+    """Return the handler that creates a custom scale; `names` are pairs of a field of the call and a parameter."""
+
     def create(call: Call) -> None:
         fields = call.fields
         settings = {key: plain_value(fields[name]) for name, key in names}
@@ -82,6 +90,7 @@ def _create_scale(kind: int, *names: tuple[str, str]) -> Handler:
 
 
 def _reverse(call: Call) -> Answer:
+    """Return the coefficients of an inverse polynomial; see `reverse_polynomial`."""
     fields = call.fields
     order = ("forward_coeffs", "min_val_x", "max_val_x", "num_points_to_compute", "reverse_poly_order")
     return {"reverse_coeffs": reverse_polynomial(*(plain_value(fields[name]) for name in order))}
@@ -108,6 +117,8 @@ def _save_scale(call: Call) -> None:
 
 
 def _delete(group: str, field_name: str) -> Handler:
+    """Return the handler that deletes a saved item; `group` is the attribute of `Storage` with such items."""
+
     def delete(call: Call) -> None:
         for each in (getattr(call.instrument.storage, group), call.instrument.storage.authors):
             each.pop(call.fields[field_name], None)

@@ -31,6 +31,8 @@ def _load_task(call: Call) -> Answer:
 
 
 def _nth_name(values: Callable[[Task], list[str]]) -> Handler:
+    """Return the handler that returns one of several names of a task, by its index from 1."""
+
     def get_name(call: Call) -> Answer:
         names, index = values(call.task), call.fields["index"]
         if not 1 <= index <= len(names):
@@ -41,6 +43,7 @@ def _nth_name(values: Callable[[Task], list[str]]) -> Handler:
 
 
 def _check_device(call: Call) -> Answer:
+    """Do nothing except to check that the device exists."""
     call.instrument.chassis.devices.module(call.fields["device_name"])
     return {}
 
@@ -51,6 +54,8 @@ def _reset_device(call: Call) -> None:
 
 
 def _teds(action: str) -> Handler:
+    """Return the handler of an action on the electronic data sheet (TEDS) of a sensor; see `TedsMemory`."""
+
     def act(call: Call) -> None:
         teds, port = call.instrument.teds, parse_port(call.fields["physical_channel"])
         call.instrument.chassis.devices.module(port.device).row(port.kind, port.number)
@@ -89,6 +94,7 @@ def _enumerate_devices(call: Call) -> Answer:
 
 
 def _reservation(call: Call) -> tuple[str, str]:
+    """Return the name that a call reserves, and the client."""
     name, client = call.fields["reservation_id"], call.fields["client_id"]
     if not (name and client):
         raise invalid_value("a reservation requires a reservation_id and a client_id. Give both.")

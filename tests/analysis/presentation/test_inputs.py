@@ -87,7 +87,7 @@ def test_copy_is_reported_and_not_fitted(bracket: dict[str, Path], tmp_path: Pat
     shutil.copy(bracket["base"], copy)
     for present in (present_frf, present_compare):
         assert any("the same content as" in warning for warning in present([bracket["base"], copy], tmp_path).warnings)
-    with pytest.raises(SceneError, match="count twice"):
+    with pytest.raises(SceneError, match="Give each recording once"):
         analysis.fit([bracket["base"], copy], str(bracket["base"].with_name("bracket.yaml")))
 
 

@@ -11,11 +11,12 @@ from rig.arrays import Array
 
 # Time before the trigger that belongs to the window of a hit, s.
 _PRETRIGGER_S = 0.01
-# Minimum ratio of a second pulse to the peak in a double hit, whose spectrum has deep minima.
+# Minimum ratio of the second pulse of a double hit to the peak. A double hit is rejected, because its spectrum has deep
+# minima.
 _REBOUND_RATIO = 0.05
 # Ratio of the trigger level to the smallest accepted peak: weaker hits are detected as well, and rejected.
 _TRIGGER_RATIO = 0.3
-# Maximum gap within a pulse, s: the force of a ringing hammer crosses zero.
+# Maximum gap within one pulse, s. The force of a ringing hammer crosses zero several times in a pulse.
 _PULSE_GAP_S = 1e-3
 # Duration of the displayed force, s.
 _DISPLAYED_S = 0.05
@@ -45,7 +46,8 @@ class Hit:
 class HitDetector:
     """Detects hits in the channel of the hammer, and checks each hit for faults at the end of its window.
 
-    `row` is the row of this channel, `min_peak` the smallest accepted peak, N, `window` the duration of a window, s.
+    `row` is the row of this channel in the readings, `min_peak` the smallest accepted peak, N. `window` is the duration
+    of a window, s: the time after the trigger, and a short time before it, that belong to one hit.
     """
 
     def __init__(self, row: int, rate: float, min_peak: float, window: float) -> None:
@@ -69,6 +71,7 @@ class HitDetector:
         return self.hits[n_before:]
 
     def _next_hit(self) -> Hit | None:
+        """Return and remove the first hit whose window is complete; None if there is none."""
         assert self._readings is not None
         force = self._readings[self._row]
         is_above = force > _TRIGGER_RATIO * self.min_peak
@@ -93,6 +96,7 @@ class HitDetector:
         return hit
 
     def _drop(self, samples: int) -> None:
+        """Remove the oldest stored samples."""
         assert self._readings is not None
         self._readings, self._overload = self._readings[:, samples:], self._overload[:, samples:]
         self._first += samples

@@ -27,17 +27,17 @@ _EXCITED_RATIO = 1e-3
 
 @dataclass(frozen=True)
 class LiveCurves:
-    """Dynamic compliance (m/N) and coherence, shape (channels on bodies, excited frequencies); `frequency` in Hz."""
+    """Estimated frequency responses of the channels on bodies, at the excited frequencies."""
 
-    names: list[str]
-    frequency: Array
-    value: ComplexArray
-    coherence: Array
-    averages: int
+    names: list[str]  # names of the channels
+    frequency: Array  # Hz; (frequencies,)
+    value: ComplexArray  # receptance (displacement over force), m/N; (channels, frequencies)
+    coherence: Array  # (channels, frequencies)
+    averages: int  # number of averaged blocks or hits
 
 
 class _SpectrumSums:
-    """Sums of the auto- and cross-spectra of force and motion, shape (channels, lines)."""
+    """Sums of the auto- and cross-spectra of force (lines,) and motion (channels, lines) over blocks or hits."""
 
     def __init__(self, channels: int, lines: int) -> None:
         self.force = np.zeros(lines)
@@ -55,8 +55,8 @@ class _SpectrumSums:
 class LiveFrf:
     """Estimates the responses of all channels on bodies to the force on the structure.
 
-    `scene` contains the test; `block` is the duration of a block, or of the window of a hit, in s; `band` is in Hz.
-    Raises `SceneError` if no channel measures the force.
+    `scene` contains the test; `block` is the duration of a block, or of the window of a hit, in s; `band` contains the
+    lowest and the highest frequency, Hz. Raises `SceneError` if no channel measures the force.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class LiveFrf:
 
 
 def _force_weights(station: Station, frequency: Array) -> ComplexArray:
-    """Return the weights, (channels, lines), with which the spectra of all channels add up to the force."""
+    """Return the weights (channels, lines) of the channels' spectra in the force, N per unit of the channel."""
     test = station.scene.test
     is_impulse_test = test is not None and test.kind == "impulse"
     for row, info in enumerate(station.channels):

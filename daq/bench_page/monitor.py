@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from daq.instrument.chassis import Chassis
 
 
-# Maximum number of blocks in the queue of the view.
+# Maximum number of blocks in the queue of the page.
 _MAX_WAITING_BLOCKS = 256
 # Duration of the stored time histories, s.
 _HISTORY_S = 10.0
@@ -38,7 +38,7 @@ _OUTPUT_S = 0.5
 
 
 class History:
-    """The last samples of several signals; sample numbers count from power-on."""
+    """The last `size` samples of several signals; sample numbers count from power-on."""
 
     def __init__(self, rows: int, size: int) -> None:
         self._values = np.zeros((rows, size))
@@ -61,9 +61,11 @@ class History:
 
 
 class Monitor:
-    """Processes the blocks of a bench; `frf` and `detector` belong to the current or the last test.
+    """Processes the blocks of a bench for the page.
 
-    `lost_samples` is the number of samples missing between blocks, `skipped_blocks` that of blocks that are not shown.
+    `frf` estimates the frequency response, and `detector` detects the hits, of the current or the last test.
+    `continuous` is true while a test without hits runs. `lost_samples` is the number of samples missing between
+    blocks, `skipped_blocks` that of blocks that are not shown.
     """
 
     def __init__(self, chassis: Chassis) -> None:
@@ -79,6 +81,7 @@ class Monitor:
         self.skipped_blocks = self.lost_samples = 0
         self._next: int | None = None
         self._last_overload = np.full(len(self.channels), -1)
+        # Displacements of bodies and tables, and gaps of the dampers, at each stored instant.
         self._poses: deque[tuple[Array, Array | None]] = deque(maxlen=round(POSES_S * _POSES_PER_S))
         self._pose_step = max(1, round(self.rate / _POSES_PER_S))
         self._lock = threading.Lock()
@@ -129,7 +132,10 @@ class Monitor:
         return np.asarray(np.fft.rfftfreq(samples.shape[1], 1.0 / self.rate)), spectra
 
     def output(self) -> list[tuple[float, float]]:
-        """Return peak and frequency (Hz, from upward zero crossings, or 0) of the drive at each input of the rig."""
+        """Return peak (in the unit of the drive) and frequency (Hz) of the drive at each input of the rig.
+
+        The frequency is determined from upward zero crossings; it is 0 without crossings.
+        """
         peaks_and_frequencies = []
         for drive in self.outputs.last(round(_OUTPUT_S * self.rate)):
             peak = float(np.abs(drive).max(initial=0.0))
@@ -141,7 +147,7 @@ class Monitor:
         return peaks_and_frequencies
 
     def poses(self) -> RigPose | None:
-        """Return the latest motion of the rig; None before the first block."""
+        """Return the motion of the rig in the last `POSES_S` seconds; None before the first block."""
         with self._lock:
             poses = list(self._poses)
         if not poses:

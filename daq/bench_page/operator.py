@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Kind = Literal["sine", "sweep", "random", "hammer"]
 
-# Minimum number of samples per period of a sine.
+# Minimum number of samples per period of a sine; it limits the frequency.
 _MIN_SAMPLES_PER_PERIOD = 10.0
 # Limits of a block of the live frequency response, s; within them it is a tenth of the test.
 _MIN_BLOCK_S = 1.0
@@ -36,15 +36,15 @@ _MIN_PEAK_RATIO = 0.5
 
 @dataclass
 class Settings:
-    """Values of the controls: level in N (amplitude, rms of random, peak of a hit), frequency in Hz, duration in s."""
+    """Values of the controls on the page."""
 
     kind: Kind
-    level: float
-    frequency: float
-    low: float
+    level: float  # amplitude of a tone or sweep, rms of random, or peak of a hit, N
+    frequency: float  # of a sine, Hz
+    low: float  # limits of a sweep or of random, Hz
     high: float
-    duration: float
-    hits: int
+    duration: float  # of a sweep or of random; for a hammer test, the time between hits, s
+    hits: int  # number of hits
 
 
 class Operator:
@@ -85,6 +85,7 @@ class Operator:
         self.no_response = ""
         self._background_test: BackgroundTest | None = None
         self._knobs: Knobs | None = None
+        # First sample, stop and marker fields of each hit of the test.
         self._hits: list[tuple[int, int, dict[str, Any]]] = []
 
     @property
@@ -93,13 +94,13 @@ class Operator:
         return self._background_test is not None and not self._background_test.quiet
 
     def switch_on(self) -> None:
-        """Start bench time without a test."""
+        """Start the clock of the bench without a test."""
         with self._chassis.changed:
             self._terminals.play(self._scene, 0, _ignore, _ignore, _ignore, _zero_drive)
             self._chassis.keep_time_running(cast(Any, self))
 
     def switch_off(self) -> None:
-        """Mark the hits, and stop bench time unless a client runs a task."""
+        """Mark the hits, and stop the clock of the bench unless a client runs a task."""
         with self._chassis.changed:
             self._mark_hits()
         self._chassis.unregister(cast(Any, self))
@@ -190,6 +191,7 @@ class Operator:
             self._recordings.mark(kind, first, stop, **fields)
 
     def _mark_hits(self) -> None:
+        """Mark each hit in the recording as accepted (`hit`) or `rejected`, with the reason."""
         detected = () if self._monitor.detector is None else self._monitor.detector.hits
         for first, stop, fields in self._hits:
             overlapping = (h for h in detected if h.first <= stop and first <= h.first + h.window_samples)
@@ -210,7 +212,7 @@ class Operator:
 
 
 def _zero_drive(station: Station) -> Excitation:
-    """Give one sample of zeros instead of the test of the scene."""
+    """Output one sample of zeros instead of the test of the scene."""
     yield station.zero_drive(1)
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 # Intervals at which charts and frequency responses are refreshed, s.
 _CHART_INTERVAL_S = 0.25
 _FRF_INTERVAL_S = 0.5
-# Duration for which the page shows the stored motion of the rig (`POSES_S`), s: slow motion.
+# Duration of the animation, s. It shows `POSES_S` seconds of motion and is therefore slowed down.
 _ANIMATION_S = 2.0
 # Number of columns of a time history; each shows its minimum and maximum.
 _HISTORY_COLUMNS = 300
@@ -30,26 +30,28 @@ _SPECTRUM_BANDS = 600
 _MAX_LISTED_HITS = 8
 _TEXT = "#c8ccd2"
 _GRID = {"lineStyle": {"color": "#2c3037"}}
+# JavaScript function that formats the numbers at an axis.
 _NUMBER_FORMAT = (
     "v => v && (Math.abs(v) < 1e-3 || Math.abs(v) >= 1e5) ? (+v.toPrecision(3)).toExponential() : +v.toPrecision(5)"
 )
+# Colors of the overload lamp of a channel.
 _LAMP_OFF = "#3a3f47"
 _LAMP_ON = "#e0403a"
 
-# Script that moves the parts of the drawing through frames {identifier: [heights, stretches]} in a given time, and
-# holds the last frame until new frames arrive.
+# Script that moves the parts of the drawing through frames in a given time, and shows the last frame until new frames
+# arrive. The frames are {identifier: [heights, scales]}; the scales stretch springs, and are null for other parts.
 _ANIMATION = """
 <script>
 let rigFrames = {}, rigStart = 0, rigTime = 1;
 function moveRig(frames, seconds) { rigFrames = frames; rigStart = performance.now(); rigTime = 1000 * seconds; }
 function drawRig(now) {
-  for (const [name, [heights, factors]] of Object.entries(rigFrames)) {
+  for (const [name, [heights, scales]] of Object.entries(rigFrames)) {
     const part = document.getElementById(name);
     if (!part) continue;
-    const at = Math.min(heights.length - 1, Math.floor((now - rigStart) / rigTime * heights.length));
-    const place = Math.max(0, at);
+    const frame = Math.min(heights.length - 1, Math.floor((now - rigStart) / rigTime * heights.length));
+    const index = Math.max(0, frame);
     part.setAttribute('transform',
-      `translate(0 ${heights[place]})` + (factors ? ` scale(1 ${factors[place]})` : ''));
+      `translate(0 ${heights[index]})` + (scales ? ` scale(1 ${scales[index]})` : ''));
   }
   requestAnimationFrame(drawRig);
 }
@@ -60,7 +62,7 @@ requestAnimationFrame(drawRig);
 
 
 def min_max_envelope(time: Array, values: Array, columns: int) -> tuple[Array, Array]:
-    """Reduce samples to the minimum and maximum in each column, so that no peak is lost.
+    """Reduce samples to the minimum and maximum in each column, so that no peak is lost; return their times and values.
 
     >>> [each.tolist() for each in min_max_envelope(np.arange(4.0), np.array([1.0, 3.0, 2.0, 0.0]), 2)]
     [[0.0, 1.0, 2.0, 3.0], [1.0, 3.0, 2.0, 0.0]]
@@ -79,13 +81,15 @@ def min_max_envelope(time: Array, values: Array, columns: int) -> tuple[Array, A
 
 
 def chart_points(x: Array, y: Array) -> list[list[float]]:
-    """Return the finite points of a curve as the chart requires, rounded to 10 (x) and 4 (y) digits."""
+    """Return the finite points [x, y] of a curve for the chart library, rounded to 10 (x) and 4 (y) digits."""
     pairs = zip(x.tolist(), y.tolist(), strict=True)
     return [[float(f"{a:.10g}"), float(f"{b:.4g}")] for a, b in pairs if np.isfinite(b)]
 
 
 def band_peaks(frequency: Array, values: Array) -> tuple[Array, Array]:
     """Reduce a spectrum to the largest line in each of `_SPECTRUM_BANDS` bands of equal frequency ratio.
+
+    Returns frequencies and values of these lines.
 
     >>> band_peaks(np.array([1.0, 2.0, 4.0]), np.array([3.0, 5.0, 4.0]))[1].tolist()
     [3.0, 5.0, 4.0]
@@ -107,9 +111,10 @@ class Chart:
     def __init__(self, title: str, x: dict[str, Any], series: list[tuple[str, str, str]], y: dict[str, Any]) -> None:
         units = list(dict.fromkeys(unit for _, unit, _ in series)) or [""]
         axes = [
-            {"type": "value", "name": unit, "scale": True, "position": "right" if place else "left",
-             "splitLine": _GRID if not place else {"show": False}, "axisLabel": {":formatter": _NUMBER_FORMAT}, **y}
-            for place, unit in enumerate(units)
+            {"type": "value", "name": unit, "scale": True, "position": "right" if axis_index else "left",
+             "splitLine": _GRID if not axis_index else {"show": False}, "axisLabel": {":formatter": _NUMBER_FORMAT},
+             **y}
+            for axis_index, unit in enumerate(units)
         ]  # fmt: skip
         self.element = ui.echart(
             {
@@ -175,6 +180,7 @@ class Page:
         operator, settings = self._operator, self._operator.settings
 
         def field(label: str, name: str, *kinds: str) -> None:
+            """Add a number field for the setting `name`, visible for these kinds of tests."""
             number = ui.number(label, on_change=operator.turn).bind_value(settings, name)
             number.classes("w-full").props(f"dense data-testid={name}")
             number.bind_visibility_from(settings, "kind", lambda kind: kind in kinds)
@@ -225,6 +231,7 @@ class Page:
         if "hammer" in self._operator.kinds:
             self._hit_chart = Chart("Last hits", {"name": "time / ms"}, [("force", "N", "#f0f0f0")], {})
             self._hit_list = ui.column().classes("w-full")
+        # Number of all hits, and of the accepted hits in the list, when the list was last updated.
         self._shown_hits_state: tuple[int, int] = (-1, -1)
 
     def _refresh(self) -> None:

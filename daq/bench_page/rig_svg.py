@@ -16,12 +16,16 @@ if TYPE_CHECKING:
 
 # SVG units per meter of the drawing.
 _UNITS_PER_M = 1000.0
+# Number of turns of a drawn spring, and half its width in m of the drawing.
 _COIL_TURNS = 7
 _COIL_HALF_WIDTH = 0.018
 
 
 class RigDrawing:
-    """The drawing of a scene's rig in front view; `svg` is empty until the first call of `frames`."""
+    """The drawing of a scene's rig in front view; `svg` is empty until the first call of `frames`.
+
+    The exaggeration is the factor on displacements and gaps in the drawing.
+    """
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
@@ -30,7 +34,10 @@ class RigDrawing:
         self.svg = ""
 
     def frames(self, motion: RigPose) -> dict[str, Any]:
-        """Return (heights, stretch factors) of moving parts by identifier; redraw `svg` if the exaggeration changes."""
+        """Return [heights, scales] of each moving part by its SVG identifier; redraw `svg` if the exaggeration changes.
+
+        Heights are in SVG units; scales stretch springs vertically, and are None for other parts.
+        """
         extremes = Extremes().widened(motion, self._shaker_bodies)
         view = RigView(self._scene, extremes, gaps_known=motion.gap is not None)
         # The exaggeration decreases at once with growing motion, and increases only by more than a factor of 4.
@@ -42,8 +49,8 @@ class RigDrawing:
         parts = {}
         for entity, translation, stretch in view.moving_parts(motion):
             heights = np.round(-_UNITS_PER_M * translation[:, 2], 2).tolist()
-            factors = None if stretch is None else np.round(stretch[:, 2], 4).tolist()
-            parts[svg_identifier(entity)] = [heights, factors]
+            scales = None if stretch is None else np.round(stretch[:, 2], 4).tolist()
+            parts[svg_identifier(entity)] = [heights, scales]
         return parts
 
     def _draw(self, view: RigView) -> str:

@@ -12,7 +12,8 @@ import daq
 
 def main() -> None:
     """Print the peak acceleration of each channel."""
-    # Ideal sensors: 1 V per m/s^2. On the fast clock, time passes as fast as the machine computes.
+    # With clock="fast", the simulation runs as fast as the computer allows, not in real time. The sensors of this scene
+    # are ideal, with 1 V per m/s^2; NI expects 9806.65 mV per g.
     with (
         daq.connect("bare-structure", clock="fast") as rig,
         nidaqmx.Task(grpc_options=rig) as inputs,
@@ -32,7 +33,8 @@ def main() -> None:
         output.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
         output.timing.cfg_samp_clk_timing(rate, sample_mode=AcquisitionType.CONTINUOUS)
         output.triggers.start_trigger.cfg_dig_edge_start_trig("/cDAQ1/ai/StartTrigger")
-        # A volt is a millimeter of table displacement. The 512 samples contain exactly two periods and are repeated.
+        # 1 V of drive corresponds to 1 mm of table displacement. The 512 samples contain exactly two periods of 20 Hz
+        # at 5120 Hz, and are repeated.
         output.write(0.1 * np.sin(2 * np.pi * 20.0 * np.arange(512) / rate))
 
         output.start()

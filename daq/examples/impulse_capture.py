@@ -10,7 +10,7 @@ from nidaqmx.constants import READ_ALL_AVAILABLE, AccelUnits, AcquisitionType, S
 import daq
 
 PRETRIGGER = 256  # samples before the trigger
-SAMPLES = 5120
+SAMPLES = 5120  # samples per channel, pretrigger included
 LEVEL = 10.0  # trigger level of the force, N
 
 
@@ -26,9 +26,11 @@ def main() -> None:
         task.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.FINITE, samps_per_chan=SAMPLES)
         task.triggers.reference_trigger.cfg_anlg_edge_ref_trig("hammer", PRETRIGGER, Slope.RISING, LEVEL)
         force, *bodies = np.array(task.read(READ_ALL_AVAILABLE, timeout=20.0))
+        # Index of the first sample above the trigger level.
         trigger_index = int(np.argmax(force > LEVEL))
         print(f"first sample above {LEVEL:g} N: index {trigger_index}; peak force {force.max():.1f} N")
         for name, samples in zip(task.channel_names[1:], bodies, strict=True):
+            # The last 32 samples before the trigger are omitted, because the hit begins below the trigger level.
             before_hit, after_hit = (np.abs(samples[: PRETRIGGER - 32]).max(), np.abs(samples[PRETRIGGER:]).max())
             print(f"{name}: up to {before_hit:.4f} g before the hit, {after_hit:.2f} g after it")
 

@@ -17,8 +17,9 @@ TARGET = 0.5  # acceleration amplitude, m/s^2
 
 
 def main(blocks: int = 60) -> float:
-    """Run the loop and return the final amplitude, m/s^2."""
+    """Run the loop over a number of blocks; return the final acceleration amplitude, m/s^2."""
     carrier = np.exp(2j * np.pi * FREQUENCY * np.arange(BLOCK) / RATE)
+    # Drive in V (1 V corresponds to 1 mm of table displacement), and acceleration amplitude in m/s^2.
     drive, amplitude = 0.005, 0.0
     with (
         daq.connect("bare-structure", clock="fast") as rig,

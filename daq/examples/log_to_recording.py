@@ -27,6 +27,7 @@ def main(folder: str | None = None) -> None:
         with daq.open(path) as recording:
             for row, (name, channel) in enumerate(recording.channels.items()):
                 logged = recording.read(name)
+                # The recording is read in the unit of the channel, the task in volts.
                 is_equal = np.allclose(logged * channel.sensitivity, read_samples[row], rtol=1e-12, atol=0.0)
                 print(f"{name}: {logged.size} samples in {channel.unit}, {'as' if is_equal else 'NOT as'} read")
 

@@ -9,7 +9,7 @@ from daq.excitation.station import Excitation, Station
 if TYPE_CHECKING:
     from rig.scene.excitation import Free
 
-# Length of the windows in which the drive is output.
+# Length of the windows in which the drive (here zero) is output, s.
 _WINDOW_S = 0.1
 
 

@@ -17,17 +17,17 @@ if TYPE_CHECKING:
     from rig.scene.excitation import Impulse
 
 
-# Recording time before the first hit: it shows offsets and noise.
+# Recording time before the first hit, s: it shows offsets and noise.
 QUIET_S = 0.25
-# Length of the windows in which the drive is output.
+# Length of the windows in which the drive is output, s.
 _WINDOW_S = 0.1
 # Maximum wait for the settling of sensors, in time constants.
 _MAX_TIME_CONSTANTS = 10.0
-# Maximum wait for the settling of sensors.
+# Maximum wait for the settling of sensors, s.
 _MAX_SETTLING_S = 60.0
-# Window in which a drift is detected.
+# Length of the window in which a drift is detected, s.
 _DRIFT_WINDOW_S = 0.5
-# Detection limit of the drift, in standard deviations.
+# Detection limit of a drift, in standard deviations of its estimate.
 _DRIFT_SIGMAS = 4.0
 
 
@@ -108,10 +108,10 @@ def _is_drifting(readings: Array) -> bool:
 
 
 def half_sine(peak: float, width: float, rate: float) -> Array:
-    """Sample a half-sine pulse such that its linear interpolation has the given peak in N and area.
+    """Return samples of a half-sine pulse, N, whose linear interpolation has the requested peak and area.
 
-    Linear interpolation would reduce the area: the sampled half sine is longer than `width` in s, with a sample
-    at its peak.
+    `peak`: N; `width`: s; `rate`: Hz. Linear interpolation reduces the area of a sampled half sine. The sampled pulse
+    is therefore longer than `width`. One sample is at its peak.
 
     >>> pulse = half_sine(50.0, 4e-3, 5120.0)
     >>> float(pulse.max()), float(round(pulse.sum() / 5120.0 / (50.0 * 4e-3 * 2 / np.pi), 9))
@@ -127,6 +127,7 @@ def half_sine(peak: float, width: float, rate: float) -> Array:
         )
 
     def pulse(length: float) -> Array:
+        """Sample a half sine with a peak of 1 and a length in samples."""
         half = int(np.ceil(length / 2))
         offset = np.arange(-half, half + 1)
         return np.where(abs(offset) < length / 2, np.cos(np.pi * offset / length), 0.0)

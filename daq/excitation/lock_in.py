@@ -13,7 +13,7 @@ from rig.arrays import Array, ComplexArray
 _MIN_PERIODS = 2
 # Minimum window, samples: more than the number of fitted terms below the lowest harmonic.
 _MIN_SAMPLES = 8
-# Near half the sampling rate a sampled tone beats. Minimum window, in beats, that separates amplitude and phase.
+# Near half the sampling rate the samples of a tone beat. Minimum window, in beats, that separates amplitude and phase.
 _MIN_BEATS = 0.5
 # Order of the highest harmonic that is fitted with the tone.
 _MAX_HARMONIC = 6
@@ -24,17 +24,22 @@ _PIECE_SAMPLES = 1 << 16
 
 
 def min_samples(frequency: float, rate: float) -> int:
-    """Return the minimum number of samples for an amplitude estimate without much noise amplification; both in Hz.
+    """Return the minimum number of samples for an amplitude estimate without much noise amplification.
+
+    `frequency`: of the tone, Hz; `rate`: sample rate, Hz.
 
     >>> [min_samples(frequency, 100.0) for frequency in (1.0, 20.0, 40.0, 49.0)]
     [200, 10, 8, 25]
     """
+    # Duration of the minimum number of beats, samples.
     beat = _MIN_BEATS / (1.0 - 2.0 * frequency / rate)
     return max(_MIN_SAMPLES, int(np.ceil(max(_MIN_PERIODS * rate / frequency, beat) - 1e-9)))
 
 
 def whole_periods(frequency: float, rate: float, shortest_s: float) -> int:
-    """Return the window length, samples, that is closest to whole periods, from `shortest_s` in s to a third more.
+    """Return the window length in samples that is closest to whole periods.
+
+    The window is at least `shortest_s` s long, and at most a third longer.
 
     In a window with a fraction of a period, harmonics and offsets leak into the fundamental.
 
@@ -77,7 +82,10 @@ def _model(frequency: float, rate: float, samples: int, first: int, stop: int) -
 
 
 def _amplitude_parts(samples: Array, frequency: float, rate: float) -> Array:
-    """Return real and imaginary part of the amplitude in a long window, shape (channels, 2), evaluated in pieces."""
+    """Return real and imaginary part of the amplitude in a long window, shape (channels, 2).
+
+    The normal equations are summed over pieces of the window.
+    """
     size = samples.shape[1]
     normal, projection = 0.0, 0.0
     for first in range(0, size, _PIECE_SAMPLES):
@@ -90,7 +98,8 @@ def _amplitude_parts(samples: Array, frequency: float, rate: float) -> Array:
 def lock_in(samples: Array, frequency: float, rate: float, phase: float = 0.0) -> ComplexArray:
     """Estimate complex amplitudes X (channels,) of a steady tone: x(t) = Re(X e^{i(phase + 2 pi f t)}) + slow drift.
 
-    `samples` has shape (channels, at least `min_samples`); t is 0 at its first sample.
+    `samples` has shape (channels, at least `min_samples`); t is 0 at its first sample. `frequency` and `rate` are in
+    Hz, `phase` is in rad.
 
     >>> t = np.arange(512) / 5120.0
     >>> amplitude = lock_in(3.0 * np.cos(2 * np.pi * 20 * t + 0.5)[None] + 7.0 + t, 20.0, 5120.0, phase=0.5)

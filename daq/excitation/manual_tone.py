@@ -16,16 +16,18 @@ from rig.errors import SceneError
 
 # Relative tolerance of the steady state. It is coarse, because an operator does not wait for a smaller transient.
 _TOLERANCE = 0.01
-# Maximum wait for the steady state.
+# Maximum wait for the steady state, s.
 _MAX_WAIT_S = 60.0
-# Largest relative deviation of the force from its level before it is readjusted.
+# Largest relative deviation of the force from its level that is not readjusted.
 _MAX_DEVIATION = 0.05
 # Number of successive windows with a larger deviation that cause a readjustment; a single impact does not.
 _MAX_DEVIATIONS = 5
 
 
 class Knobs:
-    """Settings of the operator, Hz and N; they take effect with the next window of the drive.
+    """Frequency (Hz) and force amplitude (N) of the operator; they take effect with the next window of the drive.
+
+    `highest`: highest permitted frequency, Hz.
 
     >>> knobs = Knobs(13.0, 0.0, highest=1000.0)
     >>> knobs.execute("f 34.8"), knobs.execute("F 2.6"), knobs.settings
@@ -92,15 +94,15 @@ class ManualTone:
 
     def excite(self, station: Station) -> Excitation:
         """Output the tone until the operator quits; mark steady intervals as a stepped sine does."""
-        # Raises without a shaker, before the channels of the spring force are checked.
+        # Raises `SceneError` without a shaker, before the channels of the spring force are checked.
         station.drive(np.zeros(1))
         if not station.force_is_drive:
-            # Raises where the channels of the spring force are missing.
+            # Raises `SceneError` if the channels of the spring force are missing.
             station.force_weights(1.0)
         tone = SteadyTone(station, self.knobs.settings[0], controlled=not station.force_is_drive)
         while not self.knobs.quit:
             requested = self.knobs.settings
-            # Closing marks the steady interval, whether the operator or the run ends it.
+            # Closing the generator marks the steady interval, whether the operator or the end of the run closes it.
             with closing(self._hold_setting(tone, *requested)) as drives:
                 phase, drive = tone.phase, next(drives)
                 while True:

@@ -1,4 +1,7 @@
-"""Multisine test: periodic sum of tones with random phases, in several realizations of several periods."""
+"""Multisine test: periodic sum of tones with random phases, in several realizations of several periods.
+
+A realization is a new draw of the phases. With several shakers, it consists of as many experiments.
+"""
 
 from __future__ import annotations
 
@@ -24,15 +27,16 @@ if TYPE_CHECKING:
 
 # Relative tolerance of the steady state: difference of successive periods.
 _TOLERANCE = 1e-4
-# Maximum wait for the steady state: the longer of a time and a number of periods.
+# Maximum wait for the steady state: the longer of a time in s
 _MAX_WAIT_S = 60.0
+# and a number of periods.
 _MAX_WAIT_PERIODS = 8
-# Ratio of successive differences of periods above which a difference is noise, not a transient.
+# If the ratio of a difference to the smallest earlier difference exceeds this limit, it is noise, not a transient.
 _MIN_NOISE_RATIO = 0.9
 
 
 def excite(station: Station, test: Multisine) -> Excitation:
-    """Run a multisine test."""
+    """Run a multisine test; each experiment is marked with its settling (`settle`) and its periods (`measure`)."""
     period = station.samples(test.period_s)
     lines = lines_between(test.from_, test.to, period, station.rate)
     if test.period is None:
@@ -54,6 +58,7 @@ def excite(station: Station, test: Multisine) -> Excitation:
                 [sum_of_tones(lines, amplitudes, phase + phase_step * k, period) for k, phase in enumerate(phases)]
             )
             factor = min(limit_factor(station, wave) for wave in waves)
+            # Fields of the marker.
             experiment_fields: dict[str, object] = {}
             message = f"realisation {realisation}"
             if len(shakers) > 1:
@@ -104,5 +109,5 @@ def _settle(station: Station, waves: Array) -> Generator[Array, Array, bool]:
 
 
 def _max_wait(station: Station, period: int) -> int:
-    """Return the maximum number of samples to wait for a periodic response."""
+    """Return the maximum number of samples to wait for a periodic response; `period` is in samples."""
     return max(station.samples(_MAX_WAIT_S), _MAX_WAIT_PERIODS * period)

@@ -13,7 +13,7 @@ from rig.arrays import Array, ComplexArray
 _MIN_OBSERVATIONS = 6
 # Observations older than this multiple of the memory are discarded.
 _MAX_AGE_RATIO = 3.0
-# A different mode is searched for once in this number of observations.
+# Number of observations from one search for a different mode to the next.
 _SEARCH_INTERVAL = 4
 # Frequencies of this search, relative to the tone.
 _SEARCH_FREQUENCIES = np.geomspace(0.6, 1.7, 24)
@@ -23,7 +23,7 @@ _SEARCH_DAMPING = np.array([0.005, 0.03])
 _MAX_RESIDUAL_RATIO = 0.7
 # Initial frequency step of the search around the present mode, relative to its frequency.
 _INITIAL_STEP = 0.01
-# Limits of this step.
+# Smallest and largest frequency step, relative.
 _MIN_STEP = 1e-4
 _MAX_STEP = 0.03
 # Factor on the step if the present frequency remains the best.
@@ -36,7 +36,8 @@ _DAMPING_STEP = 0.2
 _DAMPING_LIMITS = (0.002, 0.2)
 # Below this exponent the mean of the exponential is approximated linearly, because the exact formula rounds.
 _MIN_EXPONENT = 1e-6
-# Relative regularization of both coefficients towards zero, which matters if force and motion do not separate them.
+# Relative regularization (ridge) of both coefficients g and c towards zero. It matters only if the observations do not
+# determine both.
 _RIDGE = 1e-4
 
 
@@ -114,7 +115,10 @@ class NearestMode:
 def _fit_poles(
     poles: ComplexArray, observations: ComplexArray, memory: float
 ) -> tuple[ComplexArray, ComplexArray, Array]:
-    """Estimate g, c and the residual for each pole, from the steps between observations."""
+    """Estimate g, c and the squared residual for each pole, from the steps between observations; shape (poles,) each.
+
+    `observations`: time, angular frequency, motion and force of each; shape (observations, 4); `memory`: s.
+    """
     time, angular_frequency, motion, force = observations.T
     time, angular_frequency = time.real, angular_frequency.real
     step = np.diff(time)

@@ -1,4 +1,7 @@
-"""Pretest: identification of the drive that the shaker requires for a given motion and force, from the channels."""
+"""Pretest: identify the drive that the shaker requires for a given table motion and spring force, from the channels.
+
+The result is used to control the force of a swept sine.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +17,13 @@ from daq.excitation.spectrum_shaping import lines_between, sum_of_tones
 from daq.excitation.station import Station
 from rig.arrays import Array, ComplexArray
 
-# Minimum length of the analyzed burst.
+# Minimum length of the analyzed burst, s.
 _MIN_BURST_S = 4.0
 # Minimum length of the analyzed burst, in periods of the lowest tone.
 _MIN_BURST_PERIODS = 12.0
-# Duration of the rise and of the fall of the burst.
+# Duration of the rise and of the fall of the burst, s.
 _EDGE_S = 0.25
-# Duration of zero drive after the burst.
+# Duration of zero drive after the burst, s.
 _QUIET_S = 1.0
 # The tones extend beyond the band of the test by this factor, so that its limits are inside.
 _BAND_MARGIN = 1.3
@@ -28,17 +31,17 @@ _BAND_MARGIN = 1.3
 _MAX_DRIVE_RATIO = 5.0
 # The amplitudes of the tones decrease with this power of frequency.
 _SPECTRUM_EXPONENT = 1.0
-# Number of coefficients in s of the drive for the table motion.
+# Number of coefficients of the polynomial P (`ShakerLaw`) for the table motion.
 _MOTION_TERMS = 4
-# Number of coefficients in s of the drive for the spring force.
+# Number of coefficients of the polynomial Q for the spring force.
 _FORCE_TERMS = 2
-# Longest delay between drive and channels in the search.
+# Longest delay between drive and channels in the search, s.
 _MAX_DELAY_S = 0.05
 
 
 @dataclass(frozen=True)
 class ShakerLaw:
-    """Drive of a shaker: D = e^(s delay) (P(s) X0 + Q(s) F), for motion X0 e^(st) and force F e^(st).
+    """Drive of a shaker: D = e^(s delay) (P(s) X0 + Q(s) F), for table motion X0 e^(st) and spring force F e^(st).
 
     A moving coil has P = Z (m s^2 + c s + k) / Bl + Bl s and Q = Z / Bl with Z = R + L s, per amplifier gain; a
     table with a servo has P = (1 + s / w)^2 and Q = 0. P and Q are independent of the structure.
@@ -51,14 +54,20 @@ class ShakerLaw:
     misfit: float  # relative RMS residual of the drive in the pretest
 
     def at(self, s: complex) -> tuple[complex, complex]:
-        """Return the drive per newton of spring force, and per meter of body displacement, with X0 = X1 + F / k0."""
+        """Return the drive per newton of spring force, and per meter of displacement X1 of the body.
+
+        The displacement of the table is X0 = X1 + F / k0, with the stiffness k0 of the coil spring.
+        """
         delay_factor = np.exp(s * self.delay)
         per_meter = delay_factor * polynomial.polyval(s, self.motion)
         per_newton = per_meter / self.spring + delay_factor * polynomial.polyval(s, self.force)
         return complex(per_newton), complex(per_meter)
 
     def slope(self, s: complex) -> tuple[complex, complex]:
-        """Return the derivatives of both with respect to s, for the additional drive of a changing amplitude."""
+        """Return the derivatives of both results of `at` with respect to s.
+
+        They yield the additional drive for a changing amplitude.
+        """
         step = 1e-3 * abs(s)
         upper, lower = self.at(s + step), self.at(s - step)
         return (upper[0] - lower[0]) / (2 * step), (upper[1] - lower[1]) / (2 * step)
@@ -99,7 +108,11 @@ def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int6
     spectra = [np.fft.rfft(changes * window, axis=1)[:, lines] for window in windows]
 
     def derivative(row: int, order: int) -> ComplexArray:
-        """Return the windowed spectrum of a displacement's derivative by partial integration: exact for transients."""
+        """Return the windowed spectrum of the time derivative of a displacement.
+
+        Partial integration moves the derivatives to the window, which is exact also for transients. The derivative is
+        divided by `middle_s` to the power `order`.
+        """
         parts = (comb(order, j) * (-1) ** j * s ** (order - j) * spectra[j][row] for j in range(order + 1))
         return np.asarray(station.displacement_factor(row, frequency) * np.asarray(sum(parts)) / middle_s**order)
 
@@ -111,7 +124,7 @@ def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int6
     target = drive_spectrum / abs(drive_spectrum)
 
     def solve(delay: float) -> tuple[float, Array]:
-        """Return the residual and the coefficients."""
+        """Return the relative RMS residual of the drive and the coefficients, for a delay in s."""
         delayed_model = model * np.exp(s * delay)[:, None]
         rows = np.concatenate([delayed_model.real, delayed_model.imag])
         target_parts = np.concatenate([target.real, target.imag])

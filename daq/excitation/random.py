@@ -16,16 +16,16 @@ if TYPE_CHECKING:
     from rig.scene.excitation import Random
 
 
-# Length of the shaping filter, whose frequency resolution is 0.25 Hz.
+# Length of the shaping filter, s; its frequency resolution is therefore 0.25 Hz.
 _FILTER_S = 4.0
-# Length of a block, which contains one burst.
+# Length of a block, s; it contains one burst.
 _BLOCK_S = 8.0
-# Duration of the rise and of the fall of a burst, and of the test.
+# Duration of the rise at the start, and of the fall at the end, of a burst and of the test, s.
 _EDGE_S = 0.02
 
 
 def excite(station: Station, test: Random) -> Excitation:
-    """Run a random test."""
+    """Run a random test: white noise is filtered to a flat force spectrum in the band, and multiplied by the bursts."""
     period = station.samples(_FILTER_S)
     lines = lines_between(test.from_, test.to, period, station.rate)
     level = station.level
@@ -73,7 +73,7 @@ def excite(station: Station, test: Random) -> Excitation:
             completed += size
             station.report(completed / total, f"{completed / station.rate:.0f} s of {test.duration:g} s")
     finally:
-        # Marked also if the test ends early.
+        # The measurement is marked even if the test ends early.
         if completed:
             station.mark("measure", first, first + completed, level=level, **fields)
     if clipped:
@@ -83,8 +83,8 @@ def excite(station: Station, test: Random) -> Excitation:
 def shaping_filter(lines: Lines, amplitudes: Array, gains: Array, level: float, period: int) -> Array:
     """Return the impulse response (period,) from white noise of unit variance to the required drive.
 
-    `amplitudes` of the required spectrum and `gains` per drive are at `lines`; `level` is the RMS of drive times
-    gains.
+    `amplitudes` are those of the drive, `gains` the force per drive, both at `lines`. `level` is the required RMS of
+    the force.
     """
     spectrum = np.zeros(period // 2 + 1)
     spectrum[lines] = amplitudes
@@ -95,7 +95,10 @@ def shaping_filter(lines: Lines, amplitudes: Array, gains: Array, level: float, 
 
 
 def _burst_envelope(block: int, burst: float | None, edge: int) -> Array:
-    """Return the envelope of a block with a burst of the share `burst`, with linear edges; shape (block,)."""
+    """Return the envelope, 0 to 1, of a block with one burst; shape (block,).
+
+    `burst`: length of the burst as a share of the block, None without bursts; `edge`: samples of a linear edge.
+    """
     if burst is None:
         return np.ones(block)
     size = max(2, round(burst * block))

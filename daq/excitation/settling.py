@@ -1,4 +1,7 @@
-"""Detection of the steady state from amplitudes measured in successive windows of equal length."""
+"""Detection of the steady state of a tone, from amplitudes measured in successive windows of equal length.
+
+An observation consists of the complex amplitudes of all quantities (force and displacements) in one window.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +13,16 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array, ComplexArray
 
-# Number of differences for the estimate of the transient's decay.
+# Number of differences of successive observations for the estimate of the transient's decay.
 _N_DIFFERENCES = 6
 # Minimum number of observations for this estimate: two pairs of successive differences.
 MIN_OBSERVATIONS = 4
-# Smallest deviation of the decay factor from 1. A smaller deviation is not measurable: the transient is longer than the
-# observed time.
+# Smallest deviation from 1 of the decay factor (ratio of successive changes). A smaller deviation is not measurable:
+# the transient is longer than the observed time.
 _MIN_FACTOR_DEVIATION = 1e-3
 # Largest magnitude of a decay factor that predicts the final amplitude.
 _MAX_PREDICTING_FACTOR = 0.995
-# Below this coherence of successive changes, they are noise instead of a decaying transient.
+# If the coherence of successive changes is below this value, they are noise instead of a decaying transient.
 _MIN_COHERENCE = 0.8
 # Number of observations whose scatter in both halves is compared, to distinguish noise from decaying beats.
 _NOISE_OBSERVATIONS = 24
@@ -38,8 +41,8 @@ class TransientLaw:
     """Geometric decay of the changes between successive observations, for each quantity."""
 
     changes: ComplexArray  # the last changes, (changes, quantities)
-    factor: ComplexArray  # ratio of successive changes, by least squares
-    coherent: NDArray[np.bool_]  # whether the changes follow the law
+    factor: ComplexArray  # decay factor: ratio of successive changes, by least squares; (quantities,)
+    coherent: NDArray[np.bool_]  # whether the changes follow the law; (quantities,)
 
     @classmethod
     def of(cls, observations: ComplexArray) -> TransientLaw:
@@ -57,7 +60,10 @@ class TransientLaw:
         return self.changes[-1] * self.factor / limited
 
     def remaining_magnitude(self) -> Array:
-        """Return an upper estimate of its magnitude, from the larger of the last two changes."""
+        """Return an upper estimate of the magnitude of the remaining change, shape (quantities,).
+
+        It uses the larger of the last two changes.
+        """
         change = abs(self.changes[-2:]).max(axis=0)
         return change * abs(self.factor) / np.maximum(abs(1.0 - self.factor), _MIN_FACTOR_DEVIATION)
 
@@ -65,14 +71,14 @@ class TransientLaw:
 class Settling:
     """Detector of the steady state.
 
-    The free decay of a mode adds a transient to the amplitude in each window, an observation. Between successive
-    observations the transient, and therefore also the change of the amplitude, is multiplied by the same complex
-    factor rho. With rho estimated from the last changes, the remaining change is change * rho / (1 - rho). A
-    comparison of two observations would not suffice: a 13 Hz mode with a damping ratio of 0.5 % changes by only
-    4 % of its remaining transient in 0.1 s.
+    The free decay of a mode adds a transient to the amplitudes. Between successive observations the transient, and
+    therefore also the change of the amplitude, is multiplied by the same complex factor rho. With rho estimated from
+    the last changes, the remaining change is change * rho / (1 - rho). A comparison of two observations would not
+    suffice: a 13 Hz mode with a damping ratio of 0.5 % changes by only 4 % of its remaining transient in 0.1 s.
 
     Changes that do not follow this law are noise. The amplitude then counts as steady when two halves of the
-    latest observations agree within their scatter and the scatter does not decrease.
+    latest observations agree within their scatter and the scatter does not decrease. `tolerance` is the permitted
+    remaining relative change of any amplitude; `settled` states whether the latest observations are steady.
 
     >>> detector = Settling(1e-3)
     >>> for k in range(40):
@@ -166,10 +172,11 @@ class Settling:
         return np.sqrt(np.mean(abs(latest - latest.mean(axis=0)) ** 2, axis=0) / len(latest)) / self._magnitude()
 
     def _magnitude(self) -> Array:
+        """Amplitudes of the latest observation, at least the smallest number, so that they can be divisors."""
         return np.maximum(abs(self._observations[-1]), sys.float_info.min)
 
     def _agree_within_tolerance(self, law: TransientLaw) -> NDArray[np.bool_]:
-        """Return whether all observations agree within the tolerance with a nearly constant mean.
+        """Return whether the latest observations agree within the tolerance with a nearly constant mean; (quantities,).
 
         Beating modes have no common factor. In a slow transient of up to thirty observations, the mean of half of these
         changes by at least 10 % of the remaining change.
@@ -183,7 +190,11 @@ class Settling:
         return (~law.coherent | (spread < 0.01 * limit)) & (spread < limit) & (drift < 0.1 * limit)
 
     def _is_noise(self, count: int, max_scatter: float) -> NDArray[np.bool_]:
-        """Return whether the observations scatter like noise about a constant mean; decaying beats scatter less."""
+        """Return whether the latest `count` observations scatter like noise about a constant mean; (quantities,).
+
+        Decaying beats scatter less in the second half. `max_scatter`: largest standard deviation, relative to the
+        amplitude.
+        """
         if self.count < count:
             return np.zeros(self._observations[-1].size, dtype=bool)
         half = count // 2

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 # Relative tolerance of the steady state.
 _TOLERANCE = 1e-3
-# Maximum wait for the steady state.
+# Maximum wait for the steady state, s.
 _MAX_WAIT_S = 60.0
 
 
@@ -37,6 +37,7 @@ def excite(station: Station, test: Sine) -> Excitation:
         yield from tone.measure(station.samples(test.duration), settled, fields)
         yield tone.end()
         return
+    # Open loop: the level is the amplitude of the drive.
     tone.amplitude = level
     detector = Settling(_TOLERANCE)
     window = whole_periods(test.frequency, station.rate, WINDOW_S)

@@ -1,4 +1,8 @@
-"""Drive of tones that yields a flat force spectrum: each line is equalized by iteration, from the channels."""
+"""Drive of tones that yields a flat force spectrum: the amplitude of each tone is adjusted by iteration.
+
+The force is measured by the channels. A line is a multiple of the fundamental frequency, the inverse of the period; its
+number is the number of its periods in the period of the sum.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +15,21 @@ from daq.excitation.station import Station
 from rig.arrays import Array
 from rig.errors import SceneError
 
+# Numbers of lines; shape (lines,).
 Lines = NDArray[np.int64]
 
 # Maximum number of iterations.
 _MAX_ITERATIONS = 8
-# Largest ratio of a line's drive between iterations.
+# Largest ratio of a line's drive amplitude from one iteration to the next.
 _MAX_STEP_RATIO = 4.0
-# Largest ratio of a line's drive to the median of all lines.
+# Largest ratio of a line's drive amplitude to the median of all lines.
 _MAX_LINE_RATIO = 100.0
-# Relative tolerance of the level.
+# Relative tolerance of the RMS force, and of the median force of the lines.
 _LEVEL_TOLERANCE = 0.03
 
 
 def lines_between(first: float, last: float, period: int, rate: float) -> Lines:
-    """Return the integer multiples of rate / period from `first` to `last` in Hz."""
+    """Return the numbers of the lines from `first` to `last` in Hz, for a period in samples and a sample rate in Hz."""
     low = np.ceil(first * period / rate - 1e-9)
     high = np.floor(min(last * period / rate + 1e-9, (period - 1) // 2))
     lines = np.arange(max(1, int(low)), int(high) + 1)
@@ -37,7 +42,7 @@ def lines_between(first: float, last: float, period: int, rate: float) -> Lines:
 
 
 def sum_of_tones(lines: Lines, amplitudes: Array, phases: Array, period: int) -> Array:
-    """Return one period of a sum of cosines; shape (period,)."""
+    """Return one period of a sum of cosines at `lines`, with phases in rad; shape (period,)."""
     spectrum = np.zeros(period // 2 + 1, dtype=complex)
     spectrum[lines] = amplitudes * np.exp(1j * phases) * (period / 2)
     return np.fft.irfft(spectrum, period)
@@ -64,15 +69,15 @@ def equalize(
 ) -> Generator[Array, Array, tuple[Array, Array, Array]]:
     """Compute the drive with a flat spring force over the lines, by iteration with measurements.
 
-    `phases`: of the lines, rad. Returns the drive amplitudes and the force per drive in N, (lines,), and the present
-    period of the drive.
+    `phases`: of the lines, rad. Returns, for each line, the drive amplitude and the ratio of force to drive; and the
+    present period of the drive, shape (period,).
     """
     level = station.level
     target = equal_amplitudes(level, lines)
     weights = station.force_weights(lines * station.rate / period)
+    # `amplitudes` is the requested drive, `limited` the drive within the range of the amplifier.
     amplitudes = limited = target * station.cautious_drive
     present_wave = np.zeros(period)
-    # `amplitudes` is the requested drive, `limited` the drive within the range of the amplifier.
     force, rms, first = target, 0.0, station.now
     for iteration in range(_MAX_ITERATIONS):
         station.report(0.0, f"shaping the drive, round {iteration + 1}")

@@ -45,7 +45,7 @@ class Station:
         return max(1, round(seconds * self.rate))
 
     def generator(self, purpose: str) -> np.random.Generator:
-        """Return a random generator that depends only on the scene's seed and on the purpose."""
+        """Return a random generator that depends only on the scene's seed and on the purpose, such as "multisine"."""
         seeds = np.random.SeedSequence([self.scene.seed, crc32(purpose.encode())])
         return np.random.Generator(np.random.PCG64(seeds))
 
@@ -93,7 +93,7 @@ class Station:
         return np.zeros((len(self.inputs), samples))
 
     def motion_row(self, place: str) -> int:
-        """Return the row of the first channel that measures motion at a place."""
+        """Return the row of the first channel that measures motion at a place, such as ``body 1``."""
         for row, info in enumerate(self.channels):
             if info.at == place and info.derivative is not None:
                 return row
@@ -134,7 +134,7 @@ class Station:
 
     @property
     def drive_limit(self) -> float:
-        """Largest drive in the range of the shaker's amplifier; V, m or N."""
+        """Largest drive within the range of the shaker's amplifier; V, m or N."""
         shaker = self.scene.driven_shaker
         if shaker is None or shaker.kind != "electrodynamic":
             return np.inf
@@ -142,7 +142,7 @@ class Station:
 
     @property
     def cautious_drive(self) -> float:
-        """Initial drive per newton of spring force, well below the drive that the level requires."""
+        """Initial drive per newton of spring force: a fifth of a rough static estimate, to begin below the level."""
         shaker = self.scene.driven_shaker
         assert shaker is not None and shaker.kind != "force"
         if shaker.kind == "table":

@@ -1,4 +1,8 @@
-"""Sine source, with amplitude estimates of the channels in the steady state, and control of the force amplitude."""
+"""Sine source, with amplitude estimates of the channels in the steady state, and control of the force amplitude.
+
+A glide is a smooth transition to another frequency and amplitude. The level is the required force amplitude, or without
+control of the force the amplitude of the drive.
+"""
 
 from __future__ import annotations
 
@@ -14,15 +18,16 @@ from daq.excitation.station import Station
 from rig.arrays import Array, ComplexArray
 from rig.scene.excitation import FORCE_TOLERANCE
 
-# Duration of a glide to a new frequency. It does not excite modes more than a few hertz away.
+# Duration of a glide to a new frequency, s. It does not excite modes more than a few hertz away.
 GLIDE_S = 0.4
-# Longest duration of a glide to a new amplitude.
+# Longest duration of a glide to a new amplitude, s.
 _MAX_GLIDE_S = 3.0
-# Shortest window of an amplitude estimate.
+# Shortest window of an amplitude estimate, s.
 WINDOW_S = 0.1
 # Ratio of the force to the level above which the drive is reduced before the steady state, to protect the rig.
 _MAX_FORCE_RATIO = 3.0
-# Largest change of the drive, as log ratio, that needs no slow glide because its transient is negligible.
+# Largest change of the drive, as the natural logarithm of its ratio, that needs no slow glide: its transient is
+# negligible.
 _MAX_SUDDEN_CHANGE = 0.03
 # Largest change of the expected force over the last observations, relative to its deviation from the level, at which
 # the drive is changed.
@@ -64,14 +69,20 @@ class Tone:
         return wave
 
     def _advance(self, turns: Array) -> Array:
-        """Return the phases of a window; `turns` ends with the first sample of the next window."""
+        """Return the phases of a window, rad.
+
+        `turns`: periods of the tone since the start of the window; the last is that of the next window's first sample.
+        """
         phase = self.phase + 2 * np.pi * np.fmod(turns, 1.0)
         self.phase = float(np.fmod(phase[-1], 2 * np.pi))
         return phase[:-1]
 
 
 class SteadyTone(Tone):
-    """A tone of the driven shaker. Its quantities are the spring force, if controlled, and the displacements."""
+    """A tone of the driven shaker, with the complex amplitudes of its quantities.
+
+    The quantities are the spring force in N, if it is controlled, and the displacements in m at the motion channels.
+    """
 
     def __init__(self, station: Station, frequency: float, controlled: bool) -> None:
         super().__init__(station.rate, frequency)
@@ -126,7 +137,8 @@ class SteadyTone(Tone):
     ) -> Generator[Array, Array, bool]:
         """Glide to a frequency in Hz and wait for the steady state; return whether it was reached at the level.
 
-        `tolerance` is the permitted relative change of any amplitude.
+        `drive`: amplitude of the drive at the end of the glide; `tolerance`: permitted remaining relative change of any
+        amplitude.
         """
         station, control, detector = self.station, self.control, Settling(tolerance)
         end = station.now + station.samples(max_wait_s)
@@ -140,7 +152,7 @@ class SteadyTone(Tone):
             if new_drive is not None:
                 glide_samples = window
                 if abs(np.log(new_drive / self.amplitude)) >= _MAX_SUDDEN_CHANGE:
-                    # A glide of two beats hardly excites the mode whose transient beats with the drive.
+                    # The transient of a mode beats with the drive. A glide of two beats hardly excites this mode.
                     two_beats = round(window * 4 * np.pi / float(detector.phase_change()[0]))
                     glide_samples = max(window, min(station.samples(_MAX_GLIDE_S), two_beats))
                 detector.restart()
@@ -154,14 +166,20 @@ class SteadyTone(Tone):
     def settle_and_mark(
         self, frequency: float, drive: float, tolerance: float, max_wait_s: float, fields: dict[str, Any]
     ) -> Generator[Array, Array, bool]:
-        """Settle as `settle`, and mark the interval in the recording; return whether the steady state was reached."""
+        """Settle as `settle`, and mark the interval in the recording; return the result of `settle`.
+
+        `fields`: further fields of the marker.
+        """
         first = self.station.now
         settled = yield from self.settle(frequency, drive, tolerance, max_wait_s)
         self.station.mark("settle", first, self.station.now, drive=self.amplitude, settled=settled, **fields)
         return settled
 
     def measure(self, samples: int, settled: bool, fields: dict[str, Any]) -> Generator[Array, Array, None]:
-        """Hold the tone for at least a number of samples, and mark the interval with its force."""
+        """Hold the tone for at least a number of samples, and mark the interval with its force amplitude in N.
+
+        `settled` and `fields` are fields of the marker.
+        """
         first = self.station.now
         amplitudes = yield from self.mean(max(samples, min_samples(self.frequency, self.rate)))
         force = fields["level"] if self.station.force_is_drive else None
@@ -173,7 +191,7 @@ class SteadyTone(Tone):
 
 
 def _new_drive(control: AmplitudeControl, detector: Settling, drive: float) -> float | None:
-    """Return a new drive amplitude; None if the present drive suffices, or the force is not yet predictable."""
+    """Return a new drive amplitude; None if the present drive is right, or the force is not yet predictable."""
     force, standard_error = float(abs(detector.expected()[0])), float(detector.standard_error()[0])
     if detector.count < MIN_OBSERVATIONS + 1:
         is_excessive = detector.is_rising and abs(detector.latest[0]) > _MAX_FORCE_RATIO * control.level
@@ -202,7 +220,7 @@ _MIN_LOG_DIFFERENCE = 1e-3
 _MIN_BRACKET = 2e-3
 # Distance of the next drive from both ends of the bracket, relative to its width.
 _BRACKET_MARGIN = 0.1
-# Factor on the longest step where the slope is below its range.
+# Factor on the longest step if the slope is below its range.
 _FLAT_STEP_FACTOR = 0.5
 # If the force is still too large after a drive reduction to this fraction, the drive is not the cause.
 _MIN_REDUCTION_RATIO = 1e-4
@@ -213,7 +231,8 @@ _MIN_FORCE_RATIO = 1e-9
 class AmplitudeControl:
     """Control of a force amplitude in N: secant method in log(drive) and log(force), with a bracket.
 
-    `level`: required force, N; `limit`: largest drive; `longest_step`: largest ratio of successive drives.
+    The bracket is the interval between the nearest drives below and above the level. `level`: required force, N;
+    `limit`: largest drive; `longest_step`: largest ratio of successive drives.
 
     >>> control, drive = AmplitudeControl(2.6), 0.1
     >>> for step in range(12):
@@ -234,11 +253,12 @@ class AmplitudeControl:
     def restart(self) -> None:
         """Discard all observations: the frequency has changed."""
         self._previous: tuple[float, float] | None = None  # log(drive), log(level / force)
+        # The bracket, in log(drive).
         self._low, self._high = -math.inf, math.inf
         self._largest_reduced_drive = 0.0
 
     def is_at_level(self, force: float, standard_error: float = 0.0) -> bool:
-        """Return whether a force amplitude with a relative standard error `standard_error` is at the level."""
+        """Return whether a force amplitude in N, with a relative standard error, is at the level within tolerance."""
         return abs(force / self.level - 1.0) <= min(max(FORCE_TOLERANCE, 2.0 * standard_error), _MAX_TOLERANCE)
 
     def reduce_drive(self, drive: float, force: float) -> float | None:
@@ -255,7 +275,7 @@ class AmplitudeControl:
         if self._previous is not None and abs(log_drive - self._previous[0]) > _MIN_LOG_DIFFERENCE:
             slope = (self._previous[1] - error) / (log_drive - self._previous[0])
         self._previous = log_drive, error
-        # The drives nearest to the level, below and above it.
+        # Update the bracket: the nearest drives below and above the level.
         if error > 0.0:
             self._low, self._high = log_drive, self._high if self._high > log_drive else math.inf
         else:

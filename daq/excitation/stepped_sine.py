@@ -1,4 +1,7 @@
-"""Stepped sine test: at each frequency, wait for the steady state and measure whole periods, then glide to the next."""
+"""Stepped sine test: at each frequency, wait for the steady state and measure; then sweep continuously to the next.
+
+A measurement contains whole periods.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +16,14 @@ from daq.excitation.steady_tone import SteadyTone
 if TYPE_CHECKING:
     from rig.scene.excitation import SteppedSine
 
-# Largest change of the drive, as log ratio, that is extrapolated.
+# Largest extrapolated change of the drive, as the natural logarithm of its ratio.
 _MAX_LOG_CHANGE = 0.2
 # Maximum number of frequencies that a warning lists.
 _MAX_LISTED = 8
 
 
 def excite(station: Station, test: SteppedSine) -> Excitation:
-    """Run a stepped sine."""
+    """Run a stepped sine at each level; mark the wait (`settle`) and the measurement (`measure`) of each step."""
     tone, steps = SteadyTone(station, test.order[0], station.is_force_controlled), list(test.order)
     up_steps = len(steps) // 2 if test.direction == "both" else len(steps)
     total, completed = len(test.levels) * len(steps), 0
@@ -29,7 +32,7 @@ def excite(station: Station, test: SteppedSine) -> Excitation:
         drive = tone.start(level)
         last_drives: list[tuple[float, float]] = []  # frequency in Hz and drive amplitude
         tone.frequency = steps[0]
-        # The unit of the drive depends on the shaker.
+        # A level of drive is reported without a unit, because its unit depends on the shaker.
         at_level = f"{level:g} N" if station.is_force_controlled else f"level {level:g}"
         for index, frequency in enumerate(steps):
             direction = "down" if test.direction == "down" or index >= up_steps else "up"
@@ -59,7 +62,7 @@ def excite(station: Station, test: SteppedSine) -> Excitation:
 def extrapolate_drive(last_drives: Sequence[tuple[float, float]], frequency: float) -> float:
     """Extrapolate the drive to a frequency in Hz by a parabola through the logarithms of the last three drives.
 
-    `last_drives`: pairs of frequency and drive. Returns the last drive if the extrapolated change is large.
+    `last_drives`: pairs of frequency (Hz) and drive. Returns the last drive if the extrapolated change is large.
 
     >>> round(extrapolate_drive([(10.0, 1.0), (11.0, 1.1), (12.0, 1.2)], 13.0), 3)
     1.298

@@ -13,14 +13,15 @@ from daq.excitation.nearest_mode import NearestMode, mean_exponential
 from daq.excitation.pretest import ShakerLaw
 from rig.arrays import Array, ComplexArray
 
-# Minimum length of an observation, periods. Shorter observations amplify the noise.
+# An observation is an estimate of amplitudes from the samples of the last periods. Minimum length, periods; shorter
+# observations amplify the noise.
 _MIN_PERIODS = 2.0
-# Minimum length of an observation, samples: the number of fitted terms.
+# Minimum length, samples: the number of fitted terms.
 _MIN_SAMPLES = 6
-# Minimum length of an observation, periods of the beat between the tone and the Nyquist frequency.
+# Minimum length, periods of the beat between the tone and the Nyquist frequency.
 _MIN_BEATS = 1.5
-# The memory of the mode estimate is this factor times 1 / sqrt(sweep rate), the time in which a sweep passes a lightly
-# damped mode.
+# The memory of the mode estimate is the time after which the weight of an observation has decreased to 1 / e. It is
+# this factor times 1 / sqrt(sweep rate), the time in which a sweep passes a lightly damped mode.
 _MEMORY_FACTOR = 0.5
 # Shortest memory, periods.
 _MIN_MEMORY_PERIODS = 6.0
@@ -28,7 +29,7 @@ _MIN_MEMORY_PERIODS = 6.0
 _MAX_MEMORY_PERIODS = 20.0
 # Number of integration steps from the middle of an observation to its end, which compensate its delay.
 _STEPS = 6
-# Largest change of the drive between windows, relative to the largest of the stored amplitudes.
+# Largest change of the drive between windows, relative to the largest of the stored drive amplitudes.
 _MAX_CHANGE_RATIO = 0.5
 # Number of the last drive amplitudes that are stored.
 _STORED_DRIVES = 12
@@ -47,7 +48,7 @@ class Observation:
     frequency: float  # of the tone in the middle, Hz
     rate: float  # sweep rate, Hz/s
     length: float  # duration, s
-    motion: complex  # amplitude of the body's displacement, m
+    motion: complex  # amplitude of the driven body's displacement, m
     force: complex  # amplitude of the spring force, N
 
     @property
@@ -61,7 +62,7 @@ class Observation:
 
 
 class SweepControl:
-    """Computes the complex amplitude of the drive Re(amplitude e^{i phase}) at the end of the next window.
+    """Computes the complex amplitude of the drive Re(amplitude e^{i phase}) at the end of the next update interval.
 
     Feedback alone cannot control a force that is measured as an amplitude over some periods: a mode with damping
     ratio zeta settles in 1 / (zeta w), and a sweep passes it in a shorter time. The drive is therefore
@@ -82,7 +83,10 @@ class SweepControl:
         self._drives.append((time, drive))
 
     def next_drive(self, observation: Observation, window: float) -> complex:
-        """Compute the drive amplitude at the end of a window, s, which begins at the end of the observation."""
+        """Compute the drive amplitude at the end of the next update interval.
+
+        This interval has the length `window` in s, and begins at the end of the observation.
+        """
         if not observation.force:
             # Readings within one converter count do not determine the drive.
             return self._drives[-1][1]
@@ -102,7 +106,10 @@ class SweepControl:
         return self._limit_drive(self._target_drive(observation, window, envelope, force), abs(observation.force))
 
     def _present_envelopes(self, observation: Observation) -> tuple[complex, complex]:
-        """Return the envelopes of mode and force at the end of the observation, from the drive since its middle."""
+        """Return the envelopes of mode (m) and force (N) at the end of the observation.
+
+        They are simulated from the middle of the observation on, with the drive that was output since then.
+        """
         mode, law, force = self._mode, self._law, observation.force
         center = 1j * observation.angular_frequency(observation.middle)
         (per_force, per_motion), (force_slope, motion_slope) = law.at(center), law.slope(center)
@@ -151,7 +158,7 @@ class SweepControl:
         )
 
     def _limit_drive(self, target: complex, force: float) -> complex:
-        """Limit the steps of the drive, its growth at an excessive force, and its amplitude."""
+        """Limit the steps of the drive, its growth at an excessive force in N, and its amplitude."""
         drive = self._drives[-1][1]
         max_change = _MAX_CHANGE_RATIO * max(abs(amplitude) for _, amplitude in self._drives)
         change = target - drive
@@ -162,7 +169,7 @@ class SweepControl:
 
 
 def observation_samples(frequency: float, rate: float) -> int:
-    """Return the number of samples of an observation, for a tone in Hz below half the rate in Hz.
+    """Return the number of samples of an observation, for a tone in Hz below half the sample rate in Hz.
 
     >>> [observation_samples(frequency, 100.0) for frequency in (2.0, 35.0, 43.0, 49.0)]
     [100, 6, 11, 75]
@@ -174,7 +181,8 @@ def observation_samples(frequency: float, rate: float) -> int:
 def estimate_amplitudes(samples: Array, phase: Array, rate: float) -> tuple[ComplexArray, ComplexArray]:
     """Estimate complex amplitudes X in the middle and their change per second: x = Re(X e^{i phase}) + linear drift.
 
-    A Hann window weighs the samples, shape (channels, at least `observation_samples`).
+    A Hann window weighs the samples, shape (channels, at least `observation_samples`). `phase`: of each sample, rad.
+    Both results have the shape (channels,).
     """
     position = (np.arange(phase.size) + 0.5) / phase.size
     time = (position - 0.5) * phase.size / rate

@@ -29,22 +29,26 @@ if TYPE_CHECKING:
 _WINDOW_PERIODS = 0.5
 # Shortest update interval, samples.
 _MIN_WINDOW_SAMPLES = 4
-# Length of the windows in open loop.
+# Length of the windows in open loop, s.
 _WINDOW_S = 0.1
 # Relative tolerance of the steady state at the first frequency, before the sweep.
 _TOLERANCE = 0.01
-# Maximum wait for this steady state.
+# Maximum wait for this steady state, s.
 _MAX_WAIT_S = 60.0
 # Permitted relative deviation of the force from its level.
 ALLOWED_DEVIATION = 0.1
-# Intervals with a shorter gap are merged, s.
+# Intervals of excessive deviation with a shorter gap than this are merged, s.
 _MIN_GAP_S = 0.5
 # Remedy if the channels do not measure the force.
 _SENSITIVITY_HINT = "Take more sensitive sensors, a smaller converter: range, or more force."
 
 
 def excite(station: Station, test: SweptSine) -> Excitation:
-    """Run a swept sine; with a controlled spring force after a pretest, and once the force is at its level."""
+    """Run a swept sine.
+
+    With a controlled spring force, a pretest identifies the shaker (`ShakerLaw`), and the sweep begins when the force
+    is at its level.
+    """
     tone = SteadyTone(station, test.from_, station.is_force_controlled)
     level, law = station.level, None
     if station.is_force_controlled:
@@ -94,9 +98,14 @@ def _sweep_controlled(
     control: SweepControl,
     monitor: LevelMonitor,
 ) -> Generator[Array, Array, complex]:
-    """Sweep with a constant force amplitude; return the final amplitude of the drive."""
+    """Sweep with a constant force amplitude; return the final complex amplitude of the drive.
+
+    `start_phase`: phase of the tone at the start of the sweep, rad; `amplitude`: initial complex amplitude of the
+    drive.
+    """
     total, completed, rate = station.samples(test.duration), 0, station.rate
     rows = list(station.spring_rows)
+    # Readings at both ends of the coil spring, and phases of the tone, in the latest samples.
     recent, phases = np.zeros((2, 0)), np.zeros(0)
     next_amplitude = amplitude
     while completed < total:
@@ -124,7 +133,10 @@ def _sweep_controlled(
 
 
 class LevelMonitor:
-    """Marks intervals in which the force deviates by more than 10 % from its level in N as ``level``."""
+    """Marks intervals in which the force deviates by more than 10 % from its level in N as ``level``.
+
+    `lowest` and `highest` are the extremes of the force relative to the level.
+    """
 
     def __init__(self, station: Station, level: float) -> None:
         self._station, self._level = station, level
@@ -132,7 +144,7 @@ class LevelMonitor:
         # Present interval: first sample, stop, largest deviation as force / level, and its frequency in Hz.
         self._interval: tuple[int, int, float, float] | None = None
         self._worst = (1.0, 0.0)  # force / level and frequency of the largest deviation of all intervals
-        self._samples = self._intervals = 0
+        self._samples = self._intervals = 0  # total length and number of the marked intervals
 
     def add(self, first: int, stop: int, frequency: float, force: float) -> None:
         """Add the force amplitude in N of the samples first to stop - 1, at a frequency in Hz."""
@@ -148,7 +160,7 @@ class LevelMonitor:
         self._interval = begin, stop, worst, worst_frequency
 
     def close(self, samples: int) -> None:
-        """Mark an open interval, and warn if the force of the sweep deviated from its level."""
+        """Mark an open interval, and warn if the force deviated from its level; `samples`: length of the sweep."""
         if self._interval is not None:
             self._end_interval()
         if self._intervals:
@@ -177,7 +189,7 @@ class LevelMonitor:
 def _displacements(
     station: Station, rows: list[int], frequency: float, amplitudes: ComplexArray, slopes: ComplexArray
 ) -> list[complex]:
-    """Return displacements in m, from channel amplitudes and their slopes per second."""
+    """Return displacements in m at a frequency in Hz, from amplitudes of channels and their changes per second."""
     step = 1e-3 * frequency
     displacements = []
     for row, amplitude, slope in zip(rows, amplitudes, slopes, strict=True):
@@ -188,7 +200,10 @@ def _displacements(
 
 
 def _phase(test: SweptSine, start_phase: float, completed: int, size: int, total: int) -> Array:
-    """Return the phase of the tone, rad, at `size` samples of the sweep."""
+    """Return the phase of the tone, rad, at `size` samples of the sweep, which has `total` samples.
+
+    `start_phase`: phase at the start, rad; `completed`: number of samples before them.
+    """
     return start_phase + 2 * np.pi * sweep_turns(test, np.arange(completed, completed + size) / total)
 
 
@@ -200,7 +215,7 @@ def sweep_frequency(test: SweptSine, fraction: float) -> float:
 
 
 def sweep_turns(test: SweptSine, fractions: Array) -> Array:
-    """Return the periods of the tone since its start, at fractions, 0 to 1, of the sweep."""
+    """Return the number of periods of the tone since its start, at fractions, 0 to 1, of the sweep."""
     if test.spacing == "linear":
         return test.duration * (test.from_ * fractions + (test.to - test.from_) * fractions**2 / 2)
     log_ratio = np.log(test.to / test.from_)

@@ -1,9 +1,9 @@
-"""Choose the parts of a test that contain its extremes and are short enough for a rehearsal.
+"""Choose the parts of a test that are simulated in advance to predict the largest readings, in a limited CPU time.
 
-A short test is rehearsed completely. A stepped or swept sine is represented by its beginning, where sensors have just
-been switched on, and by the frequencies about the peaks of the linear response. These peaks are computed with the
-dampers on their floors and without dampers. A long random test is represented by its beginning, equal hits by the first
-hit, and repeated periods by one period.
+Such a simulation is called a rehearsal. A short test is rehearsed completely. A stepped or swept sine is represented by
+its beginning, where sensors have just been switched on, and by the frequencies about the peaks of the linear response.
+These peaks are computed with the dampers on their floors and without dampers. A long random test is represented by its
+beginning, equal hits by the first hit, and repeated periods by one period.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ from rig.system.structural_model import structural_model
 
 # Approximate CPU time of a rehearsal, s.
 _BUDGET_S = 0.7
-# CPU time for a random test or multisine, as a multiple of the budget: extremes of a part of it scatter by 10 %.
+# CPU time for a random test or multisine, as a multiple of the budget. It is longer, because the extremes found in a
+# part of these tests vary by 10 % from part to part.
 _RANDOM_BUDGET_RATIO = 4.0
-# CPU time of a sample, s; this and the following times were measured on one core of 2 GHz.
+# CPU time of a sample without states and channels, s; the CPU times were measured on one core of 2 GHz.
 _SAMPLE_S = 130e-9
 # CPU time of each state in a sample, s.
 _STATE_S = 6e-9
@@ -41,19 +42,20 @@ _CHANNEL_S = 130e-9
 _CONTROLLED_PERIOD_S = 1.2e-3
 # Ratio of the CPU time of a channel with a decimation filter to that of a channel without.
 _FILTER_TIME_RATIO = 2.0
-# CPU time of each element of the state matrix, s.
+# CPU time of each element of the state matrix in a sample, s.
 _ELEMENT_S = 0.6e-9
-# Duration of a step without the decay of transients, s, measured with the bundled scenes.
+# Fixed part of the duration of a step (one tone), s, measured with the bundled scenes.
 _STEP_S = 1.4
-# Decay of transients in a step, time constants of the slowest mode, measured with the bundled scenes.
+# Remaining part, in which transients decay, as a number of time constants of the slowest mode.
 _STEP_TIME_CONSTANTS = 2.0
 # Longest wait for steady state in a rehearsal of parts, s.
 _LONGEST_WAIT_S = 10.0
-# Peaks of the linear response below this ratio to the channel's largest peak are omitted.
+# Peaks of a channel's linear response below this ratio to its largest peak are omitted.
 _MIN_PEAK_RATIO = 0.15
-# Largest difference of successive indices of frequencies within a group.
+# A group consists of frequencies whose successive indices differ by at most this number.
 _MAX_INDEX_GAP = 4
-# Number of steps before each group whose extremes are excluded, because the motion differs from the complete test.
+# Number of steps at the start of each group that are run but not evaluated, because their initial motion is not that of
+# the complete test.
 _EXCLUDED_STEPS = 2
 # Number of frequencies of the stepped sine that replaces a long sweep.
 _SWEEP_POINTS = 400
@@ -63,13 +65,13 @@ _SWEEP_POINTS = 400
 class RehearsalPlan:
     """The rehearsed parts of a test: scenes whose tests are run one after another."""
 
-    # Each scene with the number of steps at its beginning whose extremes are excluded.
+    # Each scene with the number of steps at its beginning that are run but not evaluated.
     parts: tuple[tuple[Scene, int], ...]
-    is_complete: bool = False
+    is_complete: bool = False  # whether the only part is the complete test
 
 
 def affordable_seconds(scene: Scene) -> float:
-    """Return the duration of a test that can be rehearsed within the budget of CPU time, s."""
+    """Return the longest duration of a test that can be rehearsed within the budget of CPU time, s of bench time."""
     system = assemble(scene)
     channels = system.coordinates if scene.channels is None else len(scene.channels)
     states = system.states + system.dampers
@@ -80,6 +82,7 @@ def affordable_seconds(scene: Scene) -> float:
 
 def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...]) -> RehearsalPlan:
     """Choose the parts of a scene's test to rehearse; `channels` are those of the bench."""
+    # Affordable duration of the rehearsed parts, s.
     test, seconds = scene.test, affordable_seconds(scene)
     assert test is not None
     if isinstance(test, Random | Multisine):
@@ -108,7 +111,8 @@ def expected_seconds(scene: Scene) -> float:
     """Return the expected duration of a test with its waits for steady state, s."""
     min_duration, test = estimate(scene).seconds, scene.test
     if isinstance(test, Multisine):
-        # A crossfade, and at least two periods until they are equal; with force control, the iterations as well.
+        # Each realization begins with a crossfade, and at least two periods until successive periods agree. With force
+        # control, the iterations of the drive are added.
         return min_duration * (1.0 + 3.0 / test.periods) + (8.0 if controlled_places(scene) else 0.0)
     if not isinstance(test, SteppedSine):
         return min_duration
@@ -116,7 +120,7 @@ def expected_seconds(scene: Scene) -> float:
 
 
 def _expected_wait(scene: Scene) -> float:
-    """Return the expected time between the measurements of a stepped sine, s, from the slowest mode."""
+    """Return the expected time from one measurement of a stepped sine to the next, s, from the slowest mode."""
     assert isinstance(scene.test, SteppedSine)
     modes = structural_model(scene).modes
     longest_time_constant = float(1.0 / max(modes.decay_rate[modes.omega > 0.0].min(initial=np.inf), 1e-3))
@@ -124,7 +128,7 @@ def _expected_wait(scene: Scene) -> float:
 
 
 def _with_first_hits(test: Impulse, seconds: float) -> Impulse:
-    """Return the test with its first hits and their bounces only; later hits are equal."""
+    """Return the test with as many first hits as fit into `seconds`, at least one; later hits are equal."""
     double_hit, repeats, interval = test.double_hit, max(1, int(seconds / test.interval)), test.interval
     if test.interval >= seconds:
         interval = max(seconds, 2.0 * (test.width + (0.0 if double_hit is None else double_hit.after)))
@@ -137,7 +141,10 @@ def _with_first_hits(test: Impulse, seconds: float) -> Impulse:
 def plan_about_peaks(
     scene: Scene, test: SteppedSine | SweptSine, channels: tuple[ChannelInfo, ...], seconds: float
 ) -> RehearsalPlan:
-    """Plan groups of neighboring frequencies about the peaks, at the highest level, each started from rest."""
+    """Plan groups of neighboring frequencies about the peaks, at the highest level, each started from rest.
+
+    `seconds` is the affordable duration of all groups, s.
+    """
     if isinstance(test, SteppedSine):
         frequencies, direction = np.unique(test.order), test.direction
         settle, periods = test.settle, test.measure.periods
@@ -166,14 +173,14 @@ def plan_about_peaks(
             last = min(last + _EXCLUDED_STEPS, frequencies.size - 1)
         group = np.unique(frequencies[first : last + 1]).tolist()
         excluded_steps = last - int(group_indices[-1]) if direction == "down" else int(group_indices[0]) - first
-        # A part with the first tone of the test starts as the test does, with the power-on transient of the sensors.
+        # Only a part that begins with the first tone of the test contains the power-on transient of the sensors.
         part = _with_settled_bias(scene) if excluded_steps else scene
         parts.append((part.replace(test={**settings, "frequencies": group}), excluded_steps))
     return RehearsalPlan(tuple(parts))
 
 
 def _with_settled_bias(scene: Scene) -> Scene:
-    """Return the scene with the settled bias of its sensors, long after power-on; it is zero behind a high-pass."""
+    """Return the scene with the bias of its sensors long after power-on: zero if a high-pass filter follows."""
     if scene.channels is None:
         return scene
     channels = []
@@ -194,7 +201,10 @@ def _with_settled_bias(scene: Scene) -> Scene:
 def _peak_indices(
     scene: Scene, channels: tuple[ChannelInfo, ...], frequencies: Array, max_count: int
 ) -> NDArray[np.intp]:
-    """Return the sorted indices of at most `max_count` frequencies: peaks of the linear response, and neighbors."""
+    """Return the sorted indices of at most `max_count` frequencies: peaks of the linear response, and neighbors.
+
+    The highest peaks come first; the neighbors nearest to them are added.
+    """
     peak_heights: dict[int, float] = {}
     for dampers in dict.fromkeys((scene.dampers, ())):
         for readings in channel_readings(scene.replace(dampers=dampers), channels, frequencies):
@@ -216,7 +226,10 @@ def _peak_indices(
 
 
 def level_key(scene: Scene) -> tuple[str, float, str]:
-    """Return the key of the test's level, the highest level, and its unit; ("", nan, "") without a level."""
+    """Return the setting of the test's level (such as ``test.force``), the highest level, and its unit.
+
+    Without a level, the result is ("", nan, "").
+    """
     test = scene.test
     if isinstance(test, Impulse):
         return "test.peak", test.peak, "N"
@@ -233,17 +246,17 @@ def level_key(scene: Scene) -> tuple[str, float, str]:
 
 
 def with_level(scene: Scene, level: float) -> Scene:
-    """Return the scene with another level of its test."""
+    """Return the scene with another level of its test, in the unit of `level_key`."""
     key = level_key(scene)[0].removeprefix("test.")
     assert scene.test is not None
     return scene.replace(test=scene.test.replace(**{key: level}))
 
 
 def shorten_to_tone(scene: Scene, frequency: float | None, seconds: float) -> tuple[Scene | None, int]:
-    """Return a scene that contains the tone at a frequency and is short, and the number of steps to exclude.
+    """Return a short scene with only the tones near a frequency in Hz, and the number of steps not to evaluate.
 
-    A stepped sine keeps the tones about the frequency. Another test is not changed if it takes at most `seconds`;
-    otherwise the scene is None.
+    Only a stepped sine is shortened. Another test is not changed if it takes at most `seconds`; otherwise the scene is
+    None.
     """
     test = scene.test
     if isinstance(test, SteppedSine) and frequency is not None:
@@ -260,7 +273,10 @@ def shorten_to_tone(scene: Scene, frequency: float | None, seconds: float) -> tu
 def _stepped_sine_settings(
     test: SteppedSine | SweptSine, direction: str, level: float, settle: Settle, measure: object
 ) -> dict[str, Any]:
-    """Return the settings of a stepped sine that replaces a test, without its frequencies."""
+    """Return the settings of a stepped sine that replaces a test, without its frequencies.
+
+    `measure`: setting of the measured periods; `level`: in the unit of the test.
+    """
     return {
         "kind": "stepped_sine",
         "start": test.start,

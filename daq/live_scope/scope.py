@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # Duration of a block, s.
 _BLOCK_S = 0.04
-# A longer delay, s, is reported and skipped: the bench continues without catching up.
+# If the bench is late by more than this time, s, the delay is reported, and the bench does not catch up.
 _MAX_DELAY_S = 0.5
 # Minimum number of samples per period of the drive.
 _MIN_SAMPLES_PER_PERIOD = 10.0
@@ -39,7 +39,7 @@ _MIN_SAMPLES_PER_PERIOD = 10.0
 class RealTimePace:
     """Synchronizes samples with the wall clock.
 
-    `report` is called once if the computer is too slow. `skipped_s` is the total skipped wall-clock time, s.
+    `report` is called once if the computer is too slow. `skipped_s` is the total delay that is not caught up, s.
     """
 
     def __init__(self, rate: float, report: Callable[[str], None]) -> None:
@@ -74,13 +74,14 @@ def record_live(
 ) -> Path:
     """Run and record a bench that an operator controls, until the operator quits; return the recording.
 
-    The test of `scene` is not run. `stream` is that of the live view. `knobs` are the settings, which another thread
-    changes. `report` is called with a line of text when a setting is reached. `wait_until_due` is called after every
-    block with the number of samples so far, and waits for real time. Raises `SceneError` if the rig has no shaker, or
-    the channels do not measure the spring force. Raises `RunError` if a channel exceeds its abort limit, or the
-    recording cannot be written. Raises `KeyboardInterrupt` if the operator presses Ctrl-C; the recording up to this
-    time is complete.
+    The test of `scene` is not run. `stream` is that of the live view. `knobs` are the operator's frequency and force,
+    which another thread changes. `report` is called with a line of text when both are reached in steady state.
+    `wait_until_due` is called after every block with the number of samples so far, and waits for real time. Raises
+    `SceneError` if the rig has no shaker, or the channels do not measure the spring force. Raises `RunError` if a
+    channel exceeds its abort limit, or the recording cannot be written. Raises `KeyboardInterrupt` if the operator
+    presses Ctrl-C; the recording up to this time is complete.
     """
+    # Frequency (Hz), level (N) and whether the steady state is reached, in the previous reading.
     last_state: list[tuple[float, float, bool]] = [(0.0, 0.0, False)]
 
     def on_reading(reading: ToneReading) -> None:
@@ -104,7 +105,10 @@ def record_live(
 
 
 def initial_knobs(scene: Scene, frequency: float | None, force: float) -> Knobs:
-    """Return the initial controls, at the given frequency, or else that of the scene's test or the lowest mode."""
+    """Return the initial controls, at the given frequency in Hz, or else that of the scene's test or the lowest mode.
+
+    `force`: amplitude, N.
+    """
     from rig.system.structural_model import structural_model
 
     if frequency is None:
@@ -156,6 +160,7 @@ def scope(
     knobs = initial_knobs(loaded_scene, frequency, force)
 
     def read_commands() -> None:
+        # Commands such as "f 34.8" are typed on standard input.
         for line in sys.stdin:
             try:
                 knobs.execute(line)

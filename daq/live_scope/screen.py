@@ -23,11 +23,14 @@ if TYPE_CHECKING:
     from daq.virtual_bench.bench import Block
     from rig.scene.scene import Scene
 
+# Number of displayed positions of the rig per second.
 _FRAMES_PER_S = 200.0
-# The exaggeration of the motion decreases at once, and increases only by more than this factor, after the motion has
-# been small for this time, s.
+# The exaggeration is the factor on displacements and gaps in the drawing. It decreases at once with growing motion.
+# It increases only by this factor or more,
 _MIN_INCREASE = 4.0
+# and only after the motion has been small for this time, s.
 _QUIET_S = 2.0
+# Largest number of displayed readings of the tone per second.
 _READINGS_PER_S = 5.0
 
 
@@ -44,6 +47,7 @@ class Screen:
         by_name = {info.name: info for info in channels}
         self._step = max(1, round(rate / _FRAMES_PER_S))
         self._recent_extremes: list[tuple[int, Extremes]] = []
+        # Before the first block, motions of 1 mm are assumed.
         self._draw(Extremes(body=1e-3, spring=1e-3, coil=1e-3, gap=1e-3))
         stream.send_blueprint(
             live_layout(plots(by_name), len(scene.dampers), self._view.camera), make_active=True, make_default=True
@@ -74,7 +78,7 @@ class Screen:
             self._sender.send_motion(self._view, motion.first + indices, pose)
 
     def read(self, reading: ToneReading) -> None:
-        """Show the values of the tone, at most a few times per second."""
+        """Show a reading of the tone (its frequency, force and displacements), at most a few times per second."""
         import rerun as rr
 
         if self._position < self._next_reading:
@@ -84,6 +88,7 @@ class Screen:
         self._stream.log("reading", rr.TextDocument(reading_page(reading), media_type="text/markdown"))
 
     def _draw(self, extremes: Extremes) -> None:
+        """Draw the rig with the exaggeration for the largest motions `extremes`."""
         self._view = RigView(self._scene, extremes, gaps_known=True)
         for path, part in self._view.still_parts():
             self._stream.log(path, part, static=True)
@@ -97,13 +102,15 @@ class Screen:
         recent = (vars(extremes).values() for _, extremes in self._recent_extremes)
         largest = Extremes(*(max(values) for values in zip(*recent, strict=True)))
         factor = exaggeration(largest)
-        is_steady = self._position - self._recent_extremes[0][0] >= 0.9 * _QUIET_S * self._rate
-        if factor < self._view.magnification or (is_steady and factor > _MIN_INCREASE * self._view.magnification):
+        # Whether the stored extremes cover the whole time.
+        is_covered = self._position - self._recent_extremes[0][0] >= 0.9 * _QUIET_S * self._rate
+        if factor < self._view.magnification or (is_covered and factor > _MIN_INCREASE * self._view.magnification):
             self._draw(largest)
 
 
 def reading_page(reading: ToneReading) -> str:
     """Return the values of a tone as a page in Markdown."""
+    # Steady state, no excitation, or transient.
     state = "held" if reading.is_settled else "silent" if reading.level == 0.0 else "settling"
     lines = [
         f"## {reading.frequency:.2f} Hz, {reading.level:g} N: {state}",

@@ -1,6 +1,8 @@
 """Signals for viewers in a recording: decimated waveforms behind an anti-aliasing filter, rms and peak.
 
-General MCAP viewers plot them: each message contains one number, in an encoding that they plot by default.
+The drawn rig is moved by transforms (positions of its parts). The exaggeration is the factor on displacements and gaps
+in the drawing. General MCAP viewers plot them: each message contains one number, in an encoding that they plot by
+default.
 """
 
 from __future__ import annotations
@@ -28,10 +30,12 @@ if TYPE_CHECKING:
 MAX_RATE_HZ = 250.0
 # Number of displayed samples from one transform (position of the drawn parts) to the next.
 TRANSFORM_STEP = 2
-# Anti-aliasing filter: half its length in display samples, its Kaiser window, and its cutoff over the display rate. It
-# is flat up to 0.27 of the display rate; at 0.5, where aliasing begins, it attenuates by 44 dB, from 0.52 on by 70 dB.
+# The anti-aliasing filter is flat up to 0.27 of the display rate. At 0.5, where aliasing begins, it attenuates by 44
+# dB, from 0.52 on by 70 dB. Half the length of the filter, display samples.
 _HALF_LENGTH = 8
+# Shape parameter of its Kaiser window.
 _KAISER_BETA = 6.8
+# Its cutoff frequency (-6 dB), as a ratio to the display rate.
 _CUTOFF = 0.385
 # Number of signals that are filtered together, which bounds the memory of the matrix product.
 _MAX_SIGNALS = 64
@@ -77,7 +81,7 @@ def encode_text(text: str) -> bytes:
 
 
 def display_step(rate: float) -> int:
-    """Return the number of samples from one display sample to the next.
+    """Return the number of samples from one display sample to the next, for a sample rate in Hz.
 
     >>> 5120.0 / display_step(5120.0)
     243.8095238095238
@@ -88,9 +92,9 @@ def display_step(rate: float) -> int:
 class DisplayDecimator:
     """Low-passes signals and outputs the samples whose numbers are multiples of `step`.
 
-    The filter has linear phase and its delay is removed: an output follows half a filter length later. The first and
-    the last sample are continued as constants. `stop` is the number of the expected next sample, None before the first
-    sample and after `finish`.
+    The filter has linear phase. Its delay is removed: an output is available only half a filter length later. Before
+    the first and after the last sample, the signal is continued as a constant. `stop` is the number of the expected
+    next sample, None before the first sample and after `finish`.
     """
 
     def __init__(self, step: int) -> None:
@@ -107,9 +111,10 @@ class DisplayDecimator:
         self._next_output = 0
 
     def run(self, first: int, samples: Array) -> tuple[NDArray[np.int64], Array]:
-        """Filter the next samples, shape (signals, samples), from number `first` on; return output numbers and values.
+        """Filter the next samples, shape (signals, samples), the first with the number `first`.
 
-        Call `finish` before a gap.
+        Returns the sample numbers of the outputs, and their values, shape (signals, outputs). Call `finish` before a
+        gap.
         """
         if self.stop is None:
             self._samples = np.repeat(samples[:, :1], self._half_length, axis=1)
@@ -130,7 +135,7 @@ class DisplayDecimator:
         return output
 
     def _output_until(self, last: int) -> tuple[NDArray[np.int64], Array]:
-        """Return the outputs from the next one to number `last` times the step, included."""
+        """Return sample numbers and values of the outputs from the next one to sample `last` * `step`, included."""
         output_samples = np.arange(self._next_output, last + 1, dtype=np.int64) * self.step
         if output_samples.size == 0:
             return output_samples, np.empty((self._samples.shape[0], 0))
@@ -148,10 +153,11 @@ class DisplayDecimator:
 
 
 def _filter_and_decimate(samples: Array, taps: Array, step: int) -> Array:
-    """Filter at every `step`-th sample; shape (signals, outputs).
+    """Return the filtered signals at every `step`-th sample, shape (signals, outputs).
 
-    The length of the filter is a multiple of `step`, plus one sample. A matrix product weights every step of the
-    signals with every step of the filter; sums along its diagonals are the result.
+    The length of the filter is a multiple of `step`, plus one sample. Signals and filter are divided into pieces of
+    `step` samples. A matrix product multiplies each piece of the signals by each piece of the filter, and the sums
+    along its diagonals are the result.
     """
     filter_steps = taps.size // step
     n_outputs = samples.shape[1] // step - filter_steps + 1
@@ -166,7 +172,7 @@ def _filter_and_decimate(samples: Array, taps: Array, step: int) -> Array:
 class Display:
     """Makes the messages for viewers: waveform, rms and peak of each channel, and transforms that move the drawn rig.
 
-    Dampers, and points without a displacement channel, move as the truth if it is recorded.
+    Dampers, and points without a displacement channel, move as the truth (the simulated motion) if it is recorded.
     """
 
     def __init__(
@@ -223,7 +229,7 @@ class Display:
     def levels(self, blocks: Iterable[tuple[int, Array]]) -> Messages:
         """Return rms and peak at the ends of blocks.
 
-        `blocks` are number of the first sample, and samples of shape (channels, blocks, samples).
+        `blocks` contains pairs: number of the first sample, and successive blocks of shape (channels, blocks, samples).
         """
         ends: list[int] = []
         levels = []
@@ -249,6 +255,7 @@ class Display:
             yield from self._messages(*self._decimator.finish())
 
     def _messages(self, numbers: NDArray[np.int64], values: Array) -> Iterator[Messages]:
+        """Yield waveforms, and the transforms that are due, from sample numbers and values of the decimator."""
         if not numbers.size:
             return
         times = self._clock.times_ns(numbers.tolist())

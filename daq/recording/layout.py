@@ -16,15 +16,23 @@ from numpy.typing import NDArray
 from daq.signal_chain.field_checks import Check, is_number
 from rig.errors import RecordingError, SceneError
 
+# Version of the layout.
 VERSION = "1"
 
+# Measured samples of the channels.
 RAW = "/raw/"
+# True (simulated) motion, which no sensor measures: true quantity values, VIM 2.11.
 TRUTH = "/truth/"
+# Decimated waveforms, rms and peak of the channels, for viewers.
 DISPLAY = "/display/"
+# Events of the test, such as measured intervals and hits, with their samples.
 MARKERS = "/markers"
+# True changes of contact of the dampers.
 EVENTS = "/truth/events"
+# Description of the drawn rig, and positions of its parts, for viewers.
 ROBOT = "/robot_description"
 TRANSFORMS = "/tf"
+# Name of the attachment with the scene.
 SCENE_FILE = "scene.yaml"
 
 # Approximate duration of a block, s.
@@ -33,14 +41,17 @@ BLOCK_S = 0.1
 MIN_BLOCK_SAMPLES = 256
 # Approximate time between commits to the disk, s: a killed process loses less.
 FLUSH_S = 0.5
-# Largest number of groups that are displayed together. With few channels their number hardly changes the cost.
+# Largest number of groups (samples of `FLUSH_S`) that are converted for display at once. More groups hardly reduce the
+# cost.
 MAX_DISPLAY_GROUPS = 4
-# Largest number of channels times groups that are displayed together, which bounds the memory of waiting samples.
+# Largest product of channels and groups that are converted at once; it limits the memory for samples not yet displayed.
 MAX_DISPLAY_CHANNELS = 64
 
 
 def block_length(rate: float) -> int:
-    """Return the number of samples in a full block: the power of two nearest to 0.1 s, at least 256.
+    """Return the number of samples in a full block: the power of two nearest to 0.1 s of samples, at least 256.
+
+    `rate`: sample rate, Hz.
 
     >>> block_length(5120.0), block_length(51200.0), block_length(100.0)
     (512, 4096, 256)
@@ -50,6 +61,8 @@ def block_length(rate: float) -> int:
 
 def flush_length(rate: float) -> int:
     """Return the number of samples that are committed to the disk together: whole blocks, about 0.5 s.
+
+    `rate`: sample rate, Hz.
 
     >>> flush_length(5120.0) / 5120.0
     0.5
@@ -93,7 +106,10 @@ class Timebase:
 
     @cached_property
     def _ratio(self) -> tuple[int, int, int]:
-        """Twice the sample interval, ns, as a fraction: numerator, half the denominator (for rounding), denominator."""
+        """Twice the sample interval in ns as a fraction: numerator, half the denominator, denominator.
+
+        Half the denominator is added before the integer division, which thereby rounds to the nearest nanosecond.
+        """
         numerator, denominator = float(self.rate).as_integer_ratio()
         return 2 * 10**9 * denominator, numerator, 2 * numerator
 

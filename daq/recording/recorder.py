@@ -1,4 +1,7 @@
-"""Write a recording, an MCAP file that is readable up to its last commit, also after a crash."""
+"""Write a recording, an MCAP file that is readable up to its last commit, also after a crash.
+
+A commit writes a group of samples (about half a second), with its markers, to the disk.
+"""
 
 from __future__ import annotations
 
@@ -35,8 +38,8 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
     from rig.simulation.motion import Motion
 
-# No compression shrinks float64 samples by more than a tenth; lz4 unpacks them eight times as fast as zstd. zstd
-# shrinks counts by a fifth.
+# Compression of each storage type. No compression shrinks float64 samples by more than a tenth, and lz4 unpacks them
+# eight times as fast as zstd. zstd shrinks counts by a fifth.
 COMPRESSION = {"float64": "lz4", "float32": "zstd", "counts": "zstd"}
 # Growth of the index at the end of the file with each chunk, bytes.
 _INDEX_BYTES_PER_CHUNK = 256
@@ -45,7 +48,7 @@ _version = cache(metadata.version)
 
 
 class Recorder:
-    """Writes samples, markers and true motion to a new recording.
+    """Writes samples, markers (events of the test) and true (simulated) motion to a new recording.
 
     Samples are collected into blocks, and into groups of about half a second that are committed to the disk together.
     A killed process loses less than one group. Blocks and groups lie on a fixed grid of sample numbers, so that the
@@ -97,7 +100,7 @@ class Recorder:
         self._scene, self._source, self._test_kind = scene, source, test_kind
         self._block_samples, self._group_samples = layout.block_length(rate), layout.flush_length(rate)
         self._storage_type = stored_as(scene, self.channels)
-        # Size of a stored number 1 in the unit of its channel.
+        # Factor from a stored number to the unit of its channel.
         counts = self._storage_type == "counts"
         scales = [info.unit_per_count if counts else 1.0 / info.sensitivity for info in self.channels]
         self._scale = np.array(scales)[:, None]
@@ -127,7 +130,7 @@ class Recorder:
 
     @property
     def free(self) -> int:
-        """Free space of its disk in bytes, without the space that is kept free for the end of the file."""
+        """Free space of the file's disk in bytes, without the space that is reserved for the end of the file."""
         return max(0, self._disk.free() - RESERVE - _INDEX_BYTES_PER_CHUNK * self._chunk_count)
 
     @property
@@ -186,7 +189,8 @@ class Recorder:
     def mark(self, kind: str, first_sample: int, last_sample: int | None = None, **fields: Any) -> None:
         """Mark an event at a sample, or over a range of samples, both ends included.
 
-        For a reproducible file, mark the event at the same `position` each time.
+        `kind`: such as `settle`, `measure` or `hit`; `fields`: further facts, in SI units. For a reproducible file,
+        mark the event at the same `position` each time.
         """
         self._require_open()
         marker = Marker(kind, int(first_sample), None if last_sample is None else int(last_sample), fields)
@@ -285,9 +289,9 @@ class Recorder:
         sizes |= {"stored": self._storage_type}
         records = {"daq": converter | sizes | {"rate_hz": repr(self.clock.rate), "start_ns": start}}
         for info in self.channels:
-            sheet = {"name": info.name, "at": info.at, "quantity": info.quantity, "unit": info.unit}
-            sheet |= {"direction": "up", "sensitivity_V_per_unit": repr(info.sensitivity)}
-            records[f"sensor {info.name}"] = {f"sensor.{key}": text for key, text in info.sensor.items()} | sheet
+            data_sheet = {"name": info.name, "at": info.at, "quantity": info.quantity, "unit": info.unit}
+            data_sheet |= {"direction": "up", "sensitivity_V_per_unit": repr(info.sensitivity)}
+            records[f"sensor {info.name}"] = {f"sensor.{key}": text for key, text in info.sensor.items()} | data_sheet
         if self._display is not None:
             records["display"] = self._display.description()
         run = SceneOutline.of(scene).to_metadata() | {"seed": str(scene.seed), "layout": layout.VERSION}
@@ -308,6 +312,7 @@ class Recorder:
         return self._file.add_channel(topic, schema.message_encoding, number, metadata)
 
     def _write_end(self, status: str, reason: str) -> None:
+        """Write the last samples, markers and metadata; remove the file if a failed test has no samples."""
         disk_error = None
         if not self._disk_is_full:
             try:
@@ -324,7 +329,7 @@ class Recorder:
             except DiskError as error:
                 if self._disk.failed:
                     raise
-                # The reserve suffices to end the file.
+                # The reserved space (`RESERVE`) suffices to end the file.
                 disk_error, status, reason = error, "failed", str(error)
         self._write_markers(math.inf)
         outcome = {"status": status, "reason": reason, "samples": str(self._samples_written)}
@@ -352,8 +357,9 @@ class Recorder:
                     self._write_group(number)
 
     def _write_group(self, number: int) -> None:
+        """Write and commit a group: its markers, samples and true motion, and displays that are due before it."""
         raw = self._raw_groups.complete.pop(number, None)
-        # The reserve suffices to end the file.
+        # The reserved space (`RESERVE`) suffices to end the file.
         if self.free < sum(stream.group_bytes for stream in self._streams):
             self._disk_is_full = True
             raise DiskError(
@@ -378,6 +384,7 @@ class Recorder:
 
     @property
     def _streams(self) -> list[Grouping]:
+        """The series of samples that are grouped: those of the channels, and of the true motion if it is recorded."""
         return [self._raw_groups, *(() if self._truth is None else self._truth.streams)]
 
     @property
@@ -401,7 +408,7 @@ class Recorder:
             ) from error
 
     def _blocks(self, group: Group) -> list[Messages]:
-        """Encode the blocks of a group for all rows together; `messages_of_row` adds the topics."""
+        """Encode the blocks of a group for all rows at once; `messages_of_row` adds the topics."""
         encoded = []
         for first, samples in group.blocks(self._block_samples):
             _, blocks, size = samples.shape
@@ -416,12 +423,13 @@ class Recorder:
         assert self._display is not None
         for number in sorted(number for number in self._display_groups.complete if number < stop):
             group = self._display_groups.complete.pop(number)
-            in_units = [
+            # Each acquired range of the group, in the units of the channels.
+            ranges = [
                 Group(first, samples * self._scale, [(first, first + samples.shape[1])])
                 for first, samples in group.acquired()
             ]
-            waveforms = (each for part in in_units for each in self._display.waveforms(part.first, part.samples))
-            levels = self._display.levels(block for part in in_units for block in part.blocks(self._block_samples))
+            waveforms = (each for part in ranges for each in self._display.waveforms(part.first, part.samples))
+            levels = self._display.levels(block for part in ranges for block in part.blocks(self._block_samples))
             self._write_chunk(chain(waveforms, [levels]))
 
     def _write_markers(self, stop: float) -> None:
@@ -443,5 +451,5 @@ class Recorder:
 
 
 def messages_of_row(blocks: Iterable[Messages], row: int, topic: int) -> Iterator[Messages]:
-    """Yield the messages of one row of a group for a topic."""
+    """Yield the messages of one row of a group for a topic; `blocks` are from `Recorder._blocks`."""
     return (message._replace(channel=topic, data=message.data[row]) for message in blocks)

@@ -75,7 +75,7 @@ class Recording(Result):
     samples : int
         Number of samples of the longest channel.
     truth_points : tuple of str
-        Points whose true motion was recorded: ``body 1``, ..., ``table``; empty without it.
+        Points whose true (simulated) motion was recorded: ``body 1``, ..., ``table``; empty without it.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -94,6 +94,7 @@ class Recording(Result):
             raise
 
     def _open_topics(self) -> None:
+        """Find the topics of channels and of true motion in the index of the file."""
         summary = self._container.summary
         self._series: dict[str, Series] = {}
         self._truth: dict[str, dict[str, Series]] = {}
@@ -232,7 +233,7 @@ class Recording(Result):
             yield first, samples
 
     def truth(self, quantity: str, start: int = 0, stop: int | None = None) -> Array:
-        """Read the true motion, if the scene has it recorded.
+        """Read the true (simulated) motion, which the scene setting `recording: {truth: true}` records.
 
         Parameters
         ----------
@@ -256,7 +257,7 @@ class Recording(Result):
         return np.array([series.read(start, stop) for series in self._truth[quantity].values()])
 
     def refuse_void(self, start: int, stop: int) -> None:
-        """Raise `RecordingError` if a channel has almost no samples in a long range."""
+        """Raise `RecordingError` if a channel lacks almost all samples [start, stop) of a long range."""
         for series in self._series.values():
             series.refuse_void(start, stop)
 
@@ -286,7 +287,7 @@ class Recording(Result):
 
     @cached_property
     def markers(self) -> list[Marker]:
-        """The markers of the test, in the order of their first samples."""
+        """The markers (events of the test with their samples), in the order of their first samples."""
         with add_path(self.path):
             markers = [Marker.from_json(data) for data in self._messages(layout.MARKERS)]
         return sorted((marker for marker in markers if marker.kind != "start"), key=lambda marker: marker.first_sample)
@@ -309,12 +310,17 @@ class Recording(Result):
 
     @cached_property
     def events(self) -> NDArray[Any]:
-        """True changes of contact: fields `time` [s], `damper` (from 1), `kind` and `speed` [m/s]."""
+        """True changes of contact of the dampers, one a row.
+
+        Fields: `time` [s], `damper` (number, from 1), `kind` (such as `floor` or `separation`), and `speed`, the
+        closing speed before an impact [m/s].
+        """
         with add_path(self.path):
             events = [event_from_json(data) for data in self._messages(layout.EVENTS)]
         return np.array(events, dtype=EVENT_TYPE)
 
     def _messages(self, topic: str) -> Iterator[memoryview]:
+        """Yield the content of each message of a topic; nothing if there is no such topic."""
         if topic in self._topics:
             number = self._topics[topic].id
             for chunk in self._container.summary.chunks_of_channel.get(number, ()):
@@ -358,7 +364,7 @@ class Recording(Result):
 
     @cached_property
     def outline(self) -> SceneOutline:
-        """Facts of the recorded scene; it is loaded only if the recording does not state them."""
+        """Facts of the recorded scene, from the metadata; the scene is loaded only if the metadata lack them."""
         return SceneOutline.from_metadata(self.metadata.get("run", {})) or SceneOutline.of(self.scene)
 
     @property
@@ -403,7 +409,8 @@ class Recording(Result):
 
         check_file(self._container)
         _ = self.metadata, self.markers, self.events
-        for series in (each for by_place in self._truth.values() for each in by_place.values()):
+        for series in (each for by_point in self._truth.values() for each in by_point.values()):
+            # Reading the blocks checks them.
             for _ in series.blocks(0, series.stop):
                 pass
         for name in self._series:

@@ -1,6 +1,7 @@
 """Make a complete recording from the intact parts of a torn or damaged one, and list the losses exactly.
 
-A torn recording lacks its end, for example because the process was killed.
+A torn recording lacks its end, for example because the process was killed. A part of a file is a chunk of messages or a
+single record; it is intact if its checksum is right.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from rig.input_files import as_path
 if TYPE_CHECKING:
     from mcap.records import Channel, Metadata, Schema
 
+# Numbers of the first sample, and of the sample after the last.
 SampleRange = tuple[int, int]
 
 _DISK_REMEDY = "Free disk space, or choose a place on another disk with -o."
@@ -53,7 +55,7 @@ class Salvage:
 
     @property
     def whole(self) -> bool:
-        """Whether no loss is known."""
+        """Whether nothing is known to be lost."""
         return not (self.lost or self.missing or self.notes)
 
     def report(self) -> Iterator[str]:
@@ -125,7 +127,10 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
 def _read_descriptions(
     source: Path, damaged: DamagedFile
 ) -> tuple[dict[int, Schema], dict[int, Channel], dict[int, int] | None]:
-    """Return schemas, channels and message counts from the summary, or without the counts from the chunks."""
+    """Return schemas and channels by number, and the number of messages of each channel, from the file's summary.
+
+    If the summary is damaged, schemas and channels are read from the chunks, and the counts are None.
+    """
     try:
         with Container(source) as container:
             summary = container.summary
@@ -160,6 +165,8 @@ class _Salvager:
         self._source, self._target, self._disk = source, target, disk
         self._schemas, self._channels, self._counts = schemas, channels, counts
         self._file = ChunkedFile(disk, f"shotrig {version('shotrig')}", "zstd")
+        # Keys are channel numbers of the damaged file: number in the new file, ranges of copied samples, number of
+        # copied messages, and of messages that the sequence numbers require.
         self._new_numbers: dict[int, int] = {}
         self._sample_ranges: dict[int, list[SampleRange]] = {}
         self._n_messages: dict[int, int] = defaultdict(int)
@@ -221,7 +228,7 @@ class _Salvager:
         self._file.add_chunk(readable_messages)
 
     def _is_readable(self, message: Stored) -> bool:
-        """Note the samples or the gap of a message; return False if it cannot be read."""
+        """Register the samples, or the gap, that a message contains; return False if it cannot be read."""
         channel = self._channels[message.channel]
         try:
             if message.channel in self._sample_ranges:
@@ -255,8 +262,10 @@ class _Salvager:
     # -- losses ------------------------------------------------------------------------------------------
 
     def _determine_losses(self, clock: Timebase) -> Salvage:
+        """Compare the copied samples and messages with those that the file states; return the differences."""
         channels, outcome = self._channels, self._metadata.get("outcome", {})
         end = max(span[-1][1] for span in self._sample_ranges.values() if span)
+        # Number of samples that the end of the file states; None without an end.
         known_end = int(outcome["samples"]) if _is_plausible_count(outcome.get("samples", "")) else None
         if known_end is None and self._counts is None:
             self._notes.append(
@@ -272,7 +281,7 @@ class _Salvager:
             missing = list(_subtract(_subtract([(0, end)], spans), gaps))
             if missing:
                 lost[topic] = missing
-        messages = {}
+        missing_messages = {}
         for number in self._new_numbers:
             if number in self._sample_ranges:
                 continue
@@ -281,14 +290,14 @@ class _Salvager:
             if channels[number].topic == layout.MARKERS and _is_plausible_count(outcome.get("markers", "")):
                 expected = max(expected, int(outcome["markers"]))
             if expected > self._n_messages[number]:
-                messages[channels[number].topic] = expected - self._n_messages[number]
+                missing_messages[channels[number].topic] = expected - self._n_messages[number]
         if self._n_without_topic:
             self._notes.append(
                 f"{self._n_without_topic} messages are left out, because the description of their topics is lost"
             )
         if not self._has_scene:
             self._notes.append(f"the scene ({layout.SCENE_FILE}) is lost")
-        return Salvage(self._source, self._target, clock.rate, recovered, lost, messages, self._notes)
+        return Salvage(self._source, self._target, clock.rate, recovered, lost, missing_messages, self._notes)
 
     def _finish(self, salvage: Salvage) -> None:
         """Mark the losses in the file, and end it."""
@@ -320,12 +329,12 @@ class _Salvager:
 
 
 def _is_plausible_count(text: str) -> bool:
-    """Return whether a text in the file is a plausible count."""
+    """Return whether a text in the file is a whole number of at most 16 digits."""
     return text.isascii() and text.isdecimal() and len(text) < 17
 
 
 def _subtract(spans: Iterable[SampleRange], holes: Iterable[SampleRange]) -> Iterator[SampleRange]:
-    """Subtract ranges from other ranges.
+    """Yield the parts of `spans` outside `holes`.
 
     >>> list(_subtract([(0, 100)], [(90, 100), (10, 20)]))
     [(0, 10), (20, 90)]

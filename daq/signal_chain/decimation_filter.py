@@ -2,8 +2,9 @@
 
 A delta-sigma converter oversamples. Its samples are the output of a long symmetric low-pass filter, which removes
 content above half the sample rate. Here the filter acts on the continuous signal. The signal chain provides the exact
-Legendre moments of the signal over every interval, impacts included. The impulse response of the filter is expanded in
-Legendre polynomials over the same intervals. The sum of moments times coefficients is the convolution integral.
+Legendre moments of the signal over each interval of the oversampled signal (sample interval / oversampling), impacts
+included. The impulse response of the filter is expanded in Legendre polynomials over the same intervals. The sum of
+moments times coefficients is the convolution integral.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from numpy.typing import ArrayLike
 
 from rig.arrays import Array
 
-# Eight moments represent any signal over a sample interval with an error of 3e-6 of the filter's output.
+# With eight moments for each sample interval, the error of the filter's output is at most 3e-6 (relative).
 MOMENTS = 8
-# Ratio to the sample rate.
+# Edge of the passband as a ratio to the sample rate.
 PASSBAND_EDGE = 0.4535
-# Ratio to the sample rate.
+# Edge of the stopband as a ratio to the sample rate.
 STOPBAND_EDGE = 0.5465
 # With a Kaiser window of twice this length, the response falls by over 100 dB between passband and stopband.
 DELAY_SAMPLES = 38
@@ -42,7 +43,7 @@ class Decimation:
     """
 
     rate: float  # sample rate, Hz
-    delay: float  # in sample intervals: half the length
+    delay: float  # half the length of the impulse response, in sample intervals
     cutoff: float  # ratio to the sample rate
     beta: float  # shape parameter of the Kaiser window
 
@@ -58,17 +59,20 @@ class Decimation:
 
     @property
     def length(self) -> int:
-        """Length in sample intervals."""
+        """Length of the impulse response, in sample intervals."""
         return int(np.ceil(2 * self.delay))
 
     def impulse_response(self, time: Array) -> Array:
-        """Return the impulse response at times from its middle, in sample intervals; its integral is 1 within 1e-5."""
+        """Return the impulse response, per sample interval; its integral is 1 within 1e-5.
+
+        `time`: time from the middle of the response, in sample intervals.
+        """
         inside = np.clip(1.0 - (time / self.delay) ** 2, 0.0, None)
         window = np.where(inside > 0, np.i0(self.beta * np.sqrt(inside)) / np.i0(self.beta), 0.0)
         return 2 * self.cutoff * np.sinc(2 * self.cutoff * time) * window
 
     def magnitude(self, frequency: ArrayLike) -> Array:
-        """Return the response without the delay at frequencies in Hz, of any shape; it is real by symmetry."""
+        """Return the frequency response without the delay, which is real by symmetry; shape of `frequency` (Hz)."""
         # Sum instead of the integral: with 16 points it is accurate to 1e-6 up to 15 times the sample rate.
         points_per_sample = 16
         values = self.impulse_response(np.arange(self.delay * points_per_sample) / points_per_sample)
@@ -80,9 +84,10 @@ class Decimation:
 
 @lru_cache(maxsize=8)
 def legendre_taps(low_pass: Decimation, oversampling: int) -> Array:
-    """Return the Legendre coefficients of the impulse response in every interval; (oversampling, MOMENTS, length).
+    """Return the Legendre coefficients of the impulse response, shape (oversampling, MOMENTS, length).
 
-    Entry (p, k, j) weights moment k of the interval that ends p intervals and j samples before the output sample.
+    An interval is a sample interval divided by `oversampling`; `length` is in sample intervals. Entry (p, k, j) weights
+    moment k of the interval that ends p intervals and j samples before the output sample.
     """
     nodes, weights = legendre.leggauss(32)
     interval = np.arange(low_pass.length * oversampling)[:, None]

@@ -37,8 +37,8 @@ class EffectStep:
     """The added effect."""
     states: int  # Total number of states
     start: Callable[[], AbstractContextManager[Callable[[Array], object]]]
-    """Returns a context manager that starts the simulation. Its value is a function that advances the simulation by
-    drive samples of shape (inputs, samples)."""
+    """Returns a context manager. On entry it starts the simulation and returns a function that advances it by the given
+    drive samples, shape (inputs, samples)."""
     drive: Array
     """`SECONDS` + 1 seconds of drive at `rate`; shape (inputs, samples)."""
     rate: float  # Hz
@@ -57,7 +57,7 @@ class EffectCost:
 def effect_costs(scene: Scene, progress: Callable[[str], None] | None = None) -> tuple[EffectCost, ...]:
     """Measure the CPU time of a scene's effects, which are added one at a time.
 
-    The order is that of the signal: motion, measurement chain, recording.
+    The order is that of the signal path: motion, measurement chain, recording.
     """
     steps: list[EffectStep] = list(motion_steps(scene))
     for registered_steps in registered_functions("shotrig.effect_costs"):
@@ -105,7 +105,10 @@ def measure_cpu_time(step: EffectStep) -> float:
 
 
 def motion_steps(scene: Scene) -> Iterator[EffectStep]:
-    """Yield the steps of the motion: structure, shaker, dampers, ceilings, restitution, finite-duration contact."""
+    """Yield the steps of the motion: structure, shaker, dampers, ceilings, restitution, finite-duration contact.
+
+    Ceilings are those of the dampers' cavities (finite clearance).
+    """
     channels = {"channels": None}
     shaker = scene.driven_shaker
     without_dampers = scene.replace(dampers=(), **channels)
@@ -120,7 +123,7 @@ def motion_steps(scene: Scene) -> Iterator[EffectStep]:
         yield _motion_step("structure", without_dampers)
     if not scene.dampers:
         return
-    # Settings that are removed from the dampers for each step.
+    # For each step: the settings of the dampers that switch off the effects not yet added.
     variants: dict[str, dict[str, object]] = {
         "particle dampers": {"clearance": np.inf, "restitution": 0.0, "contact": None},
         "ceilings": {"restitution": 0.0, "contact": None},
@@ -128,8 +131,8 @@ def motion_steps(scene: Scene) -> Iterator[EffectStep]:
         "finite-duration contact": {},
     }
     previous: tuple[object, ...] = ()
-    for name, removed in variants.items():
-        dampers = tuple(damper.replace(**removed) for damper in scene.dampers)
+    for name, switched_off in variants.items():
+        dampers = tuple(damper.replace(**switched_off) for damper in scene.dampers)
         if dampers != previous:
             yield _motion_step(name, scene.replace(dampers=dampers, **channels))
         previous = dampers
@@ -152,9 +155,9 @@ def _motion_step(name: str, scene: Scene) -> EffectStep:
 
 
 def bench_drive(scene: Scene, rate: float) -> Array:
-    """Return `SECONDS` + 1 seconds of drive: a tone at a resonance with the test's level, or the test's hits.
+    """Return `SECONDS` + 1 seconds of drive: the test's hits, or a tone with the test's level.
 
-    `rate`: Hz.
+    The tone has the highest natural frequency of the structure. `rate`: Hz.
     """
     system = assemble(scene)
     samples = (SECONDS + 1) * round(rate)

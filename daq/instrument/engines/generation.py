@@ -1,4 +1,7 @@
-"""A running output task: plays the samples of its buffer from its start trigger on, at the rate of the task."""
+"""A running output task: plays the samples of its buffer from its start trigger on, at the rate of the task.
+
+A tick is one time step of the simulated bench.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +61,7 @@ class OutputPlan:
     rows: tuple[int, ...]  # index of each channel of the task among the drives of the bench
     tick_rate: float  # ticks of the bench per second
     per_tick: Fraction  # samples of the output per tick of the bench
-    samples: int | None  # samples of a finite generation; None for a continuous generation
+    samples: int | None  # samples per channel of a finite generation; None for a continuous generation
     regenerate: bool  # repeat the buffer
     start: SyncPulse | AtTime | OtherTask | None = None  # start trigger
 
@@ -90,7 +93,10 @@ class Generation:
             self.first_tick = self.armed_tick
 
     def start_tick(self, reference: bool, tick: int) -> int | None:
-        """Return the tick of the start, None if it is not known yet; an output has no reference trigger."""
+        """Return the tick of the start, not before `tick`; None if it is not known yet.
+
+        `reference`: whether the reference trigger is requested. An output has none; the result is then None.
+        """
         if reference:
             return None
         if self.first_tick is None and isinstance(self.plan.start, SyncPulse | AtTime):
@@ -98,7 +104,7 @@ class Generation:
         return self.first_tick
 
     def ticks_to_end(self) -> int:
-        """Return a lower bound of the ticks until a finite generation is complete; 10 ms if it is not known."""
+        """Return a lower bound of the ticks until a finite generation is complete; if unknown, the ticks of 10 ms."""
         if self.first_tick is None or self.plan.samples is None:
             return max(1, int(self.plan.tick_rate / 100))
         return max(1, self.ticks_until(self.plan.samples))
@@ -109,7 +115,10 @@ class Generation:
         return math.ceil(samples / self.plan.per_tick) - self._ticks
 
     def produce(self, tick: int, count: int, event_tick: EventTick) -> Array:
-        """Return the output voltages of the next ticks, V, shape (channels, count)."""
+        """Return the output voltages of `count` ticks from `tick` on, V, shape (channels, count).
+
+        `event_tick`: returns the tick of the start of another task, None if it has not started.
+        """
         out = np.repeat(self.last_volts[:, None], count, axis=1)
         if self.done:
             return out
@@ -150,7 +159,7 @@ class Generation:
         return out
 
     def _find_start(self, tick: int, count: int, event_tick: EventTick) -> int | None:
-        """Return the tick of the start, if it is among the next ticks."""
+        """Return the tick of the start if it is among `count` ticks from `tick` on, else None."""
         source = self.plan.start
         if isinstance(source, SyncPulse | AtTime):
             start_tick: int | None = source.next_instant(max(self.armed_tick, tick), self.plan.tick_rate)

@@ -1,4 +1,4 @@
-"""Programs on two MPI ranks (processes), and an object that the ranks share, for tests of `rig.ranks`."""
+"""Run programs on two MPI ranks (processes), for tests; and `Part`, an object with a part on each rank."""
 
 from __future__ import annotations
 
@@ -16,16 +16,21 @@ _MPIEXEC = Path(sys.prefix) / "bin" / "mpiexec"
 
 
 def on_two_ranks(program: str) -> subprocess.CompletedProcess[str]:
-    """Run Python code on two ranks; the test is skipped without mpi4py or MPICH."""
-    pytest.importorskip("mpi4py", reason="the extra grains is not installed: pip install 'shotrig[grains]'")
+    """Run Python code on two ranks and return its output; skip the test without mpi4py or MPICH."""
+    pytest.importorskip("mpi4py", reason="the optional dependencies are not installed: pip install 'shotrig[grains]'")
     if not _MPIEXEC.is_file():
-        pytest.skip(f"{_MPIEXEC} does not exist: the extra grains is not installed: pip install 'shotrig[grains]'")
+        pytest.skip(
+            f"{_MPIEXEC} does not exist: the optional dependencies are not installed: pip install 'shotrig[grains]'"
+        )
     command = [_MPIEXEC, "-n", "2", sys.executable, "-c", program]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 class Part:
-    """A value on each rank: the given value times the number of the rank, counted from 1."""
+    """A value on each rank: the given value times the number of the rank, counted from 1.
+
+    Tests call its methods on all ranks by `rig.ranks.Shared`.
+    """
 
     def __init__(self, value: float) -> None:
         self.value = value * (1 + communicators().COMM_WORLD.rank)
@@ -45,7 +50,7 @@ class Part:
         raise RunError("nothing can be done")
 
     def fail_on(self, rank: int) -> None:
-        """Fail on one rank, while the other waits for it."""
+        """Fail on one rank (from 0), while the other waits for it."""
         if communicators().COMM_WORLD.rank == rank:
             raise OneRankError("memory has run out here")
         communicators().COMM_WORLD.Barrier()

@@ -1,8 +1,9 @@
 """Guards: functions of the state that are positive until a contact changes, such as gaps and contact forces.
 
-The engine first tries to prove from the values at the ends of a step that a guard stays positive: its margin is then
-positive. Otherwise the engine examines the power series of the guard and locates its first zero. ``tau`` is the time
-relative to the step.
+From a guard's values and slopes at both ends of a step, the engine computes a margin. A positive margin proves that the
+guard is positive over the step. Otherwise the engine examines the power series of the guard and locates its first zero.
+``tau`` is the time from the start of the step, in full time steps; `length` is the end of a step, which may be shorter
+than a full step. A damper's contact is its mode: FLIGHT, FLOOR or CEILING.
 """
 
 from __future__ import annotations
@@ -27,12 +28,17 @@ from rig.system.assembly import assemble
 
 TAU = np.linspace(0.0, 1.0, 201)[1:]
 VALUES = st.floats(-3.0, 3.0)
-CLEARANCE = 1e-3
+CLEARANCE = 1e-3  # m
+#: Largest error of a cubic Hermite interpolant over a step of length 1, relative to the fourth derivative.
+HERMITE_ERROR = 1.0 / 384.0
 
 
 @cache
 def propagator(contact: str = "", bodies: tuple[int, ...] = (1, 2, 3), clearance: float = CLEARANCE) -> Propagator:
-    """Return the engine for three bodies with dampers in some; `contact`: duration of contact. Tests set the state."""
+    """Return the engine for a chain of three bodies, whose state the tests set.
+
+    `contact`: duration of finite-duration contact, instantaneous impact without; `bodies`: those with a damper.
+    """
     contact_keys = {"contact": {"duration": contact}} if contact else {}
     scene = rig.Scene(
         structure={"masses": [1.0, 0.8, 0.6], "springs": [4e3] * 3, "damping": {"modal": 0.01}},
@@ -43,29 +49,32 @@ def propagator(contact: str = "", bodies: tuple[int, ...] = (1, 2, 3), clearance
     return sampled_propagator(assemble(scene), 4e-3)[0]
 
 
-@given(start=VALUES, slope=VALUES, end=VALUES, slope_end=VALUES, error=st.floats(0.0, 500.0))
+@given(start=VALUES, slope=VALUES, end=VALUES, slope_end=VALUES, fourth_derivative=st.floats(0.0, 500.0))
 def test_positive_margin_proves_a_positive_guard(
-    start: float, slope: float, end: float, slope_end: float, error: float
+    start: float, slope: float, end: float, slope_end: float, fourth_derivative: float
 ) -> None:
     cubic = BPoly.from_derivatives([0.0, 1.0], [[start, slope], [end, slope_end]])
-    coefficients = cubic.c[:, 0]
-    assume((np.abs(coefficients - error / 384) > 1e-9).all())
-    margin = _margin(start, slope, end, slope_end, error, 0)
-    assert (margin > 0.0) == (coefficients > error / 384).all()
+    # The Bernstein coefficients bound the cubic from below, and the error bounds its distance from the guard.
+    coefficients, error = cubic.c[:, 0], fourth_derivative * HERMITE_ERROR
+    assume((np.abs(coefficients - error) > 1e-9).all())
+    margin = _margin(start, slope, end, slope_end, fourth_derivative, 0)
+    assert (margin > 0.0) == (coefficients > error).all()
     if margin > 0.0:
-        assert (cubic(TAU) - error * TAU**2 * (1 - TAU) ** 2 / 24 > 0.0).all()
-        assert margin == pytest.approx(coefficients[:3].min() - error / 384)
+        assert (cubic(TAU) - fourth_derivative * TAU**2 * (1 - TAU) ** 2 / 24 > 0.0).all()
+        assert margin == pytest.approx(coefficients[:3].min() - error)
 
 
-@given(curve=VALUES, end=st.floats(0.01, 3.0), error_ratio=st.floats(0.1, 2.0))
-def test_double_zero_margin_is_exact(curve: float, end: float, error_ratio: float) -> None:
-    # The guard is tau^2 (curve (1 - tau) + end tau), minus the largest error.
-    assume(abs(error_ratio - 1.0) > 1e-6 and abs(curve) > 1e-3)
-    error = error_ratio * 24 * abs(curve)
-    assume(end > error / 384)
-    margin = _margin(0.0, 0.0, end, 3 * end - curve, error, 2)
-    lower_bound = curve * (1 - TAU) + end * TAU - error * (1 - TAU) ** 2 / 24
-    initial_value = curve - error / 24
+@given(half_curvature=VALUES, end=st.floats(0.01, 3.0), error_ratio=st.floats(0.1, 2.0))
+def test_margin_after_a_double_zero_is_exact(half_curvature: float, end: float, error_ratio: float) -> None:
+    # The guard starts with a double zero. It is tau^2 (half_curvature (1 - tau) + end tau) minus the interpolation
+    # error tau^2 (1 - tau)^2 / 24 fourth_derivative. At error_ratio 1 the two are equal near tau = 0.
+    assume(abs(error_ratio - 1.0) > 1e-6 and abs(half_curvature) > 1e-3)
+    fourth_derivative = error_ratio * 24 * abs(half_curvature)
+    assume(end > fourth_derivative * HERMITE_ERROR)
+    margin = _margin(0.0, 0.0, end, 3 * end - half_curvature, fourth_derivative, 2)
+    # Lower bound of the guard divided by tau^2.
+    lower_bound = half_curvature * (1 - TAU) + end * TAU - fourth_derivative * (1 - TAU) ** 2 / 24
+    initial_value = half_curvature - fourth_derivative / 24
     assert (margin > 0.0) == (initial_value > 0.0)
     assert margin <= 0.0 or (lower_bound > 0.0).all()
 
@@ -75,26 +84,29 @@ def test_series_bounds_contain_the_guard(length: float) -> None:
     engine = propagator()
     model, state, bound = engine.tables.model, engine.state, engine.workspace.bound
     state.mode[:] = FLIGHT, FLOOR, CEILING
+    # The guard of a damper in flight is a gap, from the body's position; in contact it is from the acceleration.
     rows = model.position.copy()
     rows[1:] = model.velocity[1:]
     state_series = engine.workspace.state_series
     state_series[:] = np.random.default_rng(5).standard_normal(state_series.shape)
-    new, first_acceleration = engine.workspace.end_state, engine.tables.size
-    bound_by_series(model, state.mode, state_series, length, state.z, new, first_acceleration, bound)
+    # A state is followed by the accelerations, then by their derivatives.
+    end_state, first_acceleration = engine.workspace.end_state, engine.tables.size
+    bound_by_series(model, state.mode, state_series, length, state.z, end_state, first_acceleration, bound)
     for j in range(3):
         series = np.polynomial.Polynomial(state_series[:N_COEFFICIENTS, rows[j]])
         if state.mode[j] != FLIGHT:
             series = series.deriv() / model.step
             index = first_acceleration + model.position[j]
-            for columns, tau in ((state.z, 0.0), (new, length)):
-                assert columns[index] == pytest.approx(series(tau))
-                assert columns[index + model.first_velocity] == pytest.approx(series.deriv()(tau))
+            for z, tau in ((state.z, 0.0), (end_state, length)):
+                assert z[index] == pytest.approx(series(tau))
+                assert z[index + model.first_velocity] == pytest.approx(series.deriv()(tau))
+        # The bounds of the fourth derivative, then of the magnitude, of each guard.
         absolute_series = np.polynomial.Polynomial(np.abs(series.coef))
         assert bound[j] == pytest.approx(absolute_series.deriv(4)(1.0))
         assert bound[3 + j] == pytest.approx(absolute_series(1.0))
 
 
-def test_finite_contact_has_no_series_bound() -> None:
+def test_series_bound_of_finite_contact_is_infinite() -> None:
     engine = propagator("2 ms")
     model, work = engine.tables.model, engine.workspace
     bound_by_series(
@@ -104,7 +116,7 @@ def test_finite_contact_has_no_series_bound() -> None:
 
 
 class Step:
-    """A time step from a random state by power series, with the guards at any time of it."""
+    """A time step from a random state by power series, and the guard values at any time in the step."""
 
     def __init__(self, engine: Propagator, modes: list[int], random_values: np.ndarray) -> None:
         self.engine, self.modes, model, system, state = engine, modes, engine.tables.model, engine.system, engine.state
@@ -118,28 +130,34 @@ class Step:
         )
         position, speed = random_values[size : size + dampers], random_values[size + dampers :]
         for j in np.flatnonzero(system.finite_contact):
-            # A gap within the cavity, or within the wall.
+            # A gap between the walls in flight; in contact, an overlap with the wall.
             gap = (0.5 + 0.48 * np.sin(position[j])) * CLEARANCE
             z[model.bed[j]] = [gap, -0.1 * gap, CLEARANCE + 0.1 * gap][modes[j]]
-        self.bits = sum((mode != FLIGHT) << j for j, mode in enumerate(modes))
-        self.bits |= sum((modes[j] == CEILING) << dampers + int(j) for j in np.flatnonzero(system.finite_contact))
-        self.matrix, self.offset = (array.astype(float) for array in engine.tables.generator(self.bits))
+        # One bit for the contact of each damper, then one for a finite-duration contact with its ceiling.
+        self.contact_bits = sum((mode != FLIGHT) << j for j, mode in enumerate(modes))
+        self.contact_bits |= sum(
+            (modes[j] == CEILING) << dampers + int(j) for j in np.flatnonzero(system.finite_contact)
+        )
+        self.matrix, self.offset = (array.astype(float) for array in engine.tables.generator(self.contact_bits))
         state.mode[:] = modes
         state.height[:] = z[model.position] + (0.5 + 0.48 * np.sin(position)) * CLEARANCE
         state.speed[:] = 0.1 * speed
         scaled, term = self.matrix * model.step, (self.matrix @ z + self.offset) * model.step
-        self.terms = [z]
+        self.taylor_terms = [z]
         for k in range(1, 25):
-            self.terms.append(term / k)
+            self.taylor_terms.append(term / k)
             term = scaled @ term / k
-        self.table_index = engine.tables.table_index(self.bits)
+        self.table_index = engine.tables.table_index(self.contact_bits)
         bound = engine.tables.flow.bound[self.table_index][:size]
         self.bound = engine.tables.flow.bound_constant[self.table_index] + np.abs(z) @ bound
 
     def guards(self, tau: np.ndarray) -> list[tuple[int, np.ndarray]]:
-        """Return every guard with its damper: value, first and fourth derivative with respect to tau, (3, times)."""
+        """Return (damper from 0, array of shape (3, times)) for every guard.
+
+        The rows are the guard's value and its first and fourth derivatives with respect to tau.
+        """
         engine, model, state, result = self.engine, self.engine.tables.model, self.engine.state, []
-        force, constant = engine.system.contact_forces(self.bits)
+        force, constant = engine.system.contact_forces(self.contact_bits)
         for j, mode in enumerate(self.modes):
             sign = -1.0 if mode == CEILING else 1.0
             row, offset, flight_terms = np.zeros(engine.tables.size), 0.0, np.zeros(3)
@@ -153,7 +171,7 @@ class Step:
             else:
                 row[model.position[j]] = -1.0
                 flight_terms[:] = (state.height[j], state.speed[j] * model.step, -model.gravity * model.step**2 / 2)
-            series = np.polynomial.Polynomial([row @ term for term in self.terms])
+            series = np.polynomial.Polynomial([row @ term for term in self.taylor_terms])
             series = series + np.polynomial.Polynomial([offset, 0.0, 0.0]) + np.polynomial.Polynomial(flight_terms)
             walls = [series, CLEARANCE - series] if model.clearance[j] < np.inf else [series]
             for guard in walls if mode == FLIGHT else walls[:1]:
@@ -161,20 +179,26 @@ class Step:
         return result
 
     def margins(self, length: float) -> np.ndarray:
-        """Return the Bernstein coefficients of every guard's cubic minus its error, (guards, 4)."""
+        """Return the Bernstein coefficients of every guard's cubic minus its error, (guards, 4).
+
+        The guard is proven positive if all four are positive.
+        """
         result = []
         for j, (value, slope, _) in self.guards(np.array([0.0, length])):
             inner = value[0] + slope[0] * length / 3, value[1] - slope[1] * length / 3
-            result.append(np.array([value[0], *inner, value[1]]) - self.bound[j] * length**4 / 384)
+            result.append(np.array([value[0], *inner, value[1]]) - self.bound[j] * length**4 * HERMITE_ERROR)
         return np.array(result)
 
     def examine(self, length: float) -> tuple[bool, float, int]:
-        """Return whether the engine examined a series in the step, and the time (tau) and damper of the event."""
+        """Return whether the engine examined a series, and the time and damper of the first event in the step.
+
+        The time is a fraction of `length`, or NO_CROSSING.
+        """
         engine, model, state, work, size = (
             self.engine, self.engine.tables.model, self.engine.state, self.engine.workspace, self.engine.tables.size,
         )  # fmt: skip
         for z, tau in ((state.z, 0.0), (work.end_state, length)):
-            z[:size] = sum(term * tau**k for k, term in enumerate(self.terms))
+            z[:size] = sum(term * tau**k for k, term in enumerate(self.taylor_terms))
             rate = self.matrix @ z[:size] + self.offset
             accelerations = slice(model.first_velocity, 2 * model.first_velocity)
             derivatives = np.concatenate([rate[accelerations], model.step * (self.matrix @ rate)[accelerations]])
@@ -235,7 +259,7 @@ def test_proven_guard_is_not_examined(contact: str, mode: int, length: float) ->
         }
         assert unproven_draws and proven_draws
         for proven, unproven in zip(cycle(proven_draws), unproven_draws.values()):
-            # Bisect to states on either side of the limit.
+            # Bisect between the states until they are close to the limit at which the guard is proven positive.
             for _ in range(24):
                 middle = (proven + unproven) / 2
                 if Step(engine, [mode], middle).margins(length).min() > 0.0:
@@ -250,9 +274,11 @@ def test_proven_guard_is_not_examined(contact: str, mode: int, length: float) ->
     modes=st.lists(st.sampled_from([FLIGHT, FLOOR, CEILING]), min_size=3, max_size=3),
     seed=st.integers(0, 1000),
     duration=st.sampled_from([0.0, 1e-3]),
-    unproven_guard=st.integers(-1, 2),
+    low_guard=st.integers(-1, 2),
 )
-def test_margins_are_compared_guard_by_guard(modes: list[int], seed: int, duration: float, unproven_guard: int) -> None:
+def test_one_guard_below_its_margin_is_enough(modes: list[int], seed: int, duration: float, low_guard: int) -> None:
+    # Here a margin is the value that a guard must exceed at both ends of a step. `low_guard`: damper whose guard is
+    # below its margin, or -1. `duration`: time from the state of the dampers to z, s.
     engine, rng = propagator(), np.random.default_rng(seed)
     model, state, columns = engine.tables.model, engine.state, engine.tables.size
     z = state.z
@@ -270,12 +296,13 @@ def test_margins_are_compared_guard_by_guard(modes: list[int], seed: int, durati
         )
         guard[j] = min(gap[j], CLEARANCE - gap[j]) if mode == FLIGHT else relative_acceleration
     margin = guard * (1 - 1e-9)
-    if unproven_guard >= 0:
-        margin[unproven_guard] = guard[unproven_guard] * (1 + 1e-9)
-    assert above_margins(model, state, margin, z, columns, duration) == (unproven_guard < 0)
+    if low_guard >= 0:
+        margin[low_guard] = guard[low_guard] * (1 + 1e-9)
+    assert above_margins(model, state, margin, z, columns, duration) == (low_guard < 0)
 
 
 def test_envelope_contains_all_states_until_reset() -> None:
+    # The envelope is an upper bound of the magnitude of every state variable; the margins are linear in it.
     engine = propagator()
     flow, work, columns = engine.tables.flow, engine.workspace, engine.tables.size
     states = np.zeros((5, len(work.magnitude)))

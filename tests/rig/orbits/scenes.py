@@ -22,7 +22,10 @@ def driven_table_scene() -> Scene:
 
 
 def finite_contact_scene(name: str, contact: dict[str, object], only_last: bool = False, **changes: float) -> Scene:
-    """Return a bundled scene with finite-duration contact in all dampers or in the last."""
+    """Return a bundled scene with finite-duration contact in all dampers or in the last.
+
+    `contact`, `changes`: keys of a damper, as in a scene file.
+    """
     scene = rig.load(name)
     dampers = [damper.replace(contact=contact, **changes) for damper in scene.dampers]
     return scene.replace(dampers=[*scene.dampers[:-1], dampers[-1]] if only_last else dampers)

@@ -1,4 +1,7 @@
-"""Periodic orbits with finite-duration contact, compared with steady simulations, instant contact and the engine."""
+"""Periodic orbits with finite-duration contact, compared with simulations and with instantaneous impacts.
+
+An orbit is the exact periodic motion at a frequency. Its plan is the sequence of contact events in a period.
+"""
 
 import numpy as np
 import pytest
@@ -12,20 +15,21 @@ from tests.rig.orbits.scenes import finite_contact_scene
 
 
 def fig9(**contact: float) -> Scene:
+    """Return the scene of Fig. 9 with finite-duration contact: `duration` in s, or `stiffness` and `damping` in SI."""
     return finite_contact_scene("fig9", contact)
 
 
-def test_finite_contact_orbits_equal_steady_simulation() -> None:
+def test_finite_contact_orbits_equal_simulated_steady_state() -> None:
     scene, frequencies = fig9(duration=4e-3), [44.0, 47.0, 49.1, 49.4, 49.8]
     orbits, steady = rig.orbit_response(scene, frequencies), rig.frequency_response(scene, frequencies)
     assert not orbits.simulated.any()
     assert orbits.motion_type.tolist() == steady.motion_type.tolist()
     assert len(set(orbits.motion_type)) > 1
-    # The periods of a steady simulation differ by up to 1e-7.
+    # Successive periods of a simulated steady state differ by up to 1e-7 (relative).
     np.testing.assert_allclose(orbits.compliance, steady.compliance, rtol=0, atol=1e-5 * abs(steady.compliance).max())
 
 
-def test_short_contacts_converge_to_instant_contact() -> None:
+def test_short_contacts_converge_to_instantaneous_impact() -> None:
     instant = rig.periodic_orbit(rig.load("fig9"), 49.7)
     deviations = [
         float(np.abs(rig.periodic_orbit(fig9(duration=duration), 49.7).compliance / instant.compliance - 1).max())
@@ -40,23 +44,26 @@ def test_short_contacts_converge_to_instant_contact() -> None:
     ("contact", "frequency", "force"),
     [({"stiffness": 1800.0, "damping": 17.0}, 40.3, 4.1), ({"stiffness": 2.1e5, "damping": 115.0}, 41.7, 6.0)],
 )
-def test_damper_pressed_again_before_separation_has_an_orbit(
+def test_orbit_with_contact_force_returning_during_overlap(
     contact: dict[str, float], frequency: float, force: float
 ) -> None:
+    # The contact force falls to zero and rises again (PRESS_FLOOR) while the damper still overlaps its floor.
     scene = fig9(**contact).replace(test={"kind": "sine", "frequency": frequency, "force": force})
     orbit = rig.periodic_orbit(scene, frequency)
     propagator, steps = start_propagator(OrbitProblem(scene), orbit.setting)
     set_to_orbit(propagator, orbit)
     plan, unknowns = simulate_cycle(propagator, steps, orbit.repetition)
+    # The margin is the distance to a change of the sequence of events.
     assert kinds.PRESS_FLOOR in orbit.plan.sequence.kind
     assert orbit.margin > 1e-6
     assert plan.label == orbit.plan.label
+    # The last unknowns of an orbit are the times of its events, s.
     np.testing.assert_allclose(unknowns[-len(orbit.events) :], orbit.unknowns[-len(orbit.events) :], atol=1e-12)
 
 
-def test_finite_contact_curve_solves_its_equations() -> None:
+def test_orbits_of_every_branch_have_small_residuals() -> None:
     curve = rig.follow_orbits(fig9(duration=4e-3), "frequency", (47.0, 50.0), searches=2)
-    # Where no type of motion is stable, the motion is not periodic.
+    # At frequencies without a stable orbit the motion is not periodic, which is reported as a failure.
     assert all("no periodic motion found" in failure for failure in curve.failures)
     assert sum(len(branch.orbits) for branch in curve.branches) > 20
     for branch in curve.branches:

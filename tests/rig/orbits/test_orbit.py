@@ -1,7 +1,14 @@
 """Periodic orbits, compared with the engine, finite differences, steady simulation and the single-mode method.
 
-An orbit is the exact periodic motion at a frequency, from shooting. Its multipliers (Floquet) are the factors by which
-disturbances change over a cycle. A branch is a curve of orbits with the same sequence of events.
+An orbit is the exact periodic motion at a frequency, from shooting. Its attributes:
+
+- `repetition`: periods of the drive in a cycle; `plan`: sequence of contact events in a cycle;
+- `unknowns`: state at the start of the cycle, heights and velocities of dampers in flight, and event times;
+- `multipliers` (Floquet): factors by which disturbances change over a cycle;
+- `flaw`: reason why the motion is impossible, or empty.
+
+A branch is a curve of orbits with the same plan. At a border the plan becomes impossible; `margin` is the distance of
+an orbit from the nearest border.
 """
 
 from dataclasses import replace
@@ -12,6 +19,7 @@ import pytest
 
 import rig
 from rig.engine.propagator import Propagator
+from rig.engine.state import CEILING_IMPACT, FLOOR_IMPACT, SEPARATION
 from rig.errors import RunError, SceneError
 from rig.orbits.branches import OrbitCurve, follow_orbits
 from rig.orbits.orbit import Orbit
@@ -31,14 +39,14 @@ def fig9_curve() -> OrbitCurve:
 
 
 def propagator_on_orbit(scene: Scene, orbit: Orbit) -> tuple[Propagator, float]:
-    """Return the engine in the state of an orbit, and the steps in a period."""
+    """Return the engine in the state of an orbit, and the number of its time steps in a period."""
     propagator, steps = start_propagator(OrbitProblem(scene), orbit.setting)
     set_to_orbit(propagator, orbit)
     return propagator, steps
 
 
 def coupled_scene(coupling: float) -> Scene:
-    """Return a scene with two dampers in a structure whose mass matrix couples neighboring bodies [kg]."""
+    """Return a scene with two dampers; `coupling`: mass matrix element between neighboring bodies, kg."""
     mass, damping, stiffness = structure_matrices(rig.load("fig9").structure)
     mass[[0, 1, 1, 2], [1, 0, 2, 1]] = coupling
     matrices = {"mass": mass.tolist(), "stiffness": stiffness.tolist(), "damping": damping.tolist()}
@@ -84,10 +92,10 @@ def test_engine_returns_to_the_orbit_after_a_period(scene: Scene, frequency: flo
     coordinates, states = propagator.system.coordinates, propagator.system.states
     end = propagator.state.z[:states]
     error = np.abs(end[: 2 * coordinates] - orbit.unknowns[: 2 * coordinates])
-    size = np.abs(orbit.unknowns[:coordinates]).max()
+    largest_displacement = np.abs(orbit.unknowns[:coordinates]).max()
     assert plan.label == orbit.plan.label
-    assert error[:coordinates].max() < 1e-11 * size
-    assert error[coordinates:].max() < 1e-11 * size * 2 * np.pi * frequency
+    assert error[:coordinates].max() < 1e-11 * largest_displacement
+    assert error[coordinates:].max() < 1e-11 * largest_displacement * 2 * np.pi * frequency
     events = len(orbit.plan.sequence.kind)
     np.testing.assert_allclose(unknowns[-events:], orbit.unknowns[-events:], atol=1e-13)
     assert orbit.residual < 1e-12
@@ -112,6 +120,7 @@ def test_multipliers_equal_finite_differences(scene: Scene, frequency: float) ->
         unknowns = orbit.unknowns.copy()
         unknowns[: len(change)] += change
         propagator, steps = propagator_on_orbit(scene, replace(orbit, unknowns=unknowns))
+        # Simulate the cycle, period by period.
         propagator.propagate_marks(
             np.full(orbit.repetition, steps), np.full(orbit.repetition, -1), np.ones(orbit.repetition, dtype=bool)
         )
@@ -124,7 +133,7 @@ def test_multipliers_equal_finite_differences(scene: Scene, frequency: float) ->
     ]
     numerical = np.linalg.eigvals(np.array(columns).T / units[:, None])
 
-    # Compare each with the nearest, because close multipliers may come in another order.
+    # Compare each multiplier with the nearest: close multipliers may be in a different order.
     distance = np.abs(numerical[:, None] - orbit.multipliers)
     assert distance.min(axis=0).max() < 1e-5
     assert distance.min(axis=1).max() < 1e-5
@@ -140,8 +149,8 @@ def test_stable_branches_equal_steady_simulation() -> None:
         orbit = periodic_orbit(scene, float(frequency))
         assert orbit.stable
         assert orbit.motion_type == response.motion_type[i]
-        size = np.abs(orbit.compliance).max()
-        assert np.abs(orbit.compliance - response.compliance[:, i]).max() < 1e-7 * size
+        largest_compliance = np.abs(orbit.compliance).max()
+        assert np.abs(orbit.compliance - response.compliance[:, i]).max() < 1e-7 * largest_compliance
         np.testing.assert_allclose(orbit.peak, response.peak[:, i], rtol=1e-3)
 
 
@@ -154,6 +163,7 @@ def test_fig_9_branches_cover_the_band() -> None:
         for branch in curve.branches
         if branch.stable.any()
     )
+    # The stable parts cover the band in Hz, except for gaps narrower than 0.03 Hz.
     covered = 48.5
     for low, high, _ in intervals:
         assert low < covered + 0.03
@@ -207,7 +217,7 @@ def test_curves_over_other_parameters_share_an_orbit() -> None:
         assert len(branch.value) > 5
 
 
-# Scene, parameter, its range (Hz, N, m or 1), frequency of the other parameters.
+# Scene, parameter, its range (Hz, N, m or 1), and the frequency, Hz, unless it is the parameter.
 CURVES: list[tuple[Scene, Parameter, tuple[float, float], float | None]] = [
     (scene_with("fig9", 5.0, 0.15, 0.5e-3), "frequency", (46.0, 50.0), None),
     (scene_with("fig8-two-dampers", 3.0, 0.1, np.inf), "mass_ratio", (0.2, 2.0), 48.3),
@@ -217,7 +227,7 @@ CURVES: list[tuple[Scene, Parameter, tuple[float, float], float | None]] = [
 
 
 @pytest.mark.parametrize(("scene", "parameter", "bounds", "frequency"), CURVES, ids=[case[1] for case in CURVES])
-def test_branches_end_at_borders(
+def test_stable_branches_cover_range_and_end_at_borders(
     scene: Scene, parameter: Parameter, bounds: tuple[float, float], frequency: float | None
 ) -> None:
     curve = follow_orbits(scene, parameter, bounds, frequency=frequency, searches=1)
@@ -249,6 +259,7 @@ def test_locked_damper_orbit_is_the_linear_response() -> None:
 
 @cache
 def approximation(force: float, mass_ratio: float, clearance: float) -> Approximation:
+    """Return the response near mode 3 by the single-mode method; force in N, clearance in m."""
     mode = single_mode(scene_with("fig5-single-damper", force, mass_ratio, clearance), 3)
     return follow_mode(mode, (46.0, 53.0), searches=4)
 
@@ -287,27 +298,30 @@ def test_single_mode_motion_repeats_in_the_engine(kind: str, force: float, mass_
         valid_points = np.flatnonzero(branch.valid)
         i = int(valid_points[len(valid_points) // 2])
         omega = 2 * np.pi * branch.frequency[i]
+        # The single-mode method scales displacements by g / w^2 and velocities by g / w.
         length = mode.gravity / omega**2
         problem = OrbitProblem(scene)
         propagator, steps = start_propagator(problem, problem.setting(float(branch.frequency[i])))
         # Modal displacement and velocity, and the cosine and sine part of the force.
-        q, u, a, b = branch.unknowns[:4, i] * length * np.array([1, omega, 1, 1])
+        displacement, velocity, cosine, sine = branch.unknowns[:4, i] * length * np.array([1, omega, 1, 1])
         # The cycle starts at the floor impact: start the tone at its phase.
-        phase = np.arctan2(b, a)
-        propagator.set_state(np.array([q, u]), np.array([np.cos(phase), np.sin(phase)]))
+        phase = np.arctan2(sine, cosine)
+        start = np.array([displacement, velocity])
+        propagator.set_state(start, np.array([np.cos(phase), np.sin(phase)]))
         trajectory = propagator.propagate_marks(np.array([steps]), np.array([0]), np.zeros(1, dtype=bool))
 
+        # Phases (w t) of the first events. In type II the damper leaves the ceiling at the impact.
         instants = [branch.tau_0[i], branch.tau_1[i], *([branch.tau_2[i]] if kind == "III" else [branch.tau_1[i]])]
         events = trajectory.event_offset * omega
-        kinds = {"I": [0], "II": [0, 2, 0], "III": [0, 2, 0]}[kind]
+        kinds = [SEPARATION] if kind == "I" else [SEPARATION, CEILING_IMPACT, SEPARATION]
         np.testing.assert_array_equal(trajectory.event_kind[: len(kinds)], kinds)
         np.testing.assert_allclose(events[: len(kinds)], instants[: len(kinds)], atol=1e-9)
-        size = branch.peak[i] * mode.force
+        amplitude = branch.peak[i] * mode.force
         # The impact at the end of the period may be before or after the end, because of rounding.
-        end = propagator.state.z[:2] - np.array([q, u])
-        assert abs(end[0]) < 1e-10 * size
-        if trajectory.event_kind[-1] == 1:
-            assert abs(end[1]) < 1e-10 * size * omega
+        change = propagator.state.z[:2] - start
+        assert abs(change[0]) < 1e-10 * amplitude
+        if trajectory.event_kind[-1] == FLOOR_IMPACT:
+            assert abs(change[1]) < 1e-10 * amplitude * omega
 
 
 def test_invalid_frequency_of_an_orbit_is_named() -> None:

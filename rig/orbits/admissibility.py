@@ -28,7 +28,10 @@ N_BORDER_KINDS = 9  # number of these kinds
 
 @cached_njit
 def _lowest_minimum(track: Track, s: int, j: int, offset: float, sign: float, first: int = 0) -> float:
-    """Return the lowest minimum of offset + sign times a guard in a segment from point `first` on, or infinity."""
+    """Return the lowest minimum between points of offset + sign * guard, or infinity if there is none.
+
+    The guard is that of damper j in segment s of the track, from point `first` on.
+    """
     guard = track.guards[s, :, j]
     step = track.times[s, 1] - track.times[s, 0]
     lowest = np.inf
@@ -77,7 +80,9 @@ def _crossing_rate(
 def _finite_contact_margins(
     equations: Equations, sequence: Sequence, track: Track, j: int, length_unit: float, distances: Array
 ) -> None:
-    """Compute the margins of a damper with finite-duration contact: pressed, free, or overlapping without force.
+    """Write the margins of a damper with finite-duration contact into `distances`, as `margins` returns them.
+
+    `length_unit`: g/w^2, m.
 
     A released bed may still overlap a wall. It must not be pressed again before it leaves the wall, which is not an
     event. The overlap at the start of a segment follows from the previous segment. Therefore all segments are examined

@@ -22,6 +22,7 @@ from rig.orbits.periodic_orbit import refine_orbit, search_orbit, set_to_orbit, 
 from rig.orbits.problem import OperatingPoint, OrbitProblem, Parameter, base_frequency, parameter_values, vary
 from rig.scene.loading import SceneLike, scene_of
 
+# Step control of the continuation; lengths are in scaled unknowns (`OrbitFamily.scale`).
 STEPS = continuation.Steps(first_step=5e-3, max_step=0.25, max_angle_rad=0.12, min_step=1e-7, max_points=1500)
 # Step past a border, relative to the parameter, at which Newton's iteration for the next orbit starts.
 BORDER_STEP = 2e-6
@@ -29,6 +30,12 @@ BORDER_STEP = 2e-6
 SIMULATED_BORDER_STEPS = (2e-5, 3e-4, 3e-3)
 # Largest number of branches: near irregular motion there are infinitely many.
 MAX_BRANCHES = 60
+# Relative deviations of two responses below which their orbits are the same: on a branch, and at its only point.
+SAME_RESPONSE, SAME_POINT_RESPONSE = 0.01, 0.02
+# Relative deviation of responses below which an orbit beyond a border is the neighbor of the orbit at the border.
+NEIGHBOR_RESPONSE = 0.05
+# Distance from the end of a branch, relative to the parameter, at which an orbit is compared with this end.
+END_DISTANCE = 1e-3
 
 
 def follow_orbits(
@@ -127,6 +134,7 @@ class _Explorer:
                     queue.append(neighbor)
 
     def _continue(self, start: Orbit) -> OrbitBranch:
+        """Follow the branch through an orbit in both directions."""
         family = OrbitFamily(self.problem, start.plan, start.setting, self.parameter, start.unknowns)
         x = np.append(start.unknowns, getattr(start.setting, self.parameter))
         curve = continuation.trace(family, x, self.bounds, family.scale, STEPS, family.margins)
@@ -158,6 +166,7 @@ class _Explorer:
         propagator, _ = start_propagator(self.problem, orbit.setting)
         set_to_orbit(propagator, orbit)
         n = propagator.system.states
+        # Relative changes up to 1e-5, different for each state.
         propagator.state.z[:n] *= 1 + 1e-5 * np.cos(np.arange(n))
         try:
             return [search_orbit(self.problem, orbit.setting, propagator)]
@@ -173,23 +182,23 @@ class _Explorer:
         offset = branch.value - getattr(orbit.setting, self.parameter)
         segments = np.flatnonzero(offset[:-1] * offset[1:] <= 0).tolist()
         # An orbit found across the border of an adjacent branch is just beyond an end of this branch.
-        if abs(offset[0]) < 1e-3 * abs(branch.value[0]):
+        if abs(offset[0]) < END_DISTANCE * abs(branch.value[0]):
             segments.append(0)
-        if abs(offset[-1]) < 1e-3 * abs(branch.value[-1]):
+        if abs(offset[-1]) < END_DISTANCE * abs(branch.value[-1]):
             segments.append(len(offset) - 2)
         responses = branch.compliance
         magnitude = np.abs(orbit.compliance).max()
         for i in segments:
             if i < 0 or len(offset) < 2:
-                return bool(np.abs(responses[:, 0] - orbit.compliance).max() < 0.02 * magnitude)
+                return bool(np.abs(responses[:, 0] - orbit.compliance).max() < SAME_POINT_RESPONSE * magnitude)
             ratio = offset[i] / (offset[i] - offset[i + 1]) if offset[i] != offset[i + 1] else 0.0
             interpolated = responses[:, i] + ratio * (responses[:, i + 1] - responses[:, i])
-            if np.abs(interpolated - orbit.compliance).max() < 0.01 * magnitude:
+            if np.abs(interpolated - orbit.compliance).max() < SAME_RESPONSE * magnitude:
                 return True
         return False
 
     def _cross_border(self, branch: OrbitBranch, side: int) -> Orbit | None:
-        """Return the orbit on the other side of a branch's end, if the end is a border."""
+        """Return the orbit beyond an end of a branch (`side` 0: first point, 1: last point), if the end is a border."""
         reason = branch.ends[side]
         orbit = branch.orbits[0 if side == 0 else -1]
         value = float(branch.value[0 if side == 0 else -1])
@@ -207,7 +216,10 @@ class _Explorer:
             return None
 
     def _orbit_past_border(self, orbit: Orbit, value: float, direction: float) -> Orbit:
-        """Return the orbit beyond a border: the nearest orbit, otherwise the orbit to which the motion settles."""
+        """Return the orbit beyond a border: the nearest orbit, otherwise the orbit to which the motion settles.
+
+        `direction`: sign of the change of the parameter across the border.
+        """
         # At a border the curve may turn back in the parameter, so that the nearest orbit may lie on either side.
         for step in (BORDER_STEP, -BORDER_STEP, 10 * BORDER_STEP, -10 * BORDER_STEP):
             target = value * (1 + direction * step)
@@ -216,12 +228,16 @@ class _Explorer:
             setting = self.setting_at(target)
             propagator, steps = start_propagator(self.problem, setting)
             set_to_orbit(propagator, orbit)
+            # Every attempt simulates one more cycle.
             for _ in range(3):
                 try:
                     candidate = refine_orbit(self.problem, setting, propagator, steps, orbit.repetition)
                 except RunError:
                     continue
-                is_close = np.abs(candidate.compliance - orbit.compliance).max() < 0.05 * np.abs(orbit.compliance).max()
+                is_close = (
+                    np.abs(candidate.compliance - orbit.compliance).max()
+                    < NEIGHBOR_RESPONSE * np.abs(orbit.compliance).max()
+                )
                 if is_close and not candidate.flaw and not candidate.plan.same_cycle(orbit.plan):
                     return candidate
         # Close to the border, the new event may be too small to detect in a motion settled to 1e-7.
@@ -233,6 +249,7 @@ class _Explorer:
         return self._simulate_past_border(orbit, value, direction * SIMULATED_BORDER_STEPS[-1])
 
     def _simulate_past_border(self, orbit: Orbit, value: float, step: float) -> Orbit:
+        """Simulate from an orbit until the motion settles to another; `step`: relative change of the parameter."""
         setting = self.setting_at(float(np.clip(value * (1 + step), *self.bounds)))
         propagator, _ = start_propagator(self.problem, setting)
         set_to_orbit(propagator, orbit)

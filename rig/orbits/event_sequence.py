@@ -1,6 +1,8 @@
 """The sequence of events of a periodic orbit: derived from a simulated cycle, and with a label for users.
 
-An event is a contact change of one damper. Beyond a *border* in the parameter, the sequence is impossible.
+An event is a contact change of one damper. Beyond a *border* in the parameter, the sequence is impossible. The engine
+describes the contact of a damper by a *mode* (flight, floor or ceiling), an orbit by a *wall state*
+(`rig.orbits.event_kinds`).
 """
 
 from __future__ import annotations
@@ -112,7 +114,7 @@ def derive_plan(
 ) -> tuple[Plan, Array]:
     """Derive the sequence of events from a simulated cycle.
 
-    `start`, shape (dampers,): contact state at the start of the cycle; `repetition`: number of drive periods in the
+    `start`, shape (dampers,): modes at the start of the cycle; `repetition`: number of drive periods in the
     cycle. Also returns the indices of the plan's events among the events of the cycle. Raises `UncoveredMotionError`
     if a damper with rebound comes to rest on a wall after infinitely many impacts, or if the impact of a damper
     separates another damper from its wall, through a full mass matrix or a common body.
@@ -168,35 +170,35 @@ def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSyste
 
 
 def walls_from_modes(modes: NDArray[Any], system: HybridSystem) -> NDArray[np.int64]:
-    """Return the walls of a sequence for the engine's contact states, shape (dampers,)."""
+    """Return the wall states of a sequence for the engine's modes, shape (dampers,)."""
     return np.asarray(modes, dtype=np.int64) + np.where(system.finite_contact, kinds.FORCELESS, kinds.FLYING)
 
 
 def modes_from_walls(walls: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the engine's contact states for walls of a sequence, shape (dampers,)."""
+    """Return the engine's modes for wall states of a sequence, shape (dampers,)."""
     return np.where(walls >= kinds.FORCELESS, walls - kinds.FORCELESS, walls)
 
 
 def configuration_of(walls: NDArray[np.int64]) -> int:
-    """Return the configuration for walls of a sequence, as in `HybridSystem.toggles`."""
-    pressed = np.flatnonzero((walls != kinds.FLYING) & (walls != kinds.FORCELESS)).tolist()
+    """Return the contact configuration for wall states of a sequence, with bits as in `HybridSystem.toggles`."""
+    in_contact = np.flatnonzero((walls != kinds.FLYING) & (walls != kinds.FORCELESS)).tolist()
     ceilings = np.flatnonzero(walls == kinds.ON_CEILING).tolist()
-    return sum(1 << j for j in pressed) + sum(1 << len(walls) + j for j in ceilings)
+    return sum(1 << j for j in in_contact) + sum(1 << len(walls) + j for j in ceilings)
 
 
 def make_plan(events: list[int], dampers: list[int], start: NDArray[Any], repetition: int) -> Plan:
-    """Build a plan from events and the walls at the start."""
+    """Build a plan from kinds and dampers of its events, and the wall states at the start."""
     walls = [np.asarray(start, dtype=np.int64)]
     for kind, damper in zip(events, dampers, strict=True):
         wall = walls[-1].copy()
         wall[damper] = WALL_AFTER_EVENT[kind]
         walls.append(wall)
-    masks = [configuration_of(wall) for wall in walls]
-    configurations = tuple(dict.fromkeys(masks))
+    segment_configurations = [configuration_of(wall) for wall in walls]
+    configurations = tuple(dict.fromkeys(segment_configurations))
     sequence = Sequence(
         np.array(events, dtype=np.int64),
         np.array(dampers, dtype=np.int64),
-        np.array([configurations.index(mask) for mask in masks], dtype=np.int64),
+        np.array([configurations.index(configuration) for configuration in segment_configurations], dtype=np.int64),
         np.array(walls, dtype=np.int64),
     )
     return Plan(sequence, configurations, repetition)

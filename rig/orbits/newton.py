@@ -30,7 +30,7 @@ def newton_solve(
     Returns the unknowns, their derivative with respect to the parameter, the evaluation at the solution, the size of
     the last correction, and the number of corrections. This number is -1 if the iteration did not converge.
     """
-    x, slope, last_size = unknowns.copy(), np.zeros(unknowns.size), np.inf
+    x, slope, last_correction = unknowns.copy(), np.zeros(unknowns.size), np.inf
     shooting = shoot(equations, derivatives, sequence, x)
     for corrections in range(max_corrections):
         system = shooting.jacobian[:, : x.size].copy()
@@ -41,21 +41,22 @@ def newton_solve(
             for j in range(x.size):
                 system[i, j] *= scale[j] / residual_scale[i]
         if not (np.isfinite(system).all() and np.isfinite(rhs).all()):
-            return x, slope, shooting, last_size, -1
+            return x, slope, shooting, last_correction, -1
         solution = np.linalg.solve(system, rhs)
         correction, slope = solution[:, 0], solution[:, 1] * scale
-        size = np.abs(correction).max()
+        largest_correction = np.abs(correction).max()
         residual = np.abs(rhs[:, 0]).max()
-        is_converged = size < CONVERGENCE_TOLERANCE and residual < CONVERGENCE_TOLERANCE
-        if is_converged or (size < 1e-9 and size > 0.3 * last_size):
-            return x, slope, shooting, size, corrections
+        # Converged, or small and not decreasing any more because of rounding.
+        is_converged = largest_correction < CONVERGENCE_TOLERANCE and residual < CONVERGENCE_TOLERANCE
+        if is_converged or (largest_correction < 1e-9 and largest_correction > 0.3 * last_correction):
+            return x, slope, shooting, largest_correction, corrections
         # A divergent iteration stops before its instants become arbitrarily large.
-        if not size < 1e3 * min(1.0, max(last_size, 1e-3)):
-            return x, slope, shooting, size, -1
+        if not largest_correction < 1e3 * min(1.0, max(last_correction, 1e-3)):
+            return x, slope, shooting, largest_correction, -1
         x += correction * scale
-        last_size = size
+        last_correction = largest_correction
         shooting = shoot(equations, derivatives, sequence, x)
-    return x, slope, shooting, last_size, -1
+    return x, slope, shooting, last_correction, -1
 
 
 @cached_njit
@@ -70,11 +71,11 @@ def monodromy(shooting: ShootingResult, events: int, scale: Array, residual_scal
 
     The event conditions are solved for the instants of the events.
     """
-    size = scale.size
-    initial = size - events
-    jacobian = shooting.jacobian[:, :size].copy()
-    for i in range(size):
-        for j in range(size):
+    n_unknowns = scale.size
+    initial = n_unknowns - events
+    jacobian = shooting.jacobian[:, :n_unknowns].copy()
+    for i in range(n_unknowns):
+        for j in range(n_unknowns):
             jacobian[i, j] *= scale[j] / residual_scale[i]
     period_map = jacobian[:initial, :initial].copy()
     for i in range(initial):

@@ -1,4 +1,8 @@
-"""A periodic motion, and its equations with one free parameter."""
+"""A periodic motion (orbit) of a scene, and the family of such motions over one free parameter.
+
+A *plan* is the sequence of contact events in one cycle. A *border* is a limit beyond which this sequence is impossible,
+for example where a damper hits the floor early. The *margin* is the distance to it, negative beyond the border.
+"""
 
 from __future__ import annotations
 
@@ -191,7 +195,7 @@ class Orbit(Result):
 def solve(
     problem: OrbitProblem, plan: Plan, setting: OperatingPoint, unknowns: Array, max_corrections: int = MAX_CORRECTIONS
 ) -> Orbit:
-    """Solve the equations of an orbit for one setting by Newton's iteration with a limited number of corrections.
+    """Solve the equations of an orbit at one operating point by Newton's iteration, starting from `unknowns`.
 
     Raises `RunError` if the iteration does not converge.
     """
@@ -225,15 +229,17 @@ class OrbitFamily:
         state = unknowns[: system.states]
         length = np.abs(state[:nq]).max(initial=0.0) + np.abs(state[nq : 2 * nq]).max(initial=0.0) / omega
         length += system.gravity / omega**2
-        other_states = np.abs(state[2 * nq :]) + 1e-3
-        flights = np.tile([length, omega * length], len(plan.flying))
-        times = np.full(len(plan.sequence.kind), 1 / omega)
-        start = np.concatenate([np.full(nq, length), np.full(nq, omega * length), other_states, flights])
-        value = getattr(setting, parameter)
-        self.scale = np.concatenate([start, times, [abs(value) * (0.02 if parameter == "frequency" else 0.2)]])
+        # Other states, such as a coil current, may be zero.
+        other_scales = np.abs(state[2 * nq :]) + 1e-3
+        flight_scales = np.tile([length, omega * length], len(plan.flying))
+        instant_scales = np.full(len(plan.sequence.kind), 1 / omega)
+        start_scales = np.concatenate([np.full(nq, length), np.full(nq, omega * length), other_scales, flight_scales])
+        # The motion is more sensitive to frequency than to the other parameters.
+        parameter_scale = abs(getattr(setting, parameter)) * (0.02 if parameter == "frequency" else 0.2)
+        self.scale = np.concatenate([start_scales, instant_scales, [parameter_scale]])
         guard_scales = {kinds.INDUCED_SEPARATION: 1 / omega, kinds.SEPARATION: system.gravity or omega**2 * length}
         event_scales = [guard_scales.get(int(kind), length) for kind in plan.sequence.kind]
-        self.residual_scale = np.concatenate([start, event_scales])
+        self.residual_scale = np.concatenate([start_scales, event_scales])
         self.bodies = problem.scene.structure.bodies
 
     def equations(self, value: float) -> tuple[Equations, EquationDerivatives]:
@@ -243,7 +249,7 @@ class OrbitFamily:
     def correct(
         self, value: float, guess: Array, max_corrections: int
     ) -> tuple[Equations, Array, Array, ShootingResult, float, int]:
-        """Return the equations at a value of the parameter and their solution, as `newton_solve` returns it."""
+        """Solve the equations at a value of the parameter; return them, and the results of `newton_solve`."""
         equations, derivatives = self.equations(value)
         scale, sequence = self.scale[:-1], self.plan.sequence
         return equations, *newton_solve(
@@ -273,6 +279,7 @@ class OrbitFamily:
         return _eigenvalues(self._period_map(shoot(*self.equations(float(x[-1])), self.plan.sequence, x[:-1])))
 
     def _period_map(self, shooting: ShootingResult) -> Array:
+        """Return the scaled monodromy matrix."""
         return monodromy(shooting, len(self.plan.sequence.kind), self.scale[:-1], self.residual_scale)
 
     def make_orbit(
@@ -285,7 +292,7 @@ class OrbitFamily:
         bodies = self.bodies
         harmonic = 2 / equations.period * integral
         if isinstance(problem.scene.driven_shaker, ForceShaker):
-            force = -1j * setting.force
+            force = -1j * setting.force  # complex amplitude of a sine
         else:
             force = complex(spring_force_row(problem.scene, problem.system) @ harmonic)
         return Orbit(
@@ -305,6 +312,7 @@ class OrbitFamily:
 
 
 def _eigenvalues(matrix: Array) -> NDArray[np.complex128]:
+    """Return the eigenvalues of a real matrix, by LAPACK."""
     real, imaginary, *_ = dgeev(matrix, compute_vl=0, compute_vr=0)
     return np.asarray(real + 1j * imaginary, dtype=np.complex128)
 

@@ -26,7 +26,7 @@ class OrbitBranch(Result):
     `value`, shape (points,): values of the parameter (Hz, N, m, or factor on the mass ratios), not monotonic at folds.
 
     `folds`, `doublings`, `toruses`: values of the parameter at which the curve turns back, at which a multiplier
-    passes -1 (period doubling), and at which a complex pair leaves the unit circle.
+    passes -1 (period doubling), and at which a complex pair leaves the unit circle (torus bifurcation).
     """
 
     parameter: Parameter
@@ -36,8 +36,8 @@ class OrbitBranch(Result):
     folds: Array
     doublings: Array
     toruses: Array
-    plan: Plan = field(repr=False)
-    curve: continuation.Curve = field(repr=False)
+    plan: Plan = field(repr=False)  # the sequence of events
+    curve: continuation.Curve = field(repr=False)  # unknowns and tangents of the orbits
 
     @property
     def motion_type(self) -> str:

@@ -2,6 +2,8 @@
 
 The motion is simulated until it almost repeats, and is then refined by Newton's iteration for the equations of
 `rig.orbits.shooting`. A *cycle* is one repetition of the motion, which takes one or more periods of the drive.
+A *plan* is the sequence of contact events in a cycle. A *setting* is an operating point: frequency, force, clearance,
+mass ratio.
 """
 
 from __future__ import annotations
@@ -28,6 +30,8 @@ EARLY_PERIODS = (16, 64, 256)
 # Largest number of Newton corrections of an early attempt. From a motion that settles to an orbit, at most 5 were
 # needed in the designs of the bundled scenes; an iteration that does not converge is expensive.
 MAX_EARLY_CORRECTIONS = 8
+# Largest relative change from period to period of a steady motion.
+MAX_STEADY_CHANGE = 1e-7
 # Largest relative change from period to period of an almost periodic motion.
 MAX_ALMOST_PERIODIC_CHANGE = 1e-6
 # Largest relative distance of a motion from the orbit to which it settles.
@@ -85,7 +89,7 @@ def search_orbit(
         orbit = _nearby_orbit(problem, setting, propagator, steps, 1)
         if orbit is not None:
             return orbit
-    steady = settle(propagator, steps, 1.0, 1e-7, max_periods)
+    steady = settle(propagator, steps, 1.0, MAX_STEADY_CHANGE, max_periods)
     if steady.repetition:
         orbit = refine_orbit(problem, setting, propagator, steps, steady.repetition)
         if orbit.flaw:
@@ -136,7 +140,7 @@ def _distance(propagator: Propagator, orbit: Orbit) -> float:
 
 
 def _simulate(propagator: Propagator, steps: float, periods: int) -> Trajectory:
-    """Simulate whole periods."""
+    """Simulate a number of periods of the drive; `steps`: propagator steps in a period."""
     rows, starts_period = np.full(periods, -1), np.ones(periods, dtype=bool)
     return propagator.propagate_marks(np.full(periods, steps), rows, starts_period)
 
@@ -176,7 +180,10 @@ def refine_orbit(
     repetition: int,
     max_corrections: int = MAX_CORRECTIONS,
 ) -> Orbit:
-    """Refine the motion of a propagator at the start of a period to an exact orbit."""
+    """Refine the motion of a propagator at the start of a period to an exact orbit.
+
+    `steps`: propagator steps in a period of the drive; `repetition`: periods in a cycle.
+    """
     plan, unknowns = simulate_cycle(propagator, steps, repetition)
     orbit = solve(problem, plan, setting, unknowns, max_corrections)
     cycle = shortest_cycle(orbit)
@@ -195,6 +202,7 @@ def shortest_cycle(orbit: Orbit) -> tuple[Plan, OperatingPoint, Array] | None:
         cycle_start = np.arange(events) // max(cycle_events, 1) * cycle_duration
         table = np.stack([sequence.kind, sequence.damper, (instants - cycle_start) * orbit.frequency])
         repeated = np.tile(table[:, :cycle_events], cycles)
+        # Equal events, at equal instants within 1e-9 periods of the drive.
         if events and (not np.array_equal(table[:2], repeated[:2]) or np.abs(table[2] - repeated[2]).max() > 1e-9):
             continue
         plan = make_plan(
@@ -228,6 +236,7 @@ def set_to_orbit(propagator: Propagator, orbit: Orbit) -> None:
     flights = orbit.unknowns[n : n + 2 * len(orbit.plan.flying)].reshape(-1, 2)
     state.height[orbit.plan.flying], state.speed[orbit.plan.flying] = flights.T
     state.recovering[:] = FLIGHT
+    # A bed without contact force may still overlap a wall from which it was released.
     for j in np.flatnonzero(walls == kinds.FORCELESS):
         gap = state.z[system.bed[j]]
         if not 0.0 <= gap <= system.clearance[j]:

@@ -1,7 +1,9 @@
 """The periodic-orbit problem of a scene: the equations of motion and their derivatives at any operating point.
 
-One of the operating point's values is the *parameter*, over which orbits are continued. A contact *configuration*
-states which dampers are in contact with which wall (bits as in `HybridSystem.toggles`).
+An operating point is also called a *setting*. One of its values is the *parameter*, over which orbits are continued. A
+contact *configuration* states which dampers are in contact with which wall (bits as in `HybridSystem.toggles`). A
+*riding* damper is at rest on a wall, so its mass adds to that of its body. A *plan* is the sequence of contact events
+in one cycle.
 """
 
 from __future__ import annotations
@@ -81,8 +83,8 @@ def base_frequency(parameter: Parameter, frequency: float | str | None, first: f
 class _ConfigurationMatrices(NamedTuple):
     """State and input matrices of configurations; the last column of an input matrix is for the constant forces.
 
-    `clearance_input`: derivative of the accelerations by constant forces with respect to each damper's clearance while
-    the damper is pressed on its ceiling. `rate`: bound of the norm of the state matrix, 1/s. The last four fields are
+    `clearance_input`: derivative of the accelerations with respect to each damper's clearance, nonzero while the damper
+    is pressed on its ceiling. `rate`: bound of the norm of the state matrix, 1/s. The last four fields are
     derivatives with respect to the factor on the damper masses. The first index of each array is the configuration.
     """
 
@@ -131,6 +133,7 @@ class OrbitProblem:
         return self._systems[ratio]
 
     def _assemble(self, ratio: float) -> HybridSystem:
+        """Assemble the system with a factor on the damper masses."""
         if not self.system.finite_contact.any():
             return replace(self.system, damper_mass=ratio * self.system.damper_mass)
         # A bed with its own coordinate is part of the mass matrix, and its contact duration determines the wall
@@ -153,8 +156,9 @@ class OrbitProblem:
     def equations(
         self, setting: OperatingPoint, plan: Plan, parameter: Parameter = "frequency"
     ) -> tuple[Equations, EquationDerivatives]:
-        """Return the equations of motion in a plan's configurations, and their derivatives by the parameter."""
+        """Return the equations of motion in a plan's configurations, and their derivatives (by the parameter)."""
         system, ratio = self.varied_system(setting), setting.mass_ratio
+        # nq coordinates and n states; the augmented state is (state, cos wt, sin wt, 1).
         nq, n, omega = system.coordinates, system.states, 2 * np.pi * setting.frequency
         amplitudes = self.amplitudes(setting)
         drive = np.column_stack([amplitudes.real, -amplitudes.imag])
@@ -230,7 +234,7 @@ class OrbitProblem:
         return np.column_stack([slope.real, -slope.imag])
 
     def _configurations(self, configurations: tuple[int, ...], mass_ratio: float) -> _ConfigurationMatrices:
-        """Return the stacked equations of configurations (bit j set: damper j rides)."""
+        """Return the stacked matrices of several configurations."""
         key = (configurations, mass_ratio)
         if key not in self._matrices and len(configurations) == 1:
             self._matrices[key] = self._configuration(configurations[0], mass_ratio)
@@ -244,6 +248,7 @@ class OrbitProblem:
         return self._matrices[key]
 
     def _configuration(self, configuration: int, mass_ratio: float) -> _ConfigurationMatrices:
+        """Compute the matrices of one configuration; the first index of each array has length 1."""
         system = self._system_at(mass_ratio)
         nq, n = system.coordinates, system.states
         mass, constant = _riding_mass_and_forces(system, configuration)
@@ -286,7 +291,10 @@ class OrbitProblem:
         return _ConfigurationMatrices(*(part[None] for part in parts))
 
     def _wall_derivatives(self, mass_ratio: float) -> tuple[Array, Array]:
-        """Differentiate wall stiffness and damping by the mass ratio, which matters for a given contact duration."""
+        """Return the derivatives of wall stiffness and damping with respect to the mass ratio, shape (dampers, 2).
+
+        They are not zero if the scene gives the contact duration instead of the stiffness.
+        """
         if not self.system.finite_contact.any():
             return np.zeros((self.system.dampers, 2)), np.zeros((self.system.dampers, 2))
         # The functions are smooth: finite differences are accurate to about 1e-10.
@@ -298,17 +306,17 @@ class OrbitProblem:
         )
 
     def setting(self, frequency: float) -> OperatingPoint:
-        """Return the scene's own setting at a frequency."""
+        """Return the operating point of the unchanged scene at a frequency, Hz."""
         return OperatingPoint(frequency, self.level)
 
 
 def vary(setting: OperatingPoint, parameter: Parameter) -> Callable[[float], OperatingPoint]:
-    """Return the setting as a function of one parameter."""
+    """Return a function that maps a value of one parameter to the setting with this value."""
     return lambda value: replace(setting, **{parameter: value})
 
 
 def _riding_mass_and_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
-    """Return the mass matrix with the riding dampers of a configuration, and constant forces with their weight."""
+    """Return mass matrix and constant forces, including masses and weights of a configuration's riding dampers."""
     on_floor = np.array(
         [j for j in range(system.dampers) if configuration >> j & 1 and not system.finite_contact[j]], dtype=np.intp
     )
@@ -319,7 +327,10 @@ def _riding_mass_and_forces(system: HybridSystem, configuration: int) -> tuple[A
 
 
 def _finite_contact_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
-    """Return the forces of finite-duration contacts: rows for the state, and derivatives by clearance."""
+    """Return the derivatives of the contact forces with respect to state and clearance, for finite-duration contact.
+
+    Shapes (coordinates, states) and (coordinates, dampers).
+    """
     force, constant = replace(system, clearance=np.ones(system.dampers)).contact_forces(configuration)
     clearance_force = np.zeros((system.coordinates, system.dampers))
     finite = np.flatnonzero(system.finite_contact)

@@ -36,11 +36,11 @@ class ShootingResult(NamedTuple):
 
 
 class MotionState(NamedTuple):
-    """Motion at the current instant, with derivatives with respect to the unknowns and, last, the parameter."""
+    """Motion at the current instant, and its derivatives: one column for each unknown, the last for the parameter."""
 
     x: Array  # State; cos wt, sin wt; 1; shape (states + 3,)
     height: Array
-    speed: Array  # height, speed: of the dampers; shape (dampers,)
+    speed: Array  # height [m], speed [m/s]: of the dampers; shape (dampers,)
     dx: Array  # shape (states, unknowns + 1)
     dheight: Array
     dspeed: Array  # dheight, dspeed: shape (dampers, unknowns + 1)
@@ -49,10 +49,10 @@ class MotionState(NamedTuple):
 @cached_njit
 def _initial_motion(sequence: Sequence, unknowns: Array, states: int) -> tuple[MotionState, int]:
     """Return the motion at t = 0, and the index of the first instant among the unknowns."""
-    dampers, size = sequence.wall.shape[1], unknowns.shape[0]
+    dampers, n_unknowns = sequence.wall.shape[1], unknowns.shape[0]
     motion = MotionState(
         np.zeros(states + 3), np.zeros(dampers), np.zeros(dampers),
-        np.zeros((states, size + 1)), np.zeros((dampers, size + 1)), np.zeros((dampers, size + 1)),
+        np.zeros((states, n_unknowns + 1)), np.zeros((dampers, n_unknowns + 1)), np.zeros((dampers, n_unknowns + 1)),
     )  # fmt: skip
     motion.x[:states] = unknowns[:states]
     motion.x[states], motion.x[states + 2] = 1.0, 1.0
@@ -79,18 +79,18 @@ def _propagate(
     `end_column`: column of the unknown that determines the end instant. `end_derivative`: derivative of the end instant
     with respect to this unknown.
     """
-    n, size, duration = motion.dx.shape[0], motion.dx.shape[1] - 1, end_time - start_time
+    n, n_unknowns, duration = motion.dx.shape[0], motion.dx.shape[1] - 1, end_time - start_time
     x, dx, a = motion.x, motion.dx, equations.generator[configuration]
     initial, dinitial = x.copy(), np.zeros(n + 3)
     flow = exponential(a, duration, equations.rate[configuration])
     x[:] = flow @ initial
-    dinitial[:n] = dx[:, size]
+    dinitial[:n] = dx[:, n_unknowns]
     dinitial[n], dinitial[n + 1] = (
         -start_time * derivatives.omega * initial[n + 1],
         start_time * derivatives.omega * initial[n],
     )
     dx[:] = np.ascontiguousarray(flow[:n, :n]) @ dx
-    dx[:, size] = exponential_derivative(
+    dx[:, n_unknowns] = exponential_derivative(
         a, derivatives.generator[configuration], initial, dinitial, duration, equations.rate[configuration]
     )[:n]
     for i in range(n):
@@ -104,7 +104,7 @@ def _propagate(
     for j in range(motion.height.shape[0]):
         motion.height[j] += (motion.speed[j] - 0.5 * equations.gravity * duration) * duration
         motion.speed[j] -= equations.gravity * duration
-        for c in range(size + 1):
+        for c in range(n_unknowns + 1):
             motion.dheight[j, c] += duration * motion.dspeed[j, c]
         motion.dheight[j, end_column] += end_derivative * motion.speed[j]
         motion.dspeed[j, end_column] -= end_derivative * equations.gravity
@@ -125,18 +125,18 @@ def _contact_force_condition(
     jacobian: Array,
 ) -> float:
     """Return body acceleration plus gravity [m/s^2], zero at zero contact force; write its derivatives into a row."""
-    n, size, x, dx = motion.dx.shape[0], motion.dx.shape[1] - 1, motion.x, motion.dx
+    n, n_unknowns, x, dx = motion.dx.shape[0], motion.dx.shape[1] - 1, motion.x, motion.dx
     acceleration_row = equations.inverse_mass.shape[1] + body
     force, residual = equations.generator[configuration, acceleration_row], equations.gravity
     for m in range(n + 3):
         residual += force[m] * x[m]
-        jacobian[row, size] += derivatives.generator[configuration, acceleration_row, m] * x[m]
-    for c in range(size + 1):
+        jacobian[row, n_unknowns] += derivatives.generator[configuration, acceleration_row, m] * x[m]
+    for c in range(n_unknowns + 1):
         for m in range(n):
             jacobian[row, c] += force[m] * dx[m, c]
     drive_rate = force[n + 1] * x[n] - force[n] * x[n + 1]
     jacobian[row, row] += equations.omega * drive_rate
-    jacobian[row, size] += time * derivatives.omega * drive_rate
+    jacobian[row, n_unknowns] += time * derivatives.omega * drive_rate
     return residual
 
 
@@ -167,7 +167,7 @@ def _apply_impact(
     The impulse is (1 + e) v_rel / (1 / m_d + (M^-1)_bb), with the damper's mass m_d and its body's diagonal element of
     the inverse mass matrix. The restitution e is zero unless the event is a bounce.
     """
-    body, nq, size = equations.body_coordinate[j], equations.inverse_mass.shape[1], motion.dx.shape[1] - 1
+    body, nq, n_unknowns = equations.body_coordinate[j], equations.inverse_mass.shape[1], motion.dx.shape[1] - 1
     x, dx, dheight, dspeed = motion.x, motion.dx, motion.dheight, motion.dspeed
     offset, offset_derivative = 0.0, 0.0
     if kind in (kinds.CEILING, kinds.CEILING_BOUNCE):
@@ -186,11 +186,11 @@ def _apply_impact(
         * (inverse_mass_decrease - inverse_change[body, body])
     )
     relative_speed = motion.speed[j] - x[nq + body]
-    for c in range(size + 1):
+    for c in range(n_unknowns + 1):
         jacobian[row, c] = dheight[j, c] - dx[body, c]
         relative_speed_derivative = dspeed[j, c] - dx[nq + body, c]
         impulse = impulse_per_speed * relative_speed_derivative
-        if c == size:
+        if c == n_unknowns:
             jacobian[row, c] -= offset_derivative
             impulse += impulse_per_speed_derivative * relative_speed
             for i in range(nq):
@@ -201,7 +201,7 @@ def _apply_impact(
         dspeed[j, c] -= impulse / equations.mass[j]
         dheight[j, c] = dx[body, c]
     motion.height[j] = x[body] + offset
-    dheight[j, size] += offset_derivative
+    dheight[j, n_unknowns] += offset_derivative
     for i in range(nq):
         x[nq + i] += inverse[i, body] * impulse_per_speed * relative_speed
     motion.speed[j] -= impulse_per_speed / equations.mass[j] * relative_speed
@@ -221,10 +221,10 @@ def _change_contact(
 ) -> tuple[float, float]:
     """Change the finite-duration contact of damper j; return its event condition [m] and the closing speed [m/s].
 
-    The gap is g, and o is the gap at which the wall is touched. The condition of a touch is g - o = 0. The wall's force
-    is zero at g - o + (c / k) g' = 0, with the wall's stiffness k and damping c.
+    With the gap g, and the gap g_w at which the wall is touched (0 or the clearance), the condition of a touch is
+    g - g_w = 0. The wall's force is zero at g - g_w + (c / k) g' = 0, with the wall's stiffness k and damping c.
     """
-    size, bed = motion.dx.shape[1] - 1, equations.bed[j]
+    n_unknowns, bed = motion.dx.shape[1] - 1, equations.bed[j]
     speed_index = equations.inverse_mass.shape[1] + bed
     ceiling = kind in (kinds.TOUCH_CEILING, kinds.PRESS_CEILING) or (kind == kinds.RELEASE and wall == kinds.ON_CEILING)
     wall_index = 1 if ceiling else 0
@@ -233,11 +233,11 @@ def _change_contact(
     if kind not in (kinds.TOUCH_FLOOR, kinds.TOUCH_CEILING):
         relaxation_time = equations.damping[j, wall_index] / equations.stiffness[j, wall_index]
         damping_derivative = derivatives.damping[j, wall_index] - relaxation_time * derivatives.stiffness[j, wall_index]
-        jacobian[row, size] += speed * damping_derivative / equations.stiffness[j, wall_index]
+        jacobian[row, n_unknowns] += speed * damping_derivative / equations.stiffness[j, wall_index]
     if ceiling:
         residual -= equations.clearance[j]
-        jacobian[row, size] -= derivatives.clearance[j]
-    for c in range(size + 1):
+        jacobian[row, n_unknowns] -= derivatives.clearance[j]
+    for c in range(n_unknowns + 1):
         jacobian[row, c] += motion.dx[bed, c] + relaxation_time * motion.dx[speed_index, c]
     closing_speed = speed if ceiling else -speed
     return residual + relaxation_time * speed, 0.0 if kind == kinds.RELEASE else max(closing_speed, 0.0)
@@ -273,9 +273,9 @@ def shoot(
     velocity of each damper in flight there (in order), instants of the events [s].
     """
     n, nd = equations.generator.shape[1] - 3, equations.body_coordinate.shape[0]
-    events, size, omega = sequence.kind.shape[0], unknowns.shape[0], equations.omega
+    events, n_unknowns, omega = sequence.kind.shape[0], unknowns.shape[0], equations.omega
     motion, first_row = _initial_motion(sequence, unknowns, n)
-    residual, jacobian = np.zeros(size), np.zeros((size, size + 1))
+    residual, jacobian = np.zeros(n_unknowns), np.zeros((n_unknowns, n_unknowns + 1))
     states, closing_speed = np.zeros((events + 1, n + 2 * nd)), np.zeros(events)
     time = 0.0
     for k in range(events + 1):
@@ -285,7 +285,7 @@ def shoot(
         configuration, row = sequence.configuration[k], first_row + k
         previous_row = row - 1 if k > 0 else -1
         if k == events:
-            # The last segment ends with the period, which the parameter may derivatives.
+            # The last segment ends with the period, which may depend on the parameter.
             _propagate(
                 equations,
                 derivatives,
@@ -294,7 +294,7 @@ def shoot(
                 time,
                 equations.period,
                 previous_row,
-                size,
+                n_unknowns,
                 derivatives.period,
             )
             break

@@ -1,8 +1,10 @@
-"""Steady motion at many values of a parameter, computed as exact stable orbits (periodic motions) where they exist.
+"""Steady motion over a parameter (such as frequency or force), computed as exact stable orbits (periodic motions).
 
 At each value the orbit is predicted from the previous orbits and corrected by Newton's iteration. Every orbit is
 checked for admissibility and stability. If a check fails, the motion is simulated as in a slow sweep, until it
 settles to another orbit or, if it is irregular, until it can be averaged.
+
+A *setting* is an operating point: the values of all parameters. A *plan* is the sequence of contact events in a cycle.
 """
 
 from __future__ import annotations
@@ -70,6 +72,8 @@ class OrbitResponse(Result):
 
     Attributes
     ----------
+    parameter : str
+        Varied parameter: frequency, force, clearance or mass_ratio.
     value : ndarray, shape (values,)
         Values of the parameter (Hz, N, m, or factor on the mass ratios).
     compliance : complex ndarray, shape (bodies, values)
@@ -259,7 +263,10 @@ class _BranchPoint:
 
 @cached_njit
 def _hermite(nodes: Array, values: Array, slopes: Array, x: float) -> Array:
-    """Evaluate at x the Hermite polynomial through values and slopes (points, unknowns) at the nodes."""
+    """Return the Hermite polynomial at x, shape (unknowns,).
+
+    `values`, `slopes`, shape (points, unknowns): values and derivatives of the polynomial at the `nodes`.
+    """
     result = np.zeros(values.shape[1])
     for i in range(nodes.size):
         basis, basis_slope = 1.0, 0.0
@@ -278,8 +285,10 @@ class _Continuation:
     def __init__(self, problem: OrbitProblem, base: OperatingPoint, parameter: Parameter) -> None:
         self.problem, self.parameter = problem, parameter
         self.setting_at = vary(base, parameter)
-        self.family: OrbitFamily | None = None
+        # The last points of the current branch, in order; empty after an irregular motion.
         self.recent_points: list[_BranchPoint] = []
+        self.family: OrbitFamily | None = None  # equations of the current branch
+        # `Propagator.snapshot` of the last irregular motion, from which the next simulation starts.
         self.snapshot: tuple[Array, ...] | None = None
 
     def point(self, value: float) -> _Point:
@@ -290,7 +299,7 @@ class _Continuation:
         return self._settle(value)
 
     def _continue_orbit(self, value: float) -> Orbit | None:
-        """Continue the orbit to a value; return None if it ends or loses its stability before."""
+        """Continue the orbit to a value; return None if it ends or loses its stability before this value."""
         if value == self.recent_points[-1].value:
             return self.recent_points[-1].orbit
         target = value
@@ -299,6 +308,7 @@ class _Continuation:
             if point is None:
                 target = 0.5 * (self.recent_points[-1].value + target)
                 continue
+            # The flaw is the reason why an orbit is not admissible.
             if point.orbit.flaw or not point.orbit.stable:
                 return None
             # The nodes of the extrapolation must differ, also where a sweep turns back.
@@ -385,13 +395,13 @@ def _average(problem: OrbitProblem, setting: OperatingPoint, propagator: Propaga
     steps = period_steps(propagator, setting)
     initial = propagator.state.z.copy()
     trajectory = sample_periods(propagator, steps, 1.0, AVERAGED_PERIODS)
-    # Mean over evenly spaced instants: kinks of the velocity cause a relative error of about 1e-5.
+    # Mean over evenly spaced instants: velocity jumps at impacts cause a relative error of about 1e-5.
     mean_period, half_ranges = _mean_period(initial, trajectory.state, bodies)
     phase = 2 * np.pi * np.arange(INSTANTS_PER_PERIOD) / INSTANTS_PER_PERIOD
     phase_factors: NDArray[np.complex128] = np.exp(-1j * phase)
     harmonic = 2 / INSTANTS_PER_PERIOD * (phase_factors @ mean_period)
     if isinstance(problem.scene.driven_shaker, ForceShaker):
-        force = -1j * setting.force
+        force = -1j * setting.force  # complex amplitude of a sine
     else:
         row = spring_force_row(problem.scene, problem.system)
         force = complex(row @ harmonic[: problem.system.states])

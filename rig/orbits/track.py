@@ -45,6 +45,7 @@ class Track(NamedTuple):
 @cached_njit
 def turning_value(left_value: float, right_value: float, slopes: Array, curvatures: Array, step: float) -> float:
     """Return the extreme value in an interval, from the quintic through the values and two derivatives at its ends."""
+    # Slopes s, curvatures c and coefficients a of the quintic in t, which is 0 and 1 at the ends of the interval.
     s0, s1, c0, c1 = (slopes[0] * step, slopes[1] * step, curvatures[0] * step * step, curvatures[1] * step * step)
     d = right_value - left_value - s0 - 0.5 * c0
     e, f = s1 - s0 - c0, c1 - c0
@@ -81,7 +82,7 @@ def _segments(equations: Equations, sequence: Sequence, instants: Array) -> tupl
 
 @cached_njit
 def _sample_states(a: Array, flow: Array, start: Array, x: Array, rate: Array) -> None:
-    """Compute the states x (points + 1, states + 3) at evenly spaced times, and their rates A x.
+    """Write the states (points + 1, states + 3) at evenly spaced times into `x`, and their rates A x into `rate`.
 
     `flow`: matrix that propagates a state by one step.
     """
@@ -100,7 +101,10 @@ def _sample_states(a: Array, flow: Array, start: Array, x: Array, rate: Array) -
 
 @cached_njit
 def _extend_range(extremes: Array, x: Array, rate: Array, step: float) -> None:
-    """Extend the range of each coordinate to its extremes in a segment, including turning points."""
+    """Extend the range of each coordinate to its extremes in a segment, including turning points between samples.
+
+    `x`, `rate`: states and their rates A x at instants at a distance of `step`, s.
+    """
     nq = extremes.shape[0]
     for i in range(x.shape[0]):
         for q in range(nq):
@@ -118,7 +122,11 @@ def _extend_range(extremes: Array, x: Array, rate: Array, step: float) -> None:
 def _sample_guard(
     equations: Equations, a: Array, wall: int, j: int, initial: Array, x: Array, rate: Array, step: float, guard: Array
 ) -> None:
-    """Compute a damper's guard function along a segment, with two derivatives: its gap or its contact force."""
+    """Write the guard function of damper j along a segment, with two derivatives, into `guard`; see `Track.guards`.
+
+    `a`: generator of the segment; `initial`: state, heights and velocities at its start; `x`, `rate`: states and their
+    rates; `step`: time between them, s.
+    """
     nq, nd = equations.inverse_mass.shape[1], equations.body_coordinate.shape[0]
     n, body, gravity = x.shape[1] - 3, equations.body_coordinate[j], equations.gravity
     if wall == kinds.FORCELESS:
@@ -134,6 +142,7 @@ def _sample_guard(
             guard[i, 1] = speed - gravity * t - x[i, nq + body]
             guard[i, 2] = -gravity - rate[i, nq + body]
         return
+    # The guard is weights[0] x + constant; each derivative multiplies the weights by A, because x' = A x.
     weights, constant = np.zeros((3, n + 3)), gravity
     if wall >= kinds.ON_FLOOR:
         sign, wall_index = (-1.0, 0) if wall == kinds.ON_FLOOR else (1.0, 1)

@@ -5,8 +5,15 @@ is never tensile. With a diagonal mass matrix and one damper in each body, every
 mass matrix, or several dampers in a body, an impact may separate other dampers from their walls. Then all contacts of
 the instant are solved together (`rig.numerics.complementarity`).
 
+The gap is the distance from a damper to its wall, the opening speed its rate of change. A closing speed or approach
+speed is the negative of the opening speed.
+
 A Zeno sequence is an infinite number of ever lower rebounds in a finite time. It ends where a rebound is within
 rounding.
+
+Function arguments: `j` is the number of a damper from 0, and `work` is scratch space. `state.z` contains the motion of
+the bodies, `state.height` and `state.speed` that of the dampers in flight. The `multiplicity` of a gap's zero is the
+number of its leading power-series coefficients (gap, rate, ...) that are exactly zero.
 
 References
 ----------
@@ -24,10 +31,13 @@ from rig.numerics.complementarity import ROUNDING, ContactWorkspace, contact_mat
 from rig.numerics.jit import inlined_kernel, kernel
 from rig.numerics.simd import affine_product
 
+#: Multiplicity of the gap's zero when a damper separates: gap and rate of the gap are zero.
+_RELEASE_MULTIPLICITY = 2
+
 
 @inlined_kernel
 def _set_flying(flow: Flow, model: Model, state: State, j: int, speed: float, multiplicity: int) -> None:
-    """Set damper j, which is at its wall, in flight with a velocity `speed`, m/s."""
+    """Set damper j, which is at its wall, in flight with a velocity `speed`, m/s, positive upwards."""
     height = state.z[model.position[j]]
     if state.mode[j] == CEILING:
         height += model.clearance[j]
@@ -41,7 +51,7 @@ def _set_flying(flow: Flow, model: Model, state: State, j: int, speed: float, mu
 
 @inlined_kernel
 def separate(flow: Flow, model: Model, state: State, log: Log, j: int, multiplicity: int) -> None:
-    """Separate damper j from its wall, at the velocity of the wall."""
+    """Separate damper j from its wall, at the velocity of the wall, and log the event."""
     _set_flying(flow, model, state, j, state.z[model.velocity[j]], multiplicity)
     log_event(log, j, SEPARATION, 0.0)
 
@@ -65,6 +75,8 @@ def _sum_forces(model: Model, state: State, force: Array) -> None:
 def _rebound_is_negligible(model: Model, state: State, j: int, rebound_speed: float, force: Array) -> bool:
     """Return whether the height of a rebound is below the rounding of the gap; this ends a Zeno sequence.
 
+    `rebound_speed`: relative to the wall, m/s; `force`: on every coordinate, N.
+
     With a full mass matrix other contacts also act on the body, so the magnitude of the accelerations is used. A damper
     that is wrongly set to rest has a tensile contact force and is released immediately.
     """
@@ -76,12 +88,13 @@ def _rebound_is_negligible(model: Model, state: State, j: int, rebound_speed: fl
     else:
         body_acceleration = force[row] * model.inverse_mass[row, row]
         approach_acceleration = _contact_direction(state.mode[j]) * (body_acceleration + model.gravity)
+    # The gap is a difference of heights of this magnitude, m.
     magnitude = 2.0 * abs(state.z[row])
     if state.mode[j] == CEILING:
         magnitude += model.clearance[j]
     # A rebound at speed v reaches the height v^2 / (2 a).
-    lowest_square = 2.0 * approach_acceleration * ROUNDING * magnitude
-    return approach_acceleration > 0.0 and rebound_speed * rebound_speed < lowest_square
+    min_squared_speed = 2.0 * approach_acceleration * ROUNDING * magnitude
+    return approach_acceleration > 0.0 and rebound_speed * rebound_speed < min_squared_speed
 
 
 @inlined_kernel
@@ -137,6 +150,8 @@ def _independent_impact(
 @kernel
 def _close_slow_openings(model: Model, state: State, work: ContactWorkspace, count: int) -> None:
     """Close the contacts that an impact opens too slowly for the gap to exceed rounding.
+
+    `count`: number of contacts that take part in the impact; they are the first entries of the arrays in `work`.
 
     Two dampers coupled through the mass matrix can separate each other from their walls at ever shorter intervals. This
     Zeno sequence ends in the same way as that of rebounds.
@@ -226,7 +241,7 @@ def _release_independent(flow: Flow, model: Model, state: State, log: Log, work:
         for c in range(model.force.shape[1]):
             magnitude += abs(model.force[0, c, row] * state.z[c]) * model.inverse_mass[row, row]
         if abs(floor_force_per_mass) > ROUNDING * magnitude:
-            separate(flow, model, state, log, i, 2)
+            separate(flow, model, state, log, i, _RELEASE_MULTIPLICITY)
 
 
 @kernel
@@ -259,7 +274,7 @@ def _release_coupled(flow: Flow, model: Model, state: State, log: Log, work: Con
             for b in range(count):
                 opening_acceleration += work.matrix[a, b] * work.reaction[b]
             if opening_acceleration > ROUNDING * work.magnitude[a]:
-                separate(flow, model, state, log, work.damper[a], 2)
+                separate(flow, model, state, log, work.damper[a], _RELEASE_MULTIPLICITY)
 
 
 @inlined_kernel

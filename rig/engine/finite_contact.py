@@ -1,16 +1,19 @@
 """Finite-duration contact: floor and ceiling are spring-dampers without adhesion.
 
 The *bed* is the particles of a damper, modeled as one mass. Its height above its floor, the gap g, is a coordinate.
-While the bed overlaps a wall at the height o and the force points away from the wall, the force on the bed is
--k (g - o) - c g' (k stiffness, c damping of the wall). At a contact change the force may jump, but no velocity does.
-Three guards, which are linear in the state, detect the changes:
+The walls are the floor, at the height g_w = 0, and the ceiling, at g_w = clearance. While the bed overlaps a wall and
+the force points away from the wall, the force on the bed is -k (g - g_w) - c g' (k stiffness, c damping of the wall).
+At a contact change the force may jump, but no velocity does. Three guards detect the changes. A guard is a function of
+the state, here a linear one, whose zero is a contact change:
 
 - a free bed touches a wall when the gap to it falls to zero;
 - the wall releases the bed when the force falls to zero; with a dashpot this is before the overlap is zero;
-- a released bed that still overlaps the wall (`recovering`) is touched again if the force law rises to zero, and is
-  free when the overlap is zero. Becoming free changes no force and is not an event.
+- a released bed that still overlaps the wall (`recovering`) touches it again when k times overlap plus c times closing
+  speed rises to zero, and is free when the overlap is zero. Becoming free changes no force and is not an event.
 
-Function arguments: `z` is the state, `j` the number of the damper from 0, `wall` is FLOOR or CEILING.
+Function arguments: `z` is the state, `j` the number of the damper from 0, `wall` is FLOOR or CEILING. `tau` is the time
+in a step relative to its length. The `multiplicity` of a guard is the number of its leading power-series coefficients
+in tau that are exactly zero.
 """
 
 from __future__ import annotations
@@ -38,7 +41,7 @@ from rig.numerics.bernstein import N_COEFFICIENTS, first_crossing
 from rig.numerics.complementarity import ROUNDING
 from rig.numerics.jit import inlined_kernel, kernel
 
-#: Kinds of changes, in addition to `FLOOR` and `CEILING`, which are the wall that a bed touches.
+#: Kinds of contact change: `FLOOR` or `CEILING` if the bed touches that wall, otherwise one of these.
 RELEASED, FREE = 0, 3
 #: Largest force, relative to the forces of spring and dashpot, that may be a rounding error of their sum.
 MAX_ZERO_FORCE_RATIO = 1e-6
@@ -54,20 +57,20 @@ def bed_gap(model: Model, z: Array, j: int) -> float:
 
 @inlined_kernel
 def gap_rate(model: Model, z: Array, j: int) -> float:
-    """Return the rate of the gap, m/s."""
+    """Return the rate of change of the gap, m/s; positive upwards."""
     return z[model.first_velocity + model.bed[j]]
 
 
 @inlined_kernel
 def overlap(model: Model, z: Array, j: int, wall: int) -> float:
-    """Return the overlap of a bed and a wall, m; negative without contact."""
+    """Return the overlap of a bed and a wall, m; negative if the bed is away from the wall."""
     gap = bed_gap(model, z, j)
     return -gap if wall == FLOOR else gap - model.clearance[j]
 
 
 @inlined_kernel
 def wall_force(model: Model, z: Array, j: int, wall: int) -> float:
-    """Return the force law of a wall, N; negative where the force would be tensile."""
+    """Return the spring and dashpot force of a wall, N; a negative value (tension) is not transmitted."""
     closing_speed = -gap_rate(model, z, j) if wall == FLOOR else gap_rate(model, z, j)
     stiffness, damping = model.wall_stiffness[j, wall - 1], model.wall_damping[j, wall - 1]
     return stiffness * overlap(model, z, j, wall) + damping * closing_speed
@@ -75,7 +78,7 @@ def wall_force(model: Model, z: Array, j: int, wall: int) -> float:
 
 @inlined_kernel
 def wall_force_rate(model: Model, z: Array, j: int, wall: int) -> float:
-    """Return the rate of the wall force, N/s; `z` must contain the accelerations after the state."""
+    """Return the rate of change of the wall force, N/s; `z` must contain the accelerations after the state."""
     acceleration = z[model.first_acceleration + model.bed[j]]
     rate = model.wall_stiffness[j, wall - 1] * gap_rate(model, z, j) + model.wall_damping[j, wall - 1] * acceleration
     return -rate if wall == FLOOR else rate
@@ -105,7 +108,10 @@ def _force_rounding(model: Model, z: Array, j: int, wall: int) -> float:
 
 @inlined_kernel
 def lowest_guard(model: Model, state: State, z: Array, j: int) -> float:
-    """Return the smallest guard of a bed at a state: a gap, m, or a wall force, N; 0 for a recovering bed."""
+    """Return the smallest guard of a bed at a state: a gap, m, or a wall force, N.
+
+    It is 0 for a recovering bed, which is therefore never above its margin (`rig.engine.screening`).
+    """
     mode = state.mode[j]
     if mode != FLIGHT:
         return wall_force(model, z, j, mode)
@@ -119,9 +125,9 @@ def lowest_guard(model: Model, state: State, z: Array, j: int) -> float:
 def _guard_series(
     model: Model, workspace: Workspace, j: int, length: float, gap_factor: float, speed_factor: float, offset: float
 ) -> float:
-    """Fill the series of the guard gap_factor (g - offset) + speed_factor g'; return the magnitude of its terms.
+    """Fill `workspace.guard_series` with the guard gap_factor (g - offset) + speed_factor g'.
 
-    `length`: duration relative to a full step.
+    `length`: duration relative to a full step. Returns the sum of the magnitudes of the terms.
     """
     series = workspace.guard_series
     bed = model.bed[j]
@@ -139,9 +145,9 @@ def _guard_series(
 
 @inlined_kernel
 def find_crossing(workspace: Workspace, multiplicity: int, magnitude: float) -> tuple[float, int]:
-    """Find the first crossing of the guard in `workspace.guard_series`; return as `first_crossing`.
+    """Find the first crossing of the guard in `workspace.guard_series`; return the results of `first_crossing`.
 
-    `multiplicity`: of its zero at tau = 0; `magnitude`: sum of the magnitudes of its terms.
+    `multiplicity`: of the guard's zero at tau = 0; `magnitude`: sum of the magnitudes of the guard's terms.
     """
     rounding = ROUNDING * magnitude
     subdivision, spans = workspace.subdivision, workspace.spans
@@ -152,14 +158,18 @@ def find_crossing(workspace: Workspace, multiplicity: int, magnitude: float) -> 
 def first_contact_change(
     model: Model, state: State, workspace: Workspace, j: int, length: float
 ) -> tuple[float, int, int]:
-    """Find the first change of a finite-duration contact in a step of a length, relative to a full step.
+    """Find the first change of the finite-duration contact of damper j in a step.
 
-    Returns (fraction of the step, kind of change, number of ambiguous dips) as `first_crossing`.
+    `length`: of the step, relative to a full step.
+
+    Returns (tau, change, ambiguous). `tau`: fraction of the step, or `NO_CROSSING`; `change`: kind of contact change;
+    `ambiguous`: number of minima of the guards that are zero within rounding, and are not counted as crossings.
     """
     mode, wall = state.mode[j], state.recovering[j]
     multiplicity = state.multiplicity[j]
     clearance = model.clearance[j]
     if mode == FLIGHT and wall == FLIGHT:
+        # `State.multiplicity` is positive for a zero of the gap to the floor, negative for the gap to the ceiling.
         magnitude = _guard_series(model, workspace, j, length, 1.0, 0.0, 0.0)
         tau, ambiguous = find_crossing(workspace, max(multiplicity, 0), magnitude)
         change = FLOOR
@@ -171,7 +181,7 @@ def first_contact_change(
                 tau, change = ceiling_tau, CEILING
         return tau, change, ambiguous
     wall = wall if mode == FLIGHT else mode
-    outward = 1.0 if wall == FLOOR else -1.0
+    outward = 1.0 if wall == FLOOR else -1.0  # direction from the wall into the cavity
     # The guard of a touching bed is the wall's force, that of a recovering bed its negative.
     sign = outward if mode == FLIGHT else -outward
     offset = 0.0 if wall == FLOOR else clearance
@@ -190,7 +200,7 @@ def first_contact_change(
 
 @kernel
 def change_contact(flow: Flow, model: Model, state: State, log: Log, j: int, change: int) -> None:
-    """Apply a change to damper j: it touches a wall, is released by it, or becomes free of it."""
+    """Apply a kind of contact change to damper j: it touches a wall, is released by it, or becomes free of it."""
     if change == FREE:
         state.multiplicity[j] = 1 if state.recovering[j] == FLOOR else -1
         state.recovering[j] = FLIGHT
@@ -213,4 +223,5 @@ def change_contact(flow: Flow, model: Model, state: State, log: Log, j: int, cha
         state.recovering[j] = FLIGHT
         state.multiplicity[j] = multiplicity
         log_event(log, j, CEILING_TOUCH if ceiling else FLOOR_TOUCH, closing_speed)
+    # The ceiling contacts are numbered after the floor contacts.
     toggle_contact(flow, model, state, j + model.mass.shape[0] if ceiling else j)

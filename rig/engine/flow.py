@@ -25,7 +25,7 @@ class Flow(NamedTuple):
     drive_is_smooth: the drive has no corners, so the derivatives of the accelerations are continuous from step to step.
     uses_envelope: whether steps are so short that the envelope of `rig.engine.screening` saves time.
     step_matrix: state after a full step; its accelerations follow, then as far as there is room their derivatives with
-    respect to tau. derivative: both for a state itself. series: (A h)^k / k! for every k.
+    respect to tau. derivative: accelerations and their derivatives at a state itself. series: (A h)^k / k! for every k.
     margin: applied to |z|, largest decrease of each damper's guard below its values at the ends of a step (an eighth of
     the bound of its second derivative, and rounding).
     bound: applied to |z|, for each damper the bound of the fourth derivative of its guard with respect to tau over the

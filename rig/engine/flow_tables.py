@@ -1,7 +1,8 @@
 """The exact flow: tables for each contact configuration, computed when the configuration is first visited.
 
-The configuration states which dampers are in contact with which wall. With the drive included as states,
-z' = A z + b, and the matrix exponential is the power series
+The configuration states which dampers are in contact with which wall. Its tables are identified by a table index, which
+counts the configurations in the order of their first visit. With the drive included as states, z' = A z + b, and the
+matrix exponential is the power series
 
     z(t + tau h) = sum_k tau^k (A h)^k / k! z + ...
 
@@ -13,6 +14,10 @@ The number of states and of possible configurations determines which tables are 
 powers are tabulated. For a larger system the matrix of a full step is tabulated; where a contact may change, the series
 is summed from the sparse matrix A as A z, A (A z), ..., at a cost proportional to the number of springs. A large system
 with many dampers is propagated by this series only.
+
+A *guard* is a gap or a contact force, whose zero is a contact change. Further tables bound the guards within a step
+(`rig.engine.screening`): the fourth derivative, the sum of the magnitudes of the terms, and the *margin*, the largest
+decrease below the values at both ends of the step.
 """
 
 from __future__ import annotations
@@ -41,10 +46,10 @@ FEW_DAMPERS = 3  # with instant contact they have 2^3 configurations
 MAX_STEP_MATRIX_STATES = 400
 #: Largest number of dampers for which the matrix of a full step is tabulated.
 MAX_STEP_MATRIX_DAMPERS = 6
-#: Largest memory of the step matrices of a system with more states. They are faster than the series if A is dense
-#: (modal damping, given matrices).
+#: Largest memory, in bytes, of the step matrices of a system with more states. They are faster than the series if A is
+#: dense (modal damping, given matrices).
 MAX_STEP_MATRIX_BYTES = 1 << 29
-#: Memory of an element of the step matrix, including the tables of derivatives and bounds.
+#: Memory, in bytes, of an element of the step matrix, including the tables of derivatives and bounds.
 ELEMENT_BYTES = 20
 #: Largest number of configuration bits for which an array contains the table index of every possible configuration.
 MAX_DIRECT_LOOKUP_BITS = 12
@@ -52,6 +57,8 @@ MAX_DIRECT_LOOKUP_BITS = 12
 MAX_ENVELOPE_PHASE_RAD = 0.2
 #: Number of small systems whose tables are cached for the next run.
 MAX_CACHED_SYSTEMS = 32
+# Number of configurations for which the first tables have room.
+_INITIAL_CAPACITY = 4
 
 _CACHE: OrderedDict[tuple[Any, ...], FlowTables] = OrderedDict()
 _LOCK = Lock()
@@ -71,25 +78,28 @@ class FlowTables:
         self.indices: dict[int, int] = {}  # table index by configuration bits
         self._lock = Lock()
         self._toggles = system.toggles
-        bits = len(self._toggles)
-        self._direct_lookup = np.full(1 << bits, -1, dtype=np.int64) if bits <= MAX_DIRECT_LOOKUP_BITS else None
+        n_bits = len(self._toggles)  # of a configuration
+        self._direct_lookup = np.full(1 << n_bits, -1, dtype=np.int64) if n_bits <= MAX_DIRECT_LOOKUP_BITS else None
         max_states = MAX_TABULATED_STATES_FEW_DAMPERS if system.dampers <= FEW_DAMPERS else MAX_TABULATED_STATES
         self.has_series = self.size <= max_states
         # Tables are applied millions of times, so they are computed in extended precision.
         self._precision = np.longdouble if self.has_series else np.float64
         self._row_pointer, self._column = self._sparsity_pattern()
         self.has_step_matrix = self.has_series or (
-            system.dampers <= MAX_STEP_MATRIX_DAMPERS and self._step_matrix_is_faster(bits)
+            system.dampers <= MAX_STEP_MATRIX_DAMPERS and self._step_matrix_is_faster(n_bits)
         )
         self.model = self._model()
-        self.flow = self._allocate(4)
+        self.flow = self._allocate(_INITIAL_CAPACITY)
 
-    def _step_matrix_is_faster(self, bits: int) -> bool:
-        """Return whether the matrix of a full step is faster than the series, within the memory limit."""
+    def _step_matrix_is_faster(self, n_bits: int) -> bool:
+        """Return whether the matrix of a full step is faster than the series, within the memory limit.
+
+        `n_bits`: number of bits of a configuration.
+        """
         if self.size <= MAX_STEP_MATRIX_STATES:
             return True
         dense = len(self._column) * TERMS > self.size**2
-        return dense and self.size**2 * ELEMENT_BYTES << bits <= MAX_STEP_MATRIX_BYTES
+        return dense and self.size**2 * ELEMENT_BYTES << n_bits <= MAX_STEP_MATRIX_BYTES
 
     def table_index(self, configuration: int) -> int:
         """Return the table index of a configuration (its bits: `HybridSystem.toggles`); compute its tables if new."""
@@ -150,6 +160,7 @@ class FlowTables:
         return matrix, offset
 
     def _model(self) -> Model:
+        """Return the constants of the contact laws and guards."""
         system, drive = self.system, self.drive
         nq = system.coordinates
         force = np.zeros((1, self.size, padded_length(nq)))
@@ -210,7 +221,7 @@ class FlowTables:
         return shapes
 
     def _allocate(self, capacity: int) -> Flow:
-        """Return tables of zeros for a number of configurations."""
+        """Return tables of zeros with room for a number of configurations."""
         arrays = {name: aligned_zeros(capacity, *shape) for name, shape in self._table_shapes().items()}
         after_toggle = np.full((capacity, max(1, len(self._toggles))), -1, dtype=np.int64)
         return Flow(
@@ -225,6 +236,7 @@ class FlowTables:
         )
 
     def _double_capacity(self) -> None:
+        """Replace the tables by tables with the same content and room for twice the number of configurations."""
         old = self.flow
         self.flow = self._allocate(2 * len(old.after_toggle))
         for name in (*self._table_shapes(), "after_toggle"):
@@ -251,26 +263,30 @@ class FlowTables:
         flow, system, size = self.flow, self.system, self.size
         nq = system.coordinates
         h = self._precision(self.step)
-        scaled = matrix * h
-        terms = _exponential_terms(scaled)
+        step_generator = matrix * h  # A h
+        terms = _exponential_terms(step_generator)
         constants = np.zeros((TERMS, size), dtype=self._precision)
         constants[1:] = terms[:-1] @ offset * h / np.arange(1, TERMS)[:, None]
-        rows = slice(0, size)
+        # The tables are stored [column, row]: these are the rows of the state, and those that follow.
+        state_rows, after_state = slice(0, size), slice(size, size + 2 * nq)
         # Small terms first, so that the sum is accurate to its last bits.
         step_matrix, step_constant = terms[::-1].sum(axis=0), constants[::-1].sum(axis=0)
-        flow.step_matrix[table_index][:size, rows] = step_matrix.T
-        flow.step_matrix_constant[table_index][rows] = step_constant
+        flow.step_matrix[table_index][:size, state_rows] = step_matrix.T
+        flow.step_matrix_constant[table_index][state_rows] = step_constant
         if self.has_series:
             series = flow.series[table_index].reshape(size, N_COEFFICIENTS + 1, -1)
-            series[:, :, rows] = terms[: N_COEFFICIENTS + 1].transpose(2, 0, 1)
-            flow.series_constant[table_index].reshape(N_COEFFICIENTS + 1, -1)[:, rows] = constants[: N_COEFFICIENTS + 1]
+            series[:, :, state_rows] = terms[: N_COEFFICIENTS + 1].transpose(2, 0, 1)
+            flow.series_constant[table_index].reshape(N_COEFFICIENTS + 1, -1)[:, state_rows] = constants[
+                : N_COEFFICIENTS + 1
+            ]
         acceleration = matrix[nq : 2 * nq]
-        derivative = np.concatenate([acceleration, acceleration @ scaled])
+        derivative = np.concatenate([acceleration, acceleration @ step_generator])
         derivative_constant = np.concatenate([offset[nq : 2 * nq], acceleration @ offset * h])
-        after_state = slice(size, size + 2 * nq)
-        room = flow.step_matrix.shape[2] - size
-        flow.step_matrix[table_index][:size, after_state] = (derivative @ step_matrix).T[:, :room]
-        flow.step_matrix_constant[table_index][after_state] = (derivative @ step_constant + derivative_constant)[:room]
+        n_free = flow.step_matrix.shape[2] - size  # rows after those of the state
+        flow.step_matrix[table_index][:size, after_state] = (derivative @ step_matrix).T[:, :n_free]
+        flow.step_matrix_constant[table_index][after_state] = (derivative @ step_constant + derivative_constant)[
+            :n_free
+        ]
         flow.derivative[table_index][:, : 2 * nq] = derivative.T
         flow.derivative_constant[table_index][: 2 * nq] = derivative_constant
         self._fill_bounds(table_index, configuration, terms, constants)
@@ -305,6 +321,7 @@ class FlowTables:
     ) -> None:
         """Fill bounds and margins of a finite-duration contact: of its gap, or of the force of the touched wall."""
         flow, system = self.flow, self.system
+        # `wall`: 0 floor, 1 ceiling.
         closed, wall = configuration >> j & 1, configuration >> system.dampers + j & 1
         gap_factor, speed_factor = 1.0, 0.0
         if closed:
@@ -313,12 +330,12 @@ class FlowTables:
         guard[[system.bed[j], system.coordinates + system.bed[j]]] = gap_factor, speed_factor
         wall_height = system.clearance[j] if wall or not closed else 0.0
         # The magnitudes bound the rounding errors, also of terms that cancel in the guard.
-        rows = terms.swapaxes(1, 2)
+        terms_by_column = terms.swapaxes(1, 2)
         guard_terms, guard_constants = (
-            np.abs(rows @ guard).astype(np.float64),
+            np.abs(terms_by_column @ guard).astype(np.float64),
             np.abs(constants @ guard).astype(np.float64),
         )
-        magnitude = (np.abs(rows) @ np.abs(guard)).astype(np.float64).sum(axis=0)
+        magnitude = (np.abs(terms_by_column) @ np.abs(guard)).astype(np.float64).sum(axis=0)
         magnitude_constant = float((np.abs(constants) @ np.abs(guard)).sum())
         magnitude_constant += gap_factor * wall_height if np.isfinite(wall_height) else 0.0
         k = np.arange(TERMS)

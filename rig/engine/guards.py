@@ -2,6 +2,10 @@
 
 A guard is the gap of a damper in flight to a wall, or the contact force of a damper at rest on a wall. Only the guards
 that screening did not prove free of zeros are examined. `rig.numerics.bernstein.first_crossing` isolates the crossing.
+
+The time in a step is tau, relative to its length. The multiplicity of a guard is the number of its leading power-series
+coefficients in tau that are exactly zero. The magnitude of a guard is the sum of the magnitudes of its terms, to which
+its rounding errors are proportional.
 """
 
 from __future__ import annotations
@@ -21,7 +25,10 @@ from rig.numerics.simd import affine_product
 
 @inlined_kernel
 def bound_by_tables(flow: Flow, table_index: int, z: Array, workspace: Workspace) -> None:
-    """Compute the bounds of each guard's fourth derivative and terms over the step, from the tables."""
+    """Compute the bounds of each guard's fourth derivative and magnitude over a full step from the state z.
+
+    They are stored in `workspace.bound`: fourth derivatives of all dampers, then magnitudes.
+    """
     for i in range(workspace.magnitude.shape[0]):
         workspace.magnitude[i] = abs(z[i])
     affine_product(
@@ -42,7 +49,9 @@ def bound_by_series(
 ) -> None:
     """Compute the bounds of the guards over the step from the series, and the accelerations of dampers at rest.
 
-    `length`: length of the step, relative to a full step. `bound`: filled as by `bound_by_tables`.
+    `mode`: FLIGHT, FLOOR or CEILING of each damper. `state_series`: power series of the state. `length`: of the step,
+    relative to a full step. `z`, `end_state`: states at both ends of the step, in which the accelerations of the bodies
+    and their derivatives are stored from the index `first_acceleration` on. `bound`: filled as by `bound_by_tables`.
     """
     dampers, points = model.mass.shape[0], model.first_velocity
     for j in range(dampers):
@@ -51,7 +60,7 @@ def bound_by_series(
             bound[j] = np.inf
             continue
         at_rest = mode[j] != FLIGHT
-        row = model.velocity[j] if at_rest else model.position[j]
+        row = model.velocity[j] if at_rest else model.position[j]  # of the state whose series is the guard's
         index = first_acceleration + model.position[j]
         shift = 1 if at_rest else 0
         end_value = 0.0
@@ -78,7 +87,10 @@ def bound_by_series(
 def _gap_series(
     model: Model, state: State, workspace: Workspace, j: int, length: float, ceiling: bool
 ) -> tuple[int, float]:
-    """Fill the series of a gap in flight; return the multiplicity of its zero at tau = 0, and its terms' magnitude."""
+    """Fill `workspace.guard_series` with the gap of a damper in flight to the floor or the ceiling, m.
+
+    Returns (multiplicity of its zero at tau = 0, magnitude).
+    """
     series = workspace.guard_series
     row = model.position[j]
     duration = model.step * length
@@ -101,7 +113,7 @@ def _gap_series(
 
 @inlined_kernel
 def _force_series(model: Model, state: State, workspace: Workspace, j: int, length: float) -> tuple[int, float]:
-    """Fill the series of a contact force per mass; return as `_gap_series`."""
+    """Fill `workspace.guard_series` with a contact force per mass, m/s^2; return the same as `_gap_series`."""
     series = workspace.guard_series
     row = model.velocity[j]
     sign = 1.0 if state.mode[j] == FLOOR else -1.0

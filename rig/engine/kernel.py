@@ -1,10 +1,18 @@
 """The kernel: compiled code that propagates a system through flights, contacts and impacts.
 
 Between contact changes the state z = (coordinates, velocities, coil current, drive) obeys z' = A z + b exactly, where
-A and b depend on the contact configuration. A step of length h is a matrix product. Every guard (gap, contact force)
-is proven free of zeros over the step (`rig.engine.screening`), or its first crossing is isolated
-(`rig.engine.guards`) and the step ends there. Each proof is rigorous, so the motion does not depend on which proof
-succeeded.
+A and b depend on the contact configuration: which dampers are in contact with which wall. A full step of length h is
+one matrix product; every other step is the sum of a power series. Every guard (gap, contact force) is proven free of
+zeros over the step (`rig.engine.screening`), or its first crossing is isolated (`rig.engine.guards`) and the step ends
+there. Each proof is rigorous, so the motion does not depend on which proof succeeded.
+
+Terms:
+
+- event: contact change of one damper; break: instant at which velocities or accelerations jump;
+- segment: time interval under one drive, such as a sample interval (`rig.engine.propagator`);
+- envelope: upper limit of the magnitude of each state, for which the margins are valid;
+- margin of a guard: a guard above its margin at both ends of a full step has no zero in the step;
+- status: what is known of the present state (`rig.engine.power_series`).
 
 All numbers are float64, and no memory is allocated. The tables are described in `rig.engine.flow`, the contact laws in
 `rig.engine.contact`. Inlined functions have a single call site, because the compile time is proportional to the code.
@@ -43,16 +51,18 @@ from rig.numerics.bernstein import NO_CROSSING
 from rig.numerics.jit import inlined_kernel
 from rig.numerics.simd import affine_product_many, copy, exceeds
 
-#: Reasons for the kernel's return: segment completed; tables of the configuration missing; log full; too many events at
-#: one instant.
+#: Why `advance` returned: segment completed; tables of the configuration missing; log full; too many events at one
+#: instant.
 DONE, TABLES_MISSING, LOG_FULL, STUCK = 0, 1, 2, 3
 #: Largest number of events at one instant, per damper; a larger number contradicts the contact law.
 MAX_EVENTS_AT_INSTANT = 100
 #: Number of events at one instant, per damper, after which each event halves the step. A shorter step resolves a motion
 #: that is below the rounding of a longer one.
 STEP_HALVING_EVENTS = 8
-#: Pending operations after the contacts of an instant have changed.
+#: Operation still to do after a contact change: none; complete the break in the log; first release tensile contacts.
 _NOTHING, _CLOSE_BREAK, _RELEASE = 0, 1, 2
+#: Multiplicity of the gap's zero at a separation at zero contact force: gap, its rate and its acceleration are zero.
+_SEPARATION_MULTIPLICITY = 3
 
 
 @inlined_kernel
@@ -81,16 +91,17 @@ def advance(
     """Propagate to the end of a segment, or return earlier if the caller must act.
 
     `segment`: number of the segment, for the log.
-    `steps`, `remaining`: duration of the segment and of its part still to be propagated, in step lengths (real
-    numbers). The times of events are computed from both, so that they have the same bits wherever the kernel returned
-    in between.
-    `status`: of the state, see `rig.engine.power_series`.
+    `steps`, `remaining`: duration of the segment and of its part still to be propagated, in step lengths (not
+    necessarily integers). The times of events are computed from both, so that they are bitwise identical, no matter how
+    often the kernel returned within the segment.
+    `status`: `CONTACTS_UNCHECKED`, `STATE_ONLY` (no accelerations), `WITH_ACCELERATIONS`, or `ABOVE_MARGINS` (with
+    accelerations, and every guard above its margin).
     `accelerations`: whether the accelerations at the end are needed; they are stored after the state.
 
     Returns (reason, remaining, status). `reason`: `DONE`, or `TABLES_MISSING`, `LOG_FULL`, `STUCK`; after the caller
     has removed the cause, call again with the remaining steps.
     """
-    columns = flow.rates_constant.shape[1]
+    columns = flow.rates_constant.shape[1]  # number of states, drive included
     dampers = model.mass.shape[0]
     # Whether a full step also computes the derivatives of the accelerations.
     has_derivatives = columns + 2 * model.first_velocity <= flow.step_matrix_constant.shape[1]
@@ -145,6 +156,7 @@ def advance(
         if flow.has_step_matrix:
             if status == STATE_ONLY or not flow.drive_is_smooth:
                 store_accelerations(flow, model, table_index, state.z, workspace.derivative, status)
+            # After a full step the accelerations at its end are known, but their derivatives only if there was room.
             if not (full_step and has_derivatives):
                 store_accelerations(
                     flow,
@@ -180,8 +192,8 @@ def advance(
             elif flow.has_step_matrix:
                 if status == STATE_ONLY or exceeds(state.z, workspace.envelope):
                     widen_envelope(flow, table_index, state.z, workspace)
-                clear = above_margins(model, state, workspace.margin, state.z, columns, 0.0)
-                status = ABOVE_MARGINS if clear else WITH_ACCELERATIONS
+                is_above = above_margins(model, state, workspace.margin, state.z, columns, 0.0)
+                status = ABOVE_MARGINS if is_above else WITH_ACCELERATIONS
             continue
         status = STATE_ONLY
         if tau > 0.0:
@@ -203,12 +215,12 @@ def advance(
         if finite_contact:
             change_contact(flow, model, state, log, j, guard)
             if guard != FREE:
-                # The gap has another order of magnitude in contact than in flight.
+                # The gap differs in order of magnitude between contact and flight, so its envelope restarts.
                 workspace.envelope[model.bed[j]] = workspace.envelope[model.first_velocity + model.bed[j]] = 0.0
                 if model.coupled:
                     pending = _RELEASE
         elif guard == CONTACT_FORCE:
-            separate(flow, model, state, log, j, 3)
+            separate(flow, model, state, log, j, _SEPARATION_MULTIPLICITY)
         else:
             impact(flow, model, state, log, j, guard, workspace.contact)
             pending = _RELEASE

@@ -1,7 +1,8 @@
 """The state within one step: its power series in time, the sum of the series, and the accelerations.
 
 They are computed from the tables of `rig.engine.flow`, or for a system without tables from the sparse matrix A of
-z' = A z + b. The time in a step of length h is tau h, 0 <= tau <= 1.
+z' = A z + b. The time in a step of length h is tau h, 0 <= tau <= 1. A guard is a gap or contact force, whose zero is a
+contact change.
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ from rig.numerics.simd import affine_product, affine_product_many
 
 #: Status of the present state. CONTACTS_UNCHECKED: contact forces may be tensile. STATE_ONLY: the accelerations are not
 #: computed. WITH_ACCELERATIONS: they are stored after the state. ABOVE_MARGINS: in addition, every guard exceeds its
-#: margin (`rig.engine.screening`).
+#: margin, above which it has no zero in a step (`rig.engine.screening`).
 CONTACTS_UNCHECKED, STATE_ONLY, WITH_ACCELERATIONS, ABOVE_MARGINS = -1, 0, 1, 2
 
 
 @inlined_kernel
 def expand_state(flow: Flow, model: Model, table_index: int, z: Array, state_series: Array) -> None:
-    """Compute the power series of the state over one step: state_series[k] = (A h)^k z / k!, plus the part of b."""
+    """Compute the power series of the state over one step: state_series[k] = (A h)^k z / k!, plus the terms of b."""
     size = flow.rates_constant.shape[1]
     if flow.has_series:
         affine_product_many(flow.series, flow.series_constant, table_index, z, size, state_series)
@@ -55,8 +56,8 @@ def sum_state_series(workspace: Workspace, tau: float, out: Array) -> None:
 def store_accelerations(flow: Flow, model: Model, table_index: int, z: Array, work: Array, status: int) -> None:
     """Store the accelerations after a state, unless they are stored already, and their derivatives with respect to tau.
 
-    For a system without tables for full steps, only the accelerations are stored; `bound_by_series` computes the
-    derivatives.
+    `work`: scratch array; `status`: of the present state. For a system without tables for full steps, only the
+    accelerations are stored; `bound_by_series` computes the derivatives.
     """
     columns = flow.rates_constant.shape[1]
     points = model.first_velocity

@@ -4,6 +4,10 @@ Time is divided into segments. Sampled drive: one segment for each sample interv
 drive (first-order hold) is integrated exactly. Pure tone: segments between marks. A mark is a sample instant, or the
 start of a period. At the start of a period the phase of the drive is reset, so that it is exact after any number of
 periods.
+
+The drive states are the part of the state from which the inputs are computed. An event is a contact change of one
+damper, a break an instant at which velocities or accelerations jump; both are logged. A table index identifies the
+tables of a contact configuration (which dampers are in contact with which wall).
 """
 
 from __future__ import annotations
@@ -37,9 +41,9 @@ from rig.numerics.simd import LANES, aligned_zeros, padded_length
 from rig.scene.quantities import LENGTH
 from rig.system.hybrid_system import Drive, HybridSystem, first_order_hold, pure_tone
 
-#: Smallest number of rows of a new log.
+#: Smallest number of rows (events and breaks) of a new log.
 LOG_ROWS = 1024
-# Largest number of steps in a sample interval or a period; they take some seconds.
+# Largest number of steps in a sample interval or a period; this number takes some seconds of CPU time.
 MAX_STEPS = 1e7
 # `Segments.sets_drive`: every segment, or no segment, sets the drive at its start.
 _EVERY_SEGMENT = np.ones(1, dtype=bool)
@@ -54,8 +58,9 @@ _ZERO_STEPS = np.zeros(1)
 class Segments(NamedTuple):
     """Time segments between the columns of a drive.
 
-    steps: durations in step lengths. sets_drive: whether the drive states are set to the drive and its change over the
-    segment at the start. Both have one entry for all segments, or one for each. drive: shape (inputs, segments + 1).
+    steps: durations in step lengths. sets_drive: whether at the start of a segment, the drive states are set to the
+    drive and its change over the segment. Both have one entry for all segments, or one for each. drive: shape (inputs,
+    segments + 1).
     row: row in which the motion at the end of each segment is stored, or -1; shape (segments,).
     """
 
@@ -77,8 +82,10 @@ def _propagate(
 ) -> tuple[int, int, float]:  # fmt: skip
     """Propagate through segments from number `begin` on, and fill the rows of `states` and the columns of `motion`.
 
+    `remaining`: steps of segment `begin` still to be propagated; negative: all. `status`: of the state, see `advance`.
+
     Returns (reason, segment, remaining). The reason is `DONE` after the last segment. Otherwise it is another reason of
-    `advance`, with the segment and its remaining steps (negative: not begun), from which to continue.
+    `advance`; after the caller has removed the cause, continue from `segment` and `remaining`.
     """
     steps, sets_drive, drive, row = segments
     inputs, count = drive.shape[0], drive.shape[1] - 1
@@ -111,6 +118,7 @@ def _propagate(
 
 @kernel
 def _store_accelerations(flow: Any, model: Any, states: Array, table_indices: NDArray[np.int64], work: Array) -> None:
+    """Compute the accelerations for each row of `states`, and store them after the state; `work`: scratch array."""
     for k in range(states.shape[0]):
         store_accelerations(flow, model, table_indices[k], states[k], work, STATE_ONLY)
 
@@ -122,7 +130,8 @@ MAX_DISPLACEMENT_M = LENGTH.maximum
 class Propagator:
     """Propagates a system in time.
 
-    `drive`: how the inputs evolve within a segment; `step`: step length in seconds, see `step_for`.
+    `drive`: how the inputs evolve within a segment; `step`: step length in seconds, see `step_for`. Raises `SceneError`
+    if a damper is a bed of grains.
     """
 
     def __init__(self, system: HybridSystem, drive: Drive, step: float) -> None:
@@ -211,21 +220,21 @@ class Propagator:
     def propagate_interval(self, drive: Array, interval_steps: Array, states: StateSamples) -> Trajectory | None:
         """Propagate through one sample interval; fast, because the caller provides reusable arrays.
 
-        `drive`: shape (inputs, 2). `interval_steps`: sample interval in step lengths, shape (1,). `states`: of one
-        sample, for the state at the end; see `state_samples`. Returns None if there was no event.
+        `drive`: shape (inputs, 2). `interval_steps`: sample interval in step lengths, shape (1,). `states`: arrays for
+        one sample from `state_samples`, which receive the state at the end. Returns None if there was no event.
         """
         self._advance(Segments(interval_steps, _EVERY_SEGMENT, drive, _FIRST_ROW), states, self._no_motion)
         self._elapsed_s += float(interval_steps[0]) * self.tables.step
         return Trajectory(*states, *self._take_log()) if self.log.counts[:2].any() else None
 
     def sample_motion(self, drive: Array, interval_steps: float, motion: MotionSamples, column: int) -> Trajectory:
-        """Propagate as `propagate_samples`, and store the motion from a column on, but no states."""
+        """Propagate as `propagate_samples`, and store the motion in `motion` from a column on, but no states."""
         motion.begin[0] = column
         rows = np.arange(column, column + drive.shape[1] - 1)
         return self._run(Segments(np.array([interval_steps]), _EVERY_SEGMENT, drive, rows), self._no_states, motion)
 
     def motion_samples(self, samples: int) -> MotionSamples:
-        """Allocate the motion at a number of samples."""
+        """Return new arrays for the motion at a number of samples."""
         return MotionSamples(
             rows=np.empty((self._window.shape[1], samples)),
             contact=np.empty((self.system.dampers, samples), dtype=np.int8),
@@ -240,14 +249,14 @@ class Propagator:
         return displacement, velocity, acceleration, rows[3 * n : 3 * n + self.system.dampers]
 
     def store_present_motion(self, motion: MotionSamples, column: int) -> None:
-        """Store the present motion in one column."""
+        """Store the present motion in one column of `motion`."""
         motion.begin[0] = column
         self._advance(Segments(_ZERO_STEPS, _NO_SEGMENT, self._no_drive, np.array([column])), self._no_states, motion)
 
     def propagate_marks(
         self, steps: Array, sample_row: NDArray[np.int64], new_period: NDArray[np.bool_], level: float = 1.0
     ) -> Trajectory:
-        """Propagate through segments of given durations under a tone.
+        """Propagate through the segments between marks under a tone.
 
         `steps`: durations in step lengths; `sample_row`: row in which the state at the end of the segment is stored, or
         -1; `new_period`: whether a period of the drive begins with the segment; `level`: factor on the amplitudes of
@@ -267,7 +276,7 @@ class Propagator:
         return np.ascontiguousarray(states[:, first : first + self.system.coordinates].T)
 
     def state_samples(self, samples: int) -> StateSamples:
-        """Allocate the states at a number of samples."""
+        """Return new arrays for the states at a number of samples."""
         size, dampers = self.state.z.shape[0], self.system.dampers
         return StateSamples(
             state=np.zeros((samples, size)),
@@ -277,8 +286,10 @@ class Propagator:
         )
 
     def _run(self, segments: Segments, states: StateSamples, motion: MotionSamples) -> Trajectory:
+        """Propagate through segments, fill `states` and `motion`, and return the trajectory."""
         self._advance(segments, states, motion)
         self._check_divergence(segments, states, motion)
+        # `steps` has one entry for all segments, or one for each.
         segments_per_entry = segments.row.size // segments.steps.size
         self._elapsed_s += float(segments.steps.sum()) * segments_per_entry * self.tables.step
         return Trajectory(*states, *self._take_log())
@@ -286,6 +297,7 @@ class Propagator:
     def _advance(
         self, segments: Segments, states: StateSamples, motion: MotionSamples, status: int = STATE_ONLY
     ) -> None:
+        """Propagate through segments; compute missing tables and enlarge the log whenever the kernel returns for it."""
         begin, remaining = 0, -1.0
         while True:
             reason, begin, remaining = _propagate(
@@ -308,6 +320,7 @@ class Propagator:
                 return
 
     def _double_log(self) -> None:
+        """Replace the log by one with the same content and twice the number of rows."""
         old = self.log
         self.log = empty_log(2 * len(old.event_segment), self.state.z.size, self.system.dampers)
         for source, target in zip(old, self.log, strict=True):
@@ -319,13 +332,13 @@ class Propagator:
         if np.abs(self.state.z[:n]).max() <= MAX_DISPLACEMENT_M:
             return
         displacement = self.state.z[:n]
-        row, ends = segments.row, self._elapsed_s + segments.ends(self.tables.step)
-        time = ends[-1]
+        row, ends_s = segments.row, self._elapsed_s + segments.ends(self.tables.step)
+        time = ends_s[-1]
         for samples in (states.state[:, :n], motion.rows[:n].T):
             stored = samples[row[row >= 0]] if len(samples) else samples
             diverged = np.flatnonzero(~(np.abs(stored) <= MAX_DISPLACEMENT_M).all(axis=1))
             if diverged.size:
-                displacement, time = stored[diverged[0]], ends[row >= 0][diverged[0]]
+                displacement, time = stored[diverged[0]], ends_s[row >= 0][diverged[0]]
         largest = int(np.argmax(np.where(np.isfinite(displacement), np.abs(displacement), np.inf)))
         points = self.system.points
         name = points[largest] if largest < len(points) else "a damper in its cavity"
@@ -336,6 +349,7 @@ class Propagator:
         )
 
     def _look_up_tables(self) -> None:
+        """Set the table index of the present configuration; compute its tables if they are missing."""
         self.state.counters[TABLE_INDEX] = self.tables.table_index(int(self.state.counters[CONFIGURATION]))
 
     def _take_log(self) -> tuple[Any, ...]:
@@ -364,8 +378,8 @@ def _copied_log(log: Log, events: int, breaks: int, tables: FlowTables) -> tuple
 def step_for(span: float, max_rate: float) -> tuple[float, float]:
     """Return a step length that divides a time span and is short enough for the series.
 
-    `span`: s; `max_rate`: largest rate of the system, rad/s. Returns the step length, s, and the number of steps in the
-    span. Raises `RunError` if this number exceeds `MAX_STEPS`.
+    `span`: s; `max_rate`: largest rate of system and drive (magnitude of a pole), rad/s. Returns the step length, s,
+    and the number of steps in the span. Raises `RunError` if this number exceeds `MAX_STEPS`.
     """
     steps = max(1.0, float(np.ceil(span * max_rate / MAX_RATE_TIMES_STEP)))
     if not steps <= MAX_STEPS:

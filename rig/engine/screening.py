@@ -1,12 +1,13 @@
 """Proofs that guards have no zero over a step, from values and slopes at its ends.
 
-A guard is a gap or a contact force; its zero is a contact change. The proof is by cubic Hermite interpolation: the
-cubic through a guard's values and slopes at both ends of the step exceeds the error of the interpolation. This error
-has a bound that is proportional to the bound of the guard's fourth derivative.
+A guard is a gap or a contact force; its zero is a contact change. The time in a step is tau, relative to its length.
+The proof is by cubic Hermite interpolation: the cubic through a guard's values and slopes at both ends of the step
+exceeds the error of the interpolation. This error has a bound that is proportional to the bound of the guard's fourth
+derivative.
 
-For short steps, an envelope of the state is tested first. While the magnitude of every state is below its envelope, a
-guard that exceeds its margin at both ends of a step is positive over the step. The margins are computed once for an
-envelope.
+For short steps, an envelope is tested first: an upper limit of the magnitude of each state. While every state is within
+its envelope, a guard that exceeds its margin at both ends of a step is positive over the step. The margins are computed
+once for an envelope.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from rig.numerics.complementarity import ROUNDING
 from rig.numerics.jit import inlined_kernel
 from rig.numerics.simd import affine_product
 
-#: Guards of a damper.
+#: Kinds of guard of a damper.
 FLOOR_GAP, CEILING_GAP, CONTACT_FORCE = 1, 2, 0
 #: Ratio of the bound of a fifth derivative, times the step length, to the bound of the fourth derivative.
 FIFTH_DERIVATIVE_FACTOR = TERMS - 5
@@ -38,10 +39,10 @@ _DEFLATED_HERMITE_ERROR = 1.0 / 72.0
 
 @inlined_kernel
 def _margin(value: float, slope: float, value_new: float, slope_new: float, error: float, multiplicity: int) -> float:
-    """Return a margin that is positive only if a guard with these values and slopes has no zero on 0 < tau <= 1.
+    """Return a lower bound that is positive only if a guard with these values and slopes has no zero on 0 < tau <= 1.
 
     `value`, `slope`: at the start of the step; `value_new`, `slope_new`: at its end; `error`: bound of the guard's
-    fourth derivative; all derivatives are with respect to tau.
+    fourth derivative; `multiplicity`: of its zero at tau = 0. All derivatives are with respect to tau.
 
     The interpolant differs from the guard by at most tau^2 (1 - tau)^2 / 24 times `error`. The Bernstein coefficients
     of the interpolant bound it from below. For a guard that starts with a zero of multiplicity 2 or more, the first two
@@ -58,7 +59,10 @@ def _margin(value: float, slope: float, value_new: float, slope_new: float, erro
 
 @inlined_kernel
 def _recovery_may_end(model: Model, state: State, workspace: Workspace, j: int, duration: float, error: float) -> bool:
-    """Return whether a recovering bed may be touched by its wall again, or become free."""
+    """Return whether a recovering bed (released, but still overlapping the wall) may touch the wall or become free.
+
+    `duration`: of the step, s; `error`: bound of the fourth derivative of the gap with respect to tau, m.
+    """
     wall, z, new = state.recovering[j], state.z, workspace.end_state
     slope, slope_new = (
         -wall_force_rate(model, z, j, wall) * duration,
@@ -78,7 +82,10 @@ def _recovery_may_end(model: Model, state: State, workspace: Workspace, j: int, 
 def _contact_may_change(
     model: Model, state: State, workspace: Workspace, j: int, duration: float, error: float
 ) -> bool:
-    """Return whether a guard of a finite-duration contact is not proven free of zeros."""
+    """Return whether a guard of a finite-duration contact is not proven free of zeros.
+
+    `duration`: of the step, s; `error`: bound of the guard's fourth derivative with respect to tau.
+    """
     mode, z, new = state.mode[j], state.z, workspace.end_state
     if mode != FLIGHT:
         slope, slope_new = (
@@ -152,7 +159,7 @@ def screen(
 
 @inlined_kernel
 def reset_envelope(flow: Flow, workspace: Workspace) -> None:
-    """Reset the envelope to zero width."""
+    """Set the envelope to zero, so that the next state widens it."""
     for i in range(flow.rates_constant.shape[1]):
         workspace.envelope[i] = 0.0
 
@@ -168,7 +175,10 @@ def widen_envelope(flow: Flow, table_index: int, z: Array, workspace: Workspace)
 
 @inlined_kernel
 def above_margins(model: Model, state: State, margin: Array, z: Array, columns: int, duration: float) -> bool:
-    """Return whether every guard exceeds its margin at a state z with its accelerations, `duration` (s) from now."""
+    """Return whether every guard exceeds its margin at the state z with its accelerations.
+
+    `columns`: number of states, after which the accelerations are stored; `duration`: time of z from now, s.
+    """
     for j in range(model.mass.shape[0]):
         if model.bed[j] >= 0:
             lowest = lowest_guard(model, state, z, j)

@@ -1,6 +1,8 @@
 """State of a system in motion, which the kernel updates, and the log of events and breaks.
 
-An event is a contact change of one damper. A break is an instant at which velocities or accelerations jump.
+An event is a contact change of one damper. A break is an instant at which velocities or accelerations jump. The contact
+configuration states which dampers are in contact with which wall. A segment is a time interval under one drive, such as
+a sample interval.
 """
 
 from __future__ import annotations
@@ -32,8 +34,9 @@ class State(NamedTuple):
     `height`, `speed`: position and velocity of each damper in flight, m and m/s. `mode`: `FLIGHT`, `FLOOR` or
     `CEILING` of each damper.
 
-    `multiplicity[j]` counts the leading coefficients of damper j's guard that are exactly zero at this instant:
-    1 after a rebound, 2 after a release, 3 after a separation at zero contact force; negative for the ceiling.
+    The guard of a damper is its gap in flight, or its contact force at rest. `multiplicity[j]` counts the leading
+    coefficients of the guard's power series in time that are exactly zero at this instant: 1 after a rebound, 2 after a
+    release, 3 after a separation at zero contact force. It is negative if the gap is that to the ceiling.
     `recovering[j]` is the wall that has released a bed with finite-duration contact while they still overlap.
     """
 
@@ -49,7 +52,7 @@ class State(NamedTuple):
 class Log(NamedTuple):
     """Events and breaks in chronological order, one row each.
 
-    The time of an event or break is the number of its segment, and an offset after the start of the segment, s.
+    The time of an event or break is the number of its segment, and an offset, the time after the segment's start, s.
     `present_offset`: the offset of the present instant. `event_damper`: from 0. `event_speed`: closing speed, m/s.
 
     A break is logged with the state, the velocities of the dampers (m/s) and the configuration before and after it.
@@ -126,6 +129,7 @@ def toggle_contact(flow: Flow, model: Model, state: State, contact: int) -> None
 
 @inlined_kernel
 def _store_damper_velocities(model: Model, state: State, out: Array) -> None:
+    """Store the velocity of each damper in `out`, m/s, positive upwards."""
     for j in range(model.mass.shape[0]):
         if model.bed[j] >= 0:
             out[j] = state.z[model.velocity[j]] + state.z[model.first_velocity + model.bed[j]]

@@ -1,6 +1,7 @@
 """Result of a propagation: states at sample instants, events and breaks; and its events, gaps and contacts for users.
 
-An event is a contact change of one damper. A break is an instant at which velocities or accelerations jump.
+An event is a contact change of one damper. A break is an instant at which velocities or accelerations jump. A segment
+is a time interval under one drive, such as a sample interval (`rig.engine.propagator`).
 """
 
 from __future__ import annotations
@@ -15,9 +16,11 @@ from rig.arrays import Array
 from rig.engine.state import CEILING_IMPACT, CEILING_TOUCH, FLIGHT, FLOOR, FLOOR_IMPACT, FLOOR_TOUCH
 from rig.system.hybrid_system import HybridSystem
 
+#: An event for users: time (s), number of the damper from 1, kind, closing speed (m/s).
 EVENT = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("speed", "f8")])
 #: Kinds of events at which a damper comes into contact with a wall.
 CONTACT_EVENTS = (FLOOR_IMPACT, CEILING_IMPACT, FLOOR_TOUCH, CEILING_TOUCH)
+#: Name of each kind of event in the log (`rig.engine.state`).
 EVENT_NAMES = np.array(["separation", "floor", "ceiling", "touch", "touch", "release"])
 
 
@@ -61,7 +64,10 @@ class Trajectory:
 def event_table(
     times: Array, damper: NDArray[np.int64], kind: NDArray[np.int64], speed: Array, system: HybridSystem
 ) -> NDArray[Any]:
-    """Return events for users, with dtype `EVENT`: dampers by their number in the scene, kinds by name."""
+    """Return events for users, with dtype `EVENT`: dampers by their number in the scene, kinds by name.
+
+    `times`: s; `damper`: from 0; `kind`: index of `EVENT_NAMES`; `speed`: closing speed, m/s; all of shape (events,).
+    """
     table = np.zeros(len(times), dtype=EVENT)
     if not len(times):
         return table
@@ -73,7 +79,7 @@ def event_table(
 
 
 def gaps_and_contacts(trajectory: Trajectory, system: HybridSystem) -> tuple[Array, NDArray[np.int8]]:
-    """Return the gap above each floor, m, and the contact state; both of shape (dampers, samples)."""
+    """Return the gap above each floor, m, and FLIGHT, FLOOR or CEILING; both of shape (dampers, samples)."""
     positions = trajectory.state[:, system.damper_coordinate].T
     gap = trajectory.height.T - positions
     mode = trajectory.mode.T

@@ -27,7 +27,7 @@ MAX_CONDITION = 1e13
 
 
 def assemble(scene: Scene) -> HybridSystem:
-    """Compile a scene.
+    """Return the hybrid linear system of a scene, in its initial state.
 
     The coordinates are the bodies, then the tables (heads) of the shakers that have one, then the beds with
     finite-duration contact. Dampers that are locked or have no clearance are part of the mass matrix; the others are
@@ -72,17 +72,21 @@ def assemble(scene: Scene) -> HybridSystem:
 
 
 def matrices_without_free_beds(scene: Scene) -> tuple[Array, Array, Array]:
-    """Compute mass, damping and stiffness of bodies and tables, each with the shape (coordinates, coordinates)."""
+    """Return mass [kg], damping [N s/m] and stiffness [N/m] of bodies and tables, shape (coordinates, coordinates)."""
     model = structural_model(scene)
     equations = _without_free_beds(scene, model, np.zeros(len(model.mass)))
     return equations.mass, equations.damping, equations.stiffness
 
 
 def _without_free_beds(scene: Scene, model: StructuralModel, weight: Array) -> _Equations:
-    """Return the equations of bodies and tables with their inputs; `weight`: of locked beds, N, shape (bodies,)."""
+    """Return the equations of bodies and tables with their inputs.
+
+    `weight`: constant force of the locked beds on each body, N, shape (bodies,), negative (downwards).
+    """
     equations = _Equations(len(model.mass), model.with_bed_masses(), weight)
     for number, shaker in enumerate(scene.shakers, 1):
-        _add_shaker(equations, shaker, *(at_shaker(part, number, len(scene.shakers)) for part in ("shaker", "table")))
+        drive, table_name = (at_shaker(noun, number, len(scene.shakers)) for noun in ("shaker", "table"))
+        _add_shaker(equations, shaker, drive, table_name)
     if scene.test is not None and scene.test.kind == "impulse":
         equations.add_input("hammer", "N", {scene.test.body - 1: 1.0})
     return equations
@@ -101,7 +105,12 @@ class _Coil(NamedTuple):
 
 
 class _Equations:
-    """The equations during assembly: rows are coordinates, columns states."""
+    """The equations of motion during assembly, in SI units.
+
+    `points`: names of the bodies and tables. `mass`, `damping`, `stiffness`: matrices of all coordinates. `weight`:
+    constant force on each coordinate. `inputs`, `units`: of the drive; `input_forces`: for each input, the force on
+    each coordinate per unit.
+    """
 
     def __init__(self, bodies: int, structure: StructuralModel, weight: Array) -> None:
         self.points = [f"body {j + 1}" for j in range(bodies)]
@@ -113,7 +122,7 @@ class _Equations:
         self.coils: list[_Coil] = []
 
     def add_table(self, name: str, mass: float) -> int:
-        """Add a table without support; return its row."""
+        """Add a table (shaker head) without support, of a mass [kg]; return its row."""
         self.points.append(name)
         return self._add_coordinate(mass)
 
@@ -126,6 +135,7 @@ class _Equations:
         return row
 
     def _add_coordinate(self, mass: float) -> int:
+        """Add a coordinate with a mass [kg] and no other elements; return its row."""
         row = len(self.mass)
         enlarged = np.zeros((3, row + 1, row + 1))
         enlarged[:, :row, :row] = self.mass, self.damping, self.stiffness
@@ -135,13 +145,13 @@ class _Equations:
         return row
 
     def add_input(self, name: str, unit: str, forces: dict[int, float]) -> None:
-        """Add an input and its force on each coordinate per unit."""
+        """Add an input; `forces`: its force on coordinates by their row, N per unit of the input."""
         self.inputs.append(name)
         self.units.append(unit)
         self.input_forces.append(forces)
 
     def add_spring(self, first: int, second: int, stiffness: float) -> None:
-        """Add a spring between two coordinates."""
+        """Add a spring of a stiffness [N/m] between two coordinates."""
         self.stiffness[[first, second], [first, second]] += stiffness
         self.stiffness[[first, second], [second, first]] -= stiffness
 
@@ -222,18 +232,18 @@ def _add_shaker(equations: _Equations, shaker: Shaker, drive: str, table_name: s
 def _stiffness_and_damping(mass: Array, dampers: list[Damper], bed_mass: Array) -> tuple[Array, Array]:
     """Return stiffness and damping of floor and ceiling of each damper, (dampers, 2); 0 for instant contact.
 
-    `mass` is the mass matrix without the dampers that move.
+    `mass` is the mass matrix without the dampers that move, `bed_mass` their masses, kg.
     """
     stiffness, damping = np.zeros((2, len(dampers), 2))
     if all(damper.contact is None for damper in dampers):
         return stiffness, damping
-    mobility = np.diag(np.linalg.inv(mass))
+    inverse_mass = np.diag(np.linalg.inv(mass))
     for row, damper in enumerate(dampers):
         contact = damper.contact
         if contact is None:
             continue
         walls = (contact.floor, contact.ceiling) if isinstance(contact, Walls) else (contact, contact)
-        reduced_mass = 1.0 / (1.0 / bed_mass[row] + mobility[damper.body - 1])
+        reduced_mass = 1.0 / (1.0 / bed_mass[row] + inverse_mass[damper.body - 1])
         for side, wall in enumerate(walls):
             stiffness[row, side], damping[row, side] = _wall_stiffness_and_damping(
                 wall, damper.restitution, reduced_mass
@@ -242,7 +252,7 @@ def _stiffness_and_damping(mass: Array, dampers: list[Damper], bed_mass: Array) 
 
 
 def _wall_stiffness_and_damping(wall: Wall, restitution: float, mass: float) -> tuple[float, float]:
-    """Return stiffness and damping of a wall; `mass` is the reduced mass of bed and body."""
+    """Return stiffness [N/m] and damping [N s/m] of a wall; `mass`: reduced mass of bed and body, kg."""
     if isinstance(wall, Landing):
         return spring_damper(wall.duration, restitution, mass)
     return wall.stiffness, wall.damping
@@ -288,14 +298,20 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
 
 
 def _is_singular(stiffness: Array) -> bool:
-    """Return whether a stiffness matrix is singular within rounding, for any ratio of its springs."""
+    """Return whether a stiffness matrix is singular within rounding; its diagonal is first scaled to 1.
+
+    A large ratio of springs makes the condition number large without scaling, though the matrix has an inverse.
+    """
     scale = np.sqrt(np.abs(np.diag(stiffness)))
     scale[scale == 0.0] = 1.0
     return bool(np.linalg.cond(stiffness / scale / scale[:, None]) > MAX_CONDITION)
 
 
 def spring_force_row(scene: Scene, system: HybridSystem) -> Array:
-    """Return the row r for which r . state is the force F_1 of the driven shaker's coil spring, N; 0 without one."""
+    """Return the row r for which r . state is the force F_1 of the driven shaker's coil spring, N.
+
+    The row is zero without a coil spring.
+    """
     row = np.zeros(system.states)
     shaker = scene.driven_shaker
     if shaker is not None and shaker.spring is not None:

@@ -1,4 +1,4 @@
-"""A compiled scene, which the engine simulates: the linear system between contact changes, its dampers, and its drive.
+"""The system of a scene, which the engine simulates: linear between contact changes, with its dampers and its drive.
 
 A damper's *bed* is its particles, modeled as one mass. A damper *rides* while its bed is at rest on the floor or at the
 ceiling of its cavity. A contact *configuration* states which dampers are in contact with which wall.
@@ -25,13 +25,14 @@ class HybridSystem:
     every contact configuration (M + riding damper masses) q'' = F_q state + F_u u + F_1 - (riding dampers' weight), and
     r' = R_q state + R_u u.
 
-    `inputs`, `drive_units`: names and units of the inputs.
+    `inputs`, `drive_units`: names and units of the inputs. `gravity`: m/s^2.
     `force_state`, `force_drive`, `force_constant`: F_q (coordinates, states), F_u (coordinates, inputs) and F_1
     (coordinates,).
     `rate_state`, `rate_drive`: R_q (further states, states) and R_u (further states, inputs).
-    `damper_coordinate`, `damper_mass`, `clearance`, `restitution`, `damper_number`: of the free dampers;
-    `damper_number` counts from 1 in the scene's list.
-    `wall_stiffness`, `wall_damping`: of floor and ceiling with finite-duration contact, N/m and N s/m.
+    `damper_coordinate`, `damper_mass`, `clearance`, `restitution`, `damper_number`: coordinate of the body, mass [kg],
+    clearance [m], coefficient of restitution and number in the scene (from 1) of each free damper.
+    `wall_stiffness`, `wall_damping`: of floor and ceiling with finite-duration contact, N/m and N s/m; shape
+    (dampers, 2).
     `bed`: coordinate of a damper with finite-duration contact (its gap), after those of the points; -1 for
     instant contact.
     `grains`: whether a damper is a bed of grains. Here the bed is one mass at rest; `rig.grain_beds` computes its
@@ -91,8 +92,9 @@ class HybridSystem:
     @property
     def reduced_mass(self) -> np.ndarray:
         """Reduced mass of each damper and its body for finite-duration contact, kg; NaN for instant contact."""
-        mobility = np.append(np.diag(np.linalg.inv(self.mass)), np.nan)
-        return np.asarray(1.0 / mobility[self.bed])
+        # The index -1 of a damper with instant contact gives NaN.
+        inverse_mass = np.append(np.diag(np.linalg.inv(self.mass)), np.nan)
+        return np.asarray(1.0 / inverse_mass[self.bed])
 
     def duration_and_restitution(self, damper: int, wall: int) -> tuple[float, float]:
         """Return duration [s] and restitution of the contact of a damper (from 0) with its floor (1) or ceiling (2)."""
@@ -125,6 +127,7 @@ class HybridSystem:
         for j in np.flatnonzero(self.finite_contact):
             if not configuration >> int(j) & 1:
                 continue
+            # 0: floor, 1: ceiling.
             wall = configuration >> self.dampers + int(j) & 1
             bed, stiffness = self.bed[j], self.wall_stiffness[j, wall]
             force[bed, bed] = -stiffness

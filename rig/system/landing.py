@@ -1,7 +1,8 @@
 """Impact of a bed on a wall that is a spring-damper without adhesion: duration and restitution, stiffness and damping.
 
-A bed of mass m_d hits a wall of a body of mass m_b at the relative speed v; no other force acts on either. With the
-reduced mass m = m_d m_b / (m_d + m_b), w^2 = k / m and the damping ratio z = c / (2 m w), the wall's force is
+A damper's bed is its particles, modeled as one mass. A bed of mass m_d hits a wall of a body of mass m_b at the
+relative speed v; no other force acts on either. k and c are stiffness and damping of the wall. With the reduced mass
+m = m_d m_b / (m_d + m_b), w^2 = k / m and the damping ratio z = c / (2 m w), the wall's force is
 
     F(t) = m v w e^{-z w t} sin(w_d t + 2 b) / cos b,     sin b = z,  w_d = w cos b
 
@@ -23,7 +24,7 @@ import math
 
 #: Time constant c / k with which a wall of restitution 0 recovers from an overlap, s. A contact without adhesion cannot
 #: reach restitution 0 exactly, because its dashpot would be infinitely strong. With this time constant, the wall has
-#: recovered after about 5 ms, and the restitution is small: 5 % for a landing of 2 ms, 0.15 % for 0.1 ms.
+#: recovered after about 5 ms, and the restitution is small: 5 % for a contact of 2 ms, 0.15 % for 0.1 ms.
 RECOVERY_TIME_S = 5e-3
 
 
@@ -69,7 +70,10 @@ def spring_damper(duration: float, restitution: float, mass: float) -> tuple[flo
 
 
 def duration_and_restitution(stiffness: float, damping: float, mass: float) -> tuple[float, float]:
-    """Return duration [s] and restitution of a landing; the inverse of `spring_damper`."""
+    """Return duration [s] and restitution of a contact; the inverse of `spring_damper`.
+
+    `stiffness`: N/m; `damping`: N s/m; `mass`: reduced mass of damper and body, kg.
+    """
     angular_frequency = math.sqrt(stiffness / mass)
     ratio = damping / (2.0 * mass * angular_frequency)
     duration = 2.0 * _half_duration(ratio) / angular_frequency

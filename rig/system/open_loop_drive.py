@@ -27,12 +27,12 @@ _GAIN_FREQUENCIES = 400
 
 @dataclass(frozen=True)
 class ToneDrive:
-    """Complex drive amplitude of each input, frequency [Hz] and [rad/s], and initial state."""
+    """A pure tone u(t) = Re(U e^{i omega t}) of the inputs, and the state at its start."""
 
-    amplitudes: ComplexArray
-    frequency: float
-    omega: float
-    state: Array
+    amplitudes: ComplexArray  # U of each input, in its unit
+    frequency: float  # Hz
+    omega: float  # rad/s
+    state: Array  # initial state, SI units, shape (states,)
 
 
 def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = None) -> ToneDrive | None:
@@ -52,6 +52,7 @@ def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = Non
     elif not (np.isfinite(frequency) and frequency > 0.0):
         raise SceneError(f"frequency: got {frequency!r}; expected a positive number of hertz")
     omega = 2.0 * np.pi * frequency
+    # The factor -i makes the tone a sine.
     amplitude = -1j * level_of(scene) * drive_per_level(scene, system, omega)
     amplitudes = np.zeros(len(system.inputs), dtype=complex)
     amplitudes[system.inputs.index(scene.at_driven("shaker"))] = amplitude
@@ -96,20 +97,20 @@ def drive_per_level(scene: Scene, system: HybridSystem, omega: float | Array) ->
 
 
 def _servo_inverse(shaker: TableShaker, omega: float | Array) -> Any:
-    """Return the drive per unit of table displacement: the inverse of the critically damped servo."""
+    """Return the complex drive per unit of table displacement: inverse response of the critically damped servo."""
     ratio = omega / (2.0 * np.pi * shaker.bandwidth)
     return (1.0 + 1j * ratio) ** 2
 
 
 def force_per_drive(scene: Scene, system: HybridSystem, omega: float | Array) -> Any:
-    """Return the complex amplitude of the spring force per unit of drive at omega (rad/s)."""
+    """Return the complex amplitude of the coil spring's force per unit of drive at omega (rad/s), in N."""
     return spring_force_row(scene, system) @ riding_response(system, scene.at_driven("shaker"), omega)
 
 
 def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> Array:
-    """Return the acceleration amplitude of each body per unit of level; shape (bodies,) + omega.shape.
+    """Return the acceleration amplitude of each body per unit of level, m/s^2; shape (bodies,) + omega.shape.
 
-    All dampers ride.
+    All dampers ride. `omega`: rad/s.
     """
     response = riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(scene, system, omega)
     return omega**2 * np.abs(response[: scene.structure.bodies])
@@ -130,7 +131,9 @@ def with_ideal_force(scene: Scene) -> Scene:
 
 
 def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Array]:
-    """Return the equations E dx/dt = G x + b u with all dampers riding, for the input u with a name.
+    """Return the equations E dx/dt = G x + b u with all dampers riding.
+
+    `name`: of the input u.
 
     Returns `inertia`, shape (states, states), E: identity except for the mass matrix in the rows of the velocities;
     `matrix`, shape (states, states), G; `input_column`, shape (states,), b.
@@ -152,9 +155,9 @@ def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Arr
 
 
 def riding_response(system: HybridSystem, name: str, omega: float | Array) -> ComplexArray:
-    """Return the states per unit of the drive with a name, with all dampers riding; shape (states,) + omega.shape.
+    """Return the complex states per unit of drive, with all dampers riding; shape (states,) + omega.shape.
 
-    `omega`: rad/s.
+    `name`: of the driven input; `omega`: rad/s. Raises `SceneError` at the resonance of an undamped system.
     """
     n, ns = system.coordinates, system.states
     inertia, matrix, input_column = riding_equations(system, name)
@@ -174,7 +177,7 @@ def riding_response(system: HybridSystem, name: str, omega: float | Array) -> Co
 
 
 def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float) -> Array:
-    """Return the drive (inputs, samples) of a test that is not a tone.
+    """Return the drive (inputs, samples) of a test that is not a tone; `rate`: sample rate, Hz.
 
     Raises `SceneError` for tests whose signal is generated only during a recording.
     """
@@ -194,7 +197,7 @@ def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float)
 
 
 def _hammer_force(test: Impulse, time: Array) -> Array:
-    """Return the half-sine pulses of the hammer, N."""
+    """Return the half-sine pulses of the hammer, N; `time`: s."""
     force = np.zeros_like(time)
     for hit in range(test.repeats):
         since_hit = time - hit * test.interval
@@ -204,7 +207,7 @@ def _hammer_force(test: Impulse, time: Array) -> Array:
 
 
 def _sweep_drive(scene: Scene, system: HybridSystem, test: SweptSine, time: Array) -> Array:
-    """Return the drive of a sweep, with the amplitude that gives the level at each frequency."""
+    """Return the drive of a sweep, with the amplitude that gives the test's level at each frequency; `time`: s."""
     first, last = test.from_, test.to
     progress = np.minimum(time / test.duration, 1.0)
     if test.spacing == "log":

@@ -89,7 +89,7 @@ class StructuralModel:
         return np.asarray(np.linalg.inv(self.mass))
 
     def with_bed_masses(self, riding: Iterable[int] = ()) -> StructuralModel:
-        """Add the masses of the locked and of the riding beds to their bodies.
+        """Return the model with the masses of the locked and of the riding beds added to their bodies.
 
         `riding`: numbers of the dampers that ride, from 1. Raises `SceneError` if a damper does not exist.
         """
@@ -107,7 +107,7 @@ class StructuralModel:
         return replace(self, mass=mass)
 
     def with_ground_springs(self, bodies: Iterable[int], spring: float) -> StructuralModel:
-        """Connect each of some bodies (indices from 0) to ground by a spring, N/m."""
+        """Return the model with each of some bodies (indices from 0) connected to ground by a spring, N/m."""
         stiffness, supported = self.stiffness.copy(), list(bodies)
         stiffness[supported, supported] += spring
         return replace(self, stiffness=stiffness)
@@ -196,7 +196,10 @@ def receptance(
 
 
 def driven_bodies(scene: Scene) -> list[int]:
-    """List the indices (from 0) of the bodies on which the force acts."""
+    """List the indices (from 0) of the bodies on which the force of shaker or hammer acts.
+
+    Raises `SceneError` if the scene has neither, or several shakers that are not all of kind force.
+    """
     if len(scene.shakers) > 1 and any(shaker.kind != "force" for shaker in scene.shakers):
         raise SceneError(
             f"scene {scene.name!r} has several shakers, whose coil springs add stiffness to the "
@@ -213,7 +216,7 @@ def driven_bodies(scene: Scene) -> list[int]:
 
 
 def coil_spring(scene: Scene) -> float:
-    """Return the stiffness of the driven shaker's coil spring, N/m."""
+    """Return the stiffness of the driven shaker's coil spring, N/m; raises `SceneError` without one."""
     if scene.driven_shaker is None or scene.driven_shaker.spring is None:
         raise SceneError(f"scene {scene.name!r} has no coil spring. Use a shaker of kind table or electrodynamic.")
     return scene.driven_shaker.spring
@@ -235,7 +238,7 @@ def structure_matrices(structure: Structure) -> tuple[Array, Array, Array]:
 
 
 def chain_matrix(elements: tuple[float, ...]) -> Array:
-    """Assemble the matrix of a chain: element j connects body j to body j-1, for j = 1 to ground.
+    """Return the stiffness or damping matrix of a chain: element j connects body j to body j-1, for j = 1 to ground.
 
     >>> chain_matrix((3.0, 1.0))
     array([[ 4., -1.],
@@ -253,28 +256,28 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     """Compute natural frequencies and mode shapes of the undamped structure.
 
     `mass`, `stiffness`, shape (bodies, bodies): symmetric; mass positive definite, stiffness positive semidefinite.
-    Returns `frequencies`, shape (bodies,), increasing, in rad/s; 0 for a rigid-body motion; `shapes`, shape (bodies,
-    bodies), column i is the shape of mode i, its largest element +1. Raises `SceneError` if the structure is statically
-    unstable (a negative eigenvalue larger than rounding errors).
+    Returns `omega`, shape (bodies,): natural frequencies, increasing, rad/s; 0 for a rigid-body motion; and `shapes`,
+    shape (bodies, bodies): column i is the shape of mode i, its largest element +1. Raises `SceneError` if the
+    structure is statically unstable (a negative eigenvalue larger than rounding errors).
     """
     # `scipy.linalg.eigh` calls the same routine but takes six times as long for a few bodies. A fit makes 10 000 calls.
-    squares, shapes, info = lapack.dsygvd(stiffness, mass)
+    squared_omega, shapes, info = lapack.dsygvd(stiffness, mass)
     if info:
         raise np.linalg.LinAlgError("the mass matrix is not positive definite")
-    rounding = 10 * len(squares) * np.finfo(float).eps * np.abs(squares).max(initial=0.0)
-    if squares[0] < -rounding:
+    rounding = 10 * len(squared_omega) * np.finfo(float).eps * np.abs(squared_omega).max(initial=0.0)
+    if squared_omega[0] < -rounding:
         raise SceneError(
-            f"structure: the stiffness is not positive semidefinite (squared frequency {squares[0]:.3g} "
+            f"structure: the stiffness is not positive semidefinite (squared frequency {squared_omega[0]:.3g} "
             "1/s^2), so there are no natural modes. Add springs that stabilize it."
         )
     # The computed eigenvalue of a rigid-body motion is a rounding error of either sign.
-    frequencies = np.sqrt(np.where(np.abs(squares) <= rounding, 0.0, squares))
+    omega = np.sqrt(np.where(np.abs(squared_omega) <= rounding, 0.0, squared_omega))
     largest = np.take_along_axis(shapes, np.argmax(np.abs(shapes), axis=0)[None, :], axis=0)
-    return frequencies, shapes / largest
+    return omega, shapes / largest
 
 
 def _damping(structure: Structure, mass: Array, stiffness: Array) -> Array:
-    """Assemble the damping matrix."""
+    """Return the damping matrix, N s/m, shape (bodies, bodies)."""
     damping = structure.damping
     if structure.matrices is not None and structure.matrices.damping is not None:
         return np.array(structure.matrices.damping)
@@ -283,13 +286,15 @@ def _damping(structure: Structure, mass: Array, stiffness: Array) -> Array:
     if isinstance(damping, Dashpots):
         return chain_matrix(damping.dashpots)
     if isinstance(damping, ModalDamping):
-        frequencies, shapes = natural_modes(mass, stiffness)
-        ratios = np.broadcast_to(np.array(damping.modal), frequencies.shape)
+        omega, shapes = natural_modes(mass, stiffness)
+        ratios = np.broadcast_to(np.array(damping.modal), omega.shape)
         modal_masses = np.einsum("ji,jk,ki->i", shapes, mass, shapes)
-        weighted = mass @ shapes
-        return _symmetric((weighted * (2.0 * ratios * frequencies / modal_masses)) @ weighted.T)
+        # C = M shapes diag(2 ratio omega / modal mass) shapes^T M
+        mass_times_shapes = mass @ shapes
+        return _symmetric((mass_times_shapes * (2.0 * ratios * omega / modal_masses)) @ mass_times_shapes.T)
     return np.zeros_like(mass)
 
 
 def _symmetric(matrix: Array) -> Array:
+    """Return the symmetric part of a matrix, which removes asymmetric rounding errors."""
     return (matrix + matrix.T) / 2.0

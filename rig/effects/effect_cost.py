@@ -1,4 +1,4 @@
-"""CPU time of the effects of a scene, for `rig cost`.
+"""CPU time of the effects of a scene, for `rig explain SCENE --measure`.
 
 The simulation is measured with the structure alone, and again after each further effect of the scene is added.
 """
@@ -41,7 +41,7 @@ class EffectStep:
     drive samples, shape (inputs, samples)."""
     drive: Array
     """`SECONDS` + 1 seconds of drive at `rate`; shape (inputs, samples)."""
-    rate: float  # Hz
+    rate: float  # Sample rate [Hz]
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,8 @@ class EffectCost:
 def effect_costs(scene: Scene, progress: Callable[[str], None] | None = None) -> tuple[EffectCost, ...]:
     """Measure the CPU time of a scene's effects, which are added one at a time.
 
-    The order is that of the signal path: motion, measurement chain, recording.
+    The order is that of the signal path: motion, measurement channels, recording. `progress`: receives the name of the
+    simulation that is measured next.
     """
     steps: list[EffectStep] = list(motion_steps(scene))
     for registered_steps in registered_functions("shotrig.effect_costs"):
@@ -92,12 +93,12 @@ def text(costs: tuple[EffectCost, ...]) -> str:
 
 def measure_cpu_time(step: EffectStep) -> float:
     """Return the shortest of several measurements of CPU time per simulated second, s."""
-    block = round(step.rate)
+    samples_per_s = round(step.rate)
     times = []
     with step.start() as advance:
-        advance(step.drive[:, :block])
+        advance(step.drive[:, :samples_per_s])
         for second in range(1, SECONDS + 1):
-            drive = step.drive[:, second * block : (second + 1) * block]
+            drive = step.drive[:, second * samples_per_s : (second + 1) * samples_per_s]
             start_s = time.process_time()
             advance(drive)
             times.append(time.process_time() - start_s)
@@ -109,9 +110,9 @@ def motion_steps(scene: Scene) -> Iterator[EffectStep]:
 
     Ceilings are those of the dampers' cavities (finite clearance).
     """
-    channels = {"channels": None}
+    no_channels = {"channels": None}
     shaker = scene.driven_shaker
-    without_dampers = scene.replace(dampers=(), **channels)
+    without_dampers = scene.replace(dampers=(), **no_channels)
     if shaker is not None and (len(scene.shakers) > 1 or not isinstance(shaker, ForceShaker)):
         test = scene.test if isinstance(scene.test, Impulse) else None
         yield _motion_step(
@@ -124,17 +125,17 @@ def motion_steps(scene: Scene) -> Iterator[EffectStep]:
     if not scene.dampers:
         return
     # For each step: the settings of the dampers that switch off the effects not yet added.
-    variants: dict[str, dict[str, object]] = {
+    settings_without_later_effects: dict[str, dict[str, object]] = {
         "particle dampers": {"clearance": np.inf, "restitution": 0.0, "contact": None},
         "ceilings": {"restitution": 0.0, "contact": None},
         "restitution": {"contact": None},
         "finite-duration contact": {},
     }
     previous: tuple[object, ...] = ()
-    for name, switched_off in variants.items():
-        dampers = tuple(damper.replace(**switched_off) for damper in scene.dampers)
+    for name, settings in settings_without_later_effects.items():
+        dampers = tuple(damper.replace(**settings) for damper in scene.dampers)
         if dampers != previous:
-            yield _motion_step(name, scene.replace(dampers=dampers, **channels))
+            yield _motion_step(name, scene.replace(dampers=dampers, **no_channels))
         previous = dampers
 
 
@@ -144,6 +145,7 @@ def _without_shaker_number(test: Test | None) -> Test | None:
 
 
 def _motion_step(name: str, scene: Scene) -> EffectStep:
+    """Return the step that simulates the motion of a scene, whose last added effect has a name."""
     rate = scene.converter.sample_rate
 
     def start() -> AbstractContextManager[Callable[[Array], object]]:
@@ -155,9 +157,9 @@ def _motion_step(name: str, scene: Scene) -> EffectStep:
 
 
 def bench_drive(scene: Scene, rate: float) -> Array:
-    """Return `SECONDS` + 1 seconds of drive: the test's hits, or a tone with the test's level.
+    """Return `SECONDS` + 1 seconds of drive: a tone at the test's level, or the test's hammer hits, one a second.
 
-    The tone has the highest natural frequency of the structure. `rate`: Hz.
+    The tone has the highest natural frequency of the structure. `rate`: sample rate, Hz. Shape (inputs, samples).
     """
     system = assemble(scene)
     samples = (SECONDS + 1) * round(rate)
@@ -169,8 +171,8 @@ def bench_drive(scene: Scene, rate: float) -> Array:
     if scene.driven is None:
         return drive
     omega = float(structural_model(scene).modes.omega[-1])
-    force = getattr(scene.test, "force", None) or getattr(scene.test, "drive", None)
-    level = level_of(scene) if force is not None else 1.0
+    given_level = getattr(scene.test, "force", None) or getattr(scene.test, "drive", None)
+    level = level_of(scene) if given_level is not None else 1.0
     gain = level * (drive_per_level(scene, system, omega) if scene.test is not None else 1.0)
     drive[system.inputs.index(scene.at_driven("shaker"))] = np.imag(
         gain * np.exp(1j * omega * np.arange(samples) / rate)

@@ -44,14 +44,16 @@ class Effect:
 
 @dataclass(frozen=True, repr=False)
 class Explanation(Result):
-    """The effects of a scene, in the order of the signal; `str` makes a table of them.
+    """The effects of a scene, in the order of the signal path: motion, measurement channels, recording.
+
+    `str` makes a table of them.
 
     Attributes
     ----------
     title : str
         The scene's name.
     absent : tuple of str
-        Effects on the motion that the scene does not turn on: they add no states and cost no CPU time.
+        Names of the effects on the motion that the scene does not turn on: they add no states and cost no CPU time.
     """
 
     title: str
@@ -140,7 +142,7 @@ def explain(scene: SceneLike) -> Explanation:
 
 
 def motion_effects(scene: Scene) -> Iterable[Effect]:
-    """List the effects on the motion; their states add up to those of the compiled system."""
+    """List the effects on the motion; their states add up to those of the assembled system."""
     system = assemble(scene)
     bodies = scene.structure.bodies
     noun = "body" if bodies == 1 else "bodies"
@@ -151,7 +153,7 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
     if system.coupled and system.dampers:
         share_a_body = np.unique(system.damper_coordinate).size < system.dampers
         reason = "several dampers in a body" if share_a_body else "full mass matrix"
-        yield Effect("motion", "coupled impacts", 0, f"{reason}: all contacts of an instant are solved together")
+        yield Effect("motion", "coupled impacts", 0, f"{reason}: all simultaneous contacts are solved together")
     for shaker in scene.shakers:
         yield from _shaker_effects(shaker, scene.structure)
     yield from _damper_effects(scene, system)
@@ -166,6 +168,7 @@ def _natural_frequencies_text(scene: Scene) -> str:
 
 
 def _damping_text(scene: Scene) -> str:
+    """Describe the damping of the structure."""
     match scene.structure.damping:
         case ModalDamping(modal=ratio):
             ratios = ratio if isinstance(ratio, tuple) else (ratio,)
@@ -179,11 +182,12 @@ def _damping_text(scene: Scene) -> str:
 
 
 def _shaker_effects(shaker: Shaker, structure: Structure) -> Iterable[Effect]:
+    """List the effects of a shaker: force, or coil spring and table, coil current, amplifier clipping."""
     bodies = structure.listed(shaker.bodies)
     if isinstance(shaker, ForceShaker):
         yield Effect("motion", "force", 0, f"on {bodies}, nothing attached")
         return
-    spring = f"{shaker.spring:.4g} N/m to {bodies}"
+    spring = f"spring of {shaker.spring:.4g} N/m to {bodies}"
     if isinstance(shaker, TableShaker):
         yield Effect("motion", "coil spring and table", 2, f"{spring}; position servo of {shaker.bandwidth:.4g} Hz")
         return
@@ -202,6 +206,7 @@ def _shaker_effects(shaker: Shaker, structure: Structure) -> Iterable[Effect]:
 
 
 def _damper_effects(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
+    """List the effects of the dampers; a locked damper cannot move in its cavity, and has no states."""
     locked = len(scene.dampers) - system.dampers
     if locked:
         yield Effect("motion", "locked dampers", 0, f"{locked}, part of their bodies' masses")
@@ -212,9 +217,10 @@ def _damper_effects(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
         yield Effect(
             "motion", "grains", 9 * spheres.count,
             f"in {body}: {spheres.count} of {1e3 * spheres.settings.diameter:.4g} mm, "
-            f"{1e3 * spheres.mass:.4g} g; position, velocity, spin; step of {1e6 * spheres.longest_step():.3g} us",
+            f"{1e3 * spheres.mass:.4g} g; position, velocity, angular velocity; "
+            f"step of {1e6 * spheres.longest_step():.3g} us",
         )  # fmt: skip
-    one_mass = ~system.grains
+    one_mass = ~system.grains  # dampers whose particles are modeled as one mass
     if not one_mass.any():
         return
     bodies = scene.structure.listed(int(row) + 1 for row in system.damper_coordinate[one_mass])
@@ -238,11 +244,11 @@ def _wall_texts(system: HybridSystem, structure: Structure) -> Iterable[str]:
     """Describe floor and ceiling of each damper with finite-duration contact."""
     for j in np.flatnonzero(system.finite_contact):
         texts = []
-        for wall in (1, 2):
+        for wall in (1, 2):  # floor, ceiling
             stiffness, damping = system.wall_stiffness[j, wall - 1], system.wall_damping[j, wall - 1]
             duration, restitution = system.duration_and_restitution(int(j), wall)
             texts.append(
-                f"{stiffness:.4g} N/m, {damping:.4g} N s/m (landing of {1e3 * duration:.4g} ms, restitution "
+                f"{stiffness:.4g} N/m, {damping:.4g} N s/m (contact duration {1e3 * duration:.4g} ms, restitution "
                 f"{restitution:.3g})"
             )
         if not np.isfinite(system.clearance[j]):

@@ -1,4 +1,7 @@
-"""Functions that other packages register as entry points (effects, cost estimates, test predictions), when needed."""
+"""Functions that other packages register as entry points: effects, cost estimates, test predictions.
+
+They are imported only when called for, so that the rig does not depend on these packages.
+"""
 
 from __future__ import annotations
 

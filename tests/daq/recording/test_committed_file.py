@@ -1,4 +1,7 @@
-"""An existing recording stays complete until its replacement is complete."""
+"""An existing recording stays complete until its replacement is complete.
+
+A replacement is written as `NAME.part`, and renamed to `NAME` when it is complete: this is a committed file.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,8 @@ from daq.recording.recovery import recover
 from rig.errors import RecordingError, RunError
 from tests.daq.recording.recordings import FLUSH_LENGTH, RATE, make_scene, random_volts, two_channels, write_recording
 
-# Volts of two channels.
+VOLTS_PER_METER, VOLTS_PER_METER_PER_SECOND_SQUARED = 500.0, 0.01  # Sensitivities of the two channels.
+# Voltages of two channels, shape (2, samples).
 OLD, NEW = random_volts(FLUSH_LENGTH, seed=1), random_volts(2 * FLUSH_LENGTH, seed=2)
 
 
@@ -25,12 +29,14 @@ def path(tmp_path: Path) -> Path:
 
 
 def volts(path: Path) -> np.ndarray:
+    """Check a recording, and return the voltages of both channels, shape (2, samples)."""
     with daq.open(path) as recording:
         recording.check()
-        return np.array([recording.read("body1") * 500.0, recording.read("body2") * 0.01])
+        displacement, acceleration = recording.read("body1"), recording.read("body2")
+    return np.array([displacement * VOLTS_PER_METER, acceleration * VOLTS_PER_METER_PER_SECOND_SQUARED])
 
 
-def names(path: Path) -> list[str]:
+def names_in_folder_of(path: Path) -> list[str]:
     return sorted(each.name for each in path.parent.iterdir())
 
 
@@ -39,7 +45,7 @@ def recorder(path: Path, overwrite: bool = True) -> Recorder:
 
 
 def test_killed_replacement_leaves_both_recordings(path: Path) -> None:
-    # Never closed, as by a process that is killed.
+    # The recorder is never closed, as that of a killed process.
     killed_recorder = recorder(path)
     killed_recorder.write(NEW)
     assert np.allclose(volts(path), OLD, rtol=1e-15)
@@ -50,13 +56,14 @@ def test_killed_replacement_leaves_both_recordings(path: Path) -> None:
     with recorder(path) as another:
         another.write(NEW[:, :FLUSH_LENGTH])
     assert np.allclose(volts(path), NEW[:, :FLUSH_LENGTH], rtol=1e-15)
+    # The file of the killed recorder is kept; the other replacement had the name run.mcap.part2.
     assert path.with_name("run.mcap.part").exists() and not path.with_name("run.mcap.part2").exists()
 
 
 def test_failed_replacement_keeps_the_old_recording(path: Path) -> None:
     with pytest.raises(ZeroDivisionError), recorder(path):
         raise ZeroDivisionError
-    assert np.allclose(volts(path), OLD, rtol=1e-15) and names(path) == ["run.mcap"]
+    assert np.allclose(volts(path), OLD, rtol=1e-15) and names_in_folder_of(path) == ["run.mcap"]
 
 
 def test_failed_creation_releases_the_old_recording(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -84,7 +91,7 @@ def test_failed_recovery_keeps_the_old_file(path: Path) -> None:
     bad.write_bytes(b"no recording at all" * 100)
     with pytest.raises(RecordingError, match="nothing can be recovered"):
         recover(bad, path, overwrite=True)
-    assert np.allclose(volts(path), OLD, rtol=1e-15) and names(path) == ["bad.mcap", "run.mcap"]
+    assert np.allclose(volts(path), OLD, rtol=1e-15) and names_in_folder_of(path) == ["bad.mcap", "run.mcap"]
 
 
 def test_device_is_rejected_as_target(path: Path) -> None:

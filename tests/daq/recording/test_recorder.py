@@ -38,12 +38,14 @@ DAMPER_SCENE = make_scene(recording=DISPLAY_AND_TRUTH, **ONE_DAMPER)
 
 
 def summary_of(path):
+    """Return the summary of an MCAP file, as the reference reader reads it."""
     with path.open("rb") as stream:
         return make_reader(stream).get_summary()
 
 
 @pytest.fixture(scope="module")
 def unsplit_file(tmp_path_factory):
+    """Return the bytes of a recording that was written in one piece."""
     path = tmp_path_factory.mktemp("whole") / "whole.mcap"
     return write_recording(path, random_volts(4000), DAMPER_SCENE).read_bytes()
 
@@ -73,6 +75,7 @@ def test_markers_do_not_depend_on_piece_lengths(tmp_path):
 def test_reference_reader_reads_blocks_and_topics(tmp_path):
     path = write_recording(tmp_path / "a.mcap", random_volts(1500))
     result = messages_of(path, "/raw/body1")
+    # A block has 256 samples; 1500 samples are six blocks, the last incomplete.
     block_starts_ns = [round(256 * block * 1e9 / RATE) for block in range(6)]
     assert [message.publish_time for message in result] == block_starts_ns
     assert [message.log_time for message in result] == [*block_starts_ns[1:], round(1500 * 1e9 / RATE)]
@@ -82,7 +85,7 @@ def test_reference_reader_reads_blocks_and_topics(tmp_path):
     assert summary.statistics.attachment_count == 1
 
 
-def test_no_chunk_holds_two_raw_topics(tmp_path):
+def test_each_raw_topic_has_its_own_chunks(tmp_path):
     path = write_recording(tmp_path / "a.mcap", random_volts(4000), make_scene(recording=DISPLAY_AND_TRUTH))
     summary = summary_of(path)
     raw = {number for number, channel in summary.channels.items() if channel.topic.startswith("/raw/")}
@@ -126,12 +129,12 @@ def test_file_as_folder_is_rejected(tmp_path):
 
 
 def test_write_protected_folder_is_rejected(tmp_path):
-    # Loaded before the change of user: the new user may have no right to read the repository.
+    # The scene is loaded before the change of user: the new user may have no right to read the repository.
     scene = make_scene()
     tmp_path.chmod(0o500)
     is_root = os.geteuid() == 0
     if is_root:
-        os.seteuid(65534)  # The user nobody: root may write to any folder.
+        os.seteuid(65534)  # Root may write to any folder; the user nobody (65534) may not.
     try:
         with pytest.raises(RecordingError, match=r"cannot create .*ermission denied"):
             Recorder(tmp_path / "a.mcap", scene, two_channels(), RATE)
@@ -200,8 +203,8 @@ def test_exception_closes_the_file_with_its_reason(tmp_path, error, status):
         assert (recording.status, recording.metadata["outcome"]["reason"]) == (status, str(error))
 
 
-def test_unwritable_scene_leaves_no_file(tmp_path):
-    class UnwritableScene:
+def test_scene_that_fails_leaves_no_file(tmp_path):
+    class FailingScene:
         recording = make_scene().recording
         converter = make_scene().converter
 
@@ -209,7 +212,7 @@ def test_unwritable_scene_leaves_no_file(tmp_path):
             raise RuntimeError(name)
 
     with pytest.raises(RuntimeError):
-        Recorder(tmp_path / "a.mcap", UnwritableScene(), two_channels(), RATE)
+        Recorder(tmp_path / "a.mcap", FailingScene(), two_channels(), RATE)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -249,13 +252,15 @@ def test_samples_without_their_truth_are_rejected(tmp_path):
 def test_samples_are_flushed_each_half_second(tmp_path, truth, monkeypatch):
     path, scene, flushed = tmp_path / "a.mcap", make_scene(recording={"truth": truth}), []
 
-    class WatchedDisk(CommittedFile):
+    class ObservedFile(CommittedFile):
+        """A file that notes how many samples the recorder has at each write to the disk."""
+
         def commit(self):
             super().commit()
             if recorders:
                 flushed.append(recorders[0].position)
 
-    monkeypatch.setattr("daq.recording.recorder.CommittedFile", WatchedDisk)
+    monkeypatch.setattr("daq.recording.recorder.CommittedFile", ObservedFile)
     recorders = []
     recorders.append(Recorder(path, scene, two_channels(), RATE))
     samples, first = random_volts(6 * FLUSH_LENGTH), 0
@@ -266,7 +271,7 @@ def test_samples_are_flushed_each_half_second(tmp_path, truth, monkeypatch):
         recorders[0].write(part)
         first += size
     assert flushed == [FLUSH_LENGTH, 2 * FLUSH_LENGTH, 3 * FLUSH_LENGTH]
-    # The file is not closed yet, as that of a killed process.
+    # The file has no end yet, as that of a killed process: recovery finds the flushed samples.
     recovered = recover(path, tmp_path / "fixed.mcap").kept
     assert set(recovered.values()) == {3 * FLUSH_LENGTH}
     recorders[0].close()
@@ -279,7 +284,7 @@ def test_truth_out_of_order_is_rejected(tmp_path):
             recorder.write_truth(true_motion(50, 100))
 
 
-def test_error_of_volts_for_counts_names_remedy(tmp_path):
+def test_volts_in_recording_of_counts_are_rejected(tmp_path):
     scene = make_scene(recording={"samples": "counts"}, **CONVERTER_24_BIT)
     with pytest.raises(RunError, match="bits"):
         write_recording(tmp_path / "a.mcap", random_volts(10), scene)

@@ -36,7 +36,9 @@ from tests.daq.recording.recordings import (
     write_recording,
 )
 
+# The recorder writes blocks of samples to the disk in groups of FLUSH_LENGTH samples; the last group is incomplete.
 SAMPLES = 3 * FLUSH_LENGTH + 321
+UNITS_PER_VOLT = {"body1": 1 / 500.0, "body2": 1 / 0.01}  # m/V and m/s^2/V, from the sensitivities.
 SCENE = make_scene(recording=DISPLAY_AND_TRUTH, **ONE_DAMPER)
 
 
@@ -60,7 +62,9 @@ def test_range_is_part_of_all_samples(recorded, data):
     start = data.draw(st.integers(0, SAMPLES))
     stop = data.draw(st.integers(start, SAMPLES))
     with daq.open(recorded) as recording:
-        assert np.array_equal(recording.read("body2", start, stop), random_volts(SAMPLES)[1, start:stop] * (1 / 0.01))
+        assert np.array_equal(
+            recording.read("body2", start, stop), random_volts(SAMPLES)[1, start:stop] * UNITS_PER_VOLT["body2"]
+        )
 
 
 def test_opened_recording_has_all_descriptions(recorded):
@@ -78,13 +82,15 @@ def test_opened_recording_has_all_descriptions(recorded):
 
 @pytest.mark.parametrize("stored", ["float64", "float32", "counts"])
 def test_each_sample_type_keeps_its_precision(tmp_path, stored):
+    # The converter has 24 bits and a range of -5 to 5 V.
     counts = np.rint(random_volts(700) * 2**23 / 5.0).astype(np.int32)
     scene = make_scene(recording={"samples": stored}, **CONVERTER_24_BIT)
     with daq.open(write_recording(tmp_path / "a.mcap", counts, scene)) as recording:
         displacement = recording.read("body1")
         assert recording.stored == stored
-    expected = counts[0] * (10.0 / 2**24) / 500.0
-    assert displacement == pytest.approx(expected, rel=1e-15 if stored != "float32" else 2**-24)
+    expected = counts[0] * (10.0 / 2**24) * UNITS_PER_VOLT["body1"]
+    relative_precision = 2**-24 if stored == "float32" else 1e-15
+    assert displacement == pytest.approx(expected, rel=relative_precision)
 
 
 def test_truth_rows_are_points_and_dampers(recorded):
@@ -122,7 +128,7 @@ def test_unacquired_samples_read_as_nan(tmp_path):
     assert np.isnan(displacement[1234:3234]).all()
     is_present = ~np.isnan(displacement)
     assert is_present.sum() == 3000
-    assert np.array_equal(displacement[is_present], samples[0, is_present] * (1 / 500.0))
+    assert np.array_equal(displacement[is_present], samples[0, is_present] * UNITS_PER_VOLT["body1"])
 
 
 @pytest.mark.parametrize(("start", "stop"), [(-1, 5), (0, SAMPLES + 1), (10, 9)])
@@ -167,9 +173,9 @@ def test_channel_reads_only_its_chunks(recorded, monkeypatch):
 
 
 def write_foreign_file(path, topics=("/raw/a", "/raw/b"), metadata=None, compression=CompressionType.LZ4, **options):
-    """Write blocks of 100 samples at 1000 Hz with the reference library and protobuf; samples 1500 to 1999 are missing.
+    """Write blocks of 100 samples at 1000 Hz with the reference library and protobuf; return the path.
 
-    Other than in our files, a chunk holds several channels.
+    Samples 1500 to 1999 are missing. In contrast to our files, a chunk contains several channels.
     """
     schema = block_schema("shotrig.BlockFloat32")
     message_type = message_class(schema.data, schema.name)
@@ -230,7 +236,6 @@ def test_deviation_from_the_layout_is_reported(tmp_path, changes, message):
 
 def test_bit_flips_are_never_read_as_samples(small_file, tmp_path):
     content, true = small_file.read_bytes(), random_volts(2 * FLUSH_LENGTH)
-    scales = {"body1": 1 / 500.0, "body2": 1 / 0.01}
     rng, path, n_rejected = random.Random(7), tmp_path / "flipped.mcap", 0
     for _ in range(100):
         data = bytearray(content)
@@ -241,9 +246,9 @@ def test_bit_flips_are_never_read_as_samples(small_file, tmp_path):
                 assert recording.scene == make_scene()
                 assert recording.metadata["run"]["seed"] == "1"
                 assert [marker.first_sample for marker in recording.markers] == [100]
-                for row, (name, scale) in enumerate(scales.items()):
+                for row, (name, units_per_volt) in enumerate(UNITS_PER_VOLT.items()):
                     assert recording.channels[name] == two_channels()[row]
-                    assert np.array_equal(recording.read(name), true[row] * scale)
+                    assert np.array_equal(recording.read(name), true[row] * units_per_volt)
         except RecordingError as error:
             n_rejected += 1
             assert str(path) in str(error)
@@ -292,13 +297,13 @@ def test_missing_file_or_folder_is_rejected(tmp_path):
         daq.open(tmp_path)
 
 
-# -- malicious files: the checksums are right, but not the content ---------------------------------------
+# -- malicious files: the checksums are correct, but the content is not ---------------------------------------
 
 BEGINNING = beginning(b"evil")
 
 
 def write_malicious_file(path, data, chunk_indexes=b"", attachment_index=b""):
-    """Write a file with a correct summary checksum around these data and index records."""
+    """Write these data and index records as a file whose summary checksum is correct; return the path."""
     block = block_schema("shotrig.BlockFloat64")
     schema_fields = struct.pack("<H", 1) + text(block.name.encode()) + text(b"protobuf") + text(block.data)
     metadata = text(b"unit") + text(b"m") + text(b"rate") + text(b"100.0") + text(b"start_ns") + text(b"0")
@@ -313,7 +318,7 @@ def write_malicious_file(path, data, chunk_indexes=b"", attachment_index=b""):
 
 
 def write_messages(path, messages, end_ns):
-    """Write a file with one chunk of messages on the topic /raw/a; the last is logged at `end_ns`."""
+    """Write a file with one chunk of messages on the topic /raw/a, the last logged at `end_ns`; return the path."""
     data = record(Opcode.CHUNK, chunk(b"", messages))
     return write_malicious_file(path, data, chunk_index(len(BEGINNING), len(data), len(messages), end_ns))
 
@@ -326,6 +331,7 @@ def chunk_index(chunk_position, chunk_length, unpacked_size, end_ns=10**9, messa
     return record(Opcode.CHUNK_INDEX, head + message_offsets + message_index_size + text(b"zstd") + sizes)
 
 
+# A zip bomb is a small packed chunk that exhausts the memory when it is unpacked.
 BOMB_SIZE = 1 << 30  # Unpacked, bytes.
 
 
@@ -406,10 +412,12 @@ def test_distant_block_does_not_exhaust_memory(tmp_path, limited_memory):
 
 @pytest.mark.parametrize("large_range", [1 << 22, 0])
 def test_large_range_needs_a_sixteenth_of_samples(tmp_path, monkeypatch, large_range):
+    """A range longer than `_LARGE_RANGE` is read only if the file may contain a sixteenth of its samples."""
     message, end_ns = block_message(10**9, [1.0, 2.0])
     path = write_messages(tmp_path / "far.mcap", message, end_ns)
     monkeypatch.setattr("daq.recording.channel_series._LARGE_RANGE", large_range)
-    longest_readable = large_range or len(message) // 4 * 16
+    n_samples = len(message) // 4  # Upper bound: the smallest sample type has four bytes.
+    longest_readable = large_range or n_samples * 16
     with daq.open(path) as recording:
         assert np.isnan(recording.read("a", 0, longest_readable)).all()
         with pytest.raises(RecordingError, match="of them are in the file"):
@@ -418,6 +426,7 @@ def test_large_range_needs_a_sixteenth_of_samples(tmp_path, monkeypatch, large_r
 
 @pytest.mark.parametrize("late_ns", [-5_100_000, -4_900_000, 4_900_000, 5_100_000])
 def test_block_logged_half_a_sample_late_is_rejected(tmp_path, late_ns):
+    # At 100 Hz, half a sample interval is 5 000 000 ns. Samples 5 and 6 end at 70 000 000 ns.
     message, end_ns = block_message(5, [1.0, 2.0], log_time_ns=70_000_000 + late_ns)
     path = write_messages(tmp_path / "late.mcap", message, end_ns)
     if abs(late_ns) < 5_000_000:

@@ -1,4 +1,7 @@
-"""`daq recover` saves all intact samples of a damaged file, and lists all others as lost."""
+"""`daq recover` saves all intact samples of a damaged file, and lists all others as lost.
+
+A chunk is the part of an MCAP file that is packed and has a checksum. Samples of one chunk are saved or lost together.
+"""
 
 import os
 import random
@@ -31,8 +34,8 @@ from tests.daq.recording.recordings import (
 )
 
 SAMPLES = 4 * FLUSH_LENGTH + 300
-UNIT_PER_VOLT = np.array([[1 / 500.0], [1 / 0.01]])  # m/V of body 1, m/s^2/V of body 2
-TRUE = random_volts(SAMPLES) * UNIT_PER_VOLT
+UNITS_PER_VOLT = np.array([[1 / 500.0], [1 / 0.01]])  # m/V of body 1, m/s^2/V of body 2
+TRUE = random_volts(SAMPLES) * UNITS_PER_VOLT  # Samples of both channels in physical units.
 TRUTH_SCENE = make_scene(recording={"truth": True}, **ONE_DAMPER)
 
 
@@ -43,7 +46,7 @@ def intact_file(tmp_path_factory):
 
 
 def chunks_of(path):
-    """Return begin and end in bytes and the topics of each chunk, from the reference reader."""
+    """Return (begin, end, topics) of each chunk, positions in bytes, as the reference reader finds them."""
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
     return [
@@ -57,7 +60,7 @@ def chunks_of(path):
 
 
 def check_readable(path, true=TRUE):
-    """Check that each sample is true, or lost and listed as lost; return which samples are there (2, samples)."""
+    """Check that each sample is true or listed as lost; return which samples are readable, shape (2, samples)."""
     with daq.open(path) as recording:
         recording.check()
         samples = np.full(true.shape, np.nan)
@@ -74,8 +77,11 @@ def check_readable(path, true=TRUE):
     return is_readable
 
 
-def samples_outside(chunks, is_damaged):
-    """Return which samples (2, samples) are in undamaged chunks; `is_damaged` gets begin and end of a chunk."""
+def samples_in_intact_chunks(chunks, is_damaged):
+    """Return which samples, shape (2, samples), are in chunks without damage.
+
+    `is_damaged`: function of begin and end of a chunk, in bytes.
+    """
     is_readable = np.zeros(TRUE.shape, bool)
     first_samples = {"/raw/body1": 0, "/raw/body2": 0}
     for begin, end, topics in chunks:
@@ -87,7 +93,7 @@ def samples_outside(chunks, is_damaged):
     return is_readable
 
 
-def test_truncated_file_keeps_every_whole_chunk(intact_file, tmp_path):
+def test_truncated_file_keeps_every_complete_chunk(intact_file, tmp_path):
     data, chunks, rng = intact_file.read_bytes(), chunks_of(intact_file), random.Random(5)
     truncated, fixed = tmp_path / os.fsdecode(b"truncated\xff.mcap"), tmp_path / "fixed.mcap"
     first_chunk = min(begin for begin, _, topics in chunks if "/raw/body1" in topics)
@@ -97,7 +103,7 @@ def test_truncated_file_keeps_every_whole_chunk(intact_file, tmp_path):
     for _ in range(100):
         cut = rng.randrange(len(data))
         truncated.write_bytes(data[:cut])
-        expected = samples_outside(chunks, lambda begin, end, cut=cut: end > cut)
+        expected = samples_in_intact_chunks(chunks, lambda begin, end, cut=cut: end > cut)
         if not expected.any():
             with pytest.raises(RecordingError, match="nothing can be recovered"):
                 daq.recover(truncated, fixed)
@@ -123,8 +129,8 @@ def test_bit_flips_lose_a_chunk_at_most(intact_file, tmp_path):
         flipped.write_bytes(damaged)
         salvage = daq.recover(flipped, fixed, overwrite=True)
         is_readable = check_readable(fixed)
-        # A chunk with a damaged head may be recovered in addition.
-        assert is_readable[samples_outside(chunks, lambda begin, end, at=position: begin <= at < end)].all()
+        # A chunk whose head alone is damaged may be recovered, too.
+        assert is_readable[samples_in_intact_chunks(chunks, lambda begin, end, at=position: begin <= at < end)].all()
         lost = sum(stop - first for spans in salvage.lost.values() for first, stop in spans)
         assert lost == (~is_readable).sum()
         if lost:
@@ -139,8 +145,8 @@ def test_overwritten_bytes_affect_only_their_chunks(intact_file, tmp_path, lengt
         damaged = tmp_path / "damaged.mcap"
         damaged.write_bytes(data[:position] + filler + data[position + length :])
         daq.recover(damaged, tmp_path / "fixed.mcap", overwrite=True)
-        untouched = samples_outside(chunks, lambda begin, end, at=position: begin < at + length and at < end)
-        assert check_readable(tmp_path / "fixed.mcap")[untouched].all()
+        intact = samples_in_intact_chunks(chunks, lambda begin, end, at=position: begin < at + length and at < end)
+        assert check_readable(tmp_path / "fixed.mcap")[intact].all()
 
 
 def test_samples_after_removed_bytes_keep_their_numbers(intact_file, tmp_path):
@@ -242,13 +248,13 @@ samples = random_volts(400 * FLUSH_LENGTH)
 with Recorder(sys.argv[1], make_scene(), two_channels(), RATE) as recorder:
     for first in range(0, samples.shape[1], 100):
         recorder.write(samples[:, first : first + 100])
-        # Long lines fill the pipe, so that the writer waits and cannot finish before it is killed.
+        # Long lines fill the pipe: the writer waits for the test, and cannot finish before it is killed.
         os.write(1, f"{recorder.position:100}\\n".encode())
 """
 
 
 def test_killed_recorder_keeps_all_flushed_samples(tmp_path):
-    rng, true = random.Random(3), random_volts(400 * FLUSH_LENGTH) * UNIT_PER_VOLT
+    rng, true = random.Random(3), random_volts(400 * FLUSH_LENGTH) * UNITS_PER_VOLT
     paths = [tmp_path / f"{number}.mcap" for number in range(3)]
     processes = [
         subprocess.Popen(
@@ -263,12 +269,12 @@ def test_killed_recorder_keeps_all_flushed_samples(tmp_path):
         process.kill()
         last_lines = [line, *process.communicate()[0].splitlines()]
         assert process.returncode == -signal.SIGKILL
-        # The very last line may be incomplete.
-        written = int(last_lines[-1] if len(last_lines) < 3 else last_lines[-2])
+        # The very last line may be incomplete; the previous line has the number of samples written so far.
+        n_written = int(last_lines[-1] if len(last_lines) < 3 else last_lines[-2])
         fixed = path.with_suffix(".fixed")
         salvage = daq.recover(path, fixed)
         is_readable = check_readable(fixed, true)
-        assert is_readable[:, : written // FLUSH_LENGTH * FLUSH_LENGTH].all()
+        assert is_readable[:, : n_written // FLUSH_LENGTH * FLUSH_LENGTH].all()
         assert any("has no end" in note for note in salvage.notes)
 
 
@@ -328,6 +334,7 @@ def test_recovery_uses_nothing_without_checksum(tmp_path):
 
 def test_nothing_recoverable_is_reported(intact_file, tmp_path):
     data = bytearray(intact_file.read_bytes()[:-3])
+    # This byte is in the first chunk, which describes the channels.
     data[400] ^= 1
     (tmp_path / "a.mcap").write_bytes(data)
     with pytest.raises(ShotrigError, match="nothing can be recovered"):

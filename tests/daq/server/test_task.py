@@ -1,4 +1,8 @@
-"""Tasks of the nidaqmx client: inputs, outputs, timing, callbacks and polling."""
+"""Tasks of NI's client package nidaqmx on a virtual bench: inputs, outputs, timing, callbacks and polling.
+
+The bench simulates the test rig of a scene at its own sample rate, here ten times the rate of the tasks. Its chassis
+contains the simulated modules. With the fast clock, time passes as fast as the computer allows.
+"""
 
 import queue
 import threading
@@ -26,33 +30,37 @@ def chassis():
     return connect("bare-structure", "fast")
 
 
-def tone(samples, frequency=20.0, amplitude=0.1):
-    """Return the volts of a tone; frequency in Hz, amplitude in V."""
+def sine_voltage(samples, frequency=20.0, amplitude=0.1):
+    """Return the voltage samples of a sine, V; frequency in Hz, amplitude in V."""
     return amplitude * np.sin(2 * np.pi * frequency * np.arange(samples) / RATE)
 
 
-def read_in_pieces(size, total=512):
-    """Drive the shaker and read all inputs on the same clock, `size` samples at a time; return (4, `total`) volts."""
+def read_in_pieces(piece_length, total=512):
+    """Drive the shaker and read the four inputs on the same clock; return voltages of shape (4, total).
+
+    Each call reads `piece_length` samples per channel.
+    """
     connect("bare-structure", "fast")
     with Task() as reading, Task() as driving:
         inputs(reading, "Dev1/ai0:3", sample_mode=AcquisitionType.CONTINUOUS)
-        output(driving, tone(512), sample_mode=AcquisitionType.CONTINUOUS)
+        output(driving, sine_voltage(512), sample_mode=AcquisitionType.CONTINUOUS)
         driving.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger")
         driving.start()
         reading.start()
-        pieces = [np.array(reading.read(min(size, total - position))) for position in range(0, total, size)]
+        lengths = [min(piece_length, total - position) for position in range(0, total, piece_length)]
+        pieces = [np.array(reading.read(length)) for length in lengths]
     return np.concatenate(pieces, axis=1)
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("size", [1, 7, 128])
-def test_read_size_does_not_change_samples(size):
-    assert np.array_equal(read_in_pieces(size), read_in_pieces(512))
+@pytest.mark.parametrize("piece_length", [1, 7, 128])
+def test_read_size_does_not_change_samples(piece_length):
+    assert np.array_equal(read_in_pieces(piece_length), read_in_pieces(512))
 
 
 def test_inputs_show_response_to_drive():
     measured = read_in_pieces(512)
-    drive = 1e-3 * tone(512)  # The table moves 1 mm per V.
+    drive = 1e-3 * sine_voltage(512)  # The table moves 1 mm per V.
     expected = Bench(rig.load("bare-structure")).acquire(drive[None]).samples
     np.testing.assert_allclose(measured, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
@@ -76,7 +84,7 @@ def test_task_sets_sampling_rate(chassis):
     assert waveform.timing.sample_interval.total_seconds() == pytest.approx(1 / 10240, rel=1e-9)
 
 
-def test_scene_test_runs_at_low_rate():
+def test_test_defined_in_scene_runs_at_low_rate():
     scene = rig.load("bare-structure").replace(
         test={"kind": "sine", "frequency": 2000.0, "drive": 1e-6}, converter={"rate": 10240.0}
     )
@@ -93,7 +101,7 @@ def test_unstarted_finite_task_reads_all(chassis):
         assert np.shape(task.read(READ_ALL_AVAILABLE)) == (4, 64)
         assert task.is_task_done()
         assert np.shape(task.read(READ_ALL_AVAILABLE)) == (4, 64)
-    # 64 + 64 samples, of 10 bench samples each.
+    # The bench has ten times the rate of the task: the last of 128 samples is taken at bench sample 1271.
     assert chassis.position == 127 * 10 + 1
 
 
@@ -273,19 +281,19 @@ def test_callbacks_run_on_another_thread(monkeypatch):
     assert threading.main_thread() not in threads
 
 
-def test_committed_task_keeps_modules(chassis):
+def test_committed_task_reserves_its_modules(chassis):
     with Task() as first, Task() as second:
         inputs(first, "Dev1/ai0:3", samps_per_chan=10)
         inputs(second, "Dev1/ai0:3", samps_per_chan=10)
         first.control(TaskMode.TASK_COMMIT)
         first.read(READ_ALL_AVAILABLE)
-        with raises_code(-50103):
+        with raises_code(-50103):  # The resource is reserved.
             second.start()
         first.control(TaskMode.TASK_UNRESERVE)
         assert np.shape(second.read(READ_ALL_AVAILABLE)) == (4, 10)
 
 
-def test_scene_test_runs_while_output_is_unused():
+def test_test_defined_in_scene_runs_without_output():
     connect("fig10b-no-damper", "fast")
     with Task() as task:
         task.ai_channels.add_ai_force_iepe_chan("Dev1/ai3")
@@ -294,7 +302,7 @@ def test_scene_test_runs_while_output_is_unused():
     assert 150.0 < force.max() < 250.0
 
 
-def test_removed_delay_keeps_sample_times():
+def test_compensated_filter_delay_keeps_sample_times():
     scene = rig.load("bare-structure")
     without_delay = scene.replace(converter=scene.converter.replace(filter="delta_sigma", remove_delay=True))
     responses = []
@@ -313,7 +321,7 @@ def test_removed_delay_keeps_sample_times():
 
 
 def count_queries(condition, task):
-    """Poll until the condition holds, as a script would; fail after 1000 queries."""
+    """Poll until the condition is true, as a script does; return the number of queries. Fail after 1000."""
     for queries in range(1000):
         if condition(task):
             return queries
@@ -336,7 +344,7 @@ def test_polling_advances_fast_clock(chassis, condition):
 
 
 def test_polling_output_advances_fast_clock(chassis):
-    with output(Task(), tone(1000), sample_mode=AcquisitionType.FINITE, samps_per_chan=1000) as task:
+    with output(Task(), sine_voltage(1000), sample_mode=AcquisitionType.FINITE, samps_per_chan=1000) as task:
         task.start()
         count_queries(lambda task: task.out_stream.total_samp_per_chan_generated == 1000, task)
 
@@ -349,7 +357,7 @@ def test_repeated_reads_without_timeout_succeed(chassis):
             try:
                 return len(task.read(10, timeout=0.0)[0]) == 10
             except DaqError as no_samples:
-                assert no_samples.error_code == -200284
+                assert no_samples.error_code == -200284  # Not enough samples before the timeout.
                 return False
 
         count_queries(condition, task)
@@ -362,6 +370,7 @@ def test_single_queries_do_not_advance_clock(chassis):
         stream = task.in_stream
         assert (stream.total_samp_per_chan_acquired, stream.avail_samp_per_chan) == (100, 0)
         assert not task.is_task_done()
+        # The last of 100 samples is taken at bench sample 991.
         assert chassis.position == 99 * 10 + 1
 
 

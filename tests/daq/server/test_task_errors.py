@@ -1,4 +1,7 @@
-"""Errors of the remote API have the codes and texts of NI's driver, and name the remedy."""
+"""Errors of the remote API have the codes and texts of NI's driver, and name the remedy.
+
+Negative numbers in these tests are error codes of the driver; the hints are parts of the error texts.
+"""
 
 import importlib
 import re
@@ -40,8 +43,9 @@ def test_finished_task_gives_remaining_samples(chassis):
             task.read(1)
 
 
-def test_dropped_samples_overflow_and_restart():
+def test_dropped_samples_end_task_until_restart():
     scene = rig.load("bare-structure")
+    # At 0.1 s, sample 512 of the task, the device loses 256 samples.
     dropped = {"at": "0.1 s", "samples": 256}
     scene = scene.replace(converter=scene.converter.replace(dropped_blocks=[dropped]))
     chassis = connect(scene, ManualClock())
@@ -57,10 +61,11 @@ def test_dropped_samples_overflow_and_restart():
         assert len(task.read(100)) == 100
 
 
-def test_slow_machine_overflows_inputs(chassis):
+def test_long_delay_of_machine_overflows_inputs(chassis):
     with Task() as task:
         inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
+        # Delays of the simulation behind real time, s: short ones are tolerated.
         assert not chassis.report_delay(1.0)
         assert chassis.report_delay(6.0)
         with raises_code(-200361, "fast clock", kind=DaqReadError):
@@ -76,7 +81,7 @@ def start_output(task):
     task.start()
 
 
-def test_empty_output_is_reported(chassis):
+def test_exhausted_output_buffer_is_reported(chassis):
     with Task() as task:
         start_output(task)
         with raises_code(-200292, kind=DaqWriteError, samples=0):
@@ -91,7 +96,7 @@ def test_empty_output_is_reported(chassis):
         assert task.write(np.zeros(50)) == 50
 
 
-def test_empty_output_is_reported_on_stop(chassis):
+def test_exhausted_output_buffer_is_reported_on_stop(chassis):
     with Task() as task:
         start_output(task)
         pass_samples(chassis, 150)
@@ -130,7 +135,7 @@ def test_running_task_rejects_settings(chassis):
         ("Dev1/ai0:99999999", -200498, "100000000"),
     ],
 )
-def test_missing_channel_names_existing_ones(chassis, name, code, hint):
+def test_error_of_missing_channel_names_existing_channels(chassis, name, code, hint):
     with Task() as task, raises_code(code, hint):
         task.ai_channels.add_ai_voltage_chan(name, min_val=-1.0, max_val=1.0)
 
@@ -180,7 +185,7 @@ def test_impossible_rate_is_rejected(chassis, rate):
         (lambda task: task.read(10, timeout=np.nan), "timeout is nan"),
     ],
 )
-def test_invalid_value_names_valid_ones(chassis, call, hint):
+def test_error_of_invalid_value_names_valid_values(chassis, call, hint):
     with Task() as task:
         inputs(task)
         with raises_code(-200077, hint):
@@ -205,7 +210,7 @@ def test_infinite_timeout_waits_for_task(timeout):
 
 
 @pytest.mark.parametrize("sensitivity", [0.0, -100.0, 1e-310, np.inf, np.nan])
-def test_invalid_sensitivity_keeps_old_one(chassis, sensitivity):
+def test_invalid_sensitivity_does_not_replace_old_one(chassis, sensitivity):
     with Task() as task:
         with raises_code(-200077, "sensitivity"):
             task.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=sensitivity)
@@ -219,7 +224,7 @@ def test_invalid_sensitivity_keeps_old_one(chassis, sensitivity):
         assert len(task.read(5)) == 5
 
 
-def test_used_module_names_its_task(chassis):
+def test_error_of_used_module_names_its_task(chassis):
     with Task("mine") as first, Task("yours") as second:
         inputs(first, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
         inputs(second, "Dev1/ai1", sample_mode=AcquisitionType.CONTINUOUS)
@@ -230,8 +235,9 @@ def test_used_module_names_its_task(chassis):
         second.start()
 
 
-def test_wrong_use_has_its_code(chassis):
+def test_wrong_use_has_code_of_driver(chassis):
     def code(call, *arguments):
+        """Return the error code of a call that must fail."""
         with pytest.raises(DaqError) as caught:
             call(*arguments)
         return caught.value.error_code
@@ -326,7 +332,7 @@ def test_early_stop_has_status(chassis):
     with Task("early") as task:
         inputs(task, samps_per_chan=100)
         task.start()
-        assert chassis.tasks["early"].stop() == 200010
+        assert chassis.tasks["early"].stop() == 200010  # NI's warning that a finite task was not done.
 
 
 def test_closed_task_is_unusable(chassis):

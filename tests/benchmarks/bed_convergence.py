@@ -22,12 +22,14 @@ from rig.scene.scene import STANDARD_GRAVITY, Scene
 
 # Seeds of the random packings.
 PACKINGS = (1, 2, 3)
+# A simulation has three blocks of 20 periods.
 BLOCK_PERIODS = 20
 BLOCKS = 3
 #: Frequency, Hz; force relative to the body's weight; clearance, m; number of layers.
 SETTINGS = ((48.5, 0.15, math.inf, 2), (49.0, 0.2, 0.98e-3, 4), (47.5, 0.08, 3e-3, 6))
 RESONANCE_HZ = 50.0
-#: Modulus of the grains relative to the bed study; time step in Rayleigh times. The first is the reference.
+#: Elastic modulus of the grains relative to that of the bed study (`MODULUS_PA`); time step in Rayleigh times. The
+#: first variant is the reference.
 VARIANTS = ((1.0, 0.06), (0.5, 0.06), (2.0, 0.06), (1.0, 0.03), (1.0, 0.12))
 
 

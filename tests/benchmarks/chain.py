@@ -95,7 +95,7 @@ def measure() -> Iterator[str]:
     for name, scene in scenes_with_effects(rig.load("fig8-three-dampers")):
         rate = scene.converter.true_rate
         shortest = np.inf
-        # The first pass compiles.
+        # The first of four passes compiles; the shortest counts.
         for _ in range(4):
             plant = Plant(scene, rate)
             chain = Chain(scene, rate, plant.points, plant.inputs)

@@ -46,10 +46,11 @@ def main() -> int:
     name = sys.argv[1] if len(sys.argv) > 1 else "fig8-three-dampers"
     request, space = parse_request(rig.load(name))
     choice = Choice(space.locations[0], (space.mass,), space.clearance[:1])
-    question = request.parts[0]
-    task_input = question, choice
+    # A part of a request is about one structure at one force level. A task computes a choice of dampers for it.
+    part = request.parts[0]
+    task_input = part, choice
     print(f"a task and its input: {len(pickle.dumps((empty_task, task_input)))} bytes; ", end="")
-    print(f"its result: {len(pickle.dumps(question.worst(choice)))} bytes")
+    print(f"its result: {len(pickle.dumps(part.worst(choice)))} bytes")
     start = time.process_time()
     for place in space.locations:
         request.worst(Choice(place, (space.mass,), space.clearance[1:]))

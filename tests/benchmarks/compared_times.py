@@ -27,7 +27,7 @@ from tests.benchmarks.engine import engine_period, tone_of
 
 # Places of the four accelerometers.
 PLACES = ("body 1", "body 2", "body 3", "table")
-# Settings of the converter and of all accelerometers.
+# Settings of the converter and of all accelerometers: products from data sheets, and the same with all other effects.
 DATA_SHEET_PARTS = {"converter": {"preset": "NI 9234", "rate": "51.2 kHz"}, "accelerometer": {"preset": "PCB 352C33"}}
 PARTS_WITH_ALL_EFFECTS = {
     "converter": {

@@ -25,8 +25,8 @@ from rig.grain_beds.spheres import Spheres, rayleigh_time, spheres_of
 from rig.scene.excitation import Sine
 from rig.scene.scene import STANDARD_GRAVITY
 
-#: Acceleration, g; clearance, m; layers; periods of a block. Of three blocks the last two are averaged. Deep beds below
-#: a high ceiling need many periods to become steady.
+#: Amplitude of the acceleration, g; clearance, m; number of layers; periods of a block. A simulation has three blocks,
+#: and its results are averaged over the last two. Deep beds below a high ceiling need many periods to become steady.
 SETTINGS = (
     (3.0, math.inf, 6, 20), (2.5, math.inf, 4, 20), (3.0, 0.3e-3, 2, 20), (4.5, 0.15e-3, 2, 20), (5.5, 0.5e-3, 4, 20),
     (7.0, 2e-3, 6, 60),
@@ -48,8 +48,11 @@ def contact_force(
 ) -> None:  # fmt: skip
     """Compute the force of a contact and its tangential part, N, and update its tangential displacement, m.
 
+    The force acts on the first body; `normal` is a unit vector from the second body to the first.
+
     `radius`, `mass`: effective radius and mass; `velocity`: relative velocity of the centers; `spin`: sum of the lever
-    arms times the angular velocities; `law`: effective normal and shear modulus, damping ratio of the restitution.
+    arms times the angular velocities; `law`: effective normal and shear modulus, Pa, and damping ratio, which follows
+    from the restitution; `friction`: coefficient of friction; `step`: time step, s.
     """
     normal_velocity = velocity @ normal
     contact_radius = math.sqrt(radius * overlap)
@@ -77,7 +80,10 @@ def add_pair_forces(
     positions: Array, velocity: Array, spin: Array, radius: float, mass: float, law: Array, friction: float,
     step: float, pairs: NDArray[np.int64], displacements: Array, force: Array, torque: Array,
 ) -> None:  # fmt: skip
-    """Add the forces and torques of pairs of spheres; `displacements`: tangential, of each pair."""
+    """Add the forces [N] and torques [N m] between pairs of spheres to those of each sphere, shape (spheres, 3).
+
+    `spin`: angular velocities; `displacements`: tangential displacement of each pair, shape (spheres, spheres, 3).
+    """
     pair_force, tangential_force = np.empty(3), np.empty(3)
     for i, j in pairs:
         separation = positions[i] - positions[j]
@@ -105,8 +111,8 @@ def add_wall_forces(
 ) -> None:  # fmt: skip
     """Add the forces and torques of floor, ceiling and side, and sum the upward force of each wall on the bed.
 
-    `frictions`, `upward_force`: of each wall; `cavity`: its radius and height; `displacements`: tangential, of each
-    sphere at each wall.
+    `frictions`, `upward_force`: coefficient of friction and force of each wall; `cavity`: its radius and height, m;
+    `displacements`: tangential displacement of each sphere at each wall, shape (spheres, 3, 3).
     """
     wall_force, tangential_force, normal = np.empty(3), np.empty(3), np.empty(3)
     upward_force[:] = 0.0
@@ -118,7 +124,7 @@ def add_wall_forces(
             elif wall == CEILING:
                 overlap, normal[2] = positions[i, 2] + radius - cavity[1], -1.0
             else:
-                # The side is concave.
+                # The side wall is a cylinder around the spheres: its curvature increases the effective radius.
                 axis_distance = math.hypot(positions[i, 0], positions[i, 1])
                 overlap = axis_distance + radius - cavity[0]
                 effective_radius = radius * cavity[0] / (cavity[0] - radius)
@@ -141,7 +147,7 @@ def add_wall_forces(
 def neighboring_pairs(positions: Array, max_distance: float) -> NDArray[np.int64]:
     """Return the pairs of spheres (pairs, 2) whose centers are closer than a distance."""
     count = 0
-    # A sphere has fewer than 30 neighbors.
+    # Each pair is listed once, and a sphere has fewer than 30 neighbors.
     pairs = np.empty((len(positions) * 30, 2), np.int64)
     for i in range(len(positions)):
         for j in range(i + 1, len(positions)):
@@ -157,15 +163,16 @@ def shake_bed(
     positions: Array, radius: float, mass: float, law: Array, frictions: Array, cavity: Array, step: float, steps: int,
     amplitude: float, omega: float, gravity: float,
 ) -> Array:  # fmt: skip
-    """Shake a bed from rest; return the upward forces of floor, ceiling and side after each step (steps, 3), N.
+    """Shake a bed from rest; return the upward forces of floor, ceiling and side after each step, N, shape (steps, 3).
 
-    The motion is computed by the leapfrog method in the frame of the cavity: velocities belong to half steps.
+    The cavity moves as `amplitude` [m] times sin(`omega` t). The leapfrog method computes the motion in the frame of
+    the cavity: velocities are those in the middle of a step.
     """
     count = len(positions)
     velocity, spin, force, torque = np.zeros((4, count, 3))
     pair_displacements, wall_displacements = np.zeros((count, count, 3)), np.zeros((count, 3, 3))
     upward_force, history = np.zeros(3), np.empty((steps, 3))
-    # Pairs are searched again when spheres may have moved by half the gap up to which they are neighbors.
+    # Neighbors are searched again when spheres may have moved by half of `skin`, the largest gap between neighbors.
     travelled, skin = 0.0, SKIN_RADII * radius
     pairs = neighboring_pairs(positions, 2.0 * radius + skin)
     inertia = 0.4 * mass * radius**2
@@ -200,8 +207,8 @@ def shake_bed(
 def simulate_bed(spheres: Spheres, amplitude: float, block: int) -> Array:
     """Simulate a bed on a floor that moves with an amplitude [m]; `block`: periods of each of three blocks.
 
-    Returns over the last two blocks the mean forces of floor and ceiling, relative to the bed's weight, and the energy
-    per period, relative to the weight times 1 mm.
+    Returns three means over the last two blocks: forces of floor and ceiling, relative to the weight of the bed, and
+    energy that the bed receives per period, relative to the weight times 1 mm.
     """
     grains = spheres.settings
     positions = settled_positions(spheres)

@@ -25,7 +25,7 @@ from rig.work_precision.first_order_form import FirstOrderForm
 
 # Number of periods, equal for all solvers. There are many, because the first periods have few events.
 PERIODS = 100
-# Time after a separation during which the event functions are ignored.
+# Time after a separation during which the event functions (guards) are ignored.
 GUARD_DELAY_S = 2e-5
 RATE = 51200.0  # samples per second
 BLOCK_SAMPLES = 5120
@@ -55,7 +55,7 @@ def engine_period(scene: rig.Scene, periods: int = PERIODS, repeats: int = 200) 
     propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega)
     propagator.set_state(tone.state, np.array([1.0, 0.0]))
     start = propagator.snapshot()
-    # One segment a period, without stored rows.
+    # One segment of steps per period; row -1: no state is stored.
     segment_steps, rows, starts_period = np.full(periods, steps), np.full(periods, -1), np.ones(periods, dtype=bool)
 
     def run() -> None:
@@ -86,7 +86,7 @@ def solver_periods(scene: rig.Scene) -> dict[str, float]:
 
 
 def plant_speed(name: str, amplitude: float, noise: float) -> float:
-    """Return the speed of the plant relative to real time under a drive sampled at 51.2 kHz.
+    """Return the speed of the plant (the simulated rig of a scene) relative to real time, driven at 51.2 kHz.
 
     `amplitude`: of a sine at 218.8 rad/s; `noise`: standard deviation of added white noise.
     """

@@ -16,8 +16,8 @@ from rig.system.open_loop_drive import with_ideal_force
 
 T = TypeVar("T")
 
-# Scene, band [Hz], number of points: resonances with regular motion and, last, a band with some irregular motion, which
-# both methods must simulate.
+# Scene, frequency band [Hz], number of points. The motion is periodic near the resonances of the first four curves. The
+# last curve has some non-periodic motion, which both methods must simulate.
 CURVES = (
     ("fig9", (47.0, 50.85), 200),
     ("fig5-single-damper", (46.0, 51.0), 200),
@@ -29,29 +29,32 @@ REPEATS = 3
 
 
 def measure() -> Iterator[str]:
-    """Yield a header, and a line for each curve: times of both methods, and deviations."""
+    """Yield a header, and a line for each curve: times of both methods, and errors of the orbits.
+
+    The deviation is the median over the points, relative to simulation; the residual is the largest of all orbits.
+    """
     yield (
-        f"{'curve':38} {'points':>6} {'simulated':>12} {'orbits':>10} {'ratio':>6} {'differ':>8} "
-        f"{'residual':>8} {'irregular':>9}"
+        f"{'curve':38} {'points':>6} {'simulated':>12} {'orbits':>10} {'ratio':>6} {'deviation':>9} "
+        f"{'residual':>8} {'non-periodic':>12}"
     )
     for name, band, points in CURVES:
         scene = with_ideal_force(rig.load(name))
         frequencies = np.linspace(*band, points)
-        # These calls load compiled code: not measured.
+        # Load compiled code before the measurement.
         rig.frequency_response(scene, frequencies[:2])
         rig.orbit_response(scene, frequencies[:2])
         simulation_time, simulated = _shortest_time(lambda: rig.frequency_response(scene, frequencies))  # noqa: B023
         orbit_time, orbits = _shortest_time(lambda: rig.orbit_response(scene, frequencies))  # noqa: B023
         both_converged = simulated.converged & ~orbits.simulated
         magnitude = np.abs(simulated.compliance).max(axis=0)
-        difference = np.median(
+        deviation = np.median(
             (np.abs(orbits.compliance - simulated.compliance).max(axis=0) / magnitude)[both_converged]
         )
         residual = max(orbit.residual for orbit in orbits.orbits if orbit is not None)
         yield (
             f"{name + f', {band[0]:g} to {band[1]:g} Hz':38} {points:6} {1e3 * simulation_time:9.0f} ms "
             f"{1e3 * orbit_time:7.0f} ms {simulation_time / orbit_time:6.1f} "
-            f"{difference:8.0e} {residual:8.0e} {int(orbits.simulated.sum()):9}"
+            f"{deviation:9.0e} {residual:8.0e} {int(orbits.simulated.sum()):12}"
         )
 
 

@@ -30,7 +30,10 @@ STEPS_PER_GROUP = 5
 
 
 def scene_of(mass: float, cavity: float) -> Scene:
-    """Return a scene with a bed of 2 mm lead shot in a body of ten times its mass."""
+    """Return a scene with a bed of 2 mm lead shot in a body of ten times its mass.
+
+    `mass`: of the bed, kg; `cavity`: diameter, m.
+    """
     grains = {"diameter": 2e-3, "modulus": 1e7, "cavity": cavity}
     return Scene.model_validate(
         {
@@ -47,8 +50,8 @@ def print_step_times(positions_path: str, mass: float, cavity: float, steps: int
     ranks.join()
     coupling.settled_positions = lambda _: np.load(positions_path)
     coupled = coupling.CoupledPropagator(scene_of(mass, cavity), 1e-3)
-    periods = 29.0 * coupled.step * np.arange(steps + 1)
-    drive = 70.0 * mass * np.sin(2.0 * np.pi * periods)[None]
+    cycles = 29.0 * coupled.step * np.arange(steps + 1)
+    drive = 70.0 * mass * np.sin(2.0 * np.pi * cycles)[None]
     coupled.set_state(coupled.system.initial, drive[:, 0])
     times = []
     for first in range(0, steps, STEPS_PER_GROUP):

@@ -9,7 +9,7 @@ from rig.numerics.simd import LANES, aligned_zeros
 
 
 class BlockBuffers:
-    """An array that channels use one after another, because separate arrays would not stay in a processor's cache."""
+    """An array that all channels use one after another; separate arrays would not stay in the processor's cache."""
 
     def __init__(self) -> None:
         self._rows = aligned_zeros(0, LANES)

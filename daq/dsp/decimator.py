@@ -18,6 +18,7 @@ from rig.numerics.simd import LANES, aligned_zeros
 class Decimator:
     """Decimation filter of one channel, delayed by `delay` intervals.
 
+    Write the moments of the next intervals into `place`, then call `filter`. `buffers` are shared by all channels.
     `taps`, shape (oversampling, moments, length): from `daq.signal_chain.decimation_filter.legendre_taps`.
     """
 
@@ -42,7 +43,7 @@ class Decimator:
         return self._moments[begin:]
 
     def filter(self, count: int) -> Array:
-        """Return the samples that end with the next `count` intervals, whose moments are in `place`."""
+        """Return the samples whose last interval is among the next `count`; the moments of these are in `place`."""
         oversampling = self._oversampling
         first_end = -self._intervals % oversampling
         samples = max(0, -(-(count - first_end) // oversampling))
@@ -55,7 +56,10 @@ class Decimator:
 
 
 def _lane_weights(taps: Array, delay: int) -> Array:
-    """Return the weights of `LANES` successive samples, which are computed at once; (intervals x MOMENTS, LANES)."""
+    """Return the weights of the moments in `LANES` successive samples; (intervals * moments, LANES).
+
+    `LANES` is the number of values in a processor register: these samples are computed at once.
+    """
     oversampling, moments, _ = taps.shape
     # Row (p, j) of the taps has the weights of the interval j samples and p intervals before the sample.
     taps_backward = np.concatenate([np.zeros((delay, moments)), taps.transpose(2, 0, 1).reshape(-1, moments)])

@@ -2,10 +2,10 @@
 
 The unit of time is the sample interval. The propagated vector consists of the circuit's states, integrals of its output
 that restart at every sample, and four derivatives of the input, a cubic. The integrals yield the Legendre moments of
-the output over the interval. The first is its mean, which an averaging converter reads; a decimation filter weighs
-several. The vector follows one linear differential equation, so that matrix exponentials propagate it over an interval.
-Over a share of it, one matrix propagates 64ths, another 4096ths, and a Taylor series the remainder. No eigenvectors
-are used, because a circuit may have repeated poles.
+the output over the interval. The first moment is its mean, which an averaging converter reads; a decimation filter
+weighs several moments. The vector follows one linear differential equation, so that matrix exponentials propagate it
+over an interval. Over a share of it, one matrix propagates 64ths, another 4096ths, and a Taylor series the remainder.
+No eigenvectors are used, because a circuit may have repeated poles.
 """
 
 from __future__ import annotations
@@ -75,7 +75,10 @@ class DiscreteCircuit(NamedTuple):
 
 
 def generator_matrix(circuit: Circuit, gain: float, rate: float, integrals: int) -> Array:
-    """Return the rate of change of the propagated vector per interval, shape (size, size)."""
+    """Return the matrix that yields the rate of change of the propagated vector, per interval; shape (size, size).
+
+    `gain`: V per unit of the input; `rate`: sample rate, Hz; `integrals`: number of integrals of the output.
+    """
     states = circuit.c.size
     width = states + integrals
     generator = np.zeros((width + 4, width + 4))
@@ -130,7 +133,8 @@ def discretize(circuit: Circuit, gain: float, rate: float, integrals: int, entri
     extended, start = extend_by_disturbances(generator, circuit, rate, integrals, entries)
     transition = to_moments @ expm(extended)[:width] @ start
 
-    # The first three terms may only move the input's derivatives, so that the convergence is counted from the fourth.
+    # The first three terms of the Taylor series may only transfer the input's derivatives. Its convergence is therefore
+    # counted from the fourth term.
     norm = np.abs(generator).sum(axis=1).max() / SUBDIVISIONS**2
     if not norm <= MAX_GENERATOR_NORM:
         fastest = np.abs(np.linalg.eigvals(circuit.a)).max(initial=0.0) / (2.0 * np.pi)
@@ -162,7 +166,7 @@ def discretize(circuit: Circuit, gain: float, rate: float, integrals: int, entri
 
 
 def input_first(rows: Array, states: int) -> Array:
-    """Move the columns of the states behind those of input and disturbances."""
+    """Return `rows` with the columns of the `states` states behind those of input and disturbances."""
     return np.roll(rows, -states, axis=1)
 
 
@@ -175,7 +179,7 @@ def _powers(matrix: Array) -> Array:
 
 
 def transpose_and_pad(matrices: Array) -> Array:
-    """Transpose matrices of shape (count, size, size), and pad them with zeros to whole registers."""
+    """Transpose matrices of shape (count, size, size), and pad them with zeros to whole processor registers."""
     count, size, _ = matrices.shape
     padded = aligned_zeros(count, padded_length(size), padded_length(size))
     padded[:, :size, :size] = matrices.transpose(0, 2, 1)

@@ -33,7 +33,7 @@ class Offset:
 
     def __init__(self, level: float, time_constant: float | None, rate: float) -> None:
         self._level = level
-        # Share of the deviation from the final level by which it decreases in a sample interval.
+        # Relative decrease of the deviation from the final level in a sample interval.
         self._decay = 1.0 if time_constant is None else float(-np.expm1(-1.0 / (time_constant * rate)))
         self._deviation = np.array([0.0 if time_constant is None else level])
 
@@ -55,8 +55,8 @@ def _fill_settling(samples: Array, level: float, decay: float, last_deviation: A
 class Disturbances:
     """All disturbances of a channel, each a voltage times a Legendre polynomial over the interval before a sample.
 
-    `direct`: feedthrough of each to the output; `degrees`: of the polynomials; those of degrees 1 and 2 follow the
-    disturbance of degree 0 of the same noise; `oversampling`: intervals in a sample interval.
+    `direct`: direct feedthrough of each to the output; `degrees`: of the polynomials; `oversampling`: number of
+    intervals in a sample interval. Disturbances of degrees 1 and 2 follow that of degree 0 of the same noise.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class Disturbances:
         self._sources, self._oversampling = tuple(sources), oversampling
         self._direct, self._has_direct = direct, bool(direct.any())
         self._degrees = tuple(degrees)
-        self._interval, self._samples = 0, 0  # number drawn so far
+        self._interval, self._samples = 0, 0  # numbers of intervals and of samples drawn so far
         self._last = np.zeros((len(sources), 1))
 
     def draw(self, intervals: int) -> Array:
@@ -106,14 +106,14 @@ class Disturbances:
                 voltages[row] *= length * length
 
     def add_direct(self, voltages: Array, volts: Array) -> None:
-        """Add the direct feedthrough of `voltages`, from `draw`, to the volts of the samples that they end at."""
+        """Add the direct feedthrough of `voltages` (from `draw`) to `volts`, the outputs at the ends of intervals."""
         if self._has_direct:
             _add_weighted(self._direct, voltages, volts)
 
 
 @unfused_kernel
 def _add_weighted(weights: Array, rows: Array, out: Array) -> None:
-    """Add each row times its weight."""
+    """Add each row times its weight to `out`."""
     for e in range(weights.size):
         if weights[e] != 0.0:
             for k in range(out.size):

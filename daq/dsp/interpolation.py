@@ -47,7 +47,7 @@ class CubicInput(NamedTuple):
 
 
 class MotionInterpolator:
-    """Interpolates the motion of one point, a row of `Motion`, block after block."""
+    """Interpolates the motion of one point, a row of `Motion`, block after block; `rate`: samples per second."""
 
     def __init__(self, row: int, rate: float) -> None:
         self._row = row
@@ -57,7 +57,10 @@ class MotionInterpolator:
         self._segment_ends = np.zeros(3), np.zeros(3)
 
     def interpolate(self, motion: Motion) -> CubicInput:
-        """Return the cubics of the next block; the point is at rest before sample 0: a first velocity is an impulse."""
+        """Return the cubics of the next block.
+
+        The point is at rest before sample 0. A velocity at sample 0 is therefore an impulse of acceleration there.
+        """
         row = self._row
         acceleration, velocity = motion.acceleration[row], motion.velocity[row]
         displacement = motion.displacement[row]
@@ -109,7 +112,7 @@ class ForceInterpolator:
         self._is_first_block = True
 
     def interpolate(self, force: Array) -> CubicInput:
-        """Return the lines of the next block; the force is zero before sample 0 and may jump there."""
+        """Return the straight lines of the next block as cubics; the force is zero before sample 0, and may jump."""
         whole = np.empty((4, force.size))
         if force.size == 0:
             return CubicInput(whole, *_NO_SEGMENTS)
@@ -163,7 +166,10 @@ def _describe_segments(
     segments: Array,
     segment_ends: tuple[Array, Array],
 ) -> int:
-    """Append the segments of intervals with breaks to the first `count`; return the number of segments."""
+    """Append the segments of intervals with breaks to the first `count` segments; return the new number of segments.
+
+    `segment_interval`, `segments`: as in `CubicInput`; `segment_ends`: working arrays.
+    """
     begin_state, end_state = segment_ends
     acceleration, velocity, displacement = at_breaks
     elapsed = 0.0

@@ -2,8 +2,9 @@
 
 A shock lasts microseconds in an accelerometer, much less than the sample interval of a slow converter. Limited voltages
 are therefore checked many times per period of the circuit's fastest pole, at any sample rate. An interval in which a
-limit may be reached is propagated in steps, with the exact transition of the linear circuit. Integrators are held at
-their rails. The excess of the sensor's output over its limit is subtracted as a linear function of time in each step.
+limit may be reached is propagated in steps, with the exact transition of the linear circuit. Integrators are limited to
+their rails, the largest voltages of their amplifiers. The excess of the sensor's output over its limit is subtracted as
+a linear function of time in each step.
 """
 
 from __future__ import annotations
@@ -42,9 +43,10 @@ FINE = 1
 STEPS_PER_PERIOD = (32, 128)
 # Minimum number of steps in an interval.
 MIN_STEPS = (8, 32)
-# If a voltage is below this share of its limit at every check or coarse step, it does not reach the limit in between.
+# If a voltage is below this ratio to its limit at every check or coarse step, it does not reach the limit in between.
 NEAR_LIMIT = float(np.cos(np.pi / CHECKS_PER_PERIOD))
-# An impulse counts as an overload if it equals the limit times this duration or more; smaller ones are rounding errors.
+# An impulse counts as an overload if it equals the limit times this duration, s, or more; smaller impulses are rounding
+# errors.
 MIN_IMPULSE_S = 1e-9
 
 
@@ -52,7 +54,8 @@ class Limits(NamedTuple):
     """Matrices that detect where limits are reached, and propagate the circuit's vector there.
 
     The vector is defined in `daq.dsp.discretization`. A leading dimension of 2 means coarse and fine steps.
-    Disturbances of degree 0 are constant over an interval.
+    Disturbances (noise and offsets) of degree 0 are constant over an interval. `width` is the number of states and of
+    moments of the output, `size` includes the four derivatives of the input.
     """
 
     # Contributions of input, disturbances and states, in the order of `DiscreteCircuit.state_weights`, to each limited
@@ -95,7 +98,8 @@ def tabulate_limits(
 ) -> Limits | None:
     """Return the matrices for the limits of a circuit; None if it has no limit.
 
-    `output_limit`: of the output of the first `sensor_sections` sections, V; `rails`: of each state, V, (states,).
+    `output_limit`: of the output of the first `sensor_sections` sections, V; `rails`: of each state, V, (states,);
+    `gain`: V per unit of the input; `rate`: sample rate, Hz; `entries`: of the disturbances.
     """
     if output_limit is None and not np.isfinite(rails).any():
         return None
@@ -159,7 +163,10 @@ def tabulate_limits(
 
 
 def _ramp_contributions(generator: Array, excess_input: Array, steps: int) -> Array:
-    """Return the contributions of inputs that fall from 1 to 0 and rise from 0 to 1 over a step; (2, width)."""
+    """Return the contributions of an input that falls from 1 to 0 over a step, and of one that rises; (2, width).
+
+    `steps`: number of steps in an interval.
+    """
     size, width = len(generator), excess_input.size
     ramp = np.zeros((size + 2, size + 2))
     ramp[:size, :size] = generator
@@ -170,7 +177,10 @@ def _ramp_contributions(generator: Array, excess_input: Array, steps: int) -> Ar
 
 
 def _rail_contributions(generator: Array, states: int, steps: int) -> Array:
-    """Return, for each state, the contribution of a constant input that adds 1 to it over a step; (states, width)."""
+    """Return, for each state, the contribution of a constant input that adds 1 to it over a step; (states, width).
+
+    `states`: number of states; `steps`: number of steps in an interval.
+    """
     size = len(generator)
     inputs = np.zeros((size + states, size + states))
     inputs[:size, :size], inputs[:states, size:] = generator, np.eye(states)
@@ -242,6 +252,7 @@ def propagate_with_limits(
 ) -> tuple[int, float]:
     """Propagate the circuit step by step over an interval; return the next segment and the final excess, V.
 
+    `segment`: number of the first segment that is not yet used; `interval`: number of the interval in the block.
     Afterwards, `workspace.vector` contains the moments, and `overload` the severity of the interval (see
     `daq.dsp.propagation.propagate`).
     """

@@ -23,7 +23,9 @@ _MAX_CORNER_RATIO = 4.0
 
 
 def generator(seed: int, channel: str, stage: str) -> np.random.Generator:
-    """Return the random number generator of one stage of one channel, which is independent of the rest of the scene.
+    """Return the random number generator of one source of noise (`stage`) of one channel.
+
+    Its numbers do not depend on the other channels and settings of the scene.
 
     >>> generator(1, "body1", "noise").integers(100) == generator(1, "body1", "noise").integers(100)
     np.True_

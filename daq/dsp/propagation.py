@@ -1,4 +1,8 @@
-"""Exact propagation of a circuit from sample to sample, for an input of cubic segments."""
+"""Exact propagation of a circuit from sample to sample, for an input of cubic segments.
+
+An interval has breaks if an impact changes the input abruptly in it. Disturbances are noise and offsets; moments are
+those of the output over each interval (`daq.dsp.discretization`).
+"""
 
 from __future__ import annotations
 
@@ -51,8 +55,8 @@ def propagate(
     excess_weights: Array,  # weight of the excess over the limit in each output; (outputs,)
     outputs: Array,  # filled: outputs at the samples, V; (outputs, intervals)
     moments: Array,  # filled: moments of the circuit's output; (intervals + SUMS_AT_ONCE or 0, LANES)
-    # Filled: severity of each interval, 0 without overload, otherwise 1 + remaining zero shift / limit; first element:
-    # severity of the last interval of the previous block; (1 + intervals,).
+    # Filled: severity of each interval's overload: 0 without overload, otherwise 1 + remaining zero shift / limit. The
+    # first element is that of the last interval of the previous block; (1 + intervals,).
     overload: Array,
     workspace: CircuitWorkspace,
 ) -> None:
@@ -69,7 +73,7 @@ def propagate(
     while first < intervals:
         overload[1 + first] = 0.0
         has_breaks = segment < cubics.segment_interval.size and cubics.segment_interval[segment] == first
-        # A circuit without limits is compiled without the code of limits.
+        # `in_steps`: the interval is propagated with limits. A circuit without limits is compiled without this code.
         in_steps = False
         if limits is not None:
             in_steps = has_breaks or overload[first] > 0.0
@@ -142,7 +146,10 @@ def _propagate_stretch(discrete: DiscreteCircuit, state: Array, sources: Array, 
 
 @unfused_kernel
 def _propagate_first_order(pole: float, initial: float, inputs: Array, values: Array) -> float:
-    """Propagate the state of a first-order section; fill in its values, and return the last."""
+    """Propagate the state of a first-order section; fill in its values at the start of each interval and at the end.
+
+    Returns the last value. `inputs`: contributions to the state over each interval.
+    """
     x = initial
     for k in range(inputs.size):
         values[k] = x
@@ -155,7 +162,10 @@ def _propagate_first_order(pole: float, initial: float, inputs: Array, values: A
 def _propagate_second_order(
     transition: Array, begin: int, state: Array, inputs_x: Array, inputs_y: Array, values_x: Array, values_y: Array
 ) -> None:
-    """Propagate both states of a second-order section, x and y, from the index `begin` on; fill in their values."""
+    """Propagate both states of a second-order section, x and y; fill in their values as `_propagate_first_order`.
+
+    `begin`: index of x; `inputs_x`, `inputs_y`: contributions over each interval.
+    """
     xx, xy = transition[begin, begin], transition[begin + 1, begin]
     yx, yy = transition[begin, begin + 1], transition[begin + 1, begin + 1]
     x, y = state[begin], state[begin + 1]

@@ -1,6 +1,7 @@
 """Propagation of a circuit over an interval with breaks, segment by segment.
 
-A segment is the share of a sample interval between two breaks (`daq.dsp.interpolation`).
+A break is an instant between samples at which an impact changes the input abruptly. A segment is the part of a sample
+interval between two breaks (`daq.dsp.interpolation`).
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ class SegmentWorkspace(NamedTuple):
     """Working arrays of a propagation over segments of an interval; shape (size,) if not stated."""
 
     vector: Array  # the propagated vector (`daq.dsp.discretization`)
-    term: Array
-    work: Array
-    zeros: Array
+    term: Array  # a term of the Taylor series, or another intermediate vector
+    work: Array  # intermediate results
+    zeros: Array  # always zero
     steady: Array  # contribution of constant disturbances over a step
     segment: Array  # a row of `CubicInput.segments`; (6,)
 
@@ -35,7 +36,10 @@ def segment_workspace(size: int) -> SegmentWorkspace:
 def propagate_segments(
     cubics: CubicInput, segment: int, discrete: DiscreteCircuit, state: Array, workspace: SegmentWorkspace
 ) -> int:
-    """Propagate the workspace's vector over all segments of an interval, from its first; return the next segment."""
+    """Propagate the circuit from `state` over all segments of an interval, the first of which is number `segment`.
+
+    The result is in the workspace's vector. Returns the number of the next interval's first segment.
+    """
     vector, work = workspace.vector, workspace.work
     interval = cubics.segment_interval[segment]
     vector[:] = 0.0
@@ -88,7 +92,7 @@ def propagate_share(discrete: DiscreteCircuit, share: float, workspace: SegmentW
     multiply(discrete.coarse_exponentials, coarse, vector, zeros, term)
     multiply(discrete.fine_exponentials, fine, term, zeros, vector)
     if remainder > 0.0:
-        # Taylor series, from its last term (Horner's method).
+        # Taylor series, evaluated from its last term on (Horner's method).
         copy(vector, term)
         for k in range(discrete.taylor_terms, 0, -1):
             for r in range(term.size):

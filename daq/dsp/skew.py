@@ -1,4 +1,7 @@
-"""Skew of a multiplexed converter, which samples its channels one after another: delay of each channel's input."""
+"""Skew of a multiplexed converter, which samples its channels one after another: delay of each channel's input.
+
+A break is an instant between samples at which an impact changes the velocity abruptly.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from rig.numerics.jit import unfused_kernel
 def delays(skew: float | tuple[float, ...] | None, channels: int, rate: float) -> tuple[float, ...]:
     """Return the delay of each channel, s, relative to the clock tick at which the last channel is sampled.
 
-    `skew`: lateness of each channel relative to the previous one, s; or the lateness of every channel, s.
+    `skew`: time from the sampling of a channel to that of the next, s; or the sampling time of each channel, s.
 
     >>> delays(1e-6, 3, 5120.0)
     (2e-06, 1e-06, 0.0)
@@ -35,7 +38,7 @@ def delays(skew: float | tuple[float, ...] | None, channels: int, rate: float) -
 
 
 class Delay:
-    """Delays the input of a channel by a share of a sample interval, block after block.
+    """Delays the input of a channel by a fraction (`share`) of a sample interval, block after block.
 
     A delayed interval consists of the tail of one input interval and the head of the next, and is described by one
     cubic (see `CubicInput`) whose second integral is exact at the new nodes. If one of the two has breaks, the delayed
@@ -54,8 +57,8 @@ class Delay:
         if cubics.whole.size == 0:
             return cubics
         whole = np.empty(cubics.whole.shape)
-        # An input interval with breaks affects two delayed intervals. Each of its segments is in one of them or split,
-        # and each of the two has one more segment.
+        # An input interval with breaks affects two delayed intervals. Each of its segments is in one of the two, or is
+        # split between them, and each of the two contains one segment of another interval.
         tail_size = len(self._tail)
         max_segments = tail_size + 4 * cubics.segment_interval.size + 4
         segment_interval, segments = allocate_segments(max_segments)
@@ -78,7 +81,10 @@ class Delay:
 
 
 def _delay_matrix(share: float) -> Array:
-    """Return the matrix from the cubics of two successive intervals to that of a delayed interval; (4, 8)."""
+    """Return the matrix from the cubics of two successive intervals to that of the delayed interval; (4, 8).
+
+    A cubic is described by four numbers: start, end, mean and moment (`CubicInput`).
+    """
     matrix = np.zeros((4, 8))
     head_length = 1.0 - share
     for column in range(4):
@@ -151,6 +157,7 @@ def _shift(
                 count += 1
             else:
                 copy_into(row, cubic)
+                # Length of the part in the head.
                 in_head = max(head_length - elapsed, 0.0) if length > 0.0 else 0.0
                 if in_head > 0.0:
                     segment_interval[count] = i
@@ -176,7 +183,10 @@ def _shift(
 
 @unfused_kernel
 def _combine(cubics: Array, weights: Array, last: Array, out: Array) -> None:
-    """Fill in one of the four numbers of each delayed interval, as if no interval had breaks."""
+    """Fill in one of the four numbers of each delayed interval, as if no interval had breaks.
+
+    `weights`: a row of the matrix, (8,); `last`: cubic of the interval before the block, (4,).
+    """
     start, end, mean, moment = cubics[0], cubics[1], cubics[2], cubics[3]
     out[0] = _weighted_sum(
         weights, last[0], last[1], last[2], last[3], start[0], end[0], mean[0], moment[0],
@@ -199,9 +209,13 @@ def _weighted_sum(
 
 @unfused_kernel
 def _split(cubic: Array, begin: float, end: float, length: float, impulse: float, out: Array) -> None:
-    """Fill in a segment: the cubic between two shares of its length, with the segment's length and impulse."""
+    """Fill in a segment: the part of a cubic from `begin` to `end`, as fractions of its length.
+
+    `length`: of the segment, as a share of the sample interval; `impulse`: at its end.
+    """
     out[LENGTH], out[IMPULSE] = length, impulse
     a, b, mean, moment = cubic[0], cubic[1], cubic[2], cubic[3]
+    # Coefficients of the powers of time, from 0 to 1; the constant is `a`.
     c1 = -9.0 * a + 3.0 * b - 24.0 * mean + 60.0 * moment
     c2 = 18.0 * a - 12.0 * b + 84.0 * mean - 180.0 * moment
     c3 = -10.0 * a + 10.0 * b - 60.0 * mean + 120.0 * moment

@@ -9,14 +9,18 @@ from rig.scene.measurement_chain import Channel
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 
-# A limit that no test reaches, in any unit. It replaces a limit, because without one the device may have other states.
+# A limit that no test reaches, in any unit. It replaces a limit: without a limit, the model of the device may have a
+# different number of states.
 _NO_LIMIT = 1e8
 # Largest word length of a converter, bits.
 _MAX_BITS = 32
 
 
 def reading_limit(channel: Channel | None, info: ChannelInfo) -> tuple[float, str]:
-    """Return the smallest limit of a channel in its unit (infinite without one), and the part that has it."""
+    """Return the smallest limit of a channel in its unit (infinite without a limit), and the part that has this limit.
+
+    `channel`: its settings in the scene; None if the scene does not define channels.
+    """
     limits, sensitivity = [(np.inf, "")], abs(info.sensitivity)
     if info.range is not None:
         limits.append((info.range / sensitivity, f"input of {info.range:g} V"))

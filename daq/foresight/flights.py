@@ -1,4 +1,7 @@
-"""Predict at which frequencies dampers leave their floors in a test, and list the modes outside its band."""
+"""Predict at which frequencies dampers leave their floors (fly) in a test, and list the modes outside its band.
+
+A damper leaves its floor if the acceleration of the body exceeds gravity.
+"""
 
 from __future__ import annotations
 
@@ -24,13 +27,19 @@ _MAX_LISTED_MODES = 5
 
 
 def onset_level(scene: Scene, system: HybridSystem) -> float:
-    """Return the lowest level of a tone or sweep at which a damper leaves its floor; infinite for other tests."""
+    """Return the lowest level of a tone or sweep at which a damper leaves its floor; infinite for other tests.
+
+    The level is the force in N, or the drive in the shaker's unit.
+    """
     accelerations = _acceleration_per_level(scene, system, test_frequencies(scene.test, _N_FREQUENCIES))
     return float(system.gravity / accelerations.max()) if accelerations.max(initial=0.0) > 0.0 else np.inf
 
 
 def _acceleration_per_level(scene: Scene, system: HybridSystem, frequencies: Array) -> Array:
-    """Return the acceleration under each damper per unit of level, with all on floors; (dampers, frequencies)."""
+    """Return the acceleration amplitude under each damper per unit of level, m/s^2; (dampers, frequencies).
+
+    All dampers are on their floors. Without dampers, or for other tests than tones and sweeps, the array is empty.
+    """
     if not system.dampers or not isinstance(scene.test, Sine | SteppedSine | SweptSine):
         return np.zeros((0, 0))
     try:
@@ -40,7 +49,10 @@ def _acceleration_per_level(scene: Scene, system: HybridSystem, frequencies: Arr
 
 
 def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: Sequence[Rehearsal]) -> tuple[str, ...]:
-    """Return lines that state for each damper whether it flies, and at which frequencies or time."""
+    """Return lines that state for each damper whether it flies, and at which frequencies or at what time.
+
+    `rehearsals`: simulations of parts of the test.
+    """
     frequencies = test_frequencies(scene.test, _N_FREQUENCIES)
     exceeds_gravity = level * _acceleration_per_level(scene, system, frequencies) > system.gravity
     names_by_range: dict[str, list[str]] = {}

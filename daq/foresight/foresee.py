@@ -40,17 +40,17 @@ from rig.scene.scene import Scene
 from rig.scene.shaker import DRIVE_PER_VOLT, ElectrodynamicShaker
 from rig.system.assembly import assemble
 
-# Longest duration of a rehearsal, as a multiple of the affordable or expected duration.
+# Longest duration of a rehearsal, as a multiple of the duration that the CPU time allows, or of the expected duration.
 _MAX_TIME_RATIO = 1.5
-# Ratio to its limit from which the drive counts as limited.
+# A drive above this ratio to its limit counts as limited.
 _LIMITED_DRIVE_RATIO = 0.999
 # Largest number of rehearsals at other levels, which determine the largest permissible level if dampers fly.
 _MAX_SECANT_STEPS = 3
 # Relative tolerance of that level.
 _LEVEL_TOLERANCE = 0.02
-# An earlier maximum, as a ratio to the settling time of the sensor's bias, is the power-on transient.
+# A maximum before this ratio of the settling time of the sensor's bias is the power-on transient.
 _POWER_ON_RATIO = 0.5
-# Ratio to the test's level beyond which the permissible level is extrapolated in proportion.
+# If the permissible level differs from the test's level by more than this factor, it is extrapolated in proportion.
 _MAX_LEVEL_RATIO = 4.0
 
 
@@ -103,20 +103,23 @@ class RehearsedTest:
         return next((part.aborted for part in self.parts if part.aborted is not None), None)
 
     def largest(self, quantity: str, row: int) -> tuple[float, float | None, float | None]:
-        """Return the largest magnitude of a quantity in a row, with its frequency (Hz) or else its time (s)."""
+        """Return the largest magnitude of a quantity in a row, with its frequency (Hz) or else its time (s).
+
+        `quantity`: attribute of `Rehearsal`, such as ``readings``; `row`: of the channel, input or point.
+        """
         part = max(self.parts, key=lambda rehearsal: getattr(rehearsal, quantity).magnitude[row])
         magnitude, sample = (float(getattr(part, quantity).magnitude[row]), int(getattr(part, quantity).sample[row]))
         frequency = part.frequency_at(sample)
         return magnitude * self.extension, frequency, sample / part.rate if frequency is None else None
 
     def reading_time(self, row: int) -> float:
-        """Return the time of the largest reading, s from the start; infinite if it is not in the first part."""
+        """Return the time of a channel's largest reading, s from the start; infinite if it is not in the first part."""
         part = max(self.parts, key=lambda rehearsal: float(rehearsal.readings.magnitude[row]))
         return float(part.readings.sample[row] / part.rate) if part is self.parts[0] else np.inf
 
 
 def rehearse_test(scene: Scene, bench: Bench) -> RehearsedTest:
-    """Rehearse a test, or the parts of it that take an affordable time."""
+    """Rehearse a test, or the parts of it for which the CPU time suffices."""
     plan, seconds = plan_rehearsal(scene, bench.channels), affordable_seconds(scene)
     parts = _rehearse_parts(plan, _MAX_TIME_RATIO * max(seconds, expected_seconds(plan.parts[0][0])))
     test = scene.test
@@ -134,7 +137,7 @@ def rehearse_test(scene: Scene, bench: Bench) -> RehearsedTest:
         return RehearsedTest(parts, True)
     extension = 1.0
     if not plan.is_complete and isinstance(test, Random):
-        # Expected extremes of a Gaussian process in the whole test and in a part, by its zero crossings.
+        # The expected maximum of a Gaussian process grows with sqrt(log(number of zero crossings)).
         zero_crossings = test.from_ + test.to
         log_whole, log_part = (np.log(max(zero_crossings * time, 3.0)) for time in (test.duration, parts[0].seconds))
         extension = float(max(np.sqrt(log_whole / log_part), 1.0))
@@ -142,7 +145,7 @@ def rehearse_test(scene: Scene, bench: Bench) -> RehearsedTest:
 
 
 def _rehearse_parts(plan: RehearsalPlan, max_seconds: float) -> tuple[Rehearsal, ...]:
-    """Rehearse the parts one after another, up to an abort."""
+    """Rehearse the parts one after another, up to an abort; each takes at most `max_seconds` of bench time."""
     parts: list[Rehearsal] = []
     for scene, excluded_steps in plan.parts:
         parts.append(Rehearsal(scene, excluded_steps).run(max_seconds))
@@ -166,6 +169,7 @@ class _Assessment:
         """Return the prediction."""
         expectations = (*self._channels(), *self._sensors(), *self._outputs(), *self._tables())
         dampers_fly = any(any(part.impact_times) for part in self.unlimited_test.parts)
+        # The share is the ratio of a maximum to its limit.
         by_share = sorted(expectations, key=lambda row: row.driven_share)
         limiting = by_share[-1] if by_share else None
         largest_level = np.nan
@@ -198,11 +202,12 @@ class _Assessment:
         )
 
     def _channels(self) -> Iterable[Expectation]:
+        """Yield the largest reading of each channel, and its limit."""
         settings = {channel.name: channel for channel in self.scene.channels or ()}
         for row, info in enumerate(self.bench.channels):
             largest, frequency, time = self.unlimited_test.largest("readings", row)
             driven = None
-            limit, limited_part = reading_limit(settings.get(info.name), info)
+            limit, limiting_part = reading_limit(settings.get(info.name), info)
             if _POWER_ON_RATIO * settling_time(info) > self.unlimited_test.reading_time(row):
                 # While the bias of a sensor settles, its reading is not a response to the tone.
                 frequency, time = None, self.unlimited_test.reading_time(row)
@@ -210,7 +215,7 @@ class _Assessment:
                 driven = max(later_peaks, default=largest)
             recorded = min(self.rehearsed_test.largest("readings", row)[0], np.inf if info.range is None else limit)
             yield Expectation(
-                info.name, info.unit, largest, frequency, time, limit, limited_part, largest > limit, recorded, driven
+                info.name, info.unit, largest, frequency, time, limit, limiting_part, largest > limit, recorded, driven
             )
 
     def _below_resolution(self, expectations: Iterable[Expectation]) -> Iterable[str]:
@@ -229,7 +234,7 @@ class _Assessment:
                 )
 
     def _sensors(self) -> Iterable[Expectation]:
-        """Yield the largest acceleration at each accelerometer, of the smooth motion or of an impact, and its limit."""
+        """Yield the largest acceleration at each accelerometer with a limit: that of the motion, or of an impact."""
         closing_speeds = np.max([part.closing_speed for part in self.unlimited_test.parts], axis=0)
         speeds = closing_speeds[self.system.damper_number - 1]
         names = [info.name for info in self.bench.channels]
@@ -278,13 +283,17 @@ class _Assessment:
                 )
 
     def _tables(self) -> Iterable[Expectation]:
+        """Yield the largest displacement of each shaker table."""
         for row, name in enumerate(self.bench.points):
             magnitude, frequency, time = self.unlimited_test.largest("displacements", row)
             if name.startswith("table") and magnitude > 0.0:
                 yield Expectation(f"{name} travel", "m", magnitude, frequency, time)
 
     def _largest_level(self, limiting: Expectation, dampers_fly: bool) -> tuple[float, bool]:
-        """Return the largest level without overload, and whether dampers fly at this level or at that of the test."""
+        """Return the largest level without overload, and whether dampers fly at this level or at that of the test.
+
+        `limiting`: the maximum that is nearest to its limit; `dampers_fly`: whether they fly at the test's level.
+        """
         onset = onset_level(self.scene, self.system)
         if not np.isfinite(limiting.driven_share):
             return onset, True
@@ -300,12 +309,16 @@ class _Assessment:
         return self._solve_level(limiting, names.index(limiting.name), level), True
 
     def _solve_level(self, limiting: Expectation, row: int, level: float) -> float:
-        """Return the level at which a channel reaches its limit, by the secant method in logarithms with rehearsals."""
+        """Return the level at which a channel reaches its limit, by the secant method in logarithms with rehearsals.
+
+        `row`: of the channel; `level`: first estimate.
+        """
         part = max(self.unlimited_test.parts, key=lambda rehearsal: float(rehearsal.readings.magnitude[row]))
         seconds = affordable_seconds(self.scene) / (2 * _MAX_SECANT_STEPS)
         scene, excluded_steps = shorten_to_tone(part.scene, limiting.frequency, seconds)
         if scene is None:
             return level
+        # Pairs: logarithms of the level, and of the ratio of the largest reading to its limit.
         unlimited_scene, log_ratios = without_limits(scene), [(np.log(self.level), np.log(limiting.driven_share))]
         for _ in range(_MAX_SECANT_STEPS):
             rehearsal = Rehearsal(with_level(unlimited_scene, level), excluded_steps).run(4.0 * seconds)
@@ -342,6 +355,7 @@ class _Assessment:
         settling_times = [wait for part in rehearsed_test.parts for wait in self._settling_times(part, test)] or [1.0]
         steps = len(test.levels) * len(test.order)
         typical_time = float(np.percentile(settling_times, 25))
+        # Time by which the steps about the peaks take longer than the typical step, s.
         excess = sum(wait - typical_time for wait in settling_times)
         complete_seconds = estimate(self.scene).seconds + steps * typical_time + max(excess, 0.0)
         if rehearsed_test.aborted is None:

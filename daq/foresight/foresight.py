@@ -27,15 +27,15 @@ class Expectation:
     largest: float  # largest value if there were no limits
     frequency: float | None = None  # frequency of the maximum, Hz
     time: float | None = None  # time of the maximum from the start of the test, s
-    limit: float = np.inf
-    limited_by: str = ""  # part that has this limit
-    overloaded: bool = False
+    limit: float = np.inf  # in the same unit; infinite without a limit
+    limited_by: str = ""  # part that has this limit, such as "sensor"
+    overloaded: bool = False  # whether the limit is exceeded in the test
     recorded: float = np.nan  # largest reading in the recording; only for a channel
     driven: float | None = None  # largest value without the power-on transient; None: the same as `largest`
 
     @property
     def driven_share(self) -> float:
-        """Ratio of the maximum, without the power-on transient, to the limit: it grows with the level."""
+        """Ratio of the maximum to the limit, without the power-on transient, which does not depend on the level."""
         return self.share if self.driven is None else self.driven / self.limit
 
     @property
@@ -59,7 +59,7 @@ class Expectation:
 
 
 def format_size(magnitude: float, unit: str) -> str:
-    """Format a value with its unit: accelerations in g, small lengths in mm or µm.
+    """Format a value with its unit: accelerations in g, small values with the prefix m or µ.
 
     >>> format_size(519.8, "m/s^2"), format_size(0.00149, "m"), format_size(2.8, "N")
     ('53 g', '1.49 mm', '2.8 N')
@@ -81,18 +81,18 @@ class Foresight(Result):
     scene: str
     expectations: tuple[Expectation, ...]  # channels first, then sensors, outputs, amplifier, table
     key: str  # key of the test's level, such as test.force; "" without a level
-    level: float
+    level: float  # highest level of the test, in `level_unit`
     largest_level: float  # largest level without overload; NaN without a limit
     level_unit: str
-    limited_by: Expectation | None
+    limited_by: Expectation | None  # maximum that limits `largest_level`
     nonlinear: bool  # whether dampers fly, so that `largest_level` is approximate
     aborts: str | None  # reason why the test will abort; None if it will not
-    signals: dict[str, LowestSignalToNoise] = field(default_factory=dict)
+    signals: dict[str, LowestSignalToNoise] = field(default_factory=dict)  # by name of the channel
     unread: tuple[str, ...] = ()  # warnings of channels below the resolution of the converter
     flights: tuple[str, ...] = ()  # lines about dampers in flight
-    seconds: float = 0.0  # duration of the test
+    seconds: float = 0.0  # duration of the test, s
     disk: float = 0.0  # size of its recording, bytes
-    rehearsed: str = ""  # description of the rehearsed part; "" for the whole test
+    rehearsed: str = ""  # description of the part that was simulated (rehearsed); "" for the whole test
     outside: tuple[str, ...] = ()  # line about modes outside the band of the test
 
     @property
@@ -109,7 +109,7 @@ class Foresight(Result):
         )
 
     def summary(self) -> str:
-        """State whether the test fits, and its limit."""
+        """State whether the test fits within all limits, and the largest level that does."""
         worst = max(self.expectations, key=lambda entry: entry.share, default=None)
         if self.aborts is not None:
             statement = f"the test will abort: {self.aborts}"

@@ -46,7 +46,10 @@ def test_frequencies(test: Test | None, points: int) -> Array:
 
 
 def states_per_level(scene: Scene, system: HybridSystem, frequencies: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Return states (states, frequencies) and drive (frequencies,) for one unit of the test's level."""
+    """Return complex amplitudes of states (states, frequencies) and drive (frequencies,) per unit of the test's level.
+
+    The level is the force in N, or the drive in the shaker's unit; `frequencies` are in Hz.
+    """
     omega = 2.0 * np.pi * frequencies
     drive_gain = np.broadcast_to(drive_per_level(scene, system, omega), omega.shape).astype(np.complex128)
     return riding_response(system, scene.at_driven("shaker"), omega) * drive_gain, drive_gain
@@ -84,7 +87,7 @@ def required_drive(scene: Scene, system: HybridSystem) -> tuple[float, float] | 
 class LowestSignalToNoise:
     """Smallest ratio of a channel's amplitude to the standard deviation of its noise in a measurement."""
 
-    ratio: float
+    ratio: float  # not in dB
     frequency: float  # Hz
 
     def __str__(self) -> str:
@@ -117,7 +120,11 @@ def lowest_signal_to_noise(scene: Scene, channels: tuple[ChannelInfo, ...]) -> d
 
 
 def _signal_to_noise_gain(scene: Scene, frequencies: Array) -> Array:
-    """Return the signal-to-noise ratio of a measurement for unit amplitude per level and unit noise density."""
+    """Return the signal-to-noise ratio of a measurement of a channel with unit response and unit noise density.
+
+    Unit response is an amplitude of 1 per unit of the level; unit noise density is 1 per sqrt(Hz). Shape
+    (frequencies,).
+    """
     test = scene.test
     level = min(test.levels) if isinstance(test, SteppedSine) else level_of(scene)
     if isinstance(test, Random):
@@ -139,10 +146,11 @@ def _signal_to_noise_gain(scene: Scene, frequencies: Array) -> Array:
 
 
 def _noise_density(scene: Scene, channel: Channel | None, info: ChannelInfo, frequencies: Array) -> Array:
-    """Return the noise density of a channel, in its unit per sqrt(Hz)."""
+    """Return the one-sided noise density of a channel, in its unit per sqrt(Hz), shape (frequencies,)."""
     converter, noise_power = complete_from_preset(scene.converter), np.zeros(frequencies.size)
     voltage_noise_power = (converter.noise or 0.0) ** 2
     if info.volts_per_count is not None:
+        # Quantization: variance count^2 / 12 over half the sample rate.
         voltage_noise_power += info.volts_per_count**2 / (6.0 * info.rate)
     if channel is not None and channel.integrator is not None:
         voltage_noise_power += (channel.integrator.noise or 0.0) ** 2

@@ -1,4 +1,7 @@
-"""Rehearse a test on the virtual bench without recording it: extremes of every channel, and size of its recording."""
+"""Rehearse a test: simulate it on the virtual bench without a recording, to predict its extremes.
+
+The size of the recording is estimated by recording a few blocks.
+"""
 
 from __future__ import annotations
 
@@ -45,18 +48,19 @@ class Extremes:
 
 @dataclass(frozen=True)
 class Step:
-    """A held tone: its samples, its frequency in Hz, and whether it settled."""
+    """The wait for the steady state of a tone, or its measurement."""
 
-    first: int
-    stop: int
-    frequency: float
-    settled: bool
+    first: int  # number of the first sample
+    stop: int  # number of the sample after the last
+    frequency: float  # Hz
+    settled: bool  # whether the steady state was reached
 
 
 class Rehearsal(BenchLoop):
     """A test on the bench that is not recorded; only the extremes of each quantity are stored.
 
-    The extremes do not include the first `excluded_steps` steps.
+    The first `excluded_steps` steps are run but not evaluated. Each quantity has a row for each channel (`readings`, in
+    its unit), input (`drives`), or body and table (`accelerations`, m/s^2, and `displacements`, m).
     """
 
     def __init__(self, scene: Scene, excluded_steps: int = 0) -> None:
@@ -68,14 +72,18 @@ class Rehearsal(BenchLoop):
         # Drive of each input of the rig, before the limits of output and amplifier.
         self.drives = Extremes(len(bench.inputs))
         self.accelerations, self.displacements = Extremes(len(bench.points)), Extremes(len(bench.points))
+        # Largest closing speed of each damper before an impact, m/s.
         self.closing_speed = np.zeros(len(scene.dampers))
         # Times of the impacts of each damper, s.
         self.impact_times: list[list[float]] = [[] for _ in scene.dampers]
         self.steps: list[Step] = []
+        # First sample and stop of the sweep; None without a complete sweep.
         self.sweep: tuple[int, int] | None = None
+        # Simulated duration, s, and whether the test ran to its end.
         self.seconds, self.complete = 0.0, False
         # Reason why the test was aborted; None if it was not.
         self.aborted: str | None = None
+        # Blocks of the last seconds, from which the size of the recording is estimated.
         self.last_blocks: deque[Block] = deque()
         self._stored_samples = 0
 

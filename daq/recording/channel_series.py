@@ -1,6 +1,7 @@
 """Read the samples of one topic of a recording by sample number.
 
-A topic consists of blocks of samples in compressed chunks. Only the chunks that are needed are decoded.
+A topic contains the samples of a channel, or of a true motion, as blocks in compressed chunks. Only the chunks that are
+needed are decoded.
 """
 
 from __future__ import annotations
@@ -24,16 +25,18 @@ from rig.errors import RecordingError
 if TYPE_CHECKING:
     from mcap.records import Channel
 
-# Number of samples of a range above which the file is checked for them: a wrong number must not exhaust the memory.
+# If more samples than this number are requested, the file is checked for them first: a wrong sample number must not
+# exhaust the memory.
 _LARGE_RANGE = 1 << 22
-# Largest ratio of the samples of such a range to those in the file.
+# Largest ratio of the requested samples to those in the file.
 _MAX_SAMPLES_PER_STORED = 16
-# Memory for decoded samples of a recording, bytes: an analysis reads a measured segment several times.
+# Memory for decoded samples of a recording, bytes. Decoded samples are stored, because an analysis reads a measured
+# segment several times.
 _MAX_CACHE_BYTES = 1 << 27
 
 
 class BlockCache:
-    """Cache of the latest decoded blocks of a recording, by channel and chunk, up to `_MAX_CACHE_BYTES`."""
+    """Cache of the latest decoded blocks of a recording, by numbers of channel and chunk, up to `_MAX_CACHE_BYTES`."""
 
     def __init__(self) -> None:
         self._blocks: OrderedDict[tuple[int, int], list[SampleBlock]] = OrderedDict()
@@ -183,7 +186,7 @@ class Series:
         return values
 
     def refuse_void(self, start: int, stop: int) -> None:
-        """Raise `RecordingError` if the file has almost no samples in a long range."""
+        """Raise `RecordingError` if the file lacks almost all samples [start, stop) of a long range."""
         if stop - start <= _LARGE_RANGE:
             return
         begin, end = np.searchsorted(self._chunk_stops, [start, stop], side="right")

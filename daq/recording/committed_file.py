@@ -1,6 +1,7 @@
 """The file of a recording, which grows by whole commits: a full disk leaves no half-written record in it.
 
-A file that replaces another is written next to it, and renamed when it is complete.
+A commit writes all bytes that were collected since the previous commit. A file that replaces another is written next to
+it as `NAME.part`, and renamed when it is complete.
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ from typing import IO
 from rig.errors import RecordingError, RunError
 from rig.output_files import rename_complete, resolve_output
 
-# Number of byte strings that are joined for one write; joining all would double the memory of thousands of channels.
+# Number of byte strings that are joined for one write; joining all would double the memory for thousands of channels.
 _MAX_PARTS_PER_WRITE = 256
 # Disk space that is kept free for the end of the file and the display, bytes.
 RESERVE = 1 << 20
 
 
 class DiskError(RunError):
-    """The disk is full or fails; the message states the content of the file."""
+    """The disk is full or fails."""
 
 
 def make_folder(path: Path) -> None:
@@ -113,7 +114,7 @@ class CommittedFile:
         self.current_path = self._final
 
     def discard(self) -> None:
-        """Keep the old file, and remove the new file that would have replaced it."""
+        """Close the file; if it would have replaced another, remove it, and leave the other unchanged."""
         self.close()
         if self.current_path != self._final:
             self.current_path.unlink(missing_ok=True)
@@ -126,7 +127,10 @@ class CommittedFile:
 
     @contextmanager
     def removed_on_failure(self) -> Iterator[None]:
-        """Remove the new file if the body of the `with` fails, unless the file is complete and only not renamed."""
+        """Remove the new file if the body of the `with` statement fails.
+
+        A complete file that only could not be renamed remains.
+        """
         try:
             yield
         except BaseException:
@@ -137,7 +141,7 @@ class CommittedFile:
 
 
 def _unused_name(path: Path) -> Path:
-    """Return an unused name next to a file; the partial file of a killed process is not replaced.
+    """Return an unused name next to a file; the `.part` file of a killed process is not replaced.
 
     >>> _unused_name(Path("there-is-no-such-folder/run.mcap")).name
     'run.mcap.part'
@@ -158,7 +162,7 @@ def _lock(file: IO[bytes], path: Path) -> None:
     except BlockingIOError:
         raise RecordingError(f"{path}: another process is recording to it. Choose another name.") from None
     except (ImportError, OSError):
-        # Not every system and disk supports locks.
+        # Some operating systems and disks do not support locks; the file is then not locked.
         return
 
 
@@ -167,6 +171,6 @@ def _creation_error(error: OSError, folder: Path) -> str:
     if not isinstance(error, FileNotFoundError):
         return f"{error.strerror}). Choose a folder that you can write to."
     if folder.is_dir():
-        # A folder of the system, such as /proc.
+        # It is a folder of the operating system, such as /proc.
         return f"the folder {folder} accepts no new files). Choose another folder."
     return f"there is no folder {folder}). Create it first."

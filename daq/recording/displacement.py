@@ -20,7 +20,7 @@ _INTEGRATIONS = {"velocity": "once", "acceleration": "twice"}
 
 @dataclass(frozen=True)
 class MotionSource:
-    """Source of the displacement of a point.
+    """Source of the displacement of a point of the drawn rig, such as ``body 1``.
 
     `quantity` is that of the channel; without a channel it is ``truth``, or ``nothing`` if the point is not measured.
     """
@@ -57,7 +57,7 @@ def motion_sources(points: Iterable[str], channels: Sequence[ChannelInfo], has_t
 class DisplacementFilter:
     """Integrates a sampled signal to a displacement, block by block, high-passed at `HIGH_PASS_HZ`.
 
-    With w the corner, an acceleration is filtered by ``s^2 / (s^2 + sqrt(2) w s + w^2)^2``, a velocity by
+    With w, the corner in rad/s, an acceleration is filtered by ``s^2 / (s^2 + sqrt(2) w s + w^2)^2``, a velocity by
     ``s / (s^2 + sqrt(2) w s + w^2)``, both by bilinear transform; a displacement is not changed.
     """
 
@@ -74,7 +74,7 @@ class DisplacementFilter:
         self._state = np.zeros((self._sections.shape[0], 2))
 
     def run(self, samples: Array) -> Array:
-        """Return the displacement at the next samples, in m for SI input."""
+        """Return the displacement at the next samples, in m; the samples are in SI units, shape (samples,)."""
         if self._sections is None or not samples.size:
             return samples
         from scipy.signal import sosfilt

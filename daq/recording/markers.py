@@ -1,4 +1,7 @@
-"""Markers, the events of a test with their samples, as JSON on a topic of the recording; and gaps, from the markers."""
+"""Markers (events of a test with their samples) and changes of contact, as JSON on topics of a recording.
+
+Gaps (missing samples) are determined from the markers.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +46,8 @@ _FIELD_CHECKS = {
     ),
 }
 
-# Touch and release belong to contacts of finite duration.
+# Kinds of changes: a damper leaves its floor or ceiling (separation), or hits one of them. Contacts of finite duration
+# begin with touch and end with release.
 CONTACT_CHANGES = ("separation", "floor", "ceiling", "touch", "release")
 _EVENT_CHECKS = {
     "time": Check(lambda value: is_number(value) and abs(value) < 1e12, "a time in seconds"),
@@ -116,7 +120,7 @@ class Marker:
         return self.end + 1
 
     def to_json(self) -> bytes:
-        """Write the marker as the JSON of its topic.
+        """Encode the marker as JSON.
 
         >>> Marker("hit", 512, fields={"peak": 50.0}).to_json()
         b'{"kind":"hit","first_sample":512,"last_sample":null,"peak":50.0}'
@@ -126,7 +130,7 @@ class Marker:
 
     @classmethod
     def from_json(cls, data: memoryview) -> Marker:
-        """Read a marker; raise `RecordingError` if the message is malformed."""
+        """Decode a marker; raise `RecordingError` if the message is malformed."""
         content = _object(data, MARKERS)
         kind, first = content.pop("kind", None), content.pop("first_sample", None)
         last = content.pop("last_sample", None)
@@ -163,7 +167,7 @@ class Gap:
 
 
 def gaps_of(markers: Iterable[Marker], channels: Sequence[str]) -> list[Gap]:
-    """Return the gaps that markers report, in their order; a marker without channels is for all."""
+    """Return the gaps that markers report, in their order; a marker without channels concerns all `channels`."""
     gaps = []
     for marker in markers:
         if marker.kind in ("gap", "lost"):
@@ -194,12 +198,18 @@ def unmarked_ranges(missing: Iterable[tuple[int, int]], gaps: Sequence[Gap]) -> 
 
 
 def event_to_json(time: float, damper: int, kind: str, speed: float) -> bytes:
-    """Write a change of contact as the JSON of its topic."""
+    """Encode a change of contact as JSON.
+
+    `time`: s after sample 0; `damper`: number, from 1; `kind`: from `CONTACT_CHANGES`; `speed`: closing speed, m/s.
+    """
     return _json({"time": time, "damper": damper, "kind": kind, "speed": speed})
 
 
 def event_from_json(data: memoryview) -> tuple[float, int, str, float]:
-    """Read a change of contact; raise `RecordingError` if the message is malformed."""
+    """Return time, damper, kind and speed of a change of contact, as in `event_to_json`.
+
+    Raises `RecordingError` if the message is malformed.
+    """
     content: dict[str, Any] = dict.fromkeys(_EVENT_CHECKS) | _object(data, EVENTS)
     try:
         check(content, _EVENT_CHECKS)
@@ -220,6 +230,7 @@ def _to_python(value: Any) -> Any:
 
 
 def _object(data: memoryview, topic: str) -> dict[str, Any]:
+    """Decode a JSON object; raise `RecordingError` if the message of the topic is not a JSON object."""
     try:
         content = json.loads(bytes(data))
     except (ValueError, RecursionError) as error:

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 
 class Schema(NamedTuple):
-    """Schema of a topic: its name, encoding and text, and the encoding of the messages."""
+    """Schema of a topic, as MCAP requires it."""
 
     name: str
-    encoding: str
-    data: bytes
-    message_encoding: str
+    encoding: str  # language of the schema, such as "protobuf"
+    data: bytes  # the schema itself
+    message_encoding: str  # encoding of the messages, such as "json"
 
 
 @cache

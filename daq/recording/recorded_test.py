@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class TestKind(StrEnum):
-    """Kinds of tests that require different evaluation."""
+    """Kinds of tests, which are evaluated by different methods."""
 
     __test__ = False  # not a test for pytest
 
@@ -57,7 +57,7 @@ class RecordedTest:
 
     @property
     def name(self) -> str:
-        """Description of the test, for messages."""
+        """Description of the test, for error messages."""
         return "no test" if self.settings is None else f"a test of kind {self.settings.kind}"
 
     @property
@@ -67,7 +67,7 @@ class RecordedTest:
 
     @property
     def decays(self) -> bool:
-        """Whether the structure decays freely."""
+        """Whether the response is a free decay."""
         return self.kind in (TestKind.HITS, TestKind.FREE)
 
 
@@ -100,7 +100,7 @@ def kind_from_markers(markers: Sequence[Marker], settings: Test | None) -> TestK
 class SceneOutline:
     """Facts of a scene that a recording repeats in its metadata."""
 
-    scene: str
+    scene: str  # name of the scene
     test: str  # kind of test; "none" without a test
     bodies: tuple[str, ...]  # names, body 1 first; empty if they have none
     dampers: int  # number of dampers
@@ -139,7 +139,7 @@ class SceneOutline:
         return self.bodies[int(number) - 1] if has_name else position
 
     def missing_force_places(self, channels: Collection[ChannelInfo]) -> list[str]:
-        """Return the positions without a channel that are needed to compute the force of the shaker."""
+        """Return the positions that need a channel for the force of the shaker, but have none; [] if it is measured."""
         if any(info.quantity == "force" for info in channels):
             return []
         measured = {info.at for info in channels}

@@ -1,7 +1,7 @@
 """Describe the rig for general MCAP viewers as a robot (URDF), whose parts move by transforms in the recording.
 
 The parts have the sizes and positions of `daq.drawing.stack`; springs are not drawn. Every displacement and gap is
-multiplied by the exaggeration, which is chosen before the motion is known.
+multiplied by a factor, the exaggeration, which is chosen before the motion is known.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ if TYPE_CHECKING:
 
     BoxGeometry = tuple[tuple[float, float, float], tuple[float, float, float]]
 
+# Name of the fixed part.
 WORLD = "world"
-# Displacements near a resonance are millimeters; a millimeter is drawn as two centimeters.
+# Largest exaggeration. Displacements near a resonance are millimeters; a millimeter is drawn as two centimeters.
 EXAGGERATION = 20.0
 
 TRANSFORMS_SCHEMA = Schema(
@@ -54,7 +55,7 @@ TRANSFORMS_SCHEMA = Schema(
     ),
     "protobuf",
 )
-# Size of a height, a double, bytes.
+# Size of a height (a double) in a message, bytes.
 _HEIGHT_BYTES = 8
 # Size of the seconds, and of the nanoseconds, in a google.protobuf.Timestamp, bytes: fixed, so that all messages have
 # one size.
@@ -67,7 +68,7 @@ _NO_ROTATION = b"\x2a\x09\x21" + struct.pack("<d", 1.0)
 
 
 def exaggeration(scene: Scene) -> float:
-    """Return the factor on displacements and gaps: 20, or less so that finite clearances fit the drawing."""
+    """Return the factor on displacements and gaps: 20, or less so that finite clearances fit into the drawing."""
     clearances = [damper.clearance for damper in scene.dampers if 0 < damper.clearance < math.inf]
     return round_factor(min([EXAGGERATION, *(HEADROOM / clearance for clearance in clearances)]))
 
@@ -107,6 +108,7 @@ class RobotDescription:
         self.points = tuple(points)
 
     def _link(self, name: str, boxes: Sequence[BoxGeometry], color: Color) -> None:
+        """Add a part of boxes, each with center and size in m of the drawing."""
         rgba = " ".join(f"{component / 255:.3f}" for component in (*color, 255))
         visuals = "".join(
             f'<visual><origin xyz="{_join(center)}"/><geometry><box size="{_join(size)}"/></geometry>'
@@ -116,6 +118,7 @@ class RobotDescription:
         self._links.append(f'<link name="{name}">{visuals}</link>')
 
     def _joint(self, parent: str, child: str, rest_height: float) -> None:
+        """Let a part move vertically relative to its parent, and append its transform to the message template."""
         self._joints.append(
             f'<joint name="{child}_moves" type="prismatic"><parent link="{parent}"/><child link="{child}"/>'
             f'<origin xyz="0 0 {rest_height:g}"/><axis xyz="0 0 1"/>'
@@ -151,5 +154,6 @@ def _join(values: Sequence[float]) -> str:
 
 
 def _encode_string(number: int, text: str) -> bytes:
+    """Encode a protobuf string field with a field number."""
     content = text.encode()
     return bytes([number << 3 | 2]) + varint(len(content)) + content

@@ -24,9 +24,11 @@ SCHEMAS: dict[str, tuple[str, str, np.dtype[Any]]] = {
     "float32": ("shotrig.BlockFloat32", "float", np.dtype("<f4")),
     "counts": ("shotrig.BlockCounts", "sfixed32", np.dtype("<i4")),
 }
+# Numpy type of the samples for each schema.
 SAMPLE_TYPE: dict[str, np.dtype[Any]] = {schema: kind for schema, _, kind in SCHEMAS.values()}
 
-# Header of a message: three fields of eight bytes, each after its tag, and the tag of the samples.
+# Header of a protobuf message: three fields of eight bytes, each after its tag (a byte with number and type of the
+# field), and the tag of the samples.
 _HEADER = struct.Struct("<BqBQBdB")
 _TAGS = (0x09, 0x11, 0x19, 0x22)
 
@@ -52,7 +54,7 @@ class SampleBlock(NamedTuple):
 
 @lru_cache
 def block_schema(schema: str) -> Schema:
-    """Return the description of a block schema (a key of `SAMPLE_TYPE`) for the file."""
+    """Return the schema record of a block, for the file; `schema` is a key of `SAMPLE_TYPE`."""
     samples = next(protobuf_type for name, protobuf_type, _ in SCHEMAS.values() if name == schema)
     header = (("t0_ns", "sfixed64"), ("first_sample", "fixed64"), ("sample_rate_hz", "double"))
     package, message = schema.split(".")
@@ -101,11 +103,14 @@ def decode(data: memoryview, schema: str) -> SampleBlock:
 
 @lru_cache(maxsize=64)
 def _size_prefix(message: int) -> bytes:
-    """Return the encoded size of the samples in a message with a length of `message` bytes."""
-    rest_bytes = message - _HEADER.size
-    max_prefix = len(varint(rest_bytes))
+    """Return the encoded size (varint) of the samples in a message with a length of `message` bytes.
+
+    The length of the encoded size depends on the size, which is smaller by this length; two lengths are possible.
+    """
+    bytes_after_header = message - _HEADER.size
+    max_prefix = len(varint(bytes_after_header))
     lengths = (max_prefix, max_prefix - 1)
-    return next((prefix for n in lengths if len(prefix := varint(rest_bytes - n)) == n), b"")
+    return next((prefix for n in lengths if len(prefix := varint(bytes_after_header - n)) == n), b"")
 
 
 def _decode_any(data: memoryview, schema: str) -> SampleBlock:

@@ -1,6 +1,7 @@
 """Collect samples that arrive in arrays of any length into groups on a fixed grid of sample numbers.
 
-The bytes of a recording depend on the grid only, not on the lengths of the arrays.
+A cell of the grid contains the sample numbers from one multiple of the group length to the next. The bytes of a
+recording depend on the grid only, not on the lengths of the arrays.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ class Group:
     def blocks(self, length: int) -> Iterator[tuple[int, NDArray[Any]]]:
         """Yield the acquired samples in blocks that end at multiples of `length`, or where the samples end.
 
-        Each item is the number of the first sample, and successive blocks of one size: (rows, blocks, samples).
+        Each item consists of the number of the first sample, and successive blocks of equal size, shape (rows, blocks,
+        samples).
         """
         for start, samples in self.acquired():
             stop = start + samples.shape[1]
@@ -48,8 +50,8 @@ class Group:
 class Grouping:
     """Collects samples of some rows into groups of `length` samples on a fixed grid.
 
-    `complete` contains the groups of finished cells by their number, without empty groups. `position` is the number
-    of the next sample.
+    `complete` contains the groups of completed cells by cell number, without empty groups. `position` is the number of
+    the next sample, `group_bytes` the size of a group.
     """
 
     def __init__(self, rows: int, length: int, dtype: np.dtype[Any]) -> None:

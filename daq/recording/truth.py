@@ -1,6 +1,6 @@
 """Collect the true motion of the rig for a recording, and make its topics.
 
-The truth is the simulated motion itself, which no sensor measures.
+The truth is the simulated motion itself, which no sensor measures (true quantity values, VIM 2.11).
 """
 
 from __future__ import annotations
@@ -26,8 +26,10 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
     from rig.simulation.motion import Motion
 
+# Function that adds a topic to the file: from its name, schema and metadata to the number of its channel.
 Register = Callable[[str, Schema, Mapping[str, str]], int]
 
+# Recorded quantities of the motion of each point.
 MOTION_QUANTITIES = ("displacement", "velocity", "acceleration")
 
 
@@ -45,9 +47,9 @@ def dampers_of(scene: Scene) -> tuple[str, ...]:
 class Truth:
     """Collects the motion of each point, the gap and contact of each damper, and the events (changes of contact).
 
-    `streams` are two series of groups: real numbers (motion of the points, then gaps), and contacts. `chunks` lists
-    (stream, row,
-    channel number) of each topic in a chunk. `drawn` names the rows of `positions`.
+    `group` is the number of samples in a group. `streams` are two series of groups: real numbers (motion of the points,
+    then gaps), and contacts. `chunks` lists, for each chunk of the file, its topics: (stream, row, channel number).
+    `drawn` names the rows of `positions`.
     """
 
     def __init__(self, scene: Scene, clock: Timebase, group: int, register: Register) -> None:
@@ -62,6 +64,7 @@ class Truth:
         self._events: deque[tuple[float, int, str, float]] = deque()
         self._n_events = 0
         self._recent_groups: dict[int, Group] = {}
+        # Rows of the displacements and of the gaps in the first stream.
         self._rows = np.r_[:points, len(MOTION_QUANTITIES) * points : len(MOTION_QUANTITIES) * points + dampers]
         self._last_positions = np.zeros(len(self.drawn))
         real_schema, integer_schema = block_schema(SCHEMAS["float64"][0]), block_schema(SCHEMAS["counts"][0])
@@ -86,7 +89,7 @@ class Truth:
         return self.streams[0].position
 
     def add(self, motion: Motion) -> None:
-        """Add the next samples."""
+        """Add the motion at the next samples."""
         if motion.first != self.position:
             raise ValueError(f"motion: got sample {motion.first} first; expected {self.position}.")
         parts = (motion.displacement, motion.velocity, motion.acceleration, motion.gap)
@@ -95,7 +98,10 @@ class Truth:
         self._events += motion.events[["time", "damper", "kind", "speed"]].tolist()
 
     def take(self, number: int) -> tuple[Group | None, Group | None]:
-        """Return and remove the groups, motion and contacts, of a cell; `positions` still uses the motion."""
+        """Return and remove the groups of motion and of contacts with a number; None if they have no samples.
+
+        `positions` continues to use the motion.
+        """
         motion, contacts = (stream.complete.pop(number, None) for stream in self.streams)
         if motion is not None:
             oldest = number - MAX_DISPLAY_GROUPS
@@ -104,7 +110,7 @@ class Truth:
         return motion, contacts
 
     def events_before(self, stop: float) -> list[Message]:
-        """Return and remove the messages of the events before a sample.
+        """Return and remove the messages of the events before sample number `stop`.
 
         Events within a sample of `stop` remain, so that rounded times do not change the order of writing.
         """

@@ -1,7 +1,8 @@
 """Detection of damper impacts in a motion channel.
 
 An impact is an instant velocity jump of the damper's body or, with *finite-duration contact*, the velocity change by a
-force pulse, which ends at the *release*.
+force pulse, which ends at the *release*. A *bed* is the filling of a damper, which moves as one
+mass.
 """
 
 from __future__ import annotations
@@ -287,7 +288,7 @@ def _acceleration(samples: Array, impact_samples: Array, info: ChannelInfo, dura
     # Samples during which the sensor rings are excluded. The average over an interval is assigned to its middle.
     decay_rate = min((-pole.real for pole in info.poles if abs(pole) > info.rate), default=np.inf)
     gap = 2 + int(np.ceil(_DECAY_TIMES * info.rate / decay_rate + duration * info.rate))
-    side = max(_MIN_SIDE_SAMPLES, round(_SIDE_TIME_S * info.rate))
+    side = max(_MIN_SIDE_SAMPLES, round(_SIDE_TIME_S * info.rate))  # number of samples on each side
     acceleration = np.full(impact_samples.size, np.nan)
     jump_sample = np.floor(impact_samples).astype(np.intp)
     evaluable = np.flatnonzero((jump_sample >= side) & (jump_sample + gap + side <= samples.size))

@@ -283,9 +283,11 @@ def _impact_models(
     instants = max(_MIN_INSTANTS_PER_SAMPLE, int(np.ceil(phase_per_sample / _MAX_PHASE_STEP))) * stride
     side = _SIDE_SAMPLES if integrations == 0 else max(_SIDE_SAMPLES, round(_SIDE_TIME_S * rate))
     filter_samples = int(np.ceil(_FILTER_WINDOW_SAMPLES / decimation)) if info.filter else 0
+    # Samples of the window before and after its sample 0.
     before = MAX_SHIFT + side + filter_samples
     after = MAX_SHIFT + side + integrations + filter_samples + contact
     after += int(np.ceil(min(_WINDOW_DECAY_TIMES * decay_samples, 4 * side)))
+    # Additional samples in which the response of the filter decays.
     margin = int(np.ceil(_FILTER_SPAN_SAMPLES / decimation)) if info.filter else 2
     until_decayed = after + int(np.ceil(_DECAY_TIMES * decay_samples)) + margin
     readings = _acceleration_readings(info, integrations, instants, before + margin, until_decayed, pulse, decimation)
@@ -320,8 +322,8 @@ def _acceleration_readings(
     from scipy import fft
 
     rate = info.rate / decimation
-    size = 2 * fft.next_fast_len(before + after + 2 * MAX_SHIFT + 2)
-    frequency = fft.rfftfreq(size * instants, 1.0 / (rate * instants))
+    n_samples = 2 * fft.next_fast_len(before + after + 2 * MAX_SHIFT + 2)
+    frequency = fft.rfftfreq(n_samples * instants, 1.0 / (rate * instants))
     with np.errstate(divide="ignore", invalid="ignore"):
         response = replace(info, average=False).response(frequency)
     # High-pass filters have no effect in the short time around a jump, so the response at zero frequency is set to 1.
@@ -331,7 +333,7 @@ def _acceleration_readings(
         response[frequency > info.rate] = 0.0
     if pulse is not None:
         # Velocity change within half a sub-sample interval on either side.
-        edges = (np.arange(size * instants + 1) - 0.5) / (rate * instants)
+        edges = (np.arange(n_samples * instants + 1) - 0.5) / (rate * instants)
         response *= fft.rfft(np.diff(pulse.velocity_change_ratio(edges)))
     # A difference of the readings over one sample is an average of the derivative over a sample interval.
     interval_averages = integrations + int(info.average)
@@ -341,7 +343,7 @@ def _acceleration_readings(
         response *= delays.mean(axis=0)
     # A jump occurs in the middle of a sub-sample interval. Each running sum delays by half an interval too little.
     response *= np.exp(2j * np.pi * frequency * 0.5 * (1 - interval_averages) / (rate * instants))
-    jump = fft.irfft(response, size * instants) * rate * instants
+    jump = fft.irfft(response, n_samples * instants) * rate * instants
     for _ in range(interval_averages):
         total = np.cumsum(np.concatenate([jump[-instants:], jump]))
         jump = (total[instants:] - total[:-instants]) / instants

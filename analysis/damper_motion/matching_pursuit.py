@@ -4,8 +4,9 @@ Method: Y. C. Pati, R. Rezaiifar, P. S. Krishnaprasad, Asilomar 1993. The likeli
 *Detection Theory*, 1998) is computed at every sample. Each local maximum above the detection threshold is a jump, which
 is fitted and subtracted. Overlapping jumps are fitted again jointly. The search is then repeated in the residual.
 
-A *window* is a range of differenced readings in which one jump is fitted. A *step* and a *kink* are changes of the
-acceleration and of its slope (see `impact_model`).
+The readings are differenced, so that the response to a jump is short. A *window* is a range of these differences in
+which one jump is fitted. A *step* and a *kink* are changes of the acceleration and of its slope (see `impact_model`). A
+*bed* is the filling of a damper, which moves as one mass.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from rig.numerics.runs import runs_of
 
 # Detection threshold in standard deviations: about two false alarms in 1e9 samples of Gaussian noise.
 DETECTION_SIGMAS = 6.0
-# Margin of the detection limit above the threshold in standard deviations, because noise may reduce a jump.
+# Distance of the detection limit above the threshold in standard deviations, because noise may reduce a jump.
 DETECTION_MARGIN_SIGMAS = 3.0
 # Model error relative to the largest jump.
 MODEL_ERROR = 3e-3
@@ -79,7 +80,7 @@ _MAX_JOINT_JUMPS = 5
 _START_OFFSETS = (0.0, -2.5, 2.5, -5.0, 5.0)
 # Distance of two jumps below which one of them may be spurious.
 _SPURIOUS_DISTANCE_SAMPLES = 10.0
-# Prior standard deviation of steps, relative to the 90th percentile of the smoothed acceleration.
+# Prior standard deviation of steps of the acceleration, relative to the 90th percentile of the smoothed acceleration.
 _STEP_PRIOR_RATIO = 0.2
 # Length of that smoothing.
 _SMOOTHING_SAMPLES = 8
@@ -231,7 +232,8 @@ class MatchingPursuit:
     def _refine(self, jump: Jump, noise: Array, starts: tuple[float, ...] = (0.0,)) -> None:
         """Fit a jump jointly with overlapping jumps; remove it if the others alone fit equally well.
 
-        `noise`: as from `noise`; `starts`: offsets of the initial time of the jump, samples. The best fit is used.
+        `noise`: standard deviation of a reading in each window; `starts`: offsets of the initial time of the jump,
+        samples. The best fit is used.
         """
         model = self.model
         group = [other for other in self.jumps if abs(other.time - jump.time) < model.min_separation]
@@ -299,7 +301,7 @@ class MatchingPursuit:
         return first[first % (self.model.window_length // 2) == 0]
 
     def _residual_squares(self, order: int) -> Array:
-        """Return the residual sum of squares of each of `_windows` after subtraction of a polynomial of an order."""
+        """Return the residual sum of squares of each of `_windows` after a polynomial of this order is subtracted."""
         if order not in self._cache:
             if "readings" not in self._cache:
                 windows = np.lib.stride_tricks.sliding_window_view(self.residual, self.model.window_length)

@@ -36,8 +36,8 @@ LOWEST_MODE_HZ = 2.0
 HIGHEST_MODE_HZ = 200.0
 # Minimum number of samples in a decay.
 _MIN_SAMPLES = 256
-# A motion is not a decay if its energy does not fall in the last tenth of the record, and this tenth contains more than
-# this share of the energy.
+# Largest share of the energy in the last tenth of a record that no longer decays there: the last tenth then counts as
+# noise. Above this share the motion is not a free decay.
 _MAX_FINAL_ENERGY_SHARE = 0.02
 #: Energy levels between which the slope of the initial decay is fitted, dB.
 INITIAL_DECAY_DB = -1.0, -11.0
@@ -108,7 +108,7 @@ class Decay(Result):
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the acceleration with its upper bound `outline` on both sides."""
+        """Draw the acceleration, and its upper bound `outline` with both signs."""
         (line,) = ax.plot(self.time, self.outline(), **complete_style(style, lw=1.2, label=self.label))
         ax.plot(self.time, -self.outline(), color=line.get_color(), lw=line.get_linewidth())
         ax.plot(self.time, self.acceleration, color=line.get_color(), lw=0.5, alpha=0.6)
@@ -128,12 +128,15 @@ class Decay(Result):
 
     @property
     def quiet_from(self) -> float:
-        """Time in s from which the acceleration stays below gravity: no damper on this body moves."""
+        """Time in s from which the acceleration stays below gravity; from then on no damper on this body moves."""
         return self.time_below(self.gravity)
 
     @property
     def halving(self) -> float:
-        """Time in s in which the energy falls by 6 dB: slope of a line fitted between -1 and -11 dB; NaN if unknown."""
+        """Time in s in which the amplitude halves, and the energy falls by 6 dB; NaN if unknown.
+
+        It is computed from the slope of a line fitted to the energy between -1 and -11 dB.
+        """
         initial = (self.energy <= INITIAL_DECAY_DB[0]) & (self.energy >= INITIAL_DECAY_DB[1])
         if np.sum(initial) < 8:
             return float("nan")
@@ -144,8 +147,9 @@ class Decay(Result):
 def outline(acceleration: Array, period: float) -> Array:
     """Return a smooth upper bound of the magnitude of an acceleration.
 
-    The running maximum over half a period [samples] on either side is smoothed with a window of the same length. Each
-    maximum in that window includes the sample in its middle, so that the smoothed value is at least as large.
+    `period`: of the lowest mode, in samples. The running maximum over half a period on either side is smoothed with a
+    window of the same length. Each maximum in that window includes the sample in its middle, so that the smoothed value
+    is at least as large.
 
     >>> acceleration = np.exp(-0.01 * np.arange(400)) * np.sin(np.arange(400))
     >>> bool(np.all(outline(acceleration, 2 * np.pi) >= abs(acceleration)))
@@ -281,8 +285,8 @@ def _decay_limits(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int
     if not 1 <= hit <= len(hit_limits):
         raise SceneError(f"{rec.path}: no hit {hit}. Choose one of hits 1 to {len(hit_limits)}.")
     first, last = hit_limits[hit - 1]
-    # The filter of a converter delays the samples, and the correction removes the delay: reading therefore continues
-    # after the end of the decay. The filter also responds before an impact, so that the decay ends earlier.
+    # The converter's filter delays the samples. To correct the delay, samples after the end of the decay are read too.
+    # The corrected filter responds to the next hit before it occurs, so the decay is cut off earlier by that time.
     read_end = arrival(info, hit_limits[hit][0], hit_limits[hit][0])[0] if hit < len(hit_limits) else rec.samples
     stop = read_end - arrival(info, 0, 0)[1]
     begin = last + 1

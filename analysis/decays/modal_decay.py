@@ -118,10 +118,10 @@ def spectral_peaks(acceleration: Array, rate: float, max_peaks: int, low: float,
     A resonance is a peak of the spectrum with a prominence of 10 dB and a level of 20 dB above the median of the
     band. Its frequency is refined by a parabola through the logarithm of three bins.
     """
-    size = fft.next_fast_len(4 * acceleration.size, real=True)
+    padded_length = fft.next_fast_len(4 * acceleration.size, real=True)
     taper = np.cos(np.linspace(0.0, np.pi / 2, acceleration.size)) ** 2
-    level = 20.0 * np.log10(abs(fft.rfft(acceleration * taper, size)) + 1e-300)
-    frequency = fft.rfftfreq(size, 1.0 / rate)
+    level = 20.0 * np.log10(abs(fft.rfft(acceleration * taper, padded_length)) + 1e-300)
+    frequency = fft.rfftfreq(padded_length, 1.0 / rate)
     inside = (frequency >= low) & (frequency <= high)
     level, frequency = level[inside], frequency[inside]
     indices, _ = scipy.signal.find_peaks(level, prominence=10.0, height=float(np.median(level)) + 20.0)
@@ -209,9 +209,9 @@ def modal_decay(
 
 def _band_pass(acceleration: Array, rate: float, frequency: float, width: float) -> tuple[ComplexArray, int]:
     """Return the analytic signal after a Gaussian band-pass, and the number of samples that each end affects."""
-    size = fft.next_fast_len(acceleration.size + int(8 * rate / (2 * np.pi * width)))
-    spectrum = fft.fft(acceleration, size)
-    bins = fft.fftfreq(size, 1.0 / rate)
+    padded_length = fft.next_fast_len(acceleration.size + int(8 * rate / (2 * np.pi * width)))
+    spectrum = fft.fft(acceleration, padded_length)
+    bins = fft.fftfreq(padded_length, 1.0 / rate)
     spectrum *= np.where(bins > 0, 2.0 * np.exp(-0.5 * ((bins - frequency) / width) ** 2), 0.0)
     return fft.ifft(spectrum)[: acceleration.size], int(np.ceil(3.0 * rate / (2 * np.pi * width)))
 

@@ -276,7 +276,9 @@ def _omit_sensor(linear_curves: list[Curves], sensor: Sensor) -> list[Curves]:
             return []
         root = np.linalg.inv(curves.whiten)
         covariance = (root @ root.conj().swapaxes(1, 2))[:, rows][:, :, rows]
-        remaining: dict[str, Any] = {name: getattr(curves, name)[rows] for name in ("value", "rough", "smooth")}
+        remaining: dict[str, Any] = {
+            name: getattr(curves, name)[rows] for name in ("value", "line_limit", "correlated_limit")
+        }
         for name in ("sensors", "bodies", "frfs"):
             remaining[name] = tuple(getattr(curves, name)[k] for k in rows)
         errors = curves.errors.select(rows)

@@ -2,6 +2,9 @@
 
 The *model error* is an assumed error of the model, relative to the local peak of a curve. It is reduced in steps,
 because without it the fit of a narrow resonance far from the solution has no gradient toward the measured resonance.
+
+A *group* contains the curves of one sweep or test. An *orbit* is the periodic motion of moving dampers at one point of
+a group (see `problem`).
 """
 
 from __future__ import annotations
@@ -35,7 +38,8 @@ _MAX_STRUCTURE_VARIANCE = 4.0
 _MAX_NOISE_VARIANCE = 1.3
 # Model errors of the first fits of the dampers.
 _MODEL_ERRORS_DAMPERS = (0.2, 0.05)
-# A negligible model error that selects the Cauchy loss, with which a point on another orbit has little effect.
+# A negligible model error that selects the Cauchy loss. With it, a point where rig and model have different orbits has
+# little effect.
 _ROBUST_MODEL_ERROR = 1e-6
 # Factors of the initial masses and clearances of all dampers, tried if the values of the scene lead to no solution.
 _MASS_FACTORS = (1.0, 0.7, 0.4, 1.5)
@@ -46,7 +50,7 @@ _UNREACHED_CLEARANCE_FACTOR = 30.0
 _MAX_EXPLAINED_SQUARE = 1.5
 # Upper limit of each squared residual in the robust cost.
 _MAX_SQUARE = 9.0
-# Squared residual of a point without an orbit.
+# Squared residual assigned to a point where the model has no orbit.
 _FAILED_SQUARE = 1e6
 # Robust cost if about half of the points have no orbit.
 _HALF_FAILED_COST = 4.5
@@ -164,6 +168,7 @@ def _estimate_structure(problem: Problem, linear_groups: Sequence[Group]) -> Arr
     for model_error in _MODEL_ERRORS:
         best = solve(problem, best, linear_groups, model_error)
     lowest_square = mean_square(problem, best, linear_groups)
+    # Indices of the unknowns that start at random values.
     active = [k for k, parameter in enumerate(problem.parameters) if parameter.place[0] == "structure"]
     generator = np.random.default_rng(0)
     for number in range(_RANDOM_STARTS):
@@ -187,7 +192,11 @@ def solve(
     active: Sequence[int] | None = None,
     max_evaluations: int = 30,
 ) -> Array:
-    """Minimize the squared residuals over active unknowns (by default all), from x; return all unknowns."""
+    """Minimize the squared residuals of groups from the initial unknowns x; return all unknowns, shape (unknowns,).
+
+    `model_error`: relative to the local peak; it also selects the loss function. `active`: indices of the unknowns that
+    are fitted, by default all.
+    """
     free_indices = list(range(problem.size) if active is None else active)
 
     def all_unknowns(values: Array) -> Array:
@@ -269,7 +278,7 @@ def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
 
 
 def _systematic_errors(group: Group) -> Iterator[Array]:
-    """Yield the residuals, in standard deviations, of errors that are equal at all lines: gain and phase.
+    """Yield the residuals, in standard deviations, of errors that are correlated over all lines: gain and phase.
 
     Each error is uniformly distributed within its limit, so that its standard deviation is limit / sqrt(3).
     """
@@ -281,7 +290,7 @@ def _systematic_errors(group: Group) -> Iterator[Array]:
     for k in range(len(curves.sensors)):
         errors = np.zeros_like(curves.value)
         magnitude = np.maximum(abs(curves.value[k]), 1e-300)
-        errors[k] = curves.smooth[k] / np.sqrt(3.0) * curves.value[k] / magnitude
+        errors[k] = curves.correlated_limit[k] / np.sqrt(3.0) * curves.value[k] / magnitude
         whitened = whiten(errors)
         yield np.concatenate([whitened.real, whitened.imag])
         yield np.concatenate([-whitened.imag, whitened.real])
@@ -298,7 +307,8 @@ def _score_covariance(group: Group, jacobian: Array) -> Array:
         return np.asarray(curves.errors.shared * (jacobian.T @ jacobian))
     real, imaginary = jacobian.reshape(2, int(used.sum()), len(curves.sensors), -1)
     weights = np.einsum("nij,nip->njp", curves.whiten[used].conj(), real + 1j * imaginary)
-    deviation = curves.rough[:, used].T[..., None] / np.sqrt(3.0)
-    rough = (deviation * weights).reshape(-1, weights.shape[2])
+    deviation = curves.line_limit[:, used].T[..., None] / np.sqrt(3.0)
+    line_errors = (deviation * weights).reshape(-1, weights.shape[2])
     errors = curves.errors.at(used)
-    return errors.of_sums(weights) + max(frf.uncertainty.shared for frf in curves.frfs) * (rough.conj().T @ rough).real
+    n_shared = max(frf.uncertainty.shared for frf in curves.frfs)
+    return errors.of_sums(weights) + n_shared * (line_errors.conj().T @ line_errors).real

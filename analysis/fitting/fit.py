@@ -34,7 +34,8 @@ Progress = Callable[[str], None]
 
 # Largest relative half width of the 95 % interval of a value that is determined roughly.
 _MAX_HALF_WIDTH = 0.5
-# Smallest clearance without ceiling impacts, as a multiple of the largest gap.
+# Smallest clearance (free height above the damper at rest) without ceiling impacts, as a multiple of the largest gap
+# between damper and floor.
 _UNREACHED_RATIO = 1.2
 # Largest mean square of the normalized residuals that the errors of the curves explain.
 _MAX_NOISE_VARIANCE = 4.0

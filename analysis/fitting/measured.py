@@ -32,13 +32,13 @@ if TYPE_CHECKING:
 # Smallest standard deviation of a point, relative to its value.
 _MIN_RELATIVE_ERROR = 2e-5
 # Smallest standard deviation of a point, relative to the largest value of its curve.
-_MIN_ERROR_TO_LARGEST = 1e-7
-# Relative error with which several responses determine the noise of their reference.
+_MIN_ERROR_RELATIVE_TO_MAXIMUM = 1e-7
+# Relative uncertainty of the noise power of the reference that is estimated from several responses.
 _REFERENCE_NOISE_ERROR = 0.5
 # Systematic errors that are unknowns of the fit.
 _FITTED_ERRORS = (SENSITIVITY, CLOCK)
-# Systematic errors that are not smooth errors of single responses.
-_EXCLUDED_FROM_SMOOTH = (*_FITTED_ERRORS, REFERENCE_NOISE, *ROUGH)
+# Systematic errors that are not included in `Curves.correlated_limit`.
+_EXCLUDED_FROM_CORRELATED = (*_FITTED_ERRORS, REFERENCE_NOISE, *ROUGH)
 # Smallest number of points of a fit.
 _MIN_POINTS = 8
 
@@ -57,18 +57,20 @@ class Sensor:
 class Curves:
     """Responses of one sweep or test over one reference, at n frequencies.
 
-    The limits `rough` and `smooth` do not include tolerances of sensors, because these are unknowns of the fit.
+    `line_limit` and `correlated_limit` do not include the tolerances of sensors and of the clock, because these are
+    unknowns of the fit. If the noise of the reference is not estimated (`errors.reference` is None),
+    `correlated_limit` includes all other systematic errors.
     """
 
     label: str  # recording, and level or part where it has several
-    scene: Scene  # scene of the recording: its shaker, test and dampers apply; the values of its structure do not
+    scene: Scene  # of the recording: the fit uses its shaker, test and dampers, and estimates its structure
     frequency: Array  # Hz, in the order of measurement, shape (n,)
     value: ComplexArray  # displacement / reference, as read by the sensors, shape (responses, n)
     # matrices that convert errors to uncorrelated real and imaginary parts of variance 1, (n, responses, responses)
     whiten: ComplexArray
     errors: Covariance  # covariance of the random errors
-    rough: Array  # limit of the systematic errors that differ from line to line, shape (responses, n)
-    smooth: Array  # limit of the systematic errors that are equal at all lines, shape (responses, n)
+    line_limit: Array  # limit of the systematic errors that differ from line to line, shape (responses, n)
+    correlated_limit: Array  # limit of the systematic errors that are correlated over all lines, shape (responses, n)
     common: Array  # limit of the relative error common to all responses, from noise of their reference, shape (n,)
     sensors: tuple[Sensor, ...]  # sensor of each response
     reference_sensor: Sensor
@@ -142,7 +144,7 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
     notes = [f"{name} reads zero throughout: dead or not connected. It is left out." for name in zero_responses]
     frfs = [frfs[k] for k in nonzero]
     value = np.stack([frf.value for frf in frfs])
-    limits = np.vstack([_limits(frfs, without=_EXCLUDED_FROM_SMOOTH), _limits(frfs, ROUGH)])
+    limits = np.vstack([_limits(frfs, without=_EXCLUDED_FROM_CORRELATED), _limits(frfs, ROUGH)])
     is_bounded = np.isfinite(limits).all(axis=0)
     is_unsteady = np.any(
         [frf.unsteady for frf in frfs if frf.unsteady is not None] or [np.zeros(is_bounded.size, bool)], axis=0
@@ -164,8 +166,10 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
         value=value[:, is_valid] * (1.0 + relative_bias),
         whiten=_whitening(frfs, errors),
         errors=errors,
-        rough=_limits(frfs, ROUGH),
-        smooth=_limits(frfs, without=_FITTED_ERRORS if errors.reference is None else _EXCLUDED_FROM_SMOOTH),
+        line_limit=_limits(frfs, ROUGH),
+        correlated_limit=_limits(
+            frfs, without=_FITTED_ERRORS if errors.reference is None else _EXCLUDED_FROM_CORRELATED
+        ),
         common=common,
         sensors=sensors,
         reference_sensor=_sensor(rec, reference_of(rec, reference).channels[0]),
@@ -193,7 +197,8 @@ def _limits(frfs: Sequence[Response], names: Collection[str] | None = None, with
 def _reference_noise(frfs: Sequence[Response], errors: Covariance) -> tuple[Array, Array]:
     """Return the relative bias of all responses by noise of the reference, and the limit of its error; shape (n,)."""
     magnitude = np.stack([np.maximum(abs(frf.value), 1e-300) for frf in frfs])
-    # A response's own noise lowers its coherence too, so the smallest limit over the responses is the closest.
+    # A response's own noise lowers its coherence too. The smallest limit is therefore the best estimate of the
+    # reference noise.
     bias_limit: Array = np.asarray((_limits(frfs, [REFERENCE_NOISE]) / magnitude).min(axis=0))
     if errors.reference is None or len(frfs) < 2:
         return np.zeros(bias_limit.size), bias_limit
@@ -209,8 +214,11 @@ def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
     # A single average has no scatter, so that the covariance is unknown. Then 1 % of the median is assumed.
     quadrature_covariance[~np.isfinite(quadrature_covariance).all(axis=(1, 2))] = 0.0
     variance = np.where(np.isfinite(variance), variance, (0.01 * np.median(magnitude, axis=0)) ** 2)
-    variance_floor = (_MIN_RELATIVE_ERROR * magnitude) ** 2 + (_MIN_ERROR_TO_LARGEST * magnitude.max(axis=0)) ** 2
-    # A variance from few degrees of freedom is itself uncertain: that of Student's t distribution is used.
+    variance_floor = (_MIN_RELATIVE_ERROR * magnitude) ** 2 + (
+        _MIN_ERROR_RELATIVE_TO_MAXIMUM * magnitude.max(axis=0)
+    ) ** 2
+    # A variance from few degrees of freedom is itself uncertain: it is multiplied by the variance of Student's t
+    # distribution.
     inflation, systematic = np.ones(variance.shape), _limits(frfs, ROUGH)
     if errors.reference is None:
         systematic = _limits(frfs, without=_FITTED_ERRORS)

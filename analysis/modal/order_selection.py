@@ -22,16 +22,17 @@ from rig.arrays import Array, ComplexArray
 MAX_MODES = 12
 # Smallest number of residual degrees of freedom; with fewer, a model fits any data.
 _MIN_DEGREES = 8
-# Smallest reduction of the misfit by a pole, in penalties of Schwarz's criterion [1]_.
+# Smallest reduction of the misfit by a pole, as a multiple of the penalty term of Schwarz's criterion (BIC) [1]_.
 _PENALTY_FACTOR = 2.0
 # Smallest distance of two resolved poles, in mean half-power bandwidths.
 _MIN_DISTANCE_WIDTHS = 0.4
-# Distance of two poles, in the same unit, below which they must fit the curve to within its noise. Two close poles can
-# also fit the asymmetric peak of a nonlinear structure.
+# Two poles closer than this, in the same unit, are accepted only if their local misfit is at noise level. Close poles
+# can also imitate the asymmetric peak of a nonlinear structure.
 _CLOSE_POLE_WIDTHS = 4.0
 # Largest misfit of close poles, in noise powers.
 _MAX_NOISE_RATIO = 4.0
-# Largest distance of two poles of one narrow peak that a window splits, in units of the resolution.
+# Largest distance of two poles that are fitted to a single narrow peak broadened by the window, in units of the
+# resolution.
 _SAME_PEAK_LINES = 1.5
 # Number of candidates that are fully fitted at each step.
 _FITTED_CANDIDATES = 4
@@ -102,7 +103,7 @@ def _with_best_added_pole(curves: Curves, current: ModalModel, candidates: Compl
 
 def significant(curves: Curves, smaller: ModalModel, larger: ModalModel) -> bool:
     """Return whether the additional poles of the larger model reduce the misfit by more than noise explains."""
-    return _gain(curves, smaller.misfit, larger, smaller.poles.size) > 0
+    return _net_misfit_reduction(curves, smaller.misfit, larger, smaller.poles.size) > 0
 
 
 def better_model(curves: Curves, first: ModalModel, second: ModalModel) -> ModalModel:
@@ -113,7 +114,7 @@ def better_model(curves: Curves, first: ModalModel, second: ModalModel) -> Modal
     return larger if significant(curves, smaller, larger) else smaller
 
 
-def _gain(curves: Curves, misfit: float, larger: ModalModel, poles: int) -> float:
+def _net_misfit_reduction(curves: Curves, misfit: float, larger: ModalModel, poles: int) -> float:
     """Compute the misfit reduction from `poles` poles to a larger model, less the reduction that noise explains."""
     unknowns = curves.unknowns(larger.poles.size)
     added = unknowns - curves.unknowns(poles)
@@ -147,12 +148,12 @@ def spurious_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
     for low, high in pairwise(order):
         distance = (poles[high].imag - poles[low].imag) / (2 * np.pi)
         mean_width = width[low] + width[high]
-        # A narrow peak that the window splits is at most two lines wide.
-        is_split_peak = mean_width < 2.0 * curves.resolution and distance < _SAME_PEAK_LINES * curves.resolution
+        # A narrow peak that the window broadens is at most two lines wide.
+        is_same_peak = mean_width < 2.0 * curves.resolution and distance < _SAME_PEAK_LINES * curves.resolution
         is_unresolved = distance < _MIN_DISTANCE_WIDTHS * mean_width
         is_close = distance < _CLOSE_POLE_WIDTHS * mean_width
         if (
-            is_split_peak
+            is_same_peak
             or is_unresolved
             or (is_close and _local_misfit(curves, model, poles[[low, high]]) > _MAX_NOISE_RATIO)
         ):
@@ -180,7 +181,7 @@ def _prune(curves: Curves, model: ModalModel) -> ModalModel:
             fewer = np.delete(poles, least_significant)
             # Without a new fit of the other poles the increase of the misfit is overestimated. A pole that is not
             # significant here is therefore not significant after a new fit.
-            if _gain(curves, float(misfits[least_significant]), model, fewer.size) > 0:
+            if _net_misfit_reduction(curves, float(misfits[least_significant]), model, fewer.size) > 0:
                 break
             poles = fewer
         if poles.size < model.poles.size:

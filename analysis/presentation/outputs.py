@@ -36,22 +36,24 @@ def with_recording_name(path: Path, warnings: Sequence[str]) -> list[str]:
 
 
 @contextmanager
-def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *endings: str) -> Iterator[Path]:
-    """Yield the path of the output files of recordings without ending; default folder: that of the first recording.
+def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *extensions: str) -> Iterator[Path]:
+    """Yield the common path of the output files without file extension.
+
+    `paths`: recordings; `output`: folder, by default that of the first recording; `kind`: last part of the name, such
+    as "frf"; `extensions`: extensions of the files that are always written.
 
     If files of other recordings already have the name, the folder name is added as a prefix. Files written inside the
     `with` block store the paths of the recordings as their source, and are overwritten only by results of the same
     source (`rig.provenance`).
 
-    `endings`: endings of the files that are always written. Raises `RunError` if files with these names exist and
-    were made from other recordings. Raises `SceneError` if files with these names exist and were not written by
-    shotrig, or were changed since.
+    Raises `RunError` if files with these names exist and were made from other recordings. Raises `SceneError` if files
+    with these names exist and were not written by shotrig, or were changed since.
     """
     folder = output if output is not None else paths[0].parent
     with output_source(kind, *relative_paths(paths, folder)):
         for name in (join_names([path.stem for path in paths]), join_names([_with_folder(path) for path in paths])):
             stem = folder / f"{name}-{kind}"
-            files = [with_ending(stem, ending) for ending in endings]
+            files = [with_ending(stem, extension) for extension in extensions]
             if may_overwrite() or not any(is_from_another_source(file) for file in files):
                 reject_foreign_files(*files)
                 yield stem
@@ -62,9 +64,9 @@ def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *endings:
         )
 
 
-def check_outputs(paths: Sequence[Path], output: Path | None, kind: str, *endings: str) -> None:
+def check_outputs(paths: Sequence[Path], output: Path | None, kind: str, *extensions: str) -> None:
     """Raise the errors of `output_stem` before the analysis starts."""
-    with output_stem(paths, output, kind, *endings):
+    with output_stem(paths, output, kind, *extensions):
         pass
 
 
@@ -94,13 +96,13 @@ def with_channel_name(stem: Path, channel: str) -> Path:
     return stem.with_name(f"{stem.name}-{safe}" + ("" if safe == channel else f"-{_digest(channel)[:4]}"))
 
 
-def with_ending(stem: Path, ending: str) -> Path:
-    """Add an ending to a name that may contain dots.
+def with_ending(stem: Path, extension: str) -> Path:
+    """Add a file extension to a name that may contain dots.
 
     >>> with_ending(Path("a0.5-report"), "html").name
     'a0.5-report.html'
     """
-    return stem.with_name(f"{stem.name}.{ending}")
+    return stem.with_name(f"{stem.name}.{extension}")
 
 
 def _digest(names: str) -> str:

@@ -62,20 +62,21 @@ def averaged_spectra(
     stop = rec.samples if marker.last_sample is None else min(rec.samples, marker.stop)
     burst = marker.fields.get("block")
     if burst is not None:
-        size, step = int(burst), int(burst)
-        weights = np.ones(size)
+        block_samples, step = int(burst), int(burst)
+        weights = np.ones(block_samples)
     else:
         block_s = block if block is not None else (stop - first) / rec.rate / (0.5 * DEFAULT_BLOCKS + 0.5)
-        size = round(block_s * rec.rate)
-        step = max(1, round(size * (1.0 - overlap)))
-        weights = sampled_window(window, max(size, 1))
+        block_samples = round(block_s * rec.rate)
+        step = max(1, round(block_samples * (1.0 - overlap)))
+        weights = sampled_window(window, max(block_samples, 1))
     low, high = float(marker.fields["from"]), float(marker.fields["to"])
     unsettled = settling_flaws(rec, channels, first, stop, low)
     first += -(-max((flaw.stop - first for flaw in unsettled), default=0) // step) * step
-    count = (stop - first - size) // step + 1
-    if size < 16 or count < 2:
+    count = (stop - first - block_samples) // step + 1
+    block_s = block_samples / rec.rate
+    if block_samples < 16 or count < 2:
         raise RecordingError(
-            f"{rec.path}: {max(count, 0)} blocks of {size / rec.rate:.3g} s in {(stop - first) / rec.rate:.3g} s of "
+            f"{rec.path}: {max(count, 0)} blocks of {block_s:.3g} s in {(stop - first) / rec.rate:.3g} s of "
             "random excitation are too few to average. Record longer or choose shorter blocks (--block)."
         )
     starts = [first + i * step for i in range(count)]
@@ -89,11 +90,11 @@ def averaged_spectra(
             f"{rec.path}: fewer than two blocks are complete ({reasons}). {remedy(rec, averaged.flaws)}, or choose "
             "shorter blocks (--block)."
         )
-    resolution = noise_bandwidth_bins(weights) * rec.rate / size
+    resolution = noise_bandwidth_bins(weights) * rec.rate / block_samples
     has_leakage = burst is None or averaged.end_ratio > _MAX_END_RATIO
     if burst is None:
         notes.append(
-            f"Blocks of {size / rec.rate:.3g} s resolve {resolution:.3g} Hz: narrower peaks are widened and too low, "
+            f"Blocks of {block_s:.3g} s resolve {resolution:.3g} Hz: narrower peaks are widened and too low, "
             "by the stated leakage. Leave out --block and --estimator for a response without leakage."
         )
     elif has_leakage:

@@ -1,9 +1,9 @@
 """Responses to several shakers at once: the matrix of outputs over inputs, with coherences and a reciprocity check.
 
 Random tests are evaluated by the local rational method, with one numerator for each input and a common denominator.
-Block averages are the alternative: H1, and Hv by total least squares on spectra of unit power [1]_, [2]_. A multisine
-test consists of one experiment with orthogonal phases for each shaker, so that the matrix of inputs can be inverted at
-each line [3]_.
+Block averages are the alternative: H1 [1]_, and Hv (total least squares, each channel scaled to unit power) [2]_. A
+multisine test consists of one experiment with orthogonal phases for each shaker, so that the matrix of inputs can be
+inverted at each line [3]_.
 
 References
 ----------
@@ -52,9 +52,9 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Largest condition number of the inputs' spectra, scaled to unit power, at which the inputs can be separated.
+# Largest condition number of the matrix of input spectra, scaled to unit power, at which the inputs can be separated.
 MAX_CONDITION_NUMBER = 1e3
-# Smallest mean square of the force of a shaker that is driven, relative to the largest.
+# Smallest mean-square force, relative to that of the largest, at which a shaker counts as driven.
 _MIN_FORCE_POWER_RATIO = 1e-4
 # Smallest share of the lines at which reciprocal responses agree within their uncertainties.
 _MIN_RECIPROCAL_LINES = 0.8
@@ -66,7 +66,7 @@ COHERENT_INPUTS = (
 
 
 def driven_forces(rec: Recording) -> tuple[Point, ...]:
-    """Return the force channels of all shakers that were driven simultaneously; at most one for a single input."""
+    """Return the force channels of the shakers that were driven simultaneously; fewer than two: a single input."""
     marker = next((marker for marker in rec.markers if "shakers" in marker.fields and marker.kind == "measure"), None)
     if marker is None:
         return ()
@@ -97,7 +97,12 @@ def response_matrix(
     overlap: float = 0.5,
     window: str = "hann",
 ) -> Response:
-    """Estimate the response of some channels to several forces; `estimator` H1 or Hv averages blocks."""
+    """Estimate the response of some channels to several forces.
+
+    `names`: channels; `inputs`: forces, as from `driven_forces`; `motion`: displacement, velocity or acceleration;
+    `estimator`: H1 or Hv, which average blocks of a random test (default: local rational method); `block`: length of a
+    block, s; `overlap`: of successive blocks, as a ratio to their length; `window`: name of their window.
+    """
     markers = [marker for marker in rec.markers if marker.kind == "measure"]
     if rec.test.kind is TestKind.MULTISINE:
         return _from_experiments(rec, markers, names, inputs, motion)
@@ -114,7 +119,7 @@ class SpectralMatrix:
     outputs: tuple[Point, ...]
     inputs: tuple[Point, ...]
     # auto and cross spectra, outputs first, corrected for the sensors; shape (n, points, points)
-    power: ComplexArray
+    spectral_matrix: ComplexArray
     spectra: AveragedSpectra  # spectra of the channels as recorded, with their number of averages and resolution
     leakage_free: Response  # the same responses by the local rational method
 
@@ -124,9 +129,9 @@ class SpectralMatrix:
         return self.spectra.frequency
 
     def _spectra_blocks(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Return the spectra of outputs with outputs, outputs with inputs, and inputs with inputs."""
+        """Return the spectra xx, xf and ff of outputs x (motions) and inputs f (forces)."""
         o = len(self.outputs)
-        return self.power[:, :o, :o], self.power[:, :o, o:], self.power[:, o:, o:]
+        return self.spectral_matrix[:, :o, :o], self.spectral_matrix[:, :o, o:], self.spectral_matrix[:, o:, o:]
 
     def condition(self) -> Array:
         """Compute the condition number of the input spectra at unit power, shape (n,); 1 for uncorrelated inputs."""
@@ -174,9 +179,9 @@ class SpectralMatrix:
         o, hv = len(self.outputs), np.empty_like(h1)
         for a in range(o):
             rows = [a, *range(o, o + len(self.inputs))]
-            unit, scale = _unit_power(self.power[:, rows][:, :, rows])
-            # The combination of output and inputs with the least power is noise. Its coefficients determine the
-            # response.
+            unit, scale = _unit_power(self.spectral_matrix[:, rows][:, :, rows])
+            # The eigenvector of the smallest eigenvalue is the linear combination of output and inputs that contains
+            # only noise. Its coefficients determine the response.
             noise = np.linalg.eigh(unit)[1][:, :, 0].conj() / scale
             hv[:, a] = -noise[:, 1:] / noise[:, :1]
         return np.where(np.isfinite(h1), hv, np.nan)
@@ -184,24 +189,25 @@ class SpectralMatrix:
     def response(self, rec: Recording, estimator: str = "H1") -> Response:
         """Return the response with its budget; error covariance after Bendat and Piersol, section 7.3."""
         value = self.value(estimator)
-        n_free = max(self.spectra.n_averages - len(self.inputs), 1e-300)
+        n_degrees = max(self.spectra.n_averages - len(self.inputs), 1e-300)
         inverse, residual = self._inverse_inputs(), self.residual()
         n, o, i = value.shape
-        covariance = np.einsum("nab,nlk->nakbl", residual, inverse).reshape(n, o * i, o * i) / n_free
+        covariance = np.einsum("nab,nlk->nakbl", residual, inverse).reshape(n, o * i, o * i) / n_degrees
         variance = np.maximum(np.einsum("npp->np", covariance).real, 0.0).reshape(n, o, i)
         residual_power = np.einsum("naa->na", residual).real[:, :, None]
-        noise = np.minimum(
+        # Upper limit of the noise power of each force.
+        force_noise = np.minimum(
             np.min(residual_power / np.maximum(abs(value) ** 2, 1e-300), axis=1),
             np.einsum("nkk->nk", self._spectra_blocks()[2]).real,
         )
-        bias = np.einsum("nam,nm,nmk->nak", abs(value), noise, abs(inverse))
+        bias = np.einsum("nam,nm,nmk->nak", abs(value), force_noise, abs(inverse))
         error = np.sqrt(variance / 2.0)
         leakages = np.empty(value.shape)
         for a, output in enumerate(self.outputs):
             for k, force in enumerate(self.inputs):
                 leakage_free = self.leakage_free[output.name, force.name]
                 leakages[:, a, k] = leakage(self.frequency, value[:, a, k], error[:, a, k], leakage_free)
-        points, degrees = (self.outputs, self.inputs), np.full(value.shape, 2.0 * n_free)
+        points, degrees = (self.outputs, self.inputs), np.full(value.shape, 2.0 * n_degrees)
         limits = {REFERENCE_NOISE: bias, LEAKAGE: leakages}
         budget = _matrix_budget(rec, self.frequency, value, points, error, degrees, limits, MatrixErrors(covariance))
         response = Response(
@@ -227,9 +233,9 @@ def input_output_spectra(
     rows = np.stack(
         [quantity.row(rec, channels, spectra.frequency) for quantity in _measurands(rec, names, inputs, motion)]
     )
-    power = np.einsum("acn,ncd,bdn->nab", rows, spectra.cross, rows.conj(), optimize=True)
+    spectral_matrix = np.einsum("acn,ncd,bdn->nab", rows, spectra.cross, rows.conj(), optimize=True)
     leakage_free = _from_local_fits(rec, marker, names, inputs, motion)
-    return SpectralMatrix(_outputs(rec, names, motion), tuple(inputs), power, spectra, leakage_free)
+    return SpectralMatrix(_outputs(rec, names, motion), tuple(inputs), spectral_matrix, spectra, leakage_free)
 
 
 def _unit_power(spectra: ComplexArray) -> tuple[ComplexArray, Array]:
@@ -313,8 +319,8 @@ def _from_local_fits(
     bias = abs(value) * (noise_limit / np.maximum(force_power, 1e-300))[:, None]
     # Covariance of the residuals of the outputs, propagated through the fits to the elements at each line.
     residual, influence = np.stack(residuals, axis=1), np.stack(influences, axis=1)
-    free = np.maximum(degrees[:, 0, 0] / 2.0, 0.5)
-    cross = np.einsum("naw,nbw->nab", residual, residual.conj()) / free[:, None, None]
+    complex_degrees = np.maximum(degrees[:, 0, 0] / 2.0, 0.5)
+    cross = np.einsum("naw,nbw->nab", residual, residual.conj()) / complex_degrees[:, None, None]
     elements = np.repeat(np.arange(len(names)), len(inputs))
     propagation = np.einsum("npw,nqw->npq", influence, influence.conj())
     covariance = np.asarray(propagation * cross[:, elements][:, :, elements])
@@ -360,23 +366,29 @@ def _from_experiments(
         amplitudes = np.einsum("acn,cne->nae", rows, means)
         outputs, forces = amplitudes[:, : len(names)], amplitudes[:, len(names) :]
         scaled = forces / np.maximum(np.linalg.norm(forces, axis=2, keepdims=True), 1e-300)
+        # The condition number of the input spectra is the square of that of the amplitudes.
         forces[np.linalg.cond(scaled) ** 2 > MAX_CONDITION_NUMBER] = np.nan
         inverse = np.linalg.inv(forces)
         value = outputs @ inverse
-        weights = np.einsum("acn->nac", rows[: len(names)]) - np.einsum("nam,mcn->nac", value, rows[len(names) :])
+        # Weights of the channels in the residual: output minus response times force.
+        residual_weights = np.einsum("acn->nac", rows[: len(names)]) - np.einsum(
+            "nam,mcn->nac", value, rows[len(names) :]
+        )
         noise: ComplexArray = np.zeros((frequency.size, value[0].size, value[0].size), dtype=complex)
         transient = np.zeros(value.shape)
         residual_power, output_power = np.zeros(value.shape[:2]), np.zeros(value.shape[:2])
         for e, experiment in enumerate(experiments):
             periods = len(experiment.spectra)
-            residual = np.einsum("nac,rcn->ran", weights, experiment.spectra - experiment.spectra.mean(axis=0))
+            residual = np.einsum("nac,rcn->ran", residual_weights, experiment.spectra - experiment.spectra.mean(axis=0))
             cross = np.einsum("ran,rbn->nab", residual, residual.conj()) / (periods * (periods - 1.0))
             residual_power += periods * np.einsum("naa->na", cross).real
             output_power += np.square(abs(outputs[:, :, e]))
-            part = np.einsum("nab,nk,nl->nakbl", cross, inverse[:, e], inverse[:, e].conj())
-            noise += part.reshape(noise.shape)
-            change = np.einsum("nac,cn->na", abs(weights), residual_transient(experiment.spectra))
-            transient += change[:, :, None] * abs(inverse[:, e])[:, None]
+            # Covariance of the matrix elements by noise of this experiment.
+            contribution = np.einsum("nab,nk,nl->nakbl", cross, inverse[:, e], inverse[:, e].conj())
+            noise += contribution.reshape(noise.shape)
+            # Limit of the error of each element by the residual transient of this experiment.
+            residual_change = np.einsum("nac,cn->na", abs(residual_weights), residual_transient(experiment.spectra))
+            transient += residual_change[:, :, None] * abs(inverse[:, e])[:, None]
         values.append(value)
         noises.append(noise)
         unsettled.append(transient)
@@ -388,7 +400,7 @@ def _from_experiments(
     count = len(values)
     value = np.mean(values, axis=0)
     covariance = np.sum(noises, axis=0) / count**2
-    free = 2.0 * count * len(inputs) * (n_periods - 1)
+    noise_degrees = 2.0 * count * len(inputs) * (n_periods - 1)
     error, degrees = np.empty(value.shape), np.empty(value.shape)
     scatter = np.sum(np.square(np.abs(np.stack(values) - value)), axis=0) / max(count * (count - 1), 1)
     for a in range(value.shape[1]):
@@ -396,7 +408,10 @@ def _from_experiments(
             element = a * len(inputs) + k
             noise_variance = covariance[:, element, element].real
             expected = np.convolve(noise_variance, np.full(2 * SIDE + 1, 1.0 / (2 * SIDE + 1)), "same")
-            variance, line_degrees = (scatter[:, a, k], 2.0 * (count - 1.0)) if count > 1 else (noise_variance, free)
+            variance, line_degrees = (
+                (scatter[:, a, k], 2.0 * (count - 1.0)) if count > 1 else (noise_variance, noise_degrees)
+            )
+            # Shrink the variances toward those of neighboring lines.
             moderated, degrees[:, a, k] = moderate(
                 variance, np.full(variance.size, line_degrees), np.maximum(expected, 1e-300), SIDE
             )

@@ -1,7 +1,8 @@
 """Stepped sine and constant tones: lock-in detection over every window marked as measured.
 
 A tone, its harmonics, offset and slope are fitted by least squares over whole periods of a *window*. A window is split
-into *parts*, whose scatter determines the uncertainty.
+into *parts*, whose scatter determines the uncertainty. A *sweep* is a pass through the frequencies at one *level*
+(nominal amplitude of the force or drive) in one *direction*, up or down.
 """
 
 from __future__ import annotations
@@ -184,10 +185,10 @@ class LockIn:
         return self._grams[length]
 
     def _sub_windows(self, length: int) -> Iterator[tuple[int, Array, Array]]:
-        """Yield the beginning of each piece of a part, its rows, and the matrix from these to the rows of the part.
+        """Yield the first sample of each piece of a part, the matrix from its rows to those of the part, and its rows.
 
-        The rows of all pieces are equal except for the slope and a rotation of each tone. The rows of a single piece
-        are therefore sufficient for a part of any length.
+        A piece has at most `_SAMPLES_PER_PRODUCT` samples. The rows of all pieces are equal except for the slope and a
+        rotation of each tone. The rows of a single piece are therefore sufficient for a part of any length.
         """
         starts = np.arange(0, length, _SAMPLES_PER_PRODUCT)
         if length not in self._rotations:
@@ -198,15 +199,15 @@ class LockIn:
             self._rotate(rotations, starts)
             self._rotations[length] = rotations
         for start, rotation in zip(starts.tolist(), self._rotations[length], strict=True):
-            size = min(_SAMPLES_PER_PRODUCT, length - start)
-            if size not in self._basis:
-                sample_numbers, order = np.arange(size), np.arange(1, self.harmonics + 1)
+            piece_length = min(_SAMPLES_PER_PRODUCT, length - start)
+            if piece_length not in self._basis:
+                sample_numbers, order = np.arange(piece_length), np.arange(1, self.harmonics + 1)
                 cycles = np.outer(order, self.frequency / self.rate * sample_numbers)
                 tones = np.exp(2j * np.pi * np.fmod(cycles, 1.0))
-                basis = np.empty((2 * self.harmonics + 2, size))
+                basis = np.empty((2 * self.harmonics + 2, piece_length))
                 basis[0], basis[1], basis[2::2], basis[3::2] = 1.0, sample_numbers, tones.real, -tones.imag
-                self._basis[size] = basis
-            yield start, rotation, self._basis[size]
+                self._basis[piece_length] = basis
+            yield start, rotation, self._basis[piece_length]
 
     def _rotate(self, matrices: Array, firsts: NDArray[np.int64]) -> None:
         """Set the rotation blocks of the tones, from their rows at the first sample to those at other samples."""
@@ -249,8 +250,8 @@ def parts_of_whole_periods(
     return list(pairwise(edges))
 
 
-# Level, N, and direction of a sweep.
-_Setting = tuple[float, str]
+# Level, N, and direction of a sweep; it identifies the sweep.
+_SweepKey = tuple[float, str]
 
 
 class _Point(NamedTuple):
@@ -298,8 +299,8 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
     markers = sorted(
         (m for m in rec.markers if m.kind == "measure" and "frequency" in m.fields), key=lambda m: m.first_sample
     )
-    points: dict[_Setting, list[_Point]] = {}
-    omissions: dict[_Setting, list[_Omission]] = {}
+    points: dict[_SweepKey, list[_Point]] = {}
+    omissions: dict[_SweepKey, list[_Omission]] = {}
     windows = []
     for marker in markers:
         stop = rec.samples if marker.last_sample is None else marker.stop
@@ -308,9 +309,9 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
         parts_of_whole_periods(*window, float(marker.fields["frequency"]), rec.rate)
         for marker, window in zip(markers, windows, strict=True)
     ]
-    source = read_slices(rec, names, (part for group in parts for part in group))
+    part_samples = read_slices(rec, names, (part for group in parts for part in group))
     for n_completed, (marker, (first, stop), group) in enumerate(zip(markers, windows, parts, strict=True), 1):
-        samples = (next(source) for _ in group)
+        samples = (next(part_samples) for _ in group)
         frequency = float(marker.fields["frequency"])
         key = float(marker.fields.get("level", np.nan)), str(marker.fields.get("direction", "up"))
         window_flaws = flaws(rec, names, first, stop)
@@ -345,28 +346,31 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
     ]
 
 
-def _notes(key: _Setting, points: list[_Point], omissions: list[_Omission], several: bool) -> list[str]:
-    """Describe the discarded frequencies of a sweep, with reasons, and those without steady-state motion."""
-    setting = f"{format_number(key[0])} N {key[1]}: " if several else ""
+def _notes(key: _SweepKey, points: list[_Point], omissions: list[_Omission], several: bool) -> list[str]:
+    """Describe the discarded frequencies of a sweep, with reasons, and those without steady-state motion.
+
+    `several`: whether the recording has several sweeps, so that the notes state the sweep.
+    """
+    sweep_name = f"{format_number(key[0])} N {key[1]}: " if several else ""
     notes = []
     for reason in dict.fromkeys(omission.reason for omission in omissions):
         group = [omission for omission in omissions if omission.reason == reason]
         low, high = (limit(omission.frequency for omission in group) for limit in (min, max))
         if len(group) == 1:
-            notes.append(f"{setting}{low:.4g} Hz left out: {group[0].details} in its window.")
+            notes.append(f"{sweep_name}{low:.4g} Hz left out: {group[0].details} in its window.")
         elif low == high:
-            notes.append(f"{setting}{low:.4g} Hz left out {len(group)} times: {reason} in their windows.")
+            notes.append(f"{sweep_name}{low:.4g} Hz left out {len(group)} times: {reason} in their windows.")
         else:
             frequencies = f"{len(group)} frequencies from {low:.4g} to {high:.4g} Hz"
-            notes.append(f"{setting}{frequencies} left out: {reason} in their windows.")
+            notes.append(f"{sweep_name}{frequencies} left out: {reason} in their windows.")
     if not points:
-        notes.append(f"{setting}no frequency of this sweep is usable.")
+        notes.append(f"{sweep_name}no frequency of this sweep is usable.")
     unsteady = [not point.steady for point in points]
     if any(unsteady):
         frequencies = format_frequencies([point.tone.frequency for point in points], unsteady)
         notes.append(
-            f"{setting}No steady state at {frequencies}: these points are marked. The motion is irregular or needs a "
-            "longer test.settle."
+            f"{sweep_name}No steady state at {frequencies}: these points are marked. The motion is irregular or needs "
+            "a longer test.settle."
         )
     return notes
 
@@ -399,7 +403,7 @@ def _reason_without_result(rec: Recording, reasons: list[str]) -> str:
 
 def _sweep(
     rec: Recording,
-    key: _Setting,
+    key: _SweepKey,
     points: list[_Point],
     notes: list[str],
     omissions: list[_Omission],
@@ -410,7 +414,7 @@ def _sweep(
     level, direction = key
     tones = tuple(point.tone for point in points)
     windows = np.array([point.window for point in points])
-    # With moving dampers, a transient decays differently from the prediction by steady responses.
+    # With moving dampers, `Lines` cannot predict the decay of a transient from the steady responses.
     is_linear = not any(damper.moves for damper in rec.scene.dampers)
     settle = getattr(rec.scene.test, "settle", None)
     undetected = 0.0 if is_linear or settle is None else _UNDETECTED_TRANSIENT * settle.tolerance
@@ -449,7 +453,9 @@ def _resolution(rec: Recording, names: Sequence[str], tone: ToneFit) -> Array:
     """
     count = counts_of(rec, names)
     step = np.where(count > 0.0, count, 1.0)
-    size = np.maximum(abs(tone.amplitude[:, 0]) / step, 1e-300)
-    first_term = np.minimum(2.0 / np.pi**2 / np.sqrt(size), 0.5) * reproducible_rounding((tone.residual / step) ** 2)
+    amplitude_counts = np.maximum(abs(tone.amplitude[:, 0]) / step, 1e-300)
+    first_term = np.minimum(2.0 / np.pi**2 / np.sqrt(amplitude_counts), 0.5) * reproducible_rounding(
+        (tone.residual / step) ** 2
+    )
     # Factor 2: bound of all terms of the series.
     return np.asarray(count * np.minimum(2.0 * first_term, 0.5))

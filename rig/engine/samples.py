@@ -31,8 +31,8 @@ class MotionSamples(NamedTuple):
     """Motion at sample instants, as in `rig.simulation.motion.Motion`; without columns no motion is stored.
 
     rows: displacements, velocities, accelerations and gaps in SI units, shape (rows, samples). contact: FLIGHT, FLOOR
-    or CEILING, shape (dampers, samples). begin: first column of this propagation, shape (1,). window: the last samples,
-    which are not yet transposed into `rows`, shape (LANES, rows).
+    or CEILING, shape (dampers, samples). begin: first column that this propagation fills, shape (1,). window: the last
+    samples, which are not yet transposed into `rows`, shape (LANES, rows).
     """
 
     rows: Array
@@ -43,7 +43,7 @@ class MotionSamples(NamedTuple):
 
 @inlined_kernel
 def store_state(state: State, row: int, states: StateSamples) -> None:
-    """Store the present state in a row."""
+    """Store the present state in a row of `states`."""
     states.table_index[row] = state.counters[TABLE_INDEX]
     for i in range(states.state.shape[1]):
         states.state[row, i] = state.z[i]
@@ -54,7 +54,7 @@ def store_state(state: State, row: int, states: StateSamples) -> None:
 
 @inlined_kernel
 def store_motion(flow: Flow, model: Model, state: State, motion: MotionSamples, column: int, last: bool) -> None:
-    """Store the present motion in a column.
+    """Store the present motion in a column of `motion`.
 
     A window collects `LANES` samples before they are written, because the rows are far apart in memory. `last`: whether
     this is the last sample of the propagation.

@@ -15,8 +15,9 @@ from rig.numerics.simd import aligned_zeros, padded_length
 class Workspace(NamedTuple):
     """Scratch arrays of one running kernel.
 
-    end_state: state at the end of a step. magnitude: |z|. envelope, margin: limits of |z| and of the guards, see
-    `rig.engine.screening`. bound, derivative: results of the tables of the same names in `Flow`.
+    end_state: state at the end of a step. magnitude: |z| of the state z. envelope: upper limit of |z|. margin: values
+    of the guards (gaps and contact forces) above which they have no zero in a step, see `rig.engine.screening`.
+    bound, derivative: results of the tables of the same names in `Flow`.
     state_series: power series of the state, shape (terms, states). series_matrix: a view of it as a table of one
     matrix, which is multiplied by `powers`, those of tau; its constant part is `zero_constant`.
     guard_series: power series of a guard. subdivision, spans, bernstein: see `rig.numerics.bernstein.first_crossing`.
@@ -40,7 +41,7 @@ class Workspace(NamedTuple):
 
 
 def workspace_for(flow: Flow, size: int) -> Workspace:
-    """Allocate the scratch arrays for a flow and states of a padded size."""
+    """Return new scratch arrays for a flow; `size`: padded length of a state with its accelerations."""
     columns = flow.rates_constant.shape[1]
     state_series = aligned_zeros(N_COEFFICIENTS + 1, padded_length(columns))
     envelope = aligned_zeros(padded_length(columns))

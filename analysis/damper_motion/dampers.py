@@ -32,7 +32,7 @@ class Dampers(Result):
     Attributes
     ----------
     label : str
-        Scene name and test setting.
+        Scene name and, if there are several sweeps, level and direction.
     sweep : Sweep
         Fundamental and harmonic amplitudes of all channels.
     bodies : tuple of list of DamperMotion

@@ -1,8 +1,9 @@
 """Type of damper motion in a stepped-sine test, estimated from the channels.
 
-The types are those of the paper. Riding: at rest on the floor. Type I: one floor impact per period. Types II and III:
-one impact on each of floor and ceiling per period; the damper leaves the ceiling at once (II), or stays there until the
-body's acceleration rises to -g (III). Other patterns are described by their numbers of impacts.
+A damper moves in a cavity of its body, between floor and ceiling. The types are those of the paper. Riding: at rest on
+the floor. Type I: one floor impact per period. Types II and III: one impact on each of floor and ceiling per period;
+the damper leaves the ceiling at once (II), or stays there until the body's acceleration rises to -g (III). Other
+patterns are described by their numbers of impacts.
 """
 
 from __future__ import annotations

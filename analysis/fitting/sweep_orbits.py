@@ -203,12 +203,12 @@ class _OrbitSolver:
             drive = level / abs(displacement_per_volt)
         orbit: Orbit | None = None
         for _ in range(_MAX_SEARCHES if self.table is not None else 1):
-            setting = OperatingPoint(float(frequency), float(drive))
-            propagator = start_propagator(self.problem, setting, moving)[0]
+            point = OperatingPoint(float(frequency), float(drive))
+            propagator = start_propagator(self.problem, point, moving)[0]
             if orbit is not None:
                 set_to_orbit(propagator, orbit)
             try:
-                orbit = search_orbit(self.problem, setting, propagator, _MAX_PERIODS)
+                orbit = search_orbit(self.problem, point, propagator, _MAX_PERIODS)
             except UncoveredMotionError:
                 raise
             except (RunError, np.linalg.LinAlgError):
@@ -266,12 +266,12 @@ class _OrbitSolver:
 
     def largest_gap(self, stored: StoredOrbit, frequency: float, level: float, damper: int) -> float:
         """Return the largest gap below a damper on an orbit, m; infinite with ceiling impacts."""
-        setting = OperatingPoint(float(frequency), float(self._initial_drive(stored, level)))
-        solution = self._newton(stored, setting)
+        point = OperatingPoint(float(frequency), float(self._initial_drive(stored, level)))
+        solution = self._newton(stored, point)
         if solution is None:
             return 0.0
         family, *solved = solution
-        orbit = family.make_orbit(setting, *solved)
+        orbit = family.make_orbit(point, *solved)
         hits = (orbit.events["damper"] == damper + 1) & (orbit.events["kind"] == "ceiling")
         return np.inf if hits.any() else float(orbit.columns()[f"gap {damper + 1}_m"].max())
 
@@ -305,30 +305,30 @@ class _OrbitSolver:
     def _refine_at_drive(
         self, start: StoredOrbit, frequency: float, drive: float, check: bool = False
     ) -> tuple[StoredOrbit, ComplexArray, float] | None:
-        """Return the orbit at a drive, its displacement / reference, and its level; None if `refine` would."""
-        setting = OperatingPoint(float(frequency), float(drive))
-        solution = self._newton(start, setting)
+        """Return the orbit at a drive, its displacement / reference, and its level; None as in `refine`."""
+        point = OperatingPoint(float(frequency), float(drive))
+        solution = self._newton(start, point)
         if solution is None:
             return None
         family, x, equations, shooting = solution
         sequence = start.plan.sequence
         if check:
-            orbit = family.make_orbit(setting, x, equations, shooting)
+            orbit = family.make_orbit(point, x, equations, shooting)
             if orbit.flaw or not orbit.stable:
                 return None
         event_times = x[len(x) - len(sequence.kind) :]
         integral = evaluate_motion(equations, sequence, shooting, event_times)[1]
         harmonic = 2.0 / equations.period * integral
-        prescribed = -1j * setting.force / (self.spring or 1.0)
+        prescribed = -1j * point.force / (self.spring or 1.0)
         reference = complex(prescribed if self.table is None else harmonic[self.table])
         stored = replace(start, unknowns=x, drive=float(drive))
         return stored, harmonic[: self.bodies] / reference, abs(reference)
 
-    def _newton(self, start: StoredOrbit, setting: OperatingPoint) -> tuple[OrbitFamily, Array, Any, Any] | None:
+    def _newton(self, start: StoredOrbit, point: OperatingPoint) -> tuple[OrbitFamily, Array, Any, Any] | None:
         """Return family, unknowns, equations and shooting result of the refined orbit; None without convergence."""
-        family = OrbitFamily(self.problem, start.plan, setting, "frequency", start.unknowns)
+        family = OrbitFamily(self.problem, start.plan, point, "frequency", start.unknowns)
         try:
-            equations, x, _, shooting, _, count = family.correct(setting.frequency, start.unknowns, _MAX_CORRECTIONS)
+            equations, x, _, shooting, _, count = family.correct(point.frequency, start.unknowns, _MAX_CORRECTIONS)
         except np.linalg.LinAlgError:
             return None
         return None if count < 0 else (family, x, equations, shooting)

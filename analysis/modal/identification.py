@@ -290,10 +290,10 @@ def _refine(weighted: Curves, model: ModalModel, frfs: Sequence[Response]) -> Re
     curves = [frf.at(lines) for frf in frfs]
     errors = stack(curves).covariance()
     magnitude = np.stack([abs(frf.value) for frf in curves])
-    rough = np.hypot(0.5 * _systematic_limit(curves, ROUGH), MIN_RELATIVE_ERROR * magnitude)
-    if not (np.isfinite(errors.lines).all() and np.isfinite(rough).all()):
+    line_deviation = np.hypot(0.5 * _systematic_limit(curves, ROUGH), MIN_RELATIVE_ERROR * magnitude)
+    if not (np.isfinite(errors.lines).all() and np.isfinite(line_deviation).all()):
         return None
-    return refine(weighted, model, errors, rough)
+    return refine(weighted, model, errors, line_deviation)
 
 
 def _systematic_ratio(model: ModalModel, frfs: Sequence[Response]) -> Array:

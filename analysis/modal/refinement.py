@@ -43,13 +43,13 @@ class Refinement:
     included: tuple[str, ...]  # systematic errors of the curves that the covariance includes
 
 
-def refine(curves: Curves, model: ModalModel, errors: Covariance, rough: Array) -> Refinement | None:
+def refine(curves: Curves, model: ModalModel, errors: Covariance, line_deviation: Array) -> Refinement | None:
     """Refine a model; return None if the problem is too large, or if the covariance is not finite.
 
-    `errors`: covariance of the random errors; `rough`, shape (responses, n): standard deviation of the real or
+    `errors`: covariance of the random errors; `line_deviation`, shape (responses, n): standard deviation of the real or
     imaginary part of other errors that differ from line to line.
     """
-    problem = Likelihood(curves, errors, rough)
+    problem = Likelihood(curves, errors, line_deviation)
     count = 2 * model.poles.size
     multiplications = curves.value.size * curves.value.shape[0] * (count + 1 + curves.upper_terms) ** 2
     if not count or multiplications > _MAX_MULTIPLICATIONS:
@@ -68,7 +68,7 @@ def refine(curves: Curves, model: ModalModel, errors: Covariance, rough: Array) 
         if step @ right < _MAX_FINAL_STEP**2:
             break
     weights = problem.weights(model, _inverse(problem.equations(model)[0])[:, :count])
-    deviation = rough.T[..., None] * weights
+    deviation = line_deviation.T[..., None] * weights
     scatter = errors.of_sums(weights)
     scatter += errors.shared * np.einsum("kap,kaq->pq", deviation.conj(), deviation).real
     covariance = scatter * max(1.0, misfit / curves.degrees(model.poles.size))
@@ -84,11 +84,11 @@ def refine(curves: Curves, model: ModalModel, errors: Covariance, rough: Array) 
 class Likelihood:
     """Misfit of all responses, weighted by the inverse covariance of each line, and its normal equations."""
 
-    def __init__(self, curves: Curves, errors: Covariance, rough: Array) -> None:
+    def __init__(self, curves: Curves, errors: Covariance, line_deviation: Array) -> None:
         self.curves = curves
         covariance = errors.lines / 2.0
-        index = np.arange(len(rough))
-        covariance[:, index, index] += rough.T**2
+        index = np.arange(len(line_deviation))
+        covariance[:, index, index] += line_deviation.T**2
         self.information = np.linalg.inv(covariance)
         self.s = 2j * np.pi * curves.frequency
         self.terms = np.stack(residual_terms(self.s)[: 1 + curves.upper_terms], axis=1)

@@ -95,10 +95,10 @@ class AveragedSpectra:
         # Reading of each channel per unit of the reference.
         readings = np.einsum("nij,jn->in", self.cross, reference_weights.conj()) / sff
         # Coherence from few blocks is biased towards 1; the scatter has one degree of freedom less than averages.
-        n_free = self.n_averages - 1.0
+        n_degrees = self.n_averages - 1.0
         error = np.full(value.shape, np.nan)
-        if n_free > 0.0:
-            error = abs(value) * np.sqrt(incoherence / (2.0 * n_free))
+        if n_degrees > 0.0:
+            error = abs(value) * np.sqrt(incoherence / (2.0 * n_degrees))
         limits: dict[str, Array] = {}
         if self.leakage_free is not None:
             leakage_free = self.leakage_free.frf(rec, response, reference, motion)
@@ -115,8 +115,8 @@ class AveragedSpectra:
         limits |= rounding_part(self.gain, shares)
         # Weights of the incoherent part of the response, relative to the power of the reference (Bendat and Piersol,
         # chapter 7).
-        residual_weights = difference.T / np.sqrt(sff * max(n_free, 1e-300))[:, None]
-        degrees = np.full(value.shape, max(2.0 * n_free, 0.0))
+        residual_weights = difference.T / np.sqrt(sff * max(n_degrees, 1e-300))[:, None]
+        degrees = np.full(value.shape, max(2.0 * n_degrees, 0.0))
         reference_limits = [np.sum(zero_times(np.abs(shares.reference), self.gain), axis=0)]
         budget = assemble_budget(
             rec, shares, error, degrees, limits, reference_limits, MeanErrors(residual_weights[:, None], self.cross),
@@ -208,18 +208,18 @@ def block_spectra(
 
     `starts`: first samples of the blocks, in rising order, every `step` samples; `window`, shape (samples of a block,).
     """
-    names, size = list(channels), window.size
-    all_flaws = flaws(rec, names, starts[0], starts[-1] + size)
+    names, block_samples = list(channels), window.size
+    all_flaws = flaws(rec, names, starts[0], starts[-1] + block_samples)
     flaw_bounds = np.array([[flaw.first, flaw.stop] for flaw in all_flaws]).reshape(-1, 2)
-    frequency = fft.rfftfreq(size, 1.0 / rec.rate)
+    frequency = fft.rfftfreq(block_samples, 1.0 / rec.rate)
     in_band = (frequency >= low) & (frequency <= min(high, 0.45 * rec.rate)) & (frequency > 0)
     cross: ComplexArray = np.zeros((int(in_band.sum()), len(names), len(names)), dtype=complex)
     end_ratio, used, power = 0.0, 0, np.zeros(len(names))
-    blocks = read_slices(rec, names, ((begin, begin + size) for begin in starts))
+    blocks = read_slices(rec, names, ((begin, begin + block_samples) for begin in starts))
     for n_completed, (begin, samples) in enumerate(zip(starts, blocks, strict=True), 1):
         if progress is not None:
             progress(n_completed, len(starts))
-        if np.any((flaw_bounds[:, 0] < begin + size) & (flaw_bounds[:, 1] > begin)):
+        if np.any((flaw_bounds[:, 0] < begin + block_samples) & (flaw_bounds[:, 1] > begin)):
             continue
         samples = samples - samples.mean(axis=1, keepdims=True)
         spectra = fft.rfft(samples * window, axis=1)[:, in_band]
@@ -227,7 +227,7 @@ def block_spectra(
         used += 1
         power += np.mean(np.square(samples), axis=1)
         largest = np.maximum(abs(samples).max(axis=1), 1e-300)
-        end_ratio = max(end_ratio, float(np.max(abs(samples[:, -max(1, size // 50) :]).max(axis=1) / largest)))
+        end_ratio = max(end_ratio, float(np.max(abs(samples[:, -max(1, block_samples // 50) :]).max(axis=1) / largest)))
     averaged = AveragedSpectra(
         tuple(names), frequency[in_band], np.asarray(cross / max(used, 1e-300), dtype=complex),
         independent_blocks(window, step, used) if used else 0.0, 0.0, rec.scene.name,
@@ -236,7 +236,7 @@ def block_spectra(
 
 
 def sampled_window(name: str, size: int) -> Array:
-    """Return a periodic window by its scipy name; ``none`` is a rectangular window."""
+    """Return a periodic window of `size` samples by its scipy name; ``none`` is a rectangular window."""
     try:
         return np.asarray(scipy.signal.get_window("boxcar" if name == "none" else name, size), dtype=float)
     except ValueError:

@@ -46,16 +46,16 @@ def averaged_spectra(
     """
     hits = Hits.of(rec)
     begins = [begin for begin, _ in hits.arrivals]
-    size = hits.interval if block is None else round(block * rec.rate)
-    pretrigger = min(size // _BLOCK_PER_PRETRIGGER, begins[0])
-    starts = [begin - pretrigger for begin in begins if begin - pretrigger + size <= rec.samples]
-    if size < 16 or not starts:
+    block_samples = hits.interval if block is None else round(block * rec.rate)
+    pretrigger = min(block_samples // _BLOCK_PER_PRETRIGGER, begins[0])
+    starts = [begin - pretrigger for begin in begins if begin - pretrigger + block_samples <= rec.samples]
+    if block_samples < 16 or not starts:
         raise SceneError(
-            f"blocks of {size / rec.rate:.3g} s: expected at least 16 samples, and no more than the "
+            f"blocks of {block_samples / rec.rate:.3g} s: expected at least 16 samples, and no more than the "
             f"{(rec.samples - begins[0]) / rec.rate:.4g} s that follow a hit"
         )
-    weights = sampled_window(window, size)
-    averaged = block_spectra(rec, channels, starts, size, weights, 0.0, hits.highest_frequency(rec))
+    weights = sampled_window(window, block_samples)
+    averaged = block_spectra(rec, channels, starts, block_samples, weights, 0.0, hits.highest_frequency(rec))
     reasons = describe_flaws(rec, averaged.flaws) or "the recording ends"
     if not averaged.used:
         raise RecordingError(
@@ -72,14 +72,14 @@ def averaged_spectra(
             f"{averaged.end_ratio:.0%} of the peak response remains at the end of a block, so the curve has leakage. "
             "Use longer blocks, or leave out --estimator for a response without leakage."
         )
-    segments = [(start, start + size) for start in starts]
+    segments = [(start, start + block_samples) for start in starts]
     blocks = [np.stack([rec.read(name, *bounds) for name in channels]) for bounds in segments]
     blocks = [np.nan_to_num(block - np.nanmean(block, axis=1, keepdims=True)) for block in blocks]
     spectra = [fft.rfft(block, axis=1) for block in blocks]
-    lines = np.rint(averaged.spectra.frequency * size / rec.rate).astype(np.int64)
+    lines = np.rint(averaged.spectra.frequency * block_samples / rec.rate).astype(np.int64)
     return replace(
         averaged.spectra,
-        resolution=noise_bandwidth_bins(weights) * rec.rate / size if has_leakage else 0.0,
+        resolution=noise_bandwidth_bins(weights) * rec.rate / block_samples if has_leakage else 0.0,
         warnings=tuple(notes),
         gain=hits.rounding(rec, channels, segments, blocks, spectra, lines, SIDE),
         leakage_free=segment_fits(rec, channels) if has_leakage else None,

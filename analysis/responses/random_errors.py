@@ -2,7 +2,9 @@
 
 All responses are divided by the same reference, whose noise causes equal relative errors in all of them. Neighboring
 lines of a local fit use the same bins. Both correlations determine the scatter of the parameters of a model fitted to
-many lines. The errors of the readings are propagated to first order [1]_.
+many lines. The errors of the readings are propagated to first order [1]_. An *element* is the response of one output to
+one input. A *bin* is a frequency of the discrete Fourier transform; a *line* is a frequency at which the response is
+estimated.
 
 References
 ----------
@@ -106,7 +108,7 @@ class LocalErrors:
     residual: ComplexArray  # residual of the reading; shape (lines, elements, segments, width)
     curve: ComplexArray  # reading per unit of the reference, as fitted; shape (lines, elements, width)
     drive: Array  # mean square of the reference over the bins of each fit; shape (lines,)
-    free: float  # complex degrees of freedom of each fit
+    free: float  # residual degrees of freedom of each fit, counted for complex values
     used: float  # measured part of the samples of the spectra, as in `local_fit`
     one_reference: bool  # whether the reference is a single channel that is not part of the response
     # error common to all lines, as a standard deviation of either quadrature; shape (lines, elements)

@@ -2,7 +2,7 @@
 
 The local rational method treats random excitation, bursts and hits in the same manner. It uses the measured force, and
 the transients at the beginning and end of a segment are part of the fit. The response need not decay, no window adds
-damping, and double hits are acceptable. Samples with overloads or losses are excluded.
+damping, and double hits are acceptable. A *segment* is a part of the test without samples that are overloaded or lost.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ class SegmentFits:
     def _spectra(
         self, rec: Recording, names: Sequence[str], segments: Sequence[tuple[int, int]], prior_motion: Sequence[float]
     ) -> LocalSpectra:
-        """Compute the spectra of all segments, zero-padded at the beginning to the length of the longest."""
+        """Compute the spectra of all segments, with zeros in front of each up to the length of the longest."""
         # Zeros before each segment separate the residual vibration at its end from the response to its hit.
         leading_zeros = 0 if self.hits is None else self.hits.interval
         # The length does not depend on motion before the hits, so that all responses have the same lines.

@@ -1,4 +1,7 @@
-"""Averages of a periodic test: the mean of every channel at every line, with its uncertainty."""
+"""Averages of a periodic test: the mean of every channel at every line, with its uncertainty.
+
+A *line* is a frequency of the excitation. The *scatter* of the *parts* of a measurement determines the uncertainty.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Swept sine: local rational method, for each frequency on the segment of the sweep whose frequencies are near it."""
+"""Swept sine: frequency responses by the local rational method.
+
+For each frequency, the method is applied to the *segment* of the sweep whose frequencies are near it. A *line* is a
+frequency of the discrete Fourier transform of the segment.
+"""
 
 from __future__ import annotations
 
@@ -42,8 +46,8 @@ _MAX_FLOOR_ACCELERATION = 0.7
 _MAX_LAG_RATIO = 0.3
 # Largest share of lines at which the sweep is too fast without a warning.
 _MAX_FAST_LINES = 0.05
-# Recommended factor for the duration of the sweep.
-_SLOWER = 10
+# Factor by which the warning recommends to lengthen the sweep.
+_RECOMMENDED_SLOWDOWN = 10
 # Smallest number of periods over which the amplitude of readings in counts is evaluated.
 _MIN_PERIODS = 3.0
 
@@ -79,7 +83,8 @@ class SweptTone:
         band = frf.frequency[np.flatnonzero(fast)[[0, -1]]]
         return frf.warn(
             f"Between {band[0]:.4g} and {band[1]:.4g} Hz this sweep is too fast to reach steady state with dampers in "
-            f"flight, so the curve is a transient response there. Sweep {_SLOWER} times slower, or use stepped sine."
+            f"flight, so the curve is a transient response there. Sweep {_RECOMMENDED_SLOWDOWN} times slower, or use "
+            "stepped sine."
         )
 
     def _lag(self, frf: Response) -> Array:
@@ -136,30 +141,31 @@ def sweep_spectra(
     for n_completed, (index, block) in enumerate(zip(order, blocks, strict=True), 1):
         if progress is not None:
             progress(n_completed, len(order))
-        size = block.shape[1]
-        line = max(int(frequency[index] * size / rec.rate), SIDE + 1)
+        segment_samples = block.shape[1]
+        line = max(int(frequency[index] * segment_samples / rec.rate), SIDE + 1)
         # This shift moves the frequency exactly onto a line.
-        shift = frequency[index] * size / rec.rate - line
+        shift = frequency[index] * segment_samples / rec.rate - line
         # The noise is estimated beyond the range and leakage of the tone.
         half_range = max((_MIN_FREQUENCY_RATIO**0.5 - 1.0) * line, SIDE)
         quiet_line = line + direction * (int(_RATIO_INCREASE * half_range) + 2 * SIDE)
-        has_noise = SIDE < quiet_line < size // 2 - SIDE
+        has_noise = SIDE < quiet_line < segment_samples // 2 - SIDE
         quiet_lines = (
             np.arange(quiet_line - SIDE - 1, quiet_line + SIDE + 2) if has_noise else np.zeros(0, dtype=np.int64)
         )
         lines = np.concatenate([line + neighbors, quiet_lines])
         spectrum = spectrum_at_lines(block - block.mean(axis=1, keepdims=True), lines, shift)
         samples[index] = spectrum[:, : neighbors.size]
-        line_frequency[index] = frequency[index] + neighbors * rec.rate / size
-        begin, width = bounds[index][0], SIDE * rec.rate / size
+        line_frequency[index] = frequency[index] + neighbors * rec.rate / segment_samples
+        begin, width = bounds[index][0], SIDE * rec.rate / segment_samples
         # A logarithmic sweep has only positive frequencies.
         edges = [max(frequency[index] + offset, 1e-6 * frequency[index]) for offset in (-width, width)]
         # Samples at which the sweep passes the lines of the fit.
         passage = [first + _sample_at(marker, edge, rec.rate) - begin for edge in edges]
         variances[:, index] = _samples_between(block, passage, rec.rate / frequency[index]).var(axis=1)
         if has_noise:
-            noise = _noise(spectrum[:, neighbors.size :]) / size
-            noise_levels.append((line_frequency[index, SIDE] + (quiet_line - line) * rec.rate / size, *noise))
+            noise = _noise(spectrum[:, neighbors.size :]) / segment_samples
+            quiet_frequency = line_frequency[index, SIDE] + (quiet_line - line) * rec.rate / segment_samples
+            noise_levels.append((quiet_frequency, *noise))
     clean_points, lengths = np.array(sorted(order)), np.array([end - begin for begin, end in bounds])
     noise = _interpolate_noise(noise_levels, frequency[clean_points], len(names))
     # The smallest noise over all frequencies determines the randomization of the rounding error.

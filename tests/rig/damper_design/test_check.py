@@ -1,4 +1,8 @@
-"""A design is written as a scene whose test checks it: the scene has the right frequencies and expected results."""
+"""A design is written as a scene whose test checks it: the scene has the right frequencies and expected results.
+
+The question is what a design optimizes: structure, force levels and band. A choice is the dampers of a candidate design
+(bodies, masses in kg, clearances in m); a trial is a choice with its peaks. A peak's size is |X| / F, m/N.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +28,8 @@ def test_check_covers_all_levels_and_peaks() -> None:
     assert test.levels == (2.0, 4.0)
     assert {34.1, 48.7, question.bare.frequency} <= set(test.frequencies)
     spacings = np.diff(test.frequencies)
-    # Dense frequencies around 34.1 Hz, and in one common range around 48.7 Hz and the peak without dampers.
+    # Dense frequencies around 34.1 Hz, and in one common range around 48.7 Hz and the peak without dampers. The one
+    # large step is between these ranges.
     assert len(test.frequencies) < 70 and np.sum(spacings > 0.005 * 48.7) == 1
 
 
@@ -37,17 +42,17 @@ def test_expectation_includes_force_harmonics() -> None:
     with Workers() as workers:
         (expectation,) = expected_results(scene_with_check(scene, trial, question), trial, workers)
     assert expectation.sizes is not None
-    # Compliances for the tolerance of the force controller, 0.5 %.
-    low, size, high = expectation.sizes
-    assert low < size < high < 1.01 * low
+    # Compliances over the tolerance of the force controller, 0.5 %.
+    low, nominal, high = expectation.sizes
+    assert low < nominal < high < 1.01 * low
     test_scene = scene.replace(channels=None, dampers=choice.dampers(INSTANTANEOUS))
-    for force, expected in ((1.5 * 1.005, low), (1.5, size), (1.5 * 0.995, high)):
+    for force, expected in ((1.5 * 1.005, low), (1.5, nominal), (1.5 * 0.995, high)):
         forced_scene = test_scene.replace(test={"kind": "sine", "frequency": peak.frequency, "force": force})
         steady = abs(rig.frequency_response(forced_scene, [peak.frequency]).compliance[peak.body - 1, 0])
         assert expected == pytest.approx(steady, rel=1.1e-3)
 
 
-def test_check_drives_the_same_shaker() -> None:
+def test_check_drives_the_shaker_of_the_scene() -> None:
     shakers = [{"kind": "force", "body": 1}, {"kind": "force", "body": 3}]
     drive = {"kind": "sine", "frequency": "49 Hz", "force": "3 N", "shaker": 2}
     scene = rig.load("fig9", {"shaker": shakers, "test": drive, "channels": None})

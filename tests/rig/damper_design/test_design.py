@@ -1,4 +1,9 @@
-"""Designed dampers are optimal, achieve the predicted effect on the rig, and can be reproduced."""
+"""Designed dampers are optimal, achieve the predicted effect on the rig, and can be reproduced.
+
+The question is what a design optimizes: structures, force levels and band. A choice is the dampers of a candidate
+design (bodies, masses in kg, clearances in m); a trial is a choice with its peaks. A peak's size is |X| / F, m/N. The
+table is a file of computed trials, from which an interrupted design continues.
+"""
 
 from __future__ import annotations
 
@@ -67,9 +72,9 @@ def test_recorded_design_moves_as_predicted(design: rig.Design, tmp_path: Path) 
 
 
 @pytest.mark.thorough
-def test_second_design_computes_nothing(design: rig.Design, table: Path) -> None:
+def test_second_design_reads_all_trials_from_table(design: rig.Design, table: Path) -> None:
     written = table.read_bytes()
-    # A kill during writing may leave such a partial row.
+    # A process that is killed during writing may leave a partial row like this.
     table.write_bytes(written + b"3dfa,2,0.1")
     second_design = rig.design("fig9", bodies=[2], levels=[3.3], watched=[2], table=table)
     assert second_design.best == design.best and second_design.chart == design.chart
@@ -91,7 +96,7 @@ def test_written_scene_loads_and_summary_matches(design: rig.Design, tmp_path: P
 
 
 @pytest.mark.thorough
-def test_every_level_has_its_column(design: rig.Design) -> None:
+def test_summary_has_a_column_per_level(design: rig.Design) -> None:
     two_levels = replace(design.question, levels=(3.3, 6.6))
     trials = tuple(replace(trial, peaks=(trial.peak, replace(trial.peak, size=1e-5))) for trial in design.trials)
     lines = summary(replace(design, question=two_levels, trials=trials, best=trials[0])).splitlines()
@@ -99,7 +104,7 @@ def test_every_level_has_its_column(design: rig.Design) -> None:
     assert heading.split()[3:7] == ["3.3", "N", "6.6", "N"]
 
 
-def test_damaged_table_loses_no_answer(tmp_path: Path) -> None:
+def test_damaged_table_loses_no_trial(tmp_path: Path) -> None:
     table = tmp_path / "table.csv"
     question, _ = parse_request(rig.load("fig9"), bodies=[2], levels=[0.5], band=(49.0, 50.0), watched=[2])
     choices = [Choice((2,), (0.05,), (clearance,)) for clearance in (1e-3, 2e-3)]
@@ -113,12 +118,12 @@ def test_damaged_table_loses_no_answer(tmp_path: Path) -> None:
     assert [evaluator.trial(question, choice) for choice in choices] == first_trials + second_trials
 
 
-def test_drawn_clearance_is_the_heaviest_dampers() -> None:
+def test_drawing_shows_clearance_of_heaviest_damper() -> None:
     assert "in body 4 / mm" in clearance_label(Choice((3, 4), (0.01, 0.06), (8e-3, 7e-3)))
 
 
 @given(levels=st.lists(st.floats(0.1, 50.0), min_size=1, max_size=5, unique=True).map(sorted))
-def test_charted_levels_are_closely_spaced(levels: list[float]) -> None:
+def test_charted_levels_extend_beyond_those_of_the_question(levels: list[float]) -> None:
     charted = chart_levels(levels)
     assert set(levels) <= set(charted.tolist())
     assert charted[0] <= levels[0] / 2 * (1 + 1e-12) and charted[-1] >= levels[-1] * 2 * (1 - 1e-12)
@@ -144,6 +149,7 @@ def test_worst_peak_without_dampers_is_the_receptance() -> None:
 
 
 def test_least_damped_variant_determines_the_peak() -> None:
+    # The damping ratios are uncertain by 20 %: the variants have 80 % and 120 %.
     question, _ = parse_request(rig.load("fig9"), uncertain=(0.2, 0.0))
     certain_question, _ = parse_request(rig.load("fig9"))
     assert len(question.scenes) == 3
@@ -179,7 +185,7 @@ def test_peak_of_two_dampers_equals_simulation() -> None:
         ({"cluster": "nonsense://"}, "no Dask scheduler answers"),
     ],
 )
-def test_nonsensical_requests_are_rejected(requested: dict, message: str) -> None:
+def test_invalid_requests_are_rejected(requested: dict, message: str) -> None:
     with pytest.raises(SceneError, match=message):
         rig.design("fig9", **requested)
 
@@ -195,7 +201,8 @@ def test_quantities_with_units_are_accepted() -> None:
         parse_request(scene, band=["40 Hz"])
 
 
-def test_grain_command_follows_the_same_dampers() -> None:
+def test_grain_command_has_dampers_of_the_design() -> None:
+    # The printed command simulates the design with beds of grains instead of masses, at the highest level.
     dampers = [
         Damper(body=2, mass=0.04, clearance=1e-3, contact={"duration": "2 ms"}),
         Damper(body=3, mass=2.0, clearance=2e-3, restitution=0.3),

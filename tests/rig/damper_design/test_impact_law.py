@@ -1,4 +1,4 @@
-"""New dampers have the same contact properties as those of the scene."""
+"""The impact law of a design: its dampers have the restitution and contact of those in the scene."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_new_dampers_have_the_contact_of_the_scene() -> None:
     assert instant.digest != question.digest and instant.worst(choice).size != pytest.approx(peak.size, rel=1e-3)
 
 
-def test_first_of_different_contacts_is_used() -> None:
+def test_contact_of_the_first_damper_is_used() -> None:
     impact_law = impact_law_of(with_dampers(FINITE_CONTACT, {}).dampers)
     assert (impact_law.restitution, impact_law.origin) == (0.2, "as the scene's first; others of it differ")
     walls = {"contact": {"floor": {"duration": "4 ms"}, "ceiling": {"duration": "1 ms"}}}

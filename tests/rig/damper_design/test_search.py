@@ -1,4 +1,9 @@
-"""The search returns the best choice of dampers in any order of evaluation, and one damper where one suffices."""
+"""The search returns the best choice of dampers in any order of evaluation, and one damper where one suffices.
+
+A question returns the worst peak of a choice of dampers (bodies, masses in kg, clearances in m). These tests replace
+the structure by closed forms, so that the best choice is known. A trial is a choice with its peaks. A space is the set
+of choices: bodies, total mass, and the smallest and largest clearance.
+"""
 
 from __future__ import annotations
 
@@ -47,6 +52,7 @@ class TwoLevels(Question):
 
 
 def search_in_this_process(question: Question, space: Space) -> tuple[Trial, list[Trial]]:
+    """Return the best trial and all trials."""
     return search(question, space, Evaluator(ShuffledWorkers(0), None, None, 1))  # type: ignore[arg-type]
 
 
@@ -74,15 +80,16 @@ def test_equal_single_damper_is_chosen() -> None:
     question = SingleBody((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
     best, _ = search_in_this_process(question, Space(((1, 2),), 0.1, (1e-4, 1e-2)))
     assert best.choice.bodies == (2,) and best.choice.masses == pytest.approx((0.1,))
+    # The peak is nearly constant around the optimal clearance.
     assert best.choice.clearances[0] == pytest.approx(1e-3, rel=0.5)
 
 
 def test_search_finds_the_best_number_of_dampers() -> None:
     question = SingleBody((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
     _, trials = search_in_this_process(question, Space(Space.locations_of((1, 2), 2), 0.1, (1e-4, 1e-2)))
-    for row in pareto_front(trials):
-        single_damper = Choice((2,), (row.choice.mass,), (1e-3,))
-        assert row.peak.size <= 1.005 * question.worst(single_damper).size
+    for trial in pareto_front(trials):
+        single_damper = Choice((2,), (trial.choice.mass,), (1e-3,))
+        assert trial.peak.size <= 1.005 * question.worst(single_damper).size
 
 
 def test_dampers_without_a_ceiling_are_tried() -> None:
@@ -101,7 +108,7 @@ class HighCeiling(Question):
 
 
 class ShuffledWorkers:
-    """Workers in this process that compute in a random order, and fail after some pieces, as if they were killed."""
+    """Workers in this process that compute in a random order, and fail after `max_pieces`, as if they were killed."""
 
     def __init__(self, seed: int, max_pieces: float = np.inf) -> None:
         self.random, self.pieces_left = np.random.default_rng(seed), max_pieces
@@ -118,7 +125,9 @@ class ShuffledWorkers:
 
 
 @pytest.mark.parametrize(("dampers", "seed", "max_pieces"), [(1, 1, 30), (1, 2, 120), (2, 3, 300)])
-def test_killed_search_continues_in_order(dampers: int, seed: int, max_pieces: int, tmp_path: Path) -> None:
+def test_killed_search_continues_with_identical_results(
+    dampers: int, seed: int, max_pieces: int, tmp_path: Path
+) -> None:
     question = QuadraticOptimum((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
     space = Space(Space.locations_of((1, 2, 3), dampers), 0.1, (1e-4, 1e-2))
 
@@ -136,7 +145,7 @@ def test_killed_search_continues_in_order(dampers: int, seed: int, max_pieces: i
     assert resumed_table.read_bytes() == uninterrupted_table.read_bytes()
 
 
-def test_table_of_larger_budget_respects_the_smaller(tmp_path: Path) -> None:
+def test_trials_of_larger_mass_are_not_reused(tmp_path: Path) -> None:
     question = QuadraticOptimum((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
     for mass in (0.06, 0.03):
         evaluator = Evaluator(ShuffledWorkers(0), tmp_path / "table.csv", None, 1)  # type: ignore[arg-type]
@@ -146,18 +155,19 @@ def test_table_of_larger_budget_respects_the_smaller(tmp_path: Path) -> None:
 
 
 @given(
-    place=st.lists(st.integers(1, 3), min_size=1, max_size=3).map(sorted).map(tuple),
+    bodies=st.lists(st.integers(1, 3), min_size=1, max_size=3).map(sorted).map(tuple),
     start=st.integers(0, 9),
     step=st.floats(0.1, 0.9),
 )
-def test_tried_clearances_are_allowed_and_distinct(place: tuple[int, ...], start: int, step: float) -> None:
+def test_tried_clearances_are_allowed_and_distinct(bodies: tuple[int, ...], start: int, step: float) -> None:
+    # The search computes a row of clearances at fixed ratios, then optimizes a common factor from a choice of the row.
     def check_choice(choice: Choice) -> float:
         assert min(choice.clearances) >= 1e-4 and max(choice.clearances) <= 1e-2 * (1 + 1e-12)
         body_clearances = [*zip(choice.bodies, choice.clearances, strict=True)]
         assert len(set(body_clearances)) == len(body_clearances) and choice.mass == pytest.approx(0.1)
         return sum(choice.clearances)
 
-    row = _grid_row(Space((place,), 0.1, (1e-4, 1e-2), without_ceiling=False), place, 1.0)
+    row = _grid_row(Space((bodies,), 0.1, (1e-4, 1e-2), without_ceiling=False), bodies, 1.0)
     for choice in row:
         check_choice(choice)
     _optimize_common_factor(row[start], check_choice, step, (1e-4, 1e-2))

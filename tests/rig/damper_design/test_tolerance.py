@@ -1,4 +1,8 @@
-"""The interval of clearances with nearly optimal performance, and the choice among equal designs."""
+"""The interval of clearances with nearly optimal performance, the choice among equal designs, and their flight.
+
+A question returns the worst peak of a choice of dampers; some tests replace it by closed forms. A trial is a choice
+with its peaks. A peak's size is |X| / F, m/N.
+"""
 
 from __future__ import annotations
 
@@ -81,7 +85,7 @@ def test_tolerance_is_open_if_no_ceiling_is_reached(clearance: float) -> None:
 def test_modes_outside_the_band_decide_between_equals() -> None:
     question = _question(Plateau)
     trials = [_trial(question, clearance) for clearance in (3.6e-3, 4e-3, 4.6e-3)]
-    # Outside the band, the peaks differ by more than equal designs do.
+    # In the band the peaks are equal; outside the band they differ.
     best_trial = select_outside_band(_question(SteepOutside), trials, trials[-1], _evaluator())
     assert best_trial.choice.clearances == (3.6e-3,)
 
@@ -119,10 +123,12 @@ def test_flight_height_equals_the_simulated_motion() -> None:
     scene = scene.replace(test=scene.test.replace(force=0.25))
     frequency = trial.peak.frequency
     motion = rig.simulate(scene, 600.0 / frequency, rate=64.0 * frequency, frequency=frequency)
-    assert 0.9 * motion.gap[0, -640:].max() < result.height < 5.0 * motion.gap[0, -640:].max()
+    simulated_height = motion.gap[0, -640:].max()  # over the last 10 periods, m
+    assert 0.9 * simulated_height < result.height < 5.0 * simulated_height
 
 
 def test_levels_too_weak_for_flight_are_named() -> None:
+    # The dampers take off at 0.8 N. At 0.5 N they do not reduce the peak, at 4 N they halve it.
     undamped = Peak(1e-4, 62.0, 0.5, 2, 1.0, 0.0)
     peaks = tuple(Peak(size, 61.0, level, 2, 1.0, 0.0) for size, level in ((1.01e-4, 0.5), (5e-5, 4.0)))
     trial = Trial(Choice((1,), (0.1,), (1e-3,)), peaks)

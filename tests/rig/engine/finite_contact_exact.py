@@ -1,5 +1,7 @@
 """Motion with finite-duration contact to 40 digits, independent of the engine: Taylor series of a switched system.
 
+A switched system is linear between contact changes, with other matrices after each.
+
 It shares only the matrices of the scene with the engine. The coordinates are absolute heights, and the springs and
 dashpots of the walls are computed independently. A contact is closed while overlap and wall force are both positive,
 which is checked at several times of every short step. The drive is F sin(w t) on some bodies, or zero. The mode of a
@@ -31,9 +33,10 @@ FREE, FLOOR, CEILING = 0, 1, 2
 
 
 def spring_damper(wall, restitution: float, reduced_mass: mpmath.mpf) -> tuple[Decimal, Decimal]:
-    """Return stiffness and damping of a wall, from the condition that the force is zero after the duration.
+    """Return stiffness [N/m] and damping [N s/m] of a wall.
 
-    Without restitution the time constant damping / stiffness is 5 ms, and the damping at least critical.
+    `wall`: either both directly, or the contact duration, after which the force is zero. At restitution 0 the time
+    constant damping / stiffness is 5 ms, and the damping is at least critical. `reduced_mass`: of damper and body, kg.
     """
     with mpmath.workdps(DIGITS):
         if not isinstance(wall, Landing):
@@ -41,7 +44,7 @@ def spring_damper(wall, restitution: float, reduced_mass: mpmath.mpf) -> tuple[D
         duration = mpmath.mpf(wall.duration)
 
         def scaled_duration(ratio):
-            """Return the contact duration times the undamped angular frequency, computed in complex numbers."""
+            """Return the contact duration times the undamped angular frequency, for a damping ratio."""
             root = mpmath.sqrt(mpmath.mpc(ratio * ratio - 1))
             return mpmath.re(mpmath.log((ratio + root) / (ratio - root)) / root)
 
@@ -90,7 +93,7 @@ class SwitchedMotion:
         self.generators: dict[tuple[int, ...], tuple[list, float]] = {}
 
     def generator(self, modes: tuple[int, ...]):
-        """Return the sparse rows of the system matrix for the state, and its largest eigenvalue.
+        """Return the system matrix as rows of (column, value), and the magnitude of its largest eigenvalue, 1/s.
 
         The state is (x, y, x', y', cos, sin, 1), with the heights x of the bodies and y of the beds.
         """
@@ -135,7 +138,10 @@ class SwitchedMotion:
         return terms
 
     def closure(self, j: int, wall: int, gap: Decimal, rate: Decimal) -> Decimal:
-        """Return a force that is positive exactly while a contact is closed."""
+        """Return a force, N, that is positive exactly while damper j is in contact with a wall.
+
+        `gap`: height above the floor, m; `rate`: its derivative, m/s.
+        """
         k, c = self.walls[j][wall - 1]
         overlap, closing = (-gap, -rate) if wall == FLOOR else (gap - self.clearance[j], rate)
         return min(k * overlap, k * overlap + c * closing)

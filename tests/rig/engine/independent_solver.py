@@ -34,7 +34,7 @@ class IndependentSolver:
         self.mode = np.full(len(self.damper_mass), FLOOR)
 
     def _body_accelerations(self, t: float, state: np.ndarray) -> np.ndarray:
-        """Return the accelerations of the bodies with the present contacts."""
+        """Return the accelerations of the bodies with the present contacts, m/s^2."""
         n = self.n
         mass = self.mass.copy()
         load = self.force * np.sin(self.omega * t) - self.stiffness @ state[:n] - self.damping @ state[n : 2 * n]
@@ -44,6 +44,7 @@ class IndependentSolver:
         return np.linalg.solve(mass, load)
 
     def _derivative(self, t: float, state: np.ndarray) -> np.ndarray:
+        """Return the time derivative of the state: see `events`."""
         n, d = self.n, len(self.damper_mass)
         acceleration = self._body_accelerations(t, state)
         damper_speed = np.where(self.mode == FLIGHT, state[2 * n + d :], state[n + self.body])
@@ -51,7 +52,10 @@ class IndependentSolver:
         return np.concatenate([state[n : 2 * n], acceleration, damper_speed, damper_acceleration])
 
     def _guards(self, ignored_until: dict[tuple[int, int], float]) -> list[tuple[int, int, object]]:
-        """Return the guards of all dampers: (damper, new mode, function of time and state)."""
+        """Return the guards of all dampers: (damper from 0, mode after the event, function of time and state).
+
+        `ignored_until`: time until which the guard of a damper and wall is ignored, s.
+        """
         n = self.n
         guards: list[tuple[int, int, object]] = []
         for j, body in enumerate(self.body):
@@ -91,7 +95,7 @@ class IndependentSolver:
     def events(self, duration: float) -> list[tuple[float, int, str]]:
         """Return the events up to a time: (time, damper from 1, kind)."""
         n, d = self.n, len(self.damper_mass)
-        # Displacements and velocities of the bodies, heights and velocities of the dampers.
+        # State: displacements and velocities of the bodies, heights and velocities of the dampers.
         state, t, events = np.zeros(2 * n + 2 * d), 0.0, []
         ignored_until: dict[tuple[int, int], float] = {}
         while t < duration:
@@ -109,7 +113,10 @@ class IndependentSolver:
         return events
 
     def _apply_event(self, t, state, j, wall, ignored_until, events) -> None:
-        """Apply a separation or an impact of damper j to the state, with the separations that follow."""
+        """Apply a separation (wall FLIGHT) or an impact of damper j, with the separations that follow.
+
+        Changes the state, the modes, `ignored_until` and `events`.
+        """
         n, d = self.n, len(self.damper_mass)
         body = self.body[j]
         if wall == FLIGHT:

@@ -1,7 +1,10 @@
 """Contact laws at an impact or a release, compared with explicit mechanics: momentum, separations and velocities.
 
 `state.z` has the displacements and velocities of the bodies; `state.height` and `state.speed` are those of dampers in
-flight; `state.mode` is the contact of each damper.
+flight. `state.mode` is the contact of each damper: FLIGHT, FLOOR or CEILING.
+
+`state.multiplicity` describes a damper that has just left a wall, by the zero of its gap at this instant: 1 after a
+rebound, 2 after a separation without relative velocity; negative at the ceiling. Otherwise it is 0.
 """
 
 from __future__ import annotations
@@ -35,9 +38,10 @@ SIGN = {FLOOR: 1.0, CEILING: -1.0}
 
 
 def propagator(coupling: float, restitution: float = 0.0, finite_contacts: int = 0, uncoupled: int = 0) -> Propagator:
-    """Return the engine for three bodies with a damper each, with a coupling of the bodies in the mass matrix, kg.
+    """Return the engine for three bodies with a damper each.
 
-    The first dampers have finite-duration contact; the last bodies are uncoupled.
+    `coupling`: off-diagonal elements of the mass matrix, kg; `finite_contacts`: number of dampers, from the first, with
+    finite-duration contact; `uncoupled`: number of bodies, from the last, without coupling.
     """
     contact = {"contact": {"duration": "2 ms"}}
     dampers = [
@@ -70,7 +74,7 @@ def apply_impact(engine: Propagator, damper: int, wall: int) -> None:
 
 
 def randomize(engine: Propagator, modes: list[int], seed: int) -> State:
-    """Set a random motion with dampers in given contact modes; those in flight are away from their walls."""
+    """Set and return a random state with dampers in given contact modes; those in flight are away from their walls."""
     random, state, model = np.random.default_rng(seed), engine.state, engine.tables.model
     size = engine.tables.size
     state.z[:size] = 1e-3 * random.standard_normal(size)
@@ -88,6 +92,7 @@ MODES = st.lists(st.sampled_from([FLIGHT, FLOOR, CEILING]), min_size=3, max_size
 @given(modes=MODES, finite_contacts=st.integers(0, 3), seed=st.integers(0, 10_000))
 def test_finite_contact_forces_equal_the_system_matrices(modes: list[int], finite_contacts: int, seed: int) -> None:
     engine = propagator(0.1, finite_contacts=finite_contacts)
+    # One bit for the contact of each damper, then one for contact with its ceiling.
     state, model, system = randomize(engine, modes, seed), engine.tables.model, engine.system
     contact_bits = sum((mode != FLIGHT) << j | (mode == CEILING) << 3 + j for j, mode in enumerate(modes))
     force, constant = system.contact_forces(contact_bits)
@@ -123,7 +128,8 @@ def test_impact_obeys_the_contact_laws(
     body_after = state.z[model.velocity]
     damper_after = np.where(state.mode == FLIGHT, state.speed, body_after)
 
-    # Momentum is conserved. Impulses are compressive, and act on other dampers only in contact with coupled bodies.
+    # Momentum is conserved. Impulses are compressive. They act on another damper only if it is in contact and its body
+    # is coupled.
     impulse = model.mass * (damper_after - damper)
     np.testing.assert_allclose(engine.system.mass @ (body_after - body), -impulse, atol=1e-12)
     walls = np.array([wall if j == impacting else modes[j] for j in range(3)])
@@ -142,18 +148,14 @@ def test_impact_obeys_the_contact_laws(
     # The log has the impact and all separations.
     log, count = engine.log, engine.log.counts[N_EVENTS]
     (k,) = np.flatnonzero(log.event_kind[:count] != SEPARATION)
-    assert (log.event_segment[k], log.event_damper[k], log.event_kind[k], log.event_offset[k]) == (
-        7,
-        impacting,
-        wall,
-        0.25,
-    )
+    instant = log.event_segment[k], log.event_offset[k]
+    assert (*instant, log.event_damper[k], log.event_kind[k]) == (7, 0.25, impacting, wall)
     assert log.event_speed[k] == pytest.approx(closing_speed)
     separated = [int(j) for j in log.event_damper[:count][log.event_kind[:count] == SEPARATION]]
     rebounded = {impacting} if restitution else set()
     assert {j for j in range(3) if walls[j] != FLIGHT and state.mode[j] == FLIGHT} - rebounded == set(separated)
     for j in separated:
-        # It keeps the velocity of its wall before the impact, or separates from a wall without relative velocity.
+        # A separated damper has the velocity before the impact, or that of its wall after it.
         opening_speed = SIGN[walls[j]] * (damper_after[j] - body_after[j])
         assert damper_after[j] == (body_after[j] if opening_speed == 0.0 else body[j])
         assert opening_speed >= 0.0 and state.height[j] == position[j] + (CLEARANCE if walls[j] == CEILING else 0.0)
@@ -161,11 +163,13 @@ def test_impact_obeys_the_contact_laws(
 
 @given(coupled=st.booleans(), modes=MODES, seed=st.integers(0, 10_000))
 @settings(deadline=None)
-def test_release_agrees_with_enumeration(coupled: bool, modes: list[int], seed: int) -> None:
+def test_released_dampers_agree_with_complementarity_by_enumeration(coupled: bool, modes: list[int], seed: int) -> None:
     engine = propagator(0.15 if coupled else 0.0)
     state, model, system = randomize(engine, modes, seed), engine.tables.model, engine.system
     work = engine.workspace.contact
     _sum_forces(model, state, work.force)
+    # Complementarity: acceleration away from the wall (matrix @ reaction + bias) and contact force are not negative,
+    # and one of them is zero for each damper. A damper with a positive acceleration is released.
     in_contact = np.flatnonzero(np.array(modes) != FLIGHT)
     sign = np.array([SIGN[modes[j]] for j in in_contact])
     inverse = np.linalg.inv(system.mass)
@@ -189,6 +193,7 @@ def test_release_agrees_with_enumeration(coupled: bool, modes: list[int], seed: 
 def test_rebound_within_rounding_stays_in_contact(wall: int, coupled: bool) -> None:
     engine = propagator(0.2 if coupled else 0.0)
     state, model, work = engine.state, engine.tables.model, engine.workspace.contact
+    # A rebound is negligible if the gap that it would reach is within the rounding error of the coordinates.
     state.mode[1], row = wall, model.position[1]
     state.z[row], coordinate_scale = -0.3, 2 * 0.3 + (CLEARANCE if wall == CEILING else 0.0)
     force = np.array([3.0, -20.0 * SIGN[wall] - 10.0, 5.0])
@@ -220,6 +225,7 @@ def test_tension_within_rounding_does_not_release(wall: int, coupled: bool, rati
     inverse = np.linalg.inv(system.mass)[1]
     acceleration_scale = model.gravity + np.abs(inverse) @ np.abs(terms * state.z[: terms.shape[1]]).sum(axis=1)
     assert np.count_nonzero(inverse) == (3 if coupled else 1) and acceleration_scale > 1e3 * model.gravity
+    # `ratio`: acceleration away from the wall over its rounding error.
     acceleration = -SIGN[wall] * ratio * ROUNDING * acceleration_scale
     work = engine.workspace.contact
     work.force[:3] = 0.0, (acceleration - model.gravity) / inverse[1], 0.0
@@ -234,8 +240,8 @@ def test_tension_within_rounding_does_not_release(wall: int, coupled: bool, rati
 
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
 @pytest.mark.parametrize("coupled", [False, True])
-@pytest.mark.parametrize(("closing", "stays"), [(1e-9, True), (1e-3, False)])
-def test_low_rebound_comes_to_rest(wall: int, coupled: bool, closing: float, stays: bool) -> None:
+@pytest.mark.parametrize(("closing_speed", "stays"), [(1e-9, True), (1e-3, False)])
+def test_low_rebound_comes_to_rest(wall: int, coupled: bool, closing_speed: float, stays: bool) -> None:
     engine = propagator(0.2 if coupled else 0.0, restitution=0.4)
     state, model = engine.state, engine.tables.model
     state.mode[:], state.counters[TABLE_INDEX] = FLIGHT, -1
@@ -244,16 +250,16 @@ def test_low_rebound_comes_to_rest(wall: int, coupled: bool, closing: float, sta
     state.z[model.velocity] = 0.25
     state.height[:], state.speed[:] = state.z[model.position] + 0.5 * CLEARANCE, 0.25
     state.height[0] = state.z[model.position[0]] + (CLEARANCE if wall == CEILING else 0.0)
-    state.speed[0] = 0.25 - SIGN[wall] * closing
-    before = engine.system.mass @ state.z[model.velocity] + model.mass * state.speed
+    state.speed[0] = 0.25 - SIGN[wall] * closing_speed
+    momentum = engine.system.mass @ state.z[model.velocity] + model.mass * state.speed
     apply_impact(engine, 0, wall)
     assert state.mode.tolist() == [wall if stays else FLIGHT, FLIGHT, FLIGHT]
     assert state.multiplicity[0] == (0 if stays else SIGN[wall])
     body = state.z[model.velocity]
     speed = np.where(state.mode == FLIGHT, state.speed, body)
-    np.testing.assert_allclose(engine.system.mass @ body + model.mass * speed, before, atol=1e-15)
-    rebound = SIGN[wall] * (speed[0] - body[0])
-    assert rebound == (0.0 if stays else pytest.approx(0.4 * closing, rel=1e-9))
+    np.testing.assert_allclose(engine.system.mass @ body + model.mass * speed, momentum, atol=1e-15)
+    rebound_speed = SIGN[wall] * (speed[0] - body[0])
+    assert rebound_speed == (0.0 if stays else pytest.approx(0.4 * closing_speed, rel=1e-9))
 
 
 def test_uncoupled_damper_stays_at_rest() -> None:
@@ -270,6 +276,8 @@ def test_uncoupled_damper_stays_at_rest() -> None:
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
 @pytest.mark.parametrize(("ratio", "closed"), [(0.999, True), (1.001, False)])
 def test_slowly_opened_contact_stays_closed(wall: int, ratio: float, closed: bool) -> None:
+    # An impact opens the contact of damper 1 at `ratio` times the speed whose gap is within rounding. The reactions
+    # solve opening_speed + matrix @ reaction = 0 for the contacts that stay closed (`active`).
     engine = propagator(0.2)
     state, model, work = engine.state, engine.tables.model, engine.workspace.contact
     state.mode[:], row = wall, model.position[1]
@@ -289,7 +297,7 @@ def test_slowly_opened_contact_stays_closed(wall: int, ratio: float, closed: boo
 
 
 @pytest.mark.parametrize(
-    ("gap", "closing", "multiplicity", "wall"),
+    ("gap", "closing_speed", "multiplicity", "wall"),
     [
         (0.0, 1.0, 0, FLOOR),
         (1e-17, 1.0, 0, FLOOR),
@@ -306,18 +314,22 @@ def test_slowly_opened_contact_stays_closed(wall: int, ratio: float, closed: boo
         (CLEARANCE, -1.0, 1, CEILING),
     ],
 )
-def test_damper_in_flight_touches_an_approaching_wall(gap: float, closing: float, multiplicity: int, wall: int) -> None:
+def test_damper_in_flight_touches_an_approaching_wall(
+    gap: float, closing_speed: float, multiplicity: int, wall: int
+) -> None:
+    # `gap`, `closing_speed`: to the floor; `wall`: that is touched, FLIGHT if none.
     engine = propagator(0.1)
     state, model = engine.state, engine.tables.model
     state.mode[1] = FLIGHT
     state.z[model.position[1]], state.z[model.velocity[1]] = -1.0 / 64, 0.5
-    state.height[1], state.speed[1] = -1.0 / 64 + gap, 0.5 - closing
+    state.height[1], state.speed[1] = -1.0 / 64 + gap, 0.5 - closing_speed
     state.multiplicity[1] = multiplicity
     assert _touched_wall(model, state, 1) == wall
 
 
 def test_negligible_coupling_changes_no_event() -> None:
     events = []
+    # Mass matrix elements between the bodies, kg: none, and as small as a rounding error.
     for coupling in (0.0, 4e-16):
         scene = rig.Scene(
             structure={"matrices": {"mass": [[1.0, coupling], [coupling, 1.0]], "stiffness": [[4e3, 0.0], [0.0, 5e3]]}},

@@ -27,9 +27,11 @@ def random_scene(seed: int, bodies: int) -> rig.Scene:
     frequency = float(random.uniform(0.5, 1.6) * math.sqrt(springs.mean() / masses.mean()) / (2 * math.pi))
 
     def duration() -> float:
+        """Draw a contact duration between 3 % and 30 % of the drive period, s."""
         return float(10 ** random.uniform(-1.5, -0.5) / frequency)
 
     def wall(mass: float) -> dict[str, float]:
+        """Draw stiffness and damping of a wall; sometimes without damping."""
         omega = math.pi / duration()
         damping = 2 * mass * omega * 10 ** random.uniform(-2.5, 0.3)
         return {"stiffness": mass * omega**2, "damping": damping if random.random() < 0.7 else 0.0}
@@ -80,6 +82,8 @@ def test_finite_contact_motion_agrees_to_forty_digits(seed: int, bodies: int) ->
 @pytest.mark.parametrize("ratio", [0.0, 1e-14, 1e-11, 1e-9, 1e-7])
 @pytest.mark.parametrize("seed", [9000, 9147, 9149])
 def test_weak_dashpot_causes_no_second_landing(seed: int, ratio: float) -> None:
+    # `ratio`: damping ratio of the contacts. With a weak dashpot the force ends almost at zero overlap, where rounding
+    # could cause another touch with zero speed.
     scene = random_scene(seed, 2)
     dampers = []
     for body, (body_mass, omega) in enumerate(zip(scene.structure.masses, (2e3, 5e3), strict=True), 1):
@@ -99,6 +103,7 @@ def test_spring_damper_has_duration_and_restitution(duration: float, restitution
 
 @pytest.mark.parametrize("ratio", [0.05, 0.3, 0.499, 0.7, 1.0, 4.0])
 def test_largest_contact_force_is_closed_form(ratio: float) -> None:
+    # `ratio`: damping ratio. A mass of 70 g hits a spring and dashpot at 1.7 m/s.
     mass, stiffness, speed = 0.07, 3e4, 1.7
     omega = math.sqrt(stiffness / mass)
     damping = 2.0 * ratio * mass * omega
@@ -109,7 +114,9 @@ def test_largest_contact_force_is_closed_form(ratio: float) -> None:
 
 
 def test_residual_restitution_decreases_with_the_duration() -> None:
-    restitutions = [duration_and_restitution(*spring_damper(t, 0.0, 0.05), 0.05)[1] for t in (1e-2, 1e-3, 1e-4, 1e-5)]
+    # A dashpot of finite damping leaves a residual restitution where 0 is required.
+    mass = 0.05
+    restitutions = [duration_and_restitution(*spring_damper(t, 0.0, mass), mass)[1] for t in (1e-2, 1e-3, 1e-4, 1e-5)]
     assert restitutions[0] == pytest.approx(math.exp(-2.0))
     assert all(later < 0.2 * earlier for earlier, later in pairwise(restitutions))
 
@@ -130,6 +137,7 @@ def test_free_landing_is_closed_form(restitution: float) -> None:
     landing, release = run.events[touch], run.events[touch + 1]
     assert release["kind"] == "release"
     assert release["time"] - landing["time"] == pytest.approx(2e-3, rel=1e-9)
+    # Without gravity the damper flies to the other wall with its separation speed.
     assert run.events[touch + 2]["speed"] == pytest.approx(restitution * landing["speed"], rel=1e-9)
     in_contact = (run.time >= landing["time"]) & (run.time <= release["time"])
     system = assemble(scene)
@@ -146,6 +154,7 @@ def test_short_landings_converge_to_instant_contact() -> None:
         dampers = [damper.replace(contact={"duration": duration}) for damper in instant.dampers]
         run = rig.simulate(instant.replace(dampers=dampers), 0.3, rate=2000.0)
         errors.append(np.abs(run.displacement - reference).max() / np.abs(reference).max())
+    # Order of convergence: the durations decrease by factors of 4.
     orders = np.log(np.array(errors[:-1]) / errors[1:]) / np.log(4.0)
     assert errors[-1] < 1e-3
     assert (orders > 0.7).all()
@@ -177,5 +186,5 @@ def test_block_size_changes_no_finite_contact() -> None:
             np.concatenate([getattr(block, name) for block in blocks], axis=1), getattr(single_block, name)
         )
     np.testing.assert_array_equal(np.concatenate([block.events for block in blocks]), single_block.events)
-    # Acceleration is finite: no break has a velocity jump.
+    # Accelerations are finite: at a break (an instant of contact change) no velocity jumps.
     np.testing.assert_array_equal(single_block.break_velocity[0], single_block.break_velocity[1])

@@ -1,4 +1,8 @@
-"""Laws of any motion: no penetration, compressive contact, balance of momentum and energy, no effect of blocks."""
+"""Laws of any motion: no penetration, compressive contact, balance of momentum and energy, no effect of blocks.
+
+A break is an instant at which a velocity or an acceleration jumps: an impact or a separation. A motion lists the values
+before and after each break. Contact modes: 0 in flight, 1 on the floor, 2 at the ceiling.
+"""
 
 from __future__ import annotations
 
@@ -99,7 +103,8 @@ def test_contact_force_at_rest_is_compressive(scene: rig.Scene) -> None:
 @settings(max_examples=15)
 @given(scene=scenes(), seed=st.integers(0, 2**32 - 1))
 def test_event_screening_over_blocks_misses_no_event(scene: rig.Scene, seed: int) -> None:
-    # Screening uses an envelope of all states of a block: with blocks of one sample there is none.
+    # In a block, the engine skips the search for events while the state is within an envelope, an upper bound of the
+    # magnitudes. With blocks of one sample there is no envelope.
     random = np.random.default_rng(seed)
     rate = 800 * scene.test.frequency
     time = np.arange(1000) / rate
@@ -145,7 +150,7 @@ def test_impact_conserves_momentum(scene: rig.Scene, seed: int) -> None:
     mode = np.ones(system.dampers, dtype=int)
     mode[[int(e["damper"]) - 1 for e in motion.events if e["time"] == 0.0]] = 0
     events = motion.events[motion.events["time"] > 0.0]
-    # Several breaks may coincide within rounding; the records do not assign their events to them.
+    # Several breaks may coincide within rounding. The list of events does not show to which break each belongs.
     for breaks in np.split(np.arange(time.size), np.flatnonzero(np.diff(time) > SIMULTANEITY_S) + 1):
         if breaks.size:
             simultaneous = list(events[np.abs(time[breaks, None] - events["time"]).min(axis=0) <= 1e-12])
@@ -164,12 +169,13 @@ MIN_SEPARATION_SPEED = 1e-6
 def modes_after_breaks(
     system: HybridSystem, motion: Motion, breaks: list[int], events: list[np.void], mode: np.ndarray
 ) -> np.ndarray | None:
-    """Return the contact modes after several breaks, with the events assigned to them in order.
+    """Return the contact modes after several breaks, or None if no assignment of the events conserves momentum.
 
-    None if no assignment conserves momentum.
+    `breaks`: indices of the breaks; `events`: assigned to the breaks in order; `mode`: contact modes before.
     """
     if not breaks:
         return mode if not events else None
+    # `count`: number of events that are assigned to the first break.
     for count in range(len(events) + 1):
         after = modes_after_break(system, motion, breaks[0], events[:count], mode)
         next_mode = None if after is None else modes_after_breaks(system, motion, breaks[1:], events[count:], after)
@@ -193,6 +199,8 @@ def modes_after_break(
         else:
             closing_speeds[j] = float(event["speed"]) * (1.0 if event["kind"] == "floor" else -1.0)
             mode[j] = 1 if event["kind"] == "floor" else 2
+    # Sum of the momentum changes of bodies and dampers, which is zero. A damper that keeps contact at a small jump may
+    # or may not have separated during the impact: both possibilities are tried.
     balance = impulse.copy()
     undecided: list[tuple[int, float]] = []
     for j in range(system.dampers):
@@ -218,12 +226,12 @@ def modes_after_break(
 
 
 def separates(mode: int, change: float) -> bool:
-    """Return whether a damper separates from a wall with this velocity jump."""
+    """Return whether a damper in contact separates if the velocity of its body jumps by `change`, m/s."""
     return change < 0.0 if mode == 1 else change > 0.0
 
 
 @pytest.mark.parametrize("name", ["fig8-three-dampers", "fig9", "bare-structure"])
-def test_energy_of_a_bundled_shaker_balances(name: str) -> None:
+def test_energy_balances_with_a_bundled_shaker(name: str) -> None:
     scene = rig.load(name)
     run = rig.simulate(scene, 1.0, rate=2000.0, frequency=35.0)
     exchanged_energy = run.energy.dissipated + run.energy.impacts + abs(run.energy.stored)
@@ -243,6 +251,7 @@ def test_dampers_settle_at_static_deflection() -> None:
         where="test",
     )
     run = rig.simulate(scene, 30.0, rate=100.0)
+    # Each damper has 10 % of the mass of its body; the springs deflect under the weights above them.
     weight = 9.80665 * 0.1 * np.array([0.74, 0.71])
     deflection = -np.array([weight.sum() / 24.3e3, weight.sum() / 24.3e3 + weight[1] / 21.8e3])
     assert (run.contact[:, -1] == 1).all()

@@ -14,7 +14,10 @@ OMEGA = 2 * np.pi * 10.0  # natural frequency, rad/s
 
 
 def single_body(damper: dict[str, object], damping: float = 0.01, **test: object) -> rig.Scene:
-    """Return a body of 1 kg at 10 Hz with a damper of 50 g, driven by a force of 6 N at 9 Hz."""
+    """Return a body of 1 kg at 10 Hz with a damper of 50 g, driven by a force of 6 N at 9 Hz.
+
+    `damper`, `test`: changed keys of the damper and of the test; `damping`: damping ratio.
+    """
     return rig.Scene(
         structure={"masses": [1.0], "springs": [OMEGA**2], "damping": {"modal": damping}},
         dampers=[{"body": 1, "mass": 0.05, "clearance": float("inf"), **damper}],
@@ -24,7 +27,10 @@ def single_body(damper: dict[str, object], damping: float = 0.01, **test: object
 
 
 def free_chain(masses: list[float], springs: list[float], velocity: list[float], **changes: object) -> rig.Scene:
-    """Return a chain that moves from x = 0 with initial velocities."""
+    """Return a chain that moves from x = 0 with initial velocities [m/s]; masses in kg, springs in N/m.
+
+    A first spring of 0 N/m leaves the chain free.
+    """
     return rig.Scene(
         structure={"masses": masses, "springs": springs},
         test={"kind": "free", "start": "empty", "velocity": velocity, "duration": 1.0},
@@ -53,7 +59,7 @@ def test_identical_oscillators_have_simultaneous_events() -> None:
     assert (np.sort(events["damper"], axis=1) == [1, 2, 3]).all()
     assert (events["kind"] == events["kind"][:, :1]).all()
     assert np.ptp(events["time"], axis=1).max() < 1e-14
-    # The system matrix changes after each of the simultaneous contacts: speeds may differ by rounding.
+    # The system matrix changes after each of the simultaneous contacts, so that speeds may differ by rounding.
     assert np.ptp(events["speed"], axis=1).max() < 1e-14
     assert np.abs(run.displacement - run.displacement[0]).max() < 1e-15
 
@@ -64,6 +70,7 @@ def test_hundred_thousand_periods_do_not_drift() -> None:
     run = rig.simulate(scene, periods / 8.0, rate=8.0 / periods_per_sample)
     settled = run.displacement[0, len(run.time) // 10 :]
     assert len(run.events) > 2 * periods
+    # The samples are whole periods apart: in steady state all are equal.
     assert np.ptp(settled) < 1e-16
 
 
@@ -74,10 +81,11 @@ def test_million_linear_periods_are_exact() -> None:
     periods_per_sample = 8192
     run = rig.simulate(scene, 123 * periods_per_sample / 32.0, rate=32.0 / periods_per_sample)
     exact = 2.6 * receptance(scene, [32.0])
+    # The samples are at the zeros of the force F sin(w t), where the displacement is the imaginary part.
     assert np.abs(run.displacement[:, -100:] - exact.imag).max() < 1e-12 * np.abs(exact).min()
 
 
-def test_vanishing_mass_is_inelastic_bouncing_ball() -> None:
+def test_very_light_damper_is_inelastic_bouncing_ball() -> None:
     scene = single_body({"mass": 1e-9}, damping=0.1, force=25.0)
     run = rig.simulate(scene, 12.0, rate=100.0)
     omega = 2 * np.pi * scene.test.frequency
@@ -85,7 +93,8 @@ def test_vanishing_mass_is_inelastic_bouncing_ball() -> None:
     peak = abs(amplitude) * omega**2 / scene.gravity
     separations = run.events["time"][run.events["kind"] == "separation"]
     landings = run.events["time"][run.events["kind"] == "floor"]
-    # The displacement is |X| sin(w t + phase); the phases of the last flight have closed forms.
+    # `peak`: acceleration amplitude of the body, g. The displacement is |X| sin(w t + phase); the phases of the last
+    # flight have closed forms.
     phase = np.angle(amplitude) + np.pi / 2
     flight = fly(peak, take_off_phase(peak))
     take_off_time = separations[separations < landings[-1]][-1]
@@ -118,6 +127,7 @@ def test_floating_chain_momentum_changes_by_weight_alone() -> None:
     )
     run = rig.simulate(scene, 3.0, rate=1000.0)
     assert len(run.events) > 50
+    # The dampers have 0.1 kg and 0.2 kg; with them the bodies have 1.1 kg and 1.0 kg. Initial velocities: 1 and -1 m/s.
     weight = 0.3 * scene.gravity
     # Compare only while both dampers are in contact: their velocities are then those of the bodies.
     in_contact = (run.contact > 0).all(axis=0)
@@ -161,6 +171,7 @@ def test_restitution_bounces_end_in_finite_time() -> None:
     settled = impacts[impacts["time"] > 2.0]
     speeds = settled["speed"][settled["speed"] > 1e-6]
     np.testing.assert_allclose(speeds[1:] / speeds[:-1], 0.95, rtol=1e-6)
+    # Sum of the geometric sequence of flight times: restitution 0.95, 1 - 0.95 = 0.05.
     end_time = settled["time"][0] + 2 * 0.95 * settled["speed"][0] / scene.gravity / 0.05
     assert impacts["time"][-1] == pytest.approx(end_time, rel=1e-6)
     assert run.contact[0, -1] == 1

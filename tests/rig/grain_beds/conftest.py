@@ -1,4 +1,4 @@
-"""Packings of grains are cached for one run of the tests, separate from the user's cache."""
+"""Packings (settled positions of grains) are cached for one run of the tests, separate from the user's cache."""
 
 from __future__ import annotations
 

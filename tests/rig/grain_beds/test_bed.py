@@ -1,4 +1,8 @@
-"""The grains of a cavity: rebound with the given restitution, rest under their weight, and stored packings."""
+"""The grains of a cavity: rebound with the given restitution, rest under their weight, and stored packings.
+
+Spheres are the properties of the grains of a bed; a bed has their motion, in the frame of the cavity. A packing is the
+positions of grains that have settled under gravity.
+"""
 
 from __future__ import annotations
 
@@ -17,15 +21,19 @@ from rig.grain_beds.spheres import Spheres, spheres_of
 from rig.scene.damper import Grains
 from tests.rig.grain_beds.scenes import with_grains
 
+GRAIN_MASS = 4.75e-5  # of a lead grain with a diameter of 2 mm, kg
+
 
 @pytest.mark.parametrize("restitution", [0.2, 0.5, 0.9])
 @pytest.mark.parametrize("speed", [0.07, 0.6])
 def test_grain_rebounds_with_its_restitution(restitution: float, speed: float) -> None:
     grains = Grains(diameter=2e-3, restitution=restitution)
-    spheres = Spheres(grains, 4.75e-5, np.inf, 1, 1)
+    spheres = Spheres(grains, GRAIN_MASS, np.inf, 1, 1)
+    # The grain starts 0.13 mm above the floor, without gravity and ceiling.
     bed = Bed(spheres, np.array([[0.0, 0.0, 1.13e-3]]), np.inf, 0.0, spheres.longest_step())
     bed.add_velocity(-speed)
 
+    # Until the grain moves up and has left the floor.
     while bed.momentum <= 0.0 or bed.forces().any():
         bed.advance()
 
@@ -53,6 +61,7 @@ def falling_grains(grains: Grains, count: int, speed: float) -> tuple[Bed, Array
     """
     spheres = Spheres(grains, count * grains.density * math.pi / 6.0 * grains.diameter**3, np.inf, count, 1)
     step = spheres.longest_step()
+    # The lowest grain touches the floor after 20 steps; the others follow at distances of 3000 steps.
     heights = grains.diameter * (0.5 + np.arange(count)) + speed * step * (20.3 + 3e3 * np.arange(count))
     positions = np.column_stack([0.0 * heights, 0.0 * heights, heights])
     bed = Bed(spheres, positions, np.inf, 0.0, step)
@@ -81,17 +90,18 @@ def test_grains_separate_with_their_restitution(seed: int) -> None:
     while distances[-1] > grains.diameter:
         bed.advance()
         distances.append(float(np.diff(bed.positions[:, 2])[0]))
-    closing = distances[-2] - distances[-1]
+    # Approach and separation in a time step, m.
+    approach = distances[-2] - distances[-1]
     while distances[-1] < grains.diameter:
         bed.advance()
         distances.append(float(np.diff(bed.positions[:, 2])[0]))
     bed.advance()
     separation = float(np.diff(bed.positions[:, 2])[0]) - distances[-1]
 
-    assert separation == pytest.approx(grains.restitution * closing, rel=0.01)
+    assert separation == pytest.approx(grains.restitution * approach, rel=0.01)
 
 
-def test_settled_bed_is_at_rest_and_stored() -> None:
+def test_settled_packing_is_at_rest_and_stored() -> None:
     spheres = spheres_of(with_grains(grains={"spread": "10 %"}))[0]
     positions = settled_positions(spheres)
 
@@ -99,15 +109,16 @@ def test_settled_bed_is_at_rest_and_stored() -> None:
 
     assert bed.forces()[0] == pytest.approx(spheres.mass * 9.80665, rel=1e-3)
     assert np.array_equal(settled_positions(spheres), positions)
+    # The grains overlap by less than 1 % of the smallest radius.
     radii = 0.5 * spheres.diameters()
     distances = np.linalg.norm(positions[:, None] - positions, axis=2) + np.diag(np.full(len(radii), np.inf))
     assert (distances - radii[:, None] - radii).min() > -0.01 * radii.min()
 
 
 @pytest.mark.parametrize(("count", "cavity", "seed"), [(150, 20.5e-3, 2), (120, 9e-3, 1), (120, 9e-3, 2)])
-def test_layered_bed_is_at_rest_from_the_start(count: int, cavity: float, seed: int) -> None:
+def test_bed_of_many_layers_starts_at_rest(count: int, cavity: float, seed: int) -> None:
     grains = Grains(diameter=2e-3, cavity=cavity)
-    spheres = Spheres(grains, count * 4.75e-5, np.inf, count, seed)
+    spheres = Spheres(grains, count * GRAIN_MASS, np.inf, count, seed)
 
     bed = Bed(spheres, settled_positions(spheres), np.inf, 9.80665, spheres.longest_step())
 
@@ -119,13 +130,13 @@ def test_layered_bed_is_at_rest_from_the_start(count: int, cavity: float, seed: 
 def test_bed_that_never_rests_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(packing, "_REST_FORCE_RATIO", 0.0)
     monkeypatch.setattr(packing, "_MAX_REST_CHECKS", 30)
-    spheres = Spheres(Grains(diameter=2e-3, cavity=3e-3), 3 * 4.75e-5, np.inf, 3, 71)
+    spheres = Spheres(Grains(diameter=2e-3, cavity=3e-3), 3 * GRAIN_MASS, np.inf, 3, 71)
 
     with pytest.raises(RunError, match="did not come to rest"):
         settled_positions(spheres)
 
 
-def test_damaged_packing_is_packed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_damaged_packing_is_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(packing, "folder", lambda: tmp_path)
     spheres = spheres_of(with_grains(mass="0.1 g", cavity="3 mm"))[0]
     positions = settled_positions(spheres)

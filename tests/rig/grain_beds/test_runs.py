@@ -1,4 +1,7 @@
-"""Interrupted simulations with grains continue from a checkpoint with identical results."""
+"""Interrupted simulations with grains continue from a checkpoint with identical results.
+
+A run writes its checkpoint, the file `keep`, after each section, a fixed number of time steps.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,7 @@ def scene_with_two_dampers(**changes: object) -> rig.Scene:
     return scene.replace(dampers=[mass_damper, *scene.dampers])
 
 
-def assert_same_bits(run: Run, reference: Run) -> None:
+def assert_identical(run: Run, reference: Run) -> None:
     for name in ("time", "displacement", "velocity", "acceleration", "gap", "contact", "events"):
         assert np.array_equal(getattr(run, name), getattr(reference, name)), name
     assert run.energy == reference.energy
@@ -53,7 +56,7 @@ class InterruptAfter:
 
 
 @pytest.mark.parametrize("test", [{}, {"test": SWEEP}], ids=["tone", "sweep"])
-def test_resumed_run_has_the_same_bits(tmp_path: Path, test: dict[str, object]) -> None:
+def test_resumed_run_is_identical(tmp_path: Path, test: dict[str, object]) -> None:
     scene, stored = scene_with_two_dampers(**test), tmp_path / "kept"
     uninterrupted = rig.simulate(scene, DURATION_S, RATE_HZ)
     for sections in (1, 2):
@@ -63,8 +66,8 @@ def test_resumed_run_has_the_same_bits(tmp_path: Path, test: dict[str, object]) 
     resumed = rig.simulate(scene, DURATION_S, RATE_HZ, keep=stored)
 
     assert len(uninterrupted.events) > 1
-    assert_same_bits(resumed, uninterrupted)
-    assert_same_bits(rig.simulate(scene, DURATION_S, RATE_HZ, keep=stored), uninterrupted)
+    assert_identical(resumed, uninterrupted)
+    assert_identical(rig.simulate(scene, DURATION_S, RATE_HZ, keep=stored), uninterrupted)
 
 
 def test_sections_conserve_momentum_and_energy() -> None:
@@ -75,6 +78,7 @@ def test_sections_conserve_momentum_and_energy() -> None:
     coupled.set_state(coupled.system.initial, drive[:, 0])
     contact_impulse = 0.0
 
+    # Reading the state for a checkpoint between the sections does not change the motion.
     for start in range(0, drive.shape[1] - 1, coupled.substeps):
         coupled.state()
         _, beds = coupled.propagate_steps(drive[:, start : start + coupled.substeps + 1])
@@ -86,10 +90,11 @@ def test_sections_conserve_momentum_and_energy() -> None:
     assert abs(energy.residual) < 1e-10 * energy.work
 
 
-def test_restored_bed_has_its_tangential_displacements() -> None:
+def test_resumed_bed_has_its_friction_forces() -> None:
     scene = with_grains(mass="2 g", grains={"friction": 0.5})
     coupled = CoupledPropagator(scene, 1.0 / RATE_HZ)
     (bed,) = coupled.beds
+    # With 1.3 g and a viscous drag the grains move slowly, so that friction at the side wall builds up.
     bed.add_drag(1e-3)
     for _ in range(2000):
         bed.add_velocity(-0.15 * 9.80665 * bed.step)
@@ -116,6 +121,7 @@ def test_interrupted_output_continues(tmp_path: Path) -> None:
         tmp_path / "run.npz", scene, DURATION_S, RATE_HZ, None, lambda n_completed, total: reported.append(n_completed)
     )
 
+    # A run from the start would report its first section, which ends earlier.
     assert min(reported) > 30, "completed steps were repeated"
     assert [file.name for file in tmp_path.glob("run*")] == ["run.npz"]
     assert (tmp_path / "run.npz").read_bytes() == (tmp_path / "whole.npz").read_bytes()

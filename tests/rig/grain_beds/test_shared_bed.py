@@ -16,13 +16,14 @@ from tests.rig.mpi import on_two_ranks
 
 
 def coupled_bed() -> CoupledPropagator:
-    """Return the propagator of about 60 grains in two or three layers."""
+    """Return the engine for a body with a bed of about 60 grains in two or three layers."""
     return CoupledPropagator(with_grains(mass="3 g", cavity="12 mm"), 1e-3)
 
 
 def flying_grains() -> tuple[dict[str, NDArray[np.float64]], CoupledPropagator]:
-    """Return the motion of grains that were accelerated into flight, and their propagator."""
+    """Return the motion of grains that were accelerated into flight, and the engine in its last state."""
     coupled = coupled_bed()
+    # Push the body up for 150 time steps, then down for 100, N.
     force = np.repeat([1.5, -1.5], [150, 100])[None]
     coupled.set_state(coupled.system.initial, force[:, 0])
     trajectory, beds = coupled.propagate_steps(force)
@@ -37,17 +38,18 @@ def flying_grains() -> tuple[dict[str, NDArray[np.float64]], CoupledPropagator]:
 
 
 def program(*lines: str) -> str:
-    """Return the text of a program that stores packings in the folder of this run of the tests."""
+    """Return the text of a Python program that uses the packings (settled positions of grains) of this test run."""
     folder_line = f"packing.folder = lambda: Path({str(packing.folder())!r})"
     return "\n".join(["from pathlib import Path", "from rig.grain_beds import packing", folder_line, *lines])
 
 
-def problems(stderr: str) -> list[str]:
-    """Return the lines of standard error without progress, which busy machines and compilation cause."""
+def error_lines(stderr: str) -> list[str]:
+    """Return the lines of standard error without the progress of slow computations and of compilation."""
     return [line for line in stderr.splitlines() if not line.startswith(("running", "compiling"))]
 
 
-def test_two_ranks_move_and_restore_a_bed_equally(tmp_path: Path) -> None:
+def test_two_ranks_move_a_bed_as_one_rank(tmp_path: Path) -> None:
+    # On two ranks: repeated motions are identical; a bed resumes from a stored state; each rank has half of the grains.
     file = tmp_path / "motion.npz"
     one_rank, _ = flying_grains()
 
@@ -70,7 +72,7 @@ def test_two_ranks_move_and_restore_a_bed_equally(tmp_path: Path) -> None:
         )
     )
 
-    assert (result.returncode, result.stdout, problems(result.stderr)) == (0, "True True\n", [])
+    assert (result.returncode, result.stdout, error_lines(result.stderr)) == (0, "True True\n", [])
     two_ranks = np.load(file)
     assert 0.3 < two_ranks["local"] / len(two_ranks["positions"]) < 0.7
     assert one_rank["force"][0, 0, -1] == 0.0 and one_rank["gap"].max() > 1e-5, "the bed is not in flight"
@@ -79,7 +81,7 @@ def test_two_ranks_move_and_restore_a_bed_equally(tmp_path: Path) -> None:
     assert np.abs(two_ranks["momentum_errors"]).max() < 1e-12
 
 
-def test_two_ranks_run_a_command_once(tmp_path: Path) -> None:
+def test_command_on_two_ranks_prints_once(tmp_path: Path) -> None:
     file = tmp_path / "bed.csv"
     scene = tmp_path / "bed.yaml"
     scene.write_text(
@@ -98,14 +100,14 @@ def test_two_ranks_run_a_command_once(tmp_path: Path) -> None:
         )
     )
 
-    assert (result.returncode, problems(result.stderr)) == (0, [])
+    assert (result.returncode, error_lines(result.stderr)) == (0, [])
     assert result.stdout.count("work of the drive") == 1
     assert file.is_file()
 
 
 @pytest.fixture(scope="module")
 def two_late_ranks() -> subprocess.CompletedProcess[str]:
-    """Run two ranks that simulate a bed before they join, and again after it as on a machine with one core."""
+    """Run two ranks that simulate a bed before `ranks.join()`, and afterwards as on a machine with one core."""
     return on_two_ranks(
         program(
             "import rig",
@@ -125,11 +127,11 @@ def two_late_ranks() -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_processes_that_have_not_joined_are_reported(two_late_ranks: subprocess.CompletedProcess[str]) -> None:
+def test_simulation_before_joining_is_reported(two_late_ranks: subprocess.CompletedProcess[str]) -> None:
     assert two_late_ranks.returncode == 0
     assert two_late_ranks.stdout.count("rig.ranks.join()") == 2
 
 
-def test_more_ranks_than_cores_are_warned_of(two_late_ranks: subprocess.CompletedProcess[str]) -> None:
+def test_more_ranks_than_cores_cause_a_warning(two_late_ranks: subprocess.CompletedProcess[str]) -> None:
     assert two_late_ranks.returncode == 0
     assert "2 ranks on 1 cores" in two_late_ranks.stderr

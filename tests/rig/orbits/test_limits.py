@@ -13,9 +13,9 @@ GRAVITY = 9.80665
 
 
 def at_body(scene: Scene, body: int, frequency: float, acceleration: float, **damper: float) -> Scene:
-    """Return a scene with a damper in a body, and the force that accelerates this body without damper.
+    """Return a scene with a damper in a body, driven by the force that accelerates this body without damper.
 
-    `acceleration`: amplitude in g.
+    `acceleration`: amplitude of the body without damper, g; `damper`: further keys of the damper.
     """
     undamped_scene = with_ideal_force(scene).replace(dampers=[])
     compliance = abs(receptance(undamped_scene, [frequency])[body - 1, 0])
@@ -34,12 +34,12 @@ def test_massless_damper_moves_as_inelastic_ball(acceleration: float, body: int,
     start = take_off_phase(acceleration)
     flight = fly(acceleration, start)
     assert orbit.motion_type == "I"
-    kinds, times = orbit.events["kind"], orbit.events["time"] * 2 * np.pi * frequency
+    kinds, angles = orbit.events["kind"], orbit.events["time"] * 2 * np.pi * frequency
     # The force is sin(w t), so that the body moves as sin(w t + phase of its compliance).
-    phase = times[kinds == "separation"][0] + np.angle(orbit.compliance[body - 1])
+    phase = angles[kinds == "separation"][0] + np.angle(orbit.compliance[body - 1])
     assert phase % (2 * np.pi) == pytest.approx(start, abs=1e-6)
-    length = (times[kinds == "floor"][0] - times[kinds == "separation"][0]) % (2 * np.pi)
-    assert length == pytest.approx(flight.end - flight.start, abs=1e-6)
+    flight_angle = (angles[kinds == "floor"][0] - angles[kinds == "separation"][0]) % (2 * np.pi)
+    assert flight_angle == pytest.approx(flight.end - flight.start, abs=1e-6)
     linear_response = receptance(scene.replace(dampers=[]), [frequency])[:, 0]
     assert np.abs(orbit.compliance - linear_response).max() < 1e-6 * np.abs(linear_response).max()
 
@@ -50,6 +50,7 @@ def test_massless_damper_bounces_at_high_acceleration() -> None:
 
     orbit = rig.periodic_orbit(scene, 47.0)
 
+    # The plan, or sequence of events, is a landing of damper 1 with separation at the same instant.
     assert orbit.plan.label == "1v"
     phase = orbit.events["time"][0] * 2 * np.pi * 47.0 + np.angle(orbit.compliance[1])
     # Separation and landing occur at the same phase, where the body's velocity is pi g/w.
@@ -62,8 +63,9 @@ def test_massless_damper_stays_until_full_period_flight() -> None:
 
     curve = rig.follow_orbits(scene, "force", (1.2 * force_for_1g, 3.6 * force_for_1g), frequency=47.0, searches=1)
 
+    # The branch on which damper 1 separates (1^) and lands (1_) once in a period.
     (sticking,) = [branch for branch in curve.branches if branch.plan.label in ("1^ 1_", "1_ 1^")]
-    # The stay on the floor vanishes: the damper lands at the phase at which it takes off.
+    # At the end of the branch the time on the floor is zero: the damper lands at the phase at which it takes off.
     assert sticking.value.max() / force_for_1g == pytest.approx(FULL_PERIOD_ACCELERATION_G, abs=1e-6)
     assert sticking.ends[int(sticking.value[-1] > sticking.value[0])] in (
         "damper 1 leaves its wall early",

@@ -302,10 +302,10 @@ def test_single_mode_motion_repeats_in_the_engine(kind: str, force: float, mass_
         length = mode.gravity / omega**2
         problem = OrbitProblem(scene)
         propagator, steps = start_propagator(problem, problem.setting(float(branch.frequency[i])))
-        # Modal displacement and velocity, and the cosine and sine part of the force.
-        displacement, velocity, cosine, sine = branch.unknowns[:4, i] * length * np.array([1, omega, 1, 1])
+        # Modal displacement and velocity, and the sine and cosine parts of the force.
+        displacement, velocity, sine, cosine = branch.unknowns[:4, i] * length * np.array([1, omega, 1, 1])
         # The cycle starts at the floor impact: start the tone at its phase.
-        phase = np.arctan2(sine, cosine)
+        phase = np.arctan2(cosine, sine)
         start = np.array([displacement, velocity])
         propagator.set_state(start, np.array([np.cos(phase), np.sin(phase)]))
         trajectory = propagator.propagate_marks(np.array([steps]), np.array([0]), np.zeros(1, dtype=bool))

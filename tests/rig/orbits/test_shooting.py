@@ -1,4 +1,8 @@
-"""The shooting equations of a periodic orbit: their Jacobian, and the matrix exponential."""
+"""The shooting equations of a periodic orbit: their Jacobian, and the matrix exponential.
+
+The variables x are the unknowns of the orbit (state, flights, event times) and one parameter, such as the force. An
+orbit's plan is its sequence of events; `setting` is its operating point (frequency, level, clearance, mass ratio).
+"""
 
 import numpy as np
 import pytest
@@ -30,6 +34,7 @@ def test_shooting_jacobian_equals_finite_differences(
     problem, orbit = OrbitProblem(scene), periodic_orbit(scene, frequency)
     setting = OperatingPoint(frequency, problem.level, float(problem.system.clearance[0]), 1.0)
     family = OrbitFamily(problem, orbit.plan, setting, parameter, orbit.unknowns)
+    # `vary` returns a function from a parameter value to the setting with this value.
     assert vary(setting, parameter)(getattr(setting, parameter)) == setting
     x = np.append(orbit.unknowns, getattr(setting, parameter))
 
@@ -62,5 +67,6 @@ def test_unbalanced_matrix_exponential_equals_scipy(time: float) -> None:
     computed = exponential(matrix, time, 260.0)
 
     expected = expm(matrix * time)
+    # Velocities are about 250 /s (the natural frequency) times displacements: compare in these units.
     balance = np.array([1, 1, 250.0, 250.0])
     assert np.abs((computed - expected) / balance[:, None] * balance).max() < 1e-12

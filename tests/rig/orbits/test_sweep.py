@@ -1,4 +1,8 @@
-"""Steady motion over a parameter as stable periodic orbits, compared with steady simulations."""
+"""Steady motion over a parameter as stable periodic orbits, compared with simulations to steady state.
+
+`simulated` marks points without a stable orbit, where the motion is simulated; `repetition` is the length of the motion
+in periods of the drive, 0 for irregular motion.
+"""
 
 import numpy as np
 import pytest
@@ -29,8 +33,8 @@ def test_orbit_sweep_equals_steady_simulation(
     both_converged = simulated.converged & ~orbits.simulated
     assert both_converged.mean() > 0.6
     assert not orbits.simulated.any()
-    size = np.abs(simulated.compliance).max(axis=0)
-    deviation = np.abs(orbits.compliance - simulated.compliance).max(axis=0) / size
+    largest_compliance = np.abs(simulated.compliance).max(axis=0)
+    deviation = np.abs(orbits.compliance - simulated.compliance).max(axis=0) / largest_compliance
     assert deviation[both_converged].max() < 1e-6
     assert (orbits.motion_type[both_converged] == simulated.motion_type[both_converged]).all()
     assert (orbits.repetition[both_converged] == simulated.repetition[both_converged]).all()
@@ -55,6 +59,7 @@ def test_irregular_motion_is_simulated_with_the_reason() -> None:
 
 
 @pytest.mark.parametrize(
+    # N, m, and masses relative to those of the scene.
     ("parameter", "values"),
     [("force", [3.0, 3.3, 3.6]), ("clearance", [1.02e-3, 0.98e-3, 0.94e-3]), ("mass_ratio", [0.9, 1.0, 1.1])],
 )
@@ -68,7 +73,7 @@ def test_orbits_over_parameter_equal_changed_scenes(parameter: str, values: list
         changed = {
             "force": lambda v: scene.replace(test=scene.test.replace(force=v)),
             "clearance": lambda v: scene.replace(dampers=[damper.replace(clearance=v)]),
-            "mass_ratio": lambda v: scene.replace(dampers=[damper.replace(mass_ratio=0.06 * v)]),
+            "mass_ratio": lambda v: scene.replace(dampers=[damper.replace(mass_ratio=damper.mass_ratio * v)]),
         }[parameter](value)
         orbit = rig.periodic_orbit(changed, 49.8)
         assert np.abs(orbit.compliance - compliance).max() < 1e-10 * np.abs(compliance).max()

@@ -14,6 +14,7 @@ import rig
 from rig.errors import SceneError
 from tests.soak.scenes import ODD_NUMBERS, ODD_TEXTS, VALID_SCENES, key_paths
 
+# Texts, numbers and nested values that a user or a program might write by mistake.
 texts = st.sampled_from(ODD_TEXTS) | st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]))
 numbers = st.sampled_from(ODD_NUMBERS) | st.floats() | st.integers()
 anything = st.recursive(

@@ -9,7 +9,7 @@ from rig.errors import SceneError
 from rig.scene.body_names import body_number
 from rig.scene.structure import Structure
 
-NAMED = {
+NAMED_BODIES = {
     "structure": {"masses": {"base": "4.2 kg", "arm": "1.1 kg"}, "springs": ["1.2 MN/m", "0.8 MN/m"]},
     "dampers": [{"body": "arm", "mass": "50 g", "clearance": "0.3 mm"}],
     "shaker": {"kind": "force", "body": ["base", 2]},
@@ -19,29 +19,31 @@ NAMED = {
 
 
 def test_names_replace_numbers_everywhere() -> None:
-    scene = rig.load(NAMED)
+    scene = rig.load(NAMED_BODIES)
     assert scene.structure.masses == (4.2, 1.1) and scene.structure.names == ("base", "arm")
     assert scene.dampers[0].body == scene.test.body == 2 and scene.shaker.bodies == (1, 2)
     assert [channel.at for channel in scene.channels] == ["body 2", "body 1", "body 2"]
-    assert scene == rig.Scene(**NAMED)
+    assert scene == rig.Scene(**NAMED_BODIES)
 
 
 def test_bodies_of_matrices_have_names() -> None:
     matrices = {"mass": [[4.2, 0], [0, 1.1]], "stiffness": [[2e6, -8e5], [-8e5, 8e5]]}
-    scene = rig.load({"structure": {"matrices": matrices, "names": ["base", "arm"]}, "dampers": NAMED["dampers"]})
+    scene = rig.load(
+        {"structure": {"matrices": matrices, "names": ["base", "arm"]}, "dampers": NAMED_BODIES["dampers"]}
+    )
     assert scene.dampers[0].body == 2
     assert rig.loads(scene.to_yaml()) == scene == rig.loads(scene.to_si_yaml())
 
 
 def test_label_is_the_name_or_the_number() -> None:
-    named, unnamed = rig.load(NAMED).structure, Structure(masses=(1.0,), springs=(1.0,))
+    named, unnamed = rig.load(NAMED_BODIES).structure, Structure(masses=(1.0,), springs=(1.0,))
     assert named.labels == ("base", "arm") and named.label("table") == "table" and named.label("body 2") == "arm"
     assert unnamed.labels == ("body 1",) and unnamed.label("body 1") == "body 1"
 
 
 @pytest.mark.parametrize("key", ["structure.masses[2]", "structure.masses.arm"])
 def test_mass_is_changed_by_number_or_name(key: str) -> None:
-    assert rig.load(NAMED, {key: "2 kg"}).structure.masses == (4.2, 2.0)
+    assert rig.load(NAMED_BODIES, {key: "2 kg"}).structure.masses == (4.2, 2.0)
 
 
 def test_unnamed_scene_text_has_no_names() -> None:
@@ -56,5 +58,5 @@ def test_unknown_body_is_rejected(given: int | str, message: str) -> None:
 
 
 def test_str_of_a_scene_is_one_line() -> None:
-    text = str(rig.load(NAMED))
+    text = str(rig.load(NAMED_BODIES))
     assert "2 bodies (base, arm)" in text and "1 damper (arm)" in text and "\n" not in text and len(text) < 120

@@ -23,6 +23,7 @@ dampers:
 
 @pytest.fixture
 def file(tmp_path):
+    """Return the path of a scene file with two dampers."""
     path = tmp_path / "mine.yaml"
     path.write_text(SCENE_WITH_ALIAS)
     return str(path)
@@ -36,7 +37,7 @@ def test_changes_load_as_if_written_in_the_file(file) -> None:
     assert load_scene(file, ["dampers="]).dampers == () == rig.load(file, {"dampers": None}).dampers
 
 
-def test_change_through_an_alias_affects_one_place(file) -> None:
+def test_change_of_a_shared_damper_affects_it_alone(file) -> None:
     scene = rig.load(file, {"dampers[1].clearance": 2e-3, "dampers[2].body": 2})
     assert [damper.clearance for damper in scene.dampers] == [2e-3, 1e-3]
 
@@ -55,10 +56,10 @@ def test_change_through_an_alias_affects_one_place(file) -> None:
         ("structure.masses=[1 kg", "expected KEY=VALUE"),
     ],
 )
-def test_message_about_wrong_change_names_expected_value(file, change, message) -> None:
-    with pytest.raises(SceneError) as wrong:
+def test_invalid_change_is_rejected_with_its_expectation(file, change, message) -> None:
+    with pytest.raises(SceneError) as raised:
         load_scene(file, [change])
-    assert message in str(wrong.value)
+    assert message in str(raised.value)
 
 
 @pytest.mark.parametrize("package", ["rig", "daq", "analysis"])

@@ -16,10 +16,10 @@ def test_beam_script_reproduces_the_matrices_of_the_scene() -> None:
     mass, _, stiffness = structure_matrices(rig.load("fe-beam").structure)
     for stored, computed in zip((mass, stiffness), script["condensed_matrices"](), strict=True):
         np.testing.assert_allclose(stored, computed, rtol=1e-9)
-    # Square root of bending stiffness over mass per length.
+    # Square root of bending stiffness over mass per length, m^2/s.
     bending_factor = np.sqrt(script["YOUNG"] * script["THICKNESS"] ** 2 / (12 * script["DENSITY"]))
-    # Eigenvalues of a cantilever beam.
+    # Exact angular frequencies, rad/s, from the eigenvalues of a cantilever beam.
     exact = np.array([1.87510407, 4.69409113, 7.85475744]) ** 2 * bending_factor / script["LENGTH"] ** 2
     omega, _ = natural_modes(mass, stiffness)
-    # Condensation raises natural frequencies, those of higher modes more.
+    # Condensation raises the natural frequencies: by less than 0.05 %, 0.5 % and 3 % for the first three modes.
     assert np.all(omega[:3] >= exact * (1 - 1e-6)) and np.all(omega[:3] <= exact * [1.0005, 1.005, 1.03])

@@ -1,4 +1,7 @@
-"""Input and output modules from data sheets: sample rates, and properties common to all modules."""
+"""Input and output modules from data sheets: sample rates, and properties common to all modules.
+
+A module has an input engine, an output engine, or both; an engine is the part with its own clock and sample rates.
+"""
 
 from __future__ import annotations
 
@@ -39,11 +42,12 @@ def test_requested_rate_becomes_the_next_higher_clock_rate(name: str, fraction: 
         requested = fraction * rates.fastest
         rate = rates.at_least(requested)
         assert rates.slowest <= rate <= rates.fastest
+        # A rate that is lower by at most 0.01 % is accepted.
         assert rate >= requested * (1 - 1.0001e-4)
         assert rates.at_least(rate) == rate
         if rates.available:
-            below = [step for step in rates.available if step < rate]
-            assert not below or below[-1] < requested
+            lower_rates = [available for available in rates.available if available < rate]
+            assert not lower_rates or lower_rates[-1] < requested
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ from rig.scene.quantities import (
 )
 
 
-def test_listed_units_equal_those_of_pint() -> None:
+def test_tabulated_unit_factors_equal_those_of_pint() -> None:
     for (unit, si), factor in COMMON_FACTORS.items():
         kind = next(kind for kind in KINDS if kind.si == si)
         assert pint_factor(unit, kind) == factor, unit
@@ -145,13 +145,14 @@ def test_example_of_a_kind_is_valid(kind: Kind) -> None:
     assert parse(f"1 {kind.si.replace('/', ' / ')}", kind) == 1.0
 
 
+# `si_text`: a value with its SI unit.
 @given(st.floats(allow_nan=False), st.sampled_from(KINDS))
 def test_any_double_survives_writing_and_parsing(value: float, kind: Kind) -> None:
     assert parse(si_text(value, kind), kind) == value
 
 
 @given(st.decimals(allow_nan=False, allow_infinity=False, min_value=-(10**6), max_value=10**6, places=6))
-def test_millimetres_are_rounded_once(number: object) -> None:
+def test_quantity_in_millimeters_is_rounded_once(number: object) -> None:
     assert parse(f"{number} mm", LENGTH) == float(Fraction(str(number)) / 1000)
 
 

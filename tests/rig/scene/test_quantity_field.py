@@ -1,4 +1,8 @@
-"""Numbers with a unit: accepted ranges, and messages about values outside."""
+"""Numbers with a unit: accepted ranges, and messages about values outside.
+
+`Quantity` describes the values of a scene key: one or more kinds of quantity (length, mass) and bounds. `read` converts
+a text or a number to SI units.
+"""
 
 from __future__ import annotations
 
@@ -43,27 +47,29 @@ def test_help_text_names_bounds_and_si_unit():
         == f"{LENGTH.noun} such as {LENGTH.example}, above 0 and at least 0.001 and below 2.5 and finite"
     )
     assert quantity.help_text == f"{quantity.bounded_description}; a bare number is in m"
-    either = Quantity(LENGTH, MASS, infinite=True)
-    assert either.bounded_description == f"{LENGTH.noun} or {MASS.noun} such as {LENGTH.example} or {MASS.example}"
-    assert either.help_text.endswith("; a bare number is in m or kg")
+    length_or_mass = Quantity(LENGTH, MASS, infinite=True)
+    assert (
+        length_or_mass.bounded_description == f"{LENGTH.noun} or {MASS.noun} such as {LENGTH.example} or {MASS.example}"
+    )
+    assert length_or_mass.help_text.endswith("; a bare number is in m or kg")
 
 
-def test_first_kind_that_matches_the_unit_counts():
-    either = Quantity(LENGTH, MASS)
-    assert (either.read("2 mm"), either.read("2 g")) == (2e-3, 2e-3)
+def test_unit_selects_the_kind_of_quantity():
+    length_or_mass = Quantity(LENGTH, MASS)
+    assert (length_or_mass.read("2 mm"), length_or_mass.read("2 g")) == (2e-3, 2e-3)
     with pytest.raises(PydanticCustomError, match=r'got "2 Hz"; expected a length or a mass'):
-        either.read("2 Hz")
+        length_or_mass.read("2 Hz")
 
 
 def test_list_of_quantities_reads_each_number():
-    listed = Quantity(LENGTH, above=0.0, listed=True)
-    assert listed.read(["1 mm", 2.0]) == (1e-3, 2.0)
-    assert listed.read("1 mm") == 1e-3
+    quantity_or_list = Quantity(LENGTH, above=0.0, listed=True)
+    assert quantity_or_list.read(["1 mm", 2.0]) == (1e-3, 2.0)
+    assert quantity_or_list.read("1 mm") == 1e-3
     with pytest.raises(PydanticCustomError, match="at least one"):
-        listed.read([])
-    for wrong in ([1.0, -1.0], ["1 kg"]):
+        quantity_or_list.read([])
+    for invalid in ([1.0, -1.0], ["1 kg"]):
         with pytest.raises(PydanticCustomError):
-            listed.read(wrong)
+            quantity_or_list.read(invalid)
     with pytest.raises(PydanticCustomError):
         Quantity(LENGTH).read([1.0])
 
@@ -72,7 +78,7 @@ def test_minus_zero_is_read_as_zero():
     assert str(Quantity(LENGTH).read(-0.0)) == "0.0"
 
 
-def test_number_beyond_arithmetic_reports_its_range():
+def test_extremely_large_number_is_rejected():
     with pytest.raises(PydanticCustomError, match=r"expected a length .*"):
         Quantity(LENGTH).read(1e200)
 

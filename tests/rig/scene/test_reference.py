@@ -1,4 +1,8 @@
-"""The key reference (`rig help`, `rig schema --explain`) is complete, and names the right effects and states."""
+"""The key reference (`rig help`, `rig schema --explain`) is complete, and names the right effects and states.
+
+An effect is a physical property of the rig that a key activates, such as sensor noise. It may add states to the
+equations of motion.
+"""
 
 from __future__ import annotations
 
@@ -25,6 +29,7 @@ def test_keys_of_bundled_scenes_are_explained() -> None:
     key_names = {key.name.replace("[]", "") for key in keys()} | {"shaker.kind", "test.kind"}
 
     def names(node: object, path: str) -> set[str]:
+        """Return the full names of all keys below a node of a scene, such as test.force."""
         if isinstance(node, list):
             return set().union(*(names(item, path) for item in node))
         if not isinstance(node, dict):
@@ -63,7 +68,7 @@ def test_kind_is_explained_with_its_keys(key: str) -> None:
     assert {"from", "points", "force", "settle"} <= listed and not {"burst", "peak"} & listed
 
 
-def test_part_lists_its_kinds() -> None:
+def test_help_on_shaker_lists_its_kinds() -> None:
     assert "electrodynamic" in help_on("shaker") and "rig help shaker.KIND" in help_on("shaker")
 
 

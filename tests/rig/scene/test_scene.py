@@ -1,4 +1,7 @@
-"""Scenes: the documented format, the bundled scenes, variants."""
+"""Scenes: the documented format, the bundled scenes, and changed copies.
+
+A scene is the description of a test rig and a test. Loading converts its quantities to SI units.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +54,7 @@ seed: 1
 MINIMAL = "structure: {masses: [1 kg], springs: [1 kN/m]}\n"
 
 
-def test_whole_format_loads_in_si() -> None:
+def test_whole_format_loads_in_si_units() -> None:
     scene = rig.loads(WHOLE_FORMAT)
     assert scene.name == "three dampers, no ceiling"
     assert scene.structure.masses == (0.74, 0.71, 0.64)
@@ -102,7 +105,7 @@ def test_tone_and_impulse_tests_are_loaded() -> None:
     assert hit.test == Impulse(body=1, peak=50.0, width=0.004, repeats=3, interval=6.0)
 
 
-def test_electrodynamic_shaker_has_default_parts() -> None:
+def test_electrodynamic_shaker_has_default_properties() -> None:
     scene = rig.loads(MINIMAL + "shaker: {kind: electrodynamic, body: 1, spring: 6.6 kN/m, amplifier: {limit: 40 V}}")
     shaker = scene.shaker
     assert isinstance(shaker, ElectrodynamicShaker)
@@ -119,14 +122,14 @@ test: {kind: impulse, body: 1, peak: 50 N, width: 4 ms, repeats: 2, double_hit: 
 channels:
   - name: body1
     at: body 1
-    accelerometer: &part {sensitivity: 100 mV/g, sensitivity_tolerance: 5 %, resonance: 30 kHz, q: 40,
+    accelerometer: &sensor {sensitivity: 100 mV/g, sensitivity_tolerance: 5 %, resonance: 30 kHz, q: 40,
       low_cutoff: 0.5 Hz, noise: 20 ug/sqrt(Hz), noise_corner: 10 Hz, bias: 10 mV, bias_settling: 2 s,
       transverse: 5 %, lateral: 20 %, saturation: 50 g, overload_recovery: 10 us,
       temperature_drift: 0.05 %/K, temperature_change: 12 K}
     integrator: {order: 1, corner: 1 Hz, gain: 100, noise: 50 nV/sqrt(Hz), saturation: 10 V}
     alarm: 0.1 m/s
     abort: 200 mm/s
-  - {name: again, at: body 1, accelerometer: *part}
+  - {name: again, at: body 1, accelerometer: *sensor}
   - {name: preset, at: body 1, accelerometer: {preset: PCB 352C33, noise_corner: 10 Hz}}
   - {name: hammer, at: hammer, hammer: {sensitivity: 2.25 mV/N, sensitivity_tolerance: 15 %,
      noise: 1 mN/sqrt(Hz), low_cutoff: 5 mHz, saturation: 2 kN}, abort: 1 kN}
@@ -245,10 +248,10 @@ def test_matrix_files_are_read_and_written_inline(tmp_path: Path) -> None:
     assert rig.loads(scene.to_yaml()) == scene
 
 
-def test_variant_is_checked_and_the_original_unchanged() -> None:
+def test_changed_copy_is_checked_and_original_unchanged() -> None:
     scene = rig.load("fig9")
-    variant = scene.replace(gravity="0 m/s^2", dampers=())
-    assert (variant.gravity, variant.dampers) == (0.0, ())
+    changed_scene = scene.replace(gravity="0 m/s^2", dampers=())
+    assert (changed_scene.gravity, changed_scene.dampers) == (0.0, ())
     assert len(scene.dampers) == 1
     with pytest.raises(SceneError, match=r"Scene: dampers\[1\]\.body: body 4 of 3"):
         scene.replace(dampers=[{"body": 4, "mass": "10 g", "clearance": "1 mm"}])
@@ -269,7 +272,7 @@ def test_import_of_rig_loads_no_large_package() -> None:
     assert process.stdout.strip() == "[]"
 
 
-def test_scene_in_si_loads_without_pint() -> None:
+def test_scene_in_si_units_loads_without_pint() -> None:
     text = rig.load("fig8-three-dampers").to_yaml()
     code = f"import sys, rig; rig.loads({text!r}); print('pint' in sys.modules)"
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -12,20 +12,20 @@ from hypothesis import strategies as st
 import rig
 from rig.errors import SceneError
 
-# Parts of scenes.
+# Lines of scenes. The structure is always line 1.
 STRUCTURE = "structure: {masses: [1 kg, 2 kg], springs: [1 kN/m, 1 kN/m]}\n"
 FORCE = "shaker: {kind: force, body: 1}\n"
 ELECTRODYNAMIC = "shaker: {kind: electrodynamic, body: 1, spring: 6.6 kN/m}\n"
 
 
 def error_of(text: str) -> str:
-    """Return the message about a scene."""
+    """Return the message about an invalid scene."""
     with pytest.raises(SceneError) as raised:
         rig.loads(text, "scene.yaml")
     return str(raised.value)
 
 
-NAMED = "structure: {masses: {base: 4 kg, arm: 1 kg}, springs: [1 MN/m, 1 MN/m]}\n"
+NAMED_BODIES = "structure: {masses: {base: 4 kg, arm: 1 kg}, springs: [1 MN/m, 1 MN/m]}\n"
 # A scene, and a part of the message: line, key, value and what was expected.
 MISTAKES = [
     # unknown and missing keys
@@ -137,7 +137,7 @@ MISTAKES = [
      ":2: channels[1].accelerometer.q: given without resonance. Add resonance, or remove q."),
     (STRUCTURE + "channels: [{name: a, at: body 1, hammer: {}}]",
      ":2: channels[1].hammer: given at body 1; expected it at: hammer or at: shaker"),
-    # parts by name
+    # presets
     (STRUCTURE + "channels: [{name: a, at: body 1, accelerometer: {preset: PCB 352C34}}]",
      ":2: channels[1].accelerometer.preset: unknown accelerometer preset 'PCB 352C34'; expected one of "
      "PCB 352C33, PCB 356A02, PCB 356A16, PCB 356B18. Did you mean 'PCB 352C33'?"),
@@ -150,7 +150,7 @@ MISTAKES = [
     (STRUCTURE + "converter: {bits: 16}", ":2: converter.bits: given without range. Add range"),
     (STRUCTURE + "converter: {ac_corner: 1 Hz}", ":2: converter.ac_corner: given without coupling: AC"),
     (STRUCTURE + "converter: {clock_error: 50 %}", ":2: converter.clock_error: got 0.5; expected a small"),
-    # references from one part to another
+    # references to bodies, shakers and channels
     (STRUCTURE + "dampers:\n- {body: 7, mass: 10 g, clearance: 1 mm}",
      ":3: dampers[1].body: body 7 of 2; expected a body of the structure, 1 to 2"),
     (STRUCTURE + "shaker: {kind: force, body: [1, 3]}", ":2: shaker.body[2]: body 3 of 2"),
@@ -245,13 +245,13 @@ MISTAKES = [
     (STRUCTURE + "gravity: 1,000 m/s^2",
      ':2: gravity: got "1,000 m/s^2"; expected a decimal point and no other separator: 1.000 m/s^2 or 1000 m/s^2'),
     # Names of bodies
-    (NAMED + "dampers: [{body: amr, mass: 1 g, clearance: 1 mm}]",
+    (NAMED_BODIES + "dampers: [{body: amr, mass: 1 g, clearance: 1 mm}]",
      ":2: dampers[1].body: no body has the name 'amr'. Did"),
-    (NAMED + "channels: [{name: a, at: body wing}]",
+    (NAMED_BODIES + "channels: [{name: a, at: body wing}]",
      ":2: channels[1].at: no body has the name 'wing'; expected one of base, arm"),
-    (NAMED.replace("arm", "table"), ':1: structure.masses.table: "table" already means another place'),
-    (NAMED.replace("arm", "a b"), ':1: structure.masses.a b: "a b" is not a name for a body'),
-    (NAMED.replace("1 kg", "1 kN"), ':1: structure.masses.arm: got "1 kN"; expected a mass such as 74 g'),
+    (NAMED_BODIES.replace("arm", "table"), ':1: structure.masses.table: "table" already means another place'),
+    (NAMED_BODIES.replace("arm", "a b"), ':1: structure.masses.a b: "a b" is not a name for a body'),
+    (NAMED_BODIES.replace("1 kg", "1 kN"), ':1: structure.masses.arm: got "1 kN"; expected a mass such as 74 g'),
     ("structure: {names: [a, a], matrices: {mass: [[1, 0], [0, 1]], stiffness: [[1, 0], [0, 1]]}}",
      ':1: structure.names[2]: "a" is the name of body 1; expected each name once'),
     ("structure: {names: [a], matrices: {mass: [[1, 0], [0, 1]], stiffness: [[1, 0], [0, 1]]}}",
@@ -280,7 +280,7 @@ def test_frequencies_are_checked_against_the_module_rate() -> None:
     assert scene.converter.sample_rate == pytest.approx(51200 / 6)
 
 
-def test_wrong_presets_and_units_are_all_named() -> None:
+def test_all_unknown_presets_are_reported_with_lines() -> None:
     report = error_of(
         STRUCTURE
         + """gravity: heavy
@@ -344,7 +344,7 @@ def test_binary_file_is_rejected(tmp_path: Path, content: bytes) -> None:
         rig.load(path)
 
 
-def test_empty_file_folder_and_missing_file_are_distinguished(tmp_path: Path) -> None:
+def test_empty_missing_and_invalid_paths_are_distinguished(tmp_path: Path) -> None:
     (tmp_path / "empty.yaml").touch()
     with pytest.raises(SceneError, match=r"empty\.yaml is empty"):
         rig.load(tmp_path / "empty.yaml")
@@ -360,7 +360,7 @@ def test_empty_file_folder_and_missing_file_are_distinguished(tmp_path: Path) ->
         rig.load("a\0b")
 
 
-def test_unusable_matrix_file_says_why(tmp_path: Path) -> None:
+def test_unusable_matrix_files_have_their_reasons(tmp_path: Path) -> None:
     scene = tmp_path / "s.yaml"
     scene.write_text("structure: {matrices: {mass: M.npy, stiffness: K.npy, damping: C.npy}}\n")
     (tmp_path / "K.npy").write_bytes(b"\x93NUMPY nonsense")
@@ -377,6 +377,7 @@ def test_unusable_matrix_file_says_why(tmp_path: Path) -> None:
     ("kind", "shape"), [("'<f8'", "(1000000, 1000000)"), ("'<f8'", f"({10**30}, 1)"), ("(" * 500, "(1, 1)")]
 )
 def test_oversized_matrix_file_is_rejected_unread(kind: str, shape: str, tmp_path: Path) -> None:
+    # A .npy file with a header alone: `kind` of its elements (invalid in the last case), and its shape.
     header = f"{{'descr': {kind}, 'fortran_order': False, 'shape': {shape}, }}"
     raw = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode()
     (tmp_path / "M.npy").write_bytes(raw)
@@ -392,7 +393,7 @@ def test_complex_matrix_is_rejected(tmp_path: Path) -> None:
         rig.load(tmp_path / "s.yaml")
 
 
-# Nine aliases of nine aliases, and so on: billions of values.
+# Each alias is a list of nine of the previous aliases: 9^10 values in total.
 NESTED_ALIASES = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 10)
 )
@@ -411,12 +412,12 @@ def test_extreme_text_is_rejected_quickly(text: str, message: str) -> None:
     assert message in error_of(text)
 
 
-words = st.sampled_from(
+yaml_tokens = st.sampled_from(
     ["structure", "masses", "[1 kg]", "springs", ": ", "\n", "  ", "- ", *"{}[]", ", ", "&a ", "*a", "body", "1"]
 )
 
 
-@given(st.text(max_size=60) | st.lists(words, max_size=30).map("".join))
+@given(st.text(max_size=60) | st.lists(yaml_tokens, max_size=30).map("".join))
 def test_any_text_gives_a_scene_or_scene_error(text: str) -> None:
     try:
         scene = rig.loads(text)

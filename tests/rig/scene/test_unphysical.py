@@ -13,10 +13,12 @@ import rig
 from rig.errors import RunError, SceneWarning
 from tests.rig.scene.test_scene_mistakes import error_of
 
+# N/m.
 GROUNDED_STIFFNESS = "[[3, -1], [-1, 2]]"
 
 
 def structure_text(stiffness: str, damping: str = "[[0, 0], [0, 0]]") -> str:
+    """Return a scene with masses of 1 kg and 2 kg and the given matrices, in SI units."""
     return f"structure: {{matrices: {{mass: [[1, 0], [0, 2]], stiffness: {stiffness}, damping: {damping}}}}}"
 
 
@@ -40,12 +42,13 @@ def structure_text(stiffness: str, damping: str = "[[0, 0], [0, 0]]") -> str:
         ),
     ],
 )
-def test_impossible_structure_says_why(text: str, message: str) -> None:
+def test_impossible_structure_is_rejected_with_its_reason(text: str, message: str) -> None:
     assert message in error_of(text)
 
 
 def test_stable_general_damping_matrix_is_accepted() -> None:
-    # A gyroscopic part does no work. The second matrix is indefinite, but every motion decays.
+    # The antisymmetric (gyroscopic) part of the first matrix does no work. The second matrix is indefinite, but every
+    # free motion decays.
     for damping in ("[[0.1, 5], [-5, 0.1]]", "[[0.3, 0.32], [0.32, 0.3]]"):
         assert rig.loads(structure_text(GROUNDED_STIFFNESS, damping)).structure.bodies == 2
 
@@ -99,16 +102,16 @@ def test_diverging_motion_stops_with_time_and_quantity(tmp_path) -> None:
         daq.record(scene, tmp_path / "a.mcap")
 
 
-WRONG_SETTINGS = st.sampled_from(
+INVALID_SETTINGS = st.sampled_from(
     ["clearance: -1 mm", "clearance: 3 kg", "clearance: soon", "locked: maybe, clearance: 1 mm"]
 )
 
 
-@given(body=st.integers(3, 999), wrong=WRONG_SETTINGS)
-def test_wrong_references_are_reported_with_other_mistakes(body: int, wrong: str) -> None:
+@given(body=st.integers(3, 999), setting=INVALID_SETTINGS)
+def test_unknown_bodies_are_reported_with_other_mistakes(body: int, setting: str) -> None:
     message = error_of(
         "structure: {masses: [1 kg, 2 kg], springs: [1 kN/m, 1 kN/m]}\n"
-        f"dampers: [{{body: {body}, mass: 1 g, {wrong}}}]\n"
+        f"dampers: [{{body: {body}, mass: 1 g, {setting}}}]\n"
         f"shaker: {{kind: table, body: {body}, spring: 0 N/m}}\n"
         f"channels: [{{name: a, at: body {body}, hammer: {{}}}}]\n"
     )

@@ -35,7 +35,7 @@ frequency = st.floats(min_value=1e-6, max_value=3e7)
 fraction = st.just(0.0) | st.floats(min_value=1e-12, max_value=1.0, exclude_max=True)
 damping_ratio = st.floats(min_value=1e-6, max_value=1.0)
 KINDS = [LENGTH, FREQUENCY, STIFFNESS, RATIO, ACCELERATION_SENSITIVITY, ACCELERATION_NOISE]
-level = st.sampled_from(["force", "drive"])
+level_key = st.sampled_from(["force", "drive"])
 
 
 def optional(**choices: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any]]:
@@ -47,7 +47,7 @@ def optional(**choices: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, A
 def excitations(draw: st.DrawFn) -> dict[str, Any]:
     """Draw a test of any kind."""
     low, high = sorted(draw(st.tuples(frequency, frequency).filter(lambda pair: pair[0] != pair[1])))
-    band = {"from": low, "to": high, draw(level): draw(positive)}
+    band = {"from": low, "to": high, draw(level_key): draw(positive)}
     return draw(
         st.sampled_from(
             [
@@ -124,9 +124,9 @@ def test_any_matrices_are_written_without_loss(n: int, seed: int) -> None:
     random = np.random.default_rng(seed)
     root = random.standard_normal((n, n))
     mass = root @ root.T + np.eye(n)
-    # A dissipative part and a gyroscopic part.
-    part = random.standard_normal((n, n))
-    damping = (mass + part - part.T) * 10.0 ** random.integers(-200, 200)
+    # A dissipative (positive definite) part and a gyroscopic (antisymmetric) part.
+    random_matrix = random.standard_normal((n, n))
+    damping = (mass + random_matrix - random_matrix.T) * 10.0 ** random.integers(-200, 200)
     scene = Scene(structure={"matrices": {"mass": mass, "stiffness": mass / 3.0, "damping": damping}})
     assert rig.loads(scene.to_yaml()) == scene == rig.loads(scene.to_si_yaml())
 
@@ -138,7 +138,7 @@ def test_minus_zero_is_written_as_zero() -> None:
     assert rig.loads(scene.to_yaml()).to_yaml() == scene.to_yaml()
 
 
-def test_canonical_text_is_in_si() -> None:
+def test_si_text_has_si_units() -> None:
     text = rig.load("fig9").to_si_yaml()
     assert "springs: [24300.0 N/m, 21800.0 N/m, 19800.0 N/m]" in text
     assert "clearance: 0.00098 m" in text
@@ -171,11 +171,11 @@ def test_scene_keeps_units_digits_and_names() -> None:
 
 def test_replaced_value_keeps_its_unit() -> None:
     scene = rig.loads(BRACKET)
-    lighter = scene.replace(
+    changed_scene = scene.replace(
         structure=scene.structure.replace(masses=(4.2, 0.9)), dampers=(scene.dampers[0].replace(clearance=0.00025),)
     )
     expected = BRACKET.replace("1100 g", "900 g").replace("0.133 mm", "0.25 mm")
-    assert lighter.to_yaml() == expected
+    assert changed_scene.to_yaml() == expected
 
 
 def test_recorded_text_is_written_in_customary_units() -> None:
@@ -191,7 +191,7 @@ def test_computed_frequency_stays_in_hertz() -> None:
 
 
 @given(positive, st.sampled_from(KINDS))
-def test_spelled_quantity_is_the_same_double(value: float, kind: Kind) -> None:
+def test_written_quantity_is_parsed_without_loss(value: float, kind: Kind) -> None:
     assert parse(shortest_spelling(value, kind), kind) == value
     assert parse(shortest_spelling(value, kind, f"1 {kind.si}"), kind) == value
 

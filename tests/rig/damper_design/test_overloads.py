@@ -53,7 +53,7 @@ def test_landings_overload_the_predicted_sensor(contact: dict[str, Any] | None, 
     resonance = {"resonance": "5 kHz", "q": 30}
     scene = _scene(contact, resonance)
     expected = _expected(scene)
-    # Largest acceleration, m/s^2, of body 2 (number 1 from 0) as a sensor with a resonance at 5 kHz responds to it.
+    # Largest acceleration of body 2 (index 1) that a sensor with a resonance at 5 kHz indicates, m/s^2.
     peak_acceleration = impact_acceleration(assemble(scene), 1, expected.closing_speed, 5000.0)
     for saturation_ratio in (0.5, 2.0):
         limited_scene = _scene(contact, {**resonance, "saturation": saturation_ratio * peak_acceleration})

@@ -12,6 +12,8 @@ from daq.excitation.impulse import half_sine
 from rig.errors import SceneError
 from tests.daq.measurement.bench_run import BenchRun, run, scene_with
 
+RATE = 5120  # sample rate of the scenes, Hz
+QUIET_SAMPLES = 1280  # recorded before the first hit (0.25 s)
 FORCE_SHAKER = {"kind": "force", "body": 1}
 
 
@@ -20,7 +22,7 @@ def force_history(bench_run: BenchRun, first: int, stop: int) -> np.ndarray:
     frequencies = np.fft.rfftfreq(stop - first, 1.0 / bench_run.bench.rate)[1:]
     spectrum = np.fft.rfft(bench_run.readings[:, first:stop], axis=1)[:, 1:]
     weights = np.array([bench_run.force_weights(frequency) for frequency in frequencies]).T
-    # Below the band there is only leakage, amplified by the double integration.
+    # Below the band (here below 5 Hz) there is only leakage, which the double integration amplifies.
     force_spectrum = np.where(frequencies > 5.0, np.sum(weights * spectrum, axis=0), 0.0)
     return np.fft.irfft(np.concatenate([[0.0], force_spectrum]), stop - first)
 
@@ -29,14 +31,15 @@ def test_random_force_has_band_and_level() -> None:
     test = {"kind": "random", "from": "8 Hz", "to": "60 Hz", "force": "2.6 N", "duration": "30 s"}
     bench_run = run(scene_with(test, shaker=FORCE_SHAKER))
     drive = bench_run.drive[0]
-    assert drive.size == 30 * 5120
+    assert drive.size == 30 * RATE
     assert drive.std() == pytest.approx(2.6, rel=0.03)
     power = np.abs(np.fft.rfft(drive)) ** 2
-    frequencies = np.fft.rfftfreq(drive.size, 1 / 5120.0)
+    frequencies = np.fft.rfftfreq(drive.size, 1 / RATE)
     in_band = (frequencies > 7.5) & (frequencies < 60.5)
     assert power[~in_band].sum() < 1e-3 * power.sum()
     lower_half, upper_half = power[in_band & (frequencies < 34)].sum(), power[in_band & (frequencies >= 34)].sum()
     assert lower_half / upper_half == pytest.approx(1.0, rel=0.15)
+    # The kurtosis of Gaussian noise is 3.
     kurtosis = np.mean((drive / drive.std()) ** 4)
     assert kurtosis == pytest.approx(3.0, abs=0.25)
 
@@ -82,8 +85,8 @@ def test_realisations_are_periodic_multisines() -> None:
     assert len(bench_run.marks_of("measure")) == 2
     phases = []
     for first, stop, fields in bench_run.marks_of("measure"):
-        assert (fields["period"], fields["periods"], fields["lines"]) == (5120, 3, [15, 32])
-        assert stop - first == 3 * 5120
+        assert (fields["period"], fields["periods"], fields["lines"]) == (RATE, 3, [15, 32])
+        assert stop - first == 3 * RATE
         drive_periods = bench_run.drive[0, first:stop].reshape(3, -1)
         np.testing.assert_array_equal(drive_periods[0], drive_periods[1])
         spectrum = np.fft.rfft(drive_periods[0])
@@ -92,7 +95,7 @@ def test_realisations_are_periodic_multisines() -> None:
         readings = bench_run.readings[:, first:stop].reshape(len(bench_run.readings), 3, -1)
         change = np.sqrt(np.mean((readings[:, 2] - readings[:, 1]) ** 2, axis=1))
         assert np.all(change < 2e-3 * readings[:, 2].std(axis=1))
-        force = force_history(bench_run, first, first + 5120)
+        force = force_history(bench_run, first, first + RATE)
         assert force.std() == pytest.approx(2.6, rel=0.05)
         line_amplitudes = np.abs(np.fft.rfft(force))[15:33]
         assert line_amplitudes.max() / line_amplitudes.min() < 1.3
@@ -114,16 +117,16 @@ def test_band_without_line_is_rejected() -> None:
 
 @pytest.mark.parametrize("width", [0.45e-3, 1e-3, 4e-3, 4.31e-3, 20e-3])
 def test_half_sine_keeps_peak_and_area(width: float) -> None:
-    pulse = half_sine(50.0, width, 5120.0)
+    pulse = half_sine(50.0, width, RATE)
     assert pulse.max() == 50.0
-    assert pulse.sum() / 5120.0 == pytest.approx(50.0 * width * 2 / np.pi, rel=1e-9)
+    assert pulse.sum() / RATE == pytest.approx(50.0 * width * 2 / np.pi, rel=1e-9)
     assert pulse[0] == pulse[-1] == 0.0
     np.testing.assert_allclose(pulse, pulse[::-1], rtol=0, atol=1e-12)
 
 
 def test_too_short_pulse_is_rejected() -> None:
     with pytest.raises(SceneError, match=r"raise converter\.rate"):
-        half_sine(50.0, 0.1e-3, 5120.0)
+        half_sine(50.0, 0.1e-3, RATE)
 
 
 def run_hits(**changes: Any) -> BenchRun:
@@ -134,18 +137,23 @@ def run_hits(**changes: Any) -> BenchRun:
 
 def test_hits_follow_at_their_interval() -> None:
     bench_run = run_hits()
-    assert bench_run.drive.shape[1] == 1280 + 2 * 5120
+    assert bench_run.drive.shape[1] == QUIET_SAMPLES + 2 * RATE
     hits = bench_run.marks_of("hit")
-    assert [first for first, _, _ in hits] == [1280, 1280 + 5120]
+    assert [first for first, _, _ in hits] == [QUIET_SAMPLES, QUIET_SAMPLES + RATE]
     hammer = bench_run.drive[list(bench_run.bench.inputs).index("hammer")]
     for first, stop, fields in hits:
         assert fields["peak"] == 50.0 and fields["body"] == 2 and fields["double"] is False
         assert hammer[first:stop].max() == 50.0
         hammer[first:stop] = 0.0
     assert not hammer.any()
-    places = [channel.at for channel in bench_run.bench.channels]
-    acceleration = bench_run.readings[places.index("body 2")]
-    assert np.abs(acceleration[1280:1400]).max() > 20.0 > np.abs(acceleration[:1280]).max()
+    positions = [channel.at for channel in bench_run.bench.channels]
+    acceleration = bench_run.readings[positions.index("body 2")]
+    # Only the hit causes an acceleration above 20 m/s^2.
+    assert (
+        np.abs(acceleration[QUIET_SAMPLES : QUIET_SAMPLES + 120]).max()
+        > 20.0
+        > np.abs(acceleration[:QUIET_SAMPLES]).max()
+    )
 
 
 def test_double_hit_is_applied_and_marked() -> None:
@@ -154,7 +162,8 @@ def test_double_hit_is_applied_and_marked() -> None:
     first, second = bench_run.marks_of("hit")
     assert not first[2]["double"] and second[2]["double"]
     assert [hammer[start:stop].max() for start, stop, _ in (first, second)] == [50.0, 50.0]
-    rebound = second[0] + round(20e-3 * 5120)
+    rebound = second[0] + round(20e-3 * RATE)
+    # 40 % of the first peak of 50 N.
     assert hammer[rebound : second[1]].max() == pytest.approx(20.0)
 
 
@@ -167,10 +176,11 @@ def test_shaker_is_not_driven_during_hammer_test() -> None:
 def test_released_mode_decays_freely() -> None:
     test = {"kind": "free", "mode": 1, "amplitude": "1 mm", "duration": "3 s"}
     bench_run = run(scene_with(test))
-    assert bench_run.drive.shape[1] == 3 * 5120
+    assert bench_run.drive.shape[1] == 3 * RATE
     assert not bench_run.drive.any()
     acceleration = bench_run.readings[2]
-    ratio = np.abs(acceleration[-5120:]).max() / np.abs(acceleration[:5120]).max()
+    # Ratio of the largest accelerations in the last and in the first second.
+    ratio = np.abs(acceleration[-RATE:]).max() / np.abs(acceleration[:RATE]).max()
     # The table is fixed, so that the spring belongs to the vibrating system.
     assert 0.3 < ratio < 0.6
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def shadowing_files(folder: Path) -> list[str]:
-    """Return the files of a folder that shadow installed or standard modules.
+    """Return a message for each file of a folder that shadows an installed or standard module.
 
     `folder`: folder of the script, or the first folder of the module search path.
     """

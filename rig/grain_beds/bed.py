@@ -26,7 +26,7 @@ from rig.scene.damper import Grains
 #: Walls of a cavity, in the order of the entries of `Bed.forces`.
 WALLS = ("floor", "ceiling", "side")
 FLOOR, CEILING = 0, 1
-#: LAMMPS's codes for data of each atom, and for the type array.
+#: LAMMPS's codes, in `extract_fix`, for one row per atom, and for an array.
 _PER_ATOM = 1
 _ARRAY = 2
 
@@ -62,7 +62,7 @@ class Bed:
     def state_bytes(self) -> bytes:
         """Return the state of the grains and of their contacts, for `resume`.
 
-        Both beds compute neighbors and forces again, so that they continue with the same bits.
+        This bed and a resumed bed both recompute neighbor lists and forces, so that they continue bit-identically.
         """
         with TemporaryDirectory() as folder:
             file = Path(folder) / "bed"
@@ -86,7 +86,7 @@ class Bed:
         self._command(f"run {steps} pre no post no")
 
     def add_drag(self, relaxation: float) -> None:
-        """Add a viscous drag to each grain, with a time constant in s; for packing."""
+        """Add a viscous drag to each grain, for packing; `relaxation`: its time constant, s."""
         self._command(f"fix slow all viscous {float(self._masses.mean()) / relaxation!r}", "run 0 post no")
 
     def lower_ceiling(self, depth: float) -> None:
@@ -142,6 +142,7 @@ class Bed:
             "fix move all nve/sphere",
             f"fix weight all gravity {self.gravity!r} vector 0 0 -1",
             f"timestep {self.step!r}",
+            # No output of thermodynamic data during the run.
             "thermo 1000000000",
             "variable lid internal 0.0",
             "variable lowered equal v_lid",
@@ -161,7 +162,7 @@ class Bed:
         return local
 
     def _view(self) -> None:
-        """Create views of LAMMPS's arrays of the grains; they are valid while number and order of the grains are."""
+        """Create views of LAMMPS's arrays of the grains, valid until the number or order of the grains changes."""
         count, arrays = self._lammps.extract_setting("nlocal"), self._lammps.numpy
         self._position, self._velocity, self._masses = (
             arrays.extract_atom(name)[:count] for name in ("x", "v", "rmass")
@@ -169,10 +170,12 @@ class Bed:
         self._contacts = {name: arrays.extract_fix(name, _PER_ATOM, _ARRAY)[:count] for name in self.walls}
 
     def _command(self, *commands: str) -> None:
+        """Run LAMMPS commands."""
         for command in commands:
             self._call(self._lammps.command, command)
 
     def _call(self, function: Callable[..., Any], *arguments: Any) -> None:
+        """Call a function of LAMMPS; raises `RunError` with the reason if it fails."""
         try:
             function(*arguments)
         except Exception as error:

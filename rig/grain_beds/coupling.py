@@ -8,6 +8,8 @@ walls on the grains in LAMMPS's velocity Verlet scheme.
 In the frame of the cavity, the velocities of the grains change by the negative of the body's velocity change. Half a
 step times the body's acceleration is applied at the beginning of the step, and the remainder of the exact change at
 its end. The exchange is of second order in h, as is LAMMPS's scheme, and conserves momentum.
+
+A *break* is an instant at which a velocity or an acceleration of the structure jumps: an impact or a separation.
 """
 
 from __future__ import annotations
@@ -92,12 +94,12 @@ class CoupledPropagator:
 
     @property
     def ambiguous(self) -> int:
-        """Number of decisions within rounding so far, at dampers without grains."""
+        """Number of contact decisions within rounding so far, for the dampers without grains."""
         return self.structure.ambiguous
 
     @property
     def momentum(self) -> Array:
-        """Upward momentum of each bed, kg m/s; shape (beds,)."""
+        """Upward momentum of each bed in the fixed frame, kg m/s; shape (beds,)."""
         return np.array([bed.momentum for bed in self.beds]) + self._mass * self._velocity
 
     @property
@@ -117,7 +119,7 @@ class CoupledPropagator:
         return np.asarray(self._rows_without_grains[separated], dtype=np.int64)
 
     def state(self) -> CoupledState:
-        """Return the state from which the motion continues with the same bits; see `Bed.state_bytes`."""
+        """Return the state from which the motion continues bit-identically; see `Bed.state_bytes`."""
         beds = tuple(bed.state_bytes() for bed in self.beds)
         self._read_beds()
         return CoupledState(
@@ -137,7 +139,7 @@ class CoupledPropagator:
         self._read_beds()
 
     def propagate_steps(self, drive: Array) -> tuple[Trajectory, BedStates]:
-        """Propagate through the grains' time steps between the columns of a drive (inputs, steps + 1).
+        """Propagate through the grains' time steps; `drive`, shape (inputs, steps + 1): at their ends.
 
         Returns the trajectory of `structure`, whose segments are the steps, and the motion of the beds.
         """
@@ -200,7 +202,7 @@ class CoupledPropagator:
         return displacement, velocity, acceleration, rows[3 * n :]
 
     def store_present_motion(self, samples: MotionSamples, column: int) -> None:
-        """Fill one column with the present motion."""
+        """Write the present motion into one column of the samples."""
         gap = np.array([[bed.gap] for bed in self.beds])
         self._fill_columns(
             samples, slice(column, column + 1), self.structure.current_state(), self._force[:, :, None], gap
@@ -270,7 +272,7 @@ def interpolate_drive(drive: Array, substeps: int) -> Array:
 
 
 def _with_bed_inputs(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp]) -> HybridSystem:
-    """Compile a scene without its beds of grains, in the same coordinates, with the beds' forces as inputs.
+    """Assemble a scene without its beds of grains, in the same coordinates, with the beds' forces as inputs.
 
     `system`: the scene's; its initial state, which includes the beds' weight, is also that of the result; `bodies`:
     coordinates on which the forces act.
@@ -294,7 +296,7 @@ def _with_bed_inputs(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp
 
 
 def _join(current_state: Trajectory, samples: StateSamples, event_logs: list[tuple[int, Trajectory]]) -> Trajectory:
-    """Return one trajectory of the states of all steps, and of the events and breaks by number of the step."""
+    """Join the states of all steps, and their events and breaks, to one trajectory whose segments are the steps."""
     logs = {
         item.name: np.concatenate(
             [getattr(current_state, item.name), *(getattr(log, item.name) for _, log in event_logs)]

@@ -1,8 +1,8 @@
 """The settled bed: initial positions of the grains at rest on the floor, as dense as after long shaking.
 
 The grains fall into the cavity without friction. The ceiling is then lowered until its force equals the bed's weight;
-this levels the grains, as the screw does that closes a real cavity. Without friction the positions determine the state:
-a run begins in exact equilibrium, with the whole weight on the floor. The computation takes longer than many periods of
+this levels the grains, like the screw that closes a real cavity. Without friction the positions determine the state: a
+run begins in exact equilibrium, with the whole weight on the floor. The computation takes longer than many periods of
 motion, so the result is stored in the user's cache.
 """
 
@@ -67,15 +67,16 @@ def settled_positions(spheres: Spheres) -> Array:
     positions = _pack(spheres)
     with suppress(OSError):
         stored.parent.mkdir(parents=True, exist_ok=True)
-        part = stored.with_suffix(f".{os.getpid()}.npy")
-        np.save(part, positions)
-        part.replace(stored)
+        temporary = stored.with_suffix(f".{os.getpid()}.npy")
+        np.save(temporary, positions)
+        temporary.replace(stored)
     return positions
 
 
 def _pack(spheres: Spheres) -> Array:
     """Compute the positions: the grains fall, are leveled by the ceiling, and come to rest."""
     frictionless = spheres.settings.replace(friction=0.0, side_friction=None)
+    # Grains of limited modulus, which allow longer time steps.
     soft = replace(spheres, settings=frictionless.replace(modulus=min(frictionless.modulus, _MAX_PACKING_MODULUS)))
     leveled = _level(soft, _drop(soft))
     return _settle(replace(spheres, settings=frictionless), leveled)
@@ -141,6 +142,7 @@ def _settle(spheres: Spheres, leveled: Array) -> Array:
 
 
 def _not_at_rest(bed: Bed, steps: int) -> RunError:
+    """Return the error for a bed that still moves after a number of steps."""
     return RunError(
         f"{len(bed.positions)} grains did not come to rest in {steps * bed.step:.3g} s. Set another seed:, or a wider "
         "grains: cavity"

@@ -26,8 +26,8 @@ _MAX_STEPS = 100_000
 def restitution_at_step(grains: Grains, mass: float, radius: float, step: float) -> float:
     """Compute the restitution setting of LAMMPS.
 
-    `mass`, `radius`: reduced mass [kg] and radius [m] of the contact: of a grain at a wall its own, of two grains
-    half of that; `step`: time step, s.
+    `mass`, `radius`: reduced mass [kg] and radius [m] of the contact: those of the grain at a wall, half of these
+    between two equal grains; `step`: time step, s.
 
     >>> lead = Grains(diameter="2 mm", modulus="10 MPa")
     >>> round(restitution_at_step(lead, mass=4.75e-5, radius=1e-3, step=5.7e-6), 3)
@@ -35,6 +35,7 @@ def restitution_at_step(grains: Grains, mass: float, radius: float, step: float)
     """
 
     def deviation(setting: float) -> float:
+        """Return the mean restitution with a setting of LAMMPS, minus the desired restitution."""
         return float(_restitutions(grains, setting, mass, radius, step).mean()) - grains.restitution
 
     max_restitution = 1.0 - 1e-9

@@ -18,7 +18,7 @@ from rig.workers import cores
 
 #: Steps between checks of the distribution of the grains over the ranks.
 _BALANCE_STEPS = 10_000
-#: Largest number of grains of a rank, relative to the mean, without a new distribution.
+#: Ratio of the largest to the mean number of grains of a rank above which the grains are distributed again.
 _MAX_IMBALANCE = 1.05
 
 
@@ -40,7 +40,10 @@ class PartOfBed(Bed):
     """The grains of a bed on one rank; forces and motion are those of all grains."""
 
     def state_bytes(self) -> bytes:
-        """Return the state as `Bed.state_bytes`, and distribute the grains over the ranks again, as `resume` does."""
+        """Return the state as `Bed.state_bytes`, and continue from it.
+
+        This distributes the grains over the ranks in the same way as in a resumed bed, which then has the same motion.
+        """
         stored = super().state_bytes()
         self.resume(stored)
         return stored
@@ -67,6 +70,7 @@ class PartOfBed(Bed):
         super()._initialize()
 
     def _view(self) -> None:
+        """Create the views again, and record the sizes for which they are valid."""
         self._viewed_sizes = self._array_sizes()
         super()._view()
 
@@ -86,6 +90,7 @@ class PartOfBed(Bed):
         try:
             super()._call(function, *arguments)
         except RunError as error:
+            # LAMMPS aborts on this rank only, while the other ranks wait for it.
             if isinstance(error.__context__, MPIAbortException):
                 raise OneRankError(str(error)) from None
             raise

@@ -36,8 +36,8 @@ class Spheres:
 
     def diameters(self) -> NDArray[np.float64]:
         """Draw the diameters, m; shape (count,)."""
-        sizes = np.random.default_rng([self.seed, 0]).uniform(-1.0, 1.0, self.count)
-        return np.asarray(self.settings.diameter * (1.0 + self.settings.spread * sizes))
+        deviations = np.random.default_rng([self.seed, 0]).uniform(-1.0, 1.0, self.count)
+        return np.asarray(self.settings.diameter * (1.0 + self.settings.spread * deviations))
 
     def density(self) -> float:
         """Return the density of the grains for which their total mass is the mass of the bed, kg/m^3."""
@@ -61,7 +61,7 @@ def spheres_of(scene: Scene) -> dict[int, Spheres]:
         if damper.grains is None or not damper.moves:
             continue
         grain_mass = damper.grains.density * math.pi / 6.0 * damper.grains.diameter**3
-        # The mean cube of diameters that are uniformly distributed about their mean.
+        # The mean cube of uniformly distributed diameters is the cube of their mean times 1 + spread^2.
         count = round(float(mass) / (grain_mass * (1.0 + damper.grains.spread**2)))
         if count < 1:
             raise SceneError(
@@ -87,11 +87,14 @@ def rayleigh_time(grains: Grains, density: float) -> float:
     """
     shear = grains.modulus / (2.0 * (1.0 + grains.poisson_ratio))
     radius = 0.5 * grains.diameter * (1.0 - grains.spread)
+    # The denominator is the usual approximation of the ratio of the speeds of Rayleigh and shear waves.
     return math.pi * radius * math.sqrt(density / shear) / (0.1631 * grains.poisson_ratio + 0.8766)
 
 
 def contact_time(grains: Grains, speed: float = 1.0) -> float:
-    """Return the duration of a central collision of two grains without loss, s: Hertz's 2.87 (m^2 / (R E^2 v))^(1/5).
+    """Return the duration of a central collision of two equal grains without loss, s.
+
+    By Hertz it is 2.87 (m^2 / (R E^2 v))^(1/5), with reduced mass m, radius R and modulus E, and closing speed v [m/s].
 
     >>> round(1e3 * contact_time(Grains(diameter="2 mm", modulus="10 MPa")), 3)
     0.356

@@ -3,7 +3,7 @@
 The function is called a *guard* (in the engine a gap or a contact force). Over one step of length h it is a power
 series in tau = t/h, which has converged to rounding at degree `DEGREE`. The smallest and largest Bernstein coefficients
 on an interval are bounds of the guard there. Repeated halving from the left either proves an interval free of zeros, or
-ends at the first zero.
+ends at the first zero. A *dip* is a minimum of the guard that is zero within rounding.
 
 References
 ----------
@@ -145,7 +145,7 @@ def first_crossing(
     and its ends.
 
     Returns (tau, ambiguous). `tau`: the crossing; 0 if the guard is at zero within rounding and falling; `NO_CROSSING`
-    if there is none. `ambiguous`: number of dips whose depth is within rounding; they are not crossings.
+    if there is none. `ambiguous`: number of dips, which are not counted as crossings.
     """
     while start < N_COEFFICIENTS and abs(series[start]) <= rounding:
         start += 1

@@ -20,6 +20,8 @@ getattr(JITCodeLibrary, "_optimize_final_module"), getattr(FunctionCache, "_load
 
 
 class _CalleeLibrary(JITCodeLibrary):
+    """Machine code that is not optimized; it is optimized in its callers."""
+
     def _optimize_final_module(self) -> None: ...
 
     def _finalize_final_module(self) -> None:
@@ -27,6 +29,8 @@ class _CalleeLibrary(JITCodeLibrary):
 
 
 class _CalleeCompiler(Compiler):
+    """Compiler of callees, without wrappers for Python and C."""
+
     def define_pipelines(self) -> Any:
         state, flags = self.state, self.state.flags
         flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
@@ -35,6 +39,7 @@ class _CalleeCompiler(Compiler):
 
 
 def _callee(function: Callable[..., object], options: dict[str, Any]) -> Any:
+    """Return the numba dispatcher that compiles a function as a callee."""
     dispatcher: Any = numba.njit(**options, pipeline_class=_CalleeCompiler)(function)
 
     def add_overload(result: Any) -> None:

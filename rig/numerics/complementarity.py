@@ -74,7 +74,10 @@ def allocate_contact_workspace(dampers: int, forces: int) -> ContactWorkspace:
 
 @kernel
 def contact_matrix(model: Any, work: ContactWorkspace, count: int) -> None:
-    """Fill `work.matrix` for the contacts listed in `work.damper` with signs `work.sign`."""
+    """Fill `work.matrix` for the contacts listed in `work.damper` with signs `work.sign`.
+
+    `model`: inverse mass matrix of the structure, and for each damper its mass and the coordinate of its body.
+    """
     for a in range(count):
         i = work.damper[a]
         for b in range(count):
@@ -86,7 +89,7 @@ def contact_matrix(model: Any, work: ContactWorkspace, count: int) -> None:
 
 @kernel
 def solve_active(work: ContactWorkspace, count: int) -> None:
-    """Solve A p + q = 0 for the active contacts, by Gaussian elimination; the reactions p of the others are 0."""
+    """Solve A p + q = 0 for the active (closed) contacts by Gaussian elimination; the other reactions p are 0."""
     block = work.block
     n_active = 0
     for a in range(count):

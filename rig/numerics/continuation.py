@@ -82,7 +82,7 @@ def newton(equations: Equations, x: Vector, scale: Vector, steps: Steps, normal:
     from the last iteration, in the direction of `normal`; `iterations`, number of corrections. Raises `NoConvergence`
     with the size of the last correction.
     """
-    start, last_size = x, np.inf
+    start, last_correction = x, np.inf
     system, rhs = np.empty((x.size, x.size)), np.zeros((x.size, 2))
     system[-1], rhs[-1, 1] = normal, 1.0
     for iteration in range(1, steps.max_iterations + 1):
@@ -97,18 +97,18 @@ def newton(equations: Equations, x: Vector, scale: Vector, steps: Steps, normal:
             correction, direction = np.linalg.solve(system, rhs).T
         except np.linalg.LinAlgError:
             raise NoConvergence("the equations are singular") from None
-        size = float(np.abs(correction).max())
+        largest_correction = float(np.abs(correction).max())
         x = x + correction * scale
         # The iteration has converged if the correction is within rounding, does not decrease any more, or if
         # with quadratic convergence the next one would be within rounding.
-        stalled = size < 1e-9 and size > 0.3 * last_size
-        quadratic = last_size < 1.0 and size**3 < steps.tolerance * last_size**2
-        if size < steps.tolerance or stalled or quadratic:
+        stalled = largest_correction < 1e-9 and largest_correction > 0.3 * last_correction
+        quadratic = last_correction < 1.0 and largest_correction**3 < steps.tolerance * last_correction**2
+        if largest_correction < steps.tolerance or stalled or quadratic:
             return x, direction / np.linalg.norm(direction), iteration
-        if size > 1e3 * max(last_size, 1e-3):
-            raise NoConvergence(f"Newton's method diverges (last correction {size:.1e})")
-        last_size = size
-    raise NoConvergence(f"the correction is still {last_size:.1e} after {steps.max_iterations} iterations")
+        if largest_correction > 1e3 * max(last_correction, 1e-3):
+            raise NoConvergence(f"Newton's method diverges (last correction {largest_correction:.1e})")
+        last_correction = largest_correction
+    raise NoConvergence(f"the correction is still {last_correction:.1e} after {steps.max_iterations} iterations")
 
 
 def tangent(equations: Equations, x: Vector, scale: Vector) -> Vector:
@@ -169,6 +169,7 @@ def trace(
 
 
 def _columns(pairs: list[PointWithTangent]) -> tuple[Vector, Vector]:
+    """Return the points and the tangents of a list as two arrays."""
     return np.array([x for x, _ in pairs]), np.array([t for _, t in pairs])
 
 

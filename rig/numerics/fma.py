@@ -50,7 +50,7 @@ def _fused_lanes(builder: Any) -> Any:
 def _sums(same_rows: bool) -> Any:
     """Return an intrinsic for sums in several registers at a time.
 
-    out[place + 8 c + i] = sum_e rows[row + e stride + 8 c + i] factors[factor + e step] for the lanes i of all
+    out[position + 8 c + i] = sum_e rows[row + e stride + 8 c + i] factors[factor + e step] for the lanes i of all
     registers c; or with `same_rows` sum_e rows[row + e stride + i] factors[factor + e step + c sum_stride].
     The indices are those of flat arrays.
     """
@@ -58,13 +58,13 @@ def _sums(same_rows: bool) -> Any:
     @intrinsic
     def sums(
         typing_context: Any, rows: Any, row: Any, stride: Any, factors: Any, factor: Any, step: Any, sum_stride: Any,
-        count: Any, out: Any, place: Any,
+        count: Any, out: Any, position: Any,
     ) -> Any:  # fmt: skip
         integer = types.intp
         signature = types.void(rows, integer, integer, factors, integer, integer, integer, integer, out, integer)
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            rows, row, stride, factors, factor, step, sum_stride, count, out, place = arguments
+            rows, row, stride, factors, factor, step, sum_stride, count, out, position = arguments
             kinds, number = signature.args, count.type
             data = context.make_array(kinds[3])(context, builder, factors).data
             fma = _fused_lanes(builder)
@@ -95,7 +95,7 @@ def _sums(same_rows: bool) -> Any:
                 for total, pair in zip(totals, entries(entry), strict=True):
                     builder.store(builder.call(fma, [*pair, builder.load(total)]), total)
             for c, total in enumerate(totals):
-                end = builder.add(place, ir.Constant(number, c * LANES))
+                end = builder.add(position, ir.Constant(number, c * LANES))
                 store(context, builder, kinds[8], out, end, builder.load(total))
             return context.get_dummy_value()
 
@@ -115,8 +115,8 @@ def weighted_sums(rows: Any, first: int, column: int, weights: Any, count: int, 
     """
     stride = rows.shape[1]
     start = first * stride + column
-    for place in range(0, length, SUM_BLOCK):
-        _weighted_sums(rows, start + place, stride, weights, 0, 1, 0, count, out, place)
+    for position in range(0, length, SUM_BLOCK):
+        _weighted_sums(rows, start + position, stride, weights, 0, 1, 0, count, out, position)
 
 
 @kernel
@@ -134,8 +134,8 @@ def factored_sums(
     """
     entries = rows.shape[0]
     for first_sum in range(0, count, SUMS_AT_ONCE):
-        place, factor = LANES * (first + first_sum), start + first_sum * sum_stride
-        _factored_sums(rows, 0, LANES, factors, factor, step, sum_stride, entries, out, place)
+        position, factor = LANES * (first + first_sum), start + first_sum * sum_stride
+        _factored_sums(rows, 0, LANES, factors, factor, step, sum_stride, entries, out, position)
 
 
 @intrinsic
@@ -150,12 +150,12 @@ def _update_states(typing_context: Any, states: Any, factors: Any, weights: Any,
         total = cgutils.alloca_once_value(builder, ir.Constant(WIDE, [0.0] * LANES))
         size = context.make_array(kinds[0])(context, builder, states).nitems
         begin, step = ir.Constant(size.type, 0), ir.Constant(size.type, LANES)
-        with cgutils.for_range_slice(builder, begin, size, step, size.type) as (place, _):
-            before = load(context, builder, kinds[0], states, place)
-            weight = load(context, builder, kinds[2], weights, place)
-            factor = load(context, builder, kinds[1], factors, place)
+        with cgutils.for_range_slice(builder, begin, size, step, size.type) as (position, _):
+            before = load(context, builder, kinds[0], states, position)
+            weight = load(context, builder, kinds[2], weights, position)
+            factor = load(context, builder, kinds[1], factors, position)
             builder.store(builder.call(fma, [weight, before, builder.load(total)]), total)
-            store(context, builder, kinds[0], states, place, builder.call(fma, [factor, before, value_lanes]))
+            store(context, builder, kinds[0], states, position, builder.call(fma, [factor, before, value_lanes]))
         sums = builder.load(total)
         for distance in (4, 2, 1):
             order = [(lane + distance) % LANES for lane in range(LANES)]

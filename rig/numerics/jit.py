@@ -43,7 +43,7 @@ _MAX_UNUSED_S = 30 * 86400.0
 try:
     from rig.numerics import callees
 except (ImportError, AttributeError):
-    # In another version of numba, the public options give the same bits, but slower kernels and longer compile times.
+    # In another version of numba, its public options give bit-identical results, with slower kernels and compilation.
     callees = None  # type: ignore[assignment]
 
 
@@ -129,6 +129,7 @@ class CodeFolder:
 
 
 def _source_folder(function: Callable[..., object]) -> Path:
+    """Return the folder of the file that defines a function."""
     return Path(inspect.getfile(function)).parent
 
 
@@ -151,10 +152,12 @@ register("numba:compile", _Compiling())
 
 @functools.cache
 def _warn_once(text: str) -> None:
+    """Log a warning, once in a process."""
     _LOG.warning(text)
 
 
 def _njit(function: F, is_kernel: bool, **options: Any) -> F:
+    """Compile a function with numba; the machine code is stored in `code_folder` if this can be written."""
     folder = code_folder(_source_folder(function))
     compiler = numba.njit if callees is None else functools.partial(callees.njit, kernel=is_kernel)
     previous, _CONFIG.CACHE_LOCATOR_CLASSES = _CONFIG.CACHE_LOCATOR_CLASSES, "rig.numerics.jit.CodeFolder"
@@ -183,6 +186,6 @@ def unfused_kernel(function: F) -> F:
     """Compile a kernel in which multiplications and additions are not fused.
 
     It is for loops over samples. The processor computes most samples in groups and the others individually. Both must
-    give the same bits, so that results do not depend on the block size.
+    give identical results, so that these do not depend on the block size.
     """
     return _njit(function, is_kernel=True, nogil=True, fastmath=False)

@@ -9,7 +9,7 @@ from rig.errors import RunError
 
 # Memory limit of a command without the environment variable.
 DEFAULT_LIMIT_BYTES = 1e9
-# Memory of a process that reads files, before it reads one; measured.
+# Memory of the program itself, before it reads a file (measured).
 PROGRAM_BYTES = 0.2e9
 # Environment variable with the memory limit.
 LIMIT_VARIABLE = "SHOTRIG_MEMORY"

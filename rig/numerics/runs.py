@@ -1,4 +1,4 @@
-"""Runs of equal flags."""
+"""Runs: intervals of consecutive samples whose flag is set."""
 
 from __future__ import annotations
 

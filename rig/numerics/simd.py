@@ -47,25 +47,25 @@ WIDE = ir.VectorType(ir.DoubleType(), LANES)
 
 
 def _register_pointer(context: Any, builder: Any, kind: Any, array: Any, index: Any) -> Any:
-    """Return a pointer to eight lanes of an array, from a flat index on."""
+    """Return a pointer to eight lanes of an array, from a flat index on; `kind`: numba type of the array."""
     data = context.make_array(kind)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [index]), WIDE.as_pointer())
 
 
 def load(context: Any, builder: Any, kind: Any, array: Any, index: Any) -> Any:
-    """Load eight lanes of an array, from a flat index on."""
+    """Generate the code that loads eight lanes of an array, from a flat index on; `kind`: numba type of the array."""
     register = builder.load(_register_pointer(context, builder, kind, array, index))
     register.align = 8
     return register
 
 
 def store(context: Any, builder: Any, kind: Any, array: Any, index: Any, register: Any) -> None:
-    """Store eight lanes in an array, from a flat index on."""
+    """Generate the code that stores eight lanes in an array, as `load`."""
     builder.store(register, _register_pointer(context, builder, kind, array, index)).align = 8
 
 
 def broadcast(builder: Any, value: Any) -> Any:
-    """Fill a register with one number."""
+    """Generate the code that fills a register with one number."""
     undefined, lane = ir.Constant(WIDE, ir.Undefined), ir.VectorType(ir.IntType(32), LANES)
     first = builder.insert_element(undefined, value, ir.Constant(ir.IntType(32), 0))
     return builder.shuffle_vector(first, undefined, ir.Constant(lane, [0] * LANES))
@@ -88,18 +88,21 @@ def _add_product(builder: Any, arguments: list[Any], row: Any, registers: int) -
         return ir.Constant(_INDEX, value)
 
     def lanes(pointer: Any, index: Any, register: int) -> Any:
-        place = builder.gep(pointer, [builder.add(index, number(register * LANES))])
-        return builder.bitcast(place, WIDE.as_pointer())
+        position = builder.gep(pointer, [builder.add(index, number(register * LANES))])
+        return builder.bitcast(position, WIDE.as_pointer())
 
     def add_column(column: Any, count: int) -> None:
         factors = broadcast(builder, builder.load(builder.gep(vector, [column])))
-        place = builder.add(builder.mul(column, rows), row)
+        position = builder.add(builder.mul(column, rows), row)
         for register in range(registers):
             total = totals[register][count]
-            product = builder.fmul(builder.load(lanes(matrix, place, register), align=8), factors, flags=("contract",))
+            product = builder.fmul(
+                builder.load(lanes(matrix, position, register), align=8), factors, flags=("contract",)
+            )
             builder.store(builder.fadd(builder.load(total), product, flags=("contract",)), total)
 
     zero_sums = [ir.Constant(WIDE, [0.0] * LANES)] * (columns_at_once - 1)
+    # totals[register][count]: address of one of the parallel sums of a register.
     totals = []
     for register in range(registers):
         first = builder.load(lanes(constant, row, register), align=8)
@@ -150,8 +153,8 @@ def _product(many_registers: bool) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             _, start, _, offset, _, columns, rows, _, row = arguments
             matrix, constant, vector, out = (
-                context.make_array(signature.args[place])(context, builder, arguments[place]).data
-                for place in (0, 2, 4, 7)
+                context.make_array(signature.args[position])(context, builder, arguments[position]).data
+                for position in (0, 2, 4, 7)
             )
             parts = [builder.gep(matrix, [start]), builder.gep(constant, [offset]), vector, out, columns, rows]
             if many_registers:
@@ -255,13 +258,13 @@ def copy(source: Any, target: Any) -> None:
 
 @intrinsic
 def _transpose_tile(
-    typing_context: Any, source: Any, start: Any, width: Any, target: Any, place: Any, stride: Any
+    typing_context: Any, source: Any, start: Any, width: Any, target: Any, position: Any, stride: Any
 ) -> Any:
-    """Set target[place + i stride + 0..7] = source[start + (0..7) width + i] for i = 0..7; flat indices."""
+    """Set target[position + i stride + 0..7] = source[start + (0..7) width + i] for i = 0..7; flat indices."""
     signature = types.void(source, types.intp, types.intp, target, types.intp, types.intp)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        source, start, width, target, place, stride = arguments
+        source, start, width, target, position, stride = arguments
         number = [ir.Constant(start.type, count) for count in range(LANES)]
 
         def along(begin: Any, count: int, step: Any) -> Any:
@@ -279,7 +282,7 @@ def _transpose_tile(
                 high = [lane + size if not lane & size else LANES + lane for lane in range(LANES)]
                 tile[i], tile[i + size] = choose(upper, lower, low), choose(upper, lower, high)
         for i, register in enumerate(tile):
-            store(context, builder, signature.args[3], target, along(place, i, stride), register)
+            store(context, builder, signature.args[3], target, along(position, i, stride), register)
         return context.get_dummy_value()
 
     return signature, generate
@@ -290,8 +293,8 @@ def transpose(window: Any, rows: Any, column: int) -> None:
     """Write a window of shape (LANES, width) into rows (width, columns) from a column on; both contiguous."""
     width, columns = rows.shape
     for row in range(0, width, LANES):
-        place = row * columns + column
-        _transpose_tile(window, row, width, rows, place, columns)  # type: ignore[call-arg]
+        position = row * columns + column
+        _transpose_tile(window, row, width, rows, position, columns)  # type: ignore[call-arg]
 
 
 @inlined_kernel

@@ -72,6 +72,7 @@ def read_checkpoint(path: Path, settings: Mapping[str, Any]) -> GrainsState | No
 
 
 def _restore_state(stored: Mapping[str, Any]) -> GrainsState:
+    """Return the state from the arrays of a checkpoint."""
     elapsed_steps, ambiguous = stored["counts"].tolist()
     coupled = CoupledState(
         _numbered(stored, "structure"),
@@ -87,4 +88,5 @@ def _restore_state(stored: Mapping[str, Any]) -> GrainsState:
 
 
 def _numbered(stored: Mapping[str, Any], name: str) -> tuple[Any, ...]:
+    """Return the arrays `name_0`, `name_1`, ... in order."""
     return tuple(stored[f"{name}_{number}"] for number in range(sum(key.startswith(f"{name}_") for key in stored)))

@@ -27,8 +27,8 @@ from rig.scene.shaker import ElectrodynamicShaker, TableShaker, at_shaker
 from rig.system.hybrid_system import FORCE_OF_BED, HybridSystem
 
 #: Gauss-Legendre nodes and weights on [0, 1]. Within a step, 8 nodes integrate a product of two solutions to rounding.
-_GAUSS_NODES = tuple(0.5 * part for part in np.polynomial.legendre.leggauss(8) + np.array([[1.0], [0.0]]))
-# Largest number of values of a power series in memory.
+_GAUSS_NODES = tuple(0.5 * row for row in np.polynomial.legendre.leggauss(8) + np.array([[1.0], [0.0]]))
+# Largest number of values of power series in memory at a time.
 _MAX_VALUES = 1 << 21
 
 
@@ -121,6 +121,7 @@ def quadratic_forms(scene: Scene, system: HybridSystem, output: Array) -> Quadra
 
 
 def _symmetric(matrix: Array) -> Array:
+    """Return the symmetric part of a matrix, which has the same quadratic form."""
     return 0.5 * (matrix + matrix.T)
 
 
@@ -178,6 +179,7 @@ def fourier_integral(
 ) -> NDArray[np.complex128]:
     """Integrate z(t) e^{-i omega t} over a motion with segments no longer than a step, shape (size,).
 
+    `segment_states`, `durations`: as for `energy_balance`; `omega`: rad/s.
     Intervals end at the jumps of impacts, so that the quadrature has its full order.
     """
     states, table_indices, lengths, starts = _intervals(tables, trajectory, segment_states, durations)
@@ -306,7 +308,7 @@ def _series(tables: FlowTables, table_index: int, states: Array) -> Array:
 
 
 def _sum_series(terms: Array, tau: Array) -> Array:
-    """Return the states at the shares `tau` of a step, shape (states, size), by Horner's method."""
+    """Return the states at the fractions `tau` of a step, shape (states, size), by Horner's method."""
     total = terms[-1].copy()
     for term in terms[-2::-1]:
         total *= tau[:, None]
@@ -315,7 +317,7 @@ def _sum_series(terms: Array, tau: Array) -> Array:
 
 
 def _stored_energy(tables: FlowTables, forms: QuadraticForms, complete: CompleteState) -> float:
-    """Return the energy stored in one state of the whole system, J."""
+    """Return the stored energy of structure, dampers and contact springs, J."""
     system = tables.system
     n, body = system.coordinates, system.damper_coordinate
     state = complete.state[: tables.size]

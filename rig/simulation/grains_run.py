@@ -116,6 +116,7 @@ class GrainsRun:
         return self.coupled.motion_parts(buffer._replace(rows=state.rows, contact=state.contact))
 
     def _tone(self, tone: ToneDrive) -> Callable[[int, int], Array]:
+        """Return a function of two sample numbers: the tone at the grains' steps between, shape (inputs, steps + 1)."""
         substeps, periods_per_step = self.coupled.substeps, self.coupled.step * tone.frequency
 
         def columns(first: int, last: int) -> Array:
@@ -127,4 +128,5 @@ class GrainsRun:
         return columns
 
     def _sampled(self, drive: Array) -> Callable[[int, int], Array]:
+        """Return a function as `_tone` for a sampled drive, shape (inputs, samples)."""
         return lambda first, last: interpolate_drive(drive[:, first : last + 1], self.coupled.substeps)

@@ -75,7 +75,7 @@ def summary(run: Run) -> str:
     lines = [f"{run.scene.name}: {run.time[-1]:.6g} s, {len(run.time)} samples", ""]
     lines.append(f"{'point':10}{'peak m':>12}{'peak m/s':>12}{'peak m/s2':>12}")
     for row, point in enumerate(run.points):
-        peaks = (np.abs(part[row]).max() for part in (run.displacement, run.velocity, run.acceleration))
+        peaks = (np.abs(motion[row]).max() for motion in (run.displacement, run.velocity, run.acceleration))
         lines.append(f"{point:10}" + "".join(f"{peak:12.4g}" for peak in peaks))
     lines.append("")
     for damper in sorted({int(number) for number in run.events["damper"]}):
@@ -119,6 +119,7 @@ def write_run(run: Run, path: Path) -> None:
 
 
 def _write_columns(run: Run, path: Path) -> None:
+    """Write time, motion and gaps as columns of a .csv file."""
     motion = {
         "displacement_m": run.displacement,
         "velocity_m_per_s": run.velocity,

@@ -187,6 +187,7 @@ def _check_memory(system: HybridSystem, instants: float) -> None:
 
 
 def _sampled_drive(drive: ArrayLike, system: HybridSystem) -> Array:
+    """Check a user's drive; return it as an array (inputs, samples)."""
     block = validate_drive(drive, system.inputs)
     if block.shape[1] < 2:
         raise RunError(f"drive: {block.shape[1]} samples are too few. Give two samples or more.")
@@ -196,6 +197,10 @@ def _sampled_drive(drive: ArrayLike, system: HybridSystem) -> Array:
 def _simulate_tone(
     scene: Scene, system: HybridSystem, tone: ToneDrive, duration: float, samples: int, rate: float
 ) -> Run:
+    """Simulate under a tone, in segments between samples and period starts.
+
+    With many samples in a period (dense), a time step is a sample interval instead of a period.
+    """
     is_dense = rate > MIN_DENSE_SAMPLES * tone.frequency
     propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega, 1.0 / rate if is_dense else None)
     # Cosine and sine of the drive at t = 0.
@@ -237,6 +242,7 @@ def _segment_times(
 
 
 def _simulate_sampled(scene: Scene, system: HybridSystem, drive: Array, rate: float) -> Run:
+    """Simulate under a sampled drive (inputs, samples), in segments between samples."""
     propagator, steps = sampled_propagator(system, 1.0 / rate)
     separated = propagator.set_state(system.initial, np.concatenate([drive[:, 0], np.zeros(len(system.inputs))]))
     start = complete_state(propagator)

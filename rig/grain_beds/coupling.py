@@ -227,6 +227,7 @@ class CoupledPropagator:
         """Return a trajectory whose segments are sample intervals instead of steps, for its events and breaks."""
 
         def in_intervals(segment: NDArray[np.int64], offset: Array) -> tuple[NDArray[np.int64], Array]:
+            """Convert numbers of steps, and times in them, to numbers of sample intervals and times in these."""
             return segment // self.substeps, offset + (segment % self.substeps) * self.step
 
         event_segment, event_offset = in_intervals(trajectory.event_segment, trajectory.event_offset)

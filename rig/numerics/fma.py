@@ -70,6 +70,7 @@ def _sums(same_rows: bool) -> Any:
             fma = _fused_lanes(builder)
 
             def along(begin: Any, c: int, distance: Any) -> Any:
+                """Return the index begin + c distance."""
                 return builder.add(begin, builder.mul(ir.Constant(number, c), distance))
 
             def factors_at(index: Any) -> Any:
@@ -79,6 +80,7 @@ def _sums(same_rows: bool) -> Any:
                 return load(context, builder, kinds[0], rows, index)
 
             def entries(entry: Any) -> list[tuple[Any, Any]]:
+                """Return for each of the sums the rows and factors (registers) of an entry."""
                 first = builder.add(row, builder.mul(entry, stride))
                 start = builder.add(factor, builder.mul(entry, step))
                 if same_rows:

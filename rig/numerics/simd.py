@@ -88,10 +88,12 @@ def _add_product(builder: Any, arguments: list[Any], row: Any, registers: int) -
         return ir.Constant(_INDEX, value)
 
     def lanes(pointer: Any, index: Any, register: int) -> Any:
+        """Return the pointer to the lanes of a register of rows, from an index on."""
         position = builder.gep(pointer, [builder.add(index, number(register * LANES))])
         return builder.bitcast(position, WIDE.as_pointer())
 
     def add_column(column: Any, count: int) -> None:
+        """Add the products of a column to the sums number `count`."""
         factors = broadcast(builder, builder.load(builder.gep(vector, [column])))
         position = builder.add(builder.mul(column, rows), row)
         for register in range(registers):
@@ -156,11 +158,11 @@ def _product(many_registers: bool) -> Any:
                 context.make_array(signature.args[position])(context, builder, arguments[position]).data
                 for position in (0, 2, 4, 7)
             )
-            parts = [builder.gep(matrix, [start]), builder.gep(constant, [offset]), vector, out, columns, rows]
+            operands = [builder.gep(matrix, [start]), builder.gep(constant, [offset]), vector, out, columns, rows]
             if many_registers:
-                builder.call(_many_rows(builder.module), [*parts, row])
+                builder.call(_many_rows(builder.module), [*operands, row])
             else:
-                _add_product(builder, parts, row, 1)
+                _add_product(builder, operands, row, 1)
             return context.get_dummy_value()
 
         return signature, generate

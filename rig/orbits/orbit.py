@@ -154,6 +154,7 @@ class Orbit(Result):
 
     @cached_property
     def _event_columns(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]:
+        """Dampers, kinds, times and closing speeds of the events, as `_events` returns them."""
         return _events(self.problem, self.plan, self.plan.instants(self.unknowns), self.closing)
 
     @cached_property

@@ -61,6 +61,7 @@ class OrbitBranch(Result):
 
     @property
     def _labels(self) -> tuple[str, ...]:
+        """Display names of the bodies."""
         return self.orbits[0].problem.scene.structure.labels
 
     def summary(self) -> str:

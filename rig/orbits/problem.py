@@ -283,12 +283,12 @@ class OrbitProblem:
             inverse_mass_derivative @ constant + inverse_mass @ constant_derivative
         )
         rate = np.array(float(np.linalg.norm(matrix_balance(state_matrix, permute=False)[0], 1)))
-        parts = (
+        arrays = (
             state_matrix, input_matrix, inverse_mass, inverse_mass @ clearance_force, rate,
             state_matrix_derivative, input_matrix_derivative, inverse_mass_derivative,
             inverse_mass_derivative @ clearance_force + inverse_mass @ clearance_force_derivative,
         )  # fmt: skip
-        return _ConfigurationMatrices(*(part[None] for part in parts))
+        return _ConfigurationMatrices(*(array[None] for array in arrays))
 
     def _wall_derivatives(self, mass_ratio: float) -> tuple[Array, Array]:
         """Return the derivatives of wall stiffness and damping with respect to the mass ratio, shape (dampers, 2).

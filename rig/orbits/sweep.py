@@ -365,6 +365,7 @@ class _Continuation:
 
 
 def _orbit_point(orbit: Orbit) -> _Point:
+    """Return the point of an admissible stable orbit."""
     return _Point(orbit.compliance, orbit.peak, orbit, "")
 
 

@@ -119,13 +119,13 @@ class GrainsRun:
         """Return a function of two sample numbers: the tone at the grains' steps between, shape (inputs, steps + 1)."""
         substeps, periods_per_step = self.coupled.substeps, self.coupled.step * tone.frequency
 
-        def columns(first: int, last: int) -> Array:
+        def tone_between(first: int, last: int) -> Array:
             # Count periods instead of adding radians, so that the phase is exact over a million periods.
             elapsed_periods = np.arange(first * substeps, last * substeps + 1) * periods_per_step
             phase = 2.0 * np.pi * (elapsed_periods - np.floor(elapsed_periods))
             return np.real(tone.amplitudes[:, None] * np.exp(1j * phase))
 
-        return columns
+        return tone_between
 
     def _sampled(self, drive: Array) -> Callable[[int, int], Array]:
         """Return a function as `_tone` for a sampled drive, shape (inputs, samples)."""

@@ -81,8 +81,8 @@ def summary(run: Run) -> str:
     for damper in sorted({int(number) for number in run.events["damper"]}):
         events = run.events[run.events["damper"] == damper]
         counts = Counter(str(kind) for kind in events["kind"])
-        parts = [f"{kind} {counts[kind]}" for kind in dict.fromkeys(EVENT_NAMES.tolist()) if counts[kind]]
-        lines.append(f"damper {damper}: {', '.join(parts)}; fastest impact {events['speed'].max():.4g} m/s")
+        event_counts = [f"{kind} {counts[kind]}" for kind in dict.fromkeys(EVENT_NAMES.tolist()) if counts[kind]]
+        lines.append(f"damper {damper}: {', '.join(event_counts)}; fastest impact {events['speed'].max():.4g} m/s")
     lines.append(f"events: {len(run.events)}, decided within rounding: {run.ambiguous}")
     energy = run.energy
     lines += [

@@ -8,6 +8,8 @@ import pytest
 from daq.bench_page.hits import HitDetector
 
 RATE = 1000.0  # Hz
+MIN_PEAK = 20.0  # smallest accepted peak, N
+WINDOW_S = 0.4  # length of the window of a hit, s
 
 
 def force_of(*pulses: tuple[float, float], seconds: float = 1.0) -> np.ndarray:
@@ -21,7 +23,8 @@ def force_of(*pulses: tuple[float, float], seconds: float = 1.0) -> np.ndarray:
 
 
 def detect_hits(readings, overload=None, block=100):
-    detector = HitDetector(0, RATE, min_peak=20.0, window=0.4)
+    """Return the hits that are detected in blocks of `block` samples; without `overload`, no sample is overloaded."""
+    detector = HitDetector(0, RATE, MIN_PEAK, WINDOW_S)
     overload = np.zeros(readings.shape, bool) if overload is None else overload
     for first in range(0, readings.shape[1], block):
         detector.add(first, readings[:, first : first + block], overload[:, first : first + block])
@@ -46,6 +49,7 @@ def test_faults_of_a_hit_are_named(pulses, faults):
 
 def test_overload_in_the_window_is_clipping():
     overload = np.zeros((1, 1000), bool)
+    # A sample in the window of the hit at sample 200.
     overload[0, 205] = True
     assert detect_hits(force_of((0.2, 50.0)), overload)[0].faults == ["clipped"]
 
@@ -54,13 +58,15 @@ def test_overload_in_the_window_is_clipping():
 def test_hits_do_not_depend_on_blocks(block):
     hits = detect_hits(force_of((0.1, 50.0), (0.6, 40.0), seconds=1.2), block=block)
     assert [hit.number for hit in hits] == [1, 2]
+    # The force of the half sines exceeds 30 N 2 ms after their start.
     assert [hit.first + int(np.argmax(hit.force > 30.0)) for hit in hits] == [102, 602]
-    assert all(hit.readings.shape == (1, 400) for hit in hits)
+    assert all(hit.readings.shape == (1, round(WINDOW_S * RATE)) for hit in hits)
 
 
 def test_hit_with_missing_samples_is_ignored():
-    detector, readings = HitDetector(0, RATE, min_peak=20.0, window=0.4), force_of((0.2, 50.0))
-    flags = np.zeros((1, 300), bool)
-    detector.add(0, readings[:, :300], flags)
-    detector.add(500, readings[:, 500:800], flags)
+    detector, readings = HitDetector(0, RATE, MIN_PEAK, WINDOW_S), force_of((0.2, 50.0))
+    no_overload = np.zeros((1, 300), bool)
+    # Samples 300 to 499 are missing; the window of the hit extends from sample 190 to 589.
+    detector.add(0, readings[:, :300], no_overload)
+    detector.add(500, readings[:, 500:800], no_overload)
     assert detector.hits == []

@@ -22,12 +22,14 @@ class KnownValues:
 
 
 @pytest.mark.parametrize("oversampling", [1, 2, 5])
-@pytest.mark.parametrize("cuts", [[], [1], [1, 2, 3, 9], [0, 7, 7, 20]])
-def test_polynomials_of_intervals_equal_those_of_samples(oversampling, cuts):
+@pytest.mark.parametrize("block_ends", [[], [1], [1, 2, 3, 9], [0, 7, 7, 20]])
+def test_polynomials_of_intervals_equal_those_of_samples(oversampling, block_ends):
+    # Voltages of four disturbances, of degrees 0, 1, 2 and 0, at 30 samples.
     samples = np.random.default_rng(oversampling).standard_normal((4, 30))
     disturbances = Disturbances([KnownValues(row) for row in samples], np.zeros(4), (0, 1, 2, 0), oversampling)
     n_intervals = 29 * oversampling + 1
-    coefficients = np.concatenate([disturbances.draw(int(n)) for n in np.diff([0, *cuts, n_intervals])], axis=1)
+    coefficients = np.concatenate([disturbances.draw(int(n)) for n in np.diff([0, *block_ends, n_intervals])], axis=1)
+    # Instants in an interval, from -1 to 1.
     in_interval = np.linspace(-1.0, 1.0, 5)
     # Interval 0 ends at sample 0; the polynomials of a sample are valid since the previous sample.
     for interval in range(n_intervals):
@@ -43,6 +45,7 @@ def test_direct_disturbances_are_added():
     disturbances = Disturbances(
         [Offset(level, None, 1.0) for level in (1.0, 2.0, 5.0)], np.array([0.5, 0.0, -1.0]), (0, 0, 0), 1
     )
+    # 0.5 * 1 + 0 * 2 - 1 * 5 = -4.5 V is added to each sample.
     volts = np.array([10.0, 20.0])
     disturbances.add_direct(disturbances.draw(2), volts)
     assert volts.tolist() == [5.5, 15.5]
@@ -54,6 +57,7 @@ def test_settling_offset_is_exponential():
     level, time_constant, rate = -3.0, 0.25, 100.0
     source = Offset(level, time_constant, rate)
     samples = np.empty(200)
+    # Blocks of 1, 0, 59 and 140 samples.
     for start, stop in ((0, 1), (1, 1), (1, 60), (60, 200)):
         source.fill(samples[start:stop])
     np.testing.assert_allclose(samples, level * (1.0 - np.exp(-np.arange(200) / rate / time_constant)), atol=1e-12)
@@ -72,6 +76,7 @@ def test_settling_offset_is_exponential():
 def test_shaped_noise_density_follows_the_corner(corner, rate, tolerance, tolerance_at_nyquist):
     loss, weight, gain = flicker_filter(corner, rate)
     frequency = np.geomspace(10 * min(LOWEST, 0.1 * corner, 0.01 * rate), 0.5 * rate, 200)
+    # Transfer function of a delay by one sample.
     delay = np.exp(-2j * np.pi * frequency / rate)[:, None]
     density = gain * abs(1.0 + np.sum(weight * delay / (1.0 - (1.0 - loss) * delay), axis=1))
     error = abs(density / np.sqrt(1.0 + corner / frequency) - 1.0)
@@ -98,6 +103,7 @@ def test_shaped_noise_is_filtered_white_noise():
 @pytest.mark.parametrize("degree", [1, 2])
 def test_noise_of_each_polynomial_has_its_power(degree):
     density, samples = 2e-6, np.empty(200_000)
+    # Power ratio: 1 + 2 corner / rate, of the density at half the sample rate to that of white noise.
     for corner, rate, power_ratio in ((None, 1.0, 1.0), (100.0, 1000.0, 1.2)):
         FastNoise(density, corner, rate, generator(5, "c", "fast"), degree).fill(samples)
         # White noise projected on P_d: a variance of 2 d + 1 times that of its average, density^2 rate / 2.

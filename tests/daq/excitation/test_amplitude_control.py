@@ -40,6 +40,7 @@ def test_drive_changes_by_factor_three_at_most(start: float) -> None:
 
 def test_level_beyond_decreasing_force_is_reached() -> None:
     def force(drive: float) -> float:
+        # The force falls from 1 to 0.6 N between drives of 1 and 1.5, and rises beyond.
         return float(np.interp(drive, [0.0, 1.0, 1.5, 101.5], [0.0, 1.0, 0.6, 200.6]))
 
     drives = control_drive(force, 0.05)
@@ -48,6 +49,7 @@ def test_level_beyond_decreasing_force_is_reached() -> None:
 
 def test_drive_is_stable_at_jump_over_level() -> None:
     drives = control_drive(lambda drive: 2.0 * drive if drive < 1.0 else 4.0 * drive, 0.5, max_drives=40)
+    # The level is between the forces before and after the jump. The last drives stay near the jump, at a drive of 1.
     assert len(drives) == 40
     assert np.all(np.abs(np.log(drives[15:])) < np.log(3.0))
 
@@ -60,12 +62,14 @@ def test_amplifier_limit_is_respected() -> None:
 
 def test_excessive_force_cuts_drive() -> None:
     control = AmplitudeControl(LEVEL)
+    # The drive is reduced in proportion to the force, at most by a factor of three.
     assert control.reduce_drive(9.0, 100.0) == pytest.approx(3.0)
     assert control.reduce_drive(9.0, 2 * LEVEL) == pytest.approx(4.5)
     assert control.next_drive(1.0, LEVEL / 2) == pytest.approx(2.0)
 
 
 def test_tolerance_of_level_includes_standard_error() -> None:
+    # The tolerance is twice the relative standard error, but at most 2 %.
     control = AmplitudeControl(100.0)
     assert not control.is_at_level(101.0)
     assert control.is_at_level(101.0, standard_error=0.006)

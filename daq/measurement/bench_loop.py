@@ -81,9 +81,9 @@ class BenchLoop(ABC):
         return max(0, self.station.now - self.bench.latency - 1)
 
     def play(self, test: Excitation, drive: Array, longest: float = math.inf) -> bool:
-        """Play a test from its first window `drive`; return whether it ended regularly within `longest` s.
+        """Play a test; return whether it ended regularly within `longest` s.
 
-        An error of `ending` is raised after a ramp of the drive to zero.
+        `drive` is the drive of its first window. An error of `ending` is raised after a ramp of the drive to zero.
         """
         check_samples = self.station.samples(self._limits.interval)
         while self.station.now < longest * self.bench.rate:
@@ -92,7 +92,7 @@ class BenchLoop(ABC):
                 readings.append(self.acquire(drive[:, start : start + check_samples]))
                 error = self.ending(readings[-1])
                 if error is not None:
-                    # The test is closed first: its markers of held intervals must not include the ramp.
+                    # Closing the test first ends its open markers before the ramp.
                     test.close()
                     self.acquire(ramp_down(self._last, self.station.samples(RAMP_S)))
                     raise error
@@ -100,6 +100,7 @@ class BenchLoop(ABC):
                 drive = test.send(readings[0] if len(readings) == 1 else np.concatenate(readings, axis=1))
             except StopIteration:
                 if self.bench.latency:
+                    # The last samples of the test are still in the converter's filter.
                     self.acquire(np.repeat(self._last[:, -1:], self.bench.latency, axis=1))
                 return True
         return False
@@ -115,19 +116,19 @@ class BenchLoop(ABC):
 
     def acquire(self, drive: Array) -> Array:
         """Play a window of drive (inputs, samples) in blocks; return the readings, shape (channels, samples)."""
-        first, size = self.station.now, drive.shape[1]
-        block_size = size if self._block is None else self._block
-        readings = np.zeros((len(self.bench.channels), size))
+        first, n_samples = self.station.now, drive.shape[1]
+        block_size = n_samples if self._block is None else self._block
+        readings = np.zeros((len(self.bench.channels), n_samples))
         overload = np.zeros(readings.shape, dtype=bool)
-        for start in range(0, size, block_size):
-            stop = min(start + block_size, size)
+        for start in range(0, n_samples, block_size):
+            stop = min(start + block_size, n_samples)
             block = self.bench.acquire(drive[:, start:stop])
             # With a removed filter delay, the first blocks have fewer samples than drive.
             columns = slice(stop - block.samples.shape[1], stop)
             readings[:, columns] = self.bench.physical(block.samples)
             overload[:, columns] = block.overload
             self.on_block(block, readings[:, columns])
-        self.station.now = first + size
+        self.station.now = first + n_samples
         self._last = np.concatenate([self._last, drive[:, -2:]], axis=1)[:, -2:]
         self._control_lost = self._control.watch(first, overload)
         self.on_window(first, drive, overload)

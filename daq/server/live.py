@@ -55,7 +55,7 @@ class LiveView:
 
 
 class LiveRecording:
-    """Records all channels of a bench while clients use it, and marks overloads.
+    """Records all channels of a bench while clients use it, and marks overloads in the recording.
 
     A change of the input settings starts another file, with a number appended to its name. An error while it records
     is reported on stderr and ends the recording; clients continue. Raises `RecordingError` if the folder of `path`

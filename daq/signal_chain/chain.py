@@ -28,8 +28,9 @@ from rig.simulation.motion import Motion
 class Chain:
     """All channels of a scene, up to the converter's input; results do not depend on the division into blocks.
 
-    `rate` is the rate of the motion, Hz, a multiple of the converter's true rate. `points` are the places whose motion
-    is given, such as "body 1"; `inputs` are the inputs of the rig whose forces or drives are given.
+    `rate` is the rate of the motion, Hz, a multiple of the converter's true rate (its sample rate with the clock
+    error). `points` are the places whose motion is given, such as "body 1"; `inputs` are the inputs of the rig whose
+    forces or drives are given.
 
     The acceleration of a point is piecewise cubic between samples and impacts (`daq.dsp.interpolation`). Each impact
     is an impulse of acceleration at its instant. The analog stages are linear, and their response to this input is

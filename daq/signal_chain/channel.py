@@ -40,7 +40,7 @@ class ChannelInfo:
     rate: float  # nominal sample rate, Hz
     zeros: tuple[complex, ...] = ()
     poles: tuple[complex, ...] = ()
-    gain: float = 1.0  # factor of prod(s - zeros) / prod(s - poles), in rad/s
+    gain: float = 1.0  # factor of prod(s - zeros) / prod(s - poles), with s, zeros and poles in rad/s
     average: bool = False  # each sample is the average over the sample interval that ends at it
     delay: float = 0.0  # in addition to that of the averaging, s
     filter: Mapping[str, float] = field(default_factory=dict)  # fields of `Decimation`, used for its magnitude only

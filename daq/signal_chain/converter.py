@@ -1,4 +1,7 @@
-"""Converters: the inputs turn volts into counts; the outputs clip and quantize the drives of the shakers."""
+"""Converters: the inputs turn volts into counts; the outputs clip and quantize the drives of the shakers.
+
+A count is the step of a quantized voltage; a sample in counts is the integer code of a converter.
+"""
 
 from __future__ import annotations
 

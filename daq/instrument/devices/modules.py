@@ -53,7 +53,7 @@ class Module:
     rates: Rates = DIVIDED  # sample rates of the inputs
     output_rates: Rates = DIVIDED
     timebase: float = 13.1072e6  # frequency of the clock that the sample clocks divide, Hz
-    own_rate: float | None = None  # further rate of the inputs: that of the scene's converter without a named module
+    own_rate: float | None = None  # further rate of the inputs, S/s: that of the scene's converter without a preset
     couplings: tuple[Coupling, ...] = (Coupling.AC, Coupling.DC)
     wirings: tuple[Wiring, ...] = (Wiring.PSEUDO_DIFFERENTIAL,)  # terminal configurations
     currents: tuple[float, ...] = (0.002,)  # of the IEPE supply, A

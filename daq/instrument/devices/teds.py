@@ -70,7 +70,7 @@ def sensitivity(data: bytes) -> float | None:
 
 
 def with_sensitivity(basic: bytes, template: int, volts: float) -> bytes:
-    """Return a basic TEDS with a template appended that contains the sensitivity, V per unit."""
+    """Return a data sheet: a basic TEDS with a template that contains the sensitivity `volts`, V per unit."""
     bits = int.from_bytes(basic, "little") | template << 66
     if template in _SENSITIVITY:
         offset, smallest, ratio = _SENSITIVITY[template]
@@ -79,7 +79,7 @@ def with_sensitivity(basic: bytes, template: int, volts: float) -> bytes:
 
 
 class TedsMemory:
-    """The data sheets of the sensors, and the virtual data sheets that replace them.
+    """The data sheets of the sensors, and the virtual data sheets (files) that replace them.
 
     `sensor_sheet` returns the data sheet of the sensor at a terminal, None without a data sheet.
     """

@@ -69,8 +69,8 @@ _OUTPUT: dict[str, Any] = {
 class Channel:
     """One channel of a task."""
 
-    name: str  # virtual name
-    port: Port  # the terminal, by the name in the script
+    name: str  # name in the task, which the script may choose ("virtual name" in NI-DAQmx)
+    port: Port  # the physical channel (terminal), by its name in the script
     module: Module
     row: int  # index of the bench's channel or drive at the terminal
     kind: Measurement | None  # kind of measurement of an input; None for an output

@@ -41,7 +41,10 @@ def plain_value(value: Any) -> Any:
 
 
 def task_action(action: Callable[[Task, dict[str, Any]], Any]) -> Handler:
-    """Return the handler for an action of a task; an integer that the action returns is the status of the response."""
+    """Return the handler for an action of a task, a function of the task and the fields of the call.
+
+    An integer that the action returns is the status of the response, the code of a warning.
+    """
 
     def act(call: Call) -> Answer:
         status = action(call.task, call.fields)

@@ -13,7 +13,7 @@ from tests.daq.client import Task, connect, inputs, raises_code
 
 
 class CountingBench:
-    """A bench that only counts samples, at 1000 Hz."""
+    """A bench that only counts ticks, at 1000 Hz."""
 
     rate = 1000.0
 
@@ -24,9 +24,9 @@ class CountingBench:
         self.live = True
         self.delays = []
 
-    def advance(self, samples):
+    def advance(self, ticks):
         with self.changed:
-            self.position += samples
+            self.position += ticks
             self.changed.notify_all()
             self.sleepers.wake(self.position)
 
@@ -43,13 +43,15 @@ class CountingBench:
 
 def test_fast_clock_advances_by_exact_time():
     bench = CountingBench()
-    assert FastClock().wait(bench, lambda: bench.position >= 300, lambda: 300 - bench.position, 10.0)
+    with bench.changed:
+        assert FastClock().wait(bench, lambda: bench.position >= 300, lambda: 300 - bench.position, 10.0)
     assert bench.position == 300
 
 
 def test_fast_clock_times_out_in_bench_time():
     bench = CountingBench()
-    assert not FastClock().wait(bench, lambda: False, lambda: 7, 0.25)
+    with bench.changed:
+        assert not FastClock().wait(bench, lambda: False, lambda: 7, 0.25)
     assert bench.position == 250
 
 
@@ -150,6 +152,7 @@ def test_delayed_bench_advances_at_limited_rate():
 
 def test_delay_of_machine_is_logged_once(caplog):
     delays = _Delays()
+    # Wall-clock times and delays, s.
     for now, delay in ((1.0, 0.5), (1.1, 0.2), (1.2, 0.01), (2.0, 0.3), (2.1, 0.0), (3.0, 0.1)):
         delays.note(delay, now)
     assert [each.getMessage() for each in caplog.records if "0.50 s behind" in each.getMessage()]

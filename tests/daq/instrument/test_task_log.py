@@ -17,13 +17,14 @@ def chassis():
 
 
 def configure_logging_task(task, path, mode=LoggingMode.LOG_AND_READ, operation=LoggingOperation.CREATE, **timing):
+    """Add two inputs to a task, and log them into a file."""
     task.ai_channels.add_ai_voltage_chan("Dev1/ai0:1")
     task.timing.cfg_samp_clk_timing(RATE, **(timing or {"sample_mode": AcquisitionType.CONTINUOUS}))
     task.in_stream.configure_logging(path, mode, operation=operation)
     return task
 
 
-def test_log_holds_all_samples(chassis, tmp_path):
+def test_log_contains_all_samples(chassis, tmp_path):
     path = tmp_path / "task.mcap"
     with Task() as task:
         configure_logging_task(task, path)
@@ -81,7 +82,7 @@ def test_log_after_overrun_is_complete(chassis, tmp_path):
         np.testing.assert_allclose(volts[400:900], np.concatenate(later, axis=1)[0], rtol=1e-12)
 
 
-def test_log_holds_modules_with_shared_sensors(tmp_path):
+def test_log_names_modules_with_shared_sensors(tmp_path):
     chassis = connect("fig8-three-dampers", ManualClock())
     path = tmp_path / "modules.mcap"
     with Task() as task:
@@ -100,7 +101,7 @@ def test_log_holds_modules_with_shared_sensors(tmp_path):
         assert np.array_equal(recording.read("third"), recording.read("body3"))
 
 
-def test_pure_log_rejects_reading(chassis, tmp_path):
+def test_task_that_only_logs_rejects_reads(chassis, tmp_path):
     path = tmp_path / "alone.mcap"
     with Task() as task:
         configure_logging_task(task, path, LoggingMode.LOG)
@@ -117,7 +118,7 @@ def test_pure_log_rejects_reading(chassis, tmp_path):
 
 
 @pytest.mark.parametrize("overwrite", OverwriteMode)
-def test_pure_log_keeps_blocks_larger_than_buffer(chassis, tmp_path, overwrite):
+def test_log_is_complete_despite_small_buffer(chassis, tmp_path, overwrite):
     path = tmp_path / "at_once.mcap"
     with Task() as task:
         configure_logging_task(task, path, LoggingMode.LOG, samps_per_chan=3000)
@@ -131,7 +132,7 @@ def test_pure_log_keeps_blocks_larger_than_buffer(chassis, tmp_path, overwrite):
         assert (recording.samples, recording.gaps, recording.status) == (3000, [], "complete")
 
 
-def test_log_holds_reference_trigger_record(tmp_path):
+def test_log_contains_record_of_reference_trigger(tmp_path):
     connect("fig10b-no-damper", "fast")
     path = tmp_path / "hit.mcap"
     with Task() as task:
@@ -149,7 +150,7 @@ def test_log_holds_reference_trigger_record(tmp_path):
 @pytest.mark.parametrize("name", ["dropped.mcap", "dropped.tdms"])
 def test_log_states_where_samples_were_lost(tmp_path, mode, name):
     scene = rig.load("fig8-three-dampers")
-    dropped = {"at": "0.1 s", "samples": 256}
+    dropped = {"at": "0.1 s", "samples": 256}  # from sample 512 at 5120 S/s
     scene = scene.replace(converter=scene.converter.replace(dropped_blocks=[dropped]))
     chassis = connect(scene, ManualClock())
     path = tmp_path / name
@@ -192,7 +193,7 @@ def test_impossible_log_file_is_explained(chassis, tmp_path, name, operation, hi
         assert (tmp_path / "old.mcap").read_bytes() == b"something"
 
 
-def test_tdms_log_holds_readings(chassis, tmp_path):
+def test_tdms_log_contains_readings(chassis, tmp_path):
     import nptdms
 
     path = tmp_path / "task.tdms"

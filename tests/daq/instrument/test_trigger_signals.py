@@ -1,6 +1,7 @@
 """Start and reference triggers of a task, on signals of the bench.
 
-The table moves a single pulse of 1 mm, read as 1 V or more; triggers on its channel have a level of 0.5.
+The table moves a single pulse of 1 mm, read as 1 V or more; triggers on its channel, ai3, have a level of 0.5 V. The
+record of a task is the sequence of samples that its trigger selects.
 """
 
 import numpy as np
@@ -23,7 +24,7 @@ def start_s(waveform):
 
 
 def pulse(first, length=4000):
-    """Return the volts of a table displacement of 1 mm for 10 ms that begins at a sample."""
+    """Return output voltages that move the table by 1 mm for 10 ms, from the sample `first` on."""
     volts = np.zeros(length)
     volts[first : first + 51] = np.hanning(51)
     return volts

@@ -33,7 +33,7 @@ def first_trigger(samples, skip, is_trigger, is_arming):
 
 
 def find_in_blocks(condition, samples, skip, cuts):
-    """Return the index of the trigger that is detected in the blocks of a signal."""
+    """Return the index at which the finder detects a trigger in a signal that is divided into blocks at `cuts`."""
     ((_, finder),) = AnalogSource(((0, condition),)).finders()
     first = 0
     for block in np.split(np.array(samples), cuts):

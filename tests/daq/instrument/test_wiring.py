@@ -22,7 +22,7 @@ converter: {preset: MODULE, rate: 5120 Hz}
 
 
 def connect_module(module="NI 9234", text=SCENE):
-    """Connect to the scene with this converter."""
+    """Connect to the scene with this input module."""
     scene = rig.loads(text.replace("MODULE", module))
     return connect(scene, "fast")
 
@@ -60,6 +60,7 @@ def test_sensor_without_supply_has_no_signal():
     supplied = vibration_levels(ExcitationSource.INTERNAL)
     connect_module()
     unsupplied = vibration_levels(ExcitationSource.NONE)
+    # In g.
     assert supplied[0] > 1e-2 and unsupplied[0] < 1e-3 * supplied[0]
     # The other inputs are unaffected; the sensor without an internal amplifier works even without supply.
     np.testing.assert_allclose(unsupplied[1:], supplied[1:], rtol=1e-3)
@@ -142,6 +143,7 @@ def test_shakers_follow_their_own_outputs():
     # Vibration controllers start their outputs with the inputs by this terminal.
     assert "/cDAQ1/ai/StartTrigger" in devices["cDAQ1Mod3"].compact_daq_chassis_device.terminals
     assert [each.product_type for each in devices] == ["cDAQ-9178", "NI 9234", "NI 9234", "NI 9260 (BNC)"]
+    # The outputs have different numbers of periods in 512 samples.
     output_volts = np.stack([np.sin(2 * np.pi * n * np.arange(512) / 512) for n in (4, 11)])
     with Task() as driving, Task() as task:
         driving.ao_channels.add_ao_voltage_chan("cDAQ1Mod3/ao0:1", min_val=-4, max_val=4)

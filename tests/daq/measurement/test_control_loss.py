@@ -1,4 +1,7 @@
-"""A test ends if the force controller's inputs are overloaded; the error names a sensor's bias as the cause."""
+"""A test ends if the inputs of the force controller are overloaded; the error names a sensor's bias as the cause.
+
+The bias is the constant voltage at the output of an IEPE sensor.
+"""
 
 import pytest
 

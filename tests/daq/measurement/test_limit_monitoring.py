@@ -30,10 +30,12 @@ channels:
 
 
 def make_scene(shaker="table, body: 1, spring: 6 kN/m", level="force: 1 N"):
+    """Return the scene with this shaker and this level of the test."""
     return rig.loads(SCENE.format(shaker=shaker, level=level), where="a test")
 
 
 def in_blocks(cuts, values):
+    """Yield values, shape (channels, samples), in blocks between the cuts, each with the number of its first sample."""
     first = 0
     for block in np.split(values, cuts, axis=1):
         yield first, block
@@ -90,16 +92,20 @@ def test_gap_at_slow_rate_divides_intervals():
 def test_first_reading_above_limit_aborts(readings):
     readings, marked = np.array(readings), []
     limits = Limits(make_scene(), INFOS, lambda kind, *span, channel: marked.append((kind, channel, *span)))
-    trip = limits.watch(1000, readings)
+    exceedance = limits.watch(1000, readings)
     limits.close()
     exceeding = [(k, row) for k in range(12) for row in (0, 1) if abs(readings[row, k]) > (5.0, 4.0)[row]]
     if exceeding:
         sample, row = exceeding[0]
-        assert (trip.sample, trip.channel, trip.value) == (1000 + sample, INFOS[row], readings[row, sample])
-        assert trip.limit == (5.0, 4.0)[row]
-        assert f"channel {'ta'[row]}: {readings[row, sample]:.4g} m/s^2 at {125 + sample / 8:.3f} s" in str(trip)
+        assert (exceedance.sample, exceedance.channel, exceedance.value) == (
+            1000 + sample,
+            INFOS[row],
+            readings[row, sample],
+        )
+        assert exceedance.limit == (5.0, 4.0)[row]
+        assert f"channel {'ta'[row]}: {readings[row, sample]:.4g} m/s^2 at {125 + sample / 8:.3f} s" in str(exceedance)
     else:
-        assert trip is None
+        assert exceedance is None
     expected = [
         ("alarm", INFOS[row].name, 1000 + first, 1000 + stop)
         for row, limit in ((0, 3.0), (2, 2.0))
@@ -115,7 +121,7 @@ def test_channels_without_limits_are_not_monitored():
 
 
 @pytest.mark.parametrize(
-    ("changes", "rows"),
+    ("changes", "rows"),  # rows of the channels that measure the controlled force
     [
         ({}, {0, 1}),
         ({"level": "drive: 1 V", "shaker": "electrodynamic, body: 2, spring: 6 kN/m"}, set()),
@@ -151,7 +157,7 @@ def test_alarm_and_abort_limits_are_independent(limits, expected):
     marks = []
     monitor = Limits(rig.loads(text), INFOS[1:2], lambda *mark, **fields: marks.append(mark))
     assert monitor.has_limits == expected
-    trip = monitor.watch(0, np.array([[1.0, 4.0, 1.0]]))
+    exceedance = monitor.watch(0, np.array([[1.0, 4.0, 1.0]]))
     monitor.close()
-    assert (trip is not None) == ("abort" in limits)
+    assert (exceedance is not None) == ("abort" in limits)
     assert marks == ([("alarm", 1, 2)] if "alarm" in limits else [])

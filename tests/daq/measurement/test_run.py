@@ -28,10 +28,12 @@ STEPS = {
 
 
 def hit_scene(**changes: Any) -> rig.Scene:
+    """Return a structure with three dampers that a hammer hits once, after 0.25 s, with these changes."""
     return rig.load("fig10b-three-dampers").replace(test=HIT, **changes)
 
 
 def steps_scene(**changes: Any) -> rig.Scene:
+    """Return a structure with three dampers and a stepped sine of two frequencies, with these changes."""
     return rig.load("fig8-three-dampers").replace(test=STEPS, **changes)
 
 
@@ -62,7 +64,7 @@ def test_recording_with_removed_delay_starts_at_zero(tmp_path: Path) -> None:
         assert np.isfinite(recording.read("body1")).all()
 
 
-def test_other_seed_gives_other_noise(tmp_path: Path) -> None:
+def test_seed_determines_noise(tmp_path: Path) -> None:
     paths = [daq.record(hit_scene(seed=seed), tmp_path / f"{seed}.mcap") for seed in (1, 2)]
     with daq.open(paths[0]) as first, daq.open(paths[1]) as second:
         assert not np.array_equal(first.read("body1"), second.read("body1"))
@@ -141,7 +143,8 @@ def test_abort_ramps_shaker_down(tmp_path: Path) -> None:
         abort = rec.markers[-1]
         assert abort.first_sample == np.flatnonzero(np.abs(rec.read("b1")) > 5.0)[0]
         # A table that stopped at once would have an acceleration of hundreds of m/s^2.
-        assert np.abs(table[-512:]).max() < 20.0
+        last_tenth_of_second = table[-512:]
+        assert np.abs(last_tenth_of_second).max() < 20.0
 
 
 def test_block_size_does_not_change_abort(tmp_path: Path) -> None:
@@ -168,12 +171,14 @@ def test_overloaded_samples_are_marked(tmp_path: Path) -> None:
     path = daq.record(scene, tmp_path / "a.mcap")
     with daq.open(path) as rec:
         marks = [mark for mark in rec.markers if mark.kind == "overload"]
-        at_full_scale = np.flatnonzero(np.abs(rec.read("b1")) >= 10.0 - 20.0 / 2**16)
+        range_v, count_v = 10.0, 20.0 / 2**16  # 1 V per m/s^2
+        at_full_scale = np.flatnonzero(np.abs(rec.read("b1")) >= range_v - count_v)
         assert marks[0].first_sample == at_full_scale[0]
         assert marks[-1].last_sample == at_full_scale[-1]
 
 
 def test_lost_blocks_leave_gaps(tmp_path: Path) -> None:
+    # Samples 512 to 811 at 5120 S/s, and all samples from 3584 on.
     lost = [{"at": "0.1 s", "samples": 300}, {"at": "0.7 s", "samples": 10_000}]
     converter = {"rate": "5120 Hz", "bits": 24, "range": "5 V"}
     whole = daq.record(hit_scene(converter=converter), tmp_path / "whole.mcap")
@@ -270,7 +275,7 @@ def test_file_instead_of_folder_is_reported(tmp_path: Path) -> None:
 
 
 def test_folder_without_new_files_is_not_reported_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # As in /proc.
+    # The folder /proc has this error.
     def fail(*_: Any, **__: Any) -> None:
         raise FileNotFoundError(2, "No such file or directory")
 
@@ -302,7 +307,7 @@ def test_progress_warns_of_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert any("the disk will be full before the end" in message for message in messages)
 
 
-def test_test_is_not_started_on_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_disk_is_reported_before_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1 << 19))
     with pytest.raises(SceneError, match=r"has 0\.5 MB left"):

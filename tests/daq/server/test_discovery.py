@@ -26,9 +26,11 @@ class ReflectedClient:
         self.pool = descriptor_pool.DescriptorPool(self.database)
 
     def services(self):
+        """Return the names of the services that the server describes."""
         return set(self.database.get_services())
 
     def call(self, service, method, /, **fields):
+        """Send a request with these fields; return the response."""
         description = self.pool.FindServiceByName(service).FindMethodByName(method)
         request = message_factory.GetMessageClass(description.input_type)
         response = message_factory.GetMessageClass(description.output_type)
@@ -40,6 +42,7 @@ class ReflectedClient:
         return send(request(**fields))
 
     def daqmx(self, method, **fields):
+        """Call a method of the instrument's service; return the response."""
         return self.call("nidaqmx_grpc.NiDAQmx", method, **fields)
 
 
@@ -67,7 +70,7 @@ def test_client_of_reflection_writes_and_reads(client):
         physical_channel="cDAQ1Mod2/ao0",
         min_val=-10,
         max_val=10,
-        units_raw=10348,
+        units_raw=10348,  # V
     )
     client.daqmx(
         "CreateAIVoltageChan",

@@ -32,6 +32,7 @@ def chassis():
 
 
 def inputs(task, channels="cDAQ1Mod1/ai0", samples=100, **timing):
+    """Add voltage inputs with a sample clock to a task."""
     task.ai_channels.add_ai_voltage_chan(channels, min_val=-500.0, max_val=500.0)
     task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=samples, **timing)
     return task
@@ -39,12 +40,12 @@ def inputs(task, channels="cDAQ1Mod1/ai0", samples=100, **timing):
 
 @reads_waveforms
 def test_waveform_starts_at_wall_clock_time(monkeypatch):
-    clock, now = WallClock(), [1_700_000_000 * 10**9]
+    clock, now = WallClock(), [1_700_000_000 * 10**9]  # ns since 1970, in 2023
     monkeypatch.setattr("daq.instrument.chassis.time.time_ns", lambda: now[0])
     connect("bare-structure", clock)
     start_times = []
-    for idle in (0, 3, 100):
-        now[0] += idle * 10**9
+    for idle_s in (0, 3, 100):
+        now[0] += idle_s * 10**9
         with Task() as task:
             inputs(task)
             task.start()
@@ -139,6 +140,7 @@ def test_start_trigger_time_is_known(chassis):
         trigger.cfg_dig_edge_start_trig("/cDAQ1/PFI0")
         trigger.timestamp_enable = True
         task.read(READ_ALL_AVAILABLE)
+        # The first pulse at the terminal PFI0 is 1 s after power-on.
         assert trigger.timestamp_val.timestamp() == pytest.approx(1.0, abs=1 / RATE)
 
 

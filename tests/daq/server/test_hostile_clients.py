@@ -24,7 +24,8 @@ from daq.server.served_instrument import Limits
 from rig import load
 
 RATE = 5120.0  # Hz
-N_CALLS = 300
+N_CALLS = 300  # random calls during the witness's task
+# Values of fields: valid values, limits, and values that a careless server would not expect.
 TEXTS = (
     "",
     "cDAQ1Mod2/ai0",
@@ -56,10 +57,12 @@ def two_modules():
 
 
 def client(rig):
+    """Return session options of a separate client."""
     return nidaqmx.GrpcSessionOptions(open_channel(rig.address), "")
 
 
 def inputs(options, channels="cDAQ1Mod1/ai0:3", **timing):
+    """Return a task with voltage inputs at `RATE`."""
     task = nidaqmx.Task(grpc_options=options)
     task.ai_channels.add_ai_voltage_chan(channels)
     task.timing.cfg_samp_clk_timing(RATE, **timing)
@@ -94,6 +97,7 @@ def fill(message, rng, sessions, depth=0):
 
 
 def send(channel, name, data):
+    """Send the bytes of a request to a call; return the bytes of the response."""
     return channel.unary_unary(f"/{SERVICE.full_name}/{name}")(data, timeout=20.0)
 
 
@@ -105,7 +109,7 @@ def open_stream(options, task, name):
     if name == "RegisterEveryNSamplesEvent":
         request.n_samples, request.every_n_samples_event_type_raw = 100, 1
     if name == "RegisterSignalEvent":
-        request.signal_id_raw = 12_491
+        request.signal_id_raw = 12_491  # start trigger
     stream = options.grpc_channel.unary_stream(f"/{SERVICE.full_name}/{name}")(request.SerializeToString())
     # The server sends the metadata once the event is registered.
     stream.initial_metadata()
@@ -117,6 +121,7 @@ def send_random_call(channel, method, rng, sessions):
     request = method.request()
     fill(request, rng, sessions)
     data = bytearray(request.SerializeToString())
+    # One request in 21 has three damaged bytes.
     for _ in range(rng.choice((0,) * 20 + (3,)) if data else 0):
         data[rng.randrange(len(data))] = rng.randrange(256)
     try:
@@ -192,7 +197,7 @@ def test_impossible_polynomial_reversal_is_rejected(points, order, forward):
         reverse_polynomial([0.0, forward], -1e10, 1e10, points, order)
 
 
-def test_invalid_number_keeps_old_one():
+def test_invalid_number_is_rejected_without_effect():
     with daq.connect(two_modules(), clock=ManualClock()) as rig, inputs(rig) as task:
         channel = task.ai_channels["cDAQ1Mod1/ai0"]
         with pytest.raises(DaqError, match="finite"):

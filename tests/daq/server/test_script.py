@@ -73,7 +73,7 @@ def test_time_limit_sends_ctrl_c(script, capfd):
 """
     )
     assert run_script(path, scene="bare-structure", clock="fast", seconds=1.0) == 0
-    # The interrupt occurs during the read that crosses the full second.
+    # At 5120 S/s, the interrupt occurs during the read of 512 samples that crosses the full second.
     assert capfd.readouterr().out in ("4608\n", "5120\n", "5632\n")
 
 
@@ -125,7 +125,7 @@ def test_invalid_time_limit_is_rejected_first(script, capfd, seconds):
     assert capfd.readouterr().out == ""
 
 
-def test_open_rig_does_not_block_exit():
+def test_unclosed_rig_does_not_block_exit():
     source = """
 import daq, nidaqmx
 from nidaqmx.constants import AcquisitionType
@@ -171,7 +171,7 @@ def test_example_shows_its_result(name, capfd, monkeypatch):
     assert "NOT" not in stdout
 
 
-def test_source_recipe_gives_all_samples():
+def test_example_of_acquisition_source_gives_all_samples():
     from daq.examples.acquisition_source import VirtualRig
 
     source = VirtualRig("bare-structure", clock="fast")
@@ -221,13 +221,13 @@ if __name__ == "__main__":
 def test_processes_share_rig_and_clock(script, tmp_path, method):
     path = tmp_path / "read.npy"
     assert run_script(script(TWO_PROCESSES), [method, str(path)], "bare-structure", "fast") == 0
-    drive = 1e-3 * np.arange(512) / 512
+    drive = 1e-3 * np.arange(512) / 512  # m; the table moves 1 mm per V.
     expected = Bench(rig.load("bare-structure")).acquire(drive[None]).samples
     # The bench of the script simulates more samples than the expected bench, so that rounding differs.
     np.testing.assert_allclose(np.load(path), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
-def test_taken_name_gives_drivers_error(script, capfd):
+def test_duplicate_task_name_gives_drivers_error(script, capfd):
     text = """
 import nidaqmx
 with nidaqmx.Task("twice"):

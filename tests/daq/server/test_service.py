@@ -1,4 +1,4 @@
-"""The server: clients, sessions, limits and modules that tasks share."""
+"""The server: clients, sessions (tasks under a name that clients share), limits, and modules that tasks share."""
 
 import queue
 import threading
@@ -33,6 +33,7 @@ def client(rig, name="", **options):
 
 
 def inputs(options, channels="cDAQ1Mod1/ai0", name="", **timing):
+    """Return a task with voltage inputs, with a sample clock if `timing` is given."""
     task = nidaqmx.Task(name, grpc_options=options)
     task.ai_channels.add_ai_voltage_chan(channels, min_val=-500.0, max_val=500.0)
     if timing:
@@ -171,7 +172,7 @@ def test_used_device_is_not_reset(shared):
 
 
 def test_modules_of_lost_client_are_released():
-    limits = Limits(patience=0.2)
+    limits = Limits(patience=0.2)  # s
     with daq.connect("bare-structure", clock=ManualClock(), limits=limits) as rig:
         lost_client = client(rig)
         task = inputs(lost_client, sample_mode=AcquisitionType.CONTINUOUS)

@@ -61,6 +61,7 @@ def start_run(tmp_path):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
+    # Statement before the task, signal to the command or to its process group, exit code of the command.
     ("before", "signal_number", "send", "code"),
     [
         ("", signal.SIGTERM, os.kill, 128 + signal.SIGTERM),

@@ -28,6 +28,7 @@ SENSORS = """{name: one, at: body 1, IEPE}, {name: two, at: body 2, IEPE},
 
 
 def make_scene(channels, converter):
+    """Return the scene with these channels and keys of the converter."""
     return rig.loads(SCENE.replace("CHANNELS", channels).replace("CONVERTER", converter))
 
 

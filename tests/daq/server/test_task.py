@@ -58,7 +58,7 @@ def test_read_size_does_not_change_samples(piece_length):
     assert np.array_equal(read_in_pieces(piece_length), read_in_pieces(512))
 
 
-def test_inputs_show_response_to_drive():
+def test_readings_are_response_to_drive():
     measured = read_in_pieces(512)
     drive = 1e-3 * sine_voltage(512)  # The table moves 1 mm per V.
     expected = Bench(rig.load("bare-structure")).acquire(drive[None]).samples
@@ -88,6 +88,7 @@ def test_test_defined_in_scene_runs_at_low_rate():
     scene = rig.load("bare-structure").replace(
         test={"kind": "sine", "frequency": 2000.0, "drive": 1e-6}, converter={"rate": 10240.0}
     )
+    # The rate of the task is too low for the tone of the test, 2 kHz.
     connect(scene, "fast")
     with Task() as task:
         inputs(task, "Dev1/ai0:3")
@@ -138,15 +139,20 @@ def test_sensitivity_converts_volts(chassis):
         inputs(volt_task, "Dev1/ai3", samps_per_chan=500)
         for task, device, units in ((g_task, 2, AccelUnits.G), (metric_task, 3, AccelUnits.METERS_PER_SECOND_SQUARED)):
             task.ai_channels.add_ai_accel_chan(
-                f"Dev{device}/ai3", min_val=-50.0, max_val=50.0, units=units, sensitivity=250.0
+                f"Dev{device}/ai3",
+                min_val=-50.0,
+                max_val=50.0,
+                units=units,
+                sensitivity=250.0,  # mV/g
             )
             task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=500)
         for task in (g_task, metric_task, volt_task):
             task.start()
         in_volts, in_g, in_meters_per_s2 = (np.array(task.read(500)) for task in (volt_task, g_task, metric_task))
     assert np.ptp(in_volts) > 0
-    np.testing.assert_allclose(in_g, in_volts / 0.25, rtol=1e-14)
-    np.testing.assert_allclose(in_meters_per_s2, in_volts / 0.25 * 9.80665, rtol=1e-14)
+    volts_per_g = 0.25
+    np.testing.assert_allclose(in_g, in_volts / volts_per_g, rtol=1e-14)
+    np.testing.assert_allclose(in_meters_per_s2, in_volts / volts_per_g * 9.80665, rtol=1e-14)
 
 
 def test_relative_positions_read_again(chassis):
@@ -176,6 +182,7 @@ def test_regeneration_repeats_buffer(chassis):
         driving.start()
         pass_samples(chassis, 25)
         assert driving.out_stream.total_samp_per_chan_generated == 25
+        # Sample 24 repeats sample 4 of the buffer.
         assert chassis.last_volts[0] == 0.4
         driving.write(np.full(10, 0.9))
         pass_samples(chassis, 1)
@@ -299,6 +306,7 @@ def test_test_defined_in_scene_runs_without_output():
         task.ai_channels.add_ai_force_iepe_chan("Dev1/ai3")
         task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=5120)
         force = np.array(task.read(READ_ALL_AVAILABLE))
+    # The hammer of the test hits with a peak of 200 N.
     assert 150.0 < force.max() < 250.0
 
 
@@ -306,6 +314,7 @@ def test_compensated_filter_delay_keeps_sample_times():
     scene = rig.load("bare-structure")
     without_delay = scene.replace(converter=scene.converter.replace(filter="delta_sigma", remove_delay=True))
     responses = []
+    # The output is a pulse after 1000 samples.
     for variant in (scene, without_delay):
         connect(variant, "fast")
         with Task() as reading, Task() as driving:

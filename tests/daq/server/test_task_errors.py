@@ -125,7 +125,7 @@ def test_running_task_rejects_settings(chassis):
 
 
 @pytest.mark.parametrize(
-    "name, code, hint",
+    "name, code, hint",  # hint: part of the message that names existing channels, or the wrong value
     [
         ("Nothing/ai0", -200220, "cDAQ1Mod1"),
         ("Dev1/ai4", -200170, "Dev1/ai3"),
@@ -328,7 +328,7 @@ def test_reserved_resource_names_terminal_and_task(chassis):
     assert "Task Name: second" in str(caught.value)
 
 
-def test_early_stop_has_status(chassis):
+def test_early_stop_returns_warning_code(chassis):
     with Task("early") as task:
         inputs(task, samps_per_chan=100)
         task.start()

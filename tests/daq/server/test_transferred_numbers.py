@@ -16,6 +16,7 @@ from daq.server.client_defaults import open_channel
 from daq.server.protocol import SERVICE, methods
 
 COUNT_TYPES = {"I16": np.int16, "I32": np.int32, "U16": np.uint16, "U32": np.uint32}
+# Calls that read or write samples.
 TRANSFERS = [each for each in methods() if each.name.startswith(("Read", "Write"))]
 FEW_EXAMPLES = settings(
     max_examples=10, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
@@ -23,6 +24,7 @@ FEW_EXAMPLES = settings(
 
 
 def scene(bits):
+    """Return a scene whose input and output have this resolution."""
     converter = {"rate": "5120 Hz", "bits": bits, "range": "5 V"}
     output = {"range": "10 V", "bits": bits}
     return rig.load("bare-structure", {"converter": converter, "shaker.output": output})
@@ -30,6 +32,7 @@ def scene(bits):
 
 @pytest.fixture(scope="module", params=[16, 24])
 def bench(request):
+    """Return a connection to the scene, its resolution in bits, and a channel to the server."""
     with daq.connect(scene(request.param), clock="fast") as connection:
         yield connection, request.param, open_channel(connection.address)
 

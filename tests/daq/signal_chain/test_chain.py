@@ -1,4 +1,8 @@
-"""A complete signal chain: sensor, amplifier and converter against closed forms and the stated response."""
+"""A complete signal chain: sensor, amplifier and converter against closed forms and the stated response.
+
+An effect is a property by which a real channel deviates from an ideal one, such as noise. The stated response is that
+of the channel's data sheets.
+"""
 
 import numpy as np
 import pytest
@@ -46,6 +50,7 @@ def measured_and_stated_response(keys, rate, frequency, seconds=2.0):
     return (real + 1j * imag) / truth, complex(info.response(frequency))
 
 
+# Keys of channels.
 CHANNELS = {
     "ideal": "",
     "sensor": SENSOR,
@@ -104,7 +109,7 @@ def test_samples_of_impacts_have_closed_form(order, rate):
         for k in range(first, samples):
             expected[k] += circuit.c @ state
             state = transition @ state
-    expected *= 0.1 / 9.80665
+    expected *= 0.1 / 9.80665  # sensitivity, V per m/s^2
     assert volts == pytest.approx(expected, abs=1e-12 * np.abs(expected).max())
 
 

@@ -8,6 +8,7 @@ from rig.errors import RecordingError
 
 
 def channel(**fields):
+    """Return a velocity channel with 2 V per m/s at 100 Hz, except for the given fields."""
     return ChannelInfo(
         **({"name": "c", "at": "body 1", "quantity": "velocity", "sensitivity": 2.0, "rate": 100.0} | fields)
     )

@@ -1,4 +1,4 @@
-"""Drive channels measure the output voltage of a shaker's amplifier input, as a tee of the cable allows."""
+"""Drive channels measure the output voltage that drives a shaker, as a T-piece in its cable allows."""
 
 from __future__ import annotations
 

@@ -28,6 +28,7 @@ RANDOM_TEST = "test: {kind: random, from: 5 Hz, to: 60 Hz, duration: 30 s, force
 
 
 def scene_of(test: str, *channels: str, shaker: str = "{kind: force, body: 1}") -> rig.Scene:
+    """Return two bodies with this test, these channels and this shaker."""
     text = STRUCTURE.replace("{kind: force, body: 1}", shaker) + test
     return rig.loads(text + f"channels: [{', '.join(channels)}]\n")
 

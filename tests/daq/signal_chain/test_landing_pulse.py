@@ -16,7 +16,9 @@ SENSITIVITY = 10e-3 / 9.80665  # V per m/s^2
 
 
 def simulate_impact(rate: float, input_range: float) -> tuple[Bench, np.ndarray, np.ndarray, float, float]:
-    """Simulate a body that is hit by a hammer, and whose damper impacts 2 to 4 ms later; no other forces act.
+    """Simulate a body that a hammer hits; its damper touches the body 2 to 4 ms later. No other forces act.
+
+    `rate` is in Hz, `input_range` of the converter in V.
 
     Returns the bench; the samples and overload flags of the accelerometer during the contact; the time in samples from
     the first of them to the beginning of the contact; and the peak acceleration of the body by the closed form.

@@ -41,7 +41,10 @@ class SaturatedChain:
     oversampling: int
 
     def simulate(self, saturation, amplifier_saturation):
-        """Return the voltage at the converter, and the largest signals of the sensor and of the integrators."""
+        """Simulate the chain with these limits of sensor and amplifier, V (sensitivity 1 V per m/s^2).
+
+        Returns the voltage at the converter, and the largest signals of the sensor and of the integrators, V.
+        """
         omega = 2 * np.pi * self.resonance
         transition = expm(np.array([[0.0, omega], [-omega, -omega / self.q]]) * self.step)
         jumps = np.zeros(int(self.duration / self.step) + 1)
@@ -85,6 +88,7 @@ class SaturatedChain:
         return np.array(samples) * self.step * self.rate
 
     def scene(self, saturation, amplifier_saturation):
+        """Return the scene of the chain with these limits of sensor and amplifier, V."""
         recovery = f", overload_recovery: {self.recovery}" if self.recovery else ""
         keys = f", accelerometer: {{resonance: {self.resonance}, q: {self.q}, saturation: {saturation}{recovery}}}"
         if self.order:
@@ -95,6 +99,7 @@ class SaturatedChain:
 
 
 def random_chain(seed):
+    """Return a chain with random settings; the seed selects them."""
     rng = np.random.default_rng([1610, seed])
     rate, resonance = np.exp(rng.uniform(np.log([3e3, 3e3]), np.log([6e4, 4e4])))
     sampling = rng.choice(["point", "average", "filter"])
@@ -180,6 +185,7 @@ def test_zero_shift_is_part_of_the_overload():
     flagged = np.flatnonzero(chain.overload[0])
     assert flagged[0] == np.ceil(0.01 * rate)
     assert np.array_equal(flagged, np.arange(flagged[0], flagged[-1] + 1))
+    # The rest of the zero shift is at most a thousandth of the limit, 100.
     assert np.abs(samples[flagged[-1] + 1 :]).max() < 1.1e-3 * 100
     assert 0.01 < (flagged[-1] - flagged[0]) / rate < 0.04
 
@@ -187,10 +193,10 @@ def test_zero_shift_is_part_of_the_overload():
 def test_saturation_by_damper_impacts_is_marked():
     scene = rig.load("fig8-three-dampers")
     drive = 3.0 * np.sin(2 * np.pi * 34.8 / 5120.0 * np.arange(1500))[None]
-    for saturation, overloads in (("5 g", True), ("5000 g", False)):
+    for saturation, is_overloaded in (("5 g", True), ("5000 g", False)):
         sensor = {"resonance": "30 kHz", "saturation": saturation}
         channels = [{"name": "a1", "at": "body 1", "accelerometer": sensor}]
         for converter in ({"rate": 5120.0}, {"rate": 5120.0, "filter": "delta_sigma", "range": 1e6}):
             block = Bench(scene.replace(channels=channels, converter=converter)).acquire(drive)
             assert (block.motion.events["speed"] > 0.05).any()
-            assert block.overload.any() == overloads
+            assert block.overload.any() == is_overloaded

@@ -44,7 +44,7 @@ def test_iepe_sensor_needs_supply(channel: str, converter: str, has_signal: bool
 
 
 def test_ac_coupling_removes_the_supply_bias() -> None:
-    direct = record_volts(IEPE + ", coupling: DC", "{coupling: AC}")
-    blocked = record_volts(IEPE, "{coupling: AC, ac_corner: 5 Hz}")
-    assert direct.mean() == pytest.approx(9.0, abs=0.05)
-    assert abs(blocked[-2048:].mean()) < 0.01
+    dc_coupled = record_volts(IEPE + ", coupling: DC", "{coupling: AC}")
+    ac_coupled = record_volts(IEPE, "{coupling: AC, ac_corner: 5 Hz}")
+    assert dc_coupled.mean() == pytest.approx(9.0, abs=0.05)
+    assert abs(ac_coupled[-2048:].mean()) < 0.01

@@ -155,12 +155,12 @@ class Likelihood:
             weighted_residual = (information @ residual[lines, :, None])[..., 0]
             right_poles += (flat.conj().T @ weighted_residual.ravel()).real
             right_residues += (weighted_residual.T @ by_residue.conj()).real
-        size = responses * n_unknowns
-        matrix = np.empty((poles + size,) * 2)
+        n_residue_unknowns = responses * n_unknowns
+        matrix = np.empty((poles + n_residue_unknowns,) * 2)
         matrix[:poles, :poles] = pole_block
-        matrix[:poles, poles:] = coupling_block.reshape(poles, size)
+        matrix[:poles, poles:] = coupling_block.reshape(poles, n_residue_unknowns)
         matrix[poles:, :poles] = matrix[:poles, poles:].T
-        matrix[poles:, poles:] = residue_block.transpose(2, 0, 3, 1).reshape(size, size)
+        matrix[poles:, poles:] = residue_block.transpose(2, 0, 3, 1).reshape(n_residue_unknowns, n_residue_unknowns)
         return matrix, np.concatenate([right_poles, right_residues.ravel()])
 
     def weights(self, model: ModalModel, rows: Array) -> ComplexArray:

@@ -46,6 +46,7 @@ _HEADING = (
     "shift_low_Hz", "shift_high_Hz", "peak_from m/N", "bound_from m/N", "peak_to m/N", "bound_to m/N",
 )  # fmt: skip
 
+# Warning if the bound of a peak is infinite.
 _UNBOUNDED_PEAKS = (
     "A peak may be higher than measured where its curve has a jump, an end or excluded points next to "
     "the highest point, or only three points. Measure more densely there, upwards and downwards (test: "

@@ -33,7 +33,11 @@ _TOO_SHORT = ("too short", "-")
 def present_decay(
     paths: Sequence[Path], output: Path | None = None, channel: str | None = None, hit: int = 1
 ) -> CommandOutput:
-    """Draw and tabulate free decays; the curves of several recordings are overlaid."""
+    """Draw and tabulate free decays; the curves of several recordings are overlaid.
+
+    `paths`: recordings of impulse tests or free decays; `output`: folder for figures and tables, by default that of the
+    first recording; `channel`: motion channel, by default that of the last body; `hit`: number of the hit, from 1.
+    """
     from analysis.figures.decay_figure import decay_figure
     from analysis.presentation.tables import damping_table, envelope_table
     from rig.figure_style import save_figure

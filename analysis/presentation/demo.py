@@ -20,6 +20,7 @@ from rig.workers import Workers
 if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
+# Built-in scenes of the stepped sines and of the impulse tests, which are also the names of the recordings.
 SWEEPS = ("fig8-no-damper", "fig8-three-dampers")
 IMPULSES = ("fig10b-no-damper", "fig10b-three-dampers")
 
@@ -93,6 +94,7 @@ def _record_all(recordings: dict[str, Path], sweep_hz: tuple[float, ...]) -> Ite
 
 
 def _scene(name: str, sweep_hz: tuple[float, ...]) -> Scene:
+    """Return a built-in scene; a stepped sine has the frequencies `sweep_hz`, Hz."""
     import rig
 
     scene = rig.load(name)

@@ -16,7 +16,7 @@ from rig.results.response import Response
 
 Row = Sequence[str | float | int]
 
-# Number of rows of an envelope; one row per sample would only duplicate the recording.
+# Approximate number of rows of an envelope table; one row per sample would only duplicate the recording.
 _ENVELOPE_ROWS = 400
 
 

@@ -60,6 +60,8 @@ def best_linear_approximation(
 ) -> Lines:
     """Average over periods, then over realisations (one marker each), each rotated by the phase of its own reference.
 
+    `markers`: measured intervals; `names`: channels; `reference`: force or table. Returns the mean of each channel.
+
     The scatter between periods is noise. The scatter between realisations also contains nonlinear distortion
     (R. Pintelon, J. Schoukens, System Identification, 2nd ed., Wiley 2012, section 4.3).
     """

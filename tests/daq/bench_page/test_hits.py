@@ -66,7 +66,7 @@ def test_hits_do_not_depend_on_blocks(block):
 def test_hit_with_missing_samples_is_ignored():
     detector, readings = HitDetector(0, RATE, MIN_PEAK, WINDOW_S), force_of((0.2, 50.0))
     no_overload = np.zeros((1, 300), bool)
-    # Samples 300 to 499 are missing; the window of the hit extends from sample 190 to 589.
+    # Samples 300 to 499 are missing; the window of the hit extends from sample 191 to 590.
     detector.add(0, readings[:, :300], no_overload)
     detector.add(500, readings[:, 500:800], no_overload)
     assert detector.hits == []

@@ -13,8 +13,6 @@ from rig.scene.scene import Scene
 from rig.system.assembly import assemble, matrices_without_free_beds
 from rig.system.open_loop_drive import riding_equations, riding_response
 
-_Matrices = tuple[Array, Array, Array]
-
 
 def scene_of_test(model: Scene, curves: Curves) -> Scene:
     """Return the model with the shaker and test of a recording, and with those dampers that the recording has.
@@ -73,16 +71,19 @@ def linear_derivatives(
     system = assemble(test_scene)
     equations = riding_equations(system, _drive(test_scene))
     inertia, matrix, _ = equations
-    matrices = matrices_without_free_beds(test_scene)
     omega = 2.0 * np.pi * frequency
     states = riding_response(system, _drive(test_scene), omega)
     # Derivative of the equations (j omega inertia - matrix) states = inflow: by omega first, then by each value.
     right_sides = [-1j * (inertia @ states)]
+    if not test_scene.dampers:
+        equations = _structure_equations(test_scene, system.states)
     for changed_scene, change in changed:
         if test_scene.dampers:
-            by_inertia, by_matrix, by_inflow = _equation_derivatives(equations, changed_scene, change)
+            changed_equations = riding_equations(assemble(changed_scene), _drive(changed_scene))
         else:
-            by_inertia, by_matrix, by_inflow = _matrix_derivatives(matrices, changed_scene, change, system.states)
+            changed_equations = _structure_equations(changed_scene, system.states)
+        pairs = zip(equations, changed_equations, strict=True)
+        by_inertia, by_matrix, by_inflow = ((new - old) / change for old, new in pairs)
         right_sides.append(by_matrix @ states + by_inflow[:, None] - 1j * omega * (by_inertia @ states))
     dynamic_stiffness = 1j * omega[:, None, None] * inertia - matrix
     solution = np.linalg.solve(dynamic_stiffness, np.array(right_sides).transpose(2, 1, 0)).transpose(2, 1, 0)
@@ -95,27 +96,14 @@ def linear_derivatives(
     return np.asarray(derivatives[1:]), np.asarray(2.0 * np.pi * derivatives[0])
 
 
-def _equation_derivatives(equations: _Matrices, changed_scene: Scene, change: float) -> _Matrices:
-    """Differentiate the result of `riding_equations` with respect to a value of the scene."""
-    changed = riding_equations(assemble(changed_scene), _drive(changed_scene))
-    return _difference_quotients(equations, changed, change)
-
-
-def _matrix_derivatives(matrices: _Matrices, changed_scene: Scene, change: float, states: int) -> _Matrices:
-    """Return the same derivatives without dampers, faster: fitted values change only the structure's matrices."""
-    by_mass, by_damping, by_stiffness = _difference_quotients(
-        matrices, matrices_without_free_beds(changed_scene), change
-    )
-    n = len(by_mass)
-    by_inertia, by_matrix = np.zeros((2, states, states))
-    by_inertia[n : 2 * n, n : 2 * n] = by_mass
-    by_matrix[n : 2 * n, :n], by_matrix[n : 2 * n, n : 2 * n] = -by_stiffness, -by_damping
-    return by_inertia, by_matrix, np.zeros(states)
-
-
-def _difference_quotients(initial: _Matrices, changed: _Matrices, change: float) -> _Matrices:
-    first, second, third = ((new - old) / change for old, new in zip(initial, changed, strict=True))
-    return first, second, third
+def _structure_equations(test_scene: Scene, states: int) -> tuple[Array, Array, Array]:
+    """Return the parts of `riding_equations` that fitted values change if there are no dampers, and zeros; faster."""
+    mass, damping, stiffness = matrices_without_free_beds(test_scene)
+    n = len(mass)
+    inertia, matrix = np.zeros((2, states, states))
+    inertia[n : 2 * n, n : 2 * n] = mass
+    matrix[n : 2 * n, :n], matrix[n : 2 * n, n : 2 * n] = -stiffness, -damping
+    return inertia, matrix, np.zeros(states)
 
 
 def _drive(test_scene: Scene) -> str:

@@ -297,10 +297,10 @@ class Problem:
             if k < count
             and (self.parameters[k].damper is None or self.parameters[k].quantity in ("mass", "mass_ratio"))
         ]
-        changed = [self._changed_scene(x, k, scene, curves) for k in effective]
+        values, (channel_gains, reference_gain) = self.values(x), self.gains(x, curves)
+        changed = [self._changed_scene(k, float(values[k]), scene, curves) for k in effective]
         frequency = self.operating_points(x, curves)[1]
         by_value, by_frequency = linear_derivatives(scene_of_test(scene, curves), curves, frequency, changed)
-        values, (channel_gains, reference_gain) = self.values(x), self.gains(x, curves)
         channel_gains, bodies = channel_gains[:, None], list(curves.bodies)
         ratio = self._displacement_ratio(x, group, scene)[bodies]
         derivatives = np.zeros((len(indices), *curves.value.shape), dtype=complex)
@@ -320,12 +320,11 @@ class Problem:
         whitened = np.einsum("nij,cjn->nic", curves.whiten[used], derivatives[:, :, used])
         return whitened / np.sqrt(1.0 + (model_error * group.local_peak[used]) ** 2)[..., None]
 
-    def _changed_scene(self, x: Array, k: int, scene: Scene, curves: Curves) -> tuple[Scene, float]:
+    def _changed_scene(self, k: int, value: float, scene: Scene, curves: Curves) -> tuple[Scene, float]:
         """Return the scene of a test with a slightly larger value of parameter k, and the change of the value.
 
-        `scene`: the model with the values of the unknowns x.
+        `scene`: the model, in which the parameter has this `value`.
         """
-        value = float(self.values(x)[k])
         changed = value * (1.0 + _PARAMETER_STEP)
         return scene_of_test(with_values(scene, {self.parameters[k].place: changed}), curves), changed - value
 

@@ -48,8 +48,8 @@ class RunWarning(UserWarning):
 
 
 @contextmanager
-def add_path(path: Path) -> Iterator[None]:
-    """Add the path of a recording to errors of the body that do not contain it."""
+def add_path(path: Path | str) -> Iterator[None]:
+    """Add the path of a recording, or one of its topics, to errors of the body that do not begin with it."""
     try:
         yield
     except RecordingError as error:

@@ -28,7 +28,7 @@ from daq.recording.committed_file import CommittedFile, DiskError
 from daq.recording.layout import Timebase
 from daq.recording.markers import Marker
 from daq.recording.sample_block import SAMPLE_TYPE, decode
-from rig.errors import RecordingError
+from rig.errors import RecordingError, add_path
 from rig.escaping import escape_terminal
 from rig.input_files import as_path
 
@@ -228,25 +228,29 @@ class _Salvager:
         self._file.add_chunk(readable_messages)
 
     def _is_readable(self, message: Stored) -> bool:
-        """Register the samples, or the gap, that a message contains; return False if it cannot be read."""
+        """Register the content of a message; return False, with a note, if it cannot be read."""
         channel = self._channels[message.channel]
         try:
-            if message.channel in self._sample_ranges:
-                block = decode(message.data, self._schemas[channel.schema_id].name)
-                self._clock = block.clock if self._clock is None else self._clock
-                spans, first = self._sample_ranges[message.channel], block.first_sample
-                if spans and spans[-1][1] == first:
-                    first = spans.pop()[0]
-                spans.append((first, block.stop))
-            elif channel.topic == layout.MARKERS:
-                marker = Marker.from_json(message.data)
-                if marker.kind in ("gap", "lost"):
-                    self._gaps.append((marker.first_sample, marker.end + 1))
+            with add_path(channel.topic):
+                self._register(message, channel)
         except RecordingError as error:
-            text = str(error)
-            self._notes.append(text if text.startswith(f"{channel.topic}:") else f"{channel.topic}: {text}")
+            self._notes.append(str(error))
             return False
         return True
+
+    def _register(self, message: Stored, channel: Channel) -> None:
+        """Register the samples, or the gap, that a message contains."""
+        if message.channel in self._sample_ranges:
+            block = decode(message.data, self._schemas[channel.schema_id].name)
+            self._clock = block.clock if self._clock is None else self._clock
+            spans, first = self._sample_ranges[message.channel], block.first_sample
+            if spans and spans[-1][1] == first:
+                first = spans.pop()[0]
+            spans.append((first, block.stop))
+        elif channel.topic == layout.MARKERS:
+            marker = Marker.from_json(message.data)
+            if marker.kind in ("gap", "lost"):
+                self._gaps.append((marker.first_sample, marker.end + 1))
 
     def _copy_record(self, record: Metadata | Attachment) -> None:
         """Copy a metadata record or an attachment; the record `outcome` may change and is written by `_finish`."""

@@ -263,7 +263,7 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     # `scipy.linalg.eigh` calls the same routine but takes six times as long for a few bodies. A fit makes 10 000 calls.
     squared_omega, shapes, info = lapack.dsygvd(stiffness, mass)
     if info:
-        raise np.linalg.LinAlgError("the mass matrix is not positive definite")
+        raise np.linalg.LinAlgError(f"no natural modes of the mass and stiffness matrices (dsygvd: info {info})")
     rounding = 10 * len(squared_omega) * np.finfo(float).eps * np.abs(squared_omega).max(initial=0.0)
     if squared_omega[0] < -rounding:
         raise SceneError(

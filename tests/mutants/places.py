@@ -58,18 +58,18 @@ PLACES: dict[str, dict[str, str]] = {
 # Equivalent mutations, which no test can detect: {changed line: reason}.
 EQUIVALENT = {
     "@dataclass(frozen=False)": "nothing assigns to the fields",
-    "_WINDOW = 1 << 19": "the amount read at a time changes no result",
+    "_PIECE_BYTES = 1 << 19": "the amount read at a time changes no result",
     "for c in range(model.inverse_mass.shape[ 1]):": "the matrix is square",
     "state.multiplicity[j] = 1 if sign >= 0.0 else -1": "a sign is one or minus one",
     "state.multiplicity[j] = 1 if sign > -1.0 else -1": "a sign is one or minus one",
     "for i in range(workspace.magnitude.shape[ -1]):": "the array has one dimension",
-    "reached = -1": "no sample has a number below zero",
+    "next_sample = -1": "no sample has a number below zero",
     "dampers, points = model.mass.shape[ -1], model.first_velocity": "the array has one dimension",
     "min_gap = max(1, round(_MIN_GAP_S * self._channels[ -1].rate))": "rows of one array have one rate",
     "messages = np.empty((len(samples), blocks, len(heads[ -1]) + length * samples.itemsize), np.uint8)": (
         "all heads have the same length"
     ),
-    "self._moments[past + count : end] = -1.0": "these moments have no weight",
+    "self._moments[begin + count : end] = -1.0": "these moments have no weight",
     "nodes, weights = legendre.leggauss( 33)": "32 points are already exact to rounding",
     "grid = np.concatenate([np.geomspace(10 * lowest, 0.5 * rate, 401), np.linspace(0.3, 0.5, 400) * rate])": (
         "the fit uses hundreds of points; the place of each does not matter"
@@ -100,7 +100,7 @@ EQUIVALENT = {
     "if name_length > 15 or len(content) < begin + 8:": "no compression has a name of 16 letters",
     "if not TYPE_CHECKING:": "the only effect is an import",
     'if len(scene.shakers) != 1 and any(shaker.kind != "force" for shaker in scene.shakers):': "no shaker, no match",
-    "excited = np.where(drive > _ZERO_POWER, drive, np.nan)[:, 0, -1]": "the array has one column",
-    "better = _power(new_residual) <= _power(residual)": "equal residuals are equally good",
+    "excitation = np.where(input_rms > _ZERO_POWER, input_rms, np.nan)[:, 0, -1]": "the array has one column",
+    "is_improved = _power(stepped_residual) <= _power(residual)": "equal residuals are equally good",
     "records = unpacker.decompress(packed, max_length=size + 2)": "the caller checks the length as well",
 }

@@ -74,8 +74,7 @@ def _add_min_uncertainty(poles: ComplexArray, frequency_error: Array, damping_er
 def propagate(poles: ComplexArray, factors: Sequence[Array]) -> tuple[Array, Array]:
     """Return the largest standard deviations of frequencies [Hz] and damping ratios over covariances ``F F^T``.
 
-    The parameters are the logarithms of the decay rates, then the damped frequencies in units of the decay_rate
-    rates.
+    The parameters are the logarithms of the decay rates, then the damped frequencies in units of the decay rates.
     """
     count = poles.size
     decay_rate, damped, size = -poles.real, poles.imag, abs(poles)

@@ -88,7 +88,9 @@ def fit(curves: Curves, start: ComplexArray) -> ModalModel:
     jacobian = np.empty((0, *shape), dtype=complex)
     if count:
         columns = np.concatenate([order, order + count])
-        rows = np.moveaxis(problem.jacobian(x)[:, :, columns], 2, 0)
+        # `problem` has the decay rates of `start` as units of the frequencies.
+        units = np.append(np.ones(count), poles.real / start.real)
+        rows = np.moveaxis((problem.jacobian(x) * units)[:, :, columns], 2, 0)
         jacobian = rows[:, :, : shape[1]] + 1j * rows[:, :, shape[1] :]
     parts = residual.reshape(shape[0], 2, shape[1])
     return ModalModel(

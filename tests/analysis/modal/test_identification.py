@@ -10,6 +10,8 @@ import pytest
 
 import analysis
 import daq
+from analysis.modal.pole_errors import pole_errors
+from analysis.modal.pole_residue import Curves, fit
 from analysis.responses.systematic import UNSETTLED
 from rig.errors import RecordingError
 from rig.results.response import Response
@@ -229,6 +231,17 @@ def test_flying_dampers_give_linear_equivalents():
     highest_peak = frfs[0].frequency[largest.argmax()]
     assert abs(modes.frequency[0] / highest_peak - 1) < modes.damping[0]
     assert "The response is nonlinear" in " ".join(modes.warnings) and modes.model_error > 0.01
+
+
+@pytest.mark.parametrize("width_ratio", [1e-6, 0.1, 5.0])
+def test_pole_errors_are_independent_of_start(width_ratio):
+    natural, frfs = two_modes(30.0, 0.2, 0.01, 400, noise=1e-3, seed=4)
+    value, frequency = np.stack([frf.value for frf in frfs]), frfs[0].frequency
+    curves = Curves(frequency, value, np.full(value.shape, 1e3 / abs(value).max()))
+    decay_rate = 2 * np.pi * 0.01 * natural
+    near, far = (fit(curves, -ratio * decay_rate + 2j * np.pi * natural) for ratio in (1.0, width_ratio))
+    np.testing.assert_allclose(far.poles, near.poles, rtol=1e-6)
+    np.testing.assert_allclose(pole_errors(curves, far), pole_errors(curves, near), rtol=1e-3)
 
 
 def test_lines_of_infinite_error_keep_nonlinearity():

@@ -159,7 +159,8 @@ def _warn_once(text: str) -> None:
 def _njit(function: F, is_kernel: bool, **options: Any) -> F:
     """Compile a function with numba; the machine code is stored in `code_folder` if this can be written."""
     folder = code_folder(_source_folder(function))
-    compiler = numba.njit if callees is None else functools.partial(callees.njit, kernel=is_kernel)
+    is_plain = callees is None or _CONFIG.DISABLE_JIT
+    compiler = numba.njit if is_plain else functools.partial(callees.njit, kernel=is_kernel)
     previous, _CONFIG.CACHE_LOCATOR_CLASSES = _CONFIG.CACHE_LOCATOR_CLASSES, "rig.numerics.jit.CodeFolder"
     try:
         return cast(F, compiler(function, cache=folder is not None, **options))

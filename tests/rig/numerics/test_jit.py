@@ -131,6 +131,11 @@ def test_changed_source_compiles_again(kernels: Path, name: str, text: str, resu
     assert float(run(kernels).stdout) == result
 
 
+def test_kernels_run_without_compilation(kernels: Path) -> None:
+    assert run(kernels, NUMBA_DISABLE_JIT="1").stdout == "112.0\n"
+    assert machine_code(kernels) == {}
+
+
 def test_callee_is_compiled_once_per_type(kernels: Path) -> None:
     (kernels / "twice.py").write_text(TWICE)
     assert run(kernels, PRINT_COMPILED).stdout.splitlines() == ["5.0 4.0", "outer inner inner"]

@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numba.misc.appdirs import AppDirs
+import platformdirs
 
 from rig.arrays import Array
 from rig.errors import RunError
@@ -174,4 +174,4 @@ def _stored_file(spheres: Spheres) -> Path:
 
 def folder() -> Path:
     """Return the folder of stored beds, in the user's cache."""
-    return Path(AppDirs("shotrig", appauthor=False).user_cache_dir) / "beds"
+    return platformdirs.user_cache_path("shotrig", appauthor=False) / "beds"

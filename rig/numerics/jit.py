@@ -25,8 +25,8 @@ from typing import Any, TypeVar, cast
 
 import llvmlite.binding
 import numba
+import platformdirs
 from numba.core.event import Event, Listener, register
-from numba.misc.appdirs import AppDirs
 
 from rig import console
 
@@ -77,7 +77,7 @@ def _has_kernels(folder: Path) -> bool:
 
 def machine_code_root() -> Path:
     """Return the folder of all machine code."""
-    cache = os.environ.get("NUMBA_CACHE_DIR") or AppDirs("shotrig", appauthor=False).user_cache_dir
+    cache = os.environ.get("NUMBA_CACHE_DIR") or platformdirs.user_cache_dir("shotrig", appauthor=False)
     return Path(cache) / "machine-code"
 
 

@@ -278,11 +278,6 @@ def _result(problem: Problem, estimated: Estimate, report: Progress) -> Fit:
     )
     if not misfit and all(value.status == "undetermined" for value in fitted):
         misfit = "The recordings determine none of the free values. `analysis frf` shows the uncertainty of the curves."
-    clearances = [
-        f"{problem.parameters[k].key} is at least {1e3 * gap:.3g} mm: the fitted motions have no ceiling impacts."
-        for k, gap in largest_gaps.items()
-        if not misfit
-    ]
     return Fit(
         scene=scene,
         parameters=fitted,
@@ -296,7 +291,7 @@ def _result(problem: Problem, estimated: Estimate, report: Progress) -> Fit:
         compared=compared,
         variance=estimated.variance,
         misfit=misfit,
-        together=(*clearances, *coupled_values(problem, estimated, [value.status for value in fitted])),
+        together=coupled_values(problem, estimated, [value.status for value in fitted], {} if misfit else largest_gaps),
         warnings=tuple(warnings),
     )
 

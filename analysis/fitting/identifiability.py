@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,15 +60,24 @@ def damping_by_level(problem: Problem, estimated: Estimate) -> tuple[LevelDampin
     return tuple(by_level)
 
 
-def coupled_values(problem: Problem, estimated: Estimate, statuses: Sequence[str]) -> tuple[str, ...]:
+def coupled_values(
+    problem: Problem, estimated: Estimate, statuses: Sequence[str], largest_gaps: Mapping[int, float]
+) -> tuple[str, ...]:
     """Describe the values that the data do not determine, then the combinations, widest interval first.
 
     The combinations are the principal axes of the covariance of the parameters' logarithms. `statuses`: as in `Fitted`.
+    `largest_gaps`: lower limits [m] of clearances without ceiling impacts, by the index of the parameter.
     """
     count, moving = len(problem.parameters), any(group.orbits is not None for group in problem.groups)
     determined = [k for k in range(count) if statuses[k] != "undetermined"]
     undetermined = []
     for k in sorted({*range(count)} - {*determined}):
+        if k in largest_gaps:
+            undetermined.append(
+                f"{problem.parameters[k].key} is at least {1e3 * largest_gaps[k]:.3g} mm; these recordings do not "
+                "determine it further, because the fitted motions have no ceiling impacts."
+            )
+            continue
         never_moves = problem.parameters[k].damper is not None and not moving
         reason = " (no recording in which its damper moves)" if never_moves else ""
         undetermined.append(

@@ -15,7 +15,7 @@ import rig
 from analysis.fitting.estimate import Estimate
 from analysis.fitting.figure import fit_figure
 from analysis.fitting.fit import Comparison, Fit, Fitted, _misfit
-from analysis.fitting.identifiability import LevelDamping
+from analysis.fitting.identifiability import LevelDamping, coupled_values
 from analysis.fitting.measured import measured
 from analysis.fitting.parameters import free_parameters, with_ratio_per_mode, with_values
 from analysis.fitting.presentation import describe
@@ -232,3 +232,11 @@ def test_undetermined_damping_is_described():
     )  # fmt: skip
     [row] = [line for line in describe(result) if "a.mcap" in line]
     assert row.endswith("0.01000 ± 0.00010, undetermined")
+
+
+def test_clearance_without_ceiling_impacts_has_one_line():
+    clearances = [SimpleNamespace(key=f"dampers[{k}].clearance", damper=k) for k in range(2)]
+    problem = SimpleNamespace(parameters=clearances, groups=[SimpleNamespace(orbits=object())])
+    limited, unlimited = coupled_values(problem, None, ["undetermined"] * 2, {0: 1.5e-3})
+    assert "dampers[0].clearance is at least 1.5 mm" in limited
+    assert "dampers[1].clearance is not determined" in unlimited

@@ -215,7 +215,7 @@ def frequency_responses(
     inputs = driven_forces(rec) if reference == "force" else ()
     if len(inputs) > 1:
         used = [*names, *(point.name for point in inputs)]
-        computed = [response_matrix(rec, names, inputs, motion, estimator, block, overlap or 0.5, window or "hann")]
+        computed = [response_matrix(rec, names, inputs, motion, estimator, block, overlap, window)]
     else:
         used = required_channels(rec, names, reference)
         computed = BY_KIND[kind].estimate(Request(rec, names, reference, motion, blocks, progress, used, measured))

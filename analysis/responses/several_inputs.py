@@ -92,23 +92,25 @@ def response_matrix(
     names: Sequence[str],
     inputs: Sequence[Point],
     motion: str,
-    estimator: str | None = None,
-    block: float | None = None,
-    overlap: float = 0.5,
-    window: str = "hann",
+    estimator: str | None,
+    block: float | None,
+    overlap: float | None,
+    window: str | None,
 ) -> Response:
     """Estimate the response of some channels to several forces.
 
     `names`: channels; `inputs`: forces, as from `driven_forces`; `motion`: displacement, velocity or acceleration;
-    `estimator`: H1 or Hv, which average blocks of a random test (default: local rational method); `block`: length of a
-    block, s; `overlap`: of successive blocks, as a ratio to their length; `window`: name of their window.
+    `estimator`: H1 or Hv; `block`: length of a block, s; `overlap`: of successive blocks, as a ratio to their length;
+    `window`: name of their window. Any of the last four selects block averaging of a random test, by default with H1;
+    without them, the local rational method is used.
     """
     markers = [marker for marker in rec.markers if marker.kind == "measure"]
     if rec.test.kind is TestKind.MULTISINE:
         return _from_experiments(rec, markers, names, inputs, motion)
-    if estimator is None and block is None:
+    if (estimator, block, overlap, window) == (None,) * 4:
         return _from_local_fits(rec, markers[0], names, inputs, motion)
-    spectra = input_output_spectra(rec, names, inputs, motion, block, overlap, window)
+    share = 0.5 if overlap is None else overlap
+    spectra = input_output_spectra(rec, names, inputs, motion, block, share, window or "hann")
     return spectra.response(rec, estimator or "H1")
 
 
@@ -230,9 +232,7 @@ def input_output_spectra(
     marker = next(marker for marker in rec.markers if marker.kind == "measure")
     channels = [*dict.fromkeys([*names, *(point.name for point in inputs)])]
     spectra = random.averaged_spectra(rec, marker, channels, block, overlap, window=window)
-    rows = np.stack(
-        [quantity.row(rec, channels, spectra.frequency) for quantity in _measurands(rec, names, inputs, motion)]
-    )
+    rows = _rows(rec, channels, spectra.frequency, names, inputs, motion)
     spectral_matrix = np.einsum("acn,ncd,bdn->nab", rows, spectra.cross, rows.conj(), optimize=True)
     leakage_free = _from_local_fits(rec, marker, names, inputs, motion)
     return SpectralMatrix(_outputs(rec, names, motion), tuple(inputs), spectral_matrix, spectra, leakage_free)
@@ -244,9 +244,13 @@ def _unit_power(spectra: ComplexArray) -> tuple[ComplexArray, Array]:
     return np.asarray(spectra / (scale[:, :, None] * scale[:, None])), scale
 
 
-def _measurands(rec: Recording, names: Sequence[str], inputs: Sequence[Point], motion: str) -> list[Measurand]:
+def _rows(
+    rec: Recording, channels: Sequence[str], frequency: Array, names: Sequence[str], inputs: Sequence[Point], motion: str
+) -> ComplexArray:
+    """Return the factors from readings to motions and forces, shape (motions and forces, channels, frequencies)."""
     forces = [Measurand((point.name,), (1.0,), "force") for point in inputs]
-    return [*(motion_of(rec, name, motion) for name in names), *forces]
+    measurands = [*(motion_of(rec, name, motion) for name in names), *forces]
+    return np.stack([measurand.row(rec, channels, frequency) for measurand in measurands])
 
 
 def _outputs(rec: Recording, names: Sequence[str], motion: str) -> tuple[Point, ...]:
@@ -255,7 +259,7 @@ def _outputs(rec: Recording, names: Sequence[str], motion: str) -> tuple[Point, 
 
 def _matrix_budget(
     rec: Recording, frequency: Array, value: ComplexArray, points: tuple[Sequence[Point], Sequence[Point]],
-    error: Array, degrees: Array, limits: dict[str, Array], errors: MatrixErrors | None, shared: float = 1.0,
+    error: Array, degrees: Array, limits: dict[str, Array], errors: MatrixErrors, shared: float = 1.0,
 ) -> UncertaintyBudget:  # fmt: skip
     """Assemble the budget of each matrix element from the gains of its output and input channels."""
     budgets = []
@@ -359,9 +363,7 @@ def _from_experiments(
             notes += [note for experiment in experiments for note in experiment.notes]
             continue
         frequency, n_periods = experiments[0].frequency, len(experiments[0].spectra)
-        rows = np.stack(
-            [quantity.row(rec, channels, frequency) for quantity in _measurands(rec, names, inputs, motion)]
-        )
+        rows = _rows(rec, channels, frequency, names, inputs, motion)
         means = np.stack([experiment.spectra.mean(axis=0) for experiment in experiments], axis=2)
         amplitudes = np.einsum("acn,cne->nae", rows, means)
         outputs, forces = amplitudes[:, : len(names)], amplitudes[:, len(names) :]

@@ -70,6 +70,17 @@ def test_bounds_contain_truth_for_random_forces(random_path, estimator):
     assert response.coherence.shape == (response.frequency.size, 3) and np.nanmedian(response.coherence) > 0.9
 
 
+def test_block_options_apply_to_several_inputs(random_path):
+    with daq.open(random_path) as rec:
+        (expected,) = analysis.frequency_responses(rec, estimator="H1")
+        for options in ({"overlap": 0.5}, {"window": "hann"}):
+            (response,) = analysis.frequency_responses(rec, **options)
+            np.testing.assert_array_equal(response.value, expected.value)
+        (separate,) = analysis.frequency_responses(rec, block=2.0, overlap=0.0)
+        (overlapping,) = analysis.frequency_responses(rec, block=2.0)
+    assert np.all(separate.degrees < overlapping.degrees)
+
+
 def test_bounds_contain_truth_for_orthogonal_multisines(tmp_path):
     response, share = response_and_coverage(record_scene(tmp_path / "a.mcap", MULTISINE))
     assert 0.9 < share < 0.995 and np.nanmedian(response.coherence) > 0.9

@@ -6,7 +6,7 @@ The commands print, draw and tabulate what these calls estimate.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
@@ -47,9 +47,6 @@ class Results(Result, Sequence[R], Generic[R]):
 
     def __len__(self) -> int:
         return len(self._results)
-
-    def __iter__(self) -> Iterator[R]:
-        return iter(self._results)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Join the columns that all results have; the column `label` names the recording and sweep."""
@@ -181,10 +178,13 @@ def dampers(recordings: Recordings, progress: CountProgress | None = None) -> Re
     """
     from analysis.damper_motion.dampers import dampers_in
     from analysis.presentation.inputs import check_recording
+    from rig.errors import RecordingError
 
     results: list[Dampers] = []
     for source, label in _sources(recordings):
-        with _require_recording(source) as rec:
+        if isinstance(source, Path):
+            raise RecordingError(f"{source}: this file contains frequency responses. Give a recording (.mcap).")
+        with source as rec:
             check_recording(rec, rec.path, "dampers")
             results += dampers_in(rec, label, progress)
     return Results(results)
@@ -316,32 +316,16 @@ def _paths(recordings: Recordings) -> list[Path]:
 def _sources(recordings: Recordings) -> Iterator[tuple[Any, str]]:
     """Yield each recording as a context, or the path of a file with responses, with its label."""
     from analysis.presentation.inputs import labels
+    from analysis.recordings.names import opened
     from analysis.responses.frf_files import is_frf_file
 
     sources, paths = _as_list(recordings), _paths(recordings)
     for source, path, label in zip(sources, paths, labels(paths), strict=True):
-        yield path if is_frf_file(path) else _opened(source), label
-
-
-@contextmanager
-def _opened(recording: OneRecording) -> Iterator[Recording]:
-    """Open a path while it is used; a recording that is open stays open."""
-    from analysis.recordings.names import opened
-
-    if isinstance(recording, str | Path):
-        with opened(Path(recording)) as rec:
-            yield rec
-    else:
-        yield recording
-
-
-def _require_recording(source: Any) -> Any:
-    """Return the context of a recording; raise `RecordingError` for a file with frequency responses."""
-    from rig.errors import RecordingError
-
-    if isinstance(source, Path):
-        raise RecordingError(f"{source}: this file contains frequency responses. Give a recording (.mcap).")
-    return source
+        if is_frf_file(path):
+            yield path, label
+        else:
+            # A recording that is open stays open.
+            yield opened(path) if isinstance(source, str | Path) else nullcontext(source), label
 
 
 def _labeled(result: Any, label: str, scene: str | None = None) -> Any:

@@ -245,8 +245,10 @@ class _Bench:
         except ShotrigError as failure:
             nan = float("nan")
             return Measurement(variant.group, variant.setting, nan, nan, nan, nan, str(failure))
-        error, note = _largest_error(measured, reference), " ".join(dict.fromkeys(notes))
-        return Measurement(variant.group, variant.setting, min(times), duration, error, correction, note)
+        # The largest error of any body is relative to the largest compliance at that frequency.
+        errors = np.abs(measured - reference).max(axis=0) / np.abs(reference).max(axis=0)
+        note = " ".join(dict.fromkeys(notes))
+        return Measurement(variant.group, variant.setting, min(times), duration, float(errors.max()), correction, note)
 
     def _record(self, scene: Scene) -> Path:
         return record(scene, self._folder / "chain.mcap", overwrite=True)
@@ -287,8 +289,3 @@ def _steady_compliance(scene: Scene, frequency: float, drive: float) -> ComplexA
             "--frequency."
         )
     return response.compliance[:, 0]
-
-
-def _largest_error(value: ComplexArray, reference: ComplexArray) -> float:
-    """Compute the largest error of any body, relative to the largest compliance at that frequency."""
-    return float((np.abs(value - reference).max(axis=0) / np.abs(reference).max(axis=0)).max())

@@ -96,7 +96,7 @@ def _caption(frfs: Sequence[Response]) -> list[str]:
     causes = visible_systematic_errors(frfs)
     if causes:
         sentences.append(f"Light band: systematic errors included, each at its limit: {', '.join(causes)}.")
-    if any(np.any(_reaches_zero(frf)) for frf in frfs):
+    if any(np.any(exceeds_noise(frf) & (_total_uncertainty(frf) >= abs(frf.value))) for frf in frfs):
         sentences.append("A band down to the axis includes zero.")
     if not all(exceeds_noise(frf).all() for frf in frfs):
         sentences.append("Gray: within the noise; phase not shown.")
@@ -166,10 +166,6 @@ def visible_systematic_errors(frfs: Sequence[Response]) -> list[str]:
 def _total_uncertainty(frf: Response) -> Array:
     """Return the half-width of the band of random and systematic errors; infinite if the error is unbounded."""
     return np.hypot(np.nan_to_num(frf.magnitude_bound()), frf.systematic_bound())
-
-
-def _reaches_zero(frf: Response) -> NDArray[np.bool_]:
-    return np.asarray(exceeds_noise(frf) & (_total_uncertainty(frf) >= abs(frf.value)))
 
 
 def _visible_edges(frf: Response) -> Array:

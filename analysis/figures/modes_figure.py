@@ -29,7 +29,9 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
         rows = figure.add_gridspec(3, max(count, 1), height_ratios=[2.2, 1.3, 1.3])
         fit = figure.add_subplot(rows[0, :])
         chart = figure.add_subplot(rows[1, :])
-        dense = np.unique(np.concatenate([np.geomspace(low, high, 1500), *_resonance_frequencies(modes)]))
+        # Frequencies are dense around each resonance, so that the drawn model reaches its peaks.
+        near_peaks = modes.frequency[:, None] * (1.0 + np.outer(modes.damping, np.linspace(-8.0, 8.0, 161)))
+        dense = np.unique(np.append(np.geomspace(low, high, 1500), near_peaks))
         dense = dense[(dense >= low) & (dense <= high)]
         for index, curve in enumerate(curves):
             shade = color_of(index)
@@ -72,10 +74,3 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
                 fontweight="normal",
             )
         return figure
-
-
-def _resonance_frequencies(modes: Modes) -> list[np.ndarray]:
-    """Return dense frequencies around each resonance, so that the drawn model reaches its peaks."""
-    return [
-        f * (1.0 + zeta * np.linspace(-8.0, 8.0, 161)) for f, zeta in zip(modes.frequency, modes.damping, strict=True)
-    ]

@@ -221,9 +221,9 @@ def solve(
     return best
 
 
-def mean_square(problem: Problem, x: Array, groups: Sequence[Group], model_error: float = 0.0) -> float:
+def mean_square(problem: Problem, x: Array, groups: Sequence[Group]) -> float:
     """Compute the mean square of the residuals of groups, in standard deviations."""
-    residuals = problem.residual(x, groups, model_error)[: -problem.size]
+    residuals = problem.residual(x, groups)[: -problem.size]
     return float(np.mean(residuals**2)) if residuals.size else 0.0
 
 

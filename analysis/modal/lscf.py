@@ -71,12 +71,12 @@ def poles_by_order(
         yield order, s[inside]
 
 
-def stabilization_chart(frequency: Array, value: ComplexArray, weight: Array, max_order: int = 24) -> list[ChartPole]:
-    """Compute the stabilization chart of models with 2 to `max_order` poles."""
+def stabilization_chart(frequency: Array, value: ComplexArray, weight: Array) -> list[ChartPole]:
+    """Compute the stabilization chart of models with 2 to 24 poles; `weight` as in `poles_by_order`."""
     chart: list[ChartPole] = []
     previous: list[complex] = []
     spacing = float(np.median(np.diff(frequency)))
-    for order, poles in poles_by_order(frequency, value, weight, range(2, max_order + 1)):
+    for order, poles in poles_by_order(frequency, value, weight, range(2, 25)):
         current = sorted((p for p in poles if -p.real < MAX_DAMPING * abs(p)), key=lambda p: p.imag)
         for p in current:
             stable = any(_same_pole(p, q, spacing) for q in previous)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,14 +49,18 @@ def demonstrate(folder: Path, print_line: Callable[[str], None], sweep_hz: Seque
     folder.mkdir(parents=True, exist_ok=True)
     print_line("Recording two stepped sines (without and with three dampers) and two impulse tests ...")
     recordings = {name: folder / f"{name}.mcap" for name in (*SWEEPS, *IMPULSES)}
-    for name, path in recordings.items():
-        if path.exists() and not (may_overwrite() or is_recorded(_scene(name, tuple(sweep_hz or frequencies())), path)):
+    # The long sweeps are first, so that the short impulse tests use the cores that become free.
+    jobs = [(name, path, tuple(sweep_hz or frequencies())) for name, path in recordings.items()]
+    for name, path, frequencies_hz in jobs:
+        if path.exists() and not (may_overwrite() or is_recorded(_scene(name, frequencies_hz), path)):
             raise SceneError(
                 f"{path} exists and is not a recording of the demonstration. Choose another folder with --output, or "
                 "pass --overwrite."
             )
-    for name, seconds in _record_all(recordings, tuple(sweep_hz or frequencies())):
-        print_line(f"  {recordings[name]} contains {seconds:.0f} s ({time.monotonic() - start:.0f} s after the start)")
+    with Workers() as workers:
+        for number, seconds in workers.compute(_record, jobs):
+            elapsed = time.monotonic() - start
+            print_line(f"  {jobs[number][1]} contains {seconds:.0f} s ({elapsed:.0f} s after the start)")
     files = list(recordings.values())
     print_line("Reading the recordings, and nothing else, for compliance, decay and modes ...")
     sweeps, hits = [recordings[name] for name in SWEEPS], [recordings[name] for name in IMPULSES]
@@ -82,15 +86,6 @@ def demonstrate(folder: Path, print_line: Callable[[str], None], sweep_hz: Seque
     ):
         print_line(f"  {command}")
     return files
-
-
-def _record_all(recordings: dict[str, Path], sweep_hz: tuple[float, ...]) -> Iterator[tuple[str, float]]:
-    """Record on all cores; yield the name and duration (s) of each recording when it is complete."""
-    # The long sweeps start first; the short impulse tests then use the cores that become free.
-    jobs = [(name, path, sweep_hz) for name, path in recordings.items()]
-    with Workers() as workers:
-        for number, seconds in workers.compute(_record, jobs):
-            yield jobs[number][0], seconds
 
 
 def _scene(name: str, sweep_hz: tuple[float, ...]) -> Scene:

@@ -51,7 +51,9 @@ def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *extensio
     """
     folder = output if output is not None else paths[0].parent
     with output_source(kind, *relative_paths(paths, folder)):
-        for name in (join_names([path.stem for path in paths]), join_names([_with_folder(path) for path in paths])):
+        stems = [path.stem for path in paths]
+        stems_with_folder = [f"{path.resolve().parent.name}-{path.stem}" for path in paths]
+        for name in (join_names(stems), join_names(stems_with_folder)):
             stem = folder / f"{name}-{kind}"
             files = [with_ending(stem, extension) for extension in extensions]
             if may_overwrite() or not any(is_from_another_source(file) for file in files):
@@ -108,7 +110,3 @@ def with_ending(stem: Path, extension: str) -> Path:
 def _digest(names: str) -> str:
     # File names are not necessarily valid UTF-8.
     return hashlib.sha256(os.fsencode(names)).hexdigest()
-
-
-def _with_folder(path: Path) -> str:
-    return f"{path.resolve().parent.name}-{path.stem}"

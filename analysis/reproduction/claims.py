@@ -136,9 +136,9 @@ def _describe_type_iii(single: Columns) -> str:
     )
 
 
-def resonance_peaks(data: Columns, body: int = 2) -> np.ndarray:
-    """Compute the largest compliance of a body around each resonance [m/N]."""
-    frequency, magnitude = data["frequency"], np.abs(data["compliance"][body])
+def resonance_peaks(data: Columns) -> np.ndarray:
+    """Compute the largest compliance of body 3 around each resonance [m/N], shape (modes,)."""
+    frequency, magnitude = data["frequency"], np.abs(data["compliance"][2])
     bands = ((10.5, 15.0), (30.0, 37.0), (45.0, 52.0))
     return np.array([magnitude[(frequency > low) & (frequency < high)].max() for low, high in bands])
 

@@ -245,7 +245,12 @@ def _unit_power(spectra: ComplexArray) -> tuple[ComplexArray, Array]:
 
 
 def _rows(
-    rec: Recording, channels: Sequence[str], frequency: Array, names: Sequence[str], inputs: Sequence[Point], motion: str
+    rec: Recording,
+    channels: Sequence[str],
+    frequency: Array,
+    names: Sequence[str],
+    inputs: Sequence[Point],
+    motion: str,
 ) -> ComplexArray:
     """Return the factors from readings to motions and forces, shape (motions and forces, channels, frequencies)."""
     forces = [Measurand((point.name,), (1.0,), "force") for point in inputs]

@@ -305,27 +305,3 @@ def _acceleration(samples: Array, impact_samples: Array, info: ChannelInfo, dura
         factorial = (1.0, 1.0, 2.0)[integrations]
         acceleration[index] = coefficients[integrations] * factorial * (info.rate / (side + gap)) ** integrations
     return acceleration
-
-
-def score(detected: Array, true: Array, tolerance: float) -> tuple[float, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Match detected with true times, each at most once, the closest pairs first.
-
-    `detected`, `true`: detected and true times, s; `tolerance`: maximum distance of a pair, s. Returns the F1 score,
-    2 × matches / (detected + true), which is 1 if both are empty; then whether each detected and each true time is
-    matched.
-
-    >>> score(np.array([1.0, 2.0, 5.0]), np.array([1.01, 2.0, 3.0]), 0.05)[0]
-    0.6666666666666666
-    """
-    detected_matched, true_matched = np.zeros(detected.size, dtype=bool), np.zeros(true.size, dtype=bool)
-    if not detected.size and not true.size:
-        return 1.0, detected_matched, true_matched
-    if detected.size and true.size:
-        pairs = []
-        for i, time in enumerate(detected):
-            low, high = np.searchsorted(true, [time - tolerance, time + tolerance])
-            pairs += [(abs(true[j] - time), i, j) for j in range(low, high)]
-        for _, i, j in sorted(pairs):
-            if not detected_matched[i] and not true_matched[j]:
-                detected_matched[i] = true_matched[j] = True
-    return float(2 * detected_matched.sum() / (detected.size + true.size)), detected_matched, true_matched

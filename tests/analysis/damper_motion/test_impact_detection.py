@@ -7,7 +7,7 @@ import pytest
 
 import daq
 import rig
-from analysis.damper_motion.impact_detection import impacts, score
+from analysis.damper_motion.impact_detection import impacts
 from analysis.damper_motion.landing_pulse import landing_pulse
 from analysis.damper_motion.matching_pursuit import DETECTION_SIGMAS
 from analysis.responses.systematic import tolerance
@@ -16,7 +16,7 @@ from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError
 from tests.analysis.responses import synthetic
 from tests.gauntlet.instant_contact import TONE
-from tests.gauntlet.judges.impacts import detectable
+from tests.gauntlet.judges.impacts import detectable, score
 from tests.gauntlet.trial import run_trial
 
 RATE = synthetic.RATE

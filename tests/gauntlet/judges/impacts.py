@@ -11,9 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.damper_motion.impact_detection import Impacts, impacts, score
+from analysis.damper_motion.impact_detection import Impacts, impacts
 from analysis.responses.systematic import tolerance
 from daq.signal_chain.channel import ChannelInfo
+from rig.arrays import Array
 from rig.system.assembly import assemble
 from tests.gauntlet.finite_contact import TONE_FINITE_CONTACT
 from tests.gauntlet.instant_contact import TONE
@@ -52,6 +53,27 @@ def judge(case: Case, kind: str) -> list[Verdict]:
         notes.append(f"a{damper.body}: {n_detected} detected, {n_missed} missed, {n_false} false")
     outcome = "right" if n_matched >= MIN_F1_SCORE * points else "wrong"
     return [Verdict("impacts", kind, outcome, n_matched, points, note="; ".join(notes))]
+
+
+def score(detected: Array, true: Array, tolerance: float) -> tuple[float, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Match detected with true times, each at most once, the closest pairs first.
+
+    `detected`, `true`: detected and true times, s; `tolerance`: maximum distance of a pair, s. Returns the F1 score,
+    2 × matches / (detected + true), which is 1 if both are empty; then whether each detected and each true time is
+    matched.
+    """
+    detected_matched, true_matched = np.zeros(detected.size, dtype=bool), np.zeros(true.size, dtype=bool)
+    if not detected.size and not true.size:
+        return 1.0, detected_matched, true_matched
+    if detected.size and true.size:
+        pairs = []
+        for i, time in enumerate(detected):
+            low, high = np.searchsorted(true, [time - tolerance, time + tolerance])
+            pairs += [(abs(true[j] - time), i, j) for j in range(low, high)]
+        for _, i, j in sorted(pairs):
+            if not detected_matched[i] and not true_matched[j]:
+                detected_matched[i] = true_matched[j] = True
+    return float(2 * detected_matched.sum() / (detected.size + true.size)), detected_matched, true_matched
 
 
 def _max_distance(detected: Impacts, rate: float) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.damper_motion.impact_detection import impacts, score
+from analysis.damper_motion.impact_detection import impacts
 from analysis.damper_motion.motion_types import damper_motion
 from analysis.responses.stepped_sine import sweeps
 from rig.numerics.runs import runs_of
@@ -17,7 +17,7 @@ from rig.steady_response.motion_type import MIN_STAY_RATIO
 from rig.system.assembly import assemble
 from tests.gauntlet.finite_contact import STEPS_FINITE_CONTACT
 from tests.gauntlet.instant_contact import STEPS
-from tests.gauntlet.judges.impacts import MAX_DISTANCE_SAMPLES, detectable, true_impacts
+from tests.gauntlet.judges.impacts import MAX_DISTANCE_SAMPLES, detectable, score, true_impacts
 from tests.gauntlet.verdict import Case, Verdict
 
 TYPE_NAMES = ("riding", "I", "II", "III")

@@ -76,15 +76,14 @@ def bare_sweep(scene: Scene, path: Path) -> Arrays:
         return arrays
 
 
-def damper_sweep(scene: Scene, path: Path, body: int = 2) -> Arrays:
-    """Estimate compliances as `sweep`, and the impact phases of the damper in a body."""
-    arrays = sweep(scene, path)
-    phases = impact_phases(scene, path, body)
-    return {**arrays, **{f"impact_{key}": values for key, values in phases.items()}}
+def damper_sweep(scene: Scene, path: Path) -> Arrays:
+    """Estimate compliances as `sweep`, and as ``impact_...`` the results of `impact_phases`."""
+    phases = impact_phases(scene, path)
+    return sweep(scene, path) | {f"impact_{key}": values for key, values in phases.items()}
 
 
-def impact_phases(scene: Scene, path: Path, body: int) -> Arrays:
-    """Estimate impact phases of a damper over frequency, from the channel on its body and the spring force.
+def impact_phases(scene: Scene, path: Path) -> Arrays:
+    """Estimate impact phases of the damper in body 2 over frequency, from the channel on it and the spring force.
 
     Returns frequency (points,) Hz; phi (points,), lag of the force with respect to the floor impact; tau_1
     (points,), ceiling impact after the floor impact [rad]; floor and ceiling (points,), impacts per period. NaN
@@ -101,7 +100,7 @@ def impact_phases(scene: Scene, path: Path, body: int) -> Arrays:
             first, stop = marker.first_sample, marker.last_sample + 1
             periods = (stop - first) / recording.rate * frequency
             phase = _force_phase(recording, channels, frequency, first, stop)
-            floor, ceiling = _impact_phases(recording, f"body{body}", frequency, first, stop)
+            floor, ceiling = _impact_phases(recording, "body2", frequency, first, stop)
             phi = _mean_phase(floor, periods)
             frequencies.append(frequency)
             floors.append(len(floor) / periods)

@@ -73,10 +73,17 @@ def reproduce(
         + (f": about {_format_duration(effort)} on {cores()} free cores, the longest parts first." if missing else ".")
     )
     if missing:
-        progress = _Progress(missing, print_line)
-        for part, arrays in compute(missing, folder, cluster):
+        total_effort, finished_effort, compute_start = sum(part.effort for part in missing), 0.0, time.monotonic()
+        for n_finished, (part, arrays) in enumerate(compute(missing, folder, cluster), 1):
             stored[part.name] = arrays
-            progress.add(part)
+            finished_effort += part.effort
+            elapsed = time.monotonic() - compute_start
+            remaining = elapsed * (total_effort - finished_effort) / finished_effort
+            print_line(
+                f"  [{n_finished}/{len(missing)}] {part.title} ({part.name}): "
+                f"{100 * finished_effort / total_effort:.0f} % done after {_format_duration(elapsed)}, "
+                + (f"about {_format_duration(remaining)} left" if n_finished < len(missing) else "the last part")
+            )
     files: list[Path] = []
     assessed = claims(stored)
     with output_source("paper"):
@@ -96,27 +103,6 @@ def compute(parts: Sequence[PaperPart], folder: Path, cluster: str | None = None
         for number, arrays in workers.compute(PaperPart.run, waiting):
             waiting[number].store(folder, arrays)
             yield waiting[number], arrays
-
-
-class _Progress:
-    """Progress report: completed share of the work, and estimated remaining time."""
-
-    def __init__(self, parts: Sequence[PaperPart], print_line: Callable[[str], None]) -> None:
-        self.print_line, self.start = print_line, time.monotonic()
-        self.count, self.total = len(parts), sum(part.effort for part in parts)
-        self.finished, self.finished_effort = 0, 0.0
-
-    def add(self, part: PaperPart) -> None:
-        """Report a finished part."""
-        self.finished += 1
-        self.finished_effort += part.effort
-        elapsed = time.monotonic() - self.start
-        remaining = elapsed * (self.total - self.finished_effort) / self.finished_effort
-        self.print_line(
-            f"  [{self.finished}/{self.count}] {part.title} ({part.name}): "
-            f"{100 * self.finished_effort / self.total:.0f} % done after {_format_duration(elapsed)}, "
-            + (f"about {_format_duration(remaining)} left" if self.finished < self.count else "the last part")
-        )
 
 
 def _format_duration(seconds: float) -> str:

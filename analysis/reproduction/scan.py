@@ -29,12 +29,10 @@ def with_dampers(scene: Scene, clearance: float, mass_ratio: float) -> OrbitProb
     return OrbitProblem(scene.replace(dampers=dampers))
 
 
-def scan(
-    scene: Scene, forces: Array, clearances: Array, frequencies: Array, mass_ratio: float, body: int = BODY
-) -> Arrays:
+def scan(scene: Scene, forces: Array, clearances: Array, frequencies: Array, mass_ratio: float) -> Arrays:
     """Compute peak compliance and motion type around a resonance, over force (rows) and clearance (columns).
 
-    Returns peak (forces, clearances): largest |X| / F_1 of the body; where (same): its frequency; type_there: the
+    Returns peak (forces, clearances): largest |X| / F_1 of `BODY`, m/N; where (same): its frequency; type_there: the
     motion type at the peak; types: all types of any damper, joined by spaces; orbits: share of the frequencies with
     an exact stable orbit; exact: whether the peak is an exact stable orbit.
     """
@@ -47,8 +45,8 @@ def scan(
         for row, force in enumerate(forces):
             response = response_at_level(problem, float(force), frequencies)
             cell = row, column
-            peak[cell], peak_frequency[cell] = refined_peak(problem, response, body)
-            i = int(np.abs(response.compliance[body - 1]).argmax())
+            peak[cell], peak_frequency[cell] = refined_peak(problem, response, BODY)
+            i = int(np.abs(response.compliance[BODY - 1]).argmax())
             type_at_peak[cell] = combined_type(response.damper_motion[:, i].tolist())
             types[cell] = " ".join(sorted(set(response.damper_motion.ravel().tolist())))
             orbits[cell], exact[cell] = 1 - response.simulated.mean(), not response.simulated[i]
@@ -64,12 +62,10 @@ def scan(
     }
 
 
-def type_iii_over_damping(
-    scene: Scene, dampings: Array, clearances: Array, frequencies: Array, body: int = BODY
-) -> Arrays:
+def type_iii_over_damping(scene: Scene, dampings: Array, clearances: Array, frequencies: Array) -> Arrays:
     """Compute whether Type III occurs near the resonance, over damping ratio (rows) and clearance (columns).
 
-    Returns third (dampings, clearances): whether Type III occurs; peak (same): largest compliance of the body [m/N].
+    Returns third (dampings, clearances): whether Type III occurs; peak (same): largest compliance of `BODY` [m/N].
     """
     shape = (len(dampings), len(clearances))
     has_type_iii, peak = np.zeros(shape, dtype=bool), np.zeros(shape)
@@ -80,7 +76,7 @@ def type_iii_over_damping(
             problem = OrbitProblem(scene.replace(structure=structure, dampers=dampers))
             response = response_at_level(problem, problem.level, frequencies)
             has_type_iii[row, column] = bool((response.damper_motion == "III").any())
-            peak[row, column] = refined_peak(problem, response, body)[0]
+            peak[row, column] = refined_peak(problem, response, BODY)[0]
     return {"damping": dampings, "clearance": clearances, "third": has_type_iii, "peak": peak}
 
 
@@ -90,12 +86,11 @@ def least_affected(
     mass_ratios: Array,
     forces: Array,
     bands: dict[int, tuple[float, float]],
-    body: int = 3,
     points: int = 40,
 ) -> Arrays:
     """Compute the peak ratio with and without dampers at each mode, over parameters that the paper does not state.
 
-    Returns share (dampings, mass_ratios, forces, modes): largest compliance of the body near a mode, relative to the
+    Returns share (dampings, mass_ratios, forces, modes): largest compliance of body 3 near a mode, relative to the
     bare structure; dampings, mass_ratios, forces.
     """
     ratios = np.empty((len(dampings), len(mass_ratios), len(forces), len(bands)))
@@ -104,11 +99,11 @@ def least_affected(
         bare = scene.replace(structure=structure)
         for k, band in enumerate(bands.values()):
             frequency = np.linspace(*band, points)
-            without_dampers = receptance(bare, np.linspace(*band, 50 * points))[body - 1]
+            without_dampers = receptance(bare, np.linspace(*band, 50 * points))[2]
             for j, ratio in enumerate(mass_ratios):
                 problem = with_dampers(bare, np.inf, float(ratio))
                 for n, force in enumerate(forces):
-                    peak = refined_peak(problem, response_at_level(problem, float(force), frequency), body)[0]
+                    peak = refined_peak(problem, response_at_level(problem, float(force), frequency), 3)[0]
                     ratios[i, j, n, k] = peak / abs(without_dampers).max()
     return {"share": ratios, "damping": dampings, "mass_ratio": mass_ratios, "force": forces}
 
@@ -116,8 +111,8 @@ def least_affected(
 class _WorstPeak:
     """Function of clearance and mass ratio: the largest peak over the force levels; results are cached."""
 
-    def __init__(self, scene: Scene, force: float, frequencies: Array, body: int) -> None:
-        self.scene, self.force, self.frequencies, self.body = scene, force, frequencies, body
+    def __init__(self, scene: Scene, force: float, frequencies: Array) -> None:
+        self.scene, self.force, self.frequencies = scene, force, frequencies
         self.trials: dict[tuple[float, float], float] = {}  # results by clearance in m and mass ratio
         self.orbits: list[float] = []  # share of the frequencies with an exact orbit, for each response
 
@@ -128,7 +123,7 @@ class _WorstPeak:
             peaks = []
             for level in LEVELS:
                 response = response_at_level(problem, float(self.force * level), self.frequencies)
-                peaks.append(refined_peak(problem, response, self.body)[0])
+                peaks.append(refined_peak(problem, response, BODY)[0])
                 self.orbits.append(1 - float(response.simulated.mean()))
             self.trials[key] = max(peaks)
         return self.trials[key]
@@ -147,9 +142,7 @@ class _WorstPeak:
         }
 
 
-def best_clearance(
-    scene: Scene, force: float, mass_ratio: float, clearances: Array, frequencies: Array, body: int = BODY
-) -> Arrays:
+def best_clearance(scene: Scene, force: float, mass_ratio: float, clearances: Array, frequencies: Array) -> Arrays:
     """Compute the clearance with the smallest peak compliance over a range of forces.
 
     A coarse search over the given clearances is refined by golden sections around the best. The robust criterion is
@@ -158,7 +151,7 @@ def best_clearance(
     Returns clearance, mass_ratios, worst (trials,) in the order of the search; best, mass_ratio, peak (): the
     optimum and its worst peak; orbits (): share of all frequencies with an exact stable orbit.
     """
-    worst = _WorstPeak(scene, force, frequencies, body)
+    worst = _WorstPeak(scene, force, frequencies)
     grid = np.log(clearances)
     values = [worst(np.exp(x), mass_ratio) for x in grid]
     i = int(np.clip(np.argmin(values), 1, len(grid) - 2))
@@ -172,20 +165,14 @@ def best_clearance(
 
 
 def best_damper(
-    scene: Scene,
-    force: float,
-    mass_ratios: Array,
-    clearances: Array,
-    frequencies: Array,
-    body: int = BODY,
-    trials: int = 30,
+    scene: Scene, force: float, mass_ratios: Array, clearances: Array, frequencies: Array, trials: int = 30
 ) -> Arrays:
     """Compute the clearance and mass ratio with the smallest worst peak; as `best_clearance`.
 
     The best point of a grid is improved by the Nelder-Mead simplex method. The mass ratio is limited to the range of
     the grid.
     """
-    worst = _WorstPeak(scene, force, frequencies, body)
+    worst = _WorstPeak(scene, force, frequencies)
     for ratio in mass_ratios:
         for clearance in clearances:
             worst(float(clearance), float(ratio))

@@ -35,9 +35,9 @@ def structure_numbers(scene: Scene, frequencies: Array) -> Arrays:
     }
 
 
-def simulated(scene: Scene, frequencies: Array, direction: str = "up", tolerance: float = 1e-6) -> Arrays:
+def simulated(scene: Scene, frequencies: Array) -> Arrays:
     """Compute the steady response to a purely sinusoidal force, frequency by frequency."""
-    response = frequency_response(with_ideal_force(scene), frequencies, direction, tolerance=tolerance, longest=4000)
+    response = frequency_response(with_ideal_force(scene), frequencies, tolerance=1e-6, longest=4000)
     return {
         "frequency": response.frequency,
         "compliance": response.compliance,
@@ -70,8 +70,8 @@ def exact_orbits(scene: Scene, band: tuple[float, float], searches: int = 5) -> 
     special_points = [
         (name, value)
         for branch in curve.branches
-        for name in ("fold", "doubling", "torus")
-        for value in {"fold": branch.folds, "doubling": branch.doublings, "torus": branch.toruses}[name]
+        for name, values in (("fold", branch.folds), ("doubling", branch.doublings), ("torus", branch.toruses))
+        for value in values
     ]
     return join_columns(rows) | {
         "special": np.array([name for name, _ in special_points], dtype="U10"),
@@ -121,18 +121,18 @@ def approximated(
     }
 
 
-def waveforms(scene: Scene, frequency: float, periods: int = 2) -> Arrays:
-    """Compute displacements of bodies and damper masses over some periods of the orbit at a frequency."""
+def waveforms(scene: Scene, frequency: float) -> Arrays:
+    """Compute displacements of bodies and damper masses over two periods of the orbit at a frequency."""
     orbit = periodic_orbit(scene, frequency)
-    time, *motion = orbit.columns().values()
-    period, turns = orbit.repetition / frequency, range(-1, periods + 1)
-    t = np.concatenate([time + k * period for k in turns])
-    q = np.tile(motion, len(turns))[:, (t >= 0) & (t <= periods / frequency)]
+    orbit_time, *motion = orbit.columns().values()
+    time = np.concatenate([orbit_time + k * orbit.repetition / frequency for k in range(-1, 3)])
+    shown = (time >= 0) & (time <= 2 / frequency)
+    displacement = np.tile(motion, 4)[:, shown]
     bodies, system = scene.structure.bodies, orbit.problem.system
     return {
-        "time": t[(t >= 0) & (t <= periods / frequency)],
-        "body": q[:bodies],
-        "gap": q[bodies:],
+        "time": time[shown],
+        "body": displacement[:bodies],
+        "gap": displacement[bodies:],
         "at": system.damper_coordinate,
         "clearance": system.clearance,
         "type": np.array(orbit.motion_type),
@@ -174,10 +174,8 @@ def weightings(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
     return {"mode": np.array(list(bands)), "peak": peak, "frequency": peak_frequency, "mass_ratio": ratio}
 
 
-def approximate_peaks(
-    scene: Scene, forces: Array, clearances: Array, band: tuple[float, float], body: int = BODY
-) -> Arrays:
-    """Compute peak compliance by the approximate method, over force (rows) and clearance (columns)."""
+def approximate_peaks(scene: Scene, forces: Array, clearances: Array, band: tuple[float, float]) -> Arrays:
+    """Compute the peak compliance of `BODY` by the approximate method, over force (rows) and clearance (columns)."""
     peak = np.full((len(forces), len(clearances)), np.nan)
     types = np.empty(peak.shape, dtype="U4")
     for column, clearance in enumerate(clearances):
@@ -189,7 +187,7 @@ def approximate_peaks(
                 admissible = branch.valid & branch.stable
                 if not admissible.any():
                     continue
-                largest = np.abs(reduced.shape[body - 1] * branch.compliance[admissible]).max()
+                largest = np.abs(reduced.shape[BODY - 1] * branch.compliance[admissible]).max()
                 if not peak[row, column] >= largest:
                     peak[row, column], types[row, column] = largest, branch.motion_type
     return {"force": forces, "clearance": clearances, "peak": peak, "type": types}

@@ -22,12 +22,12 @@ from tests.gauntlet.trial import run_trial
 RATE = synthetic.RATE
 
 
-def record_jumps(path, quantity="displacement", noise=2e-8, count=300, seed=1):
+def record_jumps(path, quantity="displacement", noise=2e-8, count=300):
     """Record a body that vibrates at 40 Hz, with velocity jumps of 3 to 20 mm/s at random times.
 
     Returns the path, the times in s and the jumps in m/s. The acceleration is averaged over each sample interval.
     """
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(1)
     t = np.arange(int(30 * RATE)) / RATE
     times = 0.05 + np.cumsum(random.uniform(0.02, 0.15, count))
     times = times[times < 29.9]
@@ -227,12 +227,12 @@ def test_too_few_samples_are_reported(tmp_path):
         impacts(rec, "body1", 0, 50)
 
 
-def record_tone(path, chain, converter, dampers, frequency=49.0, force=3.3):
-    """Record a tone, in Hz and N, with these dampers in body 2, and the truth."""
+def record_tone(path, chain, converter, dampers, frequency=49.0):
+    """Record a tone of this frequency in Hz and 3.3 N, with these dampers in body 2, and the truth."""
     scene = rig.load("fig8-no-damper").replace(
         dampers=[{"body": 2, "mass_ratio": 0.06, **damper} for damper in dampers],
         shaker={"kind": "force", "body": 1},
-        test={"kind": "sine", "frequency": frequency, "force": force, "duration": 1.0},
+        test={"kind": "sine", "frequency": frequency, "force": 3.3, "duration": 1.0},
         channels=[{"name": "body2", "at": "body 2", **chain}, {"name": "force", "at": "shaker"}],
         converter=converter,
         recording={"truth": True, "display": False},

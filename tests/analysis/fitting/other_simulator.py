@@ -55,30 +55,24 @@ def random_chain(seed: int) -> Chain:
             return chain
 
 
-def accelerations(chain: Chain, driven: int, frequency: Array) -> NDArray[np.complex128]:
-    """Return the accelerances of all bodies for a force on one body (bodies, frequencies)."""
+def accelerances(chain: Chain, frequency: Array) -> NDArray[np.complex128]:
+    """Return the accelerances of all bodies for a force on body 1, shape (bodies, frequencies)."""
     natural, shapes = chain.modes
     omega, natural_omega = 2.0 * np.pi * frequency, 2.0 * np.pi * natural[:, None]
     modal_accelerance = -(omega**2) / (
         natural_omega**2 - omega**2 + 2j * chain.damping[:, None] * natural_omega * omega
     )
-    return np.asarray((shapes * shapes[driven]) @ modal_accelerance)
+    return np.asarray((shapes * shapes[0]) @ modal_accelerance)
 
 
-def random_test(
-    chain: Chain,
-    path: Path,
-    seed: int,
-    noise: tuple[float, float] = (0.03, 0.01),
-    duration: float = 60.0,
-    driven: int = 1,
-) -> dict[str, Any]:
+def random_test(chain: Chain, path: Path, seed: int) -> dict[str, Any]:
     """Write a random test as a text table; return the settings of its scene, with wrong masses and springs.
 
-    `noise` is relative to the rms value of the force and of each response; the force has an rms value of 10 N.
+    The force on body 1 has an rms value of 10 N. The noise is 3 % of the rms value of the force, and 1 % of that of
+    each response.
     """
     random = np.random.default_rng(seed)
-    rate, low, high = 1000.0, 4.0, 220.0
+    rate, low, high, duration = 1000.0, 4.0, 220.0, 40.0
     count = 2 * round(duration * rate)
     frequency = np.fft.rfftfreq(count, 1.0 / rate)
     inside = (frequency > 0.5 * low) & (frequency < 1.2 * high)
@@ -86,10 +80,10 @@ def random_test(
     spectrum[inside] = random.normal(size=inside.sum()) + 1j * random.normal(size=inside.sum())
     spectra = np.zeros((chain.masses.size + 1, frequency.size), dtype=complex)
     spectra[0] = spectrum
-    spectra[1:, inside] = accelerations(chain, driven - 1, frequency[inside]) * spectrum[inside]
+    spectra[1:, inside] = accelerances(chain, frequency[inside]) * spectrum[inside]
     rows = np.fft.irfft(spectra, count, axis=1)[:, : count // 2]
     rows *= 10.0 / rows[0].std()
-    noise_rms = np.array([noise[0]] + [noise[1]] * chain.masses.size) * rows.std(axis=1)
+    noise_rms = np.array([0.03] + [0.01] * chain.masses.size) * rows.std(axis=1)
     rows += noise_rms[:, None] * random.normal(size=rows.shape)
     names = ["force [N]", *(f"a{k} [m/s^2]" for k in range(1, chain.masses.size + 1))]
     table = np.vstack([np.arange(count // 2) / rate, rows]).T
@@ -102,7 +96,7 @@ def random_test(
             "springs": (chain.springs * np.exp(guess.uniform(-0.2, 0.2, chain.masses.size))).tolist(),
             "damping": {"modal": 0.01},
         },
-        "shaker": {"kind": "force", "body": driven},
+        "shaker": {"kind": "force", "body": 1},
         "test": {
             "kind": "random", "from": low, "to": high, "duration": duration, "force": 10.0,
         },

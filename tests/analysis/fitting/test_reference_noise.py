@@ -21,7 +21,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::daq.RunWarning")
 def bench(tmp_path_factory):
     """Return a chain of two bodies, the imported recording of its random test, and the initial scene of the fit."""
     chain, folder = random_chain(14), tmp_path_factory.mktemp("other")
-    settings = random_test(chain, folder / "a.csv", 14, duration=40.0)
+    settings = random_test(chain, folder / "a.csv", 14)
     scene = rig.loads(yaml.safe_dump(settings), where="the other simulator")
     return chain, daq.import_files(folder / "a.csv", scene, folder / "a.mcap"), scene
 

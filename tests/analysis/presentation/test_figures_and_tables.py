@@ -134,9 +134,9 @@ def test_long_title_does_not_overlap_axes(folder):
     assert caption.y1 <= label.y0 and caption.y0 >= 0.0
 
 
-def draw_curve(value, systematic, omitted=()):
-    """Draw a curve from 10 to 20 Hz with a standard error of 1 %; return the axes and the caption of the figure."""
-    ones = np.ones(11)
+def draw_curve(systematic, omitted=()):
+    """Draw a curve of 1 µm/N from 10 to 20 Hz with a standard error of 1 %; return the axes and the caption."""
+    ones, value = np.ones(11), 1e-6
     curve = Response.curve(
         np.linspace(10.0, 20.0, 11), value * ones.astype(complex), "body3", error=0.01 * value * ones, coherence=ones,
         degrees=38.0 * ones, limits={"sensors' sensitivity": systematic * ones}, omitted=np.array(omitted),
@@ -147,7 +147,7 @@ def draw_curve(value, systematic, omitted=()):
 
 
 def test_curve_is_interrupted_at_omitted_points():
-    axes, caption = draw_curve(1e-6, 0.0, [14.5, 25.0])
+    axes, caption = draw_curve(0.0, [14.5, 25.0])
     x, y = axes.lines[-1].get_data()
     assert np.isnan(y[x == 14.5]).all() and np.isfinite(y[x != 14.5][:-1]).all()
     assert axes.get_xlim() == (10.0, 25.0)
@@ -157,7 +157,7 @@ def test_curve_is_interrupted_at_omitted_points():
 
 @pytest.mark.parametrize(("systematic", "reaches_axis"), [(0.8e-6, False), (2e-6, True), (np.inf, True)])
 def test_axis_contains_wide_bounds(systematic, reaches_axis):
-    axes, caption = draw_curve(1e-6, systematic)
+    axes, caption = draw_curve(systematic)
     low, high = axes.get_ylim()
     assert high >= 1.0 + 1e6 * min(systematic, 9e-6)
     assert low <= max(1.0 - 1e6 * systematic, 0.99)

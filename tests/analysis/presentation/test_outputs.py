@@ -23,8 +23,8 @@ def write_output(paths, output, kind):
         return write_table(with_ending(stem, "csv"), ["a"], [])
 
 
-def stem_of(paths, output, kind):
-    with output_stem(paths, output, kind) as stem:
+def stem_of(paths):
+    with output_stem(paths, None, "frf") as stem:
         return stem
 
 
@@ -65,12 +65,12 @@ def test_table_of_the_user_is_not_replaced(tmp_path):
 def test_similar_names_have_separate_files(tmp_path):
     first = [tmp_path / f"{'long' * 8}-{number}.mcap" for number in (1, 2, 3)]
     second = [*first[:2], tmp_path / f"{'long' * 8}-4.mcap"]
-    assert stem_of(first, None, "frf") != stem_of(second, None, "frf")
+    assert stem_of(first) != stem_of(second)
 
 
 def test_undecodable_name_is_kept(tmp_path):
     path = tmp_path / os.fsdecode(b"a\xff.mcap")
-    names = [stem_of([path] * count, None, "frf").name for count in (1, 40)]
+    names = [stem_of([path] * count).name for count in (1, 40)]
     assert os.fsencode(names[0]) == b"a\xff-frf" and names[1].startswith(os.fsdecode(b"a\xff+39-more-"))
 
 

@@ -74,7 +74,7 @@ def test_recording_orbits_and_approximation_agree(tmp_path: Path) -> None:
     scene = rig.load("fig9")
     test = {"kind": "stepped_sine", "frequencies": [49.8, 50.0], "force": 3.3}
 
-    measured = damper_sweep(scene.replace(test=test), tmp_path / "fig9.mcap", 2)
+    measured = damper_sweep(scene.replace(test=test), tmp_path / "fig9.mcap")
     exact = exact_orbits(scene, (49.7, 50.1), searches=1)
     approximate = approximated(scene, 3, (49.7, 50.1), "printed", searches=3)
 
@@ -96,10 +96,10 @@ def test_recording_orbits_and_approximation_agree(tmp_path: Path) -> None:
 def test_existing_recording_is_reused(tmp_path: Path) -> None:
     scene = rig.load("fig9").replace(test={"kind": "stepped_sine", "frequencies": [49.8], "force": 3.3})
     path = tmp_path / "fig9.mcap"
-    first = damper_sweep(scene, path, 2)
+    first = damper_sweep(scene, path)
     modified = path.stat().st_mtime_ns
 
-    second = damper_sweep(scene, path, 2)
+    second = damper_sweep(scene, path)
 
     assert path.stat().st_mtime_ns == modified
     np.testing.assert_array_equal(first["compliance"], second["compliance"])

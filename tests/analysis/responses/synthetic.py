@@ -90,7 +90,7 @@ def simulate(force, rate=RATE, structure_scene=None, quantity="acceleration"):
     return motion
 
 
-def impulses(path, hits=1, interval=6.0, noise=0.0, name="linear", hammer=True, rebound=(), seed=0):
+def impulses(path, hits=1, interval=6.0, noise=0.0, name="linear", hammer=True, rebound=()):
     """Record half-sine hits on body 1 and the free decays after them; hits listed in `rebound` are double hits."""
     count, width, samples_before = round(interval * RATE), 16, 640
     force = np.zeros(samples_before + hits * count)
@@ -106,7 +106,7 @@ def impulses(path, hits=1, interval=6.0, noise=0.0, name="linear", hammer=True, 
     if hammer:
         infos.append(ChannelInfo("hammer", "hammer", "force", sensitivity=1.0, rate=RATE))
         samples = np.vstack([samples, force])
-    samples = samples + noise * np.random.default_rng(seed).standard_normal(samples.shape)
+    samples = samples + noise * np.random.default_rng(0).standard_normal(samples.shape)
     structure_scene = scene("{kind: impulse, body: 1, peak: 50 N, width: 6.25 ms}", name=name)
     return write(path, structure_scene, infos, samples, marks)
 
@@ -114,8 +114,9 @@ def impulses(path, hits=1, interval=6.0, noise=0.0, name="linear", hammer=True, 
 OVERSAMPLING = 4
 
 
-def band_noise(seconds, low, high, seed=0, rate=RATE * OVERSAMPLING):
-    """Return periodic Gaussian noise between two frequencies in Hz, with an rms value of 1."""
+def band_noise(seconds, low, high, seed=0):
+    """Return periodic Gaussian noise between two frequencies in Hz, with an rms value of 1, at the oversampled rate."""
+    rate = RATE * OVERSAMPLING
     count = int(seconds * rate)
     random = np.random.default_rng(seed)
     frequency = np.fft.rfftfreq(count, 1 / rate)
@@ -125,12 +126,12 @@ def band_noise(seconds, low, high, seed=0, rate=RATE * OVERSAMPLING):
     return noise / noise.std()
 
 
-def record_response(path, force, test, marks, noise=0.0, seed=1, name="linear"):
+def record_response(path, force, test, marks, noise=0.0):
     """Record displacements and force, which is given at `OVERSAMPLING` times the rate; noise is relative to the rms."""
     motion = simulate(force, RATE * OVERSAMPLING, quantity="displacement")
     samples = np.vstack([motion, force])[:, ::OVERSAMPLING]
     rms = np.sqrt(np.mean(samples**2, axis=1, keepdims=True))
-    samples = samples + noise * rms * np.random.default_rng(seed).standard_normal(samples.shape)
+    samples = samples + noise * rms * np.random.default_rng(1).standard_normal(samples.shape)
     infos = [info for info in channels() if info.at != "table"]
     infos.append(ChannelInfo("force", "hammer", "force", sensitivity=1.0, rate=RATE))
-    return write(path, scene(test, shaker="force", name=name), infos, samples, marks)
+    return write(path, scene(test, shaker="force"), infos, samples, marks)

@@ -121,14 +121,14 @@ def test_table_drive_images_are_bounded(reference_share):
         assert expected <= bound[column] <= 1.25 * expected, frequency
 
 
-def coil_drive(frequency, mode, displacement, force):
-    """Compute the drive of a moving coil for a motion against a force, from its equations of motion."""
+def coil_drive(frequency, mode, force):
+    """Compute the drive of a moving coil for a motion of 1 m against a force, from its equations of motion."""
     mass, damping, stiffness, resistance, inductance, factor = 0.3, 60.0, 9e3, 3.0, 4e-3, 12.0
     s = 2j * np.pi * frequency
     # Unknowns: current and drive. Equations: of the armature, then of the coil or its current source.
-    motion = (mass * s**2 + damping * s + stiffness) * displacement + force
+    motion = mass * s**2 + damping * s + stiffness + force
     source = [resistance + s * inductance, -1.0] if mode == "voltage" else [1.0, -1.0]
-    induced = -factor * s * displacement if mode == "voltage" else 0.0
+    induced = -factor * s if mode == "voltage" else 0.0
     return np.linalg.solve(np.array([[factor, 0.0], source]), np.array([motion, induced]))[1]
 
 
@@ -145,13 +145,13 @@ def test_coil_drive_images_are_bounded(mode, spring):
 
     def acceleration_per_drive(frequency):
         """Return the acceleration for a drive with the structure fixed; zero for a shaker at rest."""
-        drives = [coil_drive(max(abs(f), 1e-6), mode, 1.0, spring) for f in np.ravel(frequency)]
+        drives = [coil_drive(max(abs(f), 1e-6), mode, spring) for f in np.ravel(frequency)]
         return -np.reshape((2 * np.pi * np.ravel(frequency)) ** 2 / drives, np.shape(frequency))
 
     for column, (frequency, cycles) in enumerate(zip(FREQUENCY, CYCLES, strict=True)):
         # The force on the table is the spring force, with any phase.
         phases = np.exp(2j * np.pi * np.arange(64) / 64)
-        drives = abs(np.array([coil_drive(frequency, mode, 1.0, spring * phase) for phase in phases]))
+        drives = abs(np.array([coil_drive(frequency, mode, spring * phase) for phase in phases]))
         expected = image_ratio(SimpleNamespace(response=acceleration_per_drive), cycles) * drives.max() / drives[0]
         assert 0.99 * expected * abs(value[column]) <= bound[column] <= 1.25 * expected * abs(value[column]), frequency
 

@@ -179,8 +179,8 @@ def record_hits(path, settings, repeats=2):
     return daq.record(scene, path)
 
 
-def largest_errors(rec, curves, low, high):
-    """Return the largest relative error of magnitude, and the largest error of phase in degrees."""
+def largest_errors(rec, curves, low):
+    """Return the largest relative error of magnitude, and of phase in degrees, from `low` to 120 Hz."""
     errors = []
     for body, frf in enumerate(curves):
         frf = frf.between(low, high)

@@ -220,6 +220,8 @@ _MIN_LOG_DIFFERENCE = 1e-3
 _MIN_BRACKET = 2e-3
 # Distance of the next drive from both ends of the bracket, relative to its width.
 _BRACKET_MARGIN = 0.1
+# Largest change of log(drive) from one drive to the next.
+_MAX_LOG_STEP = math.log(3.0)
 # Factor on the longest step if the slope is below its range.
 _FLAT_STEP_FACTOR = 0.5
 # If the force is still too large after a drive reduction to this fraction, the drive is not the cause.
@@ -232,7 +234,7 @@ class AmplitudeControl:
     """Control of a force amplitude in N: secant method in log(drive) and log(force), with a bracket.
 
     The bracket is the interval between the nearest drives below and above the level. `level`: required force, N;
-    `limit`: largest drive; `longest_step`: largest ratio of successive drives.
+    `limit`: largest drive.
 
     >>> control, drive = AmplitudeControl(2.6), 0.1
     >>> for step in range(12):
@@ -244,10 +246,9 @@ class AmplitudeControl:
     (3, True)
     """
 
-    def __init__(self, level: float, limit: float = math.inf, longest_step: float = 3.0) -> None:
+    def __init__(self, level: float, limit: float = math.inf) -> None:
         self.level = level
         self.limit = limit
-        self._max_step = math.log(longest_step)
         self.restart()
 
     def restart(self) -> None:
@@ -266,7 +267,7 @@ class AmplitudeControl:
         self._largest_reduced_drive = max(self._largest_reduced_drive, drive)
         if drive < _MIN_REDUCTION_RATIO * self._largest_reduced_drive:
             return None
-        return drive * max(math.exp(-self._max_step), min(1.0, self.level / force))
+        return drive * max(math.exp(-_MAX_LOG_STEP), min(1.0, self.level / force))
 
     def next_drive(self, drive: float, force: float) -> float:
         """Compute the next drive amplitude, at most `limit`, from the present drive and its steady force in N."""
@@ -282,9 +283,9 @@ class AmplitudeControl:
             self._low, self._high = self._low if self._low < log_drive else -math.inf, log_drive
         if self._high - self._low < _MIN_BRACKET:
             self._low, self._high = -math.inf, math.inf
-        max_step, step = _FLAT_STEP_FACTOR * self._max_step, error
+        max_step, step = _FLAT_STEP_FACTOR * _MAX_LOG_STEP, error
         if slope >= _MIN_SLOPE:
-            max_step, step = self._max_step, error / min(slope, _MAX_SLOPE)
+            max_step, step = _MAX_LOG_STEP, error / min(slope, _MAX_SLOPE)
         next_log_drive = log_drive + max(-max_step, min(max_step, step))
         if math.isfinite(self._high - self._low):
             margin = _BRACKET_MARGIN * (self._high - self._low)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.importing.clock import Clock, clock_of_times, looks_like_times, rate_of_interval, warn_taken_for_times
-from daq.importing.matlab_file import matlab_arrays
+from daq.importing.matlab_file import MAX_DEPTH, matlab_arrays
 from daq.importing.signal import Signal
 from rig.errors import RecordingError, ShotrigError
 from rig.numerics.memory import require_memory_with_program
@@ -29,8 +29,6 @@ _TIME_NAMES = re.compile(r"(.*[._])?(t|time|times|zeit)(_s)?", re.IGNORECASE)
 _MIN_SAMPLES = 16
 # Two-dimensional arrays with more channels do not contain samples.
 _MAX_CHANNELS = 4096
-# Maximum depth of structures within structures.
-_MAX_DEPTH = 8
 # Maximum number of structures that are read from an array.
 _MAX_STRUCTURES = 1000
 # Memory for estimating the clock, bytes per time: the times, those of an even grid, and their differences.
@@ -67,16 +65,16 @@ def _flatten(content: Mapping[str, Any], prefix: str = "", depth: int = 0) -> It
     for name, value in content.items():
         path = f"{prefix}{name}"
         if isinstance(value, Mapping):
-            if depth < _MAX_DEPTH:
+            if depth < MAX_DEPTH:
                 yield from _flatten(value, f"{path}.", depth + 1)
             continue
         array = np.asarray(value)
         items = array.ravel()[:_MAX_STRUCTURES]
-        if array.dtype.names and depth < _MAX_DEPTH:
+        if array.dtype.names and depth < MAX_DEPTH:
             for number, item in enumerate(items, 1):
                 item_path = path if items.size == 1 else f"{path}({number})"
                 yield from _flatten(dict(zip(array.dtype.names, item, strict=True)), f"{item_path}.", depth + 1)
-        elif array.dtype.kind == "O" and array.size == 1 and depth < _MAX_DEPTH:
+        elif array.dtype.kind == "O" and array.size == 1 and depth < MAX_DEPTH:
             yield from _flatten({name: array.item()}, prefix, depth + 1)
         elif array.dtype.kind == "O" and all(isinstance(item, Mapping) for item in array.flat):
             for number, item in enumerate(items, 1):

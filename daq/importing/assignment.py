@@ -6,6 +6,8 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from daq.dsp.skew import delays
 from daq.importing.channel_table import EXAMPLE, Column
 from daq.importing.signal import Signal
@@ -40,8 +42,11 @@ class AssignedSignal:
     calibrated: bool  # whether the sensitivity is known, so that these are the volts of the real converter
 
     def volts(self, start: int, stop: int) -> Array:
-        """Read samples as volts at the converter."""
-        return (self.signal.read(start, stop) - self.column.offset) * self.factor
+        """Read samples as volts at the converter; NaN beyond the end of the signal."""
+        volts, end = np.full(stop - start, np.nan), self.signal.samples
+        if end > start:
+            volts[: end - start] = (self.signal.read(start, min(stop, end)) - self.column.offset) * self.factor
+        return volts
 
 
 @dataclass(frozen=True)

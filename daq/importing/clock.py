@@ -110,7 +110,7 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
         except RecordingError as uneven:
             raise RecordingError(f"{where}: {uneven}") from None
         first, deviation = mean_time + float(centered_number[0]) / rate, float(abs(residual).max())
-        _warn(
+        warn(
             f"{where} deviate from an even grid by up to {deviation * rate:.0%} of a sample. The "
             "samples are imported as evenly spaced: only the written times are assumed to jitter."
         )
@@ -183,7 +183,7 @@ def rate_with_gaps(
     rate = rate_of_interval((last - first) / intervals, resolution / intervals)
     if missing:
         places = "one place" if len(missing) == 1 else f"{len(missing)} places"
-        _warn(
+        warn(
             f"{where} have gaps in {places}, the first before line {missing[0][0] + 1} of the numbers: {lost_total} "
             f"samples are missing at {rate:.6g} Hz; they are imported as lost"
         )
@@ -219,8 +219,9 @@ def looks_like_times(first_times: Array, last: float, samples: int) -> bool:
 
 def warn_taken_for_times(column: str, step: float) -> None:
     """Warn that the numbers of an unnamed column are taken for times."""
-    _warn(f"{column} rises evenly, by {step:.6g}: taken for times in s")
+    warn(f"{column} rises evenly, by {step:.6g}: taken for times in s")
 
 
-def _warn(text: str) -> None:
+def warn(text: str) -> None:
+    """Warn of an uncertain interpretation of a file."""
     warnings.warn(text, RunWarning, stacklevel=3)

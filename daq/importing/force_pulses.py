@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.importing.overloads import merge_spans
 from rig.arrays import Array
-from rig.numerics.runs import runs_of
+from rig.numerics.runs import merge_spans, runs_of
 
 # Threshold of a pulse, as a ratio to the largest force.
 _PULSE_RATIO = 0.05

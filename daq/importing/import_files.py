@@ -16,7 +16,7 @@ from daq.importing.channel_table import Column, read_table
 from daq.importing.driving_power import MOTION_INTEGRATIONS, DrivingPower
 from daq.importing.files import signals_of
 from daq.importing.force_pulses import ForcePulses
-from daq.importing.overloads import Overloads, merge_spans
+from daq.importing.overloads import Overloads
 from daq.importing.signal import Signal
 from daq.importing.steps import StepDetector
 from daq.recording.layout import require_ordered_times
@@ -25,7 +25,7 @@ from daq.recording.recording import open as open_recording
 from rig.arrays import Array
 from rig.errors import RecordingError, RunWarning, SceneError, ShotrigError
 from rig.input_files import as_path, duplicate_files
-from rig.numerics.runs import runs_of
+from rig.numerics.runs import merge_spans, runs_of
 from rig.output_files import atomic_write, resolve_output
 from rig.progress import FractionProgress
 from rig.scene.excitation import Free, Impulse, Multisine, Random, Sine, SteppedSine, SweptSine
@@ -314,11 +314,8 @@ class _RecordingWriter:
     def _read_block(self, row: int, first: int, stop: int) -> Array:
         """Return a block in volts, NaN where the file has no number; search it for gaps, clipping and hits."""
         assignment = self._assigned[row]
-        volts = np.full(stop - first, np.nan)
-        end = min(stop, assignment.signal.samples)
-        if end > first:
-            volts[: end - first] = assignment.volts(first, end)
-            volts[~np.isfinite(volts)] = np.nan
+        volts = assignment.volts(first, stop)
+        volts[~np.isfinite(volts)] = np.nan
         self._missing[row] += [(first + a, first + b) for a, b in runs_of(np.isnan(volts))]
         if len(self._missing[row]) > _MAX_LOST_SEGMENTS:
             self._missing[row] = merge_spans(self._missing[row], round(_LOST_PAUSE_S * self._rate))

@@ -22,7 +22,7 @@ from rig.numerics.memory import LIMIT_VARIABLE, PROGRAM_BYTES, memory_limit
 
 _H5PY_MISSING, _MEMORY_MISSING = "needs h5py", "needs more memory"
 # Maximum depth of structures within structures.
-_MAX_DEPTH = 8
+MAX_DEPTH = 8
 # Maximum number of values in a file: cells may refer to themselves.
 _MAX_VALUES = 100_000
 
@@ -99,11 +99,11 @@ class _HdfReader:
         self._value_count = 0
 
     def value(self, item: Any, depth: int = 0) -> Any:
-        """Return the value of an item; None if it is nested deeper than `_MAX_DEPTH`."""
+        """Return the value of an item; None if it is nested deeper than `MAX_DEPTH`."""
         self._value_count += 1
         if self._value_count > _MAX_VALUES:
             raise ValueError(f"its structures and cells hold more than {_MAX_VALUES} values")
-        if depth > _MAX_DEPTH:
+        if depth > MAX_DEPTH:
             return None
         if hasattr(item, "keys"):
             fields = {name: self.value(item[name], depth + 1) for name in item}

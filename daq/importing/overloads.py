@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from rig.arrays import Array
-from rig.numerics.runs import runs_of
+from rig.numerics.runs import merge_spans, runs_of
 
 # Minimum number of equal samples of a flat top; a smooth peak has fewer.
 _MIN_FLAT_SAMPLES = 3
@@ -124,18 +122,3 @@ class Overloads:
             for run in side.runs(self._samples, _MIN_FLAT_SAMPLES, _MIN_RISE_COUNTS * self._smallest_step)
         ]
         return merge_spans([*flat_tops, *([] if self.limit_is_wrong else self._at_limit)])
-
-
-def merge_spans(segments: Sequence[tuple[int, int]], pause: int = 0) -> list[tuple[int, int]]:
-    """Merge spans [first, stop) that overlap, or whose distance is at most `pause`.
-
-    >>> merge_spans([(5, 7), (0, 2), (2, 3)])
-    [(0, 3), (5, 7)]
-    """
-    merged: list[tuple[int, int]] = []
-    for first, stop in sorted(segments):
-        if merged and first <= merged[-1][1] + pause:
-            merged[-1] = merged[-1][0], max(merged[-1][1], stop)
-        else:
-            merged.append((first, stop))
-    return merged

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from daq.importing.clock import Clock, sample_numbers
 from rig.arrays import Array
-from rig.errors import RecordingError, RunWarning
+from rig.errors import RecordingError
 
 
 @dataclass(frozen=True)
@@ -75,8 +74,3 @@ class Signal:
     def __str__(self) -> str:
         rate = "no sample rate" if self.rate is None else f"{self.rate:.10g} Hz"
         return f"{self.name!r}, {self.samples} samples, {rate}, unit {self.unit or 'not stated'}"
-
-
-def warn(text: str) -> None:
-    """Warn of an uncertain interpretation of a file."""
-    warnings.warn(text, RunWarning, stacklevel=3)

@@ -55,16 +55,8 @@ class StepDetector:
 
     def mark(self, recorder: Recorder, reference: AssignedSignal) -> list[str]:
         """Mark the settled part of each step; return a warning if no step is detected."""
-        sample_count = reference.signal.samples
-
-        def read(first: int, stop: int) -> Array:
-            volts = np.full(stop - first, np.nan)
-            if sample_count > first:
-                volts[: sample_count - first] = reference.volts(first, min(stop, sample_count))
-            return volts
-
         tolerance = self._test.settle.tolerance if isinstance(self._test, SteppedSine) else 1e-3
-        tones = _refine_frequencies(held_tones(self._tracker.tracks(), tolerance), read, self._rate)
+        tones = _refine_frequencies(held_tones(self._tracker.tracks(), tolerance), reference.volts, self._rate)
         if not tones:
             return [
                 f"no step was detected: the scene's test is a {self._test.kind}, but {reference.channel.name} holds no "

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.importing.clock import TIME_NAMES, Clock, clock_of_times, rate_of_interval
-from daq.importing.signal import Signal, warn
+from daq.importing.clock import TIME_NAMES, Clock, clock_of_times, rate_of_interval, warn
+from daq.importing.signal import Signal
 from rig.arrays import Array
 from rig.errors import RecordingError, RunError
 from rig.scene.quantities import TIME, parse

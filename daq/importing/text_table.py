@@ -19,9 +19,10 @@ from daq.importing.clock import (
     rate_with_gaps,
     require_even,
     sample_numbers,
+    warn,
     warn_taken_for_times,
 )
-from daq.importing.signal import Signal, warn
+from daq.importing.signal import Signal
 from daq.importing.text_layout import (
     LABVIEW_BEGIN,
     LABVIEW_SEGMENT_BEGINS,

@@ -23,6 +23,10 @@ _NOT_SUPPORTED = {
 _EACH_SAMPLE = (Signal.SAMPLE_COMPLETE, Signal.SAMPLE_CLOCK)
 
 
+def _already_registered(event: str, code: Code) -> DaqError:
+    return DaqError(f"{event} is registered already. Unregister it first by passing None.", code)
+
+
 class Events:
     """The listeners of a task; they are called with the chassis locked and must return immediately."""
 
@@ -51,10 +55,7 @@ class Events:
                 _NOT_SUPPORTED[event],
             )
         if self._every is not None:
-            raise DaqError(
-                "an every-N-samples event is registered already. Unregister it first by passing None.",
-                _ALREADY_REGISTERED[event],
-            )
+            raise _already_registered("an every-N-samples event", _ALREADY_REGISTERED[event])
         if samples < 1:
             raise DaqError(
                 f"an event every {samples} samples. Give at least 1.",
@@ -68,10 +69,7 @@ class Events:
             self._done = None
             return
         if self._done is not None:
-            raise DaqError(
-                "a done event is registered already. Unregister it first by passing None.",
-                Code.DONE_EVENT_ALREADY_REGISTERED,
-            )
+            raise _already_registered("a done event", Code.DONE_EVENT_ALREADY_REGISTERED)
         self._done = listener
 
     def listen_signal(self, signal: int, listener: Listener | None) -> None:
@@ -81,10 +79,7 @@ class Events:
             self._signals.pop(event, None)
             return
         if event in self._signals:
-            raise DaqError(
-                f"an event for {event.name} is registered already. Unregister it first by passing None.",
-                Code.SIGNAL_EVENT_ALREADY_REGISTERED,
-            )
+            raise _already_registered(f"an event for {event.name}", Code.SIGNAL_EVENT_ALREADY_REGISTERED)
         self._signals[event] = listener
 
     def remove_listener(self, listener: Callable[[Any], None]) -> None:
@@ -136,10 +131,8 @@ class Events:
         if run is None:
             return sent
         has_triggered = getattr(run, "trigger", None) is not None
-        for signal, has_occurred in (
-            (Signal.START_TRIGGER, run.has_started),
-            (Signal.REFERENCE_TRIGGER, has_triggered),
-        ):
+        occurred = {Signal.START_TRIGGER: run.has_started, Signal.REFERENCE_TRIGGER: has_triggered}
+        for signal, has_occurred in occurred.items():
             if has_occurred and signal in self._signals and signal not in self._triggered:
                 self._triggered.add(signal)
                 self._signals[signal](int(signal))

@@ -185,7 +185,7 @@ def _trigger_source(task: Task, name: str) -> str:
 # Properties that are computed when a script reads them, by group and NI's name.
 _COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {
     ("timing", "samp_clk_rate"): lambda task: task.settings.rate,
-    ("timing", "samp_clk_max_rate"): lambda task: _module(task).fastest,
+    ("timing", "samp_clk_max_rate"): lambda task: _module(task).rates.fastest,
     ("timing", "samp_clk_src"): lambda task: full_terminal(
         task, task.settings.groups["timing"]["samp_clk_src"] or f"{task.settings.kind}/SampleClockTimebase"
     ),

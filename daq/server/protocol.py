@@ -80,8 +80,8 @@ def decode(request: Any) -> dict[str, Any]:
             raise invalid_value(f"{name} has {len(value)} entries; expected {_MAX_ENTRIES} at most.")
         if isinstance(value, str):
             _check_text(name, value)
-        if repeated:
-            fields[name] = value if kind == "message" else _to_list(value, kind)
+        if repeated and kind != "message":
+            fields[name] = np.array(value, dtype=np.float64) if kind == "double" else list(value)
         elif kind == _SESSION:
             _check_text(name, value.name)
             fields[name] = value.name
@@ -97,10 +97,6 @@ def _check_text(name: str, text: str) -> None:
         raise invalid_value(f"{name} is a text of {len(text)} characters; expected {_MAX_CHARACTERS} at most.")
     if "\0" in text:
         raise invalid_value(f"{name} contains a null character, which ends a text of NI's driver. Remove it.")
-
-
-def _to_list(values: Any, kind: str) -> Any:
-    return np.array(values, dtype=np.float64) if kind == "double" else list(values)
 
 
 @cache

@@ -5,12 +5,13 @@ A count is the step of a quantized voltage; a sample in counts is the integer co
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Array
+from rig.numerics.runs import merge_spans
 from rig.scene.measurement_chain import Converter as Settings
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
@@ -41,8 +42,9 @@ class Quantizer:
         self._bits, self._range = settings.bits, settings.range
         self._volts_per_count = volts_per_count(settings)
         dropped = [(round(block.at * settings.sample_rate), block.samples) for block in settings.dropped_blocks]
+        spans = merge_spans((first, first + samples) for first, samples in dropped)
         # First and last sample of each run of samples that is lost between converter and recording.
-        self.lost = _merge_blocks((first, first + samples - 1) for first, samples in sorted(dropped))
+        self.lost = tuple((first, stop - 1) for first, stop in spans)
 
     def convert(self, volts: Array) -> tuple[Array | NDArray[np.int32], NDArray[np.bool_]]:
         """Return samples in counts (in volts if there are no bits), and whether each was clipped; same shape."""
@@ -56,17 +58,6 @@ class Quantizer:
         full_scale = 2.0 ** (self._bits - 1)
         clipped = np.minimum(np.maximum(codes, -full_scale), full_scale - 1.0)
         return clipped.astype(np.int32), clipped != codes
-
-
-def _merge_blocks(blocks: Iterable[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
-    """Merge blocks (first, last) that overlap or are adjacent; the blocks are sorted by their first sample."""
-    merged: list[tuple[int, int]] = []
-    for first, last in blocks:
-        if merged and first <= merged[-1][1] + 1:
-            merged[-1] = (merged[-1][0], max(merged[-1][1], last))
-        else:
-            merged.append((first, last))
-    return tuple(merged)
 
 
 class Outputs:

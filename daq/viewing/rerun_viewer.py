@@ -72,7 +72,9 @@ class Viewer:
                 if probe.connect_ex((LOOPBACK, self.port)) == 0:
                     return
             time.sleep(_POLL_S)
-        raise RunError(f"the rerun viewer did not start within {_MAX_START_S:g} s. Its output:\n{_tail(self.output())}")
+        raise RunError(
+            f"the rerun viewer did not start within {_MAX_START_S:g} s. Its output:\n{_last_lines(self.output())}"
+        )
 
     @contextmanager
     def connected_client(self) -> Iterator[ViewerClient]:
@@ -174,7 +176,7 @@ def require_display(remedy: str) -> None:
 def headless_picture(
     file: Path,
     after_s: float | None,
-    size: tuple[int, int] = (1600, 1000),
+    size: tuple[int, int],
     duration_s: float = 0.0,
     last_entity: str | None = None,
 ) -> tuple[bytes, list[View]]:
@@ -267,8 +269,8 @@ def _end_reason(output: str) -> str:
             "the viewer found no graphics device (Vulkan). Install one; a graphics card is not needed: on Debian and "
             "Ubuntu, `apt-get install mesa-vulkan-drivers libvulkan1`"
         )
-    return f"the rerun viewer ended unexpectedly. Its output:\n{_tail(output)}"
+    return f"the rerun viewer ended unexpectedly. Its output:\n{_last_lines(output)}"
 
 
-def _tail(text: str, lines: int = 12) -> str:
-    return "\n".join(text.strip().splitlines()[-lines:])
+def _last_lines(text: str) -> str:
+    return "\n".join(text.strip().splitlines()[-12:])

@@ -45,7 +45,7 @@ def peak_spectrum(
     return np.arange(1, segment_length // 2 + 1) * recording.rate / segment_length, peak_amplitude
 
 
-def spectrum_picture(recording: Recording, start: int, stop: int, size: tuple[int, int] = (760, 440)) -> bytes:
+def spectrum_picture(recording: Recording, start: int, stop: int) -> bytes:
     """Draw the spectra of all channels, one panel for each quantity, as a PNG.
 
     Dotted lines mark the natural frequencies of the structure without dampers.
@@ -56,7 +56,7 @@ def spectrum_picture(recording: Recording, start: int, stop: int, size: tuple[in
 
     natural_hz = structural_model(recording.scene).modes.frequency
     quantities = sorted({(info.quantity, info.unit) for info in recording.channels.values()})
-    figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor=_BACKGROUND, layout="constrained")
+    figure = Figure(figsize=(7.6, 4.4), dpi=100, facecolor=_BACKGROUND, layout="constrained")
     panels = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
     for panel, (quantity, unit) in zip(panels, quantities, strict=True):
         channels = {name: info for name, info in recording.channels.items() if info.quantity == quantity}

@@ -66,14 +66,14 @@ class Module:
     slot: int = 0  # 0 for a separate device
     number: int = 0  # NI's product number; 0 if not known
 
-    def coerced(self, rate: float, output: bool = False) -> float:
-        """Return the lowest rate of the sample clock, S/s, that is not below the requested rate.
+    def coerced(self, rate: float, output: bool) -> float:
+        """Return the lowest rate of the sample clock of inputs or outputs, S/s, that is not below the requested rate.
 
         Raises `DaqError` -200077 if the requested rate is not positive or exceeds the highest rate.
 
         >>> module = Module("Mod1", "NI 9234")
-        >>> module.coerced(5000.0), module.coerced(8000.0), module.coerced(1000.0)
-        (5120.0, 8533.333333333334, 1651.6129032258063)
+        >>> [module.coerced(rate, output=False) for rate in (5000.0, 8000.0, 1000.0)]
+        [5120.0, 8533.333333333334, 1651.6129032258063]
         """
         if rate == self.own_rate:
             return rate
@@ -95,11 +95,6 @@ class Module:
         raise invalid_value(
             f"{limit:g} V exceeds the largest range of {self.product_type}, ±{self.ranges[-1]:g} V. Give a lower limit."
         )
-
-    @property
-    def fastest(self) -> float:
-        """Highest rate of its inputs, S/s."""
-        return self.rates.fastest
 
     def channel_names(self, kind: str) -> list[str]:
         """Names of its inputs (`ai`) or outputs (`ao`)."""
@@ -159,8 +154,8 @@ class Module:
         attributes["teds_hwteds_supported"] = bool(self.inputs) and self.teds
         if self.inputs:
             attributes |= {
-                "ai_max_single_chan_rate": self.fastest,
-                "ai_max_multi_chan_rate": self.fastest,
+                "ai_max_single_chan_rate": self.rates.fastest,
+                "ai_max_multi_chan_rate": self.rates.fastest,
                 "ai_min_rate": self.rates.slowest,
                 "ai_simultaneous_sampling_supported": self.simultaneous,
                 "ai_voltage_rngs": [sign * each for each in self.ranges for sign in (-1.0, 1.0)],

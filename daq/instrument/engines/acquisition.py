@@ -197,11 +197,7 @@ class Acquisition:
         if isinstance(source, AnalogSource):
             crossing = self._crossing(self._start_finders, samples[:, offset:])
             return None if crossing is None else offset + crossing
-        if isinstance(source, SyncPulse | AtTime):
-            instant: int | None = source.next_instant(max(self.armed_instant, first + offset), self.plan.rate)
-        else:
-            assert source is not None
-            instant = self._instant_after(event_tick(source))
+        instant = self._event_instant(source, max(self.armed_instant, first + offset), event_tick)
         if instant is None or instant < self.armed_instant or instant - first >= samples.shape[1]:
             return None
         return max(instant - first, offset)
@@ -246,12 +242,7 @@ class Acquisition:
         if isinstance(source, AnalogSource):
             crossing = self._crossing(self._reference_finders, samples, skip)
         else:
-            assert source is not None
-            instant = (
-                source.next_instant(max(earliest, first), self.plan.rate)
-                if isinstance(source, SyncPulse | AtTime)
-                else self._instant_after(event_tick(source))
-            )
+            instant = self._event_instant(source, max(earliest, first), event_tick)
             if instant is not None and max(earliest, first) <= instant < first + count:
                 crossing = instant - first
         if crossing is not None:
@@ -259,8 +250,12 @@ class Acquisition:
             self._end = self.trigger + self.plan.samples - self.plan.pretrigger
             self.position = self.first_readable
 
-    def _instant_after(self, tick: int | None) -> int | None:
-        """Return the first instant at or after a tick; None without a tick."""
+    def _event_instant(self, source: Source | None, earliest: int, event_tick: EventTick) -> int | None:
+        """Return the instant of a trigger that is not analog; None before the event of another task."""
+        if isinstance(source, SyncPulse | AtTime):
+            return source.next_instant(earliest, self.plan.rate)
+        assert isinstance(source, OtherTask)
+        tick = event_tick(source)
         return None if tick is None else first_sample(self._per_tick, tick)
 
     def _complete(self, instant: int) -> None:

@@ -18,18 +18,11 @@ Value = TypeVar("Value")
 
 
 @dataclass
-class SavedTask:
-    """The settings of a task."""
-
-    channels: list[Channel]
-    groups: dict[str, Properties]
-
-
-@dataclass
 class Storage:
     """Saved tasks, channels and scales, by name."""
 
-    tasks: dict[str, SavedTask] = field(default_factory=dict)
+    # Channels and groups of settings of each task.
+    tasks: dict[str, tuple[list[Channel], dict[str, Properties]]] = field(default_factory=dict)
     channels: dict[str, Channel] = field(default_factory=dict)
     scales: dict[str, Scale] = field(default_factory=dict)
     authors: dict[str, str] = field(default_factory=dict)  # of all three, by their names
@@ -51,13 +44,12 @@ class Storage:
 
     def save_task(self, task: TaskSettings, name: str, author: str) -> None:
         """Save a task's settings."""
-        self.store(self.tasks, name, SavedTask(deepcopy(task.channels), deepcopy(task.groups)))
+        self.store(self.tasks, name, deepcopy((task.channels, task.groups)))
         self.authors[name] = author
 
     def load_task(self, task: TaskSettings, name: str) -> None:
         """Load saved settings into a task."""
-        saved = self.tasks[name]
-        task.channels, task.groups = deepcopy(saved.channels), deepcopy(saved.groups)
+        task.channels, task.groups = deepcopy(self.tasks[name])
 
     def save_channel(self, channel: Channel, name: str, author: str) -> None:
         """Save a channel for other tasks."""

@@ -26,6 +26,7 @@ from rig.results.uncertainty import (
     Contribution,
     Covariance,
     UncertaintyBudget,
+    known_degrees,
     stack_budgets,
 )
 from rig.results.universal_file import universal_file, write_curve
@@ -241,7 +242,7 @@ class Response(Result, Sequence["Response"]):
 
     @property
     def degrees(self) -> Array:
-        """Degrees of freedom of `error`."""
+        """Degrees of freedom of `error`; 0 where they are unknown, as in files."""
         scatter = self.uncertainty.scatter
         return np.zeros(self.value.shape) if scatter is None or scatter.degrees is None else scatter.degrees
 
@@ -264,7 +265,7 @@ class Response(Result, Sequence["Response"]):
 
     def magnitude_bound(self, confidence: float = 0.95) -> Array:
         """Return the half-width of the confidence interval of ``abs(value)`` from the scatter, by Student's t."""
-        return self.error * special.stdtrit(np.maximum(self.degrees, 1.0), 0.5 + confidence / 2.0)
+        return self.error * special.stdtrit(known_degrees(self.degrees), 0.5 + confidence / 2.0)
 
     def parts(self) -> list[str]:
         """Return the name of the largest contribution to the bound at each line of a curve."""

@@ -24,6 +24,8 @@ from rig.results.text import round_to_bound
 Lines = NDArray[np.bool_] | NDArray[np.intp]
 
 SCATTER = "scatter"
+# Degrees of freedom above which Student's t and Fisher's F have their limits to four digits.
+_NORMAL_DEGREES = 1e6
 #: Tolerances of data sheets. They are added linearly, because clock and sensors of a test may deviate by the full
 #: tolerance at the same time.
 CLOCK, SENSITIVITY = "sample clock", "sensors' sensitivity"
@@ -304,5 +306,14 @@ class BudgetTable:
 
 
 def coverage_factor(confidence: float, degrees: Array) -> Array:
-    """Return the coverage factor of a complex mean: radius of its circle relative to the standard uncertainty."""
-    return np.asarray(np.sqrt(2.0 * special.fdtri(2.0, np.maximum(degrees, 1.0), confidence)))
+    """Return the coverage factor of a complex mean: radius of its circle relative to the standard uncertainty.
+
+    >>> coverage_factor(0.95, np.array([0.0, 1.0, 30.0])).round(2).tolist()
+    [2.45, 19.97, 2.58]
+    """
+    return np.asarray(np.sqrt(2.0 * special.fdtri(2.0, known_degrees(degrees), confidence)))
+
+
+def known_degrees(degrees: Array) -> Array:
+    """Replace degrees of freedom of 0, which are unknown, by so many that the distribution is normal (GUM G.3.4)."""
+    return np.where(degrees > 0.0, np.maximum(degrees, 1.0), _NORMAL_DEGREES)

@@ -39,6 +39,12 @@ def test_bound_adds_tolerances_to_independent_parts() -> None:
     np.testing.assert_allclose(frf.to("acceleration").bound(), frf.bound() * (2 * np.pi * LINES) ** 2)
 
 
+def test_unknown_degrees_give_normal_coverage() -> None:
+    frf = Response.curve(LINES, np.ones(LINES.size) + 0j, "a", error=np.full(LINES.size, 0.01))
+    np.testing.assert_allclose(frf.bound(), 0.01 * np.sqrt(-2.0 * np.log(0.05)), rtol=1e-5)
+    np.testing.assert_allclose(frf.magnitude_bound(), 0.0196, rtol=1e-4)
+
+
 def test_budget_lists_contributions_by_variance() -> None:
     table = stack([curve(), curve("body2")]).budget("body2", "20 Hz")
     names, types, uncertainties, fractions = zip(*table.rows, strict=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -45,12 +45,13 @@ def write_mat(segment: Slice, path: Path) -> None:
     )
 
 
-def write_frfs(frfs: Sequence[Response], path: Path) -> None:
-    """Write ``frequency`` [Hz], ``unit``, ``reference``, and value, bound and coherence of each response."""
-    curves = [frf.sorted() for frf in frfs]
-    first = curves[0]
-    names = variable_names([curve.response for curve in curves], {"frequency", "unit", "reference", "channels"})
-    content: dict[str, Any] = {"frequency": first.frequency, "unit": first.unit, "reference": first.input}
+def write_frfs(response: Response, path: Path) -> None:
+    """Write ``frequency`` [Hz], ``unit``, ``reference``, and value, bound and coherence of each element."""
+    curves = response.sorted().curves()
+    several = len(response.inputs) > 1
+    elements = [f"{curve.response}_{curve.inputs[0].name}" if several else curve.response for curve in curves]
+    names = variable_names(elements, {"frequency", "unit", "reference", "channels"})
+    content: dict[str, Any] = {"frequency": curves[0].frequency, "unit": response.unit, "reference": response.input}
     for name, curve in zip(names, curves, strict=True):
         content |= {name: curve.value, f"bound_{name}": curve.bound(), f"coherence_{name}": curve.coherence}
     _save(path, content | {"channels": np.array(names, dtype=object)})

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from analysis.exporting import mat, uff
 from analysis.modal.identification import identify
@@ -13,7 +13,10 @@ from analysis.responses.frf_files import is_frf_file, read_frfs
 from rig.errors import SceneError
 from rig.output_files import atomic_write, resolve_output
 from rig.progress import CountProgress
-from rig.results.response import Response, stack
+from rig.results.response import Response
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
 
 ENDINGS = (".uff", ".unv", ".mat")
 
@@ -37,32 +40,43 @@ def export_results(
         )
     resolve_output(path, overwrite=True)
     lines = []
-    for number, (curves, nodes, force_node) in enumerate(_sweeps(file, progress), start=1):
+    for number, (curves, nodes, driven) in enumerate(_sweeps(file, progress), start=1):
         target = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
         with atomic_write(target, overwrite or None) as temporary:
             if what == "frfs":
-                first, names = curves[0], ", ".join(curve.response for curve in curves)
-                mat.write_frfs(curves, temporary) if kind == ".mat" else stack(curves).to_uff(
-                    temporary, nodes, [force_node]
-                )
-                lines.append(f"{first.label}: {first.name} of {names} by {first.input}")
+                mat.write_frfs(curves, temporary) if kind == ".mat" else curves.to_uff(temporary, nodes, driven)
+                lines.append(f"{curves.label}: {curves.name} of {curves.response} by {curves.input}")
             else:
                 modes = identify(curves)
-                mat.write_modes(modes, temporary) if kind == ".mat" else uff.write_modes(modes, temporary, nodes)
+                # Responses of unbounded uncertainty have no element in the shapes.
+                mode_nodes = [nodes[curves.keys().index(name)] for name in modes.responses]
+                mat.write_modes(modes, temporary) if kind == ".mat" else uff.write_modes(modes, temporary, mode_nodes)
                 lines.append(modes.summary())
         lines.append(f"wrote {target}, {target.stat().st_size / 1e6:.2f} MB")
     return lines
 
 
-def _sweeps(file: Path, progress: CountProgress | None) -> list[tuple[Sequence[Response], list[int], int]]:
-    """Return for each sweep its responses, the nodes of their points, and the node of the force (0: not one body)."""
+def _sweeps(file: Path, progress: CountProgress | None) -> list[tuple[Response, list[int], list[int]]]:
+    """Return for each sweep its response, the nodes of its outputs and those of its inputs (0: not one body)."""
     if is_frf_file(file):
-        curves = read_frfs(file)
-        return [(curves, list(range(1, len(curves) + 1)), 0)]
+        response = read_frfs(file)
+        return [(response, list(range(1, len(response) + 1)), [0])]
     with opened(file) as rec:
-        sweeps = frequency_responses(rec, progress=progress)
-        # A force that acts on several bodies has no single node.
-        force_node = rec.scene.force_on[0] if len(rec.scene.force_on) == 1 else 0
         return [
-            (curves, [uff.node(rec.channels[curve.response].at) for curve in curves], force_node) for curves in sweeps
+            (
+                response,
+                [uff.node(rec.channels[point.name].at) for point in response.outputs],
+                [_force_node(rec, point.name) for point in response.inputs],
+            )
+            for response in frequency_responses(rec, progress=progress)
         ]
+
+
+def _force_node(rec: Recording, name: str) -> int:
+    """Return the node of a force: the body on which it acts, or 0 for several bodies.
+
+    `name`: its channel if several shakers are driven.
+    """
+    place = rec.channels[name].at if name in rec.channels else ""
+    bodies = rec.scene.shakers[int(place.split()[1]) - 1].bodies if place.startswith("shaker ") else rec.scene.force_on
+    return bodies[0] if len(bodies) == 1 else 0

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 
 from analysis.responses import random
 from analysis.responses.budget import assemble_budget
@@ -346,8 +347,7 @@ def _from_local_fits(
 
 def _mean_square(spectra: ComplexArray, side: int) -> Array:
     """Average the power of spectra over segments and over `side` bins on either side; shape (bins,)."""
-    width = 2 * side + 1
-    return np.convolve(np.mean(abs(spectra) ** 2, axis=0), np.full(width, 1.0 / width), "same")
+    return np.asarray(scipy.ndimage.uniform_filter1d(np.mean(abs(spectra) ** 2, axis=0), 2 * side + 1))
 
 
 def _from_experiments(
@@ -414,7 +414,7 @@ def _from_experiments(
         for k in range(value.shape[2]):
             element = a * len(inputs) + k
             noise_variance = covariance[:, element, element].real
-            expected = np.convolve(noise_variance, np.full(2 * SIDE + 1, 1.0 / (2 * SIDE + 1)), "same")
+            expected = scipy.ndimage.uniform_filter1d(noise_variance, 2 * SIDE + 1, mode="nearest")
             variance, line_degrees = (
                 (scatter[:, a, k], 2.0 * (count - 1.0)) if count > 1 else (noise_variance, noise_degrees)
             )

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import pyuff
+from scipy.io import loadmat
 
 import analysis
 import daq
 import rig
+from analysis.exporting.results import export_results
 from analysis.responses.several_inputs import driven_forces, input_output_spectra, reciprocity
 from daq.recording.markers import Marker
 from rig.errors import SceneError
@@ -84,6 +87,24 @@ def test_block_options_apply_to_several_inputs(random_path):
 def test_bounds_contain_truth_for_orthogonal_multisines(tmp_path):
     response, share = response_and_coverage(record_scene(tmp_path / "a.mcap", MULTISINE))
     assert 0.9 < share < 0.995 and np.nanmedian(response.coherence) > 0.9
+
+
+def test_few_multisine_lines_are_evaluated(tmp_path):
+    test = MULTISINE.replace("to: 60 Hz, period: 4 s", "to: 30 Hz, period: 1 s")
+    response, share = response_and_coverage(record_scene(tmp_path / "a.mcap", test))
+    assert response.frequency.size == 23 and share > 0.9
+
+
+def test_exported_elements_name_their_force(random_path, tmp_path):
+    for form in ("uff", "mat"):
+        export_results(random_path, tmp_path / f"frfs.{form}", "frfs")
+    export_results(random_path, tmp_path / "modes.uff", "modes")
+    with daq.open(random_path) as rec:
+        (response,) = analysis.frequency_responses(rec)
+    np.testing.assert_array_equal(loadmat(tmp_path / "frfs.mat")["a2_f3"].ravel(), response["a2", "f3"].value)
+    read_back = analysis.read_frfs(tmp_path / "frfs.uff", reference="3 +Z")
+    np.testing.assert_allclose(read_back["a2"].value, response["a2", "f3"].value, rtol=1e-9)
+    assert pyuff.UFF(str(tmp_path / "modes.uff")).read_sets(0)["node_nums"].tolist() == [1, 2, 3]
 
 
 def test_error_bars_exist_without_overloaded_realisation(tmp_path):

@@ -10,9 +10,10 @@ import numpy as np
 from rig.damper_design.choice import COARSE_DENSITY, Question, Trial
 from rig.damper_design.ranking import EQUAL_DB
 from rig.damper_design.worst_peak import Peak, response_at_level
-from rig.motion_map.grid import natural_frequencies, select_frequencies, take_off_levels
+from rig.motion_map.grid import damper_accelerations, natural_frequencies, select_frequencies
 from rig.orbits.problem import OrbitProblem
 from rig.results import format_number
+from rig.scene.scene import Scene
 
 #: Smallest peak reduction at which dampers count as effective, dB.
 EFFECTIVE_DB = 1.0
@@ -42,11 +43,15 @@ def compute_flight(question: Question, trial: Trial, unreached: bool) -> Flight:
 
     `unreached`: whether the dampers do not reach their ceiling, so that the height is computed.
     """
-    frequencies, dampers = _frequencies(question, trial), trial.choice.dampers(question.impact_law)
-    scenes = [question.scenes[0].replace(dampers=[damper]) for damper in dampers]
-    levels = [float(take_off_levels(scene, frequencies).min()) for scene in scenes]
-    lowest, body = min(zip(levels, trial.choice.bodies, strict=True))
-    return Flight(lowest, body, _height(question, trial) if unreached else np.nan)
+    scene = _damped_scene(question, trial)
+    accelerations = damper_accelerations(scene, _frequencies(question, trial)).max(axis=1)
+    first = int(accelerations.argmax())
+    take_off = float(scene.gravity / accelerations[first])
+    return Flight(take_off, trial.choice.bodies[first], _height(question, trial) if unreached else np.nan)
+
+
+def _damped_scene(question: Question, trial: Trial) -> Scene:
+    return question.scenes[0].replace(dampers=trial.choice.dampers(question.impact_law))
 
 
 def _height(question: Question, trial: Trial) -> float:
@@ -65,7 +70,7 @@ def _height(question: Question, trial: Trial) -> float:
 
 
 def _frequencies(question: Question, trial: Trial) -> np.ndarray:
-    scene = question.scenes[0].replace(dampers=trial.choice.dampers(question.impact_law))
+    scene = _damped_scene(question, trial)
     low, high = question.band
     natural = natural_frequencies(scene, low, high)
     peaks = [peak.frequency for peak in trial.peaks]

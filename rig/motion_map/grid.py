@@ -106,14 +106,18 @@ def take_off_levels(scene: Scene, frequency: Array) -> Array:
 
     `frequency`, shape (frequencies,): Hz. Returns shape (frequencies,), N, or the unit of the drive.
     """
-    return assemble(scene).gravity / _max_damper_accelerations(scene, frequency)
+    return assemble(scene).gravity / damper_accelerations(scene, frequency).max(axis=0)
 
 
-def _max_damper_accelerations(scene: Scene, frequency: Array) -> Array:
-    """Compute the largest acceleration of a damper on its floor per unit of level, m/s^2; shape (frequencies,)."""
+def damper_accelerations(scene: Scene, frequency: Array) -> Array:
+    """Compute the acceleration of each damper that moves per unit of level, m/s^2; shape (dampers, frequencies).
+
+    All dampers are on their floors. `frequency`: Hz.
+    """
     system = assemble(scene)
-    coordinates = system.damper_coordinate
-    return np.array([accelerations_per_level(scene, system, 2.0 * np.pi * f)[coordinates].max() for f in frequency])
+    return np.stack(
+        [accelerations_per_level(scene, system, 2.0 * np.pi * f)[system.damper_coordinate] for f in frequency], axis=1
+    )
 
 
 def select_row_values(
@@ -153,7 +157,7 @@ def _levels(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]
 
 def _clearances(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]:
     """Return the scene's own clearance (mean of several) and the ends of the range, m."""
-    accelerations = _max_damper_accelerations(scene, frequency)
+    accelerations = damper_accelerations(scene, frequency).max(axis=0)
     peak = int(np.argmax(accelerations))
     displacement = level_of(scene) * float(accelerations[peak]) / (2.0 * np.pi * frequency[peak]) ** 2
     clearances = assemble(scene).clearance

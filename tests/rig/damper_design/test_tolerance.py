@@ -21,6 +21,7 @@ from rig.damper_design.other_modes import mode_peaks, mode_questions_of, select_
 from rig.damper_design.request import parse_request
 from rig.damper_design.tolerance import clearance_tolerance
 from rig.damper_design.worst_peak import Peak
+from rig.system.structural_model import receptance
 
 SPACE = Space(((1,),), 0.1, (1e-4, 1e-2))
 
@@ -125,6 +126,18 @@ def test_flight_height_equals_the_simulated_motion() -> None:
     motion = rig.simulate(scene, 600.0 / frequency, rate=64.0 * frequency, frequency=frequency)
     simulated_height = motion.gap[0, -640:].max()  # over the last 10 periods, m
     assert 0.9 * simulated_height < result.height < 5.0 * simulated_height
+
+
+def test_take_off_includes_the_mass_of_all_dampers() -> None:
+    question, _ = parse_request(rig.load("fig9"), bodies=[1, 2, 3], dampers=3, levels=[0.25], band=(28.0, 40.0))
+    # Each mass is about 30 % of its body's mass.
+    choice = Choice((1, 2, 3), (0.2, 0.2, 0.2), (1e-3,) * 3)
+    peak = Peak(1e-4, 34.0, 0.25, 1, 1.0, 0.0)
+    flight = compute_flight(question, Trial(choice, (peak,)), unreached=False)
+    scene, frequency = question.scenes[0].replace(dampers=choice.dampers(question.impact_law)), np.linspace(28, 40, 2001)
+    acceleration = (2 * np.pi * frequency) ** 2 * abs(receptance(scene, frequency, riding=(1, 2, 3)))
+    take_off = scene.gravity / acceleration.max(axis=1)
+    assert flight.body == 1 + take_off.argmin() and flight.take_off == pytest.approx(take_off.min(), rel=1e-2)
 
 
 def test_levels_too_weak_for_flight_are_named() -> None:

@@ -21,8 +21,12 @@ from rig.scene.shaker import ForceShaker, TableShaker
 from rig.system.assembly import spring_force_row
 from rig.system.hybrid_system import HybridSystem
 
-# Number of frequencies between which the drive per level of a sweep is interpolated.
-_GAIN_FREQUENCIES = 400
+# Smallest number of frequencies between which the drive per level of a sweep is interpolated.
+_MIN_GAIN_FREQUENCIES = 400
+# Largest relative error of this interpolation.
+_MAX_GAIN_ERROR = 1e-3
+# Maximum number of times that an interval of this interpolation is halved.
+_MAX_HALVINGS = 20
 
 
 @dataclass(frozen=True)
@@ -217,12 +221,30 @@ def _sweep_drive(scene: Scene, system: HybridSystem, test: SweptSine, time: Arra
     else:
         phase = 2.0 * np.pi * test.duration * (first * progress + 0.5 * (last - first) * progress**2)
         frequency = first + (last - first) * progress
-    grid = np.linspace(min(first, last), max(first, last), _GAIN_FREQUENCIES)
-    gains = np.array([drive_per_level(scene, system, 2.0 * np.pi * f) for f in grid])
-    magnitude = np.interp(frequency, grid, np.abs(gains))
-    angle = np.interp(frequency, grid, np.unwrap(np.angle(gains)))
-    sweep = level_of(scene) * magnitude * np.sin(phase + angle)
+    gain = np.interp(frequency, *_tabulate_gain(scene, system, min(first, last), max(first, last)))
+    sweep = level_of(scene) * np.imag(gain * np.exp(1j * phase))
     return np.where(time <= test.duration, sweep, 0.0)
+
+
+def _tabulate_gain(scene: Scene, system: HybridSystem, low: float, high: float) -> tuple[Array, ComplexArray]:
+    """Return frequencies (Hz) and the drive per level at each, finely spaced at resonances and antiresonances."""
+
+    def gain_at(frequency: Array) -> ComplexArray:
+        gain = drive_per_level(scene, system, 2.0 * np.pi * frequency)
+        return np.broadcast_to(np.asarray(gain, dtype=np.complex128), frequency.shape)
+
+    frequency = np.linspace(low, high, _MIN_GAIN_FREQUENCIES)
+    gain = gain_at(frequency)
+    for _ in range(_MAX_HALVINGS):
+        middle = 0.5 * (frequency[1:] + frequency[:-1])
+        exact = gain_at(middle)
+        is_inaccurate = np.abs(0.5 * (gain[1:] + gain[:-1]) - exact) > _MAX_GAIN_ERROR * np.abs(exact)
+        if not is_inaccurate.any():
+            break
+        places = np.flatnonzero(is_inaccurate) + 1
+        frequency = np.insert(frequency, places, middle[is_inaccurate])
+        gain = np.insert(gain, places, exact[is_inaccurate])
+    return frequency, gain
 
 
 def validate_drive(drive: ArrayLike, inputs: Sequence[str], first: int = 0) -> Array:

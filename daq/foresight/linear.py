@@ -14,6 +14,7 @@ from rig.scene.excitation import Impulse, Multisine, Random, Sine, SteppedSine, 
 from rig.scene.measurement_chain import Channel
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
+from rig.scene.shaker import DRIVE_PER_VOLT
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import drive_per_level, level_of, riding_response
@@ -60,15 +61,19 @@ def channel_readings(scene: Scene, channels: Sequence[ChannelInfo], frequencies:
     system = assemble(scene)
     states, drive_gain = states_per_level(scene, system, frequencies)
     readings = np.zeros((len(channels), frequencies.size))
+    driven_input = scene.at_driven("shaker")
+    drive_unit = system.drive_units[system.inputs.index(driven_input)]
     for row, info in enumerate(channels):
         amplitude: Array
         if info.at in system.points:
             derivative_order = info.derivative or 0
             amplitude = abs(states[system.points.index(info.at)]) * (2.0 * np.pi * frequencies) ** derivative_order
-        elif isinstance(scene.test, Impulse):
+        elif isinstance(scene.test, Impulse) or info.at not in (driven_input, scene.at_driven("drive")):
             continue
         else:
-            amplitude = np.abs(drive_gain)
+            # The channel measures the driving force, or the voltage of the output that drives the shaker.
+            drive_per_unit = DRIVE_PER_VOLT[drive_unit] if info.quantity == "voltage" else 1.0
+            amplitude = np.abs(drive_gain) / drive_per_unit
         readings[row] = amplitude * abs(info.response(frequencies))
     return readings
 

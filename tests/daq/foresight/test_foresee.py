@@ -11,6 +11,8 @@ import pytest
 import daq
 import rig
 from daq.foresight import rehearsal_plan
+from daq.foresight.linear import channel_readings
+from daq.virtual_bench.bench import Bench
 from rig.errors import SceneError
 from rig.system.structural_model import receptance
 from tests.gauntlet.predicted_maxima import KINDS, compare, with_long_test
@@ -189,3 +191,17 @@ def test_size_of_recording_is_predicted(name, truth, tmp_path):
     scene = rig.load(name, {"recording.truth": truth})
     path = daq.record(scene, tmp_path / "a.mcap")
     assert daq.foresee(scene).disk == pytest.approx(path.stat().st_size, rel=0.2)
+
+
+@pytest.mark.parametrize(("kind", "volts"), [("table", 2.0), ("electrodynamic", 2e-3)])
+def test_linear_reading_of_the_drive_is_its_voltage(kind: str, volts: float) -> None:
+    # 1 V at the output moves the table by 1 mm, and drives the amplifier of a coil with 1 V.
+    shaker = {"kind": "table", "body": 1, "spring": "6.6 kN/m", "bandwidth": "100 kHz"}
+    scene = rig.load("fig9").replace(
+        shaker=shaker if kind == "table" else rig.load("fig9").shaker,
+        test={"kind": "sine", "frequency": "30 Hz", "drive": 2e-3, "duration": "3 s"},
+        channels=[{"name": "output", "at": "drive"}],
+        converter={"rate": "5120 Hz", "sampling": "point"},
+    )
+    readings = channel_readings(scene, Bench(scene).channels, np.array([30.0]))
+    assert 2e-3 * readings[0, 0] == pytest.approx(volts, rel=1e-6)

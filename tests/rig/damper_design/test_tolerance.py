@@ -134,7 +134,10 @@ def test_take_off_includes_the_mass_of_all_dampers() -> None:
     choice = Choice((1, 2, 3), (0.2, 0.2, 0.2), (1e-3,) * 3)
     peak = Peak(1e-4, 34.0, 0.25, 1, 1.0, 0.0)
     flight = compute_flight(question, Trial(choice, (peak,)), unreached=False)
-    scene, frequency = question.scenes[0].replace(dampers=choice.dampers(question.impact_law)), np.linspace(28, 40, 2001)
+    scene, frequency = (
+        question.scenes[0].replace(dampers=choice.dampers(question.impact_law)),
+        np.linspace(28, 40, 2001),
+    )
     acceleration = (2 * np.pi * frequency) ** 2 * abs(receptance(scene, frequency, riding=(1, 2, 3)))
     take_off = scene.gravity / acceleration.max(axis=1)
     assert flight.body == 1 + take_off.argmin() and flight.take_off == pytest.approx(take_off.min(), rel=1e-2)

@@ -277,7 +277,8 @@ class _RecordingWriter:
         for row, assignment in enumerate(assigned):
             if assignment.signal.full_scale is not None:
                 limits[row] = abs(assignment.signal.full_scale * assignment.factor)
-        self._overloads = [Overloads(limit) for limit in limits]
+        offsets = [assignment.column.offset * assignment.factor for assignment in assigned]
+        self._overloads = list(map(Overloads, limits, offsets))
         forces = [row for row, info in enumerate(self._infos) if info.quantity == "force"]
         self._forces = {row: ForcePulses() for row in forces if isinstance(scene.test, Impulse | None)}
         # The power at the driving point, if one channel measures force, and a channel the motion where it acts.
@@ -397,6 +398,6 @@ def _implausible_readings(where: str, assignment: AssignedSignal, overloads: Ove
         yield f"{where} reads up to {peak:.3g} {unit}. Check for a wrong unit or sensitivity."
     if overloads.limit_is_wrong:
         yield (
-            f"{where} reads up to {overloads.peak:.4g} V, above the converter's range of {overloads.limit:.4g} V. "
+            f"{where} reads up to {overloads.largest:.4g} V, above the converter's range of {overloads.limit:.4g} V. "
             "Correct unit, sensitivity or range."
         )

@@ -71,10 +71,13 @@ class _FlatTops:
 
 
 class Overloads:
-    """Detects clipping of one signal; `limit` is the largest reading of the converter, None if not known."""
+    """Detects clipping of one signal; `limit` is the largest reading of the converter, None if not known.
 
-    def __init__(self, limit: float | None) -> None:
-        self.limit = limit
+    `offset` is the reading of the converter where the signal is zero.
+    """
+
+    def __init__(self, limit: float | None, offset: float = 0.0) -> None:
+        self.limit, self._offset = limit, offset
         self._sides = _FlatTops(1), _FlatTops(-1)
         self._smallest_step = np.inf
         self._samples = 0
@@ -96,9 +99,14 @@ class Overloads:
         return self._sides[0].top + self._sides[1].top
 
     @property
+    def largest(self) -> float:
+        """Largest magnitude of the converter's readings so far, which include the offset."""
+        return max(side.top + sign * self._offset for sign, side in zip((1, -1), self._sides, strict=True))
+
+    @property
     def limit_is_wrong(self) -> bool:
         """Whether readings exceed the limit so far that the limit must be wrong."""
-        return self.limit is not None and self.peak > _WRONG_LIMIT_RATIO * self.limit
+        return self.limit is not None and self.largest > _WRONG_LIMIT_RATIO * self.limit
 
     def add(self, first: int, samples: Array) -> None:
         """Add the next samples; the first has the number `first`."""
@@ -110,7 +118,8 @@ class Overloads:
         for side in self._sides:
             side.add(first, samples)
         if self.limit is not None and len(self._at_limit) < _MAX_STORED:
-            self._at_limit += [(first + a, first + b) for a, b in runs_of(abs(samples) >= _CLIPPED_RATIO * self.limit)]
+            is_at_limit = abs(samples + self._offset) >= _CLIPPED_RATIO * self.limit
+            self._at_limit += [(first + a, first + b) for a, b in runs_of(is_at_limit)]
 
     def segments(self) -> list[tuple[int, int]]:
         """Return the segments [first, stop) in which the signal was clipped, in order."""

@@ -188,6 +188,20 @@ def test_late_release_is_reported_and_can_be_cut(form, tmp_path):
         np.testing.assert_allclose(recording.read("body2"), rows[1, 3072:5120], rtol=1e-8, atol=1e-9)
 
 
+def test_range_applies_to_voltages_with_their_offset(tmp_path):
+    rows = 3.0 + 0.3 * random_samples(2000)
+    # Single samples at either end of the range of 5 V.
+    rows[0, 300], rows[0, 1500] = -5.0, 5.0
+    write_csv(tmp_path / "a.csv", rows)
+    table = {"body1": Column("body1", unit="V", offset=3.0)}
+    scene = make_scene(converter="converter: {range: 5 V}")
+    recording, messages = import_recording(tmp_path / "a.csv", scene, tmp_path / "r.mcap", table=table)
+    with recording:
+        overloads = [(marker.first_sample, marker.stop, marker.fields) for marker in recording.overloads]
+    assert overloads == [(k, k + 1, {"channel": "body1"}) for k in (300, 1500)]
+    assert not any("above the converter's range" in note for note in messages)
+
+
 def test_reversed_times_are_rejected(tmp_path):
     write_csv(tmp_path / "a.csv", random_samples(600))
     with pytest.raises(SceneError, match=r"--from 0\.2 s is after --to 0\.1 s"):

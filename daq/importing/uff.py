@@ -15,6 +15,7 @@ from daq.importing.signal import Signal
 from rig.errors import RecordingError, RunError
 from rig.numerics.memory import require_memory_with_program
 from rig.results.universal_file import FRF, GENERAL
+from rig.scene.quantities import TIME, parse
 
 # Function types of data set 58.
 TIME_RESPONSE, COHERENCE = 1, 6
@@ -129,18 +130,26 @@ def is_time(data_set: Mapping[str, Any]) -> bool:
 
 
 def _signal(path: Path, number: int, name: str, data_set: Mapping[str, Any]) -> Signal:
-    where = f"{path}: times of {name!r}"
+    where, scale = f"{path}: times of {name!r}", _time_unit(data_set)
     if int(data_set["abscissa_spacing"]):
-        interval = float(data_set["abscissa_inc"])
+        interval = scale * float(data_set["abscissa_inc"])
         try:
             rate = _stated_rate(data_set) or rate_of_interval(interval, _last_digit(interval) / 2)
         except RecordingError as error:
             raise RecordingError(f"{where}: {error}") from None
-        clock = Clock(rate, float(data_set["abscissa_min"]))
+        clock = Clock(rate, scale * float(data_set["abscissa_min"]))
     else:
         times = np.asarray(data_set["x"], dtype=float)
-        clock = clock_of_times(times, _resolution(times, data_set), where)
+        clock = clock_of_times(scale * times, scale * _resolution(times, data_set), where)
     return Signal.from_array(path, number, name, label(data_set, "ordinate"), np.asarray(data_set["data"]), clock)
+
+
+def _time_unit(data_set: Mapping[str, Any]) -> float:
+    """Return the unit of the times, s; 1 if the label of their axis does not state a unit of time."""
+    try:
+        return parse(f"1 {label(data_set, 'abscissa')}", TIME)
+    except ValueError:
+        return 1.0
 
 
 def _stated_rate(data_set: Mapping[str, Any]) -> float | None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import pyuff
 from scipy.io import wavfile
 from typer.testing import CliRunner
 
@@ -186,6 +187,22 @@ def test_late_release_is_reported_and_can_be_cut(form, tmp_path):
     with recording:
         assert recording.samples == 2048 and not any("moves most" in note for note in messages)
         np.testing.assert_allclose(recording.read("body2"), rows[1, 3072:5120], rtol=1e-8, atol=1e-9)
+
+
+@pytest.mark.parametrize("spacing", [0, 1])
+def test_universal_file_may_have_times_in_milliseconds(spacing, tmp_path):
+    file, row = pyuff.UFF(str(tmp_path / "a.uff")), random_samples(600)[0]
+    file.write_sets(
+        {
+            "type": 58, "binary": 0, "func_type": 1, "id1": "body1", "rsp_node": 1, "rsp_dir": 3, "ref_node": 0,
+            "ref_dir": 0, "abscissa_spacing": spacing, "abscissa_spec_data_type": 17, "abscissa_axis_units_lab": "ms",
+            "ordinate_spec_data_type": 12, "ordinate_axis_units_lab": "g", "orddenom_spec_data_type": 0, "data": row,
+            "x": 1e3 * np.arange(row.size) / RATE,
+        },
+    )  # fmt: skip
+    recording, _ = import_recording(tmp_path / "a.uff", make_scene(), tmp_path / "r.mcap")
+    with recording:
+        assert recording.rate == RATE
 
 
 def test_range_applies_to_voltages_with_their_offset(tmp_path):

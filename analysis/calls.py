@@ -6,7 +6,6 @@ The commands print, draw and tabulate what these calls estimate.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
@@ -316,16 +315,12 @@ def _paths(recordings: Recordings) -> list[Path]:
 def _sources(recordings: Recordings) -> Iterator[tuple[Any, str]]:
     """Yield each recording as a context, or the path of a file with responses, with its label."""
     from analysis.presentation.inputs import labels
-    from analysis.recordings.names import opened
+    from analysis.recordings.names import as_context
     from analysis.responses.frf_files import is_frf_file
 
     sources, paths = _as_list(recordings), _paths(recordings)
     for source, path, label in zip(sources, paths, labels(paths), strict=True):
-        if is_frf_file(path):
-            yield path, label
-        else:
-            # A recording that is open stays open.
-            yield opened(path) if isinstance(source, str | Path) else nullcontext(source), label
+        yield path if is_frf_file(path) else as_context(source), label
 
 
 def _labeled(result: Any, label: str, scene: str | None = None) -> Any:

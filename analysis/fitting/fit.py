@@ -16,7 +16,7 @@ from analysis.fitting.identifiability import LevelDamping, coupled_values, dampi
 from analysis.fitting.measured import Curves, measured
 from analysis.fitting.parameters import Parameter, free_parameters, with_ratio_per_mode
 from analysis.fitting.problem import Group, Problem
-from analysis.recordings.names import opened
+from analysis.recordings.names import as_context
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError, SceneError, suggestion
 from rig.input_files import duplicate_files
@@ -230,19 +230,15 @@ def fit(
     paths = [Path(source) if isinstance(source, str | Path) else source.path for source in sources]
     for first, duplicate in duplicate_files(paths):
         raise SceneError(f"{duplicate}: the same content as {first}. Give each recording once.")
-    curves = [sweep_curves for recording in sources for sweep_curves in _curves(recording)]
+    curves: list[Curves] = []
+    for recording, path in zip(sources, paths, strict=True):
+        with as_context(recording) as rec:
+            curves += measured(rec, path.name)
     if not curves:
         raise RecordingError("fit: no recordings. Give at least one.")
     problem = Problem(model, parameters, curves)
     estimated = estimate(problem, report)
     return _result(problem, estimated, report)
-
-
-def _curves(recording: Any) -> list[Curves]:
-    if isinstance(recording, str | Path):
-        with opened(Path(recording)) as rec:
-            return measured(rec, Path(recording).name)
-    return measured(recording, recording.path.name)
 
 
 def _result(problem: Problem, estimated: Estimate, report: Progress) -> Fit:

@@ -51,8 +51,7 @@ def damping_by_level(problem: Problem, estimated: Estimate) -> tuple[LevelDampin
         root = np.linalg.inv(np.linalg.qr(jacobian, mode="r"))
         half_width = COVERAGE_FACTOR * np.sqrt(variance) * np.linalg.norm(root, axis=1)
         value, is_determined = problem.values(x)[active], half_width < _MAX_HALF_WIDTH
-        to_acceleration = (2.0 * np.pi * curves.frequency) ** (2 if curves.reference in ("table", "force") else 0)
-        acceleration = float((to_acceleration * curves.level * abs(curves.value)).max())
+        acceleration = float(((2.0 * np.pi * curves.frequency) ** 2 * curves.level * abs(curves.value)).max())
         value, bound = np.where(is_determined, value, np.nan), np.where(is_determined, value * half_width, np.nan)
         by_level.append(LevelDamping(curves.label, group.orbits is not None, acceleration, keys, value, bound))
     # Restores the orbits of the estimate.

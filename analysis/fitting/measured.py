@@ -19,7 +19,6 @@ from analysis.responses.systematic import REFERENCE_NOISE, ROUGH, tolerance
 from daq.recording.recorded_test import TestKind
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
-from rig.progress import CountProgress
 from rig.results import format_number
 from rig.results.response import Response, stack
 from rig.results.uncertainty import CLOCK, SENSITIVITY, Covariance
@@ -87,7 +86,7 @@ class Curves:
         return any(damper.moves for damper in self.scene.dampers)
 
 
-def measured(rec: Recording, name: str, progress: CountProgress | None = None) -> list[Curves]:
+def measured(rec: Recording, name: str) -> list[Curves]:
     """Estimate the curves of a fit: one set for each sweep or test of a recording.
 
     With a coil spring the reference is the displacement of the table: the responses are those of the structure with
@@ -115,7 +114,7 @@ def measured(rec: Recording, name: str, progress: CountProgress | None = None) -
             "level. Record test: {kind: stepped_sine, ...} at one or several levels."
         )
     if has_tones:
-        force_sweeps = sweeps(rec, required_channels(rec, names, reference), progress)
+        force_sweeps = sweeps(rec, required_channels(rec, names, reference))
         several = len(force_sweeps) > 1
         return [
             _curves(
@@ -126,7 +125,7 @@ def measured(rec: Recording, name: str, progress: CountProgress | None = None) -
             )
             for sweep in force_sweeps
         ]
-    groups = frequency_responses(rec, names, reference, progress=progress)
+    groups = frequency_responses(rec, names, reference)
     return [
         _curves(rec, group, reference, name if len(groups) == 1 else f"{name}, part {number}")
         for number, group in enumerate(groups, 1)
@@ -134,15 +133,14 @@ def measured(rec: Recording, name: str, progress: CountProgress | None = None) -
 
 
 def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str) -> Curves:
-    nonzero = [k for k, frf in enumerate(frfs) if np.any(frf.value != 0.0)]
     zero_responses = [frf.response for frf in frfs if not np.any(frf.value != 0.0)]
-    if not nonzero:
+    if len(zero_responses) == len(frfs):
         raise RecordingError(
             f"{label}: all responses read zero throughout: dead or not connected ({', '.join(zero_responses)}). Check "
             "the sensors and cables."
         )
     notes = [f"{name} reads zero throughout: dead or not connected. It is left out." for name in zero_responses]
-    frfs = [frfs[k] for k in nonzero]
+    frfs = [frf for frf in frfs if frf.response not in zero_responses]
     value = np.stack([frf.value for frf in frfs])
     limits = np.vstack([_limits(frfs, without=_EXCLUDED_FROM_CORRELATED), _limits(frfs, ROUGH)])
     is_bounded = np.isfinite(limits).all(axis=0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
@@ -41,6 +42,11 @@ def opened(path: Path) -> Recording:
     return daq.open(path)
 
 
+def as_context(recording: Recording | str | Path) -> AbstractContextManager[Recording]:
+    """Return a context with a recording: a path is open inside the context; an open recording stays open."""
+    return opened(Path(recording)) if isinstance(recording, str | Path) else nullcontext(recording)
+
+
 def takes_path(
     function: Callable[Concatenate[Recording, Parameters], Returned],
 ) -> Callable[Concatenate[Recording | str | Path, Parameters], Returned]:
@@ -50,14 +56,12 @@ def takes_path(
     def with_opened(
         recording: Recording | str | Path, /, *args: Parameters.args, **kwargs: Parameters.kwargs
     ) -> Returned:
-        if isinstance(recording, str | Path):
-            with opened(Path(recording)) as rec:
-                return function(rec, *args, **kwargs)
-        if not hasattr(recording, "channels"):
+        if not isinstance(recording, str | Path) and not hasattr(recording, "channels"):
             raise RecordingError(
                 f"{function.__name__}: got {recording!r:.60}; expected a recording: its path, or the object of daq.open"
             )
-        return function(recording, *args, **kwargs)
+        with as_context(recording) as rec:
+            return function(rec, *args, **kwargs)
 
     return with_opened
 

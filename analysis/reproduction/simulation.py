@@ -23,7 +23,10 @@ from rig.system.structural_model import receptance, structural_model
 
 
 def structure_numbers(scene: Scene, frequencies: Array) -> Arrays:
-    """Compute natural frequencies [rad/s], mode shapes (bodies, modes), and the exact compliance over frequency."""
+    """Compute natural frequencies [rad/s], mode shapes (bodies, modes), and exact compliances (bodies, frequencies).
+
+    They are those without dampers (compliance), and with dampers at rest on their floors (riding), in m/N.
+    """
     modes = structural_model(scene).modes
     bare = scene.replace(dampers=[])
     return {
@@ -36,7 +39,7 @@ def structure_numbers(scene: Scene, frequencies: Array) -> Arrays:
 
 
 def simulated(scene: Scene, frequencies: Array) -> Arrays:
-    """Compute the steady response to a purely sinusoidal force, frequency by frequency."""
+    """Compute the steady response to a purely sinusoidal force at rising frequencies, as `rig.frequency_response`."""
     response = frequency_response(with_ideal_force(scene), frequencies, tolerance=1e-6, longest=4000)
     return {
         "frequency": response.frequency,
@@ -49,7 +52,10 @@ def simulated(scene: Scene, frequencies: Array) -> Arrays:
 
 
 def exact_orbits(scene: Scene, band: tuple[float, float], searches: int = 5) -> Arrays:
-    """Compute exact orbits over frequency, stable and unstable, in one table with a branch number."""
+    """Compute exact orbits (periodic motions) over frequency, stable and unstable, in one table with a branch number.
+
+    `band`: Hz; `searches`: number of frequencies in it at which branches are searched.
+    """
     curve = follow_orbits(with_ideal_force(scene), "frequency", band, searches=searches)
     rows = []
     for number, branch in enumerate(curve.branches):

@@ -212,7 +212,7 @@ class SpectralMatrix:
                 leakages[:, a, k] = leakage(self.frequency, value[:, a, k], error[:, a, k], leakage_free)
         points, degrees = (self.outputs, self.inputs), np.full(value.shape, 2.0 * n_degrees)
         limits = {REFERENCE_NOISE: bias, LEAKAGE: leakages}
-        budget = _matrix_budget(rec, self.frequency, value, points, error, degrees, limits, MatrixErrors(covariance))
+        budget = _matrix_budget(rec, self.frequency, value, points, error, degrees, limits, covariance)
         response = Response(
             self.frequency, value, *points, budget, self.multiple_coherence(),
             label=self.spectra.label, resolution=self.spectra.resolution, warnings=self.spectra.warnings,
@@ -265,9 +265,13 @@ def _outputs(rec: Recording, names: Sequence[str], motion: str) -> tuple[Point, 
 
 def _matrix_budget(
     rec: Recording, frequency: Array, value: ComplexArray, points: tuple[Sequence[Point], Sequence[Point]],
-    error: Array, degrees: Array, limits: dict[str, Array], errors: MatrixErrors, shared: float = 1.0,
+    error: Array, degrees: Array, limits: dict[str, Array], covariance: ComplexArray, shared: float = 1.0,
 ) -> UncertaintyBudget:  # fmt: skip
-    """Assemble the budget of each matrix element from the gains of its output and input channels."""
+    """Assemble the budget of each matrix element from the gains of its output and input channels.
+
+    `points`: outputs and inputs; `error`, `degrees` and `limits` as in `assemble_budget`, of the shape of `value`;
+    `covariance`: of the random errors of the elements at each line, shape (n, elements, elements).
+    """
     budgets = []
     for a, output in enumerate(points[0]):
         for k, force in enumerate(points[1]):
@@ -279,7 +283,7 @@ def _matrix_budget(
                     scale=common_scale(rec, [output.name], [force.name]),
                 )
             )  # fmt: skip
-    return replace(stack_budgets(budgets, value.shape), errors=errors)
+    return replace(stack_budgets(budgets, value.shape), errors=MatrixErrors(covariance))
 
 
 def _element_shares(output: str, force: str, frequency: Array, motion: str, value: ComplexArray) -> ReadingShares:
@@ -336,9 +340,7 @@ def _from_local_fits(
     covariance = np.asarray(propagation * cross[:, elements][:, :, elements])
     points = _outputs(rec, names, motion), tuple(inputs)
     limits = {MODEL: model_error, REFERENCE_NOISE: bias, RESOLUTION: rounding}
-    budget = _matrix_budget(
-        rec, frequency, value, points, error, degrees, limits, MatrixErrors(covariance), spectra.shared
-    )
+    budget = _matrix_budget(rec, frequency, value, points, error, degrees, limits, covariance, spectra.shared)
     warnings = (*fits.warnings, *notes)
     return _add_warnings(
         Response(frequency, value, *points, budget, coherence, label=rec.scene.name, warnings=warnings)
@@ -425,7 +427,7 @@ def _from_experiments(
             error[:, a, k] = np.sqrt(moderated / 2.0)
     points = _outputs(rec, names, motion), tuple(inputs)
     limits = {UNSETTLED: np.mean(unsettled, axis=0)}
-    budget = _matrix_budget(rec, frequency, value, points, error, degrees, limits, MatrixErrors(covariance))
+    budget = _matrix_budget(rec, frequency, value, points, error, degrees, limits, covariance)
     coherence = np.mean(coherences, axis=0)
     return _add_warnings(
         Response(frequency, value, *points, budget, coherence, label=rec.scene.name, warnings=tuple(notes))

@@ -55,5 +55,5 @@ def test_combination_of_few_parameters_is_reported():
     estimate = Estimate(np.zeros(9), np.stack([0.03 * common_axis, 0.029 * opposite_axis], axis=1), 1.0)
     parameters = [SimpleNamespace(key=f"mass {k}", damper=None) for k in range(9)]
     problem = SimpleNamespace(parameters=parameters, groups=[], sensors=[])
-    [text] = coupled_values(problem, estimate, ["determined"] * 9)  # type: ignore[arg-type]
+    [text] = coupled_values(problem, estimate, ["determined"] * 9, {})  # type: ignore[arg-type]
     assert text.startswith("mass 0, mass 1 can change in opposite directions")

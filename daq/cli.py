@@ -283,8 +283,7 @@ def serve_a_rig(
         raise typer.BadParameter("--certificate, --key: one is missing. Give both. --client-ca requires both, too.")
     if overwrite and output is None:
         raise typer.BadParameter("--overwrite requires a recording. Give its name with -o FILE.")
-    if not 0 <= port < 65536:
-        raise typer.BadParameter(f"--port: {port} is out of range. Give 0 to 65535.")
+    _check_port("--port", port)
     if session_timeout <= 0.0:
         raise typer.BadParameter(f"--session-timeout: {session_timeout:g} s is too short. Give a time above 0 s.")
     certificates = None
@@ -319,12 +318,19 @@ def bench_in_the_browser(
     """
     from daq.bench_page.bench import bench
 
+    _check_port("--port", port)
+    _check_port("--device-port", device_port)
     scene_name = scene or os.environ.get("SHOTRIG_SCENE") or "default"
     path = Path("recordings") / f"{Path(scene_name).stem}-bench.mcap"
     if output is not None:
         path = _check_new_recording(output, overwrite)
     with pause_reports():
         bench(_load_bench_scene(scene, changes), address, port, device_port, path, overwrite, browser)
+
+
+def _check_port(option: str, port: int) -> None:
+    if not 0 <= port < 65536:
+        raise typer.BadParameter(f"{option}: {port} is out of range. Give 0 to 65535.")
 
 
 def _load_bench_scene(scene: str | None, changes: Sequence[str] | None) -> Scene | None:

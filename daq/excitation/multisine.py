@@ -27,9 +27,8 @@ if TYPE_CHECKING:
 
 # Relative tolerance of the steady state: difference of successive periods.
 _TOLERANCE = 1e-4
-# Maximum wait for the steady state: the longer of a time in s
+# Maximum wait for the steady state, s and periods; the longer of the two applies.
 _MAX_WAIT_S = 60.0
-# and a number of periods.
 _MAX_WAIT_PERIODS = 8
 # If the ratio of a difference to the smallest earlier difference exceeds this limit, it is noise, not a transient.
 _MIN_NOISE_RATIO = 0.9

@@ -97,11 +97,8 @@ class NearestMode:
             self._step = max(_MIN_STEP, _STEP_DECREASE * self._step)
         else:
             self._step = min(_MAX_STEP, _STEP_INCREASE * self._step)
-        self.pole, self.gain, self.residual_term = (
-            complex(poles[best]),
-            complex(gains[best]),
-            complex(residual_terms[best]),
-        )
+        estimates = poles, gains, residual_terms
+        self.pole, self.gain, self.residual_term = (complex(values[best]) for values in estimates)
 
     def _poles_around(self) -> ComplexArray:
         """Return poles around the present pole, frequency by frequency; the present frequency is in the middle."""
@@ -136,11 +133,8 @@ def _fit_poles(
 
     dot = np.vecdot
     gain_gain, residual_residual = ((1 + _RIDGE) * dot(term, term).real for term in (gain_column, residual_column))
-    cross, gain_response, residual_response = (
-        dot(gain_column, residual_column),
-        dot(gain_column, response),
-        dot(residual_column, response),
-    )
+    cross, gain_response = dot(gain_column, residual_column), dot(gain_column, response)
+    residual_response = dot(residual_column, response)
     determinant = gain_gain * residual_residual - abs(cross) ** 2
     gain = (residual_residual * gain_response - cross * residual_response) / determinant
     residual_term = (gain_gain * residual_response - cross.conj() * gain_response) / determinant

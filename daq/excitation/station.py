@@ -99,8 +99,7 @@ class Station:
                 return row
         listed = ", ".join(f"{info.name} ({info.quantity} at {info.at})" for info in self.channels) or "none"
         raise SceneError(
-            f"channels: holding the spring force k0 (x0 - x1) needs a motion channel at the {place} (the "
-            f"channels are "
+            f"channels: holding the spring force k0 (x0 - x1) needs a motion channel at the {place} (the channels are "
             f"{listed}). Add {{name: {place.replace(' ', '')}, at: {place}}}, or give the level as drive: (open loop)."
         )
 

@@ -273,14 +273,9 @@ class _Assessment:
             limit, name = np.inf if output is None else output, f"ao{self.scene.driven - 1}"
             yield Expectation(name, "V", volts, frequency, time, limit, "output", volts > limit)
             if amplifier is not None:
-                magnitude, unit, limit = (
-                    amplifier.gain * drive,
-                    "V" if amplifier.mode == "voltage" else "A",
-                    amplifier.limit,
-                )
-                yield Expectation(
-                    "amplifier", unit, magnitude, frequency, time, limit, "amplifier", drive > drive_limit
-                )
+                unit = "V" if amplifier.mode == "voltage" else "A"
+                magnitude, limit, is_limited = amplifier.gain * drive, amplifier.limit, drive > drive_limit
+                yield Expectation("amplifier", unit, magnitude, frequency, time, limit, "amplifier", is_limited)
 
     def _tables(self) -> Iterable[Expectation]:
         """Yield the largest displacement of each shaker table."""

@@ -123,10 +123,8 @@ def contradicted_units(chosen: Sequence[ChosenSignal]) -> list[str]:
     for choice in chosen:
         signal, unit = choice.signal, choice.column.unit
         try:
-            (file_quantity, scale), (table_quantity, table_scale) = (
-                quantity_and_scale(signal.unit),
-                quantity_and_scale(unit or signal.unit),
-            )
+            file_quantity, scale = quantity_and_scale(signal.unit)
+            table_quantity, table_scale = quantity_and_scale(unit or signal.unit)
         except ValueError:
             continue
         factor = table_scale / scale

@@ -171,11 +171,8 @@ def _signal(path: Path, number: int, name: str, field: _Field, unit: str) -> Sig
     if (times[1:] < times[:-1]).any():
         time_order = np.argsort(times, kind="stable")
         messages = np.split(values, np.cumsum(counts)[:-1])
-        values, counts, times = (
-            np.concatenate([messages[at] for at in time_order]),
-            counts[time_order],
-            times[time_order],
-        )
+        values = np.concatenate([messages[at] for at in time_order])
+        counts, times = counts[time_order], times[time_order]
     elapsed_s = (times - times[0]) * 1e-9
     clock = Clock(field.rate)
     if field.rate is None and values.size == times.size:

@@ -149,10 +149,9 @@ def import_files(
             notes.append(f"{', '.join(shorter)} have fewer than {longest} samples; the rest is marked as lost")
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", RunWarning)
-            notes += _RecordingWriter(_scene_as_measured(bench_scene, assigned, rate), assigned, rate).run(
-                target, overwrite, progress
-            )
-    for note in dict.fromkeys([*notes, *(str(assignment.message) for assignment in caught)]):
+            writer = _RecordingWriter(_scene_as_measured(bench_scene, assigned, rate), assigned, rate)
+            notes += writer.run(target, overwrite, progress)
+    for note in dict.fromkeys([*notes, *(str(warning.message) for warning in caught)]):
         warnings.warn(note, RunWarning, stacklevel=2)
     return target
 

@@ -210,10 +210,8 @@ def read_labview_heading(lines: Sequence[str], where: str) -> LabviewHeading:
             "a line of names, then numbers"
         )
     separator = "," if _cells_by_key(lines[: ends[0]], r"[\t,]").get("Separator", ["Tab"])[0] == "Comma" else "\t"
-    file_keys, segment = (
-        _cells_by_key(lines[: ends[0]], separator),
-        _cells_by_key(lines[ends[0] + 1 : ends[1]], separator),
-    )
+    file_keys = _cells_by_key(lines[: ends[0]], separator)
+    segment = _cells_by_key(lines[ends[0] + 1 : ends[1]], separator)
     names = [cell.strip() for cell in lines[ends[1] + 1].rstrip("\r\n").split(separator)]
     columns = file_keys.get("X_Columns", ["One"])[0]
     # Old versions do not state the decimal separator.

@@ -59,6 +59,11 @@ class ToneTracker:
         return [analyzer.track() for analyzer in self._analyzers]
 
 
+def _append(waiting: Array | None, samples: Array) -> Array:
+    """Return samples of shape (channels, samples) after those that wait since the previous call."""
+    return samples if waiting is None else np.concatenate([waiting, samples], axis=1)
+
+
 class _BlockAnalyzer:
     """Computes the track of blocks of one length, for tones from `low` to `low` times `_LENGTH_RATIO`, Hz."""
 
@@ -83,19 +88,12 @@ class _BlockAnalyzer:
         self._tones: list[tuple[NDArray[np.int64], Array, Array, Array, ComplexArray]] = []
 
     def add(self, samples: Array) -> None:
-        unaveraged = (
-            samples if self._waiting_samples is None else np.concatenate([self._waiting_samples, samples], axis=1)
-        )
+        unaveraged = _append(self._waiting_samples, samples)
         n_averages = unaveraged.shape[1] // self._samples_per_average
-        self._waiting_samples = unaveraged[:, n_averages * self._samples_per_average :].copy()
-        averages = (
-            unaveraged[:, : n_averages * self._samples_per_average]
-            .reshape(len(unaveraged), n_averages, self._samples_per_average)
-            .mean(axis=2)
-        )
-        pending = (
-            averages if self._waiting_averages is None else np.concatenate([self._waiting_averages, averages], axis=1)
-        )
+        stop = n_averages * self._samples_per_average
+        self._waiting_samples = unaveraged[:, stop:].copy()
+        averages = unaveraged[:, :stop].reshape(len(unaveraged), n_averages, self._samples_per_average).mean(axis=2)
+        pending = _append(self._waiting_averages, averages)
         blocks = (pending.shape[1] - self._size) // self._hop + 1
         if blocks > 0:
             self._analyze(pending, blocks)
@@ -130,15 +128,9 @@ class _BlockAnalyzer:
         gain = 0.25 * self._size * np.sinc(line_offset) / (1.0 - line_offset**2)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = spectra / reference_spectrum
-        self._tones.append(
-            (
-                self._n_blocks + resolved,
-                line[resolved] / HOPS_PER_BLOCK,
-                np.angle(reference_spectrum),
-                peak_magnitude[resolved] / gain,
-                ratio,
-            )
-        )
+        number, frequency = self._n_blocks + resolved, line[resolved] / HOPS_PER_BLOCK
+        amplitude = peak_magnitude[resolved] / gain
+        self._tones.append((number, frequency, np.angle(reference_spectrum), amplitude, ratio))
 
     def track(self) -> Track:
         channels = 1 if self._waiting_averages is None else len(self._waiting_averages)

@@ -97,43 +97,21 @@ class TaskOutput:
     @property
     def space(self) -> int:
         """Samples per channel for which the buffer has room."""
-        return self.size if self.buffer is None else min(self._free(self.buffer, self.samples_passed), 1 << 31)
+        if self.buffer is None:
+            return self.size
+        return min(self.buffer.free(self.samples_passed, self._running, self._settings.regenerates), 1 << 31)
 
     # Writes
 
     def write(self, volts: Array, timeout: float) -> int:
-        """Write samples, V, into the buffer; return the number of samples per channel written. See `Task.write`."""
+        """Write samples, V, as the buffer has room; return their number per channel. See `Task.write`."""
         if not self._running and (self.buffer is None or self._has_played):
             # The first write after a run starts a new buffer.
             settings = self._settings.groups["buffer"]
             size = int(settings["output_buf_size"]) if settings.was_set("output_buf_size") else None
             self.buffer, self._has_played = OutputBuffer(volts.shape[0], size), False
         assert self.buffer is not None
-        return self._fill(self.buffer, volts, timeout)
-
-    def write_on_demand(self, volts: Array) -> int:
-        """Output samples, V, at the rate of the bench; return their number per channel. The last value is kept."""
-        chassis, rows = self._chassis, [each.row for each in self._settings.channels]
-        if volts.shape[1] > 1:
-            buffer = OutputBuffer(volts.shape[0], None)
-            buffer.write(volts, running=False)
-            per_tick = samples_per_tick(chassis.bench.rate, chassis.rate)
-            plan = OutputPlan(tuple(rows), chassis.rate, per_tick, volts.shape[1], False)
-            run = chassis.run_output(self._task, plan, buffer)
-            chassis.wait(lambda: run.done, run.ticks_to_end, -1.0)
-            chassis.halt(self._task)
-            if run.error is not None:
-                raise run.error
-        elif volts.shape[1]:
-            chassis.last_volts[rows] = volts[:, 0]
-        return volts.shape[1]
-
-    def _free(self, buffer: OutputBuffer, generated: int) -> int:
-        """Return the samples per channel that can be written after `generated` samples have been played."""
-        return int(buffer.free(generated, self._running, self._settings.regenerates))
-
-    def _fill(self, buffer: OutputBuffer, volts: Array, timeout: float) -> int:
-        """Write samples as the buffer has space for them; return the number of samples per channel written."""
+        buffer = self.buffer
         chassis, n_requested, n_written = self._chassis, volts.shape[1], 0
         start_s = chassis.clock.now(chassis)
 
@@ -142,7 +120,7 @@ class TaskOutput:
 
         def free() -> int:
             run = running()
-            return self._free(buffer, 0 if run is None else run.generated)
+            return buffer.free(0 if run is None else run.generated, self._running, self._settings.regenerates)
 
         def chunk_size() -> int:
             # A write may be longer than the buffer: it waits for half the buffer at a time.
@@ -175,6 +153,23 @@ class TaskOutput:
                     Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN,
                     n_written,
                 )
+
+    def write_on_demand(self, volts: Array) -> int:
+        """Output samples, V, at the rate of the bench; return their number per channel. The last value is kept."""
+        chassis, rows = self._chassis, [each.row for each in self._settings.channels]
+        if volts.shape[1] > 1:
+            buffer = OutputBuffer(volts.shape[0], None)
+            buffer.write(volts, running=False)
+            per_tick = samples_per_tick(chassis.bench.rate, chassis.rate)
+            plan = OutputPlan(tuple(rows), chassis.rate, per_tick, volts.shape[1], False)
+            run = chassis.run_output(self._task, plan, buffer)
+            chassis.wait(lambda: run.done, run.ticks_to_end, -1.0)
+            chassis.halt(self._task)
+            if run.error is not None:
+                raise run.error
+        elif volts.shape[1]:
+            chassis.last_volts[rows] = volts[:, 0]
+        return volts.shape[1]
 
 
 def check_volts(channels: Sequence[Channel], volts: Array) -> None:

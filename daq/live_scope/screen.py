@@ -25,10 +25,9 @@ if TYPE_CHECKING:
 
 # Number of displayed positions of the rig per second.
 _FRAMES_PER_S = 200.0
-# The exaggeration is the factor on displacements and gaps in the drawing. It decreases at once with growing motion.
-# It increases only by this factor or more,
+# The exaggeration is the factor on displacements and gaps in the drawing. It decreases at once with growing motion, and
+# increases only by `_MIN_INCREASE` or more, after the motion has been small for `_QUIET_S`.
 _MIN_INCREASE = 4.0
-# and only after the motion has been small for this time, s.
 _QUIET_S = 2.0
 # Largest number of displayed readings of the tone per second.
 _READINGS_PER_S = 5.0

@@ -103,8 +103,8 @@ def decode(data: memoryview, schema: str) -> SampleBlock:
             try:
                 return SampleBlock(t0_ns, first, rate, np.frombuffer(data, kind, offset=samples_offset))
             except ValueError:
-                rest = len(data) - samples_offset
-                raise RecordingError(f"{rest} bytes are not a whole number of {schema} samples") from None
+                stored_bytes = len(data) - samples_offset
+                raise RecordingError(f"{stored_bytes} bytes are not a whole number of {schema} samples") from None
     return _decode_any(data, schema)
 
 

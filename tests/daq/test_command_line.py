@@ -1,4 +1,4 @@
-"""Options of `daq` commands that would have no effect are rejected, and the message names what they require."""
+"""Options of `daq` commands that are invalid, or would have no effect, are rejected; the message names the remedy."""
 
 from __future__ import annotations
 
@@ -20,9 +20,12 @@ from rig.errors import RecordingError, SceneError
         ("replay r.mcap --screenshot x.png --speed 2", "combined with --screenshot"),
         ("serve fig9 --overwrite", "Give its name with -o"),
         ("serve --set seed=1", "--set requires a scene"),
+        ("serve --port 65536", "--port: 65536 is out of range"),
+        ("bench --port 65536", "--port: 65536 is out of range"),
+        ("bench --device-port 65536", "--device-port: 65536 is out of range"),
     ],
 )
-def test_error_of_ineffective_option_names_requirement(command, message):
+def test_error_of_ineffective_or_invalid_option_names_remedy(command, message):
     result = CliRunner().invoke(app, command.split())
     if not isinstance(result.exception, SceneError):
         assert result.exit_code == 2

@@ -7,11 +7,9 @@ they need no reference counting (`_nrt`) and no registries of numba at loading.
 
 import functools
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any
 
 import numba
-import numba.extending
 from numba.core import types
 from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
@@ -66,16 +64,3 @@ def njit(function: Callable[..., object], kernel: bool, cache: bool, **options: 
     if kernel and cache:
         dispatcher._cache.load_overload = dispatcher._cache._load_overload  # noqa: SLF001
     return dispatcher
-
-
-def _raise_shape_error(source_shape: tuple[int, ...], target_shape: tuple[int, ...]) -> None: ...
-
-
-@functools.cache
-def shorten_shape_error() -> None:
-    """Omit the shapes in the error of an assignment to a slice, whose text takes seconds to compile in each process."""
-    from numba.np import arrayobj
-
-    with suppress(AttributeError):  # another version of numba
-        numba.extending.overload(_raise_shape_error)(arrayobj.ol_raise_with_shape_context_generic)
-        arrayobj.raise_with_shape_context = _raise_shape_error

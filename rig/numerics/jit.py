@@ -141,8 +141,6 @@ class _Compiling(Listener):
         if event.data is None or event.data["dispatcher"].py_func.__module__.startswith(("rig.", "daq.")):
             _warn_once(f"{_COMPILING}: about 20 s, up to a minute for several parts")
         console.begin_delay(_COMPILING)
-        if callees is not None:
-            callees.shorten_shape_error()
 
     def on_end(self, event: Event) -> None:
         """Report the end."""

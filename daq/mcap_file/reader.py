@@ -9,8 +9,6 @@ import os
 import struct
 import weakref
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Self
 
@@ -112,22 +110,12 @@ class Container:
             raise Damage(f"the record at byte {offset} does not agree with the summary")
         return data[RECORD_HEAD.size :]
 
-    def records(self, number: int) -> memoryview:
-        """Return the records of a chunk, given its number in the summary; `RecordingError` if it is damaged."""
+    def messages(self, number: int) -> list[Stored]:
+        """Return the messages of a chunk, given its number in the summary; `RecordingError` if it is damaged."""
         offset, length = int(self.summary.offsets[number]), int(self.summary.lengths[number])
-        with self._chunk_errors(offset):
-            record = self._record(Opcode.CHUNK, offset, length, LARGEST_CHUNK + (1 << 16))
-            return unpack_chunk(record, self.checksums_needed)
-
-    def messages(self, number: int, records: memoryview | None = None) -> list[Stored]:
-        """Return the messages of a chunk, given its number and, if known, its records; raises like `records`."""
-        with self._chunk_errors(int(self.summary.offsets[number])):
-            return messages_in(records or self.records(number), int(self.summary.lengths[number]))
-
-    @contextmanager
-    def _chunk_errors(self, offset: int) -> Iterator[None]:
         try:
-            yield
+            record = self._record(Opcode.CHUNK, offset, length, LARGEST_CHUNK + (1 << 16))
+            return messages_in(unpack_chunk(record, self.checksums_needed), length)
         except Damage as damage:
             raise self.error(f"is damaged: the chunk at byte {offset} cannot be used: {damage}") from damage
 

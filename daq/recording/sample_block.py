@@ -8,13 +8,10 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from daq.mcap_file.chunk import RECORD_HEAD
 from daq.recording.layout import Timebase
 from daq.recording.protobuf import Schema, descriptor_set_bytes, message_class, varint
-from daq.signal_chain.field_checks import MAX_SAMPLES
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -34,10 +31,6 @@ SAMPLE_TYPE: dict[str, np.dtype[Any]] = {schema: kind for schema, _, kind in SCH
 # field), and the tag of the samples.
 _HEADER = struct.Struct("<BqBQBdB")
 _TAGS = (0x09, 0x11, 0x19, 0x22)
-# Record of a message up to the size of its samples: opcode, length, channel, sequence, log time, publish time, header.
-_RECORD = struct.Struct("<BQHIQQ" + _HEADER.format.removeprefix("<"))
-# Largest number of records that are decoded at once; a chunk of any size may have as many.
-_MAX_RECORDS = 1 << 10
 
 
 class SampleBlock(NamedTuple):
@@ -106,44 +99,6 @@ def decode(data: memoryview, schema: str) -> SampleBlock:
                 stored_bytes = len(data) - samples_offset
                 raise RecordingError(f"{stored_bytes} bytes are not a whole number of {schema} samples") from None
     return _decode_any(data, schema)
-
-
-def decode_contiguous(records: memoryview, channel: int, schema: str, clock: Timebase) -> SampleBlock | None:
-    """Decode the records of a chunk that are contiguous blocks of a channel, of one length, as one block.
-
-    None for any other records, and for invalid bytes or times.
-    """
-    kind, head = SAMPLE_TYPE[schema], _RECORD.size
-    if len(records) <= head:
-        return None
-    _, length, _, _, _, _, _, t0_ns, _, first_sample, *_ = _RECORD.unpack_from(records)
-    size = RECORD_HEAD.size + length
-    prefix = _size_prefix(size - head + _HEADER.size)
-    samples, rest = divmod(size - head - len(prefix), kind.itemsize)
-    if size <= head or rest or len(records) % size or len(records) > _MAX_RECORDS * size:
-        return None
-    stop = first_sample
-    for place in range(0, len(records), size):
-        fields = _RECORD.unpack_from(records, place)
-        opcode, record_length, number, _, log_time, _, tag0, block_t0_ns, tag1, first, tag2, rate, tag3 = fields
-        found = opcode, record_length, number, first, tag0, tag1, tag2, tag3
-        if found != (Opcode.MESSAGE, length, channel, stop, *_TAGS):
-            return None
-        stop += samples
-        if records[place + head : place + head + len(prefix)] != prefix:
-            return None
-        if not times_agree(clock, rate, block_t0_ns, first, log_time, stop):
-            return None
-    content = np.frombuffer(records, np.uint8).reshape(-1, size)[:, head + len(prefix) :]
-    # The copy allows the unpacked chunk to be freed.
-    return SampleBlock(t0_ns, first_sample, clock.rate, content.copy().view(kind).ravel())
-
-
-def times_agree(clock: Timebase, rate: float, t0_ns: int, first: int, log_time: int, stop: int) -> bool:
-    """Return whether a block [first, stop) states the rate and the times of the clock, to half a sample."""
-    start_error = (t0_ns - clock.start_ns) * clock.rate * 1e-9 - first
-    end_error = (log_time - clock.start_ns) * clock.rate * 1e-9 - stop
-    return rate == clock.rate and abs(start_error) < 0.5 and abs(end_error) < 0.5 and stop <= MAX_SAMPLES
 
 
 @lru_cache(maxsize=64)

@@ -2,7 +2,6 @@
 
 import json
 import struct
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,25 +9,13 @@ from google.protobuf import descriptor_pb2
 from google.protobuf.message import DecodeError
 from hypothesis import given
 from hypothesis import strategies as st
-from mcap.opcode import Opcode
 
-from daq.mcap_file.chunk import messages_in
 from daq.recording.display import FLOAT_SCHEMA, encode_floats, encode_text
 from daq.recording.layout import Timebase, block_length, flush_length
 from daq.recording.markers import EVENT_SCHEMA, MARKER_SCHEMA, Marker, event_from_json, event_to_json
 from daq.recording.protobuf import message_class, varint
 from daq.recording.robot_description import TRANSFORMS_SCHEMA
-from daq.recording.sample_block import (
-    _HEADER,
-    SAMPLE_TYPE,
-    SCHEMAS,
-    _size_prefix,
-    block_schema,
-    decode,
-    decode_contiguous,
-    encode,
-    times_agree,
-)
+from daq.recording.sample_block import _HEADER, SAMPLE_TYPE, SCHEMAS, _size_prefix, block_schema, decode, encode
 from rig.errors import RecordingError
 
 
@@ -79,37 +66,6 @@ def test_blocks_agree_with_protobuf(schema, first, count):
         assert block.samples.size == 0 or np.shares_memory(block.samples, np.frombuffer(data, np.uint8))
         assert (block.t0_ns, block.first_sample, block.rate) == (clock.time_ns(first), first, 5120.0)
         assert np.array_equal(block.samples, samples)
-
-
-@given(
-    schema=st.sampled_from(sorted(SAMPLE_TYPE)),
-    blocks=st.integers(1, 4),
-    count=st.integers(0, 40),
-    change=st.none() | st.tuples(st.integers(0), st.integers(0, 255)),
-    missing_bytes=st.sampled_from([0, 0, 0, 1, 9, 60]),
-)
-def test_contiguous_blocks_decode_as_single_blocks_do(schema, blocks, count, change, missing_bytes):
-    clock = Timebase(5120.0, 1_700_000_000_000_000_000)
-    samples = np.arange(blocks * count).astype(SAMPLE_TYPE[schema])
-    chunk = bytearray()
-    for number, data in enumerate(encode(clock, 64, samples.reshape(1, blocks, count))[0]):
-        head = struct.pack("<HIQQ", 3, number, clock.time_ns(64 + (number + 1) * count), 0)
-        chunk += struct.pack("<BQ", Opcode.MESSAGE, len(head) + data.size) + head + data.tobytes()
-    if change is not None:
-        chunk[change[0] % len(chunk)] = change[1]
-    records = memoryview(bytes(chunk))[: len(chunk) - missing_bytes]
-    joined = decode_contiguous(records, 3, schema, clock)
-    if joined is None:
-        assert change is not None or missing_bytes
-        return
-    messages = messages_in(records, len(records))
-    singles = [decode(message.data, schema) for message in messages]
-    assert {message.channel for message in messages} == {3}
-    assert all(single.stop == later.first_sample for single, later in pairwise(singles))
-    assert joined[:3] == (*singles[0][:2], clock.rate)
-    assert joined.samples.tobytes() == b"".join(single.samples.tobytes() for single in singles)
-    for message, single in zip(messages, singles, strict=True):
-        assert times_agree(clock, single.rate, single.t0_ns, single.first_sample, message.log_time, single.stop)
 
 
 @pytest.mark.parametrize("schema", SAMPLE_TYPE)

@@ -97,14 +97,31 @@ class _HdfReader:
     def __init__(self, file: Any) -> None:
         self._file = file
         self._value_count = 0
+        # Value of each item at each depth, and the number of values in it: a hostile file refers to an item many times.
+        self._read: dict[tuple[int, int, int], tuple[Any, int]] = {}
 
     def value(self, item: Any, depth: int = 0) -> Any:
         """Return the value of an item; None if it is nested deeper than `MAX_DEPTH`."""
-        self._value_count += 1
+        from h5py import h5o
+
+        place = h5o.get_info(item.id)
+        key = (place.fileno, place.addr, depth)
+        if key in self._read:
+            value, count = self._read[key]
+            self._count(count)
+            return value
+        count_before = self._value_count
+        self._count(1)
+        value = self._unread_value(item, depth) if depth <= MAX_DEPTH else None
+        self._read[key] = (value, self._value_count - count_before)
+        return value
+
+    def _count(self, count: int) -> None:
+        self._value_count += count
         if self._value_count > _MAX_VALUES:
             raise ValueError(f"its structures and cells hold more than {_MAX_VALUES} values")
-        if depth > MAX_DEPTH:
-            return None
+
+    def _unread_value(self, item: Any, depth: int) -> Any:
         if hasattr(item, "keys"):
             fields = {name: self.value(item[name], depth + 1) for name in item}
             # Each field of an array of structures is a list of references, one for each structure.

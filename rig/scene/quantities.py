@@ -84,7 +84,8 @@ class Kind:
     @property
     def range(self) -> str:
         """The allowed magnitudes in words."""
-        return f"from {self.minimum:g} {self.si} to {self.maximum:g} {self.si}".replace(" )", ")")
+        unit = f" {self.si}".rstrip()
+        return f"from {self.minimum:g}{unit} to {self.maximum:g}{unit}"
 
 
 MASS = Kind("a mass", "kg", "74 g", 1e-9, 1e9)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter
 from pydantic_core import PydanticCustomError
 
-from rig.scene.quantities import LENGTH, MASS
+from rig.scene.quantities import LENGTH, MASS, RATIO
 from rig.scene.quantity_field import Quantity, format_value, printable, quantity_of
 
 NUMBERS = st.sampled_from([-3.0, -1.0, 0.0, 1.0, 2.0, 5.0, float("inf"), -float("inf")])
@@ -52,6 +52,11 @@ def test_help_text_names_bounds_and_si_unit():
         length_or_mass.bounded_description == f"{LENGTH.noun} or {MASS.noun} such as {LENGTH.example} or {MASS.example}"
     )
     assert length_or_mass.help_text.endswith("; a bare number is in m or kg")
+
+
+def test_range_of_a_ratio_has_no_unit():
+    with pytest.raises(PydanticCustomError, match=r"expected a ratio from 1e-18 to 1e\+12$"):
+        Quantity(RATIO).read("1e15")
 
 
 def test_unit_selects_the_kind_of_quantity():

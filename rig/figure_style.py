@@ -117,8 +117,8 @@ def frequency_axis(axes: Axes, low: float, high: float, labeled: bool) -> None:
         axes.tick_params(labelbottom=False)
 
 
-def log_axis(axes: Axes, values: Any, max_decades: float = 7.0, min_decades: float = 1.0) -> None:
-    """Set up a logarithmic vertical axis around positive values, with a limited number of decades."""
+def log_axis(axes: Axes, values: Any, max_decades: float = 7.0) -> None:
+    """Set up a logarithmic vertical axis around positive values, from 1 to `max_decades` decades."""
     values = np.concatenate([np.ravel(v) for v in values])
     values = np.clip(values[np.isfinite(values) & (values > 0)], *_DRAWABLE_RANGE)
     if not values.size:
@@ -130,7 +130,7 @@ def log_axis(axes: Axes, values: Any, max_decades: float = 7.0, min_decades: flo
     axes.yaxis.set_minor_formatter("")
     high = values.max() * 1.6
     low = max(values.min() / 1.6, high / 10.0**max_decades)
-    low = min(low, high / 10.0**min_decades)
+    low = min(low, high / 10.0)
     if high < _MIN_DECADE_RATIO * low:
         set_log_scale(axes.yaxis)
     axes.set_ylim(low, high)

@@ -91,10 +91,10 @@ def rayleigh_time(grains: Grains, density: float) -> float:
     return math.pi * radius * math.sqrt(density / shear) / (0.1631 * grains.poisson_ratio + 0.8766)
 
 
-def contact_time(grains: Grains, speed: float = 1.0) -> float:
-    """Return the duration of a central collision of two equal grains without loss, s.
+def contact_time(grains: Grains) -> float:
+    """Return the duration of a central collision of two equal grains at 1 m/s without loss, s.
 
-    By Hertz it is 2.87 (m^2 / (R E^2 v))^(1/5), with reduced mass m, radius R and modulus E, and closing speed v [m/s].
+    By Hertz it is 2.87 (m^2 / (R E^2 v))^(1/5), with reduced mass m, radius R and modulus E, and closing speed v.
 
     >>> round(1e3 * contact_time(Grains(diameter="2 mm", modulus="10 MPa")), 3)
     0.356
@@ -102,4 +102,4 @@ def contact_time(grains: Grains, speed: float = 1.0) -> float:
     radius = 0.25 * grains.diameter
     mass = 0.5 * grains.density * math.pi / 6.0 * grains.diameter**3
     modulus = grains.modulus / (2.0 * (1.0 - grains.poisson_ratio**2))
-    return float(2.87 * (mass**2 / (radius * modulus**2 * speed)) ** 0.2)
+    return float(2.87 * (mass**2 / (radius * modulus**2)) ** 0.2)

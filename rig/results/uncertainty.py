@@ -10,7 +10,7 @@ J. S. Bendat, A. G. Piersol, Random Data, 4th ed., Wiley 2010, section 9.2.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol
 
@@ -141,21 +141,22 @@ class UncertaintyBudget:
         """
         return 0.0 if self.scatter is None else self.scatter.bound(confidence)
 
-    def combined_limit(self, without: Collection[str] = ()) -> Array | float:
-        """Return the root of the sum of squares of the limits, except those with some names."""
-        limits = [limit for name, limit in self.limits.items() if name not in without]
+    @property
+    def combined_limit(self) -> Array | float:
+        """Root of the sum of squares of the limits, without the tolerances of data sheets."""
+        limits = [limit for name, limit in self.limits.items() if name not in TOLERANCES]
         return np.asarray(np.linalg.norm(limits, axis=0)) if limits else 0.0
 
     def systematic_bound(self) -> Array | float:
         """Return the root of the sum of squares of the limits, plus the tolerances of data sheets."""
-        return self.combined_limit(without=TOLERANCES) + self._tolerances()
+        return self.combined_limit + self._tolerances()
 
     def bound(self, confidence: float = 0.95) -> Array | float:
         """Return the expanded uncertainty: the radius of the circle that contains the true value.
 
         It is infinite where a contribution is unbounded.
         """
-        without_tolerances = np.hypot(self.random_bound(confidence), self.combined_limit(without=TOLERANCES))
+        without_tolerances = np.hypot(self.random_bound(confidence), self.combined_limit)
         return np.asarray(without_tolerances + self._tolerances())
 
     def _tolerances(self) -> Array | float:

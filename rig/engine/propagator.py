@@ -29,6 +29,7 @@ from rig.engine.state import (
     N_EVENTS,
     TABLE_INDEX,
     Log,
+    State,
     empty_log,
     state_at_rest,
 )
@@ -184,9 +185,9 @@ class Propagator:
         self._look_up_tables()
         return separated
 
-    def snapshot(self) -> tuple[Array, ...]:
+    def snapshot(self) -> State:
         """Return a copy of the complete state of motion, for `resume`."""
-        return tuple(part.copy() for part in self.state)
+        return State(*(part.copy() for part in self.state))
 
     def resume(self, snapshot: tuple[Array, ...]) -> None:
         """Continue from a state of motion of this system; the drive may be different."""

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array
 from rig.engine.flow_tables import FlowTables
-from rig.engine.propagator import Propagator
-from rig.engine.state import CEILING, FLIGHT, FLOOR
+from rig.engine.state import CEILING, FLIGHT, FLOOR, State
 from rig.engine.trajectory import Trajectory
 from rig.numerics.bernstein import N_COEFFICIENTS
 from rig.scene.scene import Scene
@@ -130,34 +129,18 @@ def _quadratic(form: Array, states: Array) -> Array:
     return ((states @ form) * states).sum(axis=-1)
 
 
-@dataclass(frozen=True)
-class CompleteState:
-    """Complete state at one instant: augmented state, and height, velocity and mode of every damper."""
-
-    state: Array
-    height: Array  # m
-    speed: Array  # m/s
-    mode: NDArray[Any]  # FLIGHT, FLOOR or CEILING
-
-
-def complete_state(propagator: Propagator) -> CompleteState:
-    """Copy the complete state of a propagator."""
-    state = propagator.state
-    return CompleteState(state.z.copy(), state.height.copy(), state.speed.copy(), state.mode.copy())
-
-
 def energy_balance(
     scene: Scene,
     tables: FlowTables,
-    start: CompleteState,
-    end: CompleteState,
+    start: State,
+    end: State,
     trajectory: Trajectory,
     segment_states: Array,
     durations: Array,
 ) -> Energy:
     """Compute the energy balance of a simulated motion.
 
-    `scene`, `tables`: the scene and the flow tables of its simulation; `start`, `end`: the complete state before and
+    `scene`, `tables`: the scene and the flow tables of its simulation; `start`, `end`: states of motion before and
     after; `segment_states`: states at which the segments begin; `durations`: lengths of the segments, s.
     """
     forms = quadratic_forms(scene, tables.system, tables.drive.output)
@@ -316,17 +299,17 @@ def _sum_series(terms: Array, tau: Array) -> Array:
     return total
 
 
-def _stored_energy(tables: FlowTables, forms: QuadraticForms, complete: CompleteState) -> float:
+def _stored_energy(tables: FlowTables, forms: QuadraticForms, motion: State) -> float:
     """Return the stored energy of structure, dampers and contact springs, J."""
     system = tables.system
     n, body = system.coordinates, system.damper_coordinate
-    state = complete.state[: tables.size]
-    is_flying = complete.mode == FLIGHT
-    wall_height = state[body] + np.where(complete.mode == CEILING, system.clearance, 0.0)
-    height = np.where(is_flying, complete.height, wall_height)
-    speed = np.where(is_flying, complete.speed, state[n + body])
+    state = motion.z[: tables.size]
+    is_flying = motion.mode == FLIGHT
+    wall_height = state[body] + np.where(motion.mode == CEILING, system.clearance, 0.0)
+    height = np.where(is_flying, motion.height, wall_height)
+    speed = np.where(is_flying, motion.speed, state[n + body])
     energy = float(_quadratic(forms.stored, state)) - float(system.force_constant @ state[:n])
-    energy += float(_contact_energy(system, complete.mode[None], state[None])[0])
+    energy += float(_contact_energy(system, motion.mode[None], state[None])[0])
     # Beds with finite-duration contact are part of the mass matrix.
     masses = np.where(system.finite_contact, 0.0, system.damper_mass)
     return energy + float(masses @ (system.gravity * height + 0.5 * speed**2))

@@ -17,7 +17,7 @@ from rig.arrays import Array
 from rig.engine.trajectory import EVENT, event_table
 from rig.grain_beds.coupling import CoupledPropagator, CoupledState, interpolate_drive
 from rig.scene.scene import Scene
-from rig.simulation.energy import Energy, complete_state, energy_balance
+from rig.simulation.energy import Energy, energy_balance
 from rig.system.open_loop_drive import ToneDrive
 
 #: Time steps of the grains in a section; the work at its end takes at most as long as about a hundred steps.
@@ -80,7 +80,7 @@ class GrainsRun:
         coupled, structure = self.coupled, self.coupled.structure
         first = state.samples - 1
         drive = self._drive(first, samples - 1)
-        start, initial = complete_state(structure), structure.current_state()
+        start, initial = structure.snapshot(), structure.current_state()
         trajectory, bed_motion = coupled.propagate_steps(drive)
         buffer = coupled.motion_samples(samples - state.samples)
         coupled.fill_samples(buffer, 0, trajectory, bed_motion)
@@ -91,7 +91,7 @@ class GrainsRun:
         segment_states[:, ns + len(inputs) : ns + 2 * len(inputs)] = np.diff(inputs).T
         durations = np.full(len(segment_states), coupled.step)
         energy = energy_balance(
-            self._scene, structure.tables, start, complete_state(structure), trajectory, segment_states, durations
+            self._scene, structure.tables, start, structure.snapshot(), trajectory, segment_states, durations
         )
         events_at_samples = coupled.at_samples(trajectory)
         events = event_table(

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.arrays import Array
 from rig.engine.propagator import Propagator, sampled_propagator, tone_propagator
+from rig.engine.state import State
 from rig.engine.trajectory import EVENT, Trajectory, event_table, gaps_and_contacts
 from rig.errors import RunError, SceneError
 from rig.numerics.memory import require_memory
@@ -22,7 +23,7 @@ from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, TIME, number
 from rig.scene.scene import Scene
-from rig.simulation.energy import CompleteState, Energy, complete_state, energy_balance, total_energy
+from rig.simulation.energy import Energy, energy_balance, total_energy
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive, sampled_drive, tone_drive, validate_drive
@@ -206,7 +207,7 @@ def _simulate_tone(
     # Cosine and sine of the drive at t = 0.
     separated = propagator.set_state(tone.state, np.array([1.0, 0.0]))
     times, is_sample, is_period_start = _segment_times(duration, samples, rate, tone.frequency)
-    start = complete_state(propagator)
+    start = propagator.snapshot()
     initial = propagator.current_state()
     durations = np.diff(times).astype(np.float64)
     segment_steps = durations / propagator.tables.step
@@ -245,7 +246,7 @@ def _simulate_sampled(scene: Scene, system: HybridSystem, drive: Array, rate: fl
     """Simulate under a sampled drive (inputs, samples), in segments between samples."""
     propagator, steps = sampled_propagator(system, 1.0 / rate)
     separated = propagator.set_state(system.initial, np.concatenate([drive[:, 0], np.zeros(len(system.inputs))]))
-    start = complete_state(propagator)
+    start = propagator.snapshot()
     initial = propagator.current_state()
     trajectory = propagator.propagate_samples(drive, steps)
     intervals = drive.shape[1] - 1
@@ -309,7 +310,7 @@ def _simulate_grains(
 
 
 def _assemble_run(
-    scene: Scene, propagator: Propagator, rate: float, start: CompleteState, initial: Trajectory,
+    scene: Scene, propagator: Propagator, rate: float, start: State, initial: Trajectory,
     trajectory: Trajectory, sample_rows: NDArray[np.int64], segment_starts: Array, durations: Array,
     segment_states: Array, separated: NDArray[np.int64],
 ) -> Run:  # fmt: skip
@@ -318,7 +319,7 @@ def _assemble_run(
     `sample_rows`: rows that are samples; `segment_starts`, `durations`: of the segments, s; `segment_states`: at their
     starts; `separated`: dampers that separate at t = 0.
     """
-    system, end = propagator.system, complete_state(propagator)
+    system, end = propagator.system, propagator.snapshot()
     n, points = system.coordinates, len(system.points)
     states = np.concatenate([initial.state, trajectory.state[sample_rows]])
     table_indices = np.concatenate([initial.table_index, trajectory.table_index[sample_rows]])

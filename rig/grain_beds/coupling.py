@@ -50,15 +50,10 @@ class CoupledState(NamedTuple):
 
     structure: `Propagator.snapshot` of the structure.
     beds: `Bed.state_bytes` of each bed.
-    initial_momentum, impulse: momentum at the start, and impulse of the bodies since then, kg m/s; shape (beds,).
-    elapsed_steps: steps since the start.
     """
 
     structure: tuple[Array, ...]
     beds: tuple[bytes, ...]
-    initial_momentum: Array
-    impulse: Array
-    elapsed_steps: int
 
 
 class CoupledPropagator:
@@ -87,10 +82,8 @@ class CoupledPropagator:
             positions = settled_positions(each)
             ceiling = bed_top(each, positions) + each.clearance
             self.beds.append(new_bed(each, positions, ceiling, scene.gravity, self.step))
-        self._mass = np.array([bed.mass for bed in self.beds])
         self._force = np.array([bed.forces() for bed in self.beds])
-        self._velocity, self._acceleration, self._initial_momentum, self._impulse = np.zeros((4, len(self.beds)))
-        self._elapsed_steps = 0
+        self._velocity, self._acceleration = np.zeros((2, len(self.beds)))
 
     @property
     def ambiguous(self) -> int:
@@ -100,42 +93,27 @@ class CoupledPropagator:
     @property
     def momentum(self) -> Array:
         """Upward momentum of each bed in the fixed frame, kg m/s; shape (beds,)."""
-        return np.array([bed.momentum for bed in self.beds]) + self._mass * self._velocity
-
-    @property
-    def momentum_errors(self) -> Array:
-        """Momentum change of each bed minus the impulses of body and gravity, kg m/s; shape (beds,)."""
-        weight = self._mass * self.system.gravity
-        return np.asarray(
-            self.momentum - self._initial_momentum - (self._impulse - weight * (self._elapsed_steps * self.step))
-        )
+        grains = [bed.momentum + bed.mass * speed for bed, speed in zip(self.beds, self._velocity, strict=True)]
+        return np.array(grains)
 
     def set_state(self, state: Array, drive: Array) -> NDArray[np.int64]:
         """Set the structure's state with every damper on its floor; return the dampers that separate immediately."""
         columns = np.concatenate([drive[: len(self.system.inputs)], -self._force.sum(axis=1)])
         separated = self.structure.set_state(state, np.concatenate([columns, np.zeros(len(columns))]))
         self._read_beds()
-        self._initial_momentum = self.momentum
         return np.asarray(self._rows_without_grains[separated], dtype=np.int64)
 
     def state(self) -> CoupledState:
         """Return the state from which the motion continues bit-identically; see `Bed.state_bytes`."""
         beds = tuple(bed.state_bytes() for bed in self.beds)
         self._read_beds()
-        return CoupledState(
-            self.structure.snapshot(), beds, self._initial_momentum, self._impulse.copy(), self._elapsed_steps
-        )
+        return CoupledState(self.structure.snapshot(), beds)
 
     def resume(self, state: CoupledState) -> None:
         """Continue from a state of this system."""
         self.structure.resume(state.structure)
         for bed, stored in zip(self.beds, state.beds, strict=True):
             bed.resume(stored)
-        self._initial_momentum, self._impulse, self._elapsed_steps = (
-            state.initial_momentum,
-            state.impulse.copy(),
-            state.elapsed_steps,
-        )
         self._read_beds()
 
     def propagate_steps(self, drive: Array) -> tuple[Trajectory, BedStates]:
@@ -172,8 +150,6 @@ class CoupledPropagator:
             samples.state[k], samples.table_index[k] = sample.state[0], sample.table_index[0]
             samples.height[k], samples.mode[k] = sample.height[0], sample.mode[0]
         self._force = forces[:, :, -1].copy()
-        self._impulse -= 0.5 * self.step * (bed_inputs[:, :-1] + bed_inputs[:, 1:]).sum(axis=1)
-        self._elapsed_steps += steps
         return _join(self.structure.current_state(), samples, event_logs), BedStates(forces, gap)
 
     def _read_beds(self) -> None:

@@ -35,9 +35,7 @@ def write_checkpoint(path: Path, settings: Mapping[str, Any], state: GrainsState
         np.savez(
             file,
             code=code_digest("rig"),
-            begin=coupled.initial_momentum,
-            impulse=coupled.impulse,
-            counts=(coupled.elapsed_steps, state.ambiguous),
+            ambiguous=state.ambiguous,
             energy=[astuple(energy) for energy in state.energy],
             **arrays,
         )
@@ -73,17 +71,13 @@ def read_checkpoint(path: Path, settings: Mapping[str, Any]) -> GrainsState | No
 
 def _restore_state(stored: Mapping[str, Any]) -> GrainsState:
     """Return the state from the arrays of a checkpoint."""
-    elapsed_steps, ambiguous = stored["counts"].tolist()
-    coupled = CoupledState(
-        _numbered(stored, "structure"),
-        tuple(bed.tobytes() for bed in _numbered(stored, "bed")),
-        stored["begin"],
-        stored["impulse"],
-        elapsed_steps,
-    )
+    beds = tuple(bed.tobytes() for bed in _numbered(stored, "bed"))
     energy = tuple(Energy(*values) for values in stored["energy"].tolist())
     return GrainsState(
-        coupled=coupled, energy=energy, ambiguous=ambiguous, **{name: stored[name] for name in _PLAIN_ARRAYS}
+        coupled=CoupledState(_numbered(stored, "structure"), beds),
+        energy=energy,
+        ambiguous=stored["ambiguous"].item(),
+        **{name: stored[name] for name in _PLAIN_ARRAYS},
     )
 
 

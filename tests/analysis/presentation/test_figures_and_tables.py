@@ -134,6 +134,17 @@ def test_long_title_does_not_overlap_axes(folder):
     assert caption.y1 <= label.y0 and caption.y0 >= 0.0
 
 
+@pytest.mark.parametrize(("error", "drawn"), [(0.01, True), (np.nan, False)])
+def test_coherence_from_files_is_drawn(error, drawn):
+    frequency = np.linspace(10.0, 20.0, 11)
+    curve = Response.curve(
+        frequency, np.ones(11, dtype=complex), "body3", error=np.full(11, error), coherence=np.full(11, 0.9)
+    )
+    axes = frf_figure([curve], "Compliance").axes[2]
+    assert [line.get_ydata().tolist() for line in axes.lines] == [[0.9] * 11] * drawn
+    assert bool(axes.texts) != drawn
+
+
 def draw_curve(systematic, omitted=()):
     """Draw a curve of 1 µm/N from 10 to 20 Hz with a standard error of 1 %; return the axes and the caption."""
     ones, value = np.ones(11), 1e-6

@@ -94,7 +94,7 @@ class LocalSpectra:
         # Reading of each channel per unit of the reference.
         readings = np.zeros((len(names), frequency.size), dtype=complex)
         for index, name in enumerate(names):
-            if denominator.channels == (name,):
+            if denominator.channels == (name,) and name != numerator.channels[0]:
                 readings[index] = 1.0 / reference_weights[index]
                 continue
             fit = self._fit(rec, name, denominator)

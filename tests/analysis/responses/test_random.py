@@ -30,6 +30,17 @@ def random_file(tmp_path_factory):
     return synthetic.record_response(path, force, RANDOM, marks, noise=0.02)
 
 
+@pytest.mark.parametrize("estimator", [None, "H1"])
+def test_reference_relative_to_itself_is_one(tmp_path, estimator):
+    samples = np.random.default_rng(1).standard_normal((4, int(20 * RATE)))
+    marks = [("measure", 0, samples.shape[1] - 1, {"from": 8.0, "to": 60.0, "level": 1.0})]
+    path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(RANDOM), synthetic.channels(), samples, marks)
+    with daq.open(path) as rec:
+        [[curve]] = analysis.frequency_responses(rec, channels=["table"], reference="table", estimator=estimator)
+    np.testing.assert_allclose(curve.value, 1.0, rtol=1e-12)
+    assert curve.bound().max() < 1e-12
+
+
 def test_truth_away_from_peaks_is_within_uncertainty(random_file):
     with daq.open(random_file) as rec:
         [curves] = analysis.frequency_responses(rec, block=8.0)

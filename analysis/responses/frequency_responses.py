@@ -108,10 +108,11 @@ def _random(request: Request) -> list[Response]:
     blocks, rec, channels = request.blocks, request.rec, request.channels
     if blocks == Blocks():
         return request.compute(random.segment_fits(rec, marker, channels) for marker in request.measured)
-    overlap, window = 0.5 if blocks.overlap is None else blocks.overlap, blocks.window or "hann"
     return request.compute(
         replace(
-            random.averaged_spectra(rec, marker, channels, blocks.block, overlap, request.progress, window),
+            random.averaged_spectra(
+                rec, marker, channels, blocks.block, blocks.overlap, request.progress, blocks.window
+            ),
             estimator=blocks.estimator or "H1",
         )
         for marker in request.measured

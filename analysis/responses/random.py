@@ -45,15 +45,16 @@ def averaged_spectra(
     marker: Marker,
     channels: Sequence[str],
     block: float | None = None,
-    overlap: float = 0.5,
+    overlap: float | None = None,
     progress: CountProgress | None = None,
-    window: str = "hann",
+    window: str | None = None,
 ) -> AveragedSpectra:
     """Average the spectra of a random test.
 
-    `block`: length of a block in s, for about 30 averages if omitted; `overlap`: as a fraction of the block. Bursts
-    are blocks without overlap and window.
+    `block`: length of a block in s, for about 30 averages if omitted; `overlap`: as a fraction of the block, 0.5 if
+    omitted; `window`: its name, "hann" if omitted. Bursts are blocks without overlap and window.
     """
+    overlap, window = 0.5 if overlap is None else overlap, window or "hann"
     if not 0.0 <= overlap < 1.0:
         raise SceneError(f"overlap of {overlap:g}: expected 0 or more, below 1")
     if block is not None and not 0.0 < block < np.inf:

@@ -110,8 +110,7 @@ def response_matrix(
         return _from_experiments(rec, markers, names, inputs, motion)
     if (estimator, block, overlap, window) == (None,) * 4:
         return _from_local_fits(rec, markers[0], names, inputs, motion)
-    share = 0.5 if overlap is None else overlap
-    spectra = input_output_spectra(rec, names, inputs, motion, block, share, window or "hann")
+    spectra = input_output_spectra(rec, names, inputs, motion, block, overlap, window)
     return spectra.response(rec, estimator or "H1")
 
 
@@ -226,8 +225,8 @@ def input_output_spectra(
     inputs: Sequence[Point],
     motion: str = "displacement",
     block: float | None = None,
-    overlap: float = 0.5,
-    window: str = "hann",
+    overlap: float | None = None,
+    window: str | None = None,
 ) -> SpectralMatrix:
     """Average the spectra of a random test with several shakers; arguments as in `response_matrix`."""
     marker = next(marker for marker in rec.markers if marker.kind == "measure")
@@ -325,10 +324,10 @@ def _from_local_fits(
             influences.append(fit.influence.reshape(frequency.size, -1) * channel_to_motion[:, None])
         residuals.append(fit.residual.reshape(frequency.size, -1))
         noise[:, a] = fit.noise * abs(reading_to_motion) ** 2
-        local_power = _mean_square(reading.spectra, spectra.side)[spectra.lines]
+        local_power = spectra.power(reading.spectra, spectra.side)
         coherence[:, a] = np.clip(1.0 - fit.noise / np.maximum(local_power, 1e-300), 0.0, 1.0)
     # Upper limit of the noise power of each force: its power that is not coherent with an output.
-    force_power = np.stack([_mean_square(force, spectra.side)[spectra.lines] for force in forces], axis=1)
+    force_power = np.stack([spectra.power(force, spectra.side) for force in forces], axis=1)
     noise_limit = np.minimum(np.min(noise[:, :, None] / np.maximum(abs(value) ** 2, 1e-300), axis=1), force_power)
     bias = abs(value) * (noise_limit / np.maximum(force_power, 1e-300))[:, None]
     # Covariance of the residuals of the outputs, propagated through the fits to the elements at each line.
@@ -345,11 +344,6 @@ def _from_local_fits(
     return _add_warnings(
         Response(frequency, value, *points, budget, coherence, label=rec.scene.name, warnings=warnings)
     )
-
-
-def _mean_square(spectra: ComplexArray, side: int) -> Array:
-    """Average the power of spectra over segments and over `side` bins on either side; shape (bins,)."""
-    return np.asarray(scipy.ndimage.uniform_filter1d(np.mean(abs(spectra) ** 2, axis=0), 2 * side + 1))
 
 
 def _from_experiments(

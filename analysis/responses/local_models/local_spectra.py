@@ -112,7 +112,7 @@ class LocalSpectra:
         difference = response_weights - value * reference_weights
         limits = (
             rounding_part(self.gain, shares)
-            | jitter_part(self.jitter, difference, len(force) * self._power(force, self.side))
+            | jitter_part(self.jitter, difference, len(force) * self.power(force, self.side))
             | {MODEL: main_fit.model_error * scale}
         )
         reference_limits = []
@@ -126,7 +126,7 @@ class LocalSpectra:
         if reference_noise is None:
             noise_bias = reference_noise_part(value, main_fit.coherence)
             if len(denominator.channels) > 1:
-                power = np.minimum(self._power(force, 1), self._power(force, self.side)) * main_fit.independent
+                power = np.minimum(self.power(force, 1), self.power(force, self.side)) * main_fit.independent
                 channel_noise = self._reference_noise(rec, denominator)
                 noise_bias = np.maximum(
                     noise_bias, shared_noise_part(channel_noise, difference, reference_weights, power)
@@ -142,7 +142,7 @@ class LocalSpectra:
             first=main_fit.first,
             residual=main_fit.residual[:, None],
             curve=main_fit.curve,
-            drive=self._power(force, self.side),
+            drive=self.power(force, self.side),
             free=float(main_fit.degrees[0]) / 2.0,
             used=self.used,
             one_reference=denominator.channels[1:] == () and not noise.any(),
@@ -180,7 +180,7 @@ class LocalSpectra:
             np.array(slow).reshape(-1, self.frequency.size),
         )
 
-    def _power(self, spectra: ComplexArray, side: int) -> Array:
+    def power(self, spectra: ComplexArray, side: int) -> Array:
         """Compute the mean square of spectra over `side` lines on either side of each line; shape (lines,)."""
         return np.asarray(scipy.ndimage.uniform_filter1d(np.mean(abs(spectra) ** 2, axis=0), 2 * side + 1)[self.lines])
 

@@ -149,7 +149,7 @@ def compare(files: Files, output: Output = None, overwrite: Overwrite = False) -
     _print_output(result)
 
 
-@app.command(example="analysis fit guess.yaml sweep.mcap --free structure -o fitted.yaml")
+@app.command(example="analysis fit sweep.mcap guess.yaml --free structure -o fitted.yaml")
 def fit(
     files: Annotated[
         list[Path],

@@ -1,4 +1,4 @@
-"""The physics: a scene becomes a hybrid linear system, the system becomes motion."""
+"""Simulation of the rig: a scene file is compiled to a hybrid linear system, whose motion is integrated."""
 
 # An interrupt during import must end the command without a traceback.
 try:

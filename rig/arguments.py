@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 SCENE_HELP = "Name of a bundled scene (`rig scenes` lists them) or path of a scene file."
 
 
-def completions(incomplete: str) -> list[str]:
-    """Return the names of bundled scenes with a given prefix, for shell completion."""
-    return [name for name in bundled_scenes() if name.startswith(incomplete)]
+def completions(prefix: str) -> list[str]:
+    """Return the names of bundled scenes with a prefix, for shell completion."""
+    return [name for name in bundled_scenes() if name.startswith(prefix)]
 
 
 SceneName = Annotated[str, typer.Argument(metavar="SCENE", help=SCENE_HELP, autocompletion=completions)]

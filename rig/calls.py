@@ -28,14 +28,14 @@ def response(
     direction: str | None = None,
     progress: CountProgress | None = None,
 ) -> SteadyResponse:
-    """Compute the steady response over frequency, at the level of the scene's test.
+    """Compute the steady response over frequency, at the level (amplitude of force or drive) of the scene's test.
 
     Parameters
     ----------
     scene : Scene, str, Path or mapping
         A scene, or an argument of `rig.load`.
     first, last : float or str, optional
-        Ends of the band, in Hz or as texts such as ``"49 Hz"``; omitted, those of the test.
+        Lowest and highest frequency, in Hz or as texts such as ``"49 Hz"``; omitted, those of the test.
     points : int, optional
         Number of frequencies; omitted, that of the test, or 101.
     direction : {'up', 'down', 'both'}, optional
@@ -67,16 +67,16 @@ def grains(
     cluster: str | None = None,
     progress: CountProgress | None = None,
 ) -> BedResponse:
-    """Compare beds of grains with one-mass models of the same beds, in steady motion at each frequency.
+    """Compare particle beds, simulated as grains, with their one-mass models in steady motion at each frequency.
 
     Parameters
     ----------
     scene, first, last, points, progress
         As in `rig.response`.
     periods : int
-        Drive periods in each block that is averaged.
+        Drive periods in each averaged block.
     table : str or Path, optional
-        CSV file of results; frequencies in this file are not recomputed.
+        CSV file that stores the results; frequencies in this file are not recomputed.
     cluster : str, optional
         Address of a Dask scheduler; omitted, the processors of this machine.
 
@@ -107,16 +107,16 @@ def map(
     kept: str | Path | None = None,
     progress: CountProgress | None = None,
 ) -> MotionMap:
-    """Map motion types and settling time over level or clearance, and frequency.
+    """Map motion types and settling time over frequency (horizontal) and level or clearance (vertical).
 
     Parameters
     ----------
     scene, first, last, progress
         As in `rig.response`.
     over : {'force', 'drive', 'clearance'}, optional
-        Quantity of the second axis; omitted, the level of the test.
+        Quantity of the vertical axis; omitted, the level of the test.
     least, most : float or str, optional
-        Ends of the second axis, in SI or as texts such as ``"0.5 N"``.
+        Limits of the vertical axis, in SI or as texts such as ``"0.5 N"``.
     rows, points : int
         Number of levels or clearances, and of frequencies.
     cluster : str, optional
@@ -136,22 +136,22 @@ def map(
     over, unit = vertical_axis(scene, over)
     band = number(first, FREQUENCY, "first"), number(last, FREQUENCY, "last")
     frequencies = select_frequencies(scene, *band, points)
-    ends = (number(least, KIND_OF_UNIT[unit], "least"), number(most, KIND_OF_UNIT[unit], "most"))
-    values = select_row_values(scene, over, frequencies, *ends, rows)
+    limits = (number(least, KIND_OF_UNIT[unit], "least"), number(most, KIND_OF_UNIT[unit], "most"))
+    values = select_row_values(scene, over, frequencies, *limits, rows)
     return map_motion(scene, over, values, frequencies, progress, cluster, None if kept is None else Path(kept))
 
 
 def cost(
     scene: SceneLike, frequency: float | str | None = None, periods: int = 20, say: Callable[[str], None] | None = None
 ) -> Cost:
-    """Measure error and computing time of every method on a scene; with beds of grains, of every model of the beds.
+    """Measure error and computing time of every integration method on a scene or, with grains, of every bed model.
 
     Parameters
     ----------
     scene : Scene, str, Path or mapping
         A scene, or an argument of `rig.load`.
     frequency : float or str, optional
-        Drive frequency; omitted, that of the test or of the largest acceleration of the linear structure.
+        Drive frequency; omitted, that of the test or that with the largest acceleration of the linear structure.
     periods : int
         Number of drive periods to simulate.
     say : callable, optional
@@ -162,6 +162,6 @@ def cost(
     SceneError
         If the scene has no shaker, or neither argument nor test gives a frequency.
     """
-    from rig.work_precision.cost import cost as measure
+    from rig.work_precision.cost import cost as measure_cost
 
-    return measure(scene_of(scene), number(frequency, FREQUENCY, "frequency"), periods, say)
+    return measure_cost(scene_of(scene), number(frequency, FREQUENCY, "frequency"), periods, say)

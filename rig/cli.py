@@ -57,7 +57,7 @@ def scenes(
             part.write_text(text, encoding="utf-8")
         print(f"{copy[1]}: change it, then: daq record {quote(str(copy[1]))}")
     if show is None and copy is None:
-        _list([(name, summary(name)) for name in bundled_scenes()])
+        _print_descriptions([(name, summary(name)) for name in bundled_scenes()])
 
 
 @app.command(example="rig presets")
@@ -65,15 +65,17 @@ def presets(
     name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Name of a preset: print its values.")] = None,
 ) -> None:
     """List the presets of data sheets, or the values of one."""
-    from rig.scene.data_sheets import data_sheets, describe_part
+    from rig.scene.data_sheets import data_sheets, describe_preset
 
     if name is not None:
-        print("\n".join(describe_part(name)))
+        print("\n".join(describe_preset(name)))
     else:
-        _list([(sheet.name, f"{sheet.summary} {sheet.doubts}".strip()) for sheet in data_sheets().values()])
+        _print_descriptions(
+            [(sheet.name, f"{sheet.summary} {sheet.unsourced_note}".strip()) for sheet in data_sheets().values()]
+        )
 
 
-def _list(rows: Sequence[tuple[str, str]]) -> None:
+def _print_descriptions(rows: Sequence[tuple[str, str]]) -> None:
     """Print names with descriptions; separated by a tab if the output is a pipe."""
     width = max(len(name) for name, _ in rows) if sys.stdout.isatty() else 0
     for name, description in rows:
@@ -332,14 +334,14 @@ def map_(
     over, unit = vertical_axis(loaded_scene, over)
     band = _quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to")
     kind = KIND_OF_UNIT[unit]
-    ends = _quantity(least, kind, "--least"), _quantity(most, kind, "--most")
+    limits = _quantity(least, kind, "--least"), _quantity(most, kind, "--most")
     create_folder(output)
-    name = output_stem(loaded_scene, over, output)
-    finished_points = name.with_suffix(".csv.kept")
+    stem = output_stem(loaded_scene, over, output)
+    finished_points = stem.with_suffix(".csv.kept")
     with resumable(), allow_overwriting(overwrite), output_source("map", loaded_scene.to_yaml()):
-        reject_foreign_files(*_figure_and_table(name))
+        reject_foreign_files(*_figure_and_table(stem))
         with count_progress("computing the motion") as progress:
-            result = rig.map(loaded_scene, over, *ends, rows, *band, points, cluster, finished_points, progress)
+            result = rig.map(loaded_scene, over, *limits, rows, *band, points, cluster, finished_points, progress)
         files = write_map(result, output)
     finished_points.unlink()
     print(summarize_map(result))
@@ -399,7 +401,7 @@ def design(
 
     New dampers have the restitution and contact of the scene's dampers, or of the first one where they differ.
     """
-    from rig.damper_design.design import design as find_design
+    from rig.damper_design.design import design as choose_dampers
     from rig.damper_design.figure import describe_check, summary, write
     from rig.effects.extensions import test_predictions
     from rig.output_files import create_folder, file_stem
@@ -407,16 +409,16 @@ def design(
 
     loaded_scene = load_scene(scene, changes)
     create_folder(output)
-    name = output / file_stem("design", loaded_scene.name)
-    table = name.with_suffix(".csv")
+    stem = output / file_stem("design", loaded_scene.name)
+    table = stem.with_suffix(".csv")
     with (
         resumable(),
         allow_overwriting(overwrite),
         output_source("design", loaded_scene.to_yaml()),
         progress("evaluating designs") as report_progress,
     ):
-        reject_foreign_files(*(name.with_suffix(ending) for ending in (".yaml", ".png", ".svg")))
-        result = find_design(
+        reject_foreign_files(*(stem.with_suffix(suffix) for suffix in (".yaml", ".png", ".svg")))
+        result = choose_dampers(
             loaded_scene,
             budget=budget,
             bodies=_split_list(bodies),
@@ -440,8 +442,8 @@ def design(
         print(f"\n{prediction}")
 
 
-def _figure_and_table(name: Path) -> list[Path]:
-    return [name.with_name(f"{name.name}.{ending}") for ending in ("png", "svg", "csv")]
+def _figure_and_table(stem: Path) -> list[Path]:
+    return [stem.with_name(f"{stem.name}.{suffix}") for suffix in ("png", "svg", "csv")]
 
 
 def _split_list(text: str | None) -> list[str] | None:
@@ -450,7 +452,7 @@ def _split_list(text: str | None) -> list[str] | None:
 
 
 def _quantity(value: str | None, kind: Kind, name: str) -> float | None:
-    """Parse an option with a unit; a bare number is in SI units."""
+    """Parse the value of the option `name`; a number without a unit is in SI units."""
     from rig.scene.quantities import number
 
     quantity = number(value, kind, name)

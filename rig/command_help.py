@@ -8,7 +8,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
-# Titles of groups, and the parameter names of their options, for options that do not specify their group.
+# Group titles and their options (parameter names), for options that do not specify a group themselves.
 _GROUPS = {
     "Scene": ("changes", "scene", "clock", "table"),
     "Test": ("duration", "rate", "force", "drive", "block_samples", "dry_run", "anyway", "measure"),
@@ -39,16 +39,18 @@ class GroupedCommand(TyperCommand):
         """Write arguments, then options by group, then all other options."""
         parameters = [(parameter, parameter.get_help_record(ctx)) for parameter in self.get_params(ctx)]
         options = [
-            (parameter, record) for parameter, record in parameters if parameter.param_type_name == "option" and record
+            (parameter, help_row)
+            for parameter, help_row in parameters
+            if parameter.param_type_name == "option" and help_row
         ]
         sections: dict[str, list[tuple[str, str]]] = {
             "Arguments": [
-                record for parameter, record in parameters if parameter.param_type_name != "option" and record
+                help_row for parameter, help_row in parameters if parameter.param_type_name != "option" and help_row
             ]
         }
-        for parameter, record in options:
+        for parameter, help_row in options:
             group = getattr(parameter, "rich_help_panel", None) or _GROUP_OF.get(parameter.name or "", _OTHER)
-            sections.setdefault(group if len(options) > _MAX_UNGROUPED else _OTHER, []).append(record)
+            sections.setdefault(group if len(options) > _MAX_UNGROUPED else _OTHER, []).append(help_row)
         order = ["Arguments", *_GROUPS, _OTHER]
         for title in sorted(sections, key=order.index):
             if sections[title]:

@@ -169,14 +169,17 @@ def _describe(error: BaseException) -> tuple[int, str]:
             # The reader of a pipe (head, less) has closed it; this is not an error.
             return 0, ""
         case console.Unwritable():
-            return 1, f"error: standard output cannot be written: {error.strerror}"
+            return 1, f"error: standard output cannot be written: {error.strerror}. Redirect it to another disk."
         case MemoryError():
-            return 1, f"error: not enough memory: {error or 'none is left'}"
+            return (
+                1,
+                f"error: not enough memory: {error or 'none is left'}. Close other programs, or use a smaller test.",
+            )
         case OSError(filename=str() | bytes()):
             return 1, f"error: {os.fsdecode(error.filename)}: {error.strerror}"
         case OSError(strerror=str()):
             # An error of a full or failing disk contains no file name.
-            return 1, f"error: the system reports: {error.strerror}"
+            return 1, f"error: the system reports: {error.strerror}. Check the free disk space."
     if hasattr(error, "format_message"):
         # typer rejected the arguments of the command.
         if type(error).__name__ == "NoArgsIsHelpError":
@@ -206,7 +209,7 @@ def describe_unexpected(error: BaseException) -> str:
     import traceback
 
     name = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-    beginning = f"error: unexpected error ({name[:300]}); this is a fault of shotrig"
+    summary = f"error: unexpected error ({name[:300]}); this is a fault of shotrig"
     details = "\n".join(
         [
             f"shotrig {_version()}, Python {platform.python_version()}, {platform.platform()}",
@@ -219,8 +222,8 @@ def describe_unexpected(error: BaseException) -> str:
         with open(descriptor, "w", encoding="utf-8", errors="backslashreplace") as file:  # noqa: PTH123
             file.write(details)
     except OSError:
-        return f"{beginning}. Run the command again with --debug before its first word, and report the output."
-    return f"{beginning}. Report it with the details in {path}."
+        return f"{summary}. Run the command again with --debug before its first word, and report the output."
+    return f"{summary}. Report it with the details in {path}."
 
 
 # -- signals ---------------------------------------------------------------------------------------------
@@ -279,12 +282,12 @@ def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
 
 
 def _report_ignored(unraisable: sys.UnraisableHookArgs) -> None:
-    """Report an error that cannot be raised, for example in a destructor."""
+    """Report an error that Python cannot raise, because it occurred in a destructor or another cleanup."""
     if isinstance(unraisable.exc_value, KeyboardInterrupt):
         # Ctrl-C arrived at that moment; forward it to the command.
         threading.Timer(0.01, signal.raise_signal, [signal.SIGINT]).start()
     else:
-        print(f"warning: an unexpected error was ignored ({unraisable.exc_value!r})", file=sys.stderr)
+        print(f"warning: an unexpected error in a cleanup was ignored ({unraisable.exc_value!r})", file=sys.stderr)
 
 
 def _report_thread(failure: threading.ExceptHookArgs) -> None:

@@ -13,13 +13,13 @@ Part = Literal["engine", "orbits"]
 
 
 def warm_up(*parts: Part) -> None:
-    """Compile the kernels of the given parts now, or of all parts.
+    """Compile the numba kernels of the given parts of the program now; without arguments, those of all parts.
 
     Parameters
     ----------
     parts : "engine" or "orbits"
-        `simulate`, `frequency_response` and `daq.record` use the engine alone; the other functions on periodic
-        orbits use both.
+        engine: time integration, which suffices for `simulate`, `frequency_response` and `daq.record`; orbits:
+        periodic orbits, whose functions also need the engine.
 
     Raises
     ------

@@ -100,7 +100,7 @@ class _Activity:
 
 
 def report_activity(cleanup: ExitStack) -> None:
-    """Report from time to time that a command is running, until the exit stack is closed."""
+    """Report at intervals that a command is running, until the exit stack is closed."""
     ended = threading.Event()
     cleanup.callback(ended.set)
     _Activity.description = ""
@@ -131,7 +131,7 @@ def report_written(*files: Path) -> None:
 
 
 def begin_delay(cause: str) -> None:
-    """Report a delay from time to time until `end_delay`, also while a user program runs."""
+    """Report the cause of a delay at intervals until `end_delay`, also while a user's program has the terminal."""
     now_s = time.monotonic()
     if not _Activity.delays and now_s - _Activity.delay_end_s > _MAX_DELAY_GAP_S:
         _Activity.delay_start_s = now_s
@@ -157,20 +157,20 @@ def pause_reports() -> Iterator[None]:
 @contextmanager
 def user_terminal() -> Iterator[None]:
     """Release the terminal to a program of the user, whose output is not escaped."""
-    escaping = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (getattr(stream, "terminal", stream) for stream in escaping)
+    escaping_streams = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (getattr(stream, "terminal", stream) for stream in escaping_streams)
     try:
         with pause_reports():
             yield
     finally:
-        sys.stdout, sys.stderr = escaping
+        sys.stdout, sys.stderr = escaping_streams
 
 
 @contextmanager
 def progress(title: str) -> Iterator[FractionProgress]:
-    """Show the progress of the body: ``report(fraction, message)``.
+    """Show the progress of the `with` block, which calls ``report(fraction, message)``.
 
-    A terminal shows a bar with the remaining time; other error outputs get a line at intervals.
+    A terminal shows a bar with the remaining time; if standard error is not a terminal, a line is printed at intervals.
     """
     if not sys.stderr.isatty():
 
@@ -215,11 +215,11 @@ def resumable(stored: bool = True) -> Iterator[None]:
 
 @contextmanager
 def count_progress(title: str) -> Iterator[CountProgress]:
-    """Show the number of finished pieces: ``report(done, total)``."""
+    """Show the number of completed steps of the `with` block, which calls ``report(n_completed, total)``."""
     with progress(title) as report:
 
         def count(n_completed: int, total: int) -> None:
-            # Figures and files are written after the last piece.
+            # Figures and files are written after the last step.
             report(
                 n_completed / total if total else 1.0,
                 f"{n_completed} of {total}{', writing' if n_completed >= total else ''}",
@@ -230,6 +230,6 @@ def count_progress(title: str) -> Iterator[CountProgress]:
 
 @contextmanager
 def show_activity() -> Iterator[Callable[[str], None]]:
-    """Show the activity of the body: ``report(message)``."""
+    """Show the current activity of the `with` block, which calls ``report(message)``."""
     with progress("") as report:
         yield lambda message: report(0.0, message)

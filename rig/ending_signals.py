@@ -1,4 +1,4 @@
-"""Signals that end a command like Ctrl-C, so that its files are closed; their delay while a file is being written."""
+"""Signals that end a command like Ctrl-C, so that its files are closed, and their delay while a file is written."""
 
 import signal
 import threading
@@ -28,7 +28,7 @@ def delayed_interrupt() -> Iterator[None]:
 
 @contextmanager
 def handle_interrupts(handler: Handler) -> Iterator[dict[int, Handler]]:
-    """Handle interrupts in the body; provide the previous handlers by signal number."""
+    """Call `handler` for interrupts in the `with` block; provide the previous handlers by signal number."""
     previous: dict[int, Handler] = {}
     with ExitStack() as cleanup:
         # Python delivers signals to its main thread only, and cannot restore handlers that it did not install.
@@ -44,7 +44,10 @@ def handle_interrupts(handler: Handler) -> Iterator[dict[int, Handler]]:
 
 @contextmanager
 def interrupt_flag() -> Iterator[Callable[[], bool]]:
-    """Convert the first Ctrl-C into a flag, so that blocks stay complete; the second Ctrl-C interrupts as usual."""
+    """Set a flag at the first Ctrl-C, so that a block of samples is completed; the second interrupts as usual.
+
+    Provides a function that returns the flag.
+    """
     interrupted = threading.Event()
 
     def set_flag(number: int, frame: FrameType | None) -> None:

@@ -21,12 +21,13 @@ if TYPE_CHECKING:
 
 # Colors that are distinguishable with any color blindness (Okabe and Ito), darker colors first.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#555555", "#000000")
-# Default width of a figure, and resolution of PNG files in dots per inch.
+# Default width of a figure.
 WIDTH_INCH = 7.2
+# Resolution of PNG files, dots per inch.
 _DPI = 150
 # Number of title characters that fit into the default width.
 _TITLE_CHARACTERS = 70
-# Ratio of the ends of a logarithmic axis below which powers of ten give too few labels.
+# Ratio of the limits of a logarithmic axis below which powers of ten give too few labels.
 _MIN_DECADE_RATIO = 50.0
 # Smallest and largest value of a logarithmic axis that matplotlib can draw.
 _DRAWABLE_RANGE = 1e-250, 1e250
@@ -51,7 +52,7 @@ _STYLE: Any = {
     "grid.linewidth": 0.6,
     "lines.linewidth": 1.3,
     "lines.markersize": 2.6,
-    # A legend is nearly opaque, but does not hide a curve completely.
+    # Curves remain visible behind a legend.
     "legend.framealpha": 0.85,
     "legend.edgecolor": "none",
     "legend.fontsize": 8.5,
@@ -118,7 +119,7 @@ def frequency_axis(axes: Axes, low: float, high: float, labeled: bool) -> None:
 
 
 def log_axis(axes: Axes, values: Any, max_decades: float = 7.0) -> None:
-    """Set up a logarithmic vertical axis around positive values, from 1 to `max_decades` decades."""
+    """Set up a logarithmic vertical axis of 1 to `max_decades` decades around the positive ones of some values."""
     values = np.concatenate([np.ravel(v) for v in values])
     values = np.clip(values[np.isfinite(values) & (values > 0)], *_DRAWABLE_RANGE)
     if not values.size:
@@ -185,7 +186,7 @@ def set_log_scale(axis: Axis, max_ticks: int = 8, factor: float = 1.0) -> None:
 
 
 def cell_edges(centers: Array, logarithmic: bool) -> Array:
-    """Compute the edges of cells from their centers.
+    """Compute the edges of the cells of a map from their centers; a single cell is 10 % wide.
 
     >>> cell_edges(np.array([1.0, 2.0, 4.0]), False).tolist()
     [0.5, 1.5, 3.0, 5.0]
@@ -215,9 +216,9 @@ def add_legend_below(figure: Figure, *sentences: str) -> None:
         add_caption(figure, *sentences)
         return
     title = _wrapped(figure, sentences) or None
-    long_entries = max(map(len, entries)) > _LEGEND_CHARACTERS * figure.get_figwidth() / WIDTH_INCH
+    has_long_entries = max(map(len, entries)) > _LEGEND_CHARACTERS * figure.get_figwidth() / WIDTH_INCH
     legend = figure.legend(
-        list(entries.values()), list(entries), loc="outside lower left", ncols=1 if long_entries else 2,
+        list(entries.values()), list(entries), loc="outside lower left", ncols=1 if has_long_entries else 2,
         title=title, title_fontsize=7.5, alignment="left",
     )  # fmt: skip
     legend.get_title().set_color("#555555")

@@ -1,4 +1,4 @@
-"""Handle Ctrl-C during the import of a command: the process ends immediately, without a traceback.
+"""Handling of Ctrl-C during the import of a command: the process ends immediately, without a traceback.
 
 The packages import this module first, so it has no slow imports. Later, `rig.command_line` handles signals.
 """

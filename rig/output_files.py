@@ -83,7 +83,7 @@ def atomic_write(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
         overwrite = may_overwrite() or is_unchanged_output(path)
         if is_marked and not overwrite and path.is_file():
             raise overwrite_error(path)
-    # Whether an unmarked file has the same content is known only when the new file is complete.
+    # An existing unmarked file is compared with the new file when that is complete.
     file = resolve_output(path, overwrite or is_unmarked)
     part = file.with_name(f".{token_hex(6)}{file.suffix}")
     try:

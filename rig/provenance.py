@@ -47,7 +47,7 @@ _overwriting: ContextVar[bool] = ContextVar("allow_overwriting", default=False)
 
 @contextmanager
 def output_source(*identity: str) -> Iterator[None]:
-    """Set the source of outputs written inside the `with` block: the command, and the identity of its input."""
+    """Set the source of outputs written inside the `with` block: command, and content or digest of its input."""
     token = _source.set(_digest("\0".join(identity).encode("utf-8", errors="surrogateescape")))
     try:
         yield
@@ -131,7 +131,7 @@ def add_mark(path: Path) -> None:
 
 
 def _mark_of(path: Path) -> str:
-    """Return the source in the mark of an unchanged file; empty without a mark."""
+    """Return the digest of the source in the mark of a file; empty if it has no mark, or was changed since."""
     ending = path.suffix.lower()
     try:
         if ending not in (*_DELIMITERS, ".png", ".npz") or not path.is_file():

@@ -1,9 +1,9 @@
 """MPI ranks (processes) of one command, as started by `mpiexec -n 4 rig simulate SCENE`.
 
-The first rank runs the command. A `Shared` object, such as a bed of grains, has a part on each rank. An operation of
-the first rank on the object is executed by all ranks on their parts; no other data is exchanged. Everything else is
-computed once, on the first rank. Ranks on several machines therefore need neither a common folder nor processors with
-identical rounding.
+The first rank runs the command. A `Shared` object, such as a bed of grains, has a part on each rank. If the first rank
+calls a method of the object or reads an attribute, all ranks do so on their parts; no other data is exchanged.
+Everything else is computed once, on the first rank. Ranks on several machines therefore need neither a common folder
+nor processors with identical rounding.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ if TYPE_CHECKING:
 
 #: Environment variables with the number of processes: MPICH and its derivatives, and Open MPI.
 _COUNT_VARIABLES = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE")
-#: Communicator of all ranks in mpi4py; None in a single process.
+#: Communicator of all ranks (mpi4py); None in a single process.
 _world: Any = None
 #: Communicator of the ranks on this machine.
 _machine: Any = None
-#: This rank's parts of shared objects, by number.
+#: This rank's parts of shared objects, by the object's number.
 _parts: dict[int, Any] = {}
 _numbers: Iterator[int] = count()
 #: Numbers of shared objects that the first rank has released.
 _released: list[int] = []
-#: Exit code if the first rank ends during a collective operation; 0 outside collective operations.
+#: Exit code of all ranks if the first rank ends during a collective operation; 0 outside collective operations.
 _abort_code = 0
 
 
@@ -90,8 +90,8 @@ def communicators() -> Any:
         from mpi4py import MPI
     except ImportError as error:
         raise SceneError(
-            f"one bed of grains on several ranks needs mpi4py ({error}). Run pip install 'shotrig[grains]', or the "
-            "command without mpiexec."
+            f"a bed of grains on several MPI processes needs mpi4py ({error}). Run pip install 'shotrig[grains]', or "
+            "run the command without mpiexec."
         ) from None
     return MPI
 

@@ -28,7 +28,7 @@ Value = TypeVar("Value")
 
 @functools.cache
 def code_digest(*packages: str) -> str:
-    """Return a digest of the version and all sources of packages of shotrig, which identifies the code of a result."""
+    """Return a digest of the version and of all source files of some packages, which identifies a result's code."""
     digest = hashlib.sha256(version("shotrig").encode())
     for package in packages:
         spec = find_spec(package)
@@ -39,7 +39,7 @@ def code_digest(*packages: str) -> str:
 
 
 def digest(inputs: object) -> str:
-    """Return a short digest of the inputs of a result (their `repr` or array bytes) and of the code of `rig`."""
+    """Return a short digest of a result's inputs (bytes of an array, otherwise `repr`) and of the code of `rig`."""
     content = inputs.tobytes() if isinstance(inputs, np.ndarray) else repr(inputs).encode()
     return hashlib.sha256(code_digest("rig").encode() + content).hexdigest()[:16]
 

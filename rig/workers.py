@@ -1,7 +1,7 @@
 """Workers that compute the independent pieces of a study: processes of this machine, or a Dask cluster.
 
 A piece is the argument of a module-level function. Function, piece and result are sent between process and worker, so
-that only the folder of recordings has to be shared. The result does not depend on the worker that computes it.
+that the machines of a cluster need to share only the folder of recordings. The result does not depend on the worker.
 """
 
 from __future__ import annotations
@@ -56,11 +56,11 @@ class Workers:
         self._cluster = cluster
         self._client: Any = None
         self._has_warned = False
-        self._open = ExitStack()
+        self._cleanup = ExitStack()
         try:
             self._pool = self._start()
         except BaseException:
-            self._open.close()
+            self._cleanup.close()
             raise
 
     def __enter__(self) -> Workers:
@@ -69,10 +69,10 @@ class Workers:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._open.close()
+        self._cleanup.close()
 
     def compute(self, function: Callable[[Piece], Result], pieces: Sequence[Piece]) -> Iterator[tuple[int, Result]]:
-        """Compute the pieces in order; yield the number and result of each when it is complete.
+        """Start the pieces in order; yield the index and result of each when it is complete.
 
         Further pieces may be appended during the iteration.
 
@@ -101,7 +101,7 @@ class Workers:
                     yield jobs.pop(job), result
                 return
             except BrokenProcessPool:
-                self._open.close()
+                self._cleanup.close()
                 self._pool = self._start()
             finally:
                 for job in jobs:
@@ -140,10 +140,10 @@ class Workers:
         return finished.get()
 
     def _start(self) -> Executor:
-        """Start the workers; `_open` ends them."""
+        """Start the workers; `_cleanup` ends them."""
         if self._cluster is None:
-            return _processes(self._open)
-        self._client = _dask(self._cluster, self._open)
+            return _processes(self._cleanup)
+        self._client = _dask(self._cluster, self._cleanup)
         pool: Executor = self._client.get_executor()
         return pool
 

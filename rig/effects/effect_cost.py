@@ -23,7 +23,7 @@ from rig.system.assembly import assemble
 from rig.system.open_loop_drive import drive_per_level, level_of, sampled_drive
 from rig.system.structural_model import structural_model
 
-#: Simulated seconds measured separately after one second of warm-up; the shortest CPU time is used.
+#: Number of simulated seconds that are measured, each separately, after one second of warm-up.
 SECONDS = 3
 #: Repetitions of every measurement, because other processes disturb some of them.
 REPEATS = 3
@@ -92,7 +92,7 @@ def text(costs: tuple[EffectCost, ...]) -> str:
 
 
 def measure_cpu_time(step: EffectStep) -> float:
-    """Return the shortest of several measurements of CPU time per simulated second, s."""
+    """Return the shortest CPU time of one of `SECONDS` simulated seconds, s."""
     samples_per_s = round(step.rate)
     times = []
     with step.start() as advance:
@@ -145,7 +145,7 @@ def _without_shaker_number(test: Test | None) -> Test | None:
 
 
 def _motion_step(name: str, scene: Scene) -> EffectStep:
-    """Return the step that simulates the motion of a scene, whose last added effect has a name."""
+    """Return the step that simulates the motion of a scene; `name`: the effect that this scene adds."""
     rate = scene.converter.sample_rate
 
     def start() -> AbstractContextManager[Callable[[Array], object]]:

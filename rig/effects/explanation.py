@@ -127,7 +127,7 @@ def explain(scene: SceneLike) -> Explanation:
     scene = scene_of(scene)
     effects = list(motion_effects(scene))
     names = {effect.name for effect in effects}
-    possible = (
+    optional_effects = (
         "particle dampers",
         "ceilings",
         "restitution",
@@ -138,7 +138,7 @@ def explain(scene: SceneLike) -> Explanation:
     )
     for registered_effects in registered_functions("shotrig.effects"):
         effects += registered_effects(scene)
-    return Explanation(scene.name, tuple(effects), tuple(name for name in possible if name not in names))
+    return Explanation(scene.name, tuple(effects), tuple(name for name in optional_effects if name not in names))
 
 
 def motion_effects(scene: Scene) -> Iterable[Effect]:
@@ -151,8 +151,8 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
     detail = f"{bodies} {noun} {form}{names}, {_natural_frequencies_text(scene)}, {_damping_text(scene)}"
     yield Effect("motion", "structure", 2 * bodies, detail)
     if system.coupled and system.dampers:
-        share_a_body = np.unique(system.damper_coordinate).size < system.dampers
-        reason = "several dampers in a body" if share_a_body else "full mass matrix"
+        has_shared_body = np.unique(system.damper_coordinate).size < system.dampers
+        reason = "several dampers in a body" if has_shared_body else "full mass matrix"
         yield Effect("motion", "coupled impacts", 0, f"{reason}: all simultaneous contacts are solved together")
     for shaker in scene.shakers:
         yield from _shaker_effects(shaker, scene.structure)
@@ -160,7 +160,7 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
 
 
 def _natural_frequencies_text(scene: Scene) -> str:
-    """List the natural frequencies of the structure alone, in which a wrong unit is obvious."""
+    """List the natural frequencies of the structure alone, by which the user notices a wrong unit in the scene."""
     texts = [f"{frequency:.4g}" for frequency in structural_model(scene).modes.frequency]
     if len(texts) > _MAX_LISTED:
         texts = [*texts[: _MAX_LISTED - 1], "...", texts[-1]]

@@ -1,6 +1,6 @@
 """Functions that other packages register as entry points: effects, cost estimates, test predictions.
 
-They are imported only when called for, so that the rig does not depend on these packages.
+They are imported when they are called, so that the package `rig` does not depend on these packages.
 """
 
 from __future__ import annotations

@@ -49,15 +49,15 @@ _NAMES = {
     ("acceleration", "table"): ("acceleration per table displacement", "1/s²"),
 }
 _RATIO = ("ratio", "1")
-# Largest ratio of the expanded uncertainty of a peak to its value.
+# Largest ratio of the expanded uncertainty of the highest value to this value, if it is to count as the peak.
 _MAX_PEAK_UNCERTAINTY_RATIO = 0.5
-# Units in which curves are drawn and printed, and the factor from the SI unit.
+# By SI unit: the unit in which curves are drawn and printed, and the factor to it.
 _DISPLAY_UNITS = {"m/N": ("µm/N", 1e6), "m/(N s)": ("mm/(N s)", 1e3)}
 
 
 @dataclass(frozen=True)
 class Point:
-    """Degree of freedom of an output or input.
+    """Output or input of a response: channel, quantity and place.
 
     `quantity`: ``"displacement"``, ``"velocity"``, ``"acceleration"``, ``"force"``, ``"table"`` (its displacement),
     or ``"ratio"`` of two responses.
@@ -70,11 +70,11 @@ class Point:
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Response(Result, Sequence["Response"]):
-    """Frequency responses of some outputs to some inputs, or one of them.
+    """Frequency responses of several outputs to several inputs, or the curve of one output and one input.
 
     Indexing by a name selects, as in xarray: ``response["body3"]`` is the curve of that output, whose arrays have one
     axis. With several inputs, ``response["body3"]`` has one output and all inputs, and ``response["body3", "force2"]``
-    is a curve. Iteration and integers give all elements as curves, output by output.
+    is a curve. Iteration and integer indices give the elements as curves, output by output.
 
     Attributes
     ----------
@@ -152,7 +152,8 @@ class Response(Result, Sequence["Response"]):
         output_at, input_at : str
             Places of output and input.
         error, degrees : ndarray, shape (n,), optional
-            Standard uncertainty of either quadrature component from the scatter, and its degrees of freedom.
+            Standard uncertainty of either quadrature component from the scatter, and its degrees of freedom; omitted:
+            0, for degrees of freedom that are unknown.
         limits : mapping of str to ndarray, optional
             Largest deviations by name.
         uncertainty : UncertaintyBudget, optional
@@ -216,7 +217,7 @@ class Response(Result, Sequence["Response"]):
 
     @property
     def is_driving_point(self) -> bool:
-        """Whether the output is at the place of the force and in its direction."""
+        """Whether the output is at the place of the force (all directions are vertical)."""
         return self.reference == "force" and bool(self.input_at) and self.output_at == self.input_at
 
     @property
@@ -268,7 +269,7 @@ class Response(Result, Sequence["Response"]):
         return self.error * special.stdtrit(known_degrees(self.degrees), 0.5 + confidence / 2.0)
 
     def parts(self) -> list[str]:
-        """Return the name of the largest contribution to the bound at each line of a curve."""
+        """Return the name of the largest contribution to the uncertainty at each line of a curve."""
         return self.uncertainty.largest_contributions()
 
     def covariance(self) -> Covariance:
@@ -298,8 +299,8 @@ class Response(Result, Sequence["Response"]):
         line = int(np.argmin(abs(curve.frequency - number(frequency, FREQUENCY, "frequency"))))
         unit, factor = curve.shown_in
         uncertainties = {
-            (part.name, part.evaluation): factor * float(part.standard()[line])
-            for part in curve.uncertainty.contributions
+            (cause.name, cause.evaluation): factor * float(cause.standard()[line])
+            for cause in curve.uncertainty.contributions
         }
         variance = sum(u**2 for u in uncertainties.values())
         rows = sorted(
@@ -350,15 +351,17 @@ class Response(Result, Sequence["Response"]):
         """Select elements; a single element becomes a curve unless `keep_axes`."""
         if self.is_curve:
             return self
-        single = len(outputs) == len(inputs) == 1 and not keep_axes
+        is_single = len(outputs) == len(inputs) == 1 and not keep_axes
         selection = (
-            (slice(None), outputs[0], inputs[0]) if single else np.ix_(range(self.frequency.size), outputs, inputs)
+            (slice(None), outputs[0], inputs[0]) if is_single else np.ix_(range(self.frequency.size), outputs, inputs)
         )
         elements = [i * len(self.inputs) + k for i in outputs for k in inputs]
         budget, errors = self.uncertainty, self.uncertainty.errors
-        parts = tuple(
-            replace(part, size=part.size[selection], degrees=None if part.degrees is None else part.degrees[selection])
-            for part in budget.contributions
+        contributions = tuple(
+            replace(
+                cause, size=cause.size[selection], degrees=None if cause.degrees is None else cause.degrees[selection]
+            )
+            for cause in budget.contributions
         )
         return replace(
             self,
@@ -366,9 +369,9 @@ class Response(Result, Sequence["Response"]):
             outputs=tuple(self.outputs[k] for k in outputs),
             inputs=tuple(self.inputs[k] for k in inputs),
             uncertainty=replace(
-                budget, contributions=parts, errors=None if errors is None else errors.select(elements)
+                budget, contributions=contributions, errors=None if errors is None else errors.select(elements)
             ),
-            coherence=self.coherence[:, outputs[0] if single else list(outputs)],
+            coherence=self.coherence[:, outputs[0] if is_single else list(outputs)],
         )
 
     def summary(self) -> str:
@@ -386,8 +389,8 @@ class Response(Result, Sequence["Response"]):
         height, contribution = f"{magnitude:.4g} {unit}", ""
         if bound > 0.0:
             height = format_quantity(magnitude, bound, unit)
-            cause = "largest contribution" if np.isfinite(bound) else "unbounded by"
-            contribution = f"; {cause}: {self.parts()[peak]}"
+            relation = "largest contribution" if np.isfinite(bound) else "unbounded by"
+            contribution = f"; {relation}: {self.parts()[peak]}"
         amplitude = ""
         if self.amplitude is not None and self.reference == "force":
             amplitude = f" under {self.amplitude[peak]:.4g} N"
@@ -412,14 +415,14 @@ class Response(Result, Sequence["Response"]):
 
     def uncertain_peak(self) -> list[str]:
         """Describe the largest value of a curve if it is too uncertain to be the peak."""
-        point, (unit, factor) = int(np.nanargmax(abs(self.value))), self.shown_in
-        if point == self.peak_line():
+        line, (unit, factor) = int(np.nanargmax(abs(self.value))), self.shown_in
+        if line == self.peak_line():
             return []
-        magnitude, bound = float(abs(self.value[point])), float(self.bound()[point])
+        magnitude, bound = float(abs(self.value[line])), float(self.bound()[line])
         uncertainty = f"{bound / magnitude:.0%}" if np.isfinite(bound) else "unbounded"
         return [
-            f"ignored as too uncertain: {factor * magnitude:.4g} {unit} at {self.frequency[point]:.4g} Hz "
-            f"(uncertainty {uncertainty}, {self.parts()[point]})"
+            f"ignored as too uncertain: {factor * magnitude:.4g} {unit} at {self.frequency[line]:.4g} Hz "
+            f"(uncertainty {uncertainty}, {self.parts()[line]})"
         ]
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -543,8 +546,8 @@ class Response(Result, Sequence["Response"]):
         """
         if motion not in MOTIONS:
             raise SceneError(f"motion: unknown motion {motion!r}. Give one of {', '.join(MOTIONS)}.")
-        order = MOTIONS.index(motion) - MOTIONS.index(self.motion)
-        factor: ComplexArray = np.asarray((2j * np.pi * self.frequency) ** order, dtype=complex)
+        n_derivatives = MOTIONS.index(motion) - MOTIONS.index(self.motion)
+        factor: ComplexArray = np.asarray((2j * np.pi * self.frequency) ** n_derivatives, dtype=complex)
         points = tuple(replace(point, quantity=motion) for point in self.outputs)
         return replace(self.scaled(factor), outputs=points)
 
@@ -574,16 +577,16 @@ class Response(Result, Sequence["Response"]):
             value = np.asarray(self.value / other.value)
             magnitude, contributions = abs(value), []
             relative_contributions = [
-                {part.name: (part, part.size / abs(response.value)) for part in response.uncertainty.contributions}
+                {cause.name: (cause, cause.size / abs(response.value)) for cause in response.uncertainty.contributions}
                 for response in (self, other)
             ]
         for name in dict.fromkeys([*relative_contributions[0], *relative_contributions[1]]):
-            parts = [by_name[name] for by_name in relative_contributions if name in by_name]
-            sizes = [size for _, size in parts]
+            same_cause = [by_name[name] for by_name in relative_contributions if name in by_name]
+            sizes = [size for _, size in same_cause]
             total = np.sum(sizes, axis=0) if name in TOLERANCES else np.linalg.norm(sizes, axis=0)
-            degrees = [part.degrees for part, _ in parts if part.degrees is not None]
+            degrees = [cause.degrees for cause, _ in same_cause if cause.degrees is not None]
             min_degrees = np.min(degrees, axis=0) if degrees else None
-            contributions.append(Contribution(name, parts[0][0].evaluation, magnitude * total, min_degrees))
+            contributions.append(Contribution(name, same_cause[0][0].evaluation, magnitude * total, min_degrees))
         budget = replace(self.uncertainty, contributions=tuple(contributions), errors=None, clock=0.0, scale=0.0)
         return replace(
             self,

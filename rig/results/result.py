@@ -114,7 +114,7 @@ def join_columns(tables: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDAr
 
 
 def complete_style(style: Mapping[str, Any], **defaults: Any) -> dict[str, Any]:
-    """Add defaults to a style; the style overrides them."""
+    """Return a style, with defaults for what it does not specify."""
     return defaults | dict(style)
 
 

@@ -1,4 +1,4 @@
-"""Numbers, expanded uncertainties ("bounds") and ranges of frequencies as text."""
+"""Numbers, bounds (expanded uncertainties) and ranges of frequencies as text."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def format_interval(value: float, bound: float) -> str:
 
 
 def format_quantity(value: float, bound: float, unit: str) -> str:
-    """Write a number with its bound and unit; in brackets, so that the bound of a percentage is not read as relative.
+    """Write a number with its bound and unit: (2.42 ± 0.20) %, so that the bound is not read as relative.
 
     >>> format_quantity(2.4213, 0.204, "%"), format_quantity(935.21, float("inf"), "µm/N")
     ('(2.42 ± 0.20) %', '935.2 µm/N (no bound)')
@@ -58,7 +58,7 @@ def format_quantity(value: float, bound: float, unit: str) -> str:
 
 
 def format_frequencies(frequencies: Sequence[float], chosen: Sequence[bool]) -> str:
-    """List the chosen frequencies in Hz, neighbors as ranges; if the ranges are many, their number and limits.
+    """List the chosen frequencies in Hz, adjacent ones as ranges; more than 8 ranges are summarized by a count.
 
     >>> format_frequencies([10.0, 11.0, 12.5, 14.0, 20.0], [True, False, True, True, True])
     '10 and 12.5 to 20 Hz'
@@ -70,10 +70,10 @@ def format_frequencies(frequencies: Sequence[float], chosen: Sequence[bool]) -> 
     distinct, index = np.unique(np.asarray(frequencies, dtype=np.float64), return_inverse=True)
     flags = np.zeros(distinct.size, dtype=bool)
     flags[index[np.asarray(chosen, dtype=bool)]] = True
-    ends = [(f"{distinct[first]:.4g}", f"{distinct[stop - 1]:.4g}") for first, stop in runs_of(flags)]
-    if len(ends) > _MAX_RANGES:
-        return f"{flags.sum()} of {flags.size} frequencies from {ends[0][0]} to {ends[-1][1]} Hz"
-    *before, last = [low if low == high else f"{low} to {high}" for low, high in ends]
+    limits = [(f"{distinct[first]:.4g}", f"{distinct[stop - 1]:.4g}") for first, stop in runs_of(flags)]
+    if len(limits) > _MAX_RANGES:
+        return f"{flags.sum()} of {flags.size} frequencies from {limits[0][0]} to {limits[-1][1]} Hz"
+    *before, last = [low if low == high else f"{low} to {high}" for low, high in limits]
     return f"{', '.join(before)} and {last} Hz" if before else f"{last} Hz"
 
 
@@ -86,8 +86,8 @@ def table_lines(rows: Sequence[Sequence[str]], alignment: str) -> list[str]:
     ['channel  peak / Hz', 'body1        12.54']
     """
     columns = [
-        [f"{cell:{side}{max(map(len, column))}}" for cell in column]
-        for column, side in zip(zip(*rows, strict=True), alignment, strict=True)
+        [f"{cell:{align}{max(map(len, column))}}" for cell in column]
+        for column, align in zip(zip(*rows, strict=True), alignment, strict=True)
         if any(column[1:])
     ]
     return ["  ".join(row).rstrip() for row in zip(*columns, strict=True)]

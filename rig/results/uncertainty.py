@@ -26,8 +26,8 @@ Lines = NDArray[np.bool_] | NDArray[np.intp]
 SCATTER = "scatter"
 # Degrees of freedom above which Student's t and Fisher's F have their limits to four digits.
 _NORMAL_DEGREES = 1e6
-#: Tolerances of data sheets. They are added linearly, because clock and sensors of a test may deviate by the full
-#: tolerance at the same time.
+#: Names of contributions that are tolerances of data sheets. They are added linearly, because clock and sensors of a
+#: test may deviate by the full tolerance at the same time.
 CLOCK, SENSITIVITY = "sample clock", "sensors' sensitivity"
 TOLERANCES = (CLOCK, SENSITIVITY)
 
@@ -120,18 +120,18 @@ class UncertaintyBudget:
         cls, error: Array, degrees: Array, limits: Mapping[str, Array] | None = None, **fields: Any
     ) -> UncertaintyBudget:
         """Make a budget from the scatter and from limits by name."""
-        parts = [Contribution(name, "B", limit) for name, limit in (limits or {}).items()]
-        return cls((Contribution(SCATTER, "A", error, degrees), *parts), **fields)
+        contributions = [Contribution(name, "B", limit) for name, limit in (limits or {}).items()]
+        return cls((Contribution(SCATTER, "A", error, degrees), *contributions), **fields)
 
     @property
     def limits(self) -> dict[str, Array]:
         """Largest deviations of type B by name."""
-        return {part.name: part.size for part in self.contributions if part.evaluation == "B"}
+        return {cause.name: cause.size for cause in self.contributions if cause.evaluation == "B"}
 
     @property
     def scatter(self) -> Contribution | None:
         """Contribution of type A."""
-        return next((part for part in self.contributions if part.evaluation == "A"), None)
+        return next((cause for cause in self.contributions if cause.evaluation == "A"), None)
 
     def random_bound(self, confidence: float = 0.95) -> Array | float:
         """Return the expanded uncertainty from the scatter alone: radius of a circle in the complex plane.
@@ -154,7 +154,8 @@ class UncertaintyBudget:
     def bound(self, confidence: float = 0.95) -> Array | float:
         """Return the expanded uncertainty: the radius of the circle that contains the true value.
 
-        It is infinite where a contribution is unbounded.
+        It is the root sum of squares of the random bound and the limits, plus the tolerances of data sheets; infinite
+        where a contribution is unbounded.
         """
         without_tolerances = np.hypot(self.random_bound(confidence), self.combined_limit)
         return np.asarray(without_tolerances + self._tolerances())
@@ -165,7 +166,7 @@ class UncertaintyBudget:
 
     def largest_contributions(self) -> list[str]:
         """Return the name of the largest contribution to the bound at each line of a curve."""
-        bounds = np.nan_to_num([part.bound() for part in self.contributions], posinf=np.inf)
+        bounds = np.nan_to_num([cause.bound() for cause in self.contributions], posinf=np.inf)
         return [self.contributions[index].name for index in np.argmax(bounds, axis=0)]
 
     def covariance(self, shape: tuple[int, ...]) -> Covariance:
@@ -188,58 +189,58 @@ class UncertaintyBudget:
         def multiply(size: Array) -> Array:
             return np.asarray(size * np.reshape(abs(factor), (-1, *[1] * (size.ndim - 1))))
 
-        parts = tuple(replace(part, size=multiply(part.size)) for part in self.contributions)
-        return replace(self, contributions=parts, errors=errors)
+        contributions = tuple(replace(cause, size=multiply(cause.size)) for cause in self.contributions)
+        return replace(self, contributions=contributions, errors=errors)
 
     def with_limits(self, limits: Mapping[str, Array]) -> UncertaintyBudget:
         """Add limits by name, or replace those of the same name."""
-        unchanged = tuple(part for part in self.contributions if part.name not in limits)
+        unchanged = tuple(cause for cause in self.contributions if cause.name not in limits)
         return replace(
             self, contributions=(*unchanged, *(Contribution(name, "B", size) for name, size in limits.items()))
         )
 
     def without(self, *names: str) -> UncertaintyBudget:
         """Remove contributions."""
-        return replace(self, contributions=tuple(part for part in self.contributions if part.name not in names))
+        return replace(self, contributions=tuple(cause for cause in self.contributions if cause.name not in names))
 
     def with_gaps(self, lines: NDArray[np.intp]) -> UncertaintyBudget:
-        """Insert lines of NaN in front of some lines."""
+        """Insert a line of NaN before each of the given lines."""
         return self.with_arrays(lambda array: np.insert(array, lines, np.nan, axis=0), None)
 
     def with_arrays(self, change: Callable[[Array], Array], errors: RandomErrors | None) -> UncertaintyBudget:
-        """Replace the arrays of all contributions by a function of them."""
-        parts = tuple(
-            replace(part, size=change(part.size), degrees=None if part.degrees is None else change(part.degrees))
-            for part in self.contributions
+        """Return the budget with a function applied to the arrays of all contributions, and with other `errors`."""
+        contributions = tuple(
+            replace(cause, size=change(cause.size), degrees=None if cause.degrees is None else change(cause.degrees))
+            for cause in self.contributions
         )
-        return replace(self, contributions=parts, errors=errors)
+        return replace(self, contributions=contributions, errors=errors)
 
 
 def stack_budgets(budgets: Sequence[UncertaintyBudget], shape: tuple[int, ...]) -> UncertaintyBudget:
     """Join the budgets of curves over the same lines to the budget of values of a shape (lines, outputs, inputs)."""
-    names = dict.fromkeys((part.name, part.evaluation) for budget in budgets for part in budget.contributions)
+    names = dict.fromkeys((cause.name, cause.evaluation) for budget in budgets for cause in budget.contributions)
     lines = shape[0]
 
     def join(columns: Sequence[Array | None]) -> Array:
         values = [np.zeros(lines) if column is None else column for column in columns]
         return np.stack(values, axis=1).reshape(shape)
 
-    parts = []
+    contributions = []
     for name, evaluation in names:
-        of_curves = [next((part for part in budget.contributions if part.name == name), None) for budget in budgets]
-        parts.append(
+        by_curve = [next((cause for cause in budget.contributions if cause.name == name), None) for budget in budgets]
+        contributions.append(
             Contribution(
                 name,
                 evaluation,
-                join([None if part is None else part.size for part in of_curves]),
-                join([None if part is None else part.degrees for part in of_curves]) if evaluation == "A" else None,
+                join([None if cause is None else cause.size for cause in by_curve]),
+                join([None if cause is None else cause.degrees for cause in by_curve]) if evaluation == "A" else None,
             )
         )
     first, *others = (budget.errors for budget in budgets)
     other_errors = [errors for errors in others if errors is not None]
     joined = first.joined(other_errors) if first is not None and len(other_errors) == len(others) else None
     shared, clock, scale = (max(getattr(budget, name) for budget in budgets) for name in ("shared", "clock", "scale"))
-    return UncertaintyBudget(tuple(parts), joined, shared, clock, scale)
+    return UncertaintyBudget(tuple(contributions), joined, shared, clock, scale)
 
 
 @dataclass(frozen=True)
@@ -287,8 +288,8 @@ class BudgetTable:
     def __str__(self) -> str:
         heading = ("contribution", "type", f"standard uncertainty / ({self.unit})", "share")
         body = [
-            (name, kind, f"{size:.2g}", "-" if np.isnan(share) else f"{share:.1%}")
-            for name, kind, size, share in self.rows
+            (name, evaluation, f"{standard:.2g}", "-" if np.isnan(share) else f"{share:.1%}")
+            for name, evaluation, standard, share in self.rows
         ]
         body.append(("combined", "", f"{self.combined:.2g}", ""))
         widths = [max(len(row[k]) for row in (heading, *body)) for k in range(4)]

@@ -11,7 +11,7 @@ from rig.arrays import Array, ComplexArray
 from rig.errors import RunError
 from rig.escaping import escape_terminal
 
-#: Function types of data set 58.
+#: Function types of data set 58: frequency response, and general function.
 FRF, GENERAL = 4, 0
 #: Beginning of the text line that states the bandwidth of each frequency of a response.
 RESOLUTION_LINE = "shotrig: resolution"
@@ -30,9 +30,10 @@ def write_curve(
 
     Its standard deviation follows as a general function (type 0), which other programs skip.
 
-    `number`: number of the function. `output_node`, `force_node`: nodes of the output and of the force, both in the
-    direction +Z. `title`: response and ratio. `labels`: scene, and ratio. `motion`: quantity of the response.
-    `resolution`: Hz.
+    `number`: number of the function in the file. `output_node`, `force_node`: nodes of the output and of the force,
+    both in the direction +Z. `title`, `labels`: text lines 1, and 2 and 3, of the data set. `motion`: quantity of the
+    response. `resolution`: bandwidth of each frequency, Hz. `error`: standard uncertainty of either quadrature
+    component.
     """
     steps = np.diff(frequency)
     fields = {
@@ -63,7 +64,7 @@ def universal_file(path: Path) -> Any:
 
 
 def write_set(file: Any, data: dict[str, Any]) -> None:
-    """Append a data set."""
+    """Append a data set; raise `OSError` if the file cannot be written."""
     try:
         file.write_sets(data, mode="add")
     except Exception as error:

@@ -17,11 +17,11 @@ _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d{1,6}\])*)")
 
 @dataclass(frozen=True)
 class Change:
-    """One change of a scene: the key as written, the path to it (positions from 0), and the new value."""
+    """One change of a scene."""
 
-    key: str
-    steps: Place
-    value: Any
+    key: str  # as written, with items numbered from 1
+    steps: Place  # the key as keys and list positions from 0
+    value: Any  # new value
     option: str = ""  # command-line option of the change; empty from Python
 
     def __str__(self) -> str:
@@ -38,12 +38,12 @@ class Change:
         return self._replace(content, self.steps)
 
     def _replace(self, node: Any, steps: Place) -> Any:
-        # The changed part is copied, because an alias in the file makes two places share one object.
+        # Content is copied, not changed in place: an alias in the file makes two places share one object.
         if not steps:
             return self.value
         step, remaining = steps[0], steps[1:]
         if isinstance(node, list):
-            indices = range(len(node)) if isinstance(step, str) else [step]
+            indices = range(len(node)) if isinstance(step, str) else [step]  # a key applies to every item
             if not node or indices[0] >= len(node):
                 number = step + 1 if isinstance(step, int) else 1
                 raise SceneError(f"{self}: item {number} does not exist. The scene has {len(node)}, numbered from 1.")
@@ -76,10 +76,10 @@ class Change:
 
 
 def parse_changes(changes: Mapping[str, Any]) -> list[Change]:
-    """Read changes from Python.
+    """Read changes from a mapping.
 
-    `changes`: values by key, such as ``"dampers[2].clearance"``; items of lists count from 1. Raises `SceneError` if a
-    key is invalid.
+    `changes`: values by key, such as ``"dampers[2].clearance"``; items of lists are numbered from 1. Raises
+    `SceneError` if a key is invalid.
 
     >>> parse_changes({"dampers[2].clearance": "1 mm"})[0].steps
     ('dampers', 1, 'clearance')
@@ -88,10 +88,10 @@ def parse_changes(changes: Mapping[str, Any]) -> list[Change]:
 
 
 def parse_options(settings: Iterable[str]) -> list[Change]:
-    """Read changes from a command line.
+    """Read changes from the `--set` options of a command line.
 
-    `settings`: each ``KEY=VALUE``, the value as in a scene file; an empty value or `null` removes the key. Raises
-    `SceneError` if a setting does not have this form.
+    `settings`: texts ``KEY=VALUE``, with the value as in a scene file; an empty value or `null` removes the key.
+    Raises `SceneError` if a text does not have this form.
 
     >>> [change.value for change in parse_options(["test.force=5N", "structure.masses=[1 kg, 2 kg]", "dampers="])]
     ['5N', ['1 kg', '2 kg'], None]
@@ -109,15 +109,15 @@ def parse_options(settings: Iterable[str]) -> list[Change]:
 
 
 def _use_body_name(steps: Place, names: list[str]) -> Place:
-    """Replace the number of a named body by its name."""
+    """Replace the position of a named body, the first of the steps, by its name."""
     number = steps[0]
     return (names[number], *steps[1:]) if isinstance(number, int) and number < len(names) else steps
 
 
 def _parse_key(key: str, prefix: str = "") -> Place:
     steps: list[int | str] = []
-    for part in key.split("."):
-        match = _STEP.fullmatch(part.strip())
+    for step in key.split("."):
+        match = _STEP.fullmatch(step.strip())
         numbers = [] if match is None else [int(n) for n in re.findall(r"\d+", match[2])]
         if match is None or 0 in numbers:
             raise SceneError(

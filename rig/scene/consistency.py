@@ -1,6 +1,6 @@
-"""Checks of references between the parts of a scene: whether a body, shaker or channel exists that another part names.
+"""Checks of references between the sections of a scene, such as whether the body or shaker that a test names exists.
 
-Each check compares a part with the parts above it in `Scene`. `valid` contains the valid parts among these, by key.
+Each check compares a section with those before it in `Scene`. `valid` contains the valid sections among these, by key.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
     from rig.scene.excitation import Test
     from rig.scene.measurement_chain import RecordingSettings
 
-ValidParts = Mapping[str, Any]
+ValidSections = Mapping[str, Any]
 
 
-def _check_damper(damper: Damper, valid: ValidParts) -> Iterable[Mistake]:
+def _check_damper(damper: Damper, valid: ValidSections) -> Iterable[Mistake]:
     yield from _check_body(valid, damper.body, ("body",))
 
 
-def _check_shakers(value: Shaker | tuple[Shaker, ...] | None, valid: ValidParts) -> Iterable[Mistake]:
+def _check_shakers(value: Shaker | tuple[Shaker, ...] | None, valid: ValidSections) -> Iterable[Mistake]:
     for number, shaker in enumerate(_as_tuple(value)):
         place: Place = (number, "body") if isinstance(value, tuple) else ("body",)
         for k, body in enumerate(shaker.bodies):
             yield from _check_body(valid, body, (*place, k) if isinstance(shaker.body, tuple) else place)
 
 
-def _check_test(test: Test | None, valid: ValidParts) -> Iterable[Mistake]:
+def _check_test(test: Test | None, valid: ValidSections) -> Iterable[Mistake]:
     if isinstance(test, Impulse):
         yield from _check_body(valid, test.body, ("body",))
     elif isinstance(test, Free):
@@ -44,35 +44,35 @@ def _check_test(test: Test | None, valid: ValidParts) -> Iterable[Mistake]:
         yield from _check_driven_shaker(test, _as_tuple(valid["shaker"]))
 
 
-def _check_initial_state(test: Free, valid: ValidParts) -> Iterable[Mistake]:
+def _check_initial_state(test: Free, valid: ValidSections) -> Iterable[Mistake]:
     if "structure" not in valid:
         return
-    count = valid["structure"].bodies
+    n_bodies = valid["structure"].bodies
     for key, values in (("displacement", test.displacement), ("velocity", test.velocity)):
-        if values is not None and len(values) != count:
-            yield Mistake((key,), f"got {len(values)} values; expected {count}, one for each body")
-    if test.mode is not None and test.mode > count:
-        yield Mistake(("mode",), f"mode {test.mode} of {count}; expected 1 to {count}")
+        if values is not None and len(values) != n_bodies:
+            yield Mistake((key,), f"got {len(values)} values; expected {n_bodies}, one for each body")
+    if test.mode is not None and test.mode > n_bodies:
+        yield Mistake(("mode",), f"mode {test.mode} of {n_bodies}; expected 1 to {n_bodies}")
 
 
 def _check_driven_shaker(test: Any, shakers: tuple[Shaker, ...]) -> Iterable[Mistake]:
-    count, number, other_numbers = len(shakers), test.shaker or 1, getattr(test, "also", None) or ()
+    n_shakers, number, other_numbers = len(shakers), test.shaker or 1, getattr(test, "also", None) or ()
     if not shakers:
         message = f"{test.kind} requires a shaker. Add a shaker to the scene."
         yield Mistake(("kind",), message, absent="shaker")
-    elif count > 1 and test.shaker is None:
-        yield Mistake((), f"shaker missing; expected shaker: with the number of the driven shaker, 1 to {count}")
-    elif number > count:
-        yield Mistake(("shaker",), f"shaker {number} of {count}; expected 1 to {count}")
-    elif any(other > count for other in other_numbers):
-        yield Mistake(("also",), f"names a shaker that does not exist; expected numbers up to {count}")
+    elif n_shakers > 1 and test.shaker is None:
+        yield Mistake((), f"shaker missing; expected shaker: with the number of the driven shaker, 1 to {n_shakers}")
+    elif number > n_shakers:
+        yield Mistake(("shaker",), f"shaker {number} of {n_shakers}; expected 1 to {n_shakers}")
+    elif any(other > n_shakers for other in other_numbers):
+        yield Mistake(("also",), f"names a shaker that does not exist; expected numbers up to {n_shakers}")
     elif len({test.shaker, *other_numbers}) <= len(other_numbers):
         yield Mistake(("also",), "names a shaker twice; expected the shakers other than test: shaker, each once")
     elif isinstance(shakers[number - 1], ForceShaker) and test.drive is not None:
         yield Mistake(("drive",), "a shaker of kind force is driven by its force. Give force instead.")
 
 
-def _check_channel(channel: Channel, valid: ValidParts) -> Iterable[Mistake]:
+def _check_channel(channel: Channel, valid: ValidSections) -> Iterable[Mistake]:
     if channel.body is not None:
         yield from _check_body(valid, channel.body, ("at",))
     elif channel.at == "hammer":
@@ -83,7 +83,7 @@ def _check_channel(channel: Channel, valid: ValidParts) -> Iterable[Mistake]:
         yield from _check_place_at_shaker(channel, _as_tuple(valid["shaker"]), valid.get("test"), ("at",))
 
 
-def _check_channels(channels: tuple[Channel, ...] | None, valid: ValidParts) -> Iterable[Mistake]:
+def _check_channels(channels: tuple[Channel, ...] | None, valid: ValidSections) -> Iterable[Mistake]:
     first_index: dict[str, int] = {}
     for k, channel in enumerate(channels or ()):
         if channel.name in first_index:
@@ -96,16 +96,16 @@ def _check_channels(channels: tuple[Channel, ...] | None, valid: ValidParts) -> 
 def _check_place_at_shaker(
     channel: Channel, shakers: tuple[Shaker, ...], test: Test | None, place: Place
 ) -> Iterable[Mistake]:
-    """Check that the shaker at which a channel measures exists and provides the measured quantity."""
-    kind, count = channel.place_kind, len(shakers)
-    if count > 1 and channel.number is None:
-        names = ", ".join(at_shaker(kind, number, count) for number in range(1, count + 1))
-        yield Mistake(place, f"there are {count} shakers; expected one of {names}")
+    """Check that the shaker at which a channel measures exists and has the measured quantity."""
+    kind, n_shakers = channel.place_kind, len(shakers)
+    if n_shakers > 1 and channel.number is None:
+        names = ", ".join(at_shaker(kind, number, n_shakers) for number in range(1, n_shakers + 1))
+        yield Mistake(place, f"there are {n_shakers} shakers; expected one of {names}")
         return
-    if channel.number is not None and (count < 2 or channel.number > count):
-        places = f"{kind} 1 to {kind} {count}" if count > 1 else kind
-        count_text = f"{count} shaker{'s' if count > 1 else ''}"
-        yield Mistake(place, f"got {channel.at} with {count_text} in the scene; expected {places}")
+    if channel.number is not None and (n_shakers < 2 or channel.number > n_shakers):
+        names = f"{kind} 1 to {kind} {n_shakers}" if n_shakers > 1 else kind
+        count_text = f"{n_shakers} shaker{'s' if n_shakers > 1 else ''}"
+        yield Mistake(place, f"got {channel.at} with {count_text} in the scene; expected {names}")
         return
     shaker = shakers[(channel.number or 1) - 1] if shakers else None
     absent = "" if shakers else "shaker"
@@ -118,7 +118,7 @@ def _check_place_at_shaker(
         message = "there is no shaker; expected a body, or a shaker of kind force in the scene"
         yield Mistake(place, message, absent)
     elif kind == "shaker" and shaker is not None and not isinstance(shaker, ForceShaker):
-        table = at_shaker("table", channel.number or 1, count)
+        table = at_shaker("table", channel.number or 1, n_shakers)
         yield Mistake(
             place,
             f"a shaker of kind {shaker.kind} acts through its coil spring, whose force is measured by channels at its "
@@ -128,29 +128,29 @@ def _check_place_at_shaker(
         yield Mistake(place, "the shaker rests while the hammer hits; expected at: hammer")
 
 
-def _check_converter(converter: Converter, valid: ValidParts) -> Iterable[Mistake]:
+def _check_converter(converter: Converter, valid: ValidSections) -> Iterable[Mistake]:
     channels = valid.get("channels")
     if channels is not None and isinstance(converter.skew, tuple) and len(converter.skew) != len(channels):
         yield Mistake(("skew",), f"got {len(converter.skew)} values; expected {len(channels)}, one for each channel")
 
 
-def _check_recording(recording: RecordingSettings, valid: ValidParts) -> Iterable[Mistake]:
+def _check_recording(recording: RecordingSettings, valid: ValidSections) -> Iterable[Mistake]:
     converter = valid.get("converter")
     if converter is not None and recording.samples == "counts" and not (converter.bits or converter.preset):
         yield Mistake(("samples",), "counts require a converter with bits. Add bits to converter.")
 
 
-Check = Callable[[Any, ValidParts], Iterable[Mistake]]
+Check = Callable[[Any, ValidSections], Iterable[Mistake]]
 
 
 def _validator(check: Check) -> AfterValidator:
-    """Return a pydantic validator for a check of a field of `Scene`, or of an item in the field."""
+    """Return a pydantic validator that applies a check to a field of `Scene`, or to each item of the field."""
 
-    def validate(part: Any, info: ValidationInfo) -> Any:
-        mistakes = list(check(part, info.data))
+    def validate(section: Any, info: ValidationInfo) -> Any:
+        mistakes = list(check(section, info.data))
         if mistakes:
             raise combined_error("references", mistakes)
-        return part
+        return section
 
     return AfterValidator(validate)
 
@@ -165,7 +165,7 @@ RECORDING = _validator(_check_recording)
 
 
 def check_frequency(test: Test | None, converter: Converter) -> Iterable[Mistake]:
-    """Check that the sample rate is high enough for the test's frequencies and for a sampled drive."""
+    """Check that the test's highest frequency is below half the sample rate of readings and drive."""
     highest = _highest_frequency(test)
     if highest is None:
         return
@@ -194,8 +194,8 @@ def _as_tuple(shaker: Shaker | tuple[Shaker, ...] | None) -> tuple[Shaker, ...]:
     return shaker if isinstance(shaker, tuple) else () if shaker is None else (shaker,)
 
 
-def _check_body(valid: ValidParts, body: int, place: Place) -> Iterable[Mistake]:
-    # Most invalid numbers are reported earlier, except where the structure is read from matrix files.
-    count = valid["structure"].bodies if "structure" in valid else body
-    if body > count:
-        yield Mistake(place, missing_body_message(body, count))
+def _check_body(valid: ValidSections, body: int, place: Place) -> Iterable[Mistake]:
+    # `replace_names` reports most invalid numbers, but does not know the number of bodies in matrix files.
+    n_bodies = valid["structure"].bodies if "structure" in valid else body
+    if body > n_bodies:
+        yield Mistake(place, missing_body_message(body, n_bodies))

@@ -1,4 +1,7 @@
-"""Settings of a particle damper: the bed in its cavity, finite-duration contact with the walls, and grains."""
+"""Settings of a particle damper: its bed of particles in a cavity, finite-duration contact with the walls, and grains.
+
+The walls of the cavity are its floor and, at a finite clearance above the bed, its ceiling.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,7 @@ Contact = Annotated[Landing | SpringDamper | Walls, Alternatives(by_key)]
 
 
 def walls_of(contact: Landing | SpringDamper | Walls | None) -> tuple[Landing | SpringDamper, ...]:
-    """Return floor and ceiling, one item if they are equal; an empty tuple if contact is instantaneous."""
+    """Return the settings of floor and ceiling, or of both in one item; empty if contact is instantaneous."""
     if isinstance(contact, Walls):
         return contact.floor, contact.ceiling
     return () if contact is None else (contact,)
@@ -73,9 +76,10 @@ class Grains(Settings):
     friction: Annotated[float, Quantity(RATIO, at_least=0.0)] = 0.4
     """Coefficient of friction of grains and walls. Default assumed: clean lead has more, graphited shot less."""
     side_friction: Annotated[float, Quantity(RATIO, at_least=0.0)] | None = None
-    """Friction coefficient of the side wall, if different; at 0 a narrow cavity represents part of a wide cavity."""
+    """Friction coefficient of the side wall; 0 for a narrow cavity that represents part of a wide cavity. None: as
+    `friction`."""
     cavity: Annotated[float, Quantity(LENGTH, above=0.0)] = 40e-3
-    """Diameter of the cavity [m]; 40 mm in the paper's rig."""
+    """Diameter of the cavity [m]; 40 mm in the rig of Inoue, Yokomichi and Hiraki (2011)."""
     time_step: Annotated[float, Quantity(TIME, above=0.0)] | None = None
     """Largest time step [s]; by default 0.03 of the smallest grain's Rayleigh time, less below restitution 0.2."""
 
@@ -88,7 +92,7 @@ class Grains(Settings):
 
 
 class Damper(Settings):
-    """A particle damper: the bed as one mass that rides on the floor, separates, and hits floor and ceiling."""
+    """A particle damper: the bed as one mass that rests on the floor, separates, and hits floor and ceiling."""
 
     one_of: ClassVar = (("mass", "mass_ratio"),)
     body: Body

@@ -23,7 +23,7 @@ KINDS = ("accelerometer", "hammer", "converter", "output", "shaker")
 
 @dataclass(frozen=True)
 class DataSheet:
-    """A part's data sheet."""
+    """Data sheet of a sensor, shaker or module; its figures are the values of a preset."""
 
     name: str
     """Maker and model."""
@@ -31,17 +31,17 @@ class DataSheet:
     """Description: the first line of its file."""
     sources: tuple[str, ...]
     """Sources of the figures."""
-    unchecked: tuple[str, ...]
-    """Figures that could not be compared with a source."""
+    unsourced: tuple[str, ...]
+    """Figures without a source (key `unchecked` of the file)."""
     settings: dict[str, dict[str, Any]]
     """Figures for each kind of settings that accepts the preset (`KINDS`), with the keys and units of scene files."""
     facts: dict[str, Any]
     """All other data: `module`, `inputs`, `outputs` (see `rig.scene.modules`), `teds` (see `rig.scene.teds`)."""
 
     @property
-    def doubts(self) -> str:
+    def unsourced_note(self) -> str:
         """Sentence that lists the figures without a source; empty if every figure has a source."""
-        return f"No source at hand for {', '.join(self.unchecked)}." if self.unchecked else ""
+        return f"No source at hand for {', '.join(self.unsourced)}." if self.unsourced else ""
 
 
 @cache
@@ -59,17 +59,17 @@ def data_sheets() -> dict[str, DataSheet]:
         text = file.read_text(encoding="utf-8")
         sheet, summary = yaml.safe_load(text), text.partition("\n")[0].lstrip("# ")
         name, sources = sheet.pop("part"), tuple(sheet.pop("sources"))
-        unchecked = tuple(sheet.pop("unchecked", ()))
+        unsourced = tuple(sheet.pop("unchecked", ()))
         settings = {kind: sheet.pop(kind) for kind in KINDS if kind in sheet}
-        sheets[name] = DataSheet(name, summary, sources, unchecked, settings, sheet)
+        sheets[name] = DataSheet(name, summary, sources, unsourced, settings, sheet)
     return sheets
 
 
 def data_sheet(name: str, kind: str | None = None) -> DataSheet:
-    """Return the data sheet of a part; case, spaces and hyphens are ignored.
+    """Return the data sheet of a name; case, spaces and hyphens are ignored.
 
-    `name`: name of the part; `kind`: required kind of part: one of `KINDS`, or ``"module"``; by default any. Raises
-    `SceneError` if no data sheet has that name and kind.
+    `kind`: required kind: one of `KINDS`, or ``"module"``; by default any. Raises `SceneError` if no data sheet has
+    that name and kind.
     """
     candidates = {
         _normalize(sheet.name): sheet
@@ -81,16 +81,16 @@ def data_sheet(name: str, kind: str | None = None) -> DataSheet:
     names = sorted(sheet.name for sheet in candidates.values())
     similar = get_close_matches(_normalize(name), candidates, n=1)
     hint = f". Did you mean {candidates[similar[0]].name!r}?" if similar else ""
-    part = f"{kind} preset" if kind else "preset"
-    raise SceneError(f"unknown {part} {name!r}; expected one of {', '.join(names)}{hint}")
+    noun = f"{kind} preset" if kind else "preset"
+    raise SceneError(f"unknown {noun} {name!r}; expected one of {', '.join(names)}{hint}")
 
 
-def describe_part(name: str) -> list[str]:
-    """Describe a part in lines: every figure that a scene takes from it, with figures without a source marked.
+def describe_preset(name: str) -> list[str]:
+    """Return lines with every value that a scene takes from a preset; values without a source are marked.
 
     Raises `SceneError` if no data sheet has that name.
 
-    >>> describe_part("ni9263")[1:4]
+    >>> describe_preset("ni9263")[1:4]
     ['  as output: {preset: NI 9263}', '    bits   16', '    range  10 V']
     """
     sheet = data_sheet(name)
@@ -100,14 +100,14 @@ def describe_part(name: str) -> list[str]:
         width = max(map(len, figures))
         lines.append(f"  as {kind}: {{preset: {sheet.name}}}")
         for key, value in figures.items():
-            mark = "   (no source at hand)" if {key, f"{kind} {key}"} & set(sheet.unchecked) else ""
+            mark = "   (no source at hand)" if {key, f"{kind} {key}"} & set(sheet.unsourced) else ""
             lines.append(f"    {key:{width}}  {str(value).lower() if isinstance(value, bool) else value}{mark}")
     lines += ["  from", *(f"    {source}" for source in sheet.sources)]
-    return [*lines, f"  {sheet.doubts} Check before relying on it."] if sheet.unchecked else lines
+    return [*lines, f"  {sheet.unsourced_note} Check before relying on it."] if sheet.unsourced else lines
 
 
 def _flatten(settings: dict[str, Any]) -> Iterable[tuple[str, Any]]:
-    """Yield nested settings with dotted names, such as coil.resistance."""
+    """Yield the values of nested settings with dotted names, such as coil.resistance."""
     for key, value in settings.items():
         if isinstance(value, dict):
             yield from ((f"{key}.{inner}", figure) for inner, figure in value.items())

@@ -60,7 +60,7 @@ class Settle(Settings):
     """Criterion for the steady state of a step."""
 
     tolerance: Annotated[float, Quantity(RATIO, above=0.0)] = 1e-3
-    """Largest relative change of any channel's first harmonic between windows."""
+    """Largest relative change of any channel's first harmonic between successive time windows."""
     longest: Duration = 60.0
     """Longest time to wait for the steady state [s]."""
 
@@ -119,13 +119,13 @@ class SteppedSine(Settings):
 
     @property
     def levels(self) -> tuple[float, ...]:
-        """The levels in the order they are run [N, or the drive's unit]."""
+        """The levels (amplitudes of force or drive) in the order of the test [N, or the drive's unit]."""
         level = self.force if self.force is not None else self.drive
         return level if isinstance(level, tuple) else () if level is None else (level,)
 
     @property
     def order(self) -> tuple[float, ...]:
-        """The frequencies in the order they are run, for one level [Hz]."""
+        """The frequencies of one level in the order of the test [Hz]."""
         ascending = self.frequencies
         if ascending is None:
             ascending = spaced_frequencies(self.from_ or 0.0, self.to or 0.0, self.points or 0, self.spacing)
@@ -134,7 +134,7 @@ class SteppedSine(Settings):
 
 
 def spaced_frequencies(first: float, last: float, points: int, spacing: str) -> tuple[float, ...]:
-    """Space `points` frequencies evenly, linearly or in the logarithm, both ends exact.
+    """Return `points` frequencies, evenly spaced on a linear or logarithmic axis; first and last are exact.
 
     >>> spaced_frequencies(8.0, 10.0, 3, "linear")
     (8.0, 9.0, 10.0)
@@ -243,9 +243,9 @@ class Multisine(Settings):
             yield Mistake(("period",), "no multiple of its reciprocal lies between from and to. Give a longer period.")
 
 
-def check_band(first: float, last: float) -> Iterable[Mistake]:
-    """Check that the lower end of a band comes first."""
-    if first >= last:
+def check_band(low: float, high: float) -> Iterable[Mistake]:
+    """Check that a frequency band is given with its lower end first."""
+    if low >= high:
         yield Mistake(("from",), "not below to. Give the lower end of the band first.")
 
 

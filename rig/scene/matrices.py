@@ -16,7 +16,7 @@ from rig.scene.settings import Mistake, Settings
 
 # Largest number of bodies of a structure.
 MAX_BODIES = 2000
-# Largest relative asymmetry: matrices from other programs are symmetric up to rounding.
+# Largest asymmetry relative to the largest element: matrices from other programs are symmetric up to rounding.
 MAX_ASYMMETRY = 1e-9
 FOLDER = "folder"  # key of the validation context: folder of the scene file and its .npy files
 
@@ -94,12 +94,12 @@ class Matrices(Settings):
 
     def _check_definiteness(self) -> Iterable[Mistake]:
         mass, stiffness = np.array(self.mass), np.array(self.stiffness)
-        lowest_square = lowest_squared_frequency(mass, stiffness)
-        if lowest_square < 0.0:
+        squared_frequency = lowest_squared_frequency(mass, stiffness)
+        if squared_frequency < 0.0:
             yield Mistake(
                 ("stiffness",),
-                f"not positive semidefinite (squared frequency {lowest_square:.3g} 1/s^2), so that the structure is "
-                "unstable; expected a stiffness matrix without negative eigenvalues",
+                f"not positive semidefinite (squared frequency {squared_frequency:.3g} 1/s^2), so that the structure "
+                "is unstable; expected a stiffness matrix without negative eigenvalues",
             )
         elif self.damping is not None:
             growth, frequency = fastest_growth(mass, stiffness, np.array(self.damping))
@@ -132,25 +132,28 @@ def positive_definite(matrix: NDArray[np.float64]) -> bool:
 
 def lowest_squared_frequency(mass: NDArray[np.float64], stiffness: NDArray[np.float64]) -> float:
     """Return the lowest squared natural frequency of symmetric matrices (n, n), 1/s^2; 0 if zero within rounding."""
+    # With M = L L^T, the squared frequencies are the eigenvalues of L^-1 K L^-T.
     factor = np.linalg.cholesky((mass + mass.T) / 2.0)
-    reduced = np.linalg.solve(factor, (stiffness + stiffness.T) / 2.0)
-    squares = np.linalg.eigvalsh(np.linalg.solve(factor, reduced.T))
-    rounding = 10 * len(squares) * np.finfo(float).eps * np.abs(squares).max()
-    return 0.0 if abs(squares[0]) <= rounding else float(squares[0])
+    half_reduced = np.linalg.solve(factor, (stiffness + stiffness.T) / 2.0)
+    squared = np.linalg.eigvalsh(np.linalg.solve(factor, half_reduced.T))
+    rounding = 10 * len(squared) * np.finfo(float).eps * np.abs(squared).max()
+    return 0.0 if abs(squared[0]) <= rounding else float(squared[0])
 
 
 def fastest_growth(
     mass: NDArray[np.float64], stiffness: NDArray[np.float64], damping: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """Return the largest growth rate of the free motion [1/s] and its frequency [Hz]; 0 if it decays."""
-    dissipation = np.linalg.eigvalsh((damping + damping.T) / 2.0)
-    if dissipation[0] >= -10 * len(dissipation) * np.finfo(float).eps * np.abs(dissipation).max():
+    """Return the largest growth rate of the free motion [1/s] and its frequency [Hz]; both 0 if every mode decays."""
+    # Without negative eigenvalues of the symmetric part, the damping removes energy in every motion.
+    damping_eigenvalues = np.linalg.eigvalsh((damping + damping.T) / 2.0)
+    rounding = 10 * len(damping) * np.finfo(float).eps * np.abs(damping_eigenvalues).max()
+    if damping_eigenvalues[0] >= -rounding:
         return 0.0, 0.0
     n = len(mass)
-    state = np.zeros((2 * n, 2 * n))
-    state[:n, n:] = np.eye(n)
-    state[n:] = -np.linalg.solve(mass, np.hstack([stiffness, damping]))
-    poles = np.linalg.eigvals(state)
+    state_matrix = np.zeros((2 * n, 2 * n))
+    state_matrix[:n, n:] = np.eye(n)
+    state_matrix[n:] = -np.linalg.solve(mass, np.hstack([stiffness, damping]))
+    poles = np.linalg.eigvals(state_matrix)
     fastest = poles[np.argmax(poles.real)]
     if fastest.real <= 1e-9 * np.abs(poles).max():
         return 0.0, 0.0
@@ -168,7 +171,7 @@ def _from_file(name: str | Path, folder: Path | None) -> NDArray[Any]:
     if path.exists() and not path.is_file():
         raise validation_error(f"{path} is not a regular file; expected a .npy file next to the scene file")
     try:
-        # Map the file first, because its header may state any size: the size is checked before data are read.
+        # Map the file: the size in its header is checked before the data are read.
         mapped: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
     except FileNotFoundError:
         raise validation_error(f"{path}: the file does not exist; expected it next to the scene file") from None

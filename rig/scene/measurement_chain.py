@@ -160,7 +160,7 @@ class Channel(Settings):
     at: Annotated[
         str,
         Field(pattern=r"^(body [1-9][0-9]{0,5}|hammer|(table|shaker|drive)( [1-9][0-9]{0,3})?)$"),
-        # The scene replaces a body's name by its number.
+        # The schema also allows a body's name, which `Scene` replaces by its number.
         WithJsonSchema({"type": "string"}),
     ]
     """A body, by its name or as body 1; table, hammer, shaker or drive: the force of a shaker of kind force, the
@@ -183,7 +183,7 @@ class Channel(Settings):
 
     @classmethod
     def kinds_from_other_keys(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
-        """Return the measured quantity as the kind of the limits."""
+        """Return the kind of the limits `alarm` and `abort`, which is that of the measured quantity."""
         kind = {"1": VELOCITY, "2": LENGTH}.get(str(value_at(content, ("integrator", "order"))), ACCELERATION)
         place = str(content.get("at")).partition(" ")[0]
         kind = FORCE if place in FORCE_PLACES else VOLTAGE if place == VOLTAGE_PLACE else kind
@@ -321,7 +321,7 @@ class Converter(Settings):
 
     @property
     def true_rate(self) -> float:
-        """Sample rate with the error of the clock [Hz]: everything on the bench runs at it, the drive as well."""
+        """True sample rate of readings and drive [Hz], which includes the error of the clock."""
         return self.sample_rate * (1.0 + (self.clock_error or 0.0))
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from rig.scene.scene import Scene
 from rig.scene.settings import Mistake, Place, value_at
 
-# Plausible limits: a bare number at or above them causes a warning.
+# A bare number at or above one of these limits causes a warning.
 #: Clearance of real cavities [m].
 _MAX_CLEARANCE_M = 0.1
 #: Damping ratio of real structures.
@@ -43,7 +43,7 @@ def _check_number(
     number: Any = content
     for key in place:
         number = number[key]
-    if str(number)[-1] in ".0123456789":
+    if str(number)[-1] in ".0123456789":  # no unit
         yield Mistake(
             place,
             f"got {number} without a unit, read as {meaning} ({factor * value:g} {unit}). Add the intended unit, "

@@ -1,8 +1,8 @@
 """Capabilities of data acquisition modules according to their data sheets, independent of the wiring.
 
 A scene names modules as `converter: {preset: NI 9234}` for its inputs and as `output: {preset: NI 9260}` of a shaker.
-Their effect on the signal is part of the settings. This module describes which requests of a client the hardware
-accepts or rejects:
+Their effect on the signal is part of the settings. This module describes which requests of a client program (channels,
+rates, ranges) the hardware accepts:
 
 >>> sheet = module("NI 9234")
 >>> sheet.product_type, sheet.inputs.channels, sheet.inputs.supply, sheet.inputs.on_demand
@@ -44,7 +44,8 @@ class Rates:
     slowest, fastest : float
         Hz.
     available : tuple of float
-        All rates in ascending order, if they are the clock divided by whole numbers; empty: any rate within limits.
+        All rates in ascending order, if they are the clock divided by whole numbers; empty: any rate from `slowest`
+        to `fastest`.
     """
 
     slowest: float

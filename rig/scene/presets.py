@@ -18,7 +18,7 @@ Device = TypeVar("Device", Accelerometer, Hammer, Converter, Output)
 def complete_from_preset(settings: Device) -> Device:
     """Complete settings with the values of their preset, if any.
 
-    Raises `SceneError` if the part does not exist, or the given settings are incompatible with it.
+    Raises `SceneError` if no data sheet has the preset's name, or the given settings are incompatible with it.
 
     >>> converter = complete_from_preset(Converter(preset="NI 9234", range=10.0))
     >>> converter.bits, converter.range
@@ -39,8 +39,10 @@ def complete_from_preset(settings: Device) -> Device:
 
 
 def preset_note(settings: Accelerometer | Hammer | None, key: str) -> str:
-    """Describe the preset and source of a value; an empty string if the scene gives the value.
+    """Return which preset supplies a value, and whether the value lacks a source; empty if the scene gives the value.
 
+    >>> preset_note(Accelerometer(preset="PCB 352C33"), "sensitivity")
+    ' from preset PCB 352C33'
     >>> preset_note(Accelerometer(preset="PCB 352C33"), "saturation")
     ' from preset PCB 352C33, without a source'
     >>> preset_note(Accelerometer(preset="PCB 352C33", saturation=500.0), "saturation")
@@ -49,7 +51,7 @@ def preset_note(settings: Accelerometer | Hammer | None, key: str) -> str:
     if settings is None or settings.preset is None or getattr(settings, key) is not None:
         return ""
     sheet = data_sheet(settings.preset)
-    return f" from preset {sheet.name}{', without a source' if key in sheet.unchecked else ''}"
+    return f" from preset {sheet.name}{', without a source' if key in sheet.unsourced else ''}"
 
 
 def needs_supply(channel: Channel) -> bool:
@@ -66,9 +68,10 @@ def needs_supply(channel: Channel) -> bool:
 
 
 def input_settings(converter: Converter, channel: Channel) -> Converter:
-    """Return the converter settings of one channel, completed from the preset, with its own coupling and supply.
+    """Return the converter settings of one channel, completed from the preset.
 
-    If a module supplies sensors only through AC-coupled inputs, DC coupling turns the supply off.
+    The channel's coupling and supply current, if given, replace those of the converter. If a module supplies sensors
+    only through AC-coupled inputs, DC coupling turns the supply off.
 
     >>> channel = Channel(name="body1", at="body 1", coupling="DC")
     >>> input_settings(Converter(preset="NI 9234"), channel).excitation

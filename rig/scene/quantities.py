@@ -61,7 +61,7 @@ ppm = 1e-6
 
 @dataclass(frozen=True)
 class Kind:
-    """Kind of a quantity: its name in messages, its SI unit, and an example of its spelling.
+    """Kind of a quantity: its name in messages with an article, its SI unit, and an example as in a scene file.
 
     A nonzero magnitude must be between `minimum` and `maximum`, in SI. Outside these limits, powers and products in
     the model overflow or underflow, or the computation does not end.
@@ -120,8 +120,8 @@ _NUMBER = re.compile(
     r"(?![\d.])\s*(.*)",
     re.DOTALL | re.IGNORECASE,
 )
-# A product of units and bracketed products with short powers. Other text is rejected before Pint, whose parser
-# evaluates expressions.
+# A product of units and bracketed products with short powers. Other text does not reach Pint, whose parser evaluates
+# expressions.
 _POWER = r"(?:(?:\^|\*\*)(?:-?\d|0\.5))?"
 _NAME = rf"[A-Za-zΩ]+{_POWER}"
 _JOIN = r"(?:\s*[*/]\s*|\s+)"
@@ -212,11 +212,11 @@ def ascending_pair(values: ArrayLike, kind: Kind, name: str) -> tuple[float, flo
     >>> ascending_pair(["55 Hz", 70], FREQUENCY, "band")
     (55.0, 70.0)
     """
-    ends = positive_values(values, kind, name).tolist()
-    if len(ends) != 2 or not ends[0] < ends[1]:
-        texts = ", ".join(f"{end:g} {kind.si}" for end in ends)
+    pair = positive_values(values, kind, name).tolist()
+    if len(pair) != 2 or not pair[0] < pair[1]:
+        texts = ", ".join(f"{number:g} {kind.si}" for number in pair)
         raise SceneError(f"{name}: got {texts}; expected two values, the smaller one first")
-    return ends[0], ends[1]
+    return pair[0], pair[1]
 
 
 def positive_values(values: ArrayLike, kind: Kind, name: str) -> NDArray[np.float64]:
@@ -254,7 +254,7 @@ def positive_value(value: ArrayLike, kind: Kind, name: str) -> float:
 
 
 def count(value: SupportsIndex, minimum: int, name: str) -> int:
-    """Return an argument that is a count, as an integer.
+    """Convert an argument that is a number of items to an integer.
 
     Raises `SceneError` if it is not a whole number or is below the minimum; the message begins with its name.
 
@@ -298,7 +298,7 @@ def shortest_spelling(value: float, kind: Kind, previous: str | None = None) -> 
         try:
             if parse(spelling, kind) == value:
                 return spelling
-        except ValueError:  # the quantity was of another kind before another key changed
+        except ValueError:  # the previous quantity was of another kind, because another key has changed
             pass
         else:
             match = _NUMBER.fullmatch(spelling)
@@ -322,7 +322,7 @@ def _shortest_decimal(value: float, unit: str, kind: Kind) -> str:
     return f"{decimal} {unit}".rstrip()
 
 
-# A number with this many digits was probably computed, so that its unit is not the user's.
+# Numbers with at least this many digits are equally long spellings: they were computed, and no unit makes them short.
 _MAX_DIGITS = 13
 
 

@@ -16,8 +16,8 @@ from rig.errors import SceneError, suggestion
 _SCHEMA = Path(__file__).parent / "data" / "scene.schema.json"
 # Largest number of characters in a line of help.
 _WIDTH = 100
-# Default of a key whose value consists of keys.
-_DEFAULT_OF_KEYS = "the defaults of its keys"
+# Text for the default of a key whose value is a mapping.
+_DEFAULTS_OF_INNER_KEYS = "the defaults of its keys"
 _INTRODUCTION = (
     "Quantities carry units (0.98 mm, 6.6 kN/m, 5 %). A number without a unit is in SI, a frequency in Hz. An effect "
     "whose key is omitted and has no default is not modeled, and takes no computing time. Effects have their names in "
@@ -108,7 +108,10 @@ def keys() -> tuple[Key, ...]:
 
 
 def _keys_below(schema: Any, node: Any, path: str, kinds: tuple[str, ...]) -> Iterator[Key]:
-    """Yield the keys below a node: keys of an object, of each alternative, or of the items of a list."""
+    """Yield the keys below a node of the schema: keys of an object, of each alternative, or of the items of a list.
+
+    `path`: dotted name of the node. `kinds`: kinds of shaker, test, ... that the node belongs to.
+    """
     node = _resolve(schema, node)
     for choice in node.get("anyOf", ()):
         is_list = choice.get("type") == "array"
@@ -119,11 +122,13 @@ def _keys_below(schema: Any, node: Any, path: str, kinds: tuple[str, ...]) -> It
         yield from _keys_below(schema, node["items"], f"{path}[]", kinds)
     properties = node.get("properties", {})
     kind = properties.get("kind", {}).get("const")
+    # Groups of keys of which exactly one is required (`Settings.one_of`).
     groups = [[alternative["required"][0] for alternative in group["oneOf"]] for group in node.get("allOf", ())]
     for name, field in properties.items():
         if name == "kind":
             continue
         key_kinds = kinds if kind is None else (kind,)
+        # A description is "meaning. None: default. Give allowed values."
         meaning, _, allowed = field.get("description", "").partition(" Give ")
         meaning = meaning or _resolve(schema, field.get("items", field)).get("description", "")
         meaning, _, default_text = re.sub(r"[;,.] None: ", "\0", meaning.replace("`", "")).partition("\0")
@@ -134,7 +139,7 @@ def _keys_below(schema: Any, node: Any, path: str, kinds: tuple[str, ...]) -> It
         elif name in node.get("required", ()):
             default = "required"
         elif isinstance(default, dict):
-            default = _DEFAULT_OF_KEYS
+            default = _DEFAULTS_OF_INNER_KEYS
         elif default is None or isinstance(default, list):
             default = default_text.rstrip(".") or "none"
         else:
@@ -234,7 +239,7 @@ def _default_note(key: Key) -> str:
     """Return whether a key is required, or its default if it has one."""
     if "required" in key.default:
         return f"   ({key.default})"
-    return "" if key.default in ("none", _DEFAULT_OF_KEYS) else f"   (default: {key.default})"
+    return "" if key.default in ("none", _DEFAULTS_OF_INNER_KEYS) else f"   (default: {key.default})"
 
 
 def _describe_key(key: Key, dotted_name: str) -> Iterator[str]:

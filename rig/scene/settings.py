@@ -48,7 +48,7 @@ class Mistake:
 
     place: Place
     message: str
-    absent: str = ""  # key of the missing part that causes the mistake; it is not reported if that key is misspelt
+    absent: str = ""  # missing key that causes the mistake, which is not reported if that key is only misspelt
 
 
 def mistakes_of(error: ValidationError) -> list[Mistake]:
@@ -129,7 +129,7 @@ class Settings(_Model):
         return variant
 
     def with_valid(self, **changes: Any) -> Self:
-        """Return a copy with valid new values, without validation: for inner loops."""
+        """Return a copy with new values that are known to be valid; faster than `replace`, which validates them."""
         variant = self.model_copy(update=changes)
         variant.__dict__["written"] = {name: text for name, text in self.written.items() if name not in changes}
         return variant
@@ -140,7 +140,7 @@ class Settings(_Model):
         return {}
 
     def relations(self) -> Iterable[Mistake]:
-        """Return the mistakes in combinations of fields that are each valid."""
+        """Return the mistakes in combinations of fields whose values are valid individually."""
         return ()
 
     @classmethod
@@ -149,7 +149,10 @@ class Settings(_Model):
         return {}
 
     def forget_spelling(self) -> None:
-        """Discard the user's spelling and treat default values as not given: a recording does not contain them."""
+        """Discard the user's spelling, and treat values equal to their defaults as not given.
+
+        Settings from a recording then equal those of a scene file: a recording stores neither.
+        """
         self.__dict__.pop("written", None)
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)
@@ -161,7 +164,7 @@ class Settings(_Model):
 
     @classmethod
     def prepare(cls, content: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Mistake]]:
-        """Convert short forms to the form of the fields, and return the mistakes in them."""
+        """Convert short forms in a file to the form of the fields; return the content, and mistakes in short forms."""
         return content, []
 
     @classmethod
@@ -173,17 +176,17 @@ class Settings(_Model):
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Add to pydantic's schema: mutually exclusive keys, the required kind, and bounds."""
         reference = handler(schema)
-        properties = handler.resolve_ref_schema(reference)
-        properties["description"] = str(cls.__doc__).split("\n\n")[0]
+        class_schema = handler.resolve_ref_schema(reference)
+        class_schema["description"] = str(cls.__doc__).split("\n\n")[0]
         if cls.one_of:
-            properties["allOf"] = [{"oneOf": [{"required": [key]} for key in group]} for group in cls.one_of]
+            class_schema["allOf"] = [{"oneOf": [{"required": [key]} for key in group]} for group in cls.one_of]
         if "kind" in cls.model_fields:
-            properties["required"] = ["kind", *properties.get("required", ())]
+            class_schema["required"] = ["kind", *class_schema.get("required", ())]
         for name, field in cls.model_fields.items():
             description = descriptions(cls).get(name)
             if description:
                 quantity = quantity_at(field)
-                property_schema = properties["properties"][field.alias or name]
+                property_schema = class_schema["properties"][field.alias or name]
                 types = [choice.get("type") for choice in (property_schema, *property_schema.get("anyOf", ()))]
                 list_prefix = "a list, each " if "array" in types and quantity and not quantity.listed else ""
                 quantity_help = "" if quantity is None else f" Give {list_prefix}{quantity.help_text}."
@@ -219,7 +222,7 @@ class Settings(_Model):
             mistakes = mistakes + [item for item in new_mistakes if item.place not in known_places]
         if isinstance(data, Mapping):
             mistakes = mistakes + list(cls._check_groups(data))
-            mistakes = mistakes + list(cls._wrong_kinds(data, {item.place for item in mistakes}))
+            mistakes = mistakes + list(cls._check_kinds(data, {item.place for item in mistakes}))
         if settings is not None and not mistakes:
             mistakes = list(settings.relations())
         if mistakes or settings is None:
@@ -274,7 +277,7 @@ class Settings(_Model):
                 yield Mistake((), f"{problem}; expected exactly one of {alternatives}")
 
     @classmethod
-    def _wrong_kinds(cls, data: Mapping[str, Any], known_places: set[Place]) -> Iterable[Mistake]:
+    def _check_kinds(cls, data: Mapping[str, Any], known_places: set[Place]) -> Iterable[Mistake]:
         for place, kind in cls.kinds_from_other_keys(data).items():
             values = value_at(data, place)
             for value in values if isinstance(values, list | tuple) else [values]:
@@ -392,7 +395,7 @@ class Alternatives:
             try:
                 return chosen.model_validate(value)
             except ValidationError as error:
-                mistakes = [_name_other_kinds(wrong, chosen, classes) for wrong in mistakes_of(error)]
+                mistakes = [_name_other_kinds(mistake, chosen, classes) for mistake in mistakes_of(error)]
                 raise combined_error(chosen.__name__, mistakes) from None
 
         return core_schema.no_info_wrap_validator_function(read, handler(source))

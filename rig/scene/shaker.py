@@ -26,7 +26,7 @@ from rig.scene.quantities import (
 from rig.scene.quantity_field import Quantity, unexpected_value_error
 from rig.scene.settings import Alternatives, Mistake, OneOrSeveral, Place, Settings, by_kind
 
-# The scene replaces names by numbers.
+# The schema also allows names of bodies, which `Scene` replaces by their numbers.
 _BODY_SCHEMA: dict[str, Any] = {"anyOf": [{"type": "integer", "minimum": 1}, {"type": "string"}]}
 Body = Annotated[int, Field(ge=1), WithJsonSchema(_BODY_SCHEMA)]
 CoilSpring = Annotated[float, Quantity(STIFFNESS, above=0.0)]

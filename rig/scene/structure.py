@@ -22,7 +22,7 @@ class ModalDamping(Settings):
     """One damping ratio for all modes, or a list with one for each (0.005 = 0.5 %); 1 is critical damping."""
 
     def relations(self) -> Iterable[Mistake]:
-        """Check that the structure can oscillate."""
+        """Check that no mode is damped more than critically."""
         ratios = self.modal if isinstance(self.modal, tuple) else (self.modal,)
         for k, ratio in enumerate(ratios):
             if ratio > 1.0:
@@ -94,7 +94,7 @@ class Structure(Settings):
 
     @classmethod
     def place_as_given(cls, place: Place, content: Mapping[str, Any]) -> Place:
-        """Return the place of a mass or a name if the masses are given by names."""
+        """Return the place of a mass or name under the body's name, if the masses are given by names."""
         masses = content.get("masses")
         if not isinstance(masses, Mapping) or place[:1] not in (("masses",), ("names",)) or content.get("names"):
             return place
@@ -135,14 +135,14 @@ class Structure(Settings):
         return len(self.matrices.mass) if self.matrices is not None else 0
 
     def relations(self) -> Iterable[Mistake]:
-        """Check that the parts have consistent sizes."""
-        count = self.bodies
-        for k, message in check_names(self.names, count) if self.names is not None else ():
+        """Check that the lists have one value for each body, and that nothing is given twice."""
+        n_bodies = self.bodies
+        for k, message in check_names(self.names, n_bodies) if self.names is not None else ():
             yield Mistake(("names",) if k is None else ("names", k), message)
         if self.masses is not None and self.springs is None:
-            yield Mistake((), f"springs missing; expected {count}, one for each mass")
-        if self.masses is not None and self.springs is not None and len(self.springs) != count:
-            yield Mistake(("springs",), f"got {len(self.springs)} springs; expected {count}, one for each mass")
+            yield Mistake((), f"springs missing; expected {n_bodies}, one for each mass")
+        if self.masses is not None and self.springs is not None and len(self.springs) != n_bodies:
+            yield Mistake(("springs",), f"got {len(self.springs)} springs; expected {n_bodies}, one for each mass")
         if self.matrices is not None:
             if self.springs is not None:
                 yield Mistake(
@@ -152,10 +152,10 @@ class Structure(Settings):
                 yield Mistake(("damping",), "given together with the damping matrix; expected one of the two")
             if isinstance(self.damping, Dashpots):
                 yield Mistake(("damping",), "dashpots belong to a chain. With matrices, give matrices: {damping: ...}.")
-        lists = {
+        damping_values = {
             "modal": self.damping.modal if isinstance(self.damping, ModalDamping) else 0.0,
             "dashpots": self.damping.dashpots if isinstance(self.damping, Dashpots) else 0.0,
         }
-        for key, values in lists.items():
-            if isinstance(values, tuple) and len(values) != count:
-                yield Mistake(("damping", key), f"got {len(values)} values; expected {count}, one for each body")
+        for key, values in damping_values.items():
+            if isinstance(values, tuple) and len(values) != n_bodies:
+                yield Mistake(("damping", key), f"got {len(values)} values; expected {n_bodies}, one for each body")

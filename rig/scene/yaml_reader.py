@@ -46,7 +46,7 @@ class Document:
 
 
 class _Unreadable(Exception):
-    """Error at a line that ends the reading."""
+    """Error that ends the reading, with its line."""
 
     def __init__(self, line: int, message: str) -> None:
         super().__init__(message)
@@ -111,7 +111,7 @@ def _parser_message(error: yaml.MarkedYAMLError, lines: Sequence[str]) -> tuple[
 
 
 class _Reader:
-    """Builder of the content from parser events, without recursion into nested content."""
+    """Builder of the content from the parser's events."""
 
     def __init__(self, text: str, document: Document) -> None:
         self.events: Iterator[Any] = iter(yaml.parse(text, Loader=_LOADER))
@@ -165,7 +165,7 @@ class _Reader:
         for event in self.events:
             if isinstance(event, yaml.SequenceEndEvent):
                 break
-            if _is_decimal(previous, event, _FRACTION_WITH_UNIT):
+            if _is_decimal_part(previous, event, _FRACTION_WITH_UNIT):
                 values[-1] = f"{values[-1]},{event.value}"
             else:
                 values.append(self._node(event, (*place, len(values))))
@@ -182,7 +182,7 @@ class _Reader:
             if not isinstance(event, yaml.ScalarEvent):
                 raise _Unreadable(line, "a key that is not a single word; expected key: value")
             previous, value = value, next(self.events)
-            if getattr(value, "value", None) == "" and _is_decimal(previous, event, _FRACTION):
+            if getattr(value, "value", None) == "" and _is_decimal_part(previous, event, _FRACTION):
                 values[key] = f"{values[key]},{event.value}"
                 continue
             key, key_place = event.value, (*place, event.value)
@@ -197,7 +197,7 @@ class _Reader:
         return values
 
 
-def _is_decimal(previous: Any, event: Any, pattern: re.Pattern[str]) -> bool:
+def _is_decimal_part(previous: Any, event: Any, pattern: re.Pattern[str]) -> bool:
     """Return whether a scalar is the second part of a number with a decimal comma, as YAML splits {mass: 1,5 kg}."""
     return (
         isinstance(previous, yaml.ScalarEvent)

@@ -25,9 +25,10 @@ def write(settings: Settings, structure: Structure | None = None) -> str:
 
 
 def write_in_si(settings: Settings) -> str:
-    """Write every value that is set, in SI, as the shortest decimal that loads as the identical double.
+    """Write every value (defaults too) in SI, as the shortest decimal that loads as the identical double.
 
-    Equal scenes have equal text, regardless of the users' spelling: for recordings, and to identify stored results.
+    Equal scenes have equal text, regardless of the user's spelling; recordings and the identity of stored results
+    require this.
     """
     return _dump(_si_values(settings))
 

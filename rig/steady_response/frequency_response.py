@@ -1,4 +1,4 @@
-"""Steady frequency response of a scene with dampers: exact integration until steady, from frequency to frequency."""
+"""Steady frequency response of a scene with dampers: exact integration until steady, continued over frequency."""
 
 from __future__ import annotations
 
@@ -38,6 +38,10 @@ if TYPE_CHECKING:
 LEVEL_TOLERANCE = 1e-6
 #: Largest number of drive levels tried for one point.
 MAX_LEVEL_TRIALS = 25
+#: Number of periods over which a motion that does not repeat is averaged.
+IRREGULAR_PERIODS = 16
+#: Largest difference of the compliances of two computations of the same motion, relative to the largest compliance.
+SAME_MOTION_TOLERANCE = 1e-5
 
 
 @dataclass(frozen=True, repr=False)
@@ -67,7 +71,8 @@ class SteadyResponse(Result):
     repetition : ndarray of int, shape (frequencies,)
         Periods of the drive after which the motion repeats; 0 if no repetition was detected.
     residual : ndarray, shape (frequencies,)
-        Estimated distance from the steady state, relative to the motion.
+        Estimated distance from the steady state, relative to the motion; if not converged, the smallest change over
+        1 to 8 periods.
     bodies : tuple of str
         Names of the bodies; empty if they have numbers only.
     """
@@ -199,7 +204,7 @@ def frequency_response(
     tolerance : float
         Largest distance from steady state, relative to the motion, for a point to count as converged.
     longest : int
-        Largest number of periods per point; a point that takes longer is returned as not converged.
+        Number of periods after which a point is returned as not converged.
     progress : callable, optional
         Called with the number of completed points and the total.
 
@@ -211,8 +216,7 @@ def frequency_response(
     Notes
     -----
     The list is divided into two sections that are computed in parallel on two cores. The second section starts from
-    rest. If the first section ends with a different motion, the second is recomputed from that motion until both
-    agree.
+    rest. Its points are then recomputed from the last motion of the first section, until a point is the same motion.
 
     Examples
     --------
@@ -250,7 +254,7 @@ def frequency_response(
             # Leaving the pool waits for the other section, so stop it first.
             continuation.stopped.set()
             raise
-    return _response(points, continuation.system, scene.structure.names)
+    return _join_points(points, continuation.system, scene.structure.names)
 
 
 def _compute_in_two_sections(
@@ -259,14 +263,14 @@ def _compute_in_two_sections(
     compute_section: Callable[[Array], list[SteadyPoint]],
     order: Array,
 ) -> list[SteadyPoint]:
-    """Compute two halves of the frequencies in parallel; recompute the second until it continues the first."""
+    """Compute two halves of the frequencies in parallel, and let the second continue the motion of the first."""
     middle = len(order) // 2
     if middle == 0:
         return compute_section(order)
     pending = pool.submit(compute_section, order[middle:])
     first = compute_section(order[:middle])
     second = pending.result()
-    # The motion that continues the first section may differ from the motion computed from rest.
+    # The second section started from rest, so its first points may be another motion than that of the first section.
     previous = first[-1]
     for k, estimate in enumerate(second):
         point = continuation.point(estimate.frequency, previous)
@@ -279,7 +283,8 @@ def _compute_in_two_sections(
 
 def _same_motion(first: SteadyPoint, second: SteadyPoint) -> bool:
     magnitude = np.abs(second.compliance).max()
-    return first.types == second.types and bool(np.abs(first.compliance - second.compliance).max() < 1e-5 * magnitude)
+    difference = np.abs(first.compliance - second.compliance).max()
+    return first.types == second.types and bool(difference < SAME_MOTION_TOLERANCE * magnitude)
 
 
 class SteadyContinuation:
@@ -317,13 +322,14 @@ class SteadyContinuation:
     def _reach_spring_force(
         self, propagator: Propagator, steps: float, frequency: float, previous: SteadyPoint | None
     ) -> SteadyPoint:
-        """Compute the drive level for the required spring force, by the secant method in logarithms."""
+        """Compute the drive level that gives the required spring force, by the secant method in logarithms."""
         target_force = level_of(self.scene)
         level = abs(previous.level) if previous is not None else 1.0
         trials: list[tuple[float, float]] = []
         point = None
         for _ in range(MAX_LEVEL_TRIALS):
             error = abs(trials[-1][1]) if trials else 1.0
+            # Far from the required force, a coarse steady state is sufficient and faster.
             tolerance = max(self.tolerance, min(1e-4, 1e-2 * error))
             point = self._measure(propagator, steps, frequency, level, tolerance)
             log_error = float(np.log(point.force / target_force)) if point.force > 0.0 else -1.0
@@ -342,8 +348,7 @@ class SteadyContinuation:
         system, n, omega = self.system, self.system.coordinates, 2.0 * np.pi * frequency
         propagator.start_period(level)
         steady = settle(propagator, steps, level, tolerance, self.longest, self.stopped.is_set)
-        # A motion that does not repeat is averaged over 16 periods.
-        repetition = steady.repetition or 16
+        repetition = steady.repetition or IRREGULAR_PERIODS
         trajectory, initial_states = integrate_cycle(propagator, steps, level, repetition)
         end_state = propagator.snapshot()
         durations = np.full(len(initial_states), steps / INSTANTS_PER_PERIOD * propagator.tables.step)
@@ -352,6 +357,7 @@ class SteadyContinuation:
         )
         positions = trajectory.state[:, :n]
         if isinstance(self.scene.driven_shaker, ForceShaker):
+            # The force is a sine: Re(-i F e^{i w t}) = F sin(w t).
             force = -1j * level_of(self.scene) * level
         else:
             force = complex(spring_force_row(self.scene, system) @ harmonic[: system.states])
@@ -375,19 +381,23 @@ class SteadyContinuation:
 
 
 def _next_level(trials: list[tuple[float, float]]) -> float:
-    """Compute the logarithm of the next level, limited to a factor of two; `trials`: logarithms of level and error."""
+    """Compute the logarithm of the next level by a secant step, limited to a factor of two.
+
+    `trials`: logarithms of level, and of the ratio of obtained to required force.
+    """
     log_level, log_error = trials[-1]
-    step = -log_error
+    slope = 1.0
     if len(trials) > 1:
         previous_level, previous_error = trials[-2]
         change = log_level - previous_level
-        slope = (log_error - previous_error) / change if change else 1.0
-        if slope > 0.1:
-            step = -log_error / slope
+        secant = (log_error - previous_error) / change if change else 1.0
+        # A force that hardly rises with the level (or falls, near a jump) would give a step that is too large.
+        slope = secant if secant > 0.1 else 1.0
+    step = -log_error / slope
     return log_level + float(np.clip(step, -np.log(2.0), np.log(2.0)))
 
 
-def _response(points: list[SteadyPoint], system: HybridSystem, names: Sequence[str] | None) -> SteadyResponse:
+def _join_points(points: list[SteadyPoint], system: HybridSystem, names: Sequence[str] | None) -> SteadyResponse:
     types = [point.types for point in points]
     return SteadyResponse(
         frequency=np.array([p.frequency for p in points]),

@@ -1,4 +1,4 @@
-"""Classification of a damper's periodic motion, in the paper's terms where these apply."""
+"""Classification of a damper's periodic motion; Types I to III are those of Inoue, Yokomichi and Hiraki (2011)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rig.engine.state import CEILING, CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPAC
 from rig.engine.trajectory import Trajectory
 from rig.system.hybrid_system import HybridSystem
 
-#: Shortest stay on a wall in finite-duration contact, relative to the duration of an isolated contact.
+#: Shortest contact that counts as a stay at the ceiling, relative to the duration of an isolated contact.
 MIN_STAY_RATIO = 2.0
 
 
@@ -18,17 +18,19 @@ def motion_types(trajectory: Trajectory, system: HybridSystem, repetition: int, 
     """Classify the motion of every damper over one repetition of a steady motion.
 
     `trajectory`: one repetition; `repetition`: its length in periods of the drive, 0 if the motion does not repeat;
-    `duration`: duration of the segments of the trajectory, s. Returns "riding" (always at rest on the floor), "I" (one
-    floor impact a period), "II" (one floor and one ceiling impact, no stay at the ceiling), "III" (the same with a
-    stay), "k per n" for k impacts in n periods, or "irregular". In finite-duration contact, a touch counts as an
-    impact, and contact longer than `MIN_STAY_RATIO` times an isolated contact counts as a stay.
+    `duration`: duration of the segments of the trajectory, s.
+
+    Returns one of these types for each damper: "riding" (always at rest on the floor), "I" (one floor impact a
+    period), "II" (one floor and one ceiling impact a period, no stay at the ceiling), "III" (the same with a stay),
+    "k per n" (k impacts in n periods), "irregular" (no repetition). In finite-duration contact, a touch counts as an
+    impact.
     """
     times = trajectory.event_segment * duration + trajectory.event_offset
     cycle = len(trajectory.state) * duration
-    is_own = [trajectory.event_damper == j for j in range(system.dampers)]
+    events_of_dampers = [trajectory.event_damper == j for j in range(system.dampers)]
     return [
         type_of(trajectory.event_kind[events], times[events], system, j, repetition, cycle)
-        for j, events in enumerate(is_own)
+        for j, events in enumerate(events_of_dampers)
     ]
 
 
@@ -36,17 +38,17 @@ def type_of(
     kinds: NDArray[np.int64], times: Array, system: HybridSystem, damper: int, repetition: int, cycle: float
 ) -> str:
     """Classify the motion of a damper (from 0) by its events over a cycle [s], kinds as in `rig.engine.state`."""
-    floor = np.count_nonzero((kinds == FLOOR_IMPACT) | (kinds == FLOOR_TOUCH))
-    ceiling = np.count_nonzero((kinds == CEILING_IMPACT) | (kinds == CEILING_TOUCH))
-    if floor + ceiling == 0:
-        return "riding" if repetition else "irregular"
+    floor_impacts = np.count_nonzero((kinds == FLOOR_IMPACT) | (kinds == FLOOR_TOUCH))
+    ceiling_impacts = np.count_nonzero((kinds == CEILING_IMPACT) | (kinds == CEILING_TOUCH))
     if repetition == 0:
         return "irregular"
-    if repetition == 1 and floor == 1 and ceiling == 0:
+    if floor_impacts + ceiling_impacts == 0:
+        return "riding"
+    if repetition == 1 and floor_impacts == 1 and ceiling_impacts == 0:
         return "I"
-    if repetition == 1 and floor == 1 and ceiling == 1:
+    if repetition == 1 and floor_impacts == 1 and ceiling_impacts == 1:
         return "III" if _stays_at_ceiling(kinds, times, system, damper, cycle) else "II"
-    return f"{floor + ceiling} per {repetition}"
+    return f"{floor_impacts + ceiling_impacts} per {repetition}"
 
 
 def _stays_at_ceiling(kinds: NDArray[np.int64], times: Array, system: HybridSystem, damper: int, cycle: float) -> bool:

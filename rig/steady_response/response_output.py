@@ -1,4 +1,4 @@
-"""Frequency response as a text table or CSV, and the frequencies of a scene's test."""
+"""Output of a steady response as a text table or CSV, and the frequencies at which it is computed."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from rig.steady_response.frequency_response import SteadyResponse
 def sweep_frequencies(
     scene: Scene, first: float | None, last: float | None, points: int | None, direction: str | None
 ) -> tuple[tuple[float, ...], str]:
-    """Return ascending frequencies in Hz and the direction, from the options or from the scene's test.
+    """Return ascending frequencies in Hz and the direction ("up", "down" or "both").
 
-    Raises `SceneError` if neither specifies the frequencies.
+    An argument that is None has the value of the scene's test; without one, `points` is 101 and `direction` is "up".
+    Raises `SceneError` if neither the arguments nor the test specify the frequencies.
     """
     test = scene.test
-    options = (first, last, points)
-    if any(option is not None for option in options):
+    if any(value is not None for value in (first, last, points)):
         stepped = test if isinstance(test, SteppedSine) else None
         first = first if first is not None else getattr(stepped, "from_", None)
         last = last if last is not None else getattr(stepped, "to", None)
@@ -55,8 +55,8 @@ def csv_rows(response: SteadyResponse) -> tuple[list[str], list[list[str]]]:
         row = [repr(float(frequency))]
         for body in range(bodies):
             value = response.compliance[body, k]
-            numbers = (abs(value), np.degrees(np.angle(value)), response.peak[body, k])
-            row += [repr(float(number)) for number in numbers]
+            body_values = (abs(value), np.degrees(np.angle(value)), response.peak[body, k])
+            row += [repr(float(number)) for number in body_values]
         row += [repr(float(response.force[k])), str(response.motion_type[k])]
         row += [repr(float(impacts)) for impacts in response.impacts[:, k]]
         row += [str(response.repetition[k]), str(bool(response.converged[k])).lower()]
@@ -106,15 +106,15 @@ def format_response(response: SteadyResponse, every_frequency: bool = False) -> 
 def _motion_labels(response: SteadyResponse) -> list[str]:
     """Return the motion type at each frequency, with the direction of the sweep if it goes both up and down."""
     sweep_directions = directions(response.frequency)
-    is_both = len(set(sweep_directions)) > 1
+    is_up_and_down = len(set(sweep_directions)) > 1
     return [
-        f"{kind}, {direction}" if is_both else str(kind)
+        f"{kind}, {direction}" if is_up_and_down else str(kind)
         for kind, direction in zip(response.motion_type, sweep_directions, strict=True)
     ]
 
 
 def _peak_table(response: SteadyResponse, motion: list[str]) -> list[str]:
-    """Return the lines of local maxima of each body's compliance, at least 10 % above the minima on both sides."""
+    """Return a table of the peaks of each body's compliance: local maxima 10 % above both minima, or the maximum."""
     from scipy.signal import find_peaks
 
     peak_lines = [
@@ -126,7 +126,7 @@ def _peak_table(response: SteadyResponse, motion: list[str]) -> list[str]:
 
 
 def _frequency_table(response: SteadyResponse, motion: list[str]) -> list[str]:
-    """Return the lines of compliance, impacts per period and motion type at each frequency."""
+    """Return a table of compliance, impacts per period and motion type at each frequency."""
     headers = [f"{label} / (µm/N)" for label in response.labels]
     lines = [f"{'frequency / Hz':>14}" + "".join(f"{header:>18}" for header in headers) + "  impacts  motion"]
     for k, frequency in enumerate(response.frequency):

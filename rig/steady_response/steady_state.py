@@ -1,9 +1,8 @@
-"""Steady motion under a sinusoidal drive: integration until the residual of the period map is small enough.
+"""Steady motion under a sinusoidal drive: integration until the estimated distance from steady state is small enough.
 
-At intervals, the state at the start of a period is compared with the states 1, 2, ... periods before. The change r over
-p periods is the residual. If the residual decays with the ratio q per p periods, the distance from the steady state is
-r q / (1 - q). A motion is steady when this distance is below the tolerance, relative to the motion. A motion that never
-repeats is irregular.
+At intervals, the state at the start of a period is compared with the states 1, 2, ... periods before. If the change r
+over p periods decays with the ratio q per p periods, the distance from the steady state is r q / (1 - q). A motion is
+steady when this distance is below the tolerance, relative to the motion. A motion that never repeats is irregular.
 """
 
 from __future__ import annotations
@@ -47,7 +46,8 @@ class SteadyState:
     repetition: int
     """Periods of the drive after which the motion repeats; 0 if it does not."""
     residual: float
-    """Estimated distance from the steady state, relative to the motion."""
+    """Estimated distance from the steady state, relative to the motion; if not converged, the smallest change over 1 to
+    `MAX_REPETITION` periods."""
     periods: int
     """Number of periods integrated."""
 
@@ -62,9 +62,9 @@ def settle(
 ) -> SteadyState:
     """Integrate the motion from the start of a period until it is steady.
 
-    `propagator`: at the start of a period; `steps`: period of the drive in steps; `level`: level of the drive;
-    `tolerance`: largest distance from the steady state, relative to the motion. `is_stopped` is called at intervals;
-    `RunError` is raised if it returns true.
+    `propagator`: at the start of a period; `steps`: period of the drive in steps of the propagator; `level`: factor of
+    the drive; `tolerance`: largest distance from the steady state, relative to the motion. `is_stopped` is called at
+    intervals; `RunError` is raised if it returns true.
     """
     completed, state_scales = 0, _state_scales(propagator)
     while True:
@@ -101,6 +101,7 @@ def _integrate(
         if is_stopped():
             raise RunError("stopped: another section failed. See its error.")
         count = min(max_count, skipped + COMPARED_PERIODS - begin)
+        # Row in which the state after each period is stored; -1 for skipped periods.
         rows = np.maximum(np.arange(count) + min(begin - skipped, 0), -1)
         trajectory = propagator.propagate_marks(np.full(count, steps), rows, np.ones(count, dtype=bool), level)
         comparisons.append(_Comparison(trajectory.state, trajectory.height, trajectory.mode))
@@ -157,7 +158,7 @@ def _state_scales(propagator: Propagator) -> Array:
     n, state_scales = system.coordinates, np.ones(system.states)
     state_scales[n : 2 * n] = step
     if system.states > 2 * n:
-        # The coil current is scaled as the displacement of the armature caused by its force over a step.
+        # A coil current is scaled to the displacement that its force on the armature causes in one step.
         force = np.abs(system.force_state[:, 2 * n :]).max(axis=0) / np.diag(system.mass).min()
         state_scales[2 * n :] = force * step**2
     return state_scales

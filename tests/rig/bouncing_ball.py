@@ -40,32 +40,33 @@ def take_off_phase(acceleration: float) -> float:
 
 
 def fly(acceleration: float, start: float) -> Flight:
-    """Return the flight that begins at phase `start` with the velocity of the body.
+    """Return the flight that begins at phase `start` (p0) with the velocity of the body.
 
-    The gap is h(t) = G (sin p0 - sin(p0 + t)) + G cos(p0) t - t^2/2. Its curvature G sin(p0 + t) - 1 changes sign only
-    at known phases. Between them h is convex or concave, so that its first zero can be bracketed.
+    At the phase t after take-off, the gap is h(t) = G (sin p0 - sin(p0 + t)) + G cos(p0) t - t^2/2. Its curvature
+    G sin(p0 + t) - 1 changes sign only at known phases. Between them h is convex or concave, so that its first zero can
+    be bracketed.
     """
-    g = acceleration
+    peak_g = acceleration
 
     def gap(t: float) -> float:
-        return float(g * (np.sin(start) - np.sin(start + t)) + g * np.cos(start) * t - t * t / 2)
+        return float(peak_g * (np.sin(start) - np.sin(start + t)) + peak_g * np.cos(start) * t - t * t / 2)
 
     def slope(t: float) -> float:
-        return float(g * (np.cos(start) - np.cos(start + t)) - t)
+        return float(peak_g * (np.cos(start) - np.cos(start + t)) - t)
 
-    first_inflection = take_off_phase(g)
+    first_inflection = take_off_phase(peak_g)
     low = 0.0
     # In every period the curvature is positive from the first inflection to pi minus it.
-    periods = np.arange(np.ceil(np.sqrt(8 * g) + g) + 3)[:, None] + np.floor(start / (2 * np.pi))
+    periods = np.arange(np.ceil(np.sqrt(8 * peak_g) + peak_g) + 3)[:, None] + np.floor(start / (2 * np.pi))
     inflections = (np.array([first_inflection, np.pi - first_inflection]) + 2 * np.pi * periods).ravel() - start
     for high in inflections[inflections > 1e-9]:
-        is_convex = g * np.sin(start + 0.5 * (low + high)) > 1
+        is_convex = peak_g * np.sin(start + 0.5 * (low + high)) > 1
         if is_convex and slope(low) < 0 < slope(high):
-            lowest = _zero(slope, low, high)
-            if gap(lowest) < 0:
-                return _landing(g, start, _zero(gap, low, lowest))
+            minimum = _zero(slope, low, high)
+            if gap(minimum) < 0:
+                return _landing(peak_g, start, _zero(gap, low, minimum))
         elif gap(high) < 0:
-            return _landing(g, start, _zero(gap, low, high))
+            return _landing(peak_g, start, _zero(gap, low, high))
         low = float(high)
     raise AssertionError("a ball in free fall lands")
 
@@ -81,9 +82,9 @@ def sticking_cycle(acceleration: float, max_flights: int = 1000) -> list[Flight]
     return flights
 
 
-def _landing(g: float, start: float, t: float) -> Flight:
-    speed = t - g * (np.cos(start) - np.cos(start + t))
-    return Flight(start, start + t, float(speed), bool(g * np.sin(start + t) < 1))
+def _landing(peak_g: float, start: float, t: float) -> Flight:
+    speed = t - peak_g * (np.cos(start) - np.cos(start + t))
+    return Flight(start, start + t, float(speed), bool(peak_g * np.sin(start + t) < 1))
 
 
 def _zero(function: Callable[[float], float], low: float, high: float) -> float:

@@ -16,8 +16,7 @@ EXCITATION = {"shaker": {"kind": "force", "body": 1}, "test": {"kind": "sine", "
 
 
 def test_scene_built_in_python_survives_yaml() -> None:
-    parts = rig.Structure(**STRUCTURE), rig.Damper(**DAMPER)
-    scene = rig.Scene(structure=parts[0], dampers=parts[1:], **EXCITATION)
+    scene = rig.Scene(structure=rig.Structure(**STRUCTURE), dampers=[rig.Damper(**DAMPER)], **EXCITATION)
     assert scene.dampers[0].clearance == 0.5e-3
     assert rig.loads(scene.to_yaml()) == scene
     assert "0.5 mm" in scene.to_yaml()
@@ -39,7 +38,7 @@ def test_computed_responses_share_axes() -> None:
     assert np.array_equal(simulated.response["body 2"].value, simulated.compliance[1])
     assert simulated.response["body 2"].value == pytest.approx(orbits.response["body 2"].value, rel=1e-5)
     axes = simulated.response.plot(orbits.response)
-    assert len(axes.lines) == 4
+    assert len(axes.lines) == 4  # two responses of two bodies
     plt.close(axes.figure)
 
 

@@ -129,7 +129,8 @@ def test_bad_number_of_an_option_is_rejected(command, capsys, monkeypatch, words
     monkeypatch.setattr(sys, "argv", ["rig", "act", *words.split()])
     assert command(act) == 2
     reported = capsys.readouterr().err
-    assert words[:4] in reported and "expected a number, at most 1e+12" in reported
+    option_name = words[:4]
+    assert option_name in reported and "expected a number, at most 1e+12" in reported
 
 
 @pytest.mark.parametrize("words", [["--name", ""], ["--each", "x", "--each", " "], [""]])
@@ -167,7 +168,7 @@ def test_disk_failure_on_close_is_reported(command, capsys):
         raise OSError(errno.EDQUOT, "Disk quota exceeded")
 
     assert command(fail) == 1
-    assert capsys.readouterr().err == "error: the system reports: Disk quota exceeded\n"
+    assert capsys.readouterr().err == "error: the system reports: Disk quota exceeded. Check the free disk space.\n"
 
 
 def test_signal_during_cleanup_prints_no_traceback():

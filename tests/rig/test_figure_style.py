@@ -10,12 +10,12 @@ import pytest
 from rig.figure_style import log_axis, new_figure
 
 
-@pytest.mark.parametrize("size", [0.0, 5e-324, 1e-310, 1e308, np.inf, np.nan])
-def test_decades_are_drawn_for_extreme_numbers(size: float, tmp_path: Path) -> None:
+@pytest.mark.parametrize("value", [0.0, 5e-324, 1e-310, 1e308, np.inf, np.nan])
+def test_log_axis_is_drawn_for_extreme_values(value: float, tmp_path: Path) -> None:
     with new_figure(3.0) as figure:
         axes = figure.subplots()
-        axes.plot([1.0, 2.0], [size, 0.5 * size])
-        log_axis(axes, [np.array([size, 0.5 * size])])
+        axes.plot([1.0, 2.0], [value, 0.5 * value])
+        log_axis(axes, [np.array([value, 0.5 * value])])
         figure.savefig(tmp_path / "a.png")
 
-    assert (tmp_path / "a.png").stat().st_size > 1000
+    assert (tmp_path / "a.png").stat().st_size > 1000  # bytes of an image that is not empty

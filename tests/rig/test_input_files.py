@@ -28,10 +28,10 @@ def test_file_is_read_up_to_the_size_limit(tmp_path: Path, monkeypatch: pytest.M
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
 def test_pipe_or_device_is_rejected_without_waiting(tmp_path: Path) -> None:
-    pipe, endless = tmp_path / "pipe.yaml", tmp_path / "zero.yaml"
+    pipe, link_to_device = tmp_path / "pipe.yaml", tmp_path / "zero.yaml"
     os.mkfifo(pipe)
-    endless.symlink_to("/dev/zero")
-    for path in (pipe, endless, tmp_path):
+    link_to_device.symlink_to("/dev/zero")
+    for path in (pipe, link_to_device, tmp_path):
         for read in (read_table, lambda path: Certificates(path, path).credentials()):
             with pytest.raises(SceneError, match=f"cannot read {path}: not a regular file"):
                 read(path)

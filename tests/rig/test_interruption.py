@@ -34,9 +34,9 @@ sys.exit(main())
 @pytest.mark.parametrize("module", ["rig.interruption", "signal", "lazy_loader", "rig.command_line", "typer"])
 def test_signal_at_import_ends_without_traceback(program, module, number):
     # With -S, `signal` and `lazy_loader` are not yet imported; the module search path must be set.
-    begin = f"import sys; sys.path[:] = {sys.path!r}\n"
-    words = [sys.executable, "-S", "-c", begin + COMMAND, program, module, str(int(number))]
-    completed = subprocess.run(words, capture_output=True, text=True, check=False)
+    prepare = f"import sys; sys.path[:] = {sys.path!r}\n"
+    arguments = [sys.executable, "-S", "-c", prepare + COMMAND, program, module, str(int(number))]
+    completed = subprocess.run(arguments, capture_output=True, text=True, check=False)
     # A shell reports 128 plus the number of the signal that ended a process.
     assert completed.returncode in (128 + number, -number)
     assert completed.stderr in ("", "interrupted\n") and not completed.stdout

@@ -26,6 +26,7 @@ def test_second_rank_executes_operations_of_the_first() -> None:
 
     completed = on_two_ranks(_JOINED + program)
 
+    # The totals are 2 + 4 and, after the increase, 2.5 + 4.5.
     assert (completed.returncode, completed.stdout, completed.stderr) == (0, "2 2.0 6.0 2.5 7.0\n", "")
 
 
@@ -101,9 +102,9 @@ def test_single_process_joins_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     assert ranks.rank_count() == 1
 
 
-@pytest.mark.parametrize("size", ["2", "two", ""])
-def test_missing_mpi4py_leaves_processes_separate(monkeypatch: pytest.MonkeyPatch, size: str) -> None:
-    monkeypatch.setenv("PMI_SIZE", size)
+@pytest.mark.parametrize("n_processes", ["2", "two", ""])
+def test_missing_mpi4py_leaves_processes_separate(monkeypatch: pytest.MonkeyPatch, n_processes: str) -> None:
+    monkeypatch.setenv("PMI_SIZE", n_processes)
     monkeypatch.setitem(sys.modules, "mpi4py", None)
 
     ranks.join()

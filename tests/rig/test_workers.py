@@ -123,14 +123,14 @@ def test_leaving_the_context_cancels_waiting_pieces(monkeypatch) -> None:
     monkeypatch.setattr(threading, "excepthook", thread_errors.append)
     kill = SpawnProcess.kill
 
-    def kill_until_noticed(process: SpawnProcess) -> None:
+    def kill_and_wait_for_executor(process: SpawnProcess) -> None:
         kill(process)
         # Wait until the thread of the executor has handled the end of the process.
         for thread in threading.enumerate():
             if hasattr(thread, "terminate_broken"):
                 thread.join()
 
-    monkeypatch.setattr(SpawnProcess, "kill", kill_until_noticed)
+    monkeypatch.setattr(SpawnProcess, "kill", kill_and_wait_for_executor)
     with Workers() as workers:
         next(workers.compute(wait_forever_unless_zero, range(50)))
 

@@ -41,7 +41,7 @@ def _output(text: str, metavar: str = "FILE") -> Any:
 Replace = Annotated[bool, _option(None, "Replace the file if it exists.", "--overwrite")]
 Start = Annotated[float | None, _option("S", "Time at which to begin.", "--from")]
 Stop = Annotated[float | None, _option("S", "Time at which to end.", "--to")]
-Web = Annotated[bool, _option(None, "Show it in a browser on this machine.", "--web")]
+Web = Annotated[bool, _option(None, "Show the viewer in a browser on this machine.", "--web")]
 Clock = Annotated[
     str | None, _option("real|fast", "Real time, or as fast as possible. Default: SHOTRIG_CLOCK, or real.")
 ]
@@ -227,7 +227,7 @@ def run_a_script(
     script: Annotated[Path, typer.Argument(metavar="SCRIPT.py", help="A script that uses nidaqmx.")],
     arguments: Annotated[
         list[str] | None,
-        # Not interpreted here.
+        # The callback replaces that of all commands, which would check the arguments as options of `daq run`.
         typer.Argument(metavar="[ARGS]...", help="Arguments of the script.", callback=lambda given: given),
     ] = None,
     scene: Annotated[str | None, typer.Option(metavar="SCENE", help=BENCH_SCENE_HELP)] = None,
@@ -280,7 +280,7 @@ def serve_a_rig(
     from daq.server.served_instrument import Limits
 
     if (certificate is None) != (key is None) or (client_ca is not None and certificate is None):
-        raise typer.BadParameter("--certificate, --key: one is missing. Give both. --client-ca requires both, too.")
+        raise typer.BadParameter("--certificate, --key: TLS, also with --client-ca, requires both. Give both.")
     if overwrite and output is None:
         raise typer.BadParameter("--overwrite requires a recording. Give its name with -o FILE.")
     _check_port("--port", port)
@@ -351,7 +351,7 @@ def _recording_paths(scenes: Sequence[str], output: Path | None) -> list[Path]:
     paths = [folder / f"{Path(scene).stem}.mcap" for scene in scenes]
     if len(set(paths)) < len(paths):
         raise typer.BadParameter(
-            "two scenes, and therefore their recordings, have the same name. Record them one by one."
+            f"two scenes would be recorded to the same file in {folder}. Record them one by one, with -o FILE.mcap."
         )
     return paths
 

@@ -25,7 +25,7 @@ from rig.system.assembly import assemble
 
 def measurement_effects(scene: Scene) -> Iterable[Effect]:
     """Yield the effects of each channel, as its chain lists them, of the converter, and of the recording."""
-    # Computed first: with thousands of bodies, its matrices and those of the chain would exceed the memory together.
+    # Computed before the chain exists: with thousands of bodies, the matrices of both would exceed the memory.
     intervals = choose_oversampling(scene)
     system = assemble(scene)
     chain = Chain(scene, scene.converter.true_rate, system.points, system.inputs)

@@ -11,7 +11,7 @@ from daq.bench_page.live_frf import LiveFrf
 from daq.bench_page.monitor import Monitor
 from daq.bench_page.recordings import BenchRecordings
 from daq.excitation import Excitation, Station, excitation
-from daq.excitation.manual_tone import Knobs, ManualTone
+from daq.excitation.manual_tone import ManualTone, ToneControls
 from daq.recording.recorded_test import TestKind, kind_of_settings
 from rig.errors import SceneError, ShotrigError
 
@@ -84,7 +84,7 @@ class Operator:
         self.message = "ready" if self.kinds else "the scene has neither a shaker nor a hammer"
         self.no_response = ""
         self._background_test: BackgroundTest | None = None
-        self._knobs: Knobs | None = None
+        self._controls: ToneControls | None = None
         # First sample, stop and marker fields of each hit of the test.
         self._hits: list[tuple[int, int, dict[str, Any]]] = []
 
@@ -111,8 +111,8 @@ class Operator:
             return
         chassis = self._chassis
         try:
-            scene, excite, self._knobs = self._build_test()
-            kind = TestKind.TONES if self._knobs is not None else kind_of_settings(scene.test)
+            scene, excite, self._controls = self._build_test()
+            kind = TestKind.TONES if self._controls is not None else kind_of_settings(scene.test)
             frf, detector = self._build_estimate(scene, kind)
             with chassis.changed:
                 chassis.return_outputs()
@@ -134,14 +134,14 @@ class Operator:
 
     def turn(self) -> None:
         """Apply the changed frequency and level to a running sine."""
-        if self._knobs is not None and self.running:
+        if self._controls is not None and self.running:
             try:
-                self._knobs.execute(f"f {self.settings.frequency!r}")
-                self._knobs.execute(f"F {self.settings.level!r}")
+                self._controls.execute(f"f {self.settings.frequency!r}")
+                self._controls.execute(f"F {self.settings.level!r}")
             except SceneError as error:
                 self.message = str(error)
 
-    def _build_test(self) -> tuple[Scene, Any, Knobs | None]:
+    def _build_test(self) -> tuple[Scene, Any, ToneControls | None]:
         """Return the scene of the test, its excitation, and the controls of a sine (None for other tests)."""
         settings = self.settings
         test = self._scene.test
@@ -156,8 +156,8 @@ class Operator:
             return self._scene.replace(test=test), excitation, None
         if settings.kind == "sine":
             test_settings = {"kind": "sine", "frequency": settings.frequency, "force": settings.level}
-            knobs = Knobs(settings.frequency, settings.level, self._monitor.rate / _MIN_SAMPLES_PER_PERIOD)
-            return self._scene.replace(test=test_settings), ManualTone(knobs, _ignore).excite, knobs
+            controls = ToneControls(settings.frequency, settings.level, self._monitor.rate / _MIN_SAMPLES_PER_PERIOD)
+            return self._scene.replace(test=test_settings), ManualTone(controls, _ignore).excite, controls
         kind = "swept_sine" if settings.kind == "sweep" else "random"
         band = {"from": settings.low, "to": settings.high}
         test_settings = {"kind": kind, **band, "duration": settings.duration, "force": settings.level}

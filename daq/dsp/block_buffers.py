@@ -1,4 +1,4 @@
-"""Arrays for blocks of samples: one that all channels share, and one that keeps the end of the previous block."""
+"""Arrays for blocks of samples: a working array that all channels share, and an overlap with the previous block."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from rig.arrays import Array
 from rig.numerics.simd import LANES, aligned_zeros
 
 
-class BlockBuffers:
-    """An array that all channels use one after another; separate arrays would not stay in the processor's cache."""
+class SharedScratch:
+    """A working array for all channels, one after another; separate arrays would not stay in the processor's cache."""
 
     def __init__(self) -> None:
         self._rows = aligned_zeros(0, LANES)
 
     def rows(self, count: int) -> Array:
-        """Return at least `count` rows of `LANES` numbers (the width of a register) with arbitrary content."""
+        """Return at least `count` rows of `LANES` numbers (those of a SIMD register) with arbitrary content."""
         if len(self._rows) < count:
             self._rows = aligned_zeros(count, LANES)
         return self._rows
 
 
-class History:
-    """A signal whose last `length` samples of the previous block precede the next block; before sample 0 it is zero.
+class Overlap:
+    """Keeps the last `length` samples of the previous block before the next block, as a filter needs; zero at first.
 
-    >>> history = History(2)
+    >>> overlap = Overlap(2)
     >>> for block in ([1.0, 2.0, 3.0], [4.0]):
-    ...     history.place(len(block))[:] = block
-    >>> history.samples[:3].tolist()
+    ...     overlap.reserve(len(block))[:] = block
+    >>> overlap.samples[:3].tolist()
     [2.0, 3.0, 4.0]
     """
 
@@ -35,7 +35,7 @@ class History:
         self._length, self._count = length, 0
         self.samples = np.zeros(length)
 
-    def place(self, count: int) -> Array:
+    def reserve(self, count: int) -> Array:
         """Return the part of `samples` into which the caller writes the next block, shape (count,)."""
         last_samples = self.samples[self._count : self._count + self._length]
         needed = self._length + count

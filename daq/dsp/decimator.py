@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from daq.dsp.block_buffers import BlockBuffers
+from daq.dsp.block_buffers import SharedScratch
 from rig.arrays import Array
 from rig.numerics.fma import SUM_BLOCK, factored_sums
 from rig.numerics.jit import unfused_kernel
@@ -18,32 +18,32 @@ from rig.numerics.simd import LANES, aligned_zeros
 class Decimator:
     """Decimation filter of one channel, delayed by `delay` intervals.
 
-    Write the moments of the next intervals into `place`, then call `filter`. `buffers` are shared by all channels.
+    Write the moments of the next intervals into `moments_buffer`, then call `filter`. All channels share `scratch`.
     `taps`, shape (oversampling, moments, length): from `daq.signal_chain.decimation_filter.legendre_taps`.
     """
 
-    def __init__(self, taps: Array, delay: int, buffers: BlockBuffers) -> None:
+    def __init__(self, taps: Array, delay: int, scratch: SharedScratch) -> None:
         self._oversampling, moments, length = taps.shape
         self._weights = _lane_weights(taps, delay)
-        self._buffers = buffers
+        self._scratch = scratch
         # Moments of the last intervals of the previous block, which precede those of the next.
         self._last = aligned_zeros(length * self._oversampling + delay - 1, moments)
         self._moments = self._last
         self._intervals = 0  # filtered so far
         self._samples = aligned_zeros(0)
 
-    def place(self, count: int) -> Array:
+    def moments_buffer(self, count: int) -> Array:
         """Return the array for the moments of the next `count` intervals, to be filled in; (> count, MOMENTS)."""
         begin = len(self._last)
         end = begin + count + SUM_BLOCK * self._oversampling
-        self._moments = self._buffers.rows(end)
+        self._moments = self._scratch.rows(end)
         self._moments[:begin] = self._last
         # The intervals after the block have the weight zero, but must be finite.
         self._moments[begin + count : end] = 0.0
         return self._moments[begin:]
 
     def filter(self, count: int) -> Array:
-        """Return the samples whose last interval is among the next `count`; the moments of these are in `place`."""
+        """Return the samples that end in the next `count` intervals, whose moments are in `moments_buffer`."""
         oversampling = self._oversampling
         first_end = -self._intervals % oversampling
         samples = max(0, -(-(count - first_end) // oversampling))
@@ -71,7 +71,7 @@ def _lane_weights(taps: Array, delay: int) -> Array:
 
 @unfused_kernel
 def _sum_moments(weights: Array, moments: Array, first: int, oversampling: int, samples: Array, count: int) -> None:
-    """Fill in `count` samples: weighted sums of moments, the first from the interval `first` on."""
+    """Fill in `count` samples: weighted sums of moments. The sum of the first sample begins at the interval `first`."""
     width = moments.shape[1]
     registers = -(-count // LANES)
     factored_sums(weights, moments, first * width, 1, LANES * oversampling * width, samples, 0, registers)

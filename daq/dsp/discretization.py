@@ -1,11 +1,11 @@
-"""Exact discretization of a circuit: transition matrices over a sample interval and over any share of it.
+"""Exact discretization of a circuit: transition matrices over a sample interval and over any part of the interval.
 
 The unit of time is the sample interval. The propagated vector consists of the circuit's states, integrals of its output
 that restart at every sample, and four derivatives of the input, a cubic. The integrals yield the Legendre moments of
 the output over the interval. The first moment is its mean, which an averaging converter reads; a decimation filter
 weighs several moments. The vector follows one linear differential equation, so that matrix exponentials propagate it
-over an interval. Over a share of it, one matrix propagates 64ths, another 4096ths, and a Taylor series the remainder.
-No eigenvectors are used, because a circuit may have repeated poles.
+over an interval. Over a part of an interval, one matrix propagates whole 64ths, another whole 4096ths, and a Taylor
+series the remainder. No eigenvectors are used, because a circuit may have repeated poles.
 """
 
 from __future__ import annotations
@@ -49,24 +49,26 @@ class Entry(NamedTuple):
 class DiscreteCircuit(NamedTuple):
     """Matrices of a circuit at a sample rate, transposed: a column of the usual matrix is a row here.
 
-    Only `coarse_exponentials`, `fine_exponentials` and `generator` act on the whole vector (see above), with the
-    repeated integrals of the output. The other matrices omit the input's derivatives, and yield moments.
+    `coarse_exponentials`, `fine_exponentials` and `generator` act on the whole propagated vector (see the module). The
+    other matrices omit the input's derivatives, and yield moments instead of integrals of the output.
     """
 
     states: int  # number of states
     integrals: int  # number of moments of the output
-    width: int  # sum of both
+    width: int  # number of states and moments
     first_states: NDArray[np.int64]  # first state of each section, and the number of states; (sections + 1,)
     # Contributions to each state over an interval: from the input's start, end, mean and moment, from 1 V of each
     # disturbance, and from the states; (states, 4 + disturbances + states).
     state_weights: Array
-    moment_weights: Array  # contributions of the same to the moments, padded; (4 + disturbances + states, LANES)
+    # Contributions of the same inputs, disturbances and states to the moments, padded; (4 + disturbances + states,
+    # LANES).
+    moment_weights: Array
     # Contributions to states and moments over an interval: from each state, from the input's start, end, mean and
     # moment, and from 1 V of each disturbance; (states + 4 + disturbances, width).
     transition: Array
     impulse_response: Array  # jump of states and moments due to a unit impulse; (width,)
-    # Exponentials of the generator over k/64 and k/4096 of the interval, k from 0. Zeros pad the size of the vector to
-    # a multiple of the processor's registers; (65, size, size).
+    # Exponentials of the generator over k/64 and k/4096 of the interval, k = 0 to 64. Zeros pad the size of the vector
+    # to a multiple of `LANES`; (65, size, size).
     coarse_exponentials: Array
     fine_exponentials: Array
     generator: Array  # rate of change of the vector; (1, size, size)
@@ -103,10 +105,10 @@ def extend_by_disturbances(
     contributions of each state, of the input's start, end, mean and moment, and of 1 V of each disturbance.
     """
     states, size = circuit.c.size, len(generator)
-    places = list(dict.fromkeys((entry.section, entry.filtered) for entry in entries))
-    extended = np.zeros((size + 3 * len(places),) * 2)
+    entry_points = list(dict.fromkeys((entry.section, entry.filtered) for entry in entries))
+    extended = np.zeros((size + 3 * len(entry_points),) * 2)
     extended[:size, :size] = generator
-    for column, (section, filtered) in zip(range(size, len(extended), 3), places, strict=True):
+    for column, (section, filtered) in zip(range(size, len(extended), 3), entry_points, strict=True):
         extended[:states, column] = circuit.b[section] / rate
         if filtered and integrals:
             extended[states, column] = circuit.d[section]
@@ -115,7 +117,7 @@ def extend_by_disturbances(
     start[:states, :states] = np.eye(states)
     start[size - 4 : size, states : states + 4] = CUBIC_DERIVATIVES
     for row, entry in enumerate(entries):
-        column = size + 3 * places.index((entry.section, entry.filtered))
+        column = size + 3 * entry_points.index((entry.section, entry.filtered))
         start[column : column + 3, states + 4 + row] = LEGENDRE_DERIVATIVES[entry.degree]
     return extended, start
 
@@ -133,8 +135,8 @@ def discretize(circuit: Circuit, gain: float, rate: float, integrals: int, entri
     extended, start = extend_by_disturbances(generator, circuit, rate, integrals, entries)
     transition = to_moments @ expm(extended)[:width] @ start
 
-    # The first three terms of the Taylor series may only transfer the input's derivatives. Its convergence is therefore
-    # counted from the fourth term.
+    # The first three terms of the Taylor series may contain only the input's derivatives. The convergence of the series
+    # is therefore estimated from the fourth term on.
     norm = np.abs(generator).sum(axis=1).max() / SUBDIVISIONS**2
     if not norm <= MAX_GENERATOR_NORM:
         fastest = np.abs(np.linalg.eigvals(circuit.a)).max(initial=0.0) / (2.0 * np.pi)
@@ -179,7 +181,7 @@ def _powers(matrix: Array) -> Array:
 
 
 def transpose_and_pad(matrices: Array) -> Array:
-    """Transpose matrices of shape (count, size, size), and pad them with zeros to whole processor registers."""
+    """Transpose matrices of shape (count, size, size), and pad them with zeros to a multiple of `LANES`."""
     count, size, _ = matrices.shape
     padded = aligned_zeros(count, padded_length(size), padded_length(size))
     padded[:, :size, :size] = matrices.transpose(0, 2, 1)

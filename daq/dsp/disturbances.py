@@ -33,7 +33,7 @@ class Offset:
 
     def __init__(self, level: float, time_constant: float | None, rate: float) -> None:
         self._level = level
-        # Relative decrease of the deviation from the final level in a sample interval.
+        # Relative decrease per sample interval of the deviation from the final level.
         self._decay = 1.0 if time_constant is None else float(-np.expm1(-1.0 / (time_constant * rate)))
         self._deviation = np.array([0.0 if time_constant is None else level])
 
@@ -55,8 +55,8 @@ def _fill_settling(samples: Array, level: float, decay: float, last_deviation: A
 class Disturbances:
     """All disturbances of a channel, each a voltage times a Legendre polynomial over the interval before a sample.
 
-    `direct`: direct feedthrough of each to the output; `degrees`: of the polynomials; `oversampling`: number of
-    intervals in a sample interval. Disturbances of degrees 1 and 2 follow that of degree 0 of the same noise.
+    `direct`: direct feedthrough of each disturbance to the output; `degrees`: of the polynomials; `oversampling`:
+    number of intervals in a sample interval. Of each noise, degrees 0, 1 and 2 follow one another.
     """
 
     def __init__(
@@ -65,33 +65,33 @@ class Disturbances:
         self._sources, self._oversampling = tuple(sources), oversampling
         self._direct, self._has_direct = direct, bool(direct.any())
         self._degrees = tuple(degrees)
-        self._interval, self._samples = 0, 0  # numbers of intervals and of samples drawn so far
+        self._n_intervals, self._n_samples = 0, 0  # numbers of intervals and of samples drawn so far
         self._last = np.zeros((len(sources), 1))
 
     def draw(self, intervals: int) -> Array:
         """Return the voltage of each disturbance in the next intervals, V, shape (disturbances, intervals)."""
-        first, stop = self._interval, self._interval + intervals
-        self._interval = stop
+        first, stop = self._n_intervals, self._n_intervals + intervals
+        self._n_intervals = stop
         if not self._sources or intervals == 0:
             return np.zeros((len(self._sources), intervals))
-        count = -(-(stop - 1) // self._oversampling) + 1 - self._samples
+        count = -(-(stop - 1) // self._oversampling) + 1 - self._n_samples
         voltages = np.empty((len(self._sources), count))
         for row, source in zip(voltages, self._sources, strict=True):
             source.fill(row)
         if self._oversampling > 1:
-            # Index of the sample at or after the end of each interval. The voltages of a sample whose interval began in
-            # the previous block were drawn there.
+            # Index of the sample at or after the end of each interval. The voltages of a sample interval that began in
+            # the previous block were drawn with that block.
             sample = -(-np.arange(first, stop) // self._oversampling)
             voltages_with_last = np.concatenate([self._last, voltages], axis=1)
-            voltages, self._last = voltages_with_last[:, sample - (self._samples - 1)], voltages_with_last[:, -1:]
-            self._split(voltages, (np.arange(first, stop) - 1) % self._oversampling)
-        self._samples += count
+            voltages, self._last = voltages_with_last[:, sample - (self._n_samples - 1)], voltages_with_last[:, -1:]
+            self._split_polynomials(voltages, (np.arange(first, stop) - 1) % self._oversampling)
+        self._n_samples += count
         return voltages
 
-    def _split(self, voltages: Array, index: NDArray[np.int64]) -> None:
-        """Convert polynomials over sample intervals to polynomials over the intervals in them, in place.
+    def _split_polynomials(self, voltages: Array, index: NDArray[np.int64]) -> None:
+        """Convert polynomials over a sample interval to polynomials over each of its intervals, in place.
 
-        `index`: of each interval in its sample interval.
+        `index`: number of each interval in its sample interval, from 0.
         """
         # A sample interval extends from -1 to 1.
         length = 1.0 / self._oversampling

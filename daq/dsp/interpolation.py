@@ -18,9 +18,10 @@ from rig.arrays import Array
 from rig.numerics.jit import unfused_kernel
 from rig.simulation.motion import Motion
 
-# A segment shorter than this share of the sample interval is straight instead of cubic. For a cubic, the rounding error
-# of the displacement would be divided by the square of this length and cause a large error of the acceleration.
-MIN_CUBIC_SHARE = 1e-4
+# A segment shorter than this fraction of the sample interval is straight instead of cubic. For a cubic, the rounding
+# error of the displacement would be divided by the square of the segment's length and cause a large error of the
+# acceleration.
+MIN_CUBIC_FRACTION = 1e-4
 
 
 # Column of `CubicInput.segments` with the length of a segment.
@@ -33,16 +34,16 @@ class CubicInput(NamedTuple):
     """Input over the sample intervals of a block.
 
     Four numbers describe a cubic: its values at the start and at the end, its mean, and its moment. The moment is the
-    mean of the input times the remaining share of the segment (1/2 for a constant 1). An interval without breaks is
+    mean of the input times the remaining fraction of the segment (1/2 for a constant 1). An interval without breaks is
     one segment.
     """
 
-    # The four numbers of the interval that ends at each sample; undefined for intervals with breaks; (4, intervals).
-    whole: Array
+    # Start, end, mean and moment of each interval; undefined for intervals with breaks; (4, intervals).
+    interval_cubics: Array
     # Intervals with breaks: index of the interval of each segment, ascending; (segments,).
     segment_interval: NDArray[np.int64]
-    # The four numbers of each segment; its length as a share of the interval; the impulse at its end divided by the
-    # sample interval; (segments, 6).
+    # Start, end, mean and moment of each segment; its length as a fraction of the interval; the impulse at its end
+    # divided by the sample interval; (segments, 6).
     segments: Array
 
 
@@ -64,12 +65,13 @@ class MotionInterpolator:
         row = self._row
         acceleration, velocity = motion.acceleration[row], motion.velocity[row]
         displacement = motion.displacement[row]
-        whole = np.empty((4, acceleration.size))
+        interval_cubics = np.empty((4, acceleration.size))
         if acceleration.size == 0:
-            return CubicInput(whole, *_NO_SEGMENTS)
+            return CubicInput(interval_cubics, *_NO_SEGMENTS)
         if motion.first == 0:
             self._last[2] = displacement[0]
-        # A segment ends at each break and at the end of its interval; the first is the impulse at sample 0.
+        # A segment ends at each break, and another at the end of its interval. The impulse at sample 0 is a segment of
+        # length 0.
         breaks = motion.break_sample.size
         has_segments = breaks > 0 or motion.first == 0
         segment_interval, segments = allocate_segments(2 * breaks + 1) if has_segments else _NO_SEGMENTS
@@ -91,8 +93,8 @@ class MotionInterpolator:
                 segments,
                 self._segment_ends,
             )
-        _describe_intervals(acceleration, velocity, displacement, self._last, self._rate, whole)
-        return CubicInput(whole, segment_interval[:count], segments[:count])
+        _describe_intervals(acceleration, velocity, displacement, self._last, self._rate, interval_cubics)
+        return CubicInput(interval_cubics, segment_interval[:count], segments[:count])
 
 
 def allocate_segments(count: int) -> tuple[NDArray[np.int64], Array]:
@@ -112,14 +114,14 @@ class ForceInterpolator:
         self._is_first_block = True
 
     def interpolate(self, force: Array) -> CubicInput:
-        """Return the straight lines of the next block as cubics; the force is zero before sample 0, and may jump."""
-        whole = np.empty((4, force.size))
+        """Return the straight lines of the next block as cubics; the force is 0 before sample 0, where it may jump."""
+        interval_cubics = np.empty((4, force.size))
         if force.size == 0:
-            return CubicInput(whole, *_NO_SEGMENTS)
-        whole[0, 0], whole[0, 1:], whole[1] = self._last, force[:-1], force
-        whole[2] = 0.5 * (whole[0] + force)
-        whole[3] = whole[0] / 3.0 + force / 6.0
-        cubics = CubicInput(whole, *(allocate_segments(1) if self._is_first_block else _NO_SEGMENTS))
+            return CubicInput(interval_cubics, *_NO_SEGMENTS)
+        interval_cubics[0, 0], interval_cubics[0, 1:], interval_cubics[1] = self._last, force[:-1], force
+        interval_cubics[2] = 0.5 * (interval_cubics[0] + force)
+        interval_cubics[3] = interval_cubics[0] / 3.0 + force / 6.0
+        cubics = CubicInput(interval_cubics, *(allocate_segments(1) if self._is_first_block else _NO_SEGMENTS))
         self._last, self._is_first_block = float(force[-1]), False
         return cubics
 
@@ -133,16 +135,19 @@ def copy_into(values: Array, target: Array) -> None:
 
 @unfused_kernel
 def _describe_intervals(
-    acceleration: Array, velocity: Array, displacement: Array, last: Array, rate: float, whole: Array
+    acceleration: Array, velocity: Array, displacement: Array, last: Array, rate: float, interval_cubics: Array
 ) -> None:
-    """Fill in `whole` as if no interval had breaks; `last`, the sample before the block, becomes the last sample."""
+    """Fill in `interval_cubics` as if no interval had breaks; then copy the block's last sample to `last`.
+
+    `last`: acceleration, velocity and displacement at the sample before the block.
+    """
     end = acceleration.size
-    start, mean, moment = whole[0], whole[2], whole[3]
-    copy_into(acceleration, whole[1])
+    start, mean, moment = interval_cubics[0], interval_cubics[2], interval_cubics[3]
+    copy_into(acceleration, interval_cubics[1])
     start[0] = last[0]
     mean[0] = (velocity[0] - last[1]) * rate
     moment[0] = ((displacement[0] - last[2]) * rate - last[1]) * rate
-    # One quantity in each loop, so that the compiler vectorizes it.
+    # One quantity in each loop, so that the compiler vectorizes the loop.
     for i in range(1, end):
         start[i] = acceleration[i - 1]
     for i in range(1, end):
@@ -182,8 +187,8 @@ def _describe_segments(
                 _copy_sample(at_samples, k - 1, begin_state)
             elapsed = 0.0
         end_state[0], end_state[1], end_state[2] = acceleration[0, row, b], velocity[0, row, b], displacement[row, b]
-        share_at_break = min(max(break_offset[b] / h, elapsed), 1.0)
-        _describe_segment(begin_state, end_state, share_at_break - elapsed, h, segments[count])
+        fraction_at_break = min(max(break_offset[b] / h, elapsed), 1.0)
+        _describe_segment(begin_state, end_state, fraction_at_break - elapsed, h, segments[count])
         segment_interval[count] = k
         segments[count, IMPULSE] = (velocity[1, row, b] - velocity[0, row, b]) / h
         count += 1
@@ -192,7 +197,7 @@ def _describe_segments(
             velocity[1, row, b],
             displacement[row, b],
         )
-        elapsed = share_at_break
+        elapsed = fraction_at_break
         if b + 1 == break_interval.size or break_interval[b + 1] != k:
             _copy_sample(at_samples, k, end_state)
             _describe_segment(begin_state, end_state, 1.0 - elapsed, h, segments[count])
@@ -208,15 +213,18 @@ def _copy_sample(at_samples: tuple[Array, Array, Array], sample: int, out: Array
 
 
 @unfused_kernel
-def _describe_segment(begin_state: Array, end_state: Array, share: float, h: float, out: Array) -> None:
-    """Fill in the segment between two nodes, each given by acceleration, velocity and displacement; no impulse."""
-    out[0], out[1], out[LENGTH], out[IMPULSE] = begin_state[0], end_state[0], share, 0.0
-    if share == 0.0:
+def _describe_segment(begin_state: Array, end_state: Array, fraction: float, h: float, out: Array) -> None:
+    """Fill in the segment between two nodes, without an impulse.
+
+    `begin_state`, `end_state`: acceleration, velocity and displacement; `fraction`: length, in sample intervals `h`.
+    """
+    out[0], out[1], out[LENGTH], out[IMPULSE] = begin_state[0], end_state[0], fraction, 0.0
+    if fraction == 0.0:
         out[2], out[3] = 0.0, 0.0
         return
-    t = share * h
+    t = fraction * h
     out[2] = (end_state[1] - begin_state[1]) / t
-    if share < MIN_CUBIC_SHARE:
+    if fraction < MIN_CUBIC_FRACTION:
         out[3] = (begin_state[0] - end_state[0]) / 12.0 + 0.5 * out[2]
     else:
         out[3] = ((end_state[2] - begin_state[2]) / t - begin_state[1]) / t

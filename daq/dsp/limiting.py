@@ -26,7 +26,7 @@ from daq.dsp.discretization import (
     transpose_and_pad,
 )
 from daq.dsp.interpolation import IMPULSE, LENGTH, CubicInput, copy_into
-from daq.dsp.segment_propagation import SegmentWorkspace, convert_integrals, load_segment, propagate_share
+from daq.dsp.segment_propagation import SegmentWorkspace, convert_integrals, load_segment, propagate_fraction
 from rig.arrays import Array
 from rig.numerics.fma import weighted_sums
 from rig.numerics.jit import unfused_kernel
@@ -36,16 +36,17 @@ from rig.numerics.simd import aligned_zeros, copy, multiply, padded_length
 CHECKS_PER_PERIOD = 16
 # Minimum number of checks in an interval.
 MIN_CHECKS = 8
-# Index into the following pairs: coarse steps are sufficient for an integrator, a sensor needs fine steps.
+# Index into the following pairs. Coarse steps are sufficient for an integrator; a sensor requires fine steps.
 COARSE = 0
 FINE = 1
 # Number of steps per period of the circuit's fastest pole.
 STEPS_PER_PERIOD = (32, 128)
 # Minimum number of steps in an interval.
 MIN_STEPS = (8, 32)
-# If a voltage is below this ratio to its limit at every check or coarse step, it does not reach the limit in between.
+# A voltage whose ratio to its limit is below this value at every check or coarse step does not reach the limit between
+# them.
 NEAR_LIMIT = float(np.cos(np.pi / CHECKS_PER_PERIOD))
-# An impulse counts as an overload if it equals the limit times this duration, s, or more; smaller impulses are rounding
+# An impulse counts as an overload if it is at least the limit times this duration, s. Smaller impulses are rounding
 # errors.
 MIN_IMPULSE_S = 1e-9
 
@@ -53,16 +54,16 @@ MIN_IMPULSE_S = 1e-9
 class Limits(NamedTuple):
     """Matrices that detect where limits are reached, and propagate the circuit's vector there.
 
-    The vector is defined in `daq.dsp.discretization`. A leading dimension of 2 means coarse and fine steps.
-    Disturbances (noise and offsets) of degree 0 are constant over an interval. `width` is the number of states and of
-    moments of the output, `size` includes the four derivatives of the input.
+    The vector is defined in `daq.dsp.discretization`: `width` is its number of states and integrals of the output,
+    `size` includes the four derivatives of the input. A leading dimension of 2 means coarse and fine steps.
+    Disturbances (noise and offsets) of degree 0 are constant over an interval.
     """
 
     # Contributions of input, disturbances and states, in the order of `DiscreteCircuit.state_weights`, to each limited
     # voltage at each check in an interval; (checks, 4 + disturbances + states).
     check_weights: Array
     check_limits: Array  # magnitude of these voltages below which no limit is reached, V; (checks,)
-    # Weights of the magnitudes of the same contributions: if their sum is below 1, no check reaches a limit.
+    # Weights of the magnitudes of the same contributions. If their weighted sum is below 1, no check reaches a limit.
     bound_weights: Array
     step_counts: NDArray[np.int64]  # number of steps in an interval; (2,)
     step_transitions: Array  # transition of the vector over a step; (2, size, size), as `coarse_exponentials`
@@ -76,7 +77,7 @@ class Limits(NamedTuple):
     # Contribution to the vector over a step of an excess that falls from 1 V to 0, and of one that rises from 0 to 1 V;
     # (2, 2, width).
     excess_contributions: Array
-    # Ratio of the excess at the end of a step to the excess without the zero shift that it causes itself; (2,).
+    # Ratio of the excess at the end of a step to the excess without the zero shift that this excess causes; (2,).
     shift_feedback: Array
     limited_impulse_response: Array  # jump of the vector due to a unit impulse over the limit; (width,)
     min_impulse: float  # smallest impulse over the limit, as in `CubicInput`; infinite behind a resonance
@@ -231,7 +232,7 @@ def count_within_limits(limits: Limits, sources: Array, magnitudes: Array, sums:
 
 @unfused_kernel
 def _exceeds(values: Array, limit: float) -> bool:
-    """Return whether any magnitude exceeds a limit; without branches, so that the compiler vectorizes it."""
+    """Return whether any magnitude exceeds a limit; the loop has no branch, so that the compiler vectorizes it."""
     count = 0
     for k in range(values.size):
         count += abs(values[k]) > limit
@@ -315,7 +316,7 @@ def _propagate_in_steps(
                 multiply(limits.step_transitions, step_size, vector, workspace.zeros, workspace.term)
                 copy(workspace.term, vector)
             else:
-                propagate_share(discrete, (step + 1) / steps - position, workspace)
+                propagate_fraction(discrete, (step + 1) / steps - position, workspace)
             step += 1
             position = step / steps
             for r in range(discrete.width):
@@ -328,7 +329,7 @@ def _propagate_in_steps(
                 is_limited = True
             is_limited |= _clip_states(limits, step_size, vector)
         if end > position:
-            propagate_share(discrete, end - position, workspace)
+            propagate_fraction(discrete, end - position, workspace)
             position = end
         is_impulse_limited = abs(current[IMPULSE]) > limits.min_impulse
         is_limited |= is_impulse_limited
@@ -359,7 +360,7 @@ def _copy_segment(cubics: CubicInput, segment: int, interval: int, out: Array) -
         copy_into(cubics.segments[segment], out)
         return bool(segment + 1 < cubics.segment_interval.size and cubics.segment_interval[segment + 1] == interval)
     for k in range(4):
-        out[k] = cubics.whole[k, interval]
+        out[k] = cubics.interval_cubics[k, interval]
     out[LENGTH], out[IMPULSE] = 1.0, 0.0
     return False
 

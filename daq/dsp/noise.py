@@ -13,8 +13,8 @@ from rig.numerics.fma import update_states
 from rig.numerics.jit import unfused_kernel
 from rig.numerics.simd import aligned_zeros, padded_length
 
-# Variance of uniform random numbers between -1/2 and 1/2. They represent the variation of noise within an interval; a
-# filter sums so many of them that the sum is normally distributed.
+# Variance of uniform random numbers between -1/2 and 1/2. They represent the variation of noise within an interval. A
+# filter sums many of them, so that its output is practically normally distributed.
 _UNIFORM_VARIANCE = 1.0 / 12.0
 # Lowest frequency of 1/f noise, Hz. At lower frequencies, with periods of hours, the noise is white.
 LOWEST = 1e-4
@@ -65,10 +65,11 @@ class Noise:
 
 
 class FastNoise:
-    """Variation of the same noise within a sample interval: voltage of a Legendre polynomial of degree 1 or 2.
+    """Variation of noise within a sample interval, in addition to its mean (`Noise`).
 
-    With the means alone, the density of noise after a filter would decrease by 3.9 dB towards half the sample rate;
-    with these polynomials it decreases by 0.04 dB.
+    Each value is the voltage of a Legendre polynomial of degree 1 or 2 over the interval. With the means alone, the
+    density of noise after a filter would decrease by 3.9 dB towards half the sample rate; with these polynomials it
+    decreases by 0.04 dB.
     """
 
     def __init__(
@@ -97,18 +98,18 @@ def flicker_filter(corner: float, rate: float) -> tuple[Array, Array, float]:
     of the rate. For corners up to twice the rate, it is accurate to 3 % below 0.45 of the rate, and to 6 % at half the
     rate.
     """
-    # Few scenes have such noise, and this takes long to import.
+    # Imported here, because the import is slow and few scenes have 1/f noise.
     from scipy.optimize import brentq, nnls
 
     highest = 0.25 * rate
     lowest = min(LOWEST, 0.1 * corner, 0.01 * rate)
     corners = np.geomspace(lowest, highest, 2 + int(np.log(highest / lowest) / np.log(_MAX_CORNER_RATIO)))
     poles = 4 * np.sin(np.pi * corners / rate) ** 2
-    # Dense near half the rate, where the low-pass spectra are flat but 1/f is not.
+    # The grid is dense near half the rate, where the low-pass spectra are flat but 1/f is not.
     grid = np.concatenate([np.geomspace(10 * lowest, 0.5 * rate, 400), np.linspace(0.3, 0.5, 400) * rate])
     y = 4 * np.sin(np.pi * grid / rate) ** 2
     target = corner / grid
-    # Relative to the total power density, with the white part.
+    # Low-pass spectra relative to the total power density, which includes the white part.
     low_pass = poles / (poles + y[:, None]) / (1 + target)[:, None]
     scale = corner / corners
     strength, _ = nnls(low_pass * scale, target / (1 + target))
@@ -119,11 +120,11 @@ def flicker_filter(corner: float, rate: float) -> tuple[Array, Array, float]:
         return 1.0 + float(np.sum(strength * poles / (poles + y)))
 
     # Zeros of the spectrum at negative y: one between neighboring poles, one beyond the last.
-    ends = np.append(poles, poles[-1] + 2 * np.sum(strength * poles))
+    bracket_ends = np.append(poles, poles[-1] + 2 * np.sum(strength * poles))
     spectrum_zeros = np.array(
         [
             brentq(lambda z: spectrum(-z), low * (1 + 1e-13), high * (1 - 1e-13), xtol=1e-300, rtol=1e-14)
-            for low, high in pairwise(ends)
+            for low, high in pairwise(bracket_ends)
         ]
     )
     pole_loss, zero_loss = _loss(poles), _loss(spectrum_zeros)

@@ -1,7 +1,7 @@
 """Exact propagation of a circuit from sample to sample, for an input of cubic segments.
 
-An interval has breaks if an impact changes the input abruptly in it. Disturbances are noise and offsets; moments are
-those of the output over each interval (`daq.dsp.discretization`).
+A break is an instant in a sample interval at which an impact changes the input abruptly. Disturbances are noise and
+offsets. Moments are those of the output over each interval (`daq.dsp.discretization`).
 """
 
 from __future__ import annotations
@@ -62,23 +62,24 @@ def propagate(
 ) -> None:
     """Propagate a circuit over the intervals of a block, and fill in outputs, moments and overload.
 
-    Stretches without breaks are processed section by section, because a section only depends on previous sections.
-    Except for the recurrence of the section itself, the same sum is then computed for many samples at a time. The
-    order of every sum is fixed, so that no result depends on the end of a stretch or a block. Intervals in which a
-    limit may be reached, and the next intervals after an overload, are processed one by one (`daq.dsp.limiting`).
+    Stretches of intervals without breaks are processed section by section, because a section depends only on previous
+    sections. Each sum, except the recurrence of the section itself, is then computed for many samples at a time. The
+    order of every sum is fixed, so that no result depends on the end of a stretch or a block. Intervals with breaks,
+    intervals in which a limit may be reached, and the next intervals after an overload are processed one by one
+    (`daq.dsp.limiting`).
     """
     sources = workspace.sources
     first_state_row = 4 + disturbances.shape[0]
-    segment, first, intervals = 0, 0, cubics.whole.shape[1]
+    segment, first, intervals = 0, 0, cubics.interval_cubics.shape[1]
     while first < intervals:
         overload[1 + first] = 0.0
         has_breaks = segment < cubics.segment_interval.size and cubics.segment_interval[segment] == first
-        # `in_steps`: the interval is propagated with limits. A circuit without limits is compiled without this code.
-        in_steps = False
+        # Whether the interval is propagated with limits. A circuit without limits is compiled without this code.
+        with_limits = False
         if limits is not None:
-            in_steps = has_breaks or overload[first] > 0.0
+            with_limits = has_breaks or overload[first] > 0.0
         stop, excess = first + 1, 0.0
-        if not has_breaks and not in_steps:
+        if not has_breaks and not with_limits:
             stop = min(first + STRETCH, intervals)
             if segment < cubics.segment_interval.size:
                 stop = min(stop, cubics.segment_interval[segment])
@@ -92,13 +93,13 @@ def propagate(
                 for j in range(discrete.states):
                     state[j] = sources[first_state_row + j, count]
                 if count == 0:
-                    in_steps, stop = True, first + 1
+                    with_limits, stop = True, first + 1
             for k in range(first, stop):
                 overload[1 + k] = 0.0
-            if not in_steps and discrete.integrals:
+            if not with_limits and discrete.integrals:
                 factored_sums(discrete.moment_weights, sources, 0, sources.shape[1], 1, moments, first, stop - first)
-        if has_breaks or in_steps:
-            if in_steps and limits is not None:
+        if has_breaks or with_limits:
+            if with_limits and limits is not None:
                 segment, excess = propagate_with_limits(
                     cubics, segment, first, discrete, limits, state, disturbances, overload, workspace.segments
                 )
@@ -112,7 +113,7 @@ def propagate(
         for r in range(state_rows.shape[0]):
             weighted_sums(sources, first_state_row, 1, state_rows[r], discrete.states, workspace.sums[0], stop - first)
             for k in range(first, stop):
-                outputs[r, k] = fused(input_weights[r], cubics.whole[1, k], workspace.sums[0, k - first])
+                outputs[r, k] = fused(input_weights[r], cubics.interval_cubics[1, k], workspace.sums[0, k - first])
             outputs[r, first] += excess_weights[r] * excess
         first = stop
 
@@ -121,7 +122,7 @@ def propagate(
 def _copy_inputs(cubics: CubicInput, disturbances: Array, first: int, stop: int, sources: Array) -> None:
     """Copy input and disturbances of a stretch to the rows above the states."""
     for k in range(4):
-        copy_into(cubics.whole[k, first:stop], sources[k, : stop - first])
+        copy_into(cubics.interval_cubics[k, first:stop], sources[k, : stop - first])
     for e in range(disturbances.shape[0]):
         copy_into(disturbances[e, first:stop], sources[4 + e, : stop - first])
 

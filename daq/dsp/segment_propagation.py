@@ -46,10 +46,10 @@ def propagate_segments(
     for j in range(discrete.states):
         vector[j] = state[j]
     while segment < cubics.segment_interval.size and cubics.segment_interval[segment] == interval:
-        share = cubics.segments[segment, LENGTH]
-        if share > 0.0:
+        fraction = cubics.segments[segment, LENGTH]
+        if fraction > 0.0:
             load_segment(discrete, cubics.segments[segment], vector)
-            propagate_share(discrete, share, workspace)
+            propagate_fraction(discrete, fraction, workspace)
         for r in range(discrete.width):
             vector[r] += discrete.impulse_response[r] * cubics.segments[segment, IMPULSE]
         segment += 1
@@ -60,13 +60,13 @@ def propagate_segments(
 @unfused_kernel
 def load_segment(discrete: DiscreteCircuit, segment: Array, vector: Array) -> None:
     """Write the derivatives of a segment's cubic at its start into the vector."""
-    share, scale = segment[LENGTH], 1.0
+    fraction, scale = segment[LENGTH], 1.0
     for k in range(4):
         total = 0.0
         for j in range(4):
             total += CUBIC_DERIVATIVES[k, j] * segment[j]
         vector[discrete.width + k] = total * scale
-        scale /= share
+        scale /= fraction
 
 
 @unfused_kernel
@@ -82,11 +82,11 @@ def convert_integrals(discrete: DiscreteCircuit, vector: Array, work: Array) -> 
 
 
 @unfused_kernel
-def propagate_share(discrete: DiscreteCircuit, share: float, workspace: SegmentWorkspace) -> None:
-    """Propagate the vector over `share` of an interval: multiply it by the exponential of the generator."""
+def propagate_fraction(discrete: DiscreteCircuit, fraction: float, workspace: SegmentWorkspace) -> None:
+    """Propagate the vector over `fraction` of an interval: multiply it by the exponential of the generator."""
     vector, term, work, zeros = workspace.vector, workspace.term, workspace.work, workspace.zeros
-    coarse = min(int(share * SUBDIVISIONS), SUBDIVISIONS)
-    remainder = share - coarse / SUBDIVISIONS
+    coarse = min(int(fraction * SUBDIVISIONS), SUBDIVISIONS)
+    remainder = fraction - coarse / SUBDIVISIONS
     fine = min(int(remainder * SUBDIVISIONS * SUBDIVISIONS), SUBDIVISIONS - 1)
     remainder -= fine / (SUBDIVISIONS * SUBDIVISIONS)
     multiply(discrete.coarse_exponentials, coarse, vector, zeros, term)

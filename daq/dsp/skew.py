@@ -18,7 +18,8 @@ from rig.numerics.jit import unfused_kernel
 def delays(skew: float | tuple[float, ...] | None, channels: int, rate: float) -> tuple[float, ...]:
     """Return the delay of each channel, s, relative to the clock tick at which the last channel is sampled.
 
-    `skew`: time from the sampling of a channel to that of the next, s; or the sampling time of each channel, s.
+    `skew`: time from the sampling of a channel to that of the next, s; or the sampling time of each channel, s. A
+    channel that is sampled earlier by a time is equal to its input delayed by this time and sampled with the last.
 
     >>> delays(1e-6, 3, 5120.0)
     (2e-06, 1e-06, 0.0)
@@ -38,25 +39,25 @@ def delays(skew: float | tuple[float, ...] | None, channels: int, rate: float) -
 
 
 class Delay:
-    """Delays the input of a channel by a fraction (`share`) of a sample interval, block after block.
+    """Delays the input of a channel by a fraction (`tail_length`) of a sample interval, block after block.
 
-    A delayed interval consists of the tail of one input interval and the head of the next, and is described by one
-    cubic (see `CubicInput`) whose second integral is exact at the new nodes. If one of the two has breaks, the delayed
-    interval is described by segments.
+    Delayed interval i consists of the tail of input interval i - 1 and the head of input interval i. One cubic (see
+    `CubicInput`) describes it, whose second integral is exact at the delayed sampling instants. If one of the two input
+    intervals has breaks, segments describe the delayed interval.
     """
 
-    def __init__(self, share: float) -> None:
-        self._share = share
-        self._matrix = _delay_matrix(share)
-        # The cubic of the last input interval; the segments of its tail if it has breaks.
-        self._last = np.zeros(4)
+    def __init__(self, tail_length: float) -> None:
+        self._tail_length = tail_length
+        self._matrix = _delay_matrix(tail_length)
+        # The cubic of the previous input interval; the segments of its tail if it has breaks.
+        self._previous_cubic = np.zeros(4)
         self._tail = np.zeros((0, 6))
 
     def shift(self, cubics: CubicInput) -> CubicInput:
         """Return the delayed input over the same number of intervals."""
-        if cubics.whole.size == 0:
+        if cubics.interval_cubics.size == 0:
             return cubics
-        whole = np.empty(cubics.whole.shape)
+        delayed_cubics = np.empty(cubics.interval_cubics.shape)
         # An input interval with breaks affects two delayed intervals. Each of its segments is in one of the two, or is
         # split between them, and each of the two contains one segment of another interval.
         tail_size = len(self._tail)
@@ -66,33 +67,33 @@ class Delay:
         tail[:tail_size] = self._tail
         count, tail_size = _shift(
             cubics,
-            self._share,
+            self._tail_length,
             self._matrix,
-            self._last,
+            self._previous_cubic,
             tail,
             tail_size,
-            whole,
+            delayed_cubics,
             segment_interval,
             segments,
             np.empty(4),
         )
         self._tail = tail[:tail_size]
-        return CubicInput(whole, segment_interval[:count], segments[:count])
+        return CubicInput(delayed_cubics, segment_interval[:count], segments[:count])
 
 
-def _delay_matrix(share: float) -> Array:
+def _delay_matrix(tail_length: float) -> Array:
     """Return the matrix from the cubics of two successive intervals to that of the delayed interval; (4, 8).
 
     A cubic is described by four numbers: start, end, mean and moment (`CubicInput`).
     """
     matrix = np.zeros((4, 8))
-    head_length = 1.0 - share
+    head_length = 1.0 - tail_length
     for column in range(4):
         unit, tail, head = np.eye(4)[column], np.empty(6), np.empty(6)
-        _split(unit, head_length, 1.0, share, 0.0, tail)
+        _split(unit, head_length, 1.0, tail_length, 0.0, tail)
         _split(unit, 0.0, head_length, head_length, 0.0, head)
         matrix[:, column] = (
-            tail[0], 0.0, share * tail[2], share * (share * tail[3] + head_length * tail[2]),
+            tail[0], 0.0, tail_length * tail[2], tail_length * (tail_length * tail[3] + head_length * tail[2]),
         )  # fmt: skip
         matrix[:, 4 + column] = 0.0, head[1], head_length * head[2], head_length * head_length * head[3]
     return matrix
@@ -101,38 +102,38 @@ def _delay_matrix(share: float) -> Array:
 @unfused_kernel
 def _shift(
     cubics: CubicInput,
-    share: float,
+    tail_length: float,
     matrix: Array,
-    last: Array,
+    previous: Array,
     tail: Array,
     tail_size: int,
-    whole: Array,
+    delayed_cubics: Array,
     segment_interval: NDArray[np.int64],
     segments: Array,
     cubic: Array,
 ) -> tuple[int, int]:
     """Fill in the delayed intervals; return the number of their segments, and of segments in the last tail.
 
-    `last`: cubic of the previous input interval, updated; `tail`: its first `tail_size` rows are the segments of that
-    interval's tail if it has breaks, updated; `cubic`: working array.
+    `previous`: cubic of the previous input interval, updated; `tail`: if that interval has breaks, the first
+    `tail_size` rows are the segments of its tail, updated; `cubic`: working array.
     """
     for r in range(4):
-        _combine(cubics.whole, matrix[r], last, whole[r])
-    count, segment, i, intervals = 0, 0, 0, whole.shape[1]
-    head_length = 1.0 - share
+        _combine(cubics.interval_cubics, matrix[r], previous, delayed_cubics[r])
+    count, segment, i, intervals = 0, 0, 0, delayed_cubics.shape[1]
+    head_length = 1.0 - tail_length
     while i < intervals:
         if tail_size == 0:
             # Two successive intervals without breaks were combined above.
             next_with_breaks = cubics.segment_interval[segment] if segment < cubics.segment_interval.size else intervals
             if next_with_breaks > i:
                 i = next_with_breaks
-                copy_into(cubics.whole[:, i - 1], last)
+                copy_into(cubics.interval_cubics[:, i - 1], previous)
                 continue
         has_breaks = segment < cubics.segment_interval.size and cubics.segment_interval[segment] == i
         # Tail of the previous input interval.
         if tail_size == 0:
             segment_interval[count] = i
-            _split(last, head_length, 1.0, share, 0.0, segments[count])
+            _split(previous, head_length, 1.0, tail_length, 0.0, segments[count])
             count += 1
         for k in range(tail_size):
             segment_interval[count] = i
@@ -140,10 +141,10 @@ def _shift(
             count += 1
         tail_size = 0
         # Head of this input interval. If it has breaks, the segments of its tail are stored for the next.
-        copy_into(cubics.whole[:, i], last)
+        copy_into(cubics.interval_cubics[:, i], previous)
         if not has_breaks:
             segment_interval[count] = i
-            _split(last, 0.0, head_length, head_length, 0.0, segments[count])
+            _split(previous, 0.0, head_length, head_length, 0.0, segments[count])
             count += 1
             i += 1
             continue
@@ -171,9 +172,9 @@ def _shift(
             elapsed += length
             segment += 1
         if elapsed == 0.0:
-            # Sample 0, at which a run begins: the input is zero before it, for the duration of the delay.
+            # A segment of length 0 identifies sample 0, at which a run begins. Before it the input is zero.
             tail[0, :LENGTH] = 0.0
-            tail[0, LENGTH] = share
+            tail[0, LENGTH] = tail_length
             segment_interval[count] = i
             segments[count][:] = 0.0
             count += 1
@@ -182,14 +183,14 @@ def _shift(
 
 
 @unfused_kernel
-def _combine(cubics: Array, weights: Array, last: Array, out: Array) -> None:
-    """Fill in one of the four numbers of each delayed interval, as if no interval had breaks.
+def _combine(cubics: Array, weights: Array, previous: Array, out: Array) -> None:
+    """Fill in start, end, mean or moment of each delayed interval, as if no interval had breaks.
 
-    `weights`: a row of the matrix, (8,); `last`: cubic of the interval before the block, (4,).
+    `weights`: a row of the matrix, (8,); `previous`: cubic of the interval before the block, (4,).
     """
     start, end, mean, moment = cubics[0], cubics[1], cubics[2], cubics[3]
     out[0] = _weighted_sum(
-        weights, last[0], last[1], last[2], last[3], start[0], end[0], mean[0], moment[0],
+        weights, previous[0], previous[1], previous[2], previous[3], start[0], end[0], mean[0], moment[0],
     )  # fmt: skip
     for i in range(1, out.size):
         out[i] = _weighted_sum(
@@ -200,18 +201,20 @@ def _combine(cubics: Array, weights: Array, last: Array, out: Array) -> None:
 @unfused_kernel
 def _weighted_sum(
     weights: Array,
-    a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float,
+    start0: float, end0: float, mean0: float, moment0: float,
+    start1: float, end1: float, mean1: float, moment1: float,
 ) -> float:  # fmt: skip
-    """Return the weighted sum of the four numbers of two intervals."""
-    first = fused(weights[0], a, fused(weights[1], b, fused(weights[2], c, weights[3] * d)))
-    return fused(weights[4], e, fused(weights[5], f, fused(weights[6], g, fused(weights[7], h, first))))
+    """Return the weighted sum of start, end, mean and moment of two intervals."""
+    total = fused(weights[0], start0, fused(weights[1], end0, fused(weights[2], mean0, weights[3] * moment0)))
+    total = fused(weights[6], mean1, fused(weights[7], moment1, total))
+    return fused(weights[4], start1, fused(weights[5], end1, total))
 
 
 @unfused_kernel
 def _split(cubic: Array, begin: float, end: float, length: float, impulse: float, out: Array) -> None:
     """Fill in a segment: the part of a cubic from `begin` to `end`, as fractions of its length.
 
-    `length`: of the segment, as a share of the sample interval; `impulse`: at its end.
+    `length`: of the segment, as a fraction of the sample interval; `impulse`: at its end.
     """
     out[LENGTH], out[IMPULSE] = length, impulse
     a, b, mean, moment = cubic[0], cubic[1], cubic[2], cubic[3]
@@ -221,10 +224,10 @@ def _split(cubic: Array, begin: float, end: float, length: float, impulse: float
     c3 = -10.0 * a + 10.0 * b - 60.0 * mean + 120.0 * moment
     out[0] = a + begin * (c1 + begin * (c2 + begin * c3))
     out[1] = a + end * (c1 + end * (c2 + end * c3))
-    # Coefficients of the segment in its own time, from 0 to 1.
-    size = end - begin
-    d1 = size * (c1 + begin * (2.0 * c2 + begin * 3.0 * c3))
-    d2 = size * size * (c2 + begin * 3.0 * c3)
-    d3 = size * size * size * c3
+    # Coefficients of the powers of the segment's own time, from 0 to 1.
+    part = end - begin
+    d1 = part * (c1 + begin * (2.0 * c2 + begin * 3.0 * c3))
+    d2 = part * part * (c2 + begin * 3.0 * c3)
+    d3 = part * part * part * c3
     out[2] = out[0] + d1 / 2.0 + d2 / 3.0 + d3 / 4.0
     out[3] = out[0] / 2.0 + d1 / 6.0 + d2 / 12.0 + d3 / 20.0

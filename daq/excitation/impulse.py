@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from rig.scene.excitation import Impulse
 
 
-# Recording time before the first hit, s: it shows offsets and noise.
-QUIET_S = 0.25
+# Recording time before the first hit, s, which shows offsets and noise.
+BASELINE_S = 0.25
 # Length of the windows in which the drive is output, s.
 _WINDOW_S = 0.1
 # Maximum wait for the settling of sensors, in time constants.
@@ -43,7 +43,7 @@ def excite(station: Station, test: Impulse) -> Excitation:
         double_hit[delay:] += second
         double_hits = set(test.double_hit.hits or range(1, test.repeats + 1))
     interval, window = (station.samples(time) for time in (test.interval, _WINDOW_S))
-    yield station.zero_drive(station.samples(QUIET_S))
+    yield station.zero_drive(station.samples(BASELINE_S))
     yield from _wait_for_sensors(station)
     for hit in range(1, test.repeats + 1):
         pulse = double_hit if hit in double_hits else single_hit
@@ -74,15 +74,15 @@ def _wait_for_sensors(station: Station) -> Excitation:
         is_drifting = _is_drifting((yield station.zero_drive(min(window, end - station.now))))
     # After ten time constants the remaining change is the low-frequency noise of the sensors.
     station.mark("settle", first, station.now, settled=True)
-    yield station.zero_drive(station.samples(QUIET_S))
+    yield station.zero_drive(station.samples(BASELINE_S))
 
 
 def settling_time(info: ChannelInfo) -> float:
     """Return the time after power-on in which a bias disappears from a reading, s; 0 without a bias.
 
     >>> from daq.signal_chain.channel import ChannelInfo
-    >>> sheet = {"accelerometer.bias": "9.0 V", "accelerometer.bias_settling": "2.0 s"}
-    >>> settling_time(ChannelInfo("a1", "body 1", "acceleration", 1.0, 5120.0, sensor=sheet))
+    >>> data_sheet = {"accelerometer.bias": "9.0 V", "accelerometer.bias_settling": "2.0 s"}
+    >>> settling_time(ChannelInfo("a1", "body 1", "acceleration", 1.0, 5120.0, sensor=data_sheet))
     20.0
     """
     if not any(key.endswith(".bias") for key in info.sensor):
@@ -90,7 +90,8 @@ def settling_time(info: ChannelInfo) -> float:
     bias_settling = next(
         (parse(text, TIME) for key, text in info.sensor.items() if key.endswith(".bias_settling")), 0.0
     )
-    # The step at power-on decays with the poles of the high-pass filters: the slowest poles, as many as zeros at 0 Hz.
+    # The step at power-on decays with the poles of the high-pass filters. Each high-pass pole has a zero at 0 Hz, and
+    # they are the slowest poles.
     high_pass_rates = sorted(abs(pole.real) for pole in info.poles if pole)[: sum(zero == 0 for zero in info.zeros)]
     return min(_MAX_TIME_CONSTANTS * (bias_settling + sum(1.0 / rate for rate in high_pass_rates)), _MAX_SETTLING_S)
 
@@ -110,8 +111,8 @@ def _is_drifting(readings: Array) -> bool:
 def half_sine(peak: float, width: float, rate: float) -> Array:
     """Return samples of a half-sine pulse, N, whose linear interpolation has the requested peak and area.
 
-    `peak`: N; `width`: s; `rate`: Hz. Linear interpolation reduces the area of a sampled half sine. The sampled pulse
-    is therefore longer than `width`. One sample is at its peak.
+    `peak`: N; `width`: s; `rate`: Hz. Linear interpolation reduces the area of a sampled half sine; the pulse is
+    therefore longer than `width`. One sample is at the peak.
 
     >>> pulse = half_sine(50.0, 4e-3, 5120.0)
     >>> float(pulse.max()), float(round(pulse.sum() / 5120.0 / (50.0 * 4e-3 * 2 / np.pi), 9))

@@ -11,9 +11,10 @@ from rig.arrays import Array, ComplexArray
 
 # Minimum window, periods.
 _MIN_PERIODS = 2
-# Minimum window, samples: more than the number of fitted terms below the lowest harmonic.
+# Minimum window, samples: more than the six fitted terms of a tone without harmonics.
 _MIN_SAMPLES = 8
-# Near half the sampling rate the samples of a tone beat. Minimum window, in beats, that separates amplitude and phase.
+# Minimum window, in beats: near half the sampling rate the samples of a tone beat, and less of a beat does not separate
+# amplitude and phase.
 _MIN_BEATS = 0.5
 # Order of the highest harmonic that is fitted with the tone.
 _MAX_HARMONIC = 6
@@ -37,11 +38,10 @@ def min_samples(frequency: float, rate: float) -> int:
 
 
 def whole_periods(frequency: float, rate: float, shortest_s: float) -> int:
-    """Return the window length in samples that is closest to whole periods.
+    """Return the length in samples of the window that is closest to whole periods.
 
-    The window is at least `shortest_s` s long, and at most a third longer.
-
-    In a window with a fraction of a period, harmonics and offsets leak into the fundamental.
+    The window is at least `shortest_s` s long, and at most a third longer. In a window with a fraction of a period,
+    harmonics and offsets would leak into the fundamental.
 
     >>> whole_periods(10.0, 1000.0, 0.15)
     200
@@ -51,9 +51,9 @@ def whole_periods(frequency: float, rate: float, shortest_s: float) -> int:
     10
     """
     min_periods = int(np.ceil(min_samples(frequency, rate) * frequency / rate - 1e-9))
-    min_count = max(min_periods, int(np.ceil(shortest_s * frequency - 1e-9)))
-    counts = np.arange(min_count, min_count + max(1, min_count // 3) + 1)
-    samples = counts * rate / frequency
+    min_n_periods = max(min_periods, int(np.ceil(shortest_s * frequency - 1e-9)))
+    n_periods = np.arange(min_n_periods, min_n_periods + max(1, min_n_periods // 3) + 1)
+    samples = n_periods * rate / frequency
     deviation = abs(samples - np.round(samples)) / samples
     return round(float(samples[np.argmin(np.round(deviation, 9))]))
 
@@ -86,10 +86,10 @@ def _amplitude_parts(samples: Array, frequency: float, rate: float) -> Array:
 
     The normal equations are summed over pieces of the window.
     """
-    size = samples.shape[1]
+    n_samples = samples.shape[1]
     normal, projection = 0.0, 0.0
-    for first in range(0, size, _PIECE_SAMPLES):
-        model = _model(frequency, rate, size, first, min(first + _PIECE_SAMPLES, size))
+    for first in range(0, n_samples, _PIECE_SAMPLES):
+        model = _model(frequency, rate, n_samples, first, min(first + _PIECE_SAMPLES, n_samples))
         normal = normal + np.einsum("in,jn->ij", model, model)
         projection = projection + np.einsum("cn,in->ci", samples[:, first : first + _PIECE_SAMPLES], model)
     return np.asarray(np.einsum("ci,ki->ck", projection, np.linalg.inv(normal)[:2]))
@@ -106,9 +106,9 @@ def lock_in(samples: Array, frequency: float, rate: float, phase: float = 0.0) -
     >>> f"{abs(amplitude[0]):.9f}", bool(abs(np.angle(amplitude[0])) < 1e-9)
     ('3.000000000', True)
     """
-    size = samples.shape[1]
-    if size <= _PIECE_SAMPLES:
-        parts = np.einsum("cn,kn->ck", samples, _weights(frequency, rate, size))
+    n_samples = samples.shape[1]
+    if n_samples <= _PIECE_SAMPLES:
+        parts = np.einsum("cn,kn->ck", samples, _weights(frequency, rate, n_samples))
     else:
         parts = _amplitude_parts(samples, frequency, rate)
     return (parts[:, 0] + 1j * parts[:, 1]) * np.exp(-1j * phase)

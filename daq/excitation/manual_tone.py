@@ -21,18 +21,18 @@ _MAX_WAIT_S = 60.0
 # Largest relative deviation of the force from its level that is not readjusted.
 _MAX_DEVIATION = 0.05
 # Number of successive windows with a larger deviation that cause a readjustment; a single impact does not.
-_MAX_DEVIATIONS = 5
+_DEVIATING_WINDOWS = 5
 
 
-class Knobs:
+class ToneControls:
     """Frequency (Hz) and force amplitude (N) of the operator; they take effect with the next window of the drive.
 
     `highest`: highest permitted frequency, Hz.
 
-    >>> knobs = Knobs(13.0, 0.0, highest=1000.0)
-    >>> knobs.execute("f 34.8"), knobs.execute("F 2.6"), knobs.settings
+    >>> controls = ToneControls(13.0, 0.0, highest=1000.0)
+    >>> controls.execute("f 34.8"), controls.execute("F 2.6"), controls.settings
     (True, True, (34.8, 2.6))
-    >>> knobs.execute("q"), knobs.quit
+    >>> controls.execute("q"), controls.quit
     (True, True)
     """
 
@@ -85,9 +85,9 @@ class ToneReading:
 
 @dataclass
 class ManualTone:
-    """Excitation by a tone at the settings of the knobs; `report` is called with the readings of every window."""
+    """Excitation by a tone with the operator's settings; `report` is called with the readings of every window."""
 
-    knobs: Knobs
+    controls: ToneControls
     report: Callable[[ToneReading], None]
     _is_steady: bool = field(default=False, init=False)
     _level: float = field(default=0.0, init=False)
@@ -99,16 +99,16 @@ class ManualTone:
         if not station.force_is_drive:
             # Raises `SceneError` if the channels of the spring force are missing.
             station.force_weights(1.0)
-        tone = SteadyTone(station, self.knobs.settings[0], controlled=not station.force_is_drive)
-        while not self.knobs.quit:
-            requested = self.knobs.settings
-            # Closing the generator marks the steady interval, whether the operator or the end of the run closes it.
+        tone = SteadyTone(station, self.controls.settings[0], controlled=not station.force_is_drive)
+        while not self.controls.quit:
+            requested = self.controls.settings
+            # Closing the generator marks the steady interval, also if the run ends early.
             with closing(self._hold_setting(tone, *requested)) as drives:
                 phase, drive = tone.phase, next(drives)
                 while True:
                     readings = yield drive
                     self.report(self._reading(tone, readings, phase, requested))
-                    if self.knobs.quit or self.knobs.settings != requested:
+                    if self.controls.quit or self.controls.settings != requested:
                         break
                     phase, drive = tone.phase, drives.send(readings)
         yield tone.end()
@@ -123,7 +123,7 @@ class ManualTone:
                 yield station.zero_drive(window)
         previous_drive, drive = tone.amplitude, tone.start(level)
         if tone.control is not None:
-            # First estimate: the drive is proportional to the level.
+            # First estimate: the drive is proportional to the level. Without a previous drive, that of `tone.start`.
             drive = min(previous_drive * level / (self._level or level) or drive, station.drive_limit)
         self._level = level
         fields = {"frequency": frequency, "level": level}
@@ -139,15 +139,15 @@ class ManualTone:
 
     def _hold_drive(self, tone: SteadyTone, window: int, settled: bool, fields: dict[str, float]) -> Excitation:
         """Hold the drive until the force deviates from its level, and mark the interval."""
-        self._is_steady, deviations, force, station = settled, 0, fields["level"], tone.station
+        self._is_steady, deviating_windows, force, station = settled, 0, fields["level"], tone.station
         first = station.now
         try:
-            while deviations < _MAX_DEVIATIONS:
+            while deviating_windows < _DEVIATING_WINDOWS:
                 phase = tone.phase
                 readings = yield station.drive(tone.hold(window))
                 if tone.control is not None:
                     force = float(abs(tone.amplitudes(readings, phase)[0]))
-                deviations = deviations + 1 if abs(force / fields["level"] - 1.0) > _MAX_DEVIATION else 0
+                deviating_windows = deviating_windows + 1 if abs(force / fields["level"] - 1.0) > _MAX_DEVIATION else 0
         finally:
             self._is_steady = False
             if station.now > first:

@@ -1,6 +1,6 @@
 """Multisine test: periodic sum of tones with random phases, in several realizations of several periods.
 
-A realization is a new draw of the phases. With several shakers, it consists of as many experiments.
+Each realization has new random phases. With n shakers, it consists of n experiments.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _TOLERANCE = 1e-4
 # Maximum wait for the steady state, s and periods; the longer of the two applies.
 _MAX_WAIT_S = 60.0
 _MAX_WAIT_PERIODS = 8
-# If the ratio of a difference to the smallest earlier difference exceeds this limit, it is noise, not a transient.
+# A difference of successive periods above this ratio to the smallest earlier difference is noise, not a transient.
 _MIN_NOISE_RATIO = 0.9
 
 
@@ -57,8 +57,7 @@ def excite(station: Station, test: Multisine) -> Excitation:
                 [sum_of_tones(lines, amplitudes, phase + phase_step * k, period) for k, phase in enumerate(phases)]
             )
             factor = min(limit_factor(station, wave) for wave in waves)
-            # Fields of the marker.
-            experiment_fields: dict[str, object] = {}
+            experiment_fields: dict[str, object] = {}  # of the marker
             message = f"realisation {realisation}"
             if len(shakers) > 1:
                 experiment_fields = {"experiment": experiment, "shakers": list(shakers)}
@@ -76,9 +75,11 @@ def excite(station: Station, test: Multisine) -> Excitation:
             if not settled:
                 max_wait_s = _max_wait(station, period) / station.rate
                 station.warn(f"{message}: not periodic within {max_wait_s:g} s. Its periods are marked as not settled.")
-            first, step = station.now, 1.0 / test.realisations / len(shakers)
+            first, n_experiments = station.now, test.realisations * len(shakers)
             for period_index in range(test.periods):
-                station.report(fraction + period_index / test.periods * step, f"{message}, period {period_index + 1}")
+                station.report(
+                    fraction + period_index / test.periods / n_experiments, f"{message}, period {period_index + 1}"
+                )
                 yield station.drives(waves)
             station.mark(
                 "measure", first, station.now, realisation=realisation, **experiment_fields, period=period,
@@ -89,11 +90,11 @@ def excite(station: Station, test: Multisine) -> Excitation:
 
 
 def _settle(station: Station, waves: Array) -> Generator[Array, Array, bool]:
-    """Output periods until successive periods agree, or their difference is noise; return whether they agree."""
-    last_sample = station.now + _max_wait(station, waves.shape[1])
+    """Output periods until successive readings agree, or differ only by noise; return whether this was reached."""
+    end = station.now + _max_wait(station, waves.shape[1])
     previous = yield station.drives(waves)
     min_change, noise_count = np.inf, 0
-    while station.now < last_sample:
+    while station.now < end:
         readings = yield station.drives(waves)
         rms = np.sqrt(np.mean((readings - readings.mean(axis=1, keepdims=True)) ** 2, axis=1))
         change = float(np.max(np.sqrt(np.mean((readings - previous) ** 2, axis=1)) / np.maximum(rms, 1e-300)))

@@ -15,9 +15,9 @@ _MIN_OBSERVATIONS = 6
 _MAX_AGE_RATIO = 3.0
 # Number of observations from one search for a different mode to the next.
 _SEARCH_INTERVAL = 4
-# Frequencies of this search, relative to the tone.
+# Frequencies of the search for a different mode, relative to the tone.
 _SEARCH_FREQUENCIES = np.geomspace(0.6, 1.7, 24)
-# Damping ratios of this search.
+# Damping ratios of the search for a different mode.
 _SEARCH_DAMPING = np.array([0.005, 0.03])
 # The different mode becomes the nearest mode if its residual is below this ratio to that of the present mode.
 _MAX_RESIDUAL_RATIO = 0.7
@@ -26,9 +26,9 @@ _INITIAL_STEP = 0.01
 # Smallest and largest frequency step, relative.
 _MIN_STEP = 1e-4
 _MAX_STEP = 0.03
-# Factor on the step if the present frequency remains the best.
+# Factor on the frequency step if the present frequency remains the best.
 _STEP_DECREASE = 0.6
-# Factor on the step if another frequency is better.
+# Factor on the frequency step if another frequency is better.
 _STEP_INCREASE = 1.5
 # Relative step of the damping ratio.
 _DAMPING_STEP = 0.2
@@ -44,11 +44,11 @@ _RIDGE = 1e-4
 class NearestMode:
     """Model of the driven body: the mode nearest to the tone, and a residual term for all other modes.
 
-    The envelopes X of the body's displacement and F of the force, both relative to the tone's phase, obey X = c F
-    + x and dx/dt = (s - i w) x + g F near a mode with pole s; c is the residual term of all other modes.
-    Frequency, damping ratio, g and c are least-squares estimates from the last observations: g and c are linear,
-    and the pole is searched. The growing response identifies a mode well before the tone reaches it, and the
-    model tracks modes that change with the level.
+    The complex envelopes X of the body's displacement and F of the force are relative to the tone's phase. Near a mode
+    with pole s they obey X = c F + x and dx/dt = (s - i w) x + g F, where c is the residual term of all other modes.
+    The pole, g and c are least-squares estimates from the last observations: g and c by linear regression, the pole by
+    a search. The growing response identifies a mode well before the tone reaches it, and the model tracks modes that
+    change with the level.
 
     >>> mode, s, x, force = NearestMode(), (-0.01 + 1j) * 80.0, 0j, 1.0 + 0j
     >>> for k in range(40):
@@ -93,7 +93,7 @@ class NearestMode:
             best = best_local
         if best >= local_poles.size:
             self._step = _INITIAL_STEP
-        elif best // 3 == 1:
+        elif best // 3 == 1:  # the present frequency, with any of its three damping ratios
             self._step = max(_MIN_STEP, _STEP_DECREASE * self._step)
         else:
             self._step = min(_MAX_STEP, _STEP_INCREASE * self._step)
@@ -112,9 +112,9 @@ class NearestMode:
 def _fit_poles(
     poles: ComplexArray, observations: ComplexArray, memory: float
 ) -> tuple[ComplexArray, ComplexArray, Array]:
-    """Estimate g, c and the squared residual for each pole, from the steps between observations; shape (poles,) each.
+    """Return estimates of g and c, and the squared residual, for each pole; shape (poles,) each.
 
-    `observations`: time, angular frequency, motion and force of each; shape (observations, 4); `memory`: s.
+    `observations`: time, angular frequency, motion and force; shape (observations, 4). `memory`: s.
     """
     time, angular_frequency, motion, force = observations.T
     time, angular_frequency = time.real, angular_frequency.real

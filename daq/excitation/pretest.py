@@ -23,17 +23,17 @@ _MIN_BURST_S = 4.0
 _MIN_BURST_PERIODS = 12.0
 # Duration of the rise and of the fall of the burst, s.
 _EDGE_S = 0.25
-# Duration of zero drive after the burst, s.
-_QUIET_S = 1.0
-# The tones extend beyond the band of the test by this factor, so that its limits are inside.
+# Duration of zero drive after the burst, in which the motion decays, s.
+_DECAY_S = 1.0
+# The tones extend beyond both limits of the test's band by this factor, so that the estimate is valid at the limits.
 _BAND_MARGIN = 1.3
 # Largest drive of the burst relative to the cautious drive for the test's level.
 _MAX_DRIVE_RATIO = 5.0
-# The amplitudes of the tones decrease with this power of frequency.
+# The amplitudes of the tones are proportional to 1 / frequency to this power.
 _SPECTRUM_EXPONENT = 1.0
-# Number of coefficients of the polynomial P (`ShakerLaw`) for the table motion.
+# Number of coefficients of the polynomial P for the table motion (see `ShakerLaw`).
 _MOTION_TERMS = 4
-# Number of coefficients of the polynomial Q for the spring force.
+# Number of coefficients of the polynomial Q for the spring force (see `ShakerLaw`).
 _FORCE_TERMS = 2
 # Longest delay between drive and channels in the search, s.
 _MAX_DELAY_S = 0.05
@@ -66,7 +66,7 @@ class ShakerLaw:
     def slope(self, s: complex) -> tuple[complex, complex]:
         """Return the derivatives of both results of `at` with respect to s.
 
-        They yield the additional drive for a changing amplitude.
+        The derivatives yield the additional drive for a changing amplitude.
         """
         step = 1e-3 * abs(s)
         upper, lower = self.at(s + step), self.at(s - step)
@@ -77,7 +77,7 @@ def pretest(station: Station, lowest: float, highest: float, level: float) -> Ge
     """Output a short burst of weak tones and estimate the drive of the shaker, for a band in Hz and a level in N."""
     period = station.samples(max(_MIN_BURST_S, _MIN_BURST_PERIODS / lowest))
     lines = lines_between(lowest / _BAND_MARGIN, min(_BAND_MARGIN * highest, 0.45 * station.rate), period, station.rate)
-    # Random phases spread every tone over the whole burst; low tones are most sensitive to noise.
+    # Random phases avoid a high peak. The lowest tones have the largest amplitudes, because noise affects them most.
     phases = station.generator("pretest").uniform(0.0, 2 * pi, lines.size)
     wave = sum_of_tones(lines, np.asarray(lines**-_SPECTRUM_EXPONENT, dtype=np.float64), phases, period)
     edge = station.samples(_EDGE_S)
@@ -89,7 +89,7 @@ def pretest(station: Station, lowest: float, highest: float, level: float) -> Ge
     readings = yield station.drive(wave)
     analyzed = slice(edge, edge + period)
     law = _fit(station, wave[analyzed], readings[:, analyzed], lines)
-    yield station.zero_drive(station.samples(_QUIET_S))
+    yield station.zero_drive(station.samples(_DECAY_S))
     station.mark("pretest", first, station.now, delay=law.delay, misfit=law.misfit)
     return law
 
@@ -103,7 +103,7 @@ def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int6
     s = np.asarray(2j * pi * frequency, dtype=np.complex128)
     # s is normalized by the middle of the band, so that its powers have similar magnitudes.
     middle_s = 2 * pi * sqrt(frequency[0] * frequency[-1])
-    # After this subtraction, constant readings are exactly zero.
+    # The subtraction makes constant readings exactly zero.
     changes = readings - readings[:, :1]
     spectra = [np.fft.rfft(changes * window, axis=1)[:, lines] for window in windows]
 

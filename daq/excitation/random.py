@@ -39,7 +39,7 @@ def excite(station: Station, test: Random) -> Excitation:
     block = min(total, station.samples(_BLOCK_S))
     envelope = _burst_envelope(block, test.burst, station.samples(_EDGE_S))
     first, completed, clipped = station.now, 0, 0
-    # For speed, white noise is drawn at a fraction of the drive's rate, at least four times the highest frequency.
+    # For speed, white noise is drawn at a lower rate than that of the drive: at least four times the highest frequency.
     max_divisor = max(1, period // (4 * int(lines[-1])))
     rate_divisor = next(divisor for divisor in range(max_divisor, 0, -1) if period % divisor == 0)
     length = rate_divisor * next_fast_len(-(-(2 * period - 1) // rate_divisor), real=True)
@@ -64,13 +64,13 @@ def excite(station: Station, test: Random) -> Excitation:
             shaped = shaped_noise()
             shaped[:, : tails.shape[1]] += tails
             wave, tails = shaped[:, :period], shaped[:, period:]
-            size = min(period, total - completed)
-            samples = np.arange(completed, completed + size)
-            wave = wave[:, :size] * envelope[samples % block]
+            n_samples = min(period, total - completed)
+            samples = np.arange(completed, completed + n_samples)
+            wave = wave[:, :n_samples] * envelope[samples % block]
             wave *= np.minimum(1.0, np.minimum(samples, total - 1 - samples) / station.samples(_EDGE_S))
-            clipped += int(np.sum(abs(wave) > station.drive_limit))
+            clipped += int(np.sum((abs(wave) > station.drive_limit).any(axis=0)))
             yield station.drives(np.clip(wave, -station.drive_limit, station.drive_limit))
-            completed += size
+            completed += n_samples
             station.report(completed / total, f"{completed / station.rate:.0f} s of {test.duration:g} s")
     finally:
         # The measurement is marked even if the test ends early.
@@ -83,12 +83,12 @@ def excite(station: Station, test: Random) -> Excitation:
 def shaping_filter(lines: Lines, amplitudes: Array, gains: Array, level: float, period: int) -> Array:
     """Return the impulse response (period,) from white noise of unit variance to the required drive.
 
-    `amplitudes` are those of the drive, `gains` the force per drive, both at `lines`. `level` is the required RMS of
-    the force.
+    `amplitudes`: of the drive at `lines`; `gains`: ratio of force to drive at `lines`; `level`: required RMS of the
+    force.
     """
     spectrum = np.zeros(period // 2 + 1)
     spectrum[lines] = amplitudes
-    # The window tapers the response and smooths the spectrum slightly: the level is therefore set after the window.
+    # The Hann window smooths the spectrum and changes its level; the level is therefore set after the window.
     response = np.fft.fftshift(np.fft.irfft(spectrum, period)) * hann(period, sym=False)
     force_spectrum = abs(np.fft.rfft(response))[lines] * gains * np.sqrt(2.0 / period)
     return response * (level / np.sqrt(np.sum(force_spectrum**2)))
@@ -97,13 +97,14 @@ def shaping_filter(lines: Lines, amplitudes: Array, gains: Array, level: float, 
 def _burst_envelope(block: int, burst: float | None, edge: int) -> Array:
     """Return the envelope, 0 to 1, of a block with one burst; shape (block,).
 
-    `burst`: length of the burst as a share of the block, None without bursts; `edge`: samples of a linear edge.
+    `burst`: fraction of the block with the burst, None without bursts; `edge`: length of its linear rise and fall,
+    samples.
     """
     if burst is None:
         return np.ones(block)
-    size = max(2, round(burst * block))
-    edge = max(1, min(edge, size // 2))
-    samples_to_end = np.minimum(np.arange(size), size - 1 - np.arange(size))
+    n_samples = max(2, round(burst * block))
+    edge = max(1, min(edge, n_samples // 2))
+    samples_to_end = np.minimum(np.arange(n_samples), n_samples - 1 - np.arange(n_samples))
     envelope = np.zeros(block)
-    envelope[:size] = np.minimum(1.0, samples_to_end / edge)
+    envelope[:n_samples] = np.minimum(1.0, samples_to_end / edge)
     return envelope

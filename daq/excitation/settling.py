@@ -20,16 +20,17 @@ MIN_OBSERVATIONS = 4
 # Smallest deviation from 1 of the decay factor (ratio of successive changes). A smaller deviation is not measurable:
 # the transient is longer than the observed time.
 _MIN_FACTOR_DEVIATION = 1e-3
-# Largest magnitude of a decay factor that predicts the final amplitude.
-_MAX_PREDICTING_FACTOR = 0.995
+# With a decay factor of larger magnitude, the final amplitude is not extrapolated.
+_MAX_EXTRAPOLATED_FACTOR = 0.995
 # If the coherence of successive changes is below this value, they are noise instead of a decaying transient.
 _MIN_COHERENCE = 0.8
 # Number of observations whose scatter in both halves is compared, to distinguish noise from decaying beats.
 _NOISE_OBSERVATIONS = 24
 # The scatter of noise does not decrease below this ratio from the first to the second half.
 _MIN_SCATTER_RATIO = 0.75
-# If the scatter is below this multiple of the tolerance, half as many observations suffice.
-_MAX_SMALL_SCATTER = 3.0
+# If the scatter is below this multiple of the tolerance, half of `_NOISE_OBSERVATIONS` suffices, because the
+# measurement averages such small beats.
+_SCATTER_FOR_HALF = 3.0
 # Number of observations that must agree within the tolerance.
 _N_AGREEING = 6
 # Faster than `numpy.sum` and `numpy.mean` by a factor of two.
@@ -94,7 +95,7 @@ class Settling:
         # The observations since the last restart that are still required, in order of time.
         self._observations: ComplexArray = np.zeros((0, 0), dtype=complex)
         self.count = 0
-        self._forecasts: list[ComplexArray] = []
+        self._predictions: list[ComplexArray] = []
         self._law: TransientLaw | None = None
         self._was_steady = False
         self.settled = False
@@ -102,7 +103,7 @@ class Settling:
     def restart(self) -> None:
         """Discard all observations: the drive has changed."""
         self.count = 0
-        self._forecasts.clear()
+        self._predictions.clear()
         self._law = None
         self._was_steady = self.settled = False
 
@@ -122,40 +123,40 @@ class Settling:
         self._observations = np.concatenate([stored, amplitudes[None]]) if self.count else amplitudes[None]
         self.count += 1
         if self.count < MIN_OBSERVATIONS:
-            self._forecasts.append(amplitudes)
+            self._predictions.append(amplitudes)
             return
         law = self._law = TransientLaw.of(self._observations[-_N_DIFFERENCES - 1 :])
-        predicted = law.coherent & (abs(law.factor) < _MAX_PREDICTING_FACTOR)
+        is_extrapolated = law.coherent & (abs(law.factor) < _MAX_EXTRAPOLATED_FACTOR)
         mean = _mean(self._observations[-_NOISE_OBSERVATIONS // 2 :])
-        self._forecasts.append(np.where(predicted, self._observations[-1] + law.remaining_change(), mean))
+        self._predictions.append(np.where(is_extrapolated, self._observations[-1] + law.remaining_change(), mean))
         steady = law.coherent & (law.remaining_magnitude() < self.tolerance * self._magnitude())
-        # The following tests are slower, and apply only to quantities without a coherent law.
+        # The following tests are slower.
         if not steady.all():
             steady |= self._agree_within_tolerance(law)
+        # Noise is tested when every quantity that follows the law is steady.
         if not steady.all() and not (law.coherent & ~steady).any():
-            # If the scatter is small, half as many observations suffice, because the measurement averages the beats.
             noise = self._is_noise(_NOISE_OBSERVATIONS, np.inf)
             steady |= ~law.coherent & (
-                noise | self._is_noise(_NOISE_OBSERVATIONS // 2, _MAX_SMALL_SCATTER * self.tolerance)
+                noise | self._is_noise(_NOISE_OBSERVATIONS // 2, _SCATTER_FOR_HALF * self.tolerance)
             )
         # Two successive observations must be steady, because one may pass by chance, at the turning point of a beat.
         self.settled = bool(steady.all()) and self._was_steady
         self._was_steady = bool(steady.all())
 
-    def expected(self) -> ComplexArray:
-        """Estimated final amplitudes of the quantities; shape (quantities,)."""
-        return self._forecasts[-1]
+    def predicted_final(self) -> ComplexArray:
+        """Predicted amplitudes in the steady state; shape (quantities,)."""
+        return self._predictions[-1]
 
-    def forecast_change(self) -> Array:
-        """Relative change of `expected` over the last observations; shape (quantities,)."""
-        latest = np.array(self._forecasts[-3:])
+    def prediction_change(self) -> Array:
+        """Relative range of `predicted_final` over the last three observations; shape (quantities,)."""
+        latest = np.array(self._predictions[-3:])
         return np.ptp(abs(latest), axis=0) / np.maximum(abs(latest[-1]), sys.float_info.min)
 
     def phase_change(self) -> Array:
         """Phase change of the transient between observations, rad, infinite without a law; shape (quantities,)."""
         if self._law is None:
             return np.full(self._observations[-1].size, np.inf)
-        phase_change = np.maximum(abs(np.angle(self._law.factor)), 1e-9)
+        phase_change = np.maximum(abs(np.angle(self._law.factor)), 1e-9)  # never 0, because it is a divisor
         return np.where(self._law.coherent, phase_change, np.inf)
 
     def remaining_magnitude(self) -> Array:
@@ -165,7 +166,10 @@ class Settling:
         return self._law.remaining_magnitude() / self._magnitude()
 
     def standard_error(self) -> Array:
-        """Relative standard error of `expected`, from the scatter of the observations; shape (quantities,)."""
+        """Relative standard error of `predicted_final`, from the scatter of the observations; shape (quantities,).
+
+        0 with fewer than `_NOISE_OBSERVATIONS` observations.
+        """
         if self.count < _NOISE_OBSERVATIONS:
             return np.zeros(self._observations[-1].size)
         latest = self._observations[-_NOISE_OBSERVATIONS // 2 :]
@@ -176,10 +180,11 @@ class Settling:
         return np.maximum(abs(self._observations[-1]), sys.float_info.min)
 
     def _agree_within_tolerance(self, law: TransientLaw) -> NDArray[np.bool_]:
-        """Return whether the latest observations agree within the tolerance with a nearly constant mean; (quantities,).
+        """Return whether the latest observations agree within the tolerance, with a steady mean; (quantities,).
 
-        Beating modes have no common factor. In a slow transient of up to thirty observations, the mean of half of these
-        changes by at least 10 % of the remaining change.
+        This test is for beating modes, which have no common factor. Changes that follow the law must agree within 1 %
+        of the tolerance. In a transient with a time constant of up to thirty observations, the means of the two halves
+        differ by at least 10 % of the remaining change, hence the limit of the drift.
         """
         if self.count < _N_AGREEING:
             return np.zeros(self._observations[-1].size, dtype=bool)

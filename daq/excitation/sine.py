@@ -19,9 +19,10 @@ _MAX_WAIT_S = 60.0
 
 
 def excite(station: Station, test: Sine) -> Excitation:
-    """Run a tone of constant frequency, in open loop with full amplitude from the first sample.
+    """Run a tone of constant frequency; mark the measurement.
 
-    With a controlled spring force, the duration of the test begins when the force is steady at its level.
+    With a controlled spring force, the duration of the test begins when the force is steady at its level. In open loop
+    it begins with the first sample, at full amplitude.
     """
     tone, level = SteadyTone(station, test.frequency, station.is_force_controlled), station.level
     if station.is_force_controlled:
@@ -44,9 +45,9 @@ def excite(station: Station, test: Sine) -> Excitation:
     first, total, steady_from = station.now, station.samples(test.duration), None
     while (remaining := first + total - station.now) > 0:
         station.report((total - remaining) / total, f"{test.frequency:.2f} Hz, level {level:g}")
-        size, phase = min(window, remaining), tone.phase
-        readings = yield station.drive(tone.hold(size))
-        if size == window and steady_from is None:
+        n_samples, phase = min(window, remaining), tone.phase
+        readings = yield station.drive(tone.hold(n_samples))
+        if n_samples == window and steady_from is None:
             detector.add(tone.amplitudes(readings, phase))
             steady_from = station.now if detector.settled else None
     settled = steady_from is not None and station.now - steady_from >= window

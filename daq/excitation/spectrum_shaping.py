@@ -1,7 +1,7 @@
-"""Drive of tones that yields a flat force spectrum: the amplitude of each tone is adjusted by iteration.
+"""Sum of tones as a drive with a flat force spectrum: the amplitude of each tone is adjusted by iteration.
 
-The force is measured by the channels. A line is a multiple of the fundamental frequency, the inverse of the period; its
-number is the number of its periods in the period of the sum.
+The force is measured by the channels. A spectral line is a multiple of the fundamental frequency (the inverse of the
+period); the multiple is its number.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from daq.excitation.station import Station
 from rig.arrays import Array
 from rig.errors import SceneError
 
-# Numbers of lines; shape (lines,).
+# Numbers of spectral lines; shape (lines,).
 Lines = NDArray[np.int64]
 
 # Maximum number of iterations.

@@ -36,7 +36,8 @@ class Station:
     mark: Callable[..., Any]
     report: FractionProgress = lambda fraction, message: None  # reports the progress of the test
     warn: Callable[[str], None] = lambda message: None  # adds a warning that is shown after the test
-    # Delay of the converter's filter, samples, which is removed: readings of a window precede its drive by this delay.
+    # Delay of the converter's filter, samples, which is removed from the readings: the readings of a window begin this
+    # number of samples before its drive.
     latency: int = 0
     now: int = 0  # number of the first sample of the next window
 
@@ -99,8 +100,9 @@ class Station:
                 return row
         listed = ", ".join(f"{info.name} ({info.quantity} at {info.at})" for info in self.channels) or "none"
         raise SceneError(
-            f"channels: holding the spring force k0 (x0 - x1) needs a motion channel at the {place} (the channels are "
-            f"{listed}). Add {{name: {place.replace(' ', '')}, at: {place}}}, or give the level as drive: (open loop)."
+            f"channels: control of the spring force k0 (x0 - x1) needs a motion channel at the {place} (the channels "
+            f"are {listed}). Add {{name: {place.replace(' ', '')}, at: {place}}}, or set test.drive instead of "
+            "test.force (open loop)."
         )
 
     @property
@@ -141,7 +143,7 @@ class Station:
 
     @property
     def cautious_drive(self) -> float:
-        """Initial drive per newton of spring force: a fifth of a rough static estimate, to begin below the level."""
+        """Initial drive per newton of spring force: a fifth of a rough static estimate, to start below the level."""
         shaker = self.scene.driven_shaker
         assert shaker is not None and shaker.kind != "force"
         if shaker.kind == "table":

@@ -31,7 +31,7 @@ _MAX_FORCE_RATIO = 3.0
 _MAX_SUDDEN_CHANGE = 0.03
 # Largest change of the expected force over the last observations, relative to its deviation from the level, at which
 # the drive is changed.
-_MAX_FORECAST_CHANGE = 0.3
+_MAX_PREDICTION_CHANGE = 0.3
 # A measurement longer than twice this number of samples is evaluated in pieces of this size or more.
 _PIECE_SAMPLES = 1 << 16
 
@@ -40,8 +40,8 @@ class Tone:
     """Source of amplitude * sin(phase), with frequency in Hz and the phase in rad at the next sample.
 
     >>> tone = Tone(1000.0, 10.0)
-    >>> up, on = tone.glide(200, 10.0, 2.0), tone.hold(100)
-    >>> float(round(abs(np.diff(np.concatenate([up, on]))).max(), 3))  # never steeper than 2 w / rate
+    >>> glide, constant = tone.glide(200, 10.0, 2.0), tone.hold(100)
+    >>> float(round(abs(np.diff(np.concatenate([glide, constant]))).max(), 3))  # never steeper than 2 w / rate
     0.126
     """
 
@@ -53,27 +53,27 @@ class Tone:
 
     def hold(self, samples: int) -> Array:
         """Generate samples of constant frequency and amplitude; shape (samples,)."""
-        turns = self.frequency / self.rate * np.arange(samples + 1, dtype=float)
-        return self.amplitude * np.sin(self._advance(turns))
+        periods = self.frequency / self.rate * np.arange(samples + 1, dtype=float)
+        return self.amplitude * np.sin(self._advance(periods))
 
     def glide(self, samples: int, frequency: float, amplitude: float) -> Array:
         """Glide to a frequency and an amplitude along half a cosine; shape (samples,)."""
         u = np.arange(samples + 1) / samples
         # Phase in periods: the integral of f0 + (f1 - f0) (1 - cos(pi u)) / 2 over u.
         integrated_rise = samples * (u / 2 - np.sin(np.pi * u) / (2 * np.pi))
-        turns = (self.frequency * samples * u + (frequency - self.frequency) * integrated_rise) / self.rate
+        periods = (self.frequency * samples * u + (frequency - self.frequency) * integrated_rise) / self.rate
         rise = (1 - np.cos(np.pi * u[:-1])) / 2
         envelope = self.amplitude + (amplitude - self.amplitude) * rise
-        wave = envelope * np.sin(self._advance(turns))
+        wave = envelope * np.sin(self._advance(periods))
         self.frequency, self.amplitude = frequency, amplitude
         return wave
 
-    def _advance(self, turns: Array) -> Array:
+    def _advance(self, periods: Array) -> Array:
         """Return the phases of a window, rad.
 
-        `turns`: periods of the tone since the start of the window; the last is that of the next window's first sample.
+        `periods`: since the start of the window, at each of its samples and at the first sample of the next window.
         """
-        phase = self.phase + 2 * np.pi * np.fmod(turns, 1.0)
+        phase = self.phase + 2 * np.pi * np.fmod(periods, 1.0)
         self.phase = float(np.fmod(phase[-1], 2 * np.pi))
         return phase[:-1]
 
@@ -159,7 +159,7 @@ class SteadyTone(Tone):
                 yield station.drive(self.glide(glide_samples, frequency, new_drive))
             elif detector.settled:
                 return control is None or control.is_at_level(
-                    float(abs(detector.expected()[0])), float(detector.standard_error()[0])
+                    float(abs(detector.predicted_final()[0])), float(detector.standard_error()[0])
                 )
         return False
 
@@ -192,13 +192,13 @@ class SteadyTone(Tone):
 
 def _new_drive(control: AmplitudeControl, detector: Settling, drive: float) -> float | None:
     """Return a new drive amplitude; None if the present drive is right, or the force is not yet predictable."""
-    force, standard_error = float(abs(detector.expected()[0])), float(detector.standard_error()[0])
+    force, standard_error = float(abs(detector.predicted_final()[0])), float(detector.standard_error()[0])
     if detector.count < MIN_OBSERVATIONS + 1:
         is_excessive = detector.is_rising and abs(detector.latest[0]) > _MAX_FORCE_RATIO * control.level
         return control.reduce_drive(drive, float(abs(detector.latest[0]))) if is_excessive else None
     # The predicted force is usable long before the transient has decayed, as soon as the prediction is constant.
-    max_change = _MAX_FORECAST_CHANGE * abs(force / control.level - 1.0)
-    is_predictable = detector.settled or float(detector.forecast_change()[0]) < max_change
+    max_change = _MAX_PREDICTION_CHANGE * abs(force / control.level - 1.0)
+    is_predictable = detector.settled or float(detector.prediction_change()[0]) < max_change
     if not is_predictable or control.is_at_level(force, standard_error):
         return None
     new_drive = control.next_drive(drive, force)
@@ -206,23 +206,23 @@ def _new_drive(control: AmplitudeControl, detector: Settling, drive: float) -> f
     return None if new_drive == drive else new_drive
 
 
-# If the force scatters, its tolerance is twice the standard error, up to this fraction of the level.
+# If the force scatters, its relative tolerance is twice its standard error, up to this value.
 _MAX_TOLERANCE = 0.02
-# Smallest slope d log(force) / d log(drive) that is used. Dampers whose impacts begin can make the force rise slowly or
+# Smallest slope d log(force) / d log(drive) that is used. When dampers begin to impact, the force can rise slowly or
 # even fall with the drive.
 _MIN_SLOPE = 0.3
-# Largest slope that is used. Such dampers can also make the force rise steeply.
+# Largest slope that is used. When dampers begin to impact, the force can also rise steeply.
 _MAX_SLOPE = 3.0
 # Smallest difference of log(drive) that determines a slope.
 _MIN_LOG_DIFFERENCE = 1e-3
-# Smallest width of the bracket in log(drive). If it is narrower without reaching the level, the force jumps or has
-# changed.
+# Smallest width of the bracket in log(drive). In a narrower bracket that does not contain the level, the force jumps or
+# has changed; the bracket is then discarded.
 _MIN_BRACKET = 2e-3
 # Distance of the next drive from both ends of the bracket, relative to its width.
 _BRACKET_MARGIN = 0.1
 # Largest change of log(drive) from one drive to the next.
 _MAX_LOG_STEP = math.log(3.0)
-# Factor on the longest step if the slope is below its range.
+# Factor on `_MAX_LOG_STEP` if the slope is below `_MIN_SLOPE`.
 _FLAT_STEP_FACTOR = 0.5
 # If the force is still too large after a drive reduction to this fraction, the drive is not the cause.
 _MIN_REDUCTION_RATIO = 1e-4

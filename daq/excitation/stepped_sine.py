@@ -1,4 +1,4 @@
-"""Stepped sine test: at each frequency, wait for the steady state and measure; then sweep continuously to the next.
+"""Stepped sine test: at each frequency, wait for the steady state and measure; then glide to the next frequency.
 
 A measurement contains whole periods.
 """
@@ -32,7 +32,7 @@ def excite(station: Station, test: SteppedSine) -> Excitation:
         drive = tone.start(level)
         last_drives: list[tuple[float, float]] = []  # frequency in Hz and drive amplitude
         tone.frequency = steps[0]
-        # A level of drive is reported without a unit, because its unit depends on the shaker.
+        # In open loop the level is that of the drive; its unit depends on the shaker.
         at_level = f"{level:g} N" if station.is_force_controlled else f"level {level:g}"
         for index, frequency in enumerate(steps):
             direction = "down" if test.direction == "down" or index >= up_steps else "up"

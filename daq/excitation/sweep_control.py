@@ -13,15 +13,14 @@ from daq.excitation.nearest_mode import NearestMode, mean_exponential
 from daq.excitation.pretest import ShakerLaw
 from rig.arrays import Array, ComplexArray
 
-# An observation is an estimate of amplitudes from the samples of the last periods. Minimum length, periods; shorter
-# observations amplify the noise.
+# Minimum length of an observation (see `Observation`), periods; shorter observations amplify the noise.
 _MIN_PERIODS = 2.0
-# Minimum length, samples: the number of fitted terms.
+# Minimum length of an observation, samples: the number of fitted terms.
 _MIN_SAMPLES = 6
-# Minimum length, periods of the beat between the tone and the Nyquist frequency.
+# Minimum length of an observation, periods of the beat between the tone and the Nyquist frequency.
 _MIN_BEATS = 1.5
-# The memory of the mode estimate is the time after which the weight of an observation has decreased to 1 / e. It is
-# this factor times 1 / sqrt(sweep rate), the time in which a sweep passes a lightly damped mode.
+# The memory of the mode estimate is the time after which the weight of an observation has decreased to 1 / e. The
+# memory is this factor times 1 / sqrt(sweep rate), the time in which a sweep passes a lightly damped mode.
 _MEMORY_FACTOR = 0.5
 # Shortest memory, periods.
 _MIN_MEMORY_PERIODS = 6.0
@@ -42,7 +41,7 @@ _HANN = (1 + np.cos(2 * pi * _INSTANTS)) / 64
 
 @dataclass(frozen=True)
 class Observation:
-    """An observation: estimates from the channels in the last periods."""
+    """Estimates of amplitudes from the readings of the last periods."""
 
     end: float  # time of the end, s
     frequency: float  # of the tone in the middle, Hz
@@ -64,7 +63,7 @@ class Observation:
 class SweepControl:
     """Computes the complex amplitude of the drive Re(amplitude e^{i phase}) at the end of the next update interval.
 
-    Feedback alone cannot control a force that is measured as an amplitude over some periods: a mode with damping
+    Feedback alone is too slow, because the amplitude of the force is measured over some periods: a mode with damping
     ratio zeta settles in 1 / (zeta w), and a sweep passes it in a shorter time. The drive is therefore
     feedforward. For force F and motion X the shaker requires D = a F + b X (`ShakerLaw`), in a transient D = a F
     + a' dF/dt + b X + b' dX/dt, where a' and b' are the derivatives with respect to s. The mode nearest to the tone
@@ -79,7 +78,7 @@ class SweepControl:
         self._drives: deque[tuple[float, complex]] = deque([(0.0, drive)], maxlen=_STORED_DRIVES)
 
     def add_drive(self, time: float, drive: complex) -> None:
-        """Add the amplitude of the drive at a time in s; it is linear since the previous amplitude."""
+        """Add the amplitude of the drive at a time in s; the amplitude changes linearly between the added times."""
         self._drives.append((time, drive))
 
     def next_drive(self, observation: Observation, window: float) -> complex:
@@ -189,7 +188,7 @@ def estimate_amplitudes(samples: Array, phase: Array, rate: float) -> tuple[Comp
     cosine, sine = np.cos(phase), -np.sin(phase)
     model = np.column_stack([cosine, sine, time * cosine, time * sine, np.ones(phase.size), position - 0.5])
     weighted = model * (1 - np.cos(2 * np.pi * position))[:, None]
-    # After this subtraction, constant readings are exactly zero.
+    # The subtraction makes constant readings exactly zero.
     changes = samples - samples[:, :1]
     fit = np.linalg.solve(weighted.T @ model, weighted.T @ changes.T)
     return fit[0] + 1j * fit[1], fit[2] + 1j * fit[3]

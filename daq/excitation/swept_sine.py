@@ -4,8 +4,8 @@ In sweeps from 10 to 55 Hz (one body: to 40 Hz) in 60 to 300 s, up or down, the 
 through modes with damping ratios of 0.5 to 2 %, and within 10 % for a table without damping. With dampers it stays
 within 10 %, except for at most 1 % of the time, when their motion jumps or becomes irregular, or in the first second,
 before a mode near the first frequency is identified. Deviations above 10 % have a ``level`` marker, and the run warns
-of them. Sweeps from 10 to 55 Hz in 20 s have larger deviations at some frequencies: the motion must then be predicted
-from fewer periods than the identification of a mode requires.
+of them. Sweeps from 10 to 55 Hz in 20 s have larger deviations at some frequencies, because the time before a resonance
+then contains fewer periods than the identification of its mode requires.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ ALLOWED_DEVIATION = 0.1
 # Intervals of excessive deviation with a shorter gap than this are merged, s.
 _MIN_GAP_S = 0.5
 # Remedy if the channels do not measure the force.
-_SENSITIVITY_HINT = "Take more sensitive sensors, a smaller converter: range, or more force."
+_SENSITIVITY_HINT = "Choose more sensitive sensors, a smaller converter.range, or more force."
 
 
 def excite(station: Station, test: SweptSine) -> Excitation:
@@ -61,7 +61,7 @@ def excite(station: Station, test: SweptSine) -> Excitation:
 
     first, start_phase = station.now, tone.phase
     amplitude, extremes = -1j * tone.amplitude, {}
-    # All motion coefficients are zero if the channel of the table measured nothing in the pretest.
+    # All motion coefficients are zero if the table's channel did not change in the pretest.
     if law is not None and law.motion.any():
         monitor = LevelMonitor(station, level)
         sweep = SweepControl(law, level, station.drive_limit, amplitude)
@@ -72,8 +72,8 @@ def excite(station: Station, test: SweptSine) -> Excitation:
         if law is not None:
             station.warn(
                 f"the spring force was not controlled at {level:g} N: channel "
-                f"{station.channels[station.spring_rows[0]].name} at the {station.scene.at_driven('table')} "
-                f"read nothing of the pretest, less than one count of the converter. {_SENSITIVITY_HINT}"
+                f"{station.channels[station.spring_rows[0]].name} at the {station.scene.at_driven('table')} did not "
+                f"change in the pretest, because its signal is below one count of the converter. {_SENSITIVITY_HINT}"
             )
         total, completed = station.samples(test.duration), 0
         while completed < total:
@@ -83,8 +83,8 @@ def excite(station: Station, test: SweptSine) -> Excitation:
             completed += size
             station.report(completed / total, f"{sweep_frequency(test, completed / total):.2f} Hz")
     tone.amplitude, tone.frequency = abs(amplitude), test.to
-    turns = float(sweep_turns(test, np.ones(1))[0])
-    tone.phase = float(np.fmod(start_phase + 2 * np.pi * turns + np.angle(1j * amplitude), 2 * np.pi))
+    periods = float(sweep_periods(test, np.ones(1))[0])
+    tone.phase = float(np.fmod(start_phase + 2 * np.pi * periods + np.angle(1j * amplitude), 2 * np.pi))
     fields = {"from": test.from_, "to": test.to, "spacing": test.spacing, "level": level, **extremes}
     station.mark("measure", first, station.now, duration=test.duration, settled=settled, **fields)
     yield tone.end()
@@ -165,13 +165,14 @@ class LevelMonitor:
             self._end_interval()
         if self._intervals:
             worst, worst_frequency = self._worst
-            remedy = "Sweep more slowly, or step."
+            remedy = "Sweep more slowly, or use a stepped sine."
             if self.lowest == 0.0:
-                remedy = f"In places the force is less than one count of the converter. {_SENSITIVITY_HINT}"
+                remedy = f"At times the signals are below one count of the converter. {_SENSITIVITY_HINT}"
             self._station.warn(
                 f"the spring force deviates from its level of {self._level:g} N by more than {ALLOWED_DEVIATION:.0%} "
                 f"in {self._intervals} stretch{'es' if self._intervals > 1 else ''}, {self._samples / samples:.1%} of "
-                f"the sweep (marked as level; {worst:.3g} times the level at {worst_frequency:.2f} Hz). {remedy}"
+                f"the sweep; the worst is {worst:.3g} times the level at {worst_frequency:.2f} Hz. The stretches are "
+                f"marked 'level' in the recording. {remedy}"
             )
 
     def _end_interval(self) -> None:
@@ -189,22 +190,22 @@ class LevelMonitor:
 def _displacements(
     station: Station, rows: list[int], frequency: float, amplitudes: ComplexArray, slopes: ComplexArray
 ) -> list[complex]:
-    """Return displacements in m at a frequency in Hz, from amplitudes of channels and their changes per second."""
+    """Return displacements in m at a frequency in Hz, from the channels' amplitudes and their slopes (per second)."""
     step = 1e-3 * frequency
     displacements = []
     for row, amplitude, slope in zip(rows, amplitudes, slopes, strict=True):
         lower, center, upper = station.displacement_factor(row, frequency + step * np.array([-1.0, 0.0, 1.0]))
-        # For an acceleration of changing amplitude, the conversion to displacement differs from the steady state.
+        # First-order expansion of the conversion about the frequency, because the amplitude changes.
         displacements.append(complex(center * amplitude + (upper - lower) / (4j * np.pi * step) * slope))
     return displacements
 
 
 def _phase(test: SweptSine, start_phase: float, completed: int, size: int, total: int) -> Array:
-    """Return the phase of the tone, rad, at `size` samples of the sweep, which has `total` samples.
+    """Return the phase of the tone, rad, at the next `size` samples of the sweep, which has `total` samples.
 
-    `start_phase`: phase at the start, rad; `completed`: number of samples before them.
+    `start_phase`: phase at the start of the sweep, rad; `completed`: number of samples before these.
     """
-    return start_phase + 2 * np.pi * sweep_turns(test, np.arange(completed, completed + size) / total)
+    return start_phase + 2 * np.pi * sweep_periods(test, np.arange(completed, completed + size) / total)
 
 
 def sweep_frequency(test: SweptSine, fraction: float) -> float:
@@ -214,7 +215,7 @@ def sweep_frequency(test: SweptSine, fraction: float) -> float:
     return float(test.from_ * (test.to / test.from_) ** fraction)
 
 
-def sweep_turns(test: SweptSine, fractions: Array) -> Array:
+def sweep_periods(test: SweptSine, fractions: Array) -> Array:
     """Return the number of periods of the tone since its start, at fractions, 0 to 1, of the sweep."""
     if test.spacing == "linear":
         return test.duration * (test.from_ * fractions + (test.to - test.from_) * fractions**2 / 2)

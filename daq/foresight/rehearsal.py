@@ -91,7 +91,7 @@ class Rehearsal(BenchLoop):
         """Run the test up to its end, an abort, or a maximum duration in s."""
         test = excitation(self.station)
         try:
-            self.complete = self.play(test, next(test), max_duration)
+            self.complete = self.run_test(test, next(test), max_duration)
         except LimitReached as limit_reached:
             self.aborted = str(limit_reached)
         self.seconds = self.station.now / self.rate
@@ -109,9 +109,9 @@ class Rehearsal(BenchLoop):
     def report(self, fraction: float, message: str) -> None:
         """Ignore the progress of the test."""
 
-    def ending(self, readings: Array) -> BaseException | None:
+    def ending_error(self, readings: Array) -> BaseException | None:
         """Return the error of an exceeded limit, unless steps are still excluded."""
-        error = super().ending(readings)
+        error = super().ending_error(readings)
         return None if self._excluded_steps else error
 
     def on_block(self, block: Block, readings: Array) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.excitation.manual_tone import Knobs, ManualTone, ToneReading
+from daq.excitation.manual_tone import ManualTone, ToneControls, ToneReading
 from daq.live_scope.screen import Screen, reading_line
 from daq.measurement.run import MeasurementRun
 from daq.recording.recorded_test import TestKind
@@ -67,15 +67,15 @@ def record_live(
     scene: Scene,
     path: Path,
     stream: rr.RecordingStream,
-    knobs: Knobs,
+    controls: ToneControls,
     report: Callable[[str], None],
     wait_until_due: Callable[[int], None],
     overwrite: bool = False,
 ) -> Path:
     """Run and record a bench that an operator controls, until the operator quits; return the recording.
 
-    The test of `scene` is not run. `stream` is that of the live view. `knobs` are the operator's frequency and force,
-    which another thread changes. `report` is called with a line of text when both are reached in steady state.
+    The test of `scene` is not run. `stream` is that of the live view. `controls` are the operator's frequency and
+    force, which another thread changes. `report` is called with a line of text when both are reached in steady state.
     `wait_until_due` is called after every block with the number of samples so far, and waits for real time. Raises
     `SceneError` if the rig has no shaker, or the channels do not measure the spring force. Raises `RunError` if a
     channel exceeds its abort limit, or the recording cannot be written. Raises `KeyboardInterrupt` if the operator
@@ -98,13 +98,13 @@ def record_live(
     rate = float(scene.converter.sample_rate)
     block = max(1, round(_BLOCK_S * rate))
     run = MeasurementRun(
-        scene, path, block, excite=ManualTone(knobs, on_reading).excite, listener=listener, kind=TestKind.TONES
+        scene, path, block, excite=ManualTone(controls, on_reading).excite, listener=listener, kind=TestKind.TONES
     )
     screen = Screen(stream, scene, run.bench.channels, run.bench.rate)
     return run.run(overwrite)
 
 
-def initial_knobs(scene: Scene, frequency: float | None, force: float) -> Knobs:
+def initial_controls(scene: Scene, frequency: float | None, force: float) -> ToneControls:
     """Return the initial controls, at the given frequency in Hz, or else that of the scene's test or the lowest mode.
 
     `force`: amplitude, N.
@@ -115,7 +115,7 @@ def initial_knobs(scene: Scene, frequency: float | None, force: float) -> Knobs:
         frequency = getattr(scene.test, "frequency", None) or getattr(scene.test, "from_", None)
     if frequency is None:
         frequency = max(1.0, float(structural_model(scene).modes.frequency[0]))
-    return Knobs(frequency, force, highest=float(scene.converter.sample_rate) / _MIN_SAMPLES_PER_PERIOD)
+    return ToneControls(frequency, force, highest=float(scene.converter.sample_rate) / _MIN_SAMPLES_PER_PERIOD)
 
 
 def scope(
@@ -157,18 +157,18 @@ def scope(
         If there is no display, a channel exceeds its abort limit, or the recording cannot be written.
     """
     loaded_scene, recording_path = load(scene), as_path(path)
-    knobs = initial_knobs(loaded_scene, frequency, force)
+    controls = initial_controls(loaded_scene, frequency, force)
 
     def read_commands() -> None:
         # Commands such as "f 34.8" are typed on standard input.
         for line in sys.stdin:
             try:
-                knobs.execute(line)
+                controls.execute(line)
             except SceneError as error:
                 print_line(str(error))
-            if knobs.quit:
+            if controls.quit:
                 return
-        knobs.quit = True
+        controls.quit = True
 
     viewer_context = server(print_line) if web else window("Use --web for a browser.")
     bench = Bench(loaded_scene)
@@ -181,13 +181,13 @@ def scope(
         def wait_until_due(position: int) -> None:
             pace.wait_until_due(position)
             if viewer.process.poll() is not None:
-                knobs.quit = True
+                controls.quit = True
 
-        print_line(f"{Knobs.HELP}; recording to {recording_path}")
+        print_line(f"{ToneControls.HELP}; recording to {recording_path}")
         # A daemon thread: it may wait for input when the program ends.
         threading.Thread(target=read_commands, name="operator", daemon=True).start()
         try:
-            record_live(loaded_scene, recording_path, stream, knobs, print_line, wait_until_due, overwrite)
+            record_live(loaded_scene, recording_path, stream, controls, print_line, wait_until_due, overwrite)
         except KeyboardInterrupt as interrupt:
             # Ctrl-C is a regular end, because the recording has been closed.
             if not interrupt.args:

@@ -1,7 +1,7 @@
 """The loop between the excitation of a test and the bench.
 
 The drive is the signal at the inputs of the simulated rig. The excitation is a generator: it yields the drive in
-windows, and receives the readings of each window. The loop plays the windows on the bench and ends the test when a
+windows, and receives the readings of each window. The loop applies each window to the bench and ends the test when a
 reading exceeds a limit.
 """
 
@@ -52,12 +52,12 @@ class BenchLoop(ABC):
         self.station = Station(
             scene, bench.channels, bench.inputs, bench.rate, self.mark, self.report, self.warnings.append, bench.latency
         )
-        self.ended: int | None = None  # sample at which a limit ended the test
+        self.limit_sample: int | None = None  # sample at which a limit ended the test
         self._block = block
         self._limits = Limits(scene, bench.channels, self.mark)
         self._control = ControlLoss(scene, bench.channels)
         self._control_lost: str | None = None  # message if the force can no longer be controlled
-        self._last = np.zeros((len(bench.inputs), 2))  # last two samples of the drive
+        self._last_drive = np.zeros((len(bench.inputs), 2))  # last two samples of the drive
 
     @abstractmethod
     def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
@@ -80,42 +80,42 @@ class BenchLoop(ABC):
         """Number of the last sample of the converter."""
         return max(0, self.station.now - self.bench.latency - 1)
 
-    def play(self, test: Excitation, drive: Array, longest: float = math.inf) -> bool:
-        """Play a test; return whether it ended regularly within `longest` s.
+    def run_test(self, test: Excitation, drive: Array, max_duration: float = math.inf) -> bool:
+        """Run a test; return whether it ended regularly within `max_duration`, s.
 
-        `drive` is the drive of its first window. An error of `ending` is raised after a ramp of the drive to zero.
+        `drive` is the drive of its first window. The error of `ending_error` is raised after a ramp of the drive to 0.
         """
         check_samples = self.station.samples(self._limits.interval)
-        while self.station.now < longest * self.bench.rate:
+        while self.station.now < max_duration * self.bench.rate:
             readings = []
             for start in range(0, drive.shape[1], check_samples):
                 readings.append(self.acquire(drive[:, start : start + check_samples]))
-                error = self.ending(readings[-1])
+                error = self.ending_error(readings[-1])
                 if error is not None:
                     # Closing the test first ends its open markers before the ramp.
                     test.close()
-                    self.acquire(ramp_down(self._last, self.station.samples(RAMP_S)))
+                    self.acquire(ramp_down(self._last_drive, self.station.samples(RAMP_S)))
                     raise error
             try:
                 drive = test.send(readings[0] if len(readings) == 1 else np.concatenate(readings, axis=1))
             except StopIteration:
                 if self.bench.latency:
                     # The last samples of the test are still in the converter's filter.
-                    self.acquire(np.repeat(self._last[:, -1:], self.bench.latency, axis=1))
+                    self.acquire(np.repeat(self._last_drive[:, -1:], self.bench.latency, axis=1))
                 return True
         return False
 
-    def ending(self, readings: Array) -> BaseException | None:
+    def ending_error(self, readings: Array) -> BaseException | None:
         """Return the error that ends the test after these readings, shape (channels, samples); None if it continues."""
         first = self.station.now - self.bench.latency - readings.shape[1]
         exceedance = self._limits.watch(first, readings)
         if exceedance is None and self._control_lost is None:
             return None
-        self.ended = self.last_sample if exceedance is None else exceedance.sample
+        self.limit_sample = self.last_sample if exceedance is None else exceedance.sample
         return LimitReached(self._control_lost if exceedance is None else str(exceedance))
 
     def acquire(self, drive: Array) -> Array:
-        """Play a window of drive (inputs, samples) in blocks; return the readings, shape (channels, samples)."""
+        """Apply a window of drive (inputs, samples) in blocks; return the readings, shape (channels, samples)."""
         first, n_samples = self.station.now, drive.shape[1]
         block_size = n_samples if self._block is None else self._block
         readings = np.zeros((len(self.bench.channels), n_samples))
@@ -129,7 +129,7 @@ class BenchLoop(ABC):
             overload[:, columns] = block.overload
             self.on_block(block, readings[:, columns])
         self.station.now = first + n_samples
-        self._last = np.concatenate([self._last, drive[:, -2:]], axis=1)[:, -2:]
+        self._last_drive = np.concatenate([self._last_drive, drive[:, -2:]], axis=1)[:, -2:]
         self._control_lost = self._control.watch(first, overload)
         self.on_window(first, drive, overload)
         return readings

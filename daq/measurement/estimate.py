@@ -18,7 +18,8 @@ from rig.scene.scene import Scene
 MAX_SAMPLES = 1e12
 # Approximate bytes per sample in a recording that contains display data, by storage type.
 BYTES_PER_SAMPLE = {"counts": 4.5, "float32": 6.0, "float64": 10.7}
-# Smallest ratio of the size after compression to the approximate size.
+# Lower bound of the ratio of the compressed size to the approximate size; only a disk that is too small even for this
+# size is rejected.
 MIN_COMPRESSION_RATIO = 0.005
 # Bytes per sample of a true (simulated) quantity in a recording, measured on random motion with dampers.
 TRUTH_BYTES_PER_SAMPLE = 6.0
@@ -80,15 +81,15 @@ def check_resources(resources: Estimate, path: Path) -> None:
     """Raise `SceneError` for a test with too many samples, or more than the free disk space or memory."""
     if not resources.samples <= MAX_SAMPLES:
         raise SceneError(
-            f"test: {duration_text(resources.seconds)} have {resources.samples:.3g} samples per channel, the maximum "
-            f"is {MAX_SAMPLES:.0e}. Choose a shorter test or a lower rate."
+            f"test: in {duration_text(resources.seconds)}, each channel has {resources.samples:.3g} samples; the "
+            f"maximum is {MAX_SAMPLES:.0e}. Choose a shorter test or a lower rate."
         )
-    require_memory(resources.memory, "the test, with half a second of all its channels before it is written,")
+    require_memory(resources.memory, "the test, which keeps half a second of all its channels until they are written,")
     folder = next(folder for folder in path.absolute().parents if folder.is_dir())
     free = shutil.disk_usage(folder).free
     if resources.disk * MIN_COMPRESSION_RATIO + RESERVE > free:
         raise SceneError(
-            f"{path}: the test requires about {_size(resources.disk)}, and the disk has {_size(free)} left. Choose "
+            f"{path}: the test requires about {_bytes_text(resources.disk)}, and {_bytes_text(free)} are free. Choose "
             "another disk (-o FILE.mcap), a shorter test, or a lower rate."
         )
 
@@ -113,15 +114,15 @@ def duration_text(seconds: float) -> str:
     >>> duration_text(1.234), duration_text(18.25), duration_text(390.0), duration_text(7200.0), duration_text(1e9)
     ('1.23 s', '18 s', '6.5 min', '2.0 h', '31.7 years')
     """
-    for unit, size in (("years", 3.156e7), ("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
-        if seconds >= 2 * size:
-            return f"{seconds / size:.1f} {unit}"
+    for unit, unit_s in (("years", 3.156e7), ("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * unit_s:
+            return f"{seconds / unit_s:.1f} {unit}"
     return f"{seconds:.3g} s" if seconds < 10.0 else f"{seconds:.0f} s"
 
 
-def _size(count: float) -> str:
+def _bytes_text(n_bytes: float) -> str:
     """Write a number of bytes in a readable unit."""
-    for unit, size in (("TB", 1e12), ("GB", 1e9)):
-        if count >= size:
-            return f"{count / size:.3g} {unit}"
-    return f"{count / 1e6:.1f} MB"
+    for unit, unit_bytes in (("TB", 1e12), ("GB", 1e9)):
+        if n_bytes >= unit_bytes:
+            return f"{n_bytes / unit_bytes:.3g} {unit}"
+    return f"{n_bytes / 1e6:.1f} MB"

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 # An oscillation exceeds its limit twice per period; intervals with a shorter gap are merged.
 _MIN_GAP_S = 0.5
-# Interval at which the channels are checked, independent of the block size.
+# Interval at which the limits of channels are checked, independent of the block size.
 _CHECK_INTERVAL_S = 0.1
-# The same if no channel has a limit, and only the control of the force is monitored.
+# Check interval if no channel has a limit, and only the channels of a controlled force are monitored.
 _CONTROL_CHECK_INTERVAL_S = 0.5
 # Duration of an overload of a control channel after which a test ends.
 _MAX_OVERLOAD_S = 1.0
@@ -170,7 +170,10 @@ class ControlLoss:
 
 
 def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
-    """Simulate the bench at rest; return a message if the bias of a sensor overloads its input after `seconds`."""
+    """Simulate the bench at rest; return a message if a sensor's bias overloads its input after `seconds`, else None.
+
+    `row`: of the channel in the scene.
+    """
     channel = None if scene.channels is None else scene.channels[row]
     if channel is None or channel.accelerometer is None:
         return None
@@ -178,10 +181,10 @@ def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
     if not sensor.bias:
         return None
     bench = Bench(scene)
-    zero_output, overloaded = np.zeros((len(bench.inputs), max(1, round(bench.rate)))), False
-    # Simulate in blocks of one second; the last block decides.
+    second_of_zeros, overloaded = np.zeros((len(bench.inputs), max(1, round(bench.rate)))), False
+    # The last second decides.
     for _ in range(max(1, round(min(seconds, _MAX_SETTLING_S)))):
-        overloaded = bool(bench.acquire(zero_output).overload[row].any())
+        overloaded = bool(bench.acquire(second_of_zeros).overload[row].any())
     if not overloaded:
         return None
     settling, integrated = "", ""

@@ -53,7 +53,7 @@ def record(
     path : str or Path
         Recording to write (MCAP); missing folders are created.
     block : int, optional
-        Maximum number of samples per block; the default depends on the computer.
+        Maximum number of samples per block; by default, a block lasts at most 0.5 s.
     overwrite : bool
         Whether an existing file may be replaced.
     progress : callable, optional
@@ -97,8 +97,8 @@ def record(
 class MeasurementRun(BenchLoop):
     """A run of a test that is recorded.
 
-    `excite` creates the excitation of the test. `listener` is called with each block and the readings of the channels.
-    `kind` is the kind of test that the recording states, by default that of the scene; a manual test has another kind.
+    `excite` creates the excitation of the test. `listener` is called with each block and the readings of its channels.
+    `kind` is the kind of test that the recording states, by default that of the scene; for a manual test it differs.
     """
 
     def __init__(
@@ -142,10 +142,10 @@ class MeasurementRun(BenchLoop):
                 try:
                     # Closing the test writes its last markers; the recorder must still be open.
                     with closing(test):
-                        self.play(test, drive)
+                        self.run_test(test, drive)
                 except (ShotrigError, _Stopped) as error:
-                    ended = self.last_sample if self.ended is None else self.ended
-                    self.mark("abort", ended, ended + 1, reason=str(error))
+                    end = self.last_sample if self.limit_sample is None else self.limit_sample
+                    self.mark("abort", end, end + 1, reason=str(error))
                     raise
                 finally:
                     self._record_gap()
@@ -166,9 +166,9 @@ class MeasurementRun(BenchLoop):
             warnings.warn(message, RunWarning, stacklevel=4)
         return path
 
-    def ending(self, readings: Array) -> BaseException | None:
+    def ending_error(self, readings: Array) -> BaseException | None:
         """Return the error that ends the test: of a limit, or of an interrupt by the user; None if it continues."""
-        error = super().ending(readings)
+        error = super().ending_error(readings)
         if error is not None:
             return RunError(f"test aborted: {error}")
         return _Stopped("interrupted") if self._interrupted() else None
@@ -215,7 +215,10 @@ class MeasurementRun(BenchLoop):
             self._recorder.mark(kind, first, stop - 1, **fields)
 
     def report(self, fraction: float, message: str) -> None:
-        """Report progress, with a warning if the disk will be full; the estimate before the test omits waits."""
+        """Report progress, with a warning if the disk will be full.
+
+        The estimate before the test does not include the waits for steady states.
+        """
         if self._progress is None:
             return
         if self._recorder is not None and fraction > _MIN_FRACTION:

@@ -118,7 +118,7 @@ def next_steps(rec: Recording) -> list[str]:
 
 
 def _overloads(rec: Recording) -> list[str]:
-    """Return lines about the overloads: a count, and a table with times, frequencies and limits of each channel."""
+    """Return lines about the overloads: the number of channels, and a table of their times, frequencies and limits."""
     by_channel: dict[str, list[Marker]] = {}
     for mark in sorted((mark for mark in rec.markers if mark.kind == "overload"), key=lambda mark: mark.first_sample):
         by_channel.setdefault(str(mark.fields["channel"]), []).append(mark)
@@ -145,7 +145,7 @@ def _overloads(rec: Recording) -> list[str]:
 
 
 def _limit(rec: Recording, name: str) -> str:
-    """Return the limits of a channel as text: saturation of the sensor, and range of the input."""
+    """Return the limits of a channel as text: saturation of the sensor, and range of the input in V and in its unit."""
     from rig.scene.presets import preset_note
 
     info, limits = rec.channels[name], []

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.dsp.block_buffers import BlockBuffers
+from daq.dsp.block_buffers import SharedScratch
 from daq.dsp.interpolation import ForceInterpolator, MotionInterpolator
 from daq.dsp.noise import generator
 from daq.dsp.skew import delays
@@ -59,7 +59,7 @@ class Chain:
         self._delays = delays(converter.skew, len(channels), true_rate)
         self._inputs, self._sources = tuple(inputs), [_source(channel, scene) for channel in channels]
         self._interpolators = [_interpolator(channel, rate, points) for channel in channels]
-        self._buffers = BlockBuffers()
+        self._buffers = SharedScratch()
         self._jitter = generator(scene.seed, "", "jitter") if converter.jitter else None
         # The first samples, before the removed delay of the filter has passed, are not returned.
         self.latency = DELAY_SAMPLES if converter.filter is not None and converter.remove_delay else 0

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from daq.dsp.block_buffers import BlockBuffers, History
+from daq.dsp.block_buffers import Overlap, SharedScratch
 from daq.dsp.circuit import Circuit
 from daq.dsp.decimator import Decimator
 from daq.signal_chain.decimation_filter import MOMENTS, Decimation, legendre_taps
@@ -49,7 +49,7 @@ class PointSampler:
     def __init__(self, circuit: Circuit, gain: float, oversampling: int, delay_intervals: int) -> None:
         self.output_matrix, self.feedthrough = circuit.c[None], np.array([circuit.d[0] * gain])
         self.intervals = oversampling + delay_intervals
-        self._delay_intervals, self._voltage = delay_intervals, History(delay_intervals)
+        self._delay_intervals, self._voltage = delay_intervals, Overlap(delay_intervals)
         self._no_moments = np.zeros((0, LANES))
 
     def moments_buffer(self, intervals: int) -> Array:
@@ -60,7 +60,7 @@ class PointSampler:
         """Return the samples; see `Sampler`."""
         if not self._delay_intervals:
             return np.asarray(outputs[0, sample_ends])
-        self._voltage.place(outputs.shape[1])[:] = outputs[0]
+        self._voltage.reserve(outputs.shape[1])[:] = outputs[0]
         return self._voltage.samples[sample_ends].copy()
 
 
@@ -69,9 +69,9 @@ class AverageSampler:
 
     moments = 1
 
-    def __init__(self, circuit: Circuit, oversampling: int, delay_intervals: int, buffers: BlockBuffers) -> None:
+    def __init__(self, circuit: Circuit, oversampling: int, delay_intervals: int, buffers: SharedScratch) -> None:
         self.output_matrix, self.feedthrough = np.zeros((0, circuit.c.size)), np.zeros(0)
-        self._oversampling, self._averages = oversampling, History(oversampling - 1 + delay_intervals)
+        self._oversampling, self._averages = oversampling, Overlap(oversampling - 1 + delay_intervals)
         self.intervals = oversampling + delay_intervals
         self._buffers = buffers
         self._moments = buffers.rows(0)
@@ -83,7 +83,7 @@ class AverageSampler:
 
     def read(self, outputs: Array, sample_ends: slice) -> Array:
         """Return the samples; see `Sampler`."""
-        self._averages.place(outputs.shape[1])[:] = self._moments[: outputs.shape[1], 0]
+        self._averages.reserve(outputs.shape[1])[:] = self._moments[: outputs.shape[1], 0]
         averages = self._averages.samples
         samples = averages[sample_ends].copy()
         for offset in range(1, self._oversampling):
@@ -98,7 +98,7 @@ class FilteredSampler:
     moments = MOMENTS
 
     def __init__(
-        self, circuit: Circuit, low_pass: Decimation, oversampling: int, delay_intervals: int, buffers: BlockBuffers
+        self, circuit: Circuit, low_pass: Decimation, oversampling: int, delay_intervals: int, buffers: SharedScratch
     ) -> None:
         self.output_matrix, self.feedthrough = np.zeros((0, circuit.c.size)), np.zeros(0)
         self._filter = Decimator(legendre_taps(low_pass, oversampling), delay_intervals, buffers)
@@ -106,7 +106,7 @@ class FilteredSampler:
 
     def moments_buffer(self, intervals: int) -> Array:
         """Return the array for the moments; see `Sampler`."""
-        return self._filter.place(intervals)
+        return self._filter.moments_buffer(intervals)
 
     def read(self, outputs: Array, sample_ends: slice) -> Array:
         """Return the samples; see `Sampler`."""
@@ -123,12 +123,12 @@ class Jitter:
 
     def __init__(self, standard_deviation: float, filter_delay: int) -> None:
         self._standard_deviation = standard_deviation
-        self._voltage = History(filter_delay + 1)
+        self._voltage = Overlap(filter_delay + 1)
 
     def error(self, voltage: Array, timing_error: Array) -> Array:
         """Return the error of each sample, V, from voltages without jitter and timing errors in standard deviations."""
         count = voltage.size
-        self._voltage.place(count)[:] = voltage
+        self._voltage.reserve(count)[:] = voltage
         delayed = self._voltage.samples
         error = np.subtract(delayed[1 : count + 1], delayed[:count])
         error *= timing_error

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.dsp.block_buffers import BlockBuffers
+from daq.dsp.block_buffers import SharedScratch
 from daq.dsp.circuit import INTEGRATION, RECOVERY, Circuit
 from daq.dsp.discretization import DiscreteCircuit, Entry, discretize
 from daq.dsp.disturbances import Disturbance, Disturbances, Offset
@@ -48,7 +48,7 @@ class SignalPath:
         oversampling: int,
         delay: float,
         seed: int,
-        buffers: BlockBuffers,
+        buffers: SharedScratch,
     ) -> None:
         sections = [section for stage in stages for section in stage.sections]
         circuit = Circuit.series(sections)
@@ -107,7 +107,7 @@ class SignalPath:
         """
         if self._delay is not None:
             cubics = self._delay.shift(cubics)
-        intervals = cubics.whole.shape[1]
+        intervals = cubics.interval_cubics.shape[1]
         # The intervals of the block that end at a sample.
         sample_ends = slice(-self._interval % self._oversampling, intervals, self._oversampling)
         self._interval += intervals

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.dsp.interpolation import MIN_CUBIC_SHARE
+from daq.dsp.interpolation import MIN_CUBIC_FRACTION
 from rig.arrays import Array
 from rig.simulation.motion import Motion
 
@@ -120,7 +120,7 @@ def _between_ticks(
     a0, a1, v0 = a_after[:, left], a_before[:, right], v_after[:, left]
     mean = (v_before[:, right] - v0) / dt
     moment = ((displacement[:, right] - displacement[:, left]) / dt - v0) / dt
-    moment = np.where(dt < MIN_CUBIC_SHARE * tick, (a0 - a1) / 12.0 + 0.5 * mean, moment)
+    moment = np.where(dt < MIN_CUBIC_FRACTION * tick, (a0 - a1) / 12.0 + 0.5 * mean, moment)
     c1 = -9.0 * a0 + 3.0 * a1 - 24.0 * mean + 60.0 * moment
     c2 = 18.0 * a0 - 12.0 * a1 + 84.0 * mean - 180.0 * moment
     c3 = -10.0 * a0 + 10.0 * a1 - 60.0 * mean + 120.0 * moment

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, trapezoid
 
-from daq.dsp.block_buffers import BlockBuffers
+from daq.dsp.block_buffers import SharedScratch
 from daq.dsp.decimator import Decimator
 from daq.signal_chain.decimation_filter import (
     DELAY_SAMPLES,
@@ -27,10 +27,10 @@ def test_filtered_sample_is_the_weighted_sum(oversampling, delay):
     length, intervals = 7, 211
     taps = random.standard_normal((oversampling, MOMENTS, length))
     moments = random.standard_normal((intervals, MOMENTS))
-    buffers = BlockBuffers()
+    buffers = SharedScratch()
     decimator, parts = Decimator(taps, delay, buffers), []
     for begin, end in ((0, 1), (1, 1), (1, 3), (3, 100), (100, 105), (105, intervals)):
-        decimator.place(end - begin)[: end - begin] = moments[begin:end]
+        decimator.moments_buffer(end - begin)[: end - begin] = moments[begin:end]
         parts.append(decimator.filter(end - begin).copy())
         # Other channels use the same memory.
         buffers.rows(1000)[:] = np.nan

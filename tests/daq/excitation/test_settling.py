@@ -60,7 +60,7 @@ def test_noise_settles_after_transient() -> None:
     noise = 0.01 * (random.standard_normal(400) + 1j * random.standard_normal(400))
     observation, detector = observe_until_settled(lambda observation: 1.0 + 0.5 * 0.6**observation + noise[observation])
     assert 20 < observation < 80
-    assert abs(detector.expected()[0] - 1.0) < 0.02
+    assert abs(detector.predicted_final()[0] - 1.0) < 0.02
     assert 0.001 < detector.standard_error()[0] < 0.02
 
 
@@ -79,8 +79,8 @@ def test_end_of_long_transient_is_predicted() -> None:
     for observation in range(6):
         detector.add(np.array([2.0 - 1.9 * 0.96**observation + 0j]))
     assert not detector.settled
-    assert detector.expected()[0] == pytest.approx(2.0, rel=1e-9)
-    assert detector.forecast_change()[0] < 1e-9
+    assert detector.predicted_final()[0] == pytest.approx(2.0, rel=1e-9)
+    assert detector.prediction_change()[0] < 1e-9
 
 
 def test_restart_discards_earlier_observations() -> None:

@@ -21,8 +21,8 @@ import daq.viewing.outputs
 import rig
 from analysis.responses.frequency_responses import frequency_responses
 from daq.cli import main
-from daq.excitation.manual_tone import Knobs
-from daq.live_scope.scope import initial_knobs, record_live
+from daq.excitation.manual_tone import ToneControls
+from daq.live_scope.scope import initial_controls, record_live
 from daq.viewing.outputs import recording_stream
 from rig.errors import SceneError
 from rig.system.structural_model import receptance
@@ -41,16 +41,16 @@ def run_scope(scene, folder, plan, **options):
 
     Returns the path of the recording and the lines that the scope reports.
     """
-    knobs, lines, remaining_lines = initial_knobs(scene, None, 0.0), [], sorted(plan.items())
+    controls, lines, remaining_lines = initial_controls(scene, None, 0.0), [], sorted(plan.items())
     rate = float(scene.converter.rate)
 
     def enter_lines(position):
         while remaining_lines and position >= remaining_lines[0][0] * rate:
-            knobs.execute(remaining_lines.pop(0)[1])
+            controls.execute(remaining_lines.pop(0)[1])
 
     with recording_stream() as stream:
         stream.save(folder / "scope.rrd")
-        path = record_live(scene, folder / "scope.mcap", stream, knobs, lines.append, enter_lines, **options)
+        path = record_live(scene, folder / "scope.mcap", stream, controls, lines.append, enter_lines, **options)
         stream.flush()
     return path, lines
 
@@ -111,10 +111,10 @@ def test_interrupted_tone_is_marked_up_to_the_ramp(tmp_path, monkeypatch):
     unraisable = []
     monkeypatch.setattr(sys, "unraisablehook", unraisable.append)
     scene = SCENE.replace(test={"kind": "sine", "frequency": 12.0, "force": 1.5})
-    knobs = initial_knobs(scene, None, 1.5)
+    controls = initial_controls(scene, None, 1.5)
     with recording_stream() as stream, pytest.raises(KeyboardInterrupt, match="contains the"):
         stream.save(tmp_path / "scope.rrd")
-        record_live(scene, tmp_path / "scope.mcap", stream, knobs, interrupt, lambda position: None)
+        record_live(scene, tmp_path / "scope.mcap", stream, controls, interrupt, lambda position: None)
     gc.collect()
     assert unraisable == []
     with daq.open(tmp_path / "scope.mcap") as recording:
@@ -135,8 +135,8 @@ def test_existing_file_is_rejected_before_output(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "unraisablehook", unraisable.append)
     (tmp_path / "scope.mcap").write_bytes(b"precious")
     with recording_stream() as stream, pytest.raises(rig.errors.RecordingError, match="exists"):
-        knobs = initial_knobs(SCENE, None, 2.0)
-        record_live(SCENE, tmp_path / "scope.mcap", stream, knobs, str, lambda position: None)
+        controls = initial_controls(SCENE, None, 2.0)
+        record_live(SCENE, tmp_path / "scope.mcap", stream, controls, str, lambda position: None)
     gc.collect()
     assert unraisable == []
     assert (tmp_path / "scope.mcap").read_bytes() == b"precious"
@@ -182,17 +182,17 @@ def test_scope_command_rejects_existing_file_before_viewer(tmp_path, monkeypatch
     ],
 )
 def test_invalid_line_keeps_the_setting(line, message):
-    knobs = Knobs(10.0, 1.0, highest=100.0)
+    controls = ToneControls(10.0, 1.0, highest=100.0)
     with pytest.raises(SceneError, match=message):
-        knobs.execute(line)
-    assert knobs.settings == (10.0, 1.0)
-    assert not knobs.quit
+        controls.execute(line)
+    assert controls.settings == (10.0, 1.0)
+    assert not controls.quit
 
 
 def test_knobs_start_at_the_frequency_of_the_test():
-    assert initial_knobs(rig.load("fig8-three-dampers"), None, 0.0).settings == (8.0, 0.0)
-    assert initial_knobs(SCENE, None, 0.0).settings[0] == pytest.approx(13.9, abs=0.1)
-    assert initial_knobs(SCENE, 33.0, 1.0).settings == (33.0, 1.0)
+    assert initial_controls(rig.load("fig8-three-dampers"), None, 0.0).settings == (8.0, 0.0)
+    assert initial_controls(SCENE, None, 0.0).settings[0] == pytest.approx(13.9, abs=0.1)
+    assert initial_controls(SCENE, 33.0, 1.0).settings == (33.0, 1.0)
 
 
 @pytest.mark.thorough

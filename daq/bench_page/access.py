@@ -1,4 +1,7 @@
-"""Restrict a web page to browsers with a token: in the address of the first request, in a cookie of later requests."""
+"""Restrict a web page to browsers with a token.
+
+The address of the first request contains the token; later requests contain it in a cookie.
+"""
 
 from __future__ import annotations
 

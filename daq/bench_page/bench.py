@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.bench_page.operator import LiveBench
+from daq.bench_page.live_bench import LiveBench
 from daq.instrument.connecting import connect_scene
 from daq.server.bench_time import BenchTime
 from daq.server.serve import parse_address, wait_for_signal
@@ -35,7 +35,7 @@ def bench(
     overwrite: bool = False,
     browser: bool = True,
 ) -> None:
-    """Serve a rig with a page in the browser until Ctrl-C.
+    """Serve a rig to NI clients, and its page to browsers, until Ctrl-C.
 
     Parameters
     ----------
@@ -84,11 +84,12 @@ def bench(
 
             webbrowser.open(address)
         wait_for_signal()
-        monitor = live_bench.monitor
-        print(
-            f"the bench ends: {monitor.lost_samples} samples lost, {monitor.skipped_blocks} blocks not shown",
-            file=sys.stderr,
-        )
+        monitor, end = live_bench.monitor, "the bench has ended"
+        if monitor.lost_samples:
+            end += f"; {monitor.lost_samples} samples were lost"
+        if monitor.skipped_blocks:
+            end += f"; the page left out {monitor.skipped_blocks} blocks of samples, which recordings contain"
+        print(end, file=sys.stderr)
     for path in live_bench.recordings.paths:
         print(path)
 

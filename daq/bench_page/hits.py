@@ -11,10 +11,10 @@ from rig.arrays import Array
 
 # Time before the trigger that belongs to the window of a hit, s.
 _PRETRIGGER_S = 0.01
-# Minimum ratio of the second pulse of a double hit to the peak. A double hit is rejected, because its spectrum has deep
-# minima.
+# Minimum ratio of the second pulse of a double hit to the highest. A double hit is rejected, because its spectrum has
+# deep minima.
 _REBOUND_RATIO = 0.05
-# Ratio of the trigger level to the smallest accepted peak: weaker hits are detected as well, and rejected.
+# Ratio of the trigger level to the smallest accepted peak: hits below this peak are detected, too, and rejected.
 _TRIGGER_RATIO = 0.3
 # Maximum gap within one pulse, s. The force of a ringing hammer crosses zero several times in a pulse.
 _PULSE_GAP_S = 1e-3

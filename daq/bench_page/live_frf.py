@@ -1,6 +1,7 @@
-"""Estimate frequency responses during a test: H1 and coherence, averaged over Hann blocks with half overlap, or hits.
+"""Estimate frequency responses during a test: H1 and coherence, averaged over hits or over Hann-windowed blocks.
 
-It is a quick view for the operator. `analysis frf` estimates the response from the recording, with its uncertainty.
+Successive blocks overlap by half. The estimate is a quick view for the operator. `analysis frf` estimates the response
+from the recording, with its uncertainty.
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ class LiveFrf:
             self._pending = self._pending[:, self._block_samples // 2 :]
 
     def add_hit(self, hit: Hit) -> None:
-        """Add the window of a hit, which is used while the hit is accepted."""
+        """Add the window of a hit; it is used as long as the hit is accepted."""
         window = hit.readings[:, : self._block_samples]
         padding = self._block_samples - window.shape[1]
         self._hits.append((hit, self._spectra(np.pad(window, ((0, 0), (0, padding))))))

@@ -1,7 +1,8 @@
-"""Collect the data that the page shows: time histories, spectra, overloads, outputs and motion.
+"""Collect the data that the page shows: time histories, spectra, overloads, drive and motion.
 
-A separate thread processes the blocks of the bench. The listener only queues blocks, so that acquisition never waits
-for the page. If the queue is full, blocks are not shown; recordings have their own queue.
+A block contains the samples of one short acquisition. A separate thread processes the blocks; the listener only queues
+them, so that acquisition never waits for the page. If the queue is full, blocks are not shown; recordings have their
+own queue.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.drawing.rig_view import RigPose
+from daq.drawing.rig_view import RigMotion
 from rig.arrays import Array
 
 if TYPE_CHECKING:
@@ -28,17 +29,17 @@ _MAX_WAITING_BLOCKS = 256
 # Duration of the stored time histories, s.
 _HISTORY_S = 10.0
 # Time for which an overload is indicated, s.
-_LAMP_S = 2.0
-# Rate (1/s) and duration (s) of the stored positions of the rig.
-_POSES_PER_S = 400.0
-POSES_S = 0.2
-# Duration of the samples for a spectrum, and of those for the peak and frequency of an output, s.
+OVERLOAD_HOLD_S = 2.0
+# Rate (1/s) and duration (s) of the stored motion of the rig.
+_MOTION_RATE = 400.0
+MOTION_S = 0.2
+# Duration of the samples for a spectrum, and of those for the peak and frequency of a drive, s.
 _SPECTRUM_S = 2.0
-_OUTPUT_S = 0.5
+_DRIVE_S = 0.5
 
 
 class History:
-    """The last `size` samples of several signals; sample numbers count from power-on."""
+    """The last `size` samples of several signals; `stop` is the number of the next sample."""
 
     def __init__(self, rows: int, size: int) -> None:
         self._values = np.zeros((rows, size))
@@ -64,8 +65,8 @@ class Monitor:
     """Processes the blocks of a bench for the page.
 
     `frf` estimates the frequency response, and `detector` detects the hits, of the current or the last test.
-    `continuous` is true while a test without hits runs. `lost_samples` is the number of samples missing between
-    blocks, `skipped_blocks` that of blocks that are not shown.
+    `is_estimating` is true while a test without hits runs. `lost_samples` is the number of samples missing between
+    blocks. `skipped_blocks` is the number of blocks that are not shown.
     """
 
     def __init__(self, chassis: Chassis) -> None:
@@ -74,16 +75,16 @@ class Monitor:
         self.rate = bench.rate
         self.channels = tuple(bench.channels)
         self.history = History(len(self.channels), round(_HISTORY_S * self.rate))
-        self.outputs = History(len(bench.drive), round(_OUTPUT_S * self.rate))
+        self.drive_history = History(len(bench.drive), round(_DRIVE_S * self.rate))
         self.frf: LiveFrf | None = None
         self.detector: HitDetector | None = None
-        self.continuous = False
+        self.is_estimating = False
         self.skipped_blocks = self.lost_samples = 0
-        self._next: int | None = None
+        self._next_sample: int | None = None
         self._last_overload = np.full(len(self.channels), -1)
         # Displacements of bodies and tables, and gaps of the dampers, at each stored instant.
-        self._poses: deque[tuple[Array, Array | None]] = deque(maxlen=round(POSES_S * _POSES_PER_S))
-        self._pose_step = max(1, round(self.rate / _POSES_PER_S))
+        self._motions: deque[tuple[Array, Array | None]] = deque(maxlen=round(MOTION_S * _MOTION_RATE))
+        self._motion_step = max(1, round(self.rate / _MOTION_RATE))
         self._lock = threading.Lock()
         self._blocks: queue.Queue[Any] = queue.Queue(_MAX_WAITING_BLOCKS)
         self._thread = threading.Thread(target=self._process_queue, name="bench page", daemon=True)
@@ -91,9 +92,9 @@ class Monitor:
 
     def on_block(self, bench: Any, block: Any) -> None:
         """Queue a block of the bench; a listener of the chassis."""
-        if self._next is not None:
-            self.lost_samples += max(0, block.first - self._next)
-        self._next = block.first + block.samples.shape[1]
+        if self._next_sample is not None:
+            self.lost_samples += max(0, block.first - self._next_sample)
+        self._next_sample = block.first + block.samples.shape[1]
         if self._blocks.full():
             self.skipped_blocks += 1
         else:
@@ -108,19 +109,19 @@ class Monitor:
         self._blocks.put(None)
         self._thread.join()
 
-    def watch(self, frf: LiveFrf | None, detector: HitDetector | None) -> None:
+    def start_estimate(self, frf: LiveFrf | None, detector: HitDetector | None) -> None:
         """Start the estimate of a test; `detector` is None for a continuous test."""
         with self._lock:
-            self.frf, self.detector, self.continuous = frf, detector, detector is None
+            self.frf, self.detector, self.is_estimating = frf, detector, detector is None
 
-    def stop_watching(self) -> None:
+    def end_estimate(self) -> None:
         """End the estimate of a continuous test."""
         with self._lock:
-            self.continuous = False
+            self.is_estimating = False
 
     def overloads(self) -> list[bool]:
-        """Return which channels were overloaded in the last seconds."""
-        first = self.history.stop - _LAMP_S * self.rate
+        """Return which channels were overloaded in the last `OVERLOAD_HOLD_S` seconds."""
+        first = self.history.stop - OVERLOAD_HOLD_S * self.rate
         return [bool(last >= 0 and last > first) for last in self._last_overload]
 
     def spectra(self) -> tuple[NDArray[Any], Array]:
@@ -131,13 +132,13 @@ class Monitor:
         spectra = 2.0 * np.abs(np.fft.rfft(samples, axis=1)) / window.sum()
         return np.asarray(np.fft.rfftfreq(samples.shape[1], 1.0 / self.rate)), spectra
 
-    def output(self) -> list[tuple[float, float]]:
+    def drive_levels(self) -> list[tuple[float, float]]:
         """Return peak (in the unit of the drive) and frequency (Hz) of the drive at each input of the rig.
 
-        The frequency is determined from upward zero crossings; it is 0 without crossings.
+        The frequency is that of the upward zero crossings; 0 with fewer than two.
         """
         peaks_and_frequencies = []
-        for drive in self.outputs.last(round(_OUTPUT_S * self.rate)):
+        for drive in self.drive_history.last(round(_DRIVE_S * self.rate)):
             peak = float(np.abs(drive).max(initial=0.0))
             centered = drive - drive.mean()
             zero_crossings = np.flatnonzero((centered[:-1] < 0) & (centered[1:] >= 0))
@@ -146,37 +147,37 @@ class Monitor:
             peaks_and_frequencies.append((peak, periods / duration_s if peak and periods > 0 else 0.0))
         return peaks_and_frequencies
 
-    def poses(self) -> RigPose | None:
-        """Return the motion of the rig in the last `POSES_S` seconds; None before the first block."""
+    def motion(self) -> RigMotion | None:
+        """Return the motion of the rig in the last `MOTION_S` seconds; None before the first block."""
         with self._lock:
-            poses = list(self._poses)
-        if not poses:
+            instants = list(self._motions)
+        if not instants:
             return None
-        motions = np.column_stack([motion for motion, _ in poses])
-        gaps = [gap for _, gap in poses if gap is not None]
+        motions = np.column_stack([motion for motion, _ in instants])
+        gaps = [gap for _, gap in instants if gap is not None]
         bodies = self._scene.structure.bodies
         tables = motions[bodies : bodies + len(self._scene.tables)]
-        return RigPose(motions[:bodies], tables, np.column_stack(gaps) if gaps else None)
+        return RigMotion(motions[:bodies], tables, np.column_stack(gaps) if gaps else None)
 
     def _process_queue(self) -> None:
         while (item := self._blocks.get()) is not None:
             self._process(*item)
             self._blocks.task_done()
 
-    def _process(self, block: Any, drive: Array, physical: Any) -> None:
+    def _process(self, block: Any, drive: Array, to_physical: Any) -> None:
         if block.samples.size:
-            readings = physical(block.samples)
+            readings = to_physical(block.samples)
             self.history.add(block.first, readings)
-            self.outputs.add(self.outputs.stop, drive)
+            self.drive_history.add(self.drive_history.stop, drive)
             is_overloaded = block.overload.any(axis=1)
             self._last_overload[is_overloaded] = block.first + block.samples.shape[1]
             motion = block.motion
-            indices = range(-motion.first % self._pose_step, motion.displacement.shape[1], self._pose_step)
+            indices = range(-motion.first % self._motion_step, motion.displacement.shape[1], self._motion_step)
             with self._lock:
                 for index in indices:
                     gap = motion.gap[:, index] if self._scene.dampers else None
-                    self._poses.append((motion.displacement[:, index], gap))
-                if self.frf is not None and self.continuous:
+                    self._motions.append((motion.displacement[:, index], gap))
+                if self.frf is not None and self.is_estimating:
                     self.frf.add(readings)
                 if self.detector is not None:
                     for hit in self.detector.add(block.first, readings, block.overload):

@@ -8,23 +8,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from nicegui import ui
 
-from daq.bench_page.monitor import POSES_S
+from daq.bench_page.monitor import MOTION_S, OVERLOAD_HOLD_S
 from daq.bench_page.rig_svg import RigDrawing
 from daq.drawing.palette import channel_color, hex_color
 from rig.arrays import Array
 
 if TYPE_CHECKING:
-    from daq.bench_page.operator import LiveBench
+    from daq.bench_page.live_bench import LiveBench
 
 
 # Intervals at which charts and frequency responses are refreshed, s.
 _CHART_INTERVAL_S = 0.25
 _FRF_INTERVAL_S = 0.5
-# Duration of the animation, s. It shows `POSES_S` seconds of motion and is therefore slowed down.
+# Duration of the animation, s. It shows the last `MOTION_S` seconds in slow motion.
 _ANIMATION_S = 2.0
-# Number of columns of a time history; each shows its minimum and maximum.
+# Minimum number of columns of a time history; each shows its minimum and maximum.
 _HISTORY_COLUMNS = 300
-# Number of frequency bands of a drawn spectrum; each shows its largest line.
+# Maximum number of frequency bands of a drawn spectrum; each shows its largest line.
 _SPECTRUM_BANDS = 600
 # Maximum number of listed hits.
 _MAX_LISTED_HITS = 8
@@ -62,7 +62,9 @@ requestAnimationFrame(drawRig);
 
 
 def min_max_envelope(time: Array, values: Array, columns: int) -> tuple[Array, Array]:
-    """Reduce samples to the minimum and maximum in each column, so that no peak is lost; return their times and values.
+    """Reduce samples to the minimum and maximum in each column; return the times and values of these.
+
+    There are at least `columns` columns. The first samples, if they do not fill a column, are omitted.
 
     >>> [each.tolist() for each in min_max_envelope(np.arange(4.0), np.array([1.0, 3.0, 2.0, 0.0]), 2)]
     [[0.0, 1.0, 2.0, 3.0], [1.0, 3.0, 2.0, 0.0]]
@@ -70,7 +72,6 @@ def min_max_envelope(time: Array, values: Array, columns: int) -> tuple[Array, A
     [3.0, 2.0, 0.0, 7.0]
     """
     samples_per_column = max(1, values.size // columns)
-    # The last column ends at the last sample.
     first = values.size % samples_per_column
     columns_of_samples = values[first:].reshape(-1, samples_per_column)
     start = first + samples_per_column * np.arange(len(columns_of_samples))
@@ -87,9 +88,9 @@ def chart_points(x: Array, y: Array) -> list[list[float]]:
 
 
 def band_peaks(frequency: Array, values: Array) -> tuple[Array, Array]:
-    """Reduce a spectrum to the largest line in each of `_SPECTRUM_BANDS` bands of equal frequency ratio.
+    """Reduce a spectrum to the largest line in each of `_SPECTRUM_BANDS` - 1 bands of equal frequency ratio.
 
-    Returns frequencies and values of these lines.
+    Returns frequencies and values of these lines, and of the last line.
 
     >>> band_peaks(np.array([1.0, 2.0, 4.0]), np.array([3.0, 5.0, 4.0]))[1].tolist()
     [3.0, 5.0, 4.0]
@@ -105,15 +106,17 @@ def band_peaks(frequency: Array, values: Array) -> tuple[Array, Array]:
 class Chart:
     """A line chart with a curve for each of `series` (name, unit, color), and a y axis for each unit.
 
-    `x` and `y` are settings of the axes for the chart library (ECharts).
+    `x_axis` and `y_axis` are settings for the chart library (ECharts).
     """
 
-    def __init__(self, title: str, x: dict[str, Any], series: list[tuple[str, str, str]], y: dict[str, Any]) -> None:
+    def __init__(
+        self, title: str, x_axis: dict[str, Any], series: list[tuple[str, str, str]], y_axis: dict[str, Any]
+    ) -> None:
         units = list(dict.fromkeys(unit for _, unit, _ in series)) or [""]
         axes = [
             {"type": "value", "name": unit, "scale": True, "position": "right" if axis_index else "left",
              "splitLine": _GRID if not axis_index else {"show": False}, "axisLabel": {":formatter": _NUMBER_FORMAT},
-             **y}
+             **y_axis}
             for axis_index, unit in enumerate(units)
         ]  # fmt: skip
         self.element = ui.echart(
@@ -127,7 +130,7 @@ class Chart:
                 "toolbox": {"feature": {"dataZoom": {}}, "top": 22, "right": 10, "itemSize": 13},
                 "xAxis": {"type": "value", "nameLocation": "middle", "nameGap": 24, "min": "dataMin",
                           "max": "dataMax", "splitLine": _GRID,
-                          "axisLabel": {":formatter": _NUMBER_FORMAT, "hideOverlap": True}, **x},
+                          "axisLabel": {":formatter": _NUMBER_FORMAT, "hideOverlap": True}, **x_axis},
                 "yAxis": axes,
                 "series": [
                     {"name": name, "type": "line", "showSymbol": False, "yAxisIndex": units.index(unit),
@@ -152,7 +155,7 @@ class Page:
     """The view of the bench in one browser."""
 
     def __init__(self, bench: LiveBench) -> None:
-        self._bench, self._monitor, self._operator = bench, bench.monitor, bench.operator
+        self._bench, self._monitor, self._controller = bench, bench.monitor, bench.controller
         scene = bench.chassis.bench.scene
         self._rig, self._shown_svg = RigDrawing(scene), ""
         ui.dark_mode(True)
@@ -162,14 +165,14 @@ class Page:
             ui.label(scene.name).classes("text-lg font-bold")
             ui.label(f"NI clients: {bench.address}").classes("text-sm opacity-70")
             self._lamps = [
-                ui.label(info.name).classes("px-2 rounded").tooltip("Lit for 2 s after an overload")
+                ui.label(info.name).classes("px-2 rounded").tooltip(f"Lit for {OVERLOAD_HOLD_S:g} s after an overload")
                 for info in self._monitor.channels
             ]
         with ui.row().classes("w-full no-wrap items-start"):
             with ui.column().classes("w-72 shrink-0"):
                 self._add_controls()
                 self._drawing = ui.html("", sanitize=False).classes("w-full")
-                ui.label(f"slowed down {_ANIMATION_S / POSES_S:g} times").classes("text-xs opacity-70")
+                ui.label(f"slowed down {_ANIMATION_S / MOTION_S:g} times").classes("text-xs opacity-70")
             with ui.column().classes("grow min-w-0"):
                 self._add_charts()
         ui.timer(_CHART_INTERVAL_S, self._refresh)
@@ -177,26 +180,26 @@ class Page:
         ui.timer(_ANIMATION_S, self._refresh_rig)
 
     def _add_controls(self) -> None:
-        operator, settings = self._operator, self._operator.settings
+        controller, settings = self._controller, self._controller.settings
 
         def field(label: str, name: str, *kinds: str) -> None:
             """Add a number field for the setting `name`, visible for these kinds of tests."""
-            number = ui.number(label, on_change=operator.turn).bind_value(settings, name)
+            number = ui.number(label, on_change=controller.apply_settings).bind_value(settings, name)
             number.classes("w-full").props(f"dense data-testid={name}")
             number.bind_visibility_from(settings, "kind", lambda kind: kind in kinds)
 
-        tests = ui.select(list(operator.kinds), label="Test").bind_value(settings, "kind")
+        tests = ui.select(list(controller.kinds), label="Test").bind_value(settings, "kind")
         tests.classes("w-full").props("dense")
         field("Level / N (random: rms, hammer: peak)", "level", "sine", "sweep", "random", "hammer")
         field("Frequency / Hz", "frequency", "sine")
         field("From / Hz", "low", "sweep", "random")
         field("To / Hz", "high", "sweep", "random")
         field("Duration / s", "duration", "sweep", "random")
-        field("Time between hits / s", "duration", "hammer")
+        field("Time between hits / s", "interval", "hammer")
         field("Number of hits", "hits", "hammer")
         with ui.row():
-            ui.button("Start", on_click=operator.start).props("data-testid=start")
-            ui.button("Stop", on_click=operator.stop, color="gray").props("data-testid=stop")
+            ui.button("Start", on_click=controller.start).props("data-testid=start")
+            ui.button("Stop", on_click=controller.stop, color="gray").props("data-testid=stop")
         recordings = self._bench.recordings
         ui.switch("Record").bind_value(recordings, "enabled").props("data-testid=record")
         self._state_label = ui.label().classes("text-sm").props("data-testid=state")
@@ -211,7 +214,7 @@ class Page:
             ui.label("Time shown / s")
             self._span_toggle = ui.toggle([0.1, 1.0, 5.0], value=1.0).props("dense")
         self._time = Chart("Time histories", {"name": "time / s"}, series, {})
-        log = {"type": "log", "min": None}
+        log_axis = {"type": "log", "min": None}
         self._spectra = Chart(
             "Amplitude spectra (2 s, Hann)",
             {"name": "frequency / Hz", "type": "log"},
@@ -223,19 +226,20 @@ class Page:
             for info in channels
             if info.at.startswith("body") and info.quantity != "force"
         ]
-        self._frf = Chart("", {"name": "frequency / Hz"}, bodies, log)
+        # Its title is set by `_refresh_frf`.
+        self._frf = Chart("", {"name": "frequency / Hz"}, bodies, log_axis)
         self._coherence = Chart(
             "Coherence", {"name": "frequency / Hz"}, [(n, "", c) for n, _, c in bodies], {"min": 0, "max": 1}
         )
         self._coherence.element.classes(replace="w-full h-40")
-        if "hammer" in self._operator.kinds:
+        if "hammer" in self._controller.kinds:
             self._hit_chart = Chart("Last hits", {"name": "time / ms"}, [("force", "N", "#f0f0f0")], {})
             self._hit_list = ui.column().classes("w-full")
-        # Number of all hits, and of the accepted hits in the list, when the list was last updated.
-        self._shown_hits_state: tuple[int, int] = (-1, -1)
+        # Number of detected hits, and of accepted hits in the list, at the last update of the list.
+        self._listed_counts: tuple[int, int] = (-1, -1)
 
     def _refresh(self) -> None:
-        monitor, operator, recordings = self._monitor, self._operator, self._bench.recordings
+        monitor, controller, recordings = self._monitor, self._controller, self._bench.recordings
         for lamp, lit in zip(self._lamps, monitor.overloads(), strict=True):
             lamp.style(f"background: {_LAMP_ON if lit else _LAMP_OFF}")
         samples = monitor.history.last(round(float(self._span_toggle.value) * monitor.rate))
@@ -243,11 +247,11 @@ class Page:
         self._time.show([chart_points(*min_max_envelope(time, row, _HISTORY_COLUMNS)) for row in samples])
         frequency, spectra = monitor.spectra()
         self._spectra.show([chart_points(*band_peaks(frequency[1:], row[1:])) for row in np.maximum(spectra, 1e-15)])
-        self._state_label.text = operator.message
+        self._state_label.text = controller.message
         self._output_label.text = "\n".join(self._bench.outputs())
         self._file_label.text = recordings.problem or _recording_line(recordings)
         self._clients_label.text = self._bench.clients()
-        if "hammer" in operator.kinds:
+        if "hammer" in controller.kinds:
             self._show_hits()
 
     def _refresh_frf(self) -> None:
@@ -255,7 +259,7 @@ class Page:
         curves = None if frf is None else frf.curves()
         chart = self._frf.element.options
         if curves is None:
-            title = f"Frequency response ({self._operator.no_response or 'starts with a test'})"
+            title = f"Frequency response ({self._controller.frf_unavailable_reason or 'starts with a test'})"
             if chart["title"]["text"] != title:
                 chart["title"]["text"] = title
                 # The curves of the last test must not be shown for the next test.
@@ -269,10 +273,10 @@ class Page:
     def _show_hits(self) -> None:
         detector = self._monitor.detector
         hits = [] if detector is None else detector.hits[-_MAX_LISTED_HITS:]
-        state = (len(detector.hits) if detector else 0, sum(hit.accepted for hit in hits))
-        if state == self._shown_hits_state:
+        counts = (len(detector.hits) if detector else 0, sum(hit.accepted for hit in hits))
+        if counts == self._listed_counts:
             return
-        self._shown_hits_state = state
+        self._listed_counts = counts
         if hits:
             force = hits[-1].force
             self._hit_chart.show([chart_points(1e3 * np.arange(float(force.size)) / self._monitor.rate, force)])
@@ -284,7 +288,7 @@ class Page:
                     ui.label(f"hit {hit.number}: {hit.peak:.4g} N, {', '.join(hit.faults) or 'good'}")
 
     def _refresh_rig(self) -> None:
-        motion = self._monitor.poses()
+        motion = self._monitor.motion()
         if motion is None:
             return
         frames = self._rig.frames(motion)

@@ -22,7 +22,7 @@ class BenchRecordings:
     """Records all channels while it is `enabled`, and a test of the page or a task of an NI client is running.
 
     The first recording is at `path`, and may replace an existing file if `overwrite` is set; the next are numbered.
-    `problem` is the reason why recording has stopped because of an error.
+    `problem` is the error that stopped the recording.
     """
 
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool) -> None:
@@ -110,7 +110,7 @@ class BenchRecordings:
         return path
 
     def _write_marker(self, kind: str, first: int, stop: int, **fields: Any) -> None:
-        # An event that began before the recording is not marked, because it is not complete in the recording.
+        # An interval that began before the recording is not marked, because the recording lacks its start.
         if self._recording is not None and first >= self._first_sample:
             self._recording.mark(kind, first - self._first_sample, stop - self._first_sample, **fields)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from daq.drawing.palette import DRIVE, GROUND, LEAD, MARK, STEEL, Color, body_color, hex_color
-from daq.drawing.rig_view import Extremes, RigPose, RigView
+from daq.drawing.rig_view import Extremes, RigMotion, RigView
 from daq.drawing.stack import COIL_LENGTH, PLATE, WALL, WIDTH
 
 if TYPE_CHECKING:
@@ -30,26 +30,26 @@ class RigDrawing:
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._shaker_bodies = [shaker.body for _, shaker in scene.tables]
-        self._magnification = 0.0
+        self._exaggeration = 0.0
         self.svg = ""
 
-    def frames(self, motion: RigPose) -> dict[str, Any]:
+    def frames(self, motion: RigMotion) -> dict[str, Any]:
         """Return [heights, scales] of each moving part by its SVG identifier; redraw `svg` if the exaggeration changes.
 
-        Heights are in SVG units; scales stretch springs vertically, and are None for other parts.
+        Heights are in SVG units. Scales stretch springs vertically; they are None for other parts.
         """
-        extremes = Extremes().widened(motion, self._shaker_bodies)
+        extremes = Extremes().extended_by(motion, self._shaker_bodies)
         view = RigView(self._scene, extremes, gaps_known=motion.gap is not None)
         # The exaggeration decreases at once with growing motion, and increases only by more than a factor of 4.
-        if view.magnification < self._magnification or view.magnification > 4 * self._magnification:
-            self._magnification = view.magnification
+        if view.exaggeration < self._exaggeration or view.exaggeration > 4 * self._exaggeration:
+            self._exaggeration = view.exaggeration
             self.svg = self._draw(view)
-        elif view.magnification != self._magnification:
-            view.magnification = self._magnification
+        elif view.exaggeration != self._exaggeration:
+            view.exaggeration = self._exaggeration
         parts = {}
-        for entity, translation, stretch in view.moving_parts(motion):
+        for entity, translation, scale in view.moving_parts(motion):
             heights = np.round(-_UNITS_PER_M * translation[:, 2], 2).tolist()
-            scales = None if stretch is None else np.round(stretch[:, 2], 4).tolist()
+            scales = None if scale is None else np.round(scale[:, 2], 4).tolist()
             parts[svg_identifier(entity)] = [heights, scales]
         return parts
 
@@ -73,11 +73,11 @@ class RigDrawing:
                 if cavity.ceiling is not None:
                     frame += _box(cavity.x, cavity.ceiling + WALL / 2, cavity.width + WALL, WALL, color)
                 (_, _, z), (width, _, damper_height) = cavity.damper
-                frame += _group(view.damper_entity(cavity.place), _box(cavity.x, z, width, damper_height, LEAD))
+                frame += _group(view.damper_entity(cavity.damper_index), _box(cavity.x, z, width, damper_height, LEAD))
             text = scene.structure.label(body) + ("" if masses is None else f" {masses[body - 1]:g} kg")
             frame += _text(WIDTH / 2 + 0.012, height / 2, text, color)
             parts.append(_group(f"rig/body_{body}", frame))
-        parts.append(_text(-0.215, -0.035, f"motion × {view.magnification:g}", MARK))
+        parts.append(_text(-0.215, -0.035, f"motion × {view.exaggeration:g}", MARK))
         top = _UNITS_PER_M * (view.stack.top + 0.1)
         return f'<svg id="rig" viewBox="-230 {-top:.0f} 460 {top + 60:.0f}" role="img">' + "".join(parts) + "</svg>"
 
@@ -111,9 +111,9 @@ def _text(x: float, z: float, text: str, color: Color) -> str:
 
 
 def _coil(x: float, length: float, color: Color) -> str:
-    fraction_of_length = np.linspace(0.0, 1.0, 4 * _COIL_TURNS + 1)
+    height_fractions = np.linspace(0.0, 1.0, 4 * _COIL_TURNS + 1)
     points = " ".join(
-        f"{_UNITS_PER_M * (x + _COIL_HALF_WIDTH * side):.1f},{-_UNITS_PER_M * length * fraction:.1f}"
-        for fraction, side in zip(fraction_of_length, np.sin(2 * np.pi * _COIL_TURNS * fraction_of_length), strict=True)
+        f"{_UNITS_PER_M * (x + _COIL_HALF_WIDTH * sine):.1f},{-_UNITS_PER_M * length * fraction:.1f}"
+        for fraction, sine in zip(height_fractions, np.sin(2 * np.pi * _COIL_TURNS * height_fractions), strict=True)
     )
     return f'<polyline points="{points}" fill="none" stroke="{hex_color(color)}" stroke-width="2.5"/>'

@@ -1,6 +1,7 @@
 """The three-dimensional drawing of the rig: its parts, and their motion.
 
-Every displacement and gap is multiplied by the same exaggeration. z points up, x to the right, y away from the viewer.
+Every displacement and gap is multiplied by the same factor, the exaggeration. z points up, x to the right, y away from
+the viewer. An entity is the path of a part in the viewer, such as ``rig/body_1/damper``.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ _MAX_EXAGGERATION = 1e4
 
 
 @dataclass(frozen=True)
-class RigPose:
+class RigMotion:
     """The motion of the rig at some instants."""
 
     displacement: Array  # displacement of each body, m, positive up; shape (bodies, instants)
@@ -53,15 +54,15 @@ class RigPose:
 
 @dataclass(frozen=True)
 class Extremes:
-    """Largest magnitudes: displacement of a body, change of length of a spring and of a coil spring, and gap, m."""
+    """Largest magnitudes of a motion, m."""
 
-    body: float = 0.0
-    spring: float = 0.0
-    coil: float = 0.0
-    gap: float = 0.0
+    body: float = 0.0  # displacement of a body
+    spring: float = 0.0  # change of length of a spring between bodies
+    coil: float = 0.0  # change of length of a coil spring
+    gap: float = 0.0  # height of a damper above its floor
 
-    def widened(self, motion: RigPose, shaker_bodies: Sequence[int]) -> Extremes:
-        """Return the extremes of these and another motion; `shaker_bodies` are the bodies (from 1) on coil springs."""
+    def extended_by(self, motion: RigMotion, shaker_bodies: Sequence[int]) -> Extremes:
+        """Return the extremes including another motion; `shaker_bodies`: bodies (from 1) on coil springs."""
         positions = np.vstack([np.zeros((1, motion.displacement.shape[1])), motion.displacement])
         coil = (
             _max_magnitude(motion.displacement[[body - 1 for body in shaker_bodies]] - motion.tables)
@@ -82,10 +83,10 @@ def _max_magnitude(values: Array) -> float:
 
 
 def exaggeration(extremes: Extremes) -> float:
-    """Return the factor by which the drawn motion is multiplied: it is visible, and drawn parts do not collide.
+    """Return the factor by which the drawn motion is multiplied, so that it is visible and drawn parts do not collide.
 
-    It is the largest 1-2-5 number for which springs stretch by less than 60 % of their length and dampers stay
-    inside the drawn headroom.
+    It is the largest number of the series 1, 2, 5, 10, ... for which springs stretch by less than 60 % of their length,
+    and dampers do not leave the drawing.
 
     >>> exaggeration(Extremes(spring=0.8e-3))
     50.0
@@ -103,7 +104,7 @@ def exaggeration(extremes: Extremes) -> float:
     return round_factor(min(*limits, _MAX_EXAGGERATION))
 
 
-def _label_position(text: str, height: float) -> Point:
+def _position_beside_body(text: str, height: float) -> Point:
     """Return the position of a centered text next to a body."""
     return (WIDTH / 2 + 0.06 + 0.0045 * len(text), -DEPTH / 2, height)
 
@@ -119,19 +120,19 @@ class RigView:
         from rig.system.structural_model import structural_model
 
         self.scene = scene
-        self.magnification = exaggeration(extremes)
+        self.exaggeration = exaggeration(extremes)
         self.damper_masses = structural_model(scene).bed_mass
         self.gaps_known = gaps_known
         self._unknown = unknown
-        self._drawn_excursion = extremes.body * self.magnification
+        self._drawn_excursion = extremes.body * self.exaggeration
         self.bodies = scene.structure.bodies
-        self.stack = Stack(scene, self.magnification)
+        self.stack = Stack(scene, self.exaggeration)
         self.shaker_tables = self.stack.tables
         # If the structure is given by matrices, it is not known which bodies are connected, and no spring is drawn.
         self.sprung = [stiffness > 0 for stiffness in scene.structure.springs or [0.0] * self.bodies]
 
     def still_parts(self) -> Iterator[tuple[str, rr.AsComponents]]:
-        """Yield (entity, shape) of all parts, which are sent to the viewer once."""
+        """Yield the entity and the shape of each part; they are sent to the viewer once."""
         import rerun as rr
 
         yield "rig", rr.ViewCoordinates.RIGHT_HAND_Z_UP
@@ -171,7 +172,7 @@ class RigView:
         if lug_end:
             middle, length = (lug_end + WIDTH / 2) / 2, lug_end - WIDTH / 2
             yield f"{name}/lug", boxes([((middle, 0, WALL / 2), (length, DEPTH / 2, WALL))], color)
-        yield f"{name}/name", label(_label_position(text, 0.75 * height), text, color)
+        yield f"{name}/name", label(_position_beside_body(text, 0.75 * height), text, color)
         pointer: list[Point] = [(-WIDTH / 2 - distance_x, -DEPTH / 2, height / 2) for distance_x in (0.0, 0.028)]
         yield f"{name}/pointer", lines([pointer], color, 0.0012)
 
@@ -182,15 +183,15 @@ class RigView:
         return ", not measured" if point in self._unknown else ""
 
     def damper_entity(self, index: int) -> str:
-        """Return the entity of a damper (position in the scene from 0), with a number if its body has several."""
+        """Return the entity of a damper (index in the scene), with a number if its body has several dampers."""
         body = self.scene.dampers[index].body
-        damper_indices = [cavity.place for cavity in self.stack.cavities[body - 1]]
+        damper_indices = [cavity.damper_index for cavity in self.stack.cavities[body - 1]]
         return f"rig/body_{body}/damper" + (f"_{damper_indices.index(index) + 1}" if len(damper_indices) > 1 else "")
 
     def _damper(self, body: int, number: int) -> Iterator[tuple[str, rr.AsComponents]]:
         cavity: Cavity = self.stack.cavities[body - 1][number]
-        damper = self.scene.dampers[cavity.place]
-        text = f"damper {self.damper_masses[cavity.place] * 1e3:.3g} g"
+        damper = self.scene.dampers[cavity.damper_index]
+        text = f"damper {self.damper_masses[cavity.damper_index] * 1e3:.3g} g"
         if damper.locked:
             text += ", locked"
         elif not self.gaps_known:
@@ -198,11 +199,11 @@ class RigView:
         elif math.isfinite(damper.clearance) and cavity.ceiling is None:
             text += ", ceiling out of sight"
         moves = self.gaps_known and not damper.locked
-        name = self.damper_entity(cavity.place)
+        name = self.damper_entity(cavity.damper_index)
         yield name, boxes([cavity.damper], LEAD if moves else GLUED)
         # The names of several dampers are written below each other, next to their body.
-        text_at = _label_position(text, (0.45 - 0.2 * number) * self.stack.heights[body - 1])
-        yield f"{name}_name", label(text_at, text, LEAD if moves else MARK)
+        label_position = _position_beside_body(text, (0.45 - 0.2 * number) * self.stack.heights[body - 1])
+        yield f"{name}_name", label(label_position, text, LEAD if moves else MARK)
 
     def _shaker(self, table: Table) -> Iterator[tuple[str, rr.AsComponents]]:
         height = table.top - PLATE - 0.012
@@ -215,9 +216,9 @@ class RigView:
         stem = ((table.x, 0, -PLATE - 0.02), (0.022, 0.022, 0.04))
         color = self._color(table.point, DRIVE)
         yield f"{table.entity('table')}/plate", boxes([plate, stem], color)
-        text_at = (table.x + 0.055, -0.09, -PLATE)
+        label_position = (table.x + 0.055, -0.09, -PLATE)
         text = table.point if table.kind == "table" else table.point.replace("table", "armature")
-        yield f"{table.entity('table')}/name", label(text_at, text + self._note(table.point), color)
+        yield f"{table.entity('table')}/name", label(label_position, text + self._note(table.point), color)
         yield table.entity("coil_spring"), coils([table.x], COIL_LENGTH, DRIVE)
 
     @staticmethod
@@ -228,23 +229,23 @@ class RigView:
         yield f"{entity}/name", label(foot, text, color)
 
     def _scale_marks(self) -> Iterator[tuple[str, rr.AsComponents]]:
-        """Draw at the left: rest positions of the bodies, and a scale bar with its length and the exaggeration."""
+        """Draw the rest positions of the bodies, and a scale bar with its length and the exaggeration, at the left."""
         x, y = -WIDTH / 2 - 0.032, -DEPTH / 2
         middles = [bottom + height / 2 for bottom, height in zip(self.stack.bottoms, self.stack.heights, strict=True)]
         yield "rig/rest", lines([[(x - 0.030, y, z), (x, y, z)] for z in middles], MARK, 0.0008)
-        length = _scale_bar(self.magnification)
-        height, x, z = length * self.magnification, x - 0.07, middles[0]
+        length = _scale_bar(self.exaggeration)
+        height, x, z = length * self.exaggeration, x - 0.07, middles[0]
         end_marks: list[list[Point]] = [[(x - 0.008, y, z + end), (x + 0.008, y, z + end)] for end in (0.0, height)]
         yield "rig/scale", lines([[(x, y, z), (x, y, z + height)], *end_marks], MARK, 0.0010)
-        text = f"{length * 1e3:g} mm, drawn × {self.magnification:g}"
+        text = f"{length * 1e3:g} mm, drawn × {self.exaggeration:g}"
         yield "rig/scale/text", label((x, y, z - 0.006), text, MARK)
 
-    def moving_parts(self, motion: RigPose) -> Iterator[tuple[str, Array, Array | None]]:
-        """Yield (entity, translation, scale) of moving parts; arrays are (instants, 3), in meters of the drawing.
+    def moving_parts(self, motion: RigMotion) -> Iterator[tuple[str, Array, Array | None]]:
+        """Yield entity, translation (instants, 3) in meters of the drawing, and scale (instants, 3) of moving parts.
 
         Springs are drawn once at their rest length, and then scaled along z. The scale of other parts is None.
         """
-        drawn_displacement = motion.displacement * self.magnification
+        drawn_displacement = motion.displacement * self.exaggeration
         lower_end = np.zeros(drawn_displacement.shape[1])
         lower_end_at_rest = 0.0
         for index in range(self.bodies):
@@ -255,13 +256,13 @@ class RigView:
                 yield f"rig/spring_{index + 1}", _along_z(lower_end_at_rest + lower_end), _along_z(stretch, 1.0)
             lower_end = drawn_displacement[index]
             lower_end_at_rest = self.stack.bottoms[index] + self.stack.heights[index]
-        for table, rows in zip(self.shaker_tables, motion.tables * self.magnification, strict=True):
+        for table, rows in zip(self.shaker_tables, motion.tables * self.exaggeration, strict=True):
             yield table.entity("table"), _along_z(table.top + rows), None
             stretch = (COIL_LENGTH + drawn_displacement[table.body - 1] - rows) / COIL_LENGTH
             yield table.entity("coil_spring"), _along_z(table.top + rows), _along_z(stretch, 1.0)
         if motion.gap is not None:
             for index in range(len(self.scene.dampers)):
-                yield self.damper_entity(index), _along_z(motion.gap[index] * self.magnification), None
+                yield self.damper_entity(index), _along_z(motion.gap[index] * self.exaggeration), None
 
     @property
     def camera(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
@@ -277,10 +278,10 @@ def _along_z(values: Array, transverse: float = 0.0) -> Array:
     return points
 
 
-def _scale_bar(magnification: float) -> float:
+def _scale_bar(exaggeration: float) -> float:
     """Return the length of the scale bar, m: a power of ten that is drawn 8 mm to 80 mm long.
 
     >>> _scale_bar(50.0), _scale_bar(500.0)
     (0.001, 0.0001)
     """
-    return float(f"{10.0 ** math.floor(math.log10(0.08 / magnification)):.0e}")
+    return float(f"{10.0 ** math.floor(math.log10(0.08 / exaggeration)):.0e}")

@@ -45,7 +45,7 @@ SHAKER_PITCH = 0.120
 class Cavity:
     """A cavity of a body for one damper, in meters of the drawing from the underside of the body."""
 
-    place: int  # position of its damper in the scene, from 0
+    damper_index: int  # of its damper in the scene
     x: float  # position of its middle
     width: float
     ceiling: float | None  # height of the ceiling; None if it is above the drawing
@@ -57,15 +57,15 @@ class Cavity:
         return (self.x, -WALL / 2, WALL + DAMPER_HEIGHT / 2), size
 
 
-def cavities(dampers: Sequence[Damper], body: int, magnification: float) -> list[Cavity]:
+def cavities(dampers: Sequence[Damper], body: int, exaggeration: float) -> list[Cavity]:
     """Return the cavities of a body (from 1), from left to right in the scene's order."""
-    dampers_of_body = [place for place, damper in enumerate(dampers) if damper.body == body]
+    dampers_of_body = [index for index, damper in enumerate(dampers) if damper.body == body]
     cavity_pitch = (WIDTH - WALL) / max(len(dampers_of_body), 1)
     result = []
-    for number, place in enumerate(dampers_of_body):
-        clearance = dampers[place].clearance * magnification
+    for number, index in enumerate(dampers_of_body):
+        clearance = dampers[index].clearance * exaggeration
         ceiling = None if clearance > HEADROOM else WALL + DAMPER_HEIGHT + clearance
-        result.append(Cavity(place, (number + 0.5) * cavity_pitch - (WIDTH - WALL) / 2, cavity_pitch - WALL, ceiling))
+        result.append(Cavity(index, (number + 0.5) * cavity_pitch - (WIDTH - WALL) / 2, cavity_pitch - WALL, ceiling))
     return result
 
 
@@ -87,13 +87,13 @@ def walls(cavities: Sequence[Cavity]) -> list[Box]:
 
 
 class Table(NamedTuple):
-    """The table of a shaker: name, kind of shaker, body (from 1) on its coil spring, position x and top, m."""
+    """The table of a shaker; lengths in m."""
 
-    point: str
-    kind: str
-    body: int
-    x: float
-    top: float
+    point: str  # name, such as ``table``
+    kind: str  # of the shaker
+    body: int  # on its coil spring, from 1
+    x: float  # position
+    top: float  # height of its top
 
     def entity(self, part: str) -> str:
         """Return the path of a part of the shaker, with the number of the table if there are several."""
@@ -101,14 +101,14 @@ class Table(NamedTuple):
 
 
 class Stack:
-    """The parts of a scene's rig at rest, body 1 first: cavities, heights, spring lengths and undersides."""
+    """The parts of a scene's rig at rest: for each body, its cavities, height, spring length and underside."""
 
-    def __init__(self, scene: Scene, magnification: float) -> None:
+    def __init__(self, scene: Scene, exaggeration: float) -> None:
         bodies = range(1, scene.structure.bodies + 1)
-        self.cavities: list[list[Cavity]] = [cavities(scene.dampers, body, magnification) for body in bodies]
+        self.cavities: list[list[Cavity]] = [cavities(scene.dampers, body, exaggeration) for body in bodies]
         self.heights = [HOLLOW_HEIGHT if body_cavities else SOLID_HEIGHT for body_cavities in self.cavities]
         shaker_bodies = [shaker.body for _, shaker in scene.tables]
-        # Below body 1 there must be space for a table and its coil spring.
+        # A table of body 1, with its coil spring, requires space below the body.
         first_length = PLINTH + PLATE + COIL_LENGTH if 1 in shaker_bodies else SPRING_LENGTH
         self.lengths = [first_length] + [SPRING_LENGTH] * (len(bodies) - 1)
         self.bottoms: list[float] = []

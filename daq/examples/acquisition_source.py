@@ -16,16 +16,16 @@ class VirtualRig:
     """Acquisition source: the inputs of a scene, in volts."""
 
     def __init__(self, scene: str, sample_rate: float = 5120.0, clock: str = "real") -> None:
-        self.rig = daq.connect(scene, clock=clock)
-        self.channel_names = [sensor.name for sensor in self.rig.sensors]
+        self.bench = daq.connect(scene, clock=clock)
+        self.channel_names = [sensor.name for sensor in self.bench.sensors]
         self.sample_rate = sample_rate
 
     def set_data_source(self) -> None:
         """Start the acquisition."""
-        self.task = nidaqmx.Task(grpc_options=self.rig)
+        self.task = nidaqmx.Task(grpc_options=self.bench)
         for number, name in enumerate(self.channel_names):
             # Input range, V.
-            limit = min(500.0, self.rig.sensors[number].range or 500.0)
+            limit = min(500.0, self.bench.sensors[number].range or 500.0)
             self.task.ai_channels.add_ai_voltage_chan(f"cDAQ1Mod1/ai{number}", name, min_val=-limit, max_val=limit)
         self.task.timing.cfg_samp_clk_timing(self.sample_rate, sample_mode=AcquisitionType.CONTINUOUS)
         # The clock may not support the requested rate: use the actual rate for all time axes.
@@ -39,7 +39,7 @@ class VirtualRig:
     def terminate_data_source(self) -> None:
         """Stop the acquisition and disconnect."""
         self.task.close()
-        self.rig.close()
+        self.bench.close()
 
 
 def main() -> None:

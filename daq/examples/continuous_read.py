@@ -14,7 +14,7 @@ import daq
 
 def main() -> None:
     """Print the RMS of each tenth of a second. The scene's own test runs, because no task drives the output."""
-    with daq.connect("bare-structure", clock="fast") as rig, nidaqmx.Task(grpc_options=rig) as task:
+    with daq.connect("bare-structure", clock="fast") as bench, nidaqmx.Task(grpc_options=bench) as task:
         task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:3", min_val=-500.0, max_val=500.0)
         task.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.CONTINUOUS)
         reader = AnalogMultiChannelReader(task.in_stream)
@@ -29,7 +29,7 @@ def main() -> None:
 
         task.register_every_n_samples_acquired_into_buffer_event(512, print_rms)
         task.start()
-        rig.pass_time(1.0)
+        bench.pass_time(1.0)
         task.stop()
         print(f"{task.in_stream.total_samp_per_chan_acquired} samples per channel")
 

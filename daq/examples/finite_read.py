@@ -1,24 +1,24 @@
-"""Finite read: drive the table with a tone and read a second of all four accelerometers.
+"""Finite read: drive the table with a sine and read a second of all four accelerometers.
 
 The start trigger of the inputs starts the output, so that both begin at the same sample of the common clock.
 """
 
 import nidaqmx
 import numpy as np
-from nidaqmx.constants import AccelUnits, AcquisitionType
+from nidaqmx.constants import READ_ALL_AVAILABLE, AccelUnits, AcquisitionType
 
 import daq
 
 
 def main() -> None:
     """Print the peak acceleration of each channel."""
-    # With clock="fast", the simulation runs as fast as the computer allows, not in real time. The sensors of this scene
-    # are ideal, with 1 V per m/s^2; NI expects 9806.65 mV per g.
+    # With clock="fast", the simulation runs as fast as the computer allows, not in real time.
     with (
-        daq.connect("bare-structure", clock="fast") as rig,
-        nidaqmx.Task(grpc_options=rig) as inputs,
-        nidaqmx.Task(grpc_options=rig) as output,
+        daq.connect("bare-structure", clock="fast") as bench,
+        nidaqmx.Task(grpc_options=bench) as inputs,
+        nidaqmx.Task(grpc_options=bench) as output,
     ):
+        # The sensors of this scene are ideal, with 1 V per m/s^2; NI expects mV per g.
         inputs.ai_channels.add_ai_accel_chan(
             "cDAQ1Mod1/ai0:3",
             min_val=-500.0,
@@ -39,7 +39,7 @@ def main() -> None:
 
         output.start()
         inputs.start()
-        data = np.array(inputs.read(nidaqmx.constants.READ_ALL_AVAILABLE))
+        data = np.array(inputs.read(READ_ALL_AVAILABLE))
         print(f"{data.shape[1]} samples per channel at {rate:g} S/s")
         for name, samples in zip(inputs.channel_names, data, strict=True):
             print(f"{name}: peak {np.abs(samples).max():.3f} m/s^2")

@@ -16,8 +16,8 @@ LEVEL = 10.0  # trigger level of the force, N
 
 def main() -> None:
     """Print the peaks before and after one hit."""
-    with daq.connect("fig10b-no-damper", clock="fast") as rig, nidaqmx.Task(grpc_options=rig) as task:
-        for number, sensor in enumerate(rig.sensors):
+    with daq.connect("fig10b-no-damper", clock="fast") as bench, nidaqmx.Task(grpc_options=bench) as task:
+        for number, sensor in enumerate(bench.sensors):
             print(f"ai{number}: {sensor.name}, {1e3 * sensor.sensitivity:.4g} mV per {sensor.unit}")
         task.ai_channels.add_ai_force_iepe_chan("cDAQ1Mod1/ai3", "hammer", sensitivity=2.25)
         task.ai_channels.add_ai_accel_chan(

@@ -22,9 +22,9 @@ def main(blocks: int = 60) -> float:
     # Drive in V (1 V corresponds to 1 mm of table displacement), and acceleration amplitude in m/s^2.
     drive, amplitude = 0.005, 0.0
     with (
-        daq.connect("bare-structure", clock="fast") as rig,
-        nidaqmx.Task(grpc_options=rig) as inputs,
-        nidaqmx.Task(grpc_options=rig) as output,
+        daq.connect("bare-structure", clock="fast") as bench,
+        nidaqmx.Task(grpc_options=bench) as inputs,
+        nidaqmx.Task(grpc_options=bench) as output,
     ):
         inputs.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0", min_val=-500.0, max_val=500.0)
         inputs.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)

@@ -12,9 +12,9 @@ import daq
 
 def main(folder: str | None = None) -> None:
     """Log half a second, read the recording, and compare it with the samples that the script has read."""
-    with daq.connect("fig8-three-dampers", clock="fast") as rig, tempfile.TemporaryDirectory() as scratch:
+    with daq.connect("fig8-three-dampers", clock="fast") as bench, tempfile.TemporaryDirectory() as scratch:
         path = Path(folder or scratch) / "logged.mcap"
-        with nidaqmx.Task(grpc_options=rig) as task:
+        with nidaqmx.Task(grpc_options=bench) as task:
             task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:3")
             task.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.CONTINUOUS)
             task.in_stream.configure_logging(
@@ -27,9 +27,10 @@ def main(folder: str | None = None) -> None:
         with daq.open(path) as recording:
             for row, (name, channel) in enumerate(recording.channels.items()):
                 logged = recording.read(name)
-                # The recording is read in the unit of the channel, the task in volts.
+                # The recording returns readings in the unit of the channel; the task returns volts.
                 is_equal = np.allclose(logged * channel.sensitivity, read_samples[row], rtol=1e-12, atol=0.0)
-                print(f"{name}: {logged.size} samples in {channel.unit}, {'as' if is_equal else 'NOT as'} read")
+                comparison = "equal to" if is_equal else "DIFFERENT from"
+                print(f"{name}: {logged.size} samples in {channel.unit}, {comparison} the samples read")
 
 
 if __name__ == "__main__":

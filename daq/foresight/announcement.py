@@ -19,13 +19,12 @@ def foresight_text(scene: Scene) -> str:
 
 
 def reject_certain_abort(name: str, foresight: Foresight) -> None:
-    """Raise `SceneError` if the test will abort; `name` is that of the scene."""
+    """Raise `SceneError` if the test will abort; `name`: of the scene."""
     if foresight.aborts is None:
         return
-    remedy = ""
+    remedy = "Raise the limit"
     if foresight.limited_by is not None and foresight.largest_level < foresight.level:
-        remedy = f"Lower {foresight.key}, raise the limit, or "
+        remedy = f"Lower {foresight.key}, raise the limit"
     raise SceneError(
-        f"{name}: the test will abort ({foresight.aborts}). {remedy or 'Raise the limit, or '}record it up to that "
-        "point with --anyway."
+        f"{name}: the test will abort ({foresight.aborts}). {remedy}, or record it up to the abort with --anyway."
     )

@@ -9,26 +9,27 @@ from rig.scene.measurement_chain import Channel
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 
-# A limit that no test reaches, in any unit. It replaces a limit: without a limit, the model of the device may have a
-# different number of states.
+# A limit that no test reaches, in any unit. It is used instead of None, because None may change the number of states of
+# the device's model.
 _NO_LIMIT = 1e8
 # Largest word length of a converter, bits.
 _MAX_BITS = 32
 
 
 def reading_limit(channel: Channel | None, info: ChannelInfo) -> tuple[float, str]:
-    """Return the smallest limit of a channel in its unit (infinite without a limit), and the part that has this limit.
+    """Return the lowest limit of a channel's reading, in its unit (inf without a limit), and the part that has it.
 
+    The limit of an accelerometer is not a reading but an acceleration; `foresee` compares it with the motion.
     `channel`: its settings in the scene; None if the scene does not define channels.
     """
     limits, sensitivity = [(np.inf, "")], abs(info.sensitivity)
     if info.range is not None:
-        limits.append((info.range / sensitivity, f"input of {info.range:g} V"))
+        limits.append((info.range / sensitivity, f"input range {info.range:g} V"))
     if channel is None:
         return limits[-1]
     if channel.integrator is not None and channel.integrator.saturation is not None:
-        rails = channel.integrator.saturation
-        limits.append((rails / sensitivity, f"integrator of {rails:g} V"))
+        saturation_volts = channel.integrator.saturation
+        limits.append((saturation_volts / sensitivity, f"integrator saturation {saturation_volts:g} V"))
     if info.quantity == "force" and channel.hammer is not None:
         saturation = complete_from_preset(channel.hammer).saturation
         limits += [] if saturation is None else [(saturation, "sensor")]
@@ -38,12 +39,15 @@ def reading_limit(channel: Channel | None, info: ChannelInfo) -> tuple[float, st
 
 
 def without_limits(scene: Scene) -> Scene:
-    """Return the scene without limits that clip a reading or end a test; noise and resolution are unchanged."""
+    """Return the scene without limits that clip a reading, mark an alarm or end a test.
+
+    Noise and resolution are unchanged.
+    """
     converter, converter_settings = scene.converter, complete_from_preset(scene.converter)
     if converter_settings.range is not None and converter_settings.bits is None:
         converter = converter.replace(range=_NO_LIMIT)
     elif converter_settings.range is not None and converter_settings.bits is not None:
-        # The size of a count must not change.
+        # The quantization step (LSB) must not change.
         converter = converter.replace(
             range=converter_settings.range * 2.0 ** (_MAX_BITS - converter_settings.bits), bits=_MAX_BITS
         )

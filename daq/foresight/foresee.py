@@ -16,7 +16,7 @@ from daq.excitation import test_of
 from daq.excitation.impulse import settling_time
 from daq.foresight.chain_limits import reading_limit, without_limits
 from daq.foresight.flights import flight_lines, onset_level, outside_band
-from daq.foresight.foresight import Expectation, Foresight, format_size
+from daq.foresight.foresight import Expectation, Foresight, format_quantity
 from daq.foresight.linear import lowest_signal_to_noise, required_drive
 from daq.foresight.rehearsal import Rehearsal, recording_size
 from daq.foresight.rehearsal_plan import (
@@ -46,16 +46,17 @@ _MAX_TIME_RATIO = 1.5
 _LIMITED_DRIVE_RATIO = 0.999
 # Largest number of rehearsals at other levels, which determine the largest permissible level if dampers fly.
 _MAX_SECANT_STEPS = 3
-# Relative tolerance of that level.
+# Relative tolerance of the largest permissible level.
 _LEVEL_TOLERANCE = 0.02
-# A maximum before this ratio of the settling time of the sensor's bias is the power-on transient.
+# A maximum before this fraction of the settling time of the sensor's bias is the power-on transient.
 _POWER_ON_RATIO = 0.5
-# If the permissible level differs from the test's level by more than this factor, it is extrapolated in proportion.
+# If the largest permissible level differs from the test's level by more than this factor, it is extrapolated in
+# proportion.
 _MAX_LEVEL_RATIO = 4.0
 
 
 def foresee(scene: Scene | str | Path) -> Foresight:
-    """Predict the maxima of a test, their margin to the limits, its duration and the size of its recording.
+    """Predict the maxima of a test and their limits, its duration, and the size of its recording.
 
     A short test is rehearsed completely, with noise. Of a long test, the parts with the largest linear response are
     rehearsed. A bed of grains is treated as one mass.
@@ -138,10 +139,10 @@ def rehearse_test(scene: Scene, bench: Bench) -> RehearsedTest:
     extension = 1.0
     if not plan.is_complete and isinstance(test, Random):
         # The expected maximum of a Gaussian process grows with sqrt(log(number of zero crossings)).
-        zero_crossings = test.from_ + test.to
-        log_whole, log_part = (np.log(max(zero_crossings * time, 3.0)) for time in (test.duration, parts[0].seconds))
+        crossings_per_s = test.from_ + test.to
+        log_whole, log_part = (np.log(max(crossings_per_s * time, 3.0)) for time in (test.duration, parts[0].seconds))
         extension = float(max(np.sqrt(log_whole / log_part), 1.0))
-    return RehearsedTest(parts, False, f"{sum(part.seconds for part in parts):.3g} s of it", extension)
+    return RehearsedTest(parts, False, f"{sum(part.seconds for part in parts):.3g} s of the test", extension)
 
 
 def _rehearse_parts(plan: RehearsalPlan, max_seconds: float) -> tuple[Rehearsal, ...]:
@@ -155,10 +156,7 @@ def _rehearse_parts(plan: RehearsalPlan, max_seconds: float) -> tuple[Rehearsal,
 
 
 class _Assessment:
-    """Comparison of a rehearsed test with the limits of its scene.
-
-    `unlimited` is the test rehearsed without these limits.
-    """
+    """Comparison of a rehearsed test with the limits of its scene; `unlimited` is the test without these limits."""
 
     def __init__(self, scene: Scene, bench: Bench, rehearsed: RehearsedTest, unlimited: RehearsedTest) -> None:
         self.scene, self.bench, self.rehearsed_test, self.unlimited_test = scene, bench, rehearsed, unlimited
@@ -169,14 +167,13 @@ class _Assessment:
         """Return the prediction."""
         expectations = (*self._channels(), *self._sensors(), *self._outputs(), *self._tables())
         dampers_fly = any(any(part.impact_times) for part in self.unlimited_test.parts)
-        # The share is the ratio of a maximum to its limit.
-        by_share = sorted(expectations, key=lambda row: row.driven_share)
-        limiting = by_share[-1] if by_share else None
+        by_ratio_to_limit = sorted(expectations, key=lambda row: row.driven_share)
+        limiting = by_ratio_to_limit[-1] if by_ratio_to_limit else None
         largest_level = np.nan
         if limiting is not None and limiting.driven_share > 0.0 and self.key:
             largest_level, dampers_fly = self._largest_level(limiting, dampers_fly)
             # The second nearest limit must not be exceeded either.
-            second_ratio = by_share[-2].driven_share if len(by_share) > 1 else 0.0
+            second_ratio = by_ratio_to_limit[-2].driven_share if len(by_ratio_to_limit) > 1 else 0.0
             if second_ratio > 0.0:
                 second_level = max(self.level / second_ratio, self.level / limiting.driven_share)
                 largest_level = min(largest_level, second_level)
@@ -229,12 +226,13 @@ class _Assessment:
                 if info.at in controlled_positions:
                     consequence = ", so that the force cannot be controlled and all maxima are uncertain"
                 yield (
-                    f"{info.name} reads less than two counts of the converter ({format_size(count, info.unit)} each)"
-                    f"{consequence}. Choose a smaller range or a higher sensitivity."
+                    f"{info.name}: the largest reading is below two counts of the converter "
+                    f"({format_quantity(count, info.unit)} each){consequence}. Choose a smaller range or a higher "
+                    "sensitivity."
                 )
 
     def _sensors(self) -> Iterable[Expectation]:
-        """Yield the largest acceleration at each accelerometer with a limit: that of the motion, or of an impact."""
+        """Yield the largest acceleration, of the motion or of an impact, at each accelerometer with a limit."""
         closing_speeds = np.max([part.closing_speed for part in self.unlimited_test.parts], axis=0)
         speeds = closing_speeds[self.system.damper_number - 1]
         names = [info.name for info in self.bench.channels]
@@ -247,7 +245,7 @@ class _Assessment:
             landing_peak = impact_acceleration(self.system, row, speeds.tolist(), sensor.resonance)
             is_overload_marked = any(part.overloaded[names.index(channel.name)] for part in self.rehearsed_test.parts)
             largest = max(motion_peak, landing_peak)
-            # An overloaded sample does not show which limit was exceeded; the acceleration shows it.
+            # The mark does not state whether the sensor or the input was overloaded.
             is_overloaded = is_overload_marked and largest > sensor.saturation
             name, limit = f"{channel.name} sensor", sensor.saturation
             yield Expectation(name, "m/s^2", largest, frequency, time, limit, "sensor", is_overloaded)
@@ -346,7 +344,7 @@ class _Assessment:
             if isinstance(test, SweptSine):
                 return estimate(self.scene).seconds
             return rehearsed_seconds + max(estimate(self.scene).seconds - parts_seconds, 0.0)
-        # A step between the peaks is assumed to settle as fast as the fastest quarter of the steps about them.
+        # A step between the peaks is assumed to settle in the 25 % quantile of the settling times about the peaks.
         settling_times = [wait for part in rehearsed_test.parts for wait in self._settling_times(part, test)] or [1.0]
         steps = len(test.levels) * len(test.order)
         typical_time = float(np.percentile(settling_times, 25))
@@ -365,8 +363,8 @@ class _Assessment:
     def _settling_times(self, part: Rehearsal, test: SteppedSine) -> Iterable[float]:
         """Yield the times until the tones of a part are steady, s.
 
-        A tone that did not settle in a rehearsal may take a little longer, or all the time that the test allows. The
-        geometric mean of the two is assumed.
+        A tone that did not settle in a rehearsal may settle soon after it, or take all the time that the test allows.
+        The geometric mean of both times is assumed.
         """
         for settle, measure in zip(part.steps[::2], part.steps[1::2], strict=False):
             wait = (settle.stop - settle.first) / self.bench.rate

@@ -31,11 +31,11 @@ class Expectation:
     limited_by: str = ""  # part that has this limit, such as "sensor"
     overloaded: bool = False  # whether the limit is exceeded in the test
     recorded: float = np.nan  # largest reading in the recording; only for a channel
-    driven: float | None = None  # largest value without the power-on transient; None: the same as `largest`
+    driven: float | None = None  # largest value after the power-on transient; None: the same as `largest`
 
     @property
     def driven_share(self) -> float:
-        """Ratio of the maximum to the limit, without the power-on transient, which does not depend on the level."""
+        """Ratio to the limit of the maximum after the power-on transient, which does not depend on the level."""
         return self.share if self.driven is None else self.driven / self.limit
 
     @property
@@ -54,14 +54,14 @@ class Expectation:
         return "" if self.time is None else f"{self.time:.2f} s"
 
     def __str__(self) -> str:
-        location = "" if not self.place else f" at {self.place}"
-        return f"{self.name}: {format_size(self.largest, self.unit)}{location}"
+        location = f" at {self.place}" if self.place else ""
+        return f"{self.name}: {format_quantity(self.largest, self.unit)}{location}"
 
 
-def format_size(magnitude: float, unit: str) -> str:
+def format_quantity(magnitude: float, unit: str) -> str:
     """Format a value with its unit: accelerations in g, small values with the prefix m or µ.
 
-    >>> format_size(519.8, "m/s^2"), format_size(0.00149, "m"), format_size(2.8, "N")
+    >>> format_quantity(519.8, "m/s^2"), format_quantity(0.00149, "m"), format_quantity(2.8, "N")
     ('53 g', '1.49 mm', '2.8 N')
     """
     if not np.isfinite(magnitude):
@@ -109,29 +109,30 @@ class Foresight(Result):
         )
 
     def summary(self) -> str:
-        """State whether the test fits within all limits, and the largest level that does."""
+        """Return whether the test stays within all limits, and the largest level that does."""
         worst = max(self.expectations, key=lambda entry: entry.share, default=None)
         if self.aborts is not None:
             statement = f"the test will abort: {self.aborts}"
         elif worst is None or worst.share == 0.0:
             statement = "the test fits: nothing in the scene has a limit"
         elif worst.share >= 1.0:
-            statement = f"the test overloads {_describe_limit(worst)}"
+            statement = f"the test overloads {worst}; {_describe_limit(worst)}"
         else:
-            statement = f"the test fits; nearest to its limit is {_describe_limit(worst)} ({_percent(worst.share)})"
+            statement = f"the test fits; nearest to its limit is {worst}, {_percent(worst.share)} of its "
+            statement += _describe_limit(worst)
         if self.limited_by is None or not np.isfinite(self.largest_level):
             return statement
         about = "about " if self.nonlinear else ""
         return (
             f"{statement}\n{self.key}: at most {about}"
-            f"{format_size(_round_down(self.largest_level), self.level_unit)} fits "
+            f"{format_quantity(_round_down(self.largest_level), self.level_unit)} fits "
             f"({self.limited_by.name}, {self.limited_by.limited_by})"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return name, unit, largest value, its frequency or time, limit, and largest recorded value."""
         rows = self.expectations
-        # None becomes NaN.
+        # In the arrays of frequencies and times, None becomes NaN.
         return {
             "name": np.array([entry.name for entry in rows], dtype=np.str_),
             "unit": np.array([entry.unit for entry in rows], dtype=np.str_),
@@ -155,10 +156,10 @@ class Foresight(Result):
         for entry in self.expectations:
             limit, share = "", ""
             if np.isfinite(entry.limit):
-                limit = f"{entry.limited_by}, {format_size(entry.limit, entry.unit)}"
+                limit = f"{entry.limited_by}, {format_quantity(entry.limit, entry.unit)}"
                 share = "over" if entry.share >= 1.0 else _percent(entry.share)
             signal = str(self.signals[entry.name]) if entry.name in self.signals else ""
-            rows.append((entry.name, format_size(entry.largest, entry.unit), entry.place, limit, share, signal))
+            rows.append((entry.name, format_quantity(entry.largest, entry.unit), entry.place, limit, share, signal))
         about = "about " if self.rehearsed else ""
         lines = [*self.unread, *self.flights, *self.outside]
         lines.append(f"takes {about}{duration_text(self.seconds)} on the bench, about {self.disk / 1e6:.3g} MB")
@@ -168,9 +169,7 @@ class Foresight(Result):
 
 
 def _describe_limit(entry: Expectation) -> str:
-    return f"{entry}, {entry.limited_by}" + (
-        f" ends at {format_size(entry.limit, entry.unit)}" if entry.unit not in ("V", "A") else ""
-    )
+    return f"limit {format_quantity(entry.limit, entry.unit)} ({entry.limited_by})"
 
 
 def _percent(share: float) -> str:

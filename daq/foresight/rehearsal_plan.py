@@ -1,4 +1,4 @@
-"""Choose the parts of a test that are simulated in advance to predict the largest readings, in a limited CPU time.
+"""Choose the parts of a test that are simulated in advance, in a limited CPU time, to predict the largest readings.
 
 Such a simulation is called a rehearsal. A short test is rehearsed completely. A stepped or swept sine is represented by
 its beginning, where sensors have just been switched on, and by the frequencies about the peaks of the linear response.
@@ -29,10 +29,10 @@ from rig.system.structural_model import structural_model
 
 # Approximate CPU time of a rehearsal, s.
 _BUDGET_S = 0.7
-# CPU time for a random test or multisine, as a multiple of the budget. It is longer, because the extremes found in a
-# part of these tests vary by 10 % from part to part.
+# CPU time for a random test or multisine, as a multiple of `_BUDGET_S`, because the extremes in a part of such a test
+# vary by 10 % from part to part.
 _RANDOM_BUDGET_RATIO = 4.0
-# CPU time of a sample without states and channels, s; the CPU times were measured on one core of 2 GHz.
+# CPU time of a sample without states and channels, s. All CPU times here were measured on one core of 2 GHz.
 _SAMPLE_S = 130e-9
 # CPU time of each state in a sample, s.
 _STATE_S = 6e-9
@@ -44,15 +44,15 @@ _CONTROLLED_PERIOD_S = 1.2e-3
 _FILTER_TIME_RATIO = 2.0
 # CPU time of each element of the state matrix in a sample, s.
 _ELEMENT_S = 0.6e-9
-# Fixed part of the duration of a step (one tone), s, measured with the bundled scenes.
+# Fixed part of the wait at a step (one tone), s, measured with the bundled scenes.
 _STEP_S = 1.4
-# Remaining part, in which transients decay, as a number of time constants of the slowest mode.
+# Remaining part of the wait, in which transients decay, as a number of time constants of the slowest mode.
 _STEP_TIME_CONSTANTS = 2.0
 # Longest wait for steady state in a rehearsal of parts, s.
 _LONGEST_WAIT_S = 10.0
 # Peaks of a channel's linear response below this ratio to its largest peak are omitted.
 _MIN_PEAK_RATIO = 0.15
-# A group consists of frequencies whose successive indices differ by at most this number.
+# The frequencies to rehearse form groups; in a group, successive indices differ by at most this number.
 _MAX_INDEX_GAP = 4
 # Number of steps at the start of each group that are run but not evaluated, because their initial motion is not that of
 # the complete test.
@@ -71,7 +71,7 @@ class RehearsalPlan:
 
 
 def affordable_seconds(scene: Scene) -> float:
-    """Return the longest duration of a test that can be rehearsed within the budget of CPU time, s of bench time."""
+    """Return the longest duration of a test, s, that can be rehearsed in the CPU time `_BUDGET_S`."""
     system = assemble(scene)
     channels = system.coordinates if scene.channels is None else len(scene.channels)
     states = system.states + system.dampers
@@ -100,8 +100,8 @@ def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...]) -> Rehearsal
         part = test.replace(duration=min(test.duration, seconds))
     elif isinstance(test, Multisine):
         single_period = test.replace(periods=1)
-        share = seconds / expected_seconds(scene.replace(test=single_period))
-        part = single_period.replace(realisations=max(1, min(test.realisations, int(share * test.realisations))))
+        fraction = seconds / expected_seconds(scene.replace(test=single_period))
+        part = single_period.replace(realisations=max(1, min(test.realisations, int(fraction * test.realisations))))
     else:
         part = _with_first_hits(test, seconds)
     return RehearsalPlan(((scene.replace(test=part), 0),))
@@ -111,8 +111,8 @@ def expected_seconds(scene: Scene) -> float:
     """Return the expected duration of a test with its waits for steady state, s."""
     min_duration, test = estimate(scene).seconds, scene.test
     if isinstance(test, Multisine):
-        # Each realization begins with a crossfade, and at least two periods until successive periods agree. With force
-        # control, the iterations of the drive are added.
+        # Each realization begins with a period of crossfade, and at least two periods until successive periods agree.
+        # With force control, the iterations of the drive take about 8 s.
         return min_duration * (1.0 + 3.0 / test.periods) + (8.0 if controlled_places(scene) else 0.0)
     if not isinstance(test, SteppedSine):
         return min_duration
@@ -128,7 +128,7 @@ def _expected_wait(scene: Scene) -> float:
 
 
 def _with_first_hits(test: Impulse, seconds: float) -> Impulse:
-    """Return the test with as many first hits as fit into `seconds`, at least one; later hits are equal."""
+    """Return the test with only the first hits, as many as fit into `seconds`, at least one; later hits are equal."""
     double_hit, repeats, interval = test.double_hit, max(1, int(seconds / test.interval)), test.interval
     if test.interval >= seconds:
         interval = max(seconds, 2.0 * (test.width + (0.0 if double_hit is None else double_hit.after)))
@@ -203,7 +203,7 @@ def _peak_indices(
 ) -> NDArray[np.intp]:
     """Return the sorted indices of at most `max_count` frequencies: peaks of the linear response, and neighbors.
 
-    The highest peaks come first; the neighbors nearest to them are added.
+    The highest peaks are chosen first, then the frequencies nearest to them.
     """
     peak_heights: dict[int, float] = {}
     for dampers in dict.fromkeys((scene.dampers, ())):

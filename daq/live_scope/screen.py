@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.drawing.rig_view import Extremes, RigPose, RigView, exaggeration
+from daq.drawing.rig_view import Extremes, RigMotion, RigView, exaggeration
 from daq.excitation.manual_tone import ToneReading
 from daq.viewing.blueprint import live_layout
 from daq.viewing.viewer_stream import CurveSender, plots
@@ -66,15 +66,15 @@ class Screen:
         size = motion.displacement.shape[1]
         indices = np.arange((-motion.first) % self._step, size, self._step)
         bodies = self._scene.structure.bodies
-        pose = RigPose(
+        rig_motion = RigMotion(
             motion.displacement[:bodies, indices],
             motion.displacement[bodies : bodies + len(self._scene.tables), indices],
             motion.gap[:, indices] if self._scene.dampers else None,
         )
         self._position = motion.first + size
         if indices.size:
-            self._adapt_exaggeration(pose)
-            self._sender.send_motion(self._view, motion.first + indices, pose)
+            self._adapt_exaggeration(rig_motion)
+            self._sender.send_motion(self._view, motion.first + indices, rig_motion)
 
     def read(self, reading: ToneReading) -> None:
         """Show a reading of the tone (its frequency, force and displacements), at most a few times per second."""
@@ -92,9 +92,9 @@ class Screen:
         for path, part in self._view.still_parts():
             self._stream.log(path, part, static=True)
 
-    def _adapt_exaggeration(self, pose: RigPose) -> None:
+    def _adapt_exaggeration(self, rig_motion: RigMotion) -> None:
         """Redraw the rig if its exaggeration is too large, or much too small, for the motion."""
-        current = Extremes().widened(pose, [shaker.body for _, shaker in self._scene.tables])
+        current = Extremes().extended_by(rig_motion, [shaker.body for _, shaker in self._scene.tables])
         first_position = self._position - round(_QUIET_S * self._rate)
         self._recent_extremes = [entry for entry in self._recent_extremes if entry[0] >= first_position]
         self._recent_extremes.append((self._position, current))
@@ -103,7 +103,7 @@ class Screen:
         factor = exaggeration(largest)
         # Whether the stored extremes cover the whole time.
         is_covered = self._position - self._recent_extremes[0][0] >= 0.9 * _QUIET_S * self._rate
-        if factor < self._view.magnification or (is_covered and factor > _MIN_INCREASE * self._view.magnification):
+        if factor < self._view.exaggeration or (is_covered and factor > _MIN_INCREASE * self._view.exaggeration):
             self._draw(largest)
 
 

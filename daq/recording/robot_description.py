@@ -99,7 +99,7 @@ class RobotDescription:
             name = table.point.replace(" ", "_")
             self._link(name, [((0, 0, -PLATE / 2), (0.085, 0.085, PLATE))], DRIVE)
             self._joint(WORLD, name, table.top)
-        cavity_of_damper = {cavity.place: cavity for body_cavities in stack.cavities for cavity in body_cavities}
+        cavity_of_damper = {cavity.damper_index: cavity for body_cavities in stack.cavities for cavity in body_cavities}
         for number, damper in enumerate(scene.dampers if with_dampers else (), start=1):
             points.append(f"damper {number}")
             (x, y, z), size = cavity_of_damper[number - 1].damper

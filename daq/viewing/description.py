@@ -190,7 +190,7 @@ def markdown_page(recording: Recording, motion: RecordedMotion, view: RigView) -
         f"# {escape_markdown(scene.name)}",
         f"{recording.samples / rate:.3f} s at {rate:g} Hz, {len(recording.channels)} channels",
         "",
-        f"## In the drawing, motion is {view.magnification:g} times as large",
+        f"## In the drawing, motion is {view.exaggeration:g} times as large",
         *[f"- {escape_markdown(source.point)}: {escape_markdown(source.sentence)}" for source in motion.sources],
     ]
     if scene.dampers:

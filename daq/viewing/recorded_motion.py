@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.drawing.rig_view import RigPose
+from daq.drawing.rig_view import RigMotion
 from daq.recording.displacement import DisplacementFilter, motion_sources
 from daq.recording.truth import points_of
 
@@ -32,7 +32,7 @@ class RecordedMotion:
         self.sources = motion_sources(points_of(scene), channels, recording.has_truth)
         self.gaps_known = bool(scene.dampers) and recording.has_truth
 
-    def segments(self, start: int, stop: int, step: int) -> Iterator[tuple[NDArray[np.int64], RigPose]]:
+    def segments(self, start: int, stop: int, step: int) -> Iterator[tuple[NDArray[np.int64], RigMotion]]:
         """Yield sample numbers and the motion at them, for every `step`-th sample of [start, stop).
 
         Samples that the recording lost are left out.
@@ -54,7 +54,7 @@ class RecordedMotion:
                 gap = gap[:, complete]
             motion = motion[:, complete]
             bodies = self.recording.scene.structure.bodies
-            yield sample_numbers[complete], RigPose(motion[:bodies], motion[bodies:], gap)
+            yield sample_numbers[complete], RigMotion(motion[:bodies], motion[bodies:], gap)
 
     def _displacements(self, filters: dict[str, DisplacementFilter], first: int, last: int) -> NDArray[np.float64]:
         """Return displacements in m at samples [first, last), shape (sources, samples); NaN where samples were lost."""

@@ -72,7 +72,7 @@ class Replay:
         shaker_bodies = [shaker.body for _, shaker in self.recording.scene.tables]
         extremes, largest_sample, largest_size = Extremes(), self.start, 0.0
         for instants, motion in self.motion.segments(self.start, self.stop, self.step):
-            extremes = extremes.widened(motion, shaker_bodies)
+            extremes = extremes.extended_by(motion, shaker_bodies)
             # A picture should show dampers in flight. Without dampers it should show large displacements.
             motion_size = np.abs(motion.displacement).max(axis=0) if motion.gap is None else motion.gap.sum(axis=0)
             if instants.size and motion_size.max() > largest_size:

@@ -13,7 +13,7 @@ from daq.drawing.palette import body_color, channel_color
 from daq.viewing.blueprint import TIMELINE
 
 if TYPE_CHECKING:
-    from daq.drawing.rig_view import RigPose, RigView
+    from daq.drawing.rig_view import RigMotion, RigView
     from daq.signal_chain.channel import ChannelInfo
     from rig.scene.damper import Damper
 
@@ -90,7 +90,7 @@ class CurveSender:
                 self._stream.send_columns(f"dampers/contact/damper_{number + 1}", times, changes)
             self._last_contact[number] = int(states[number, -1])
 
-    def send_motion(self, view: RigView, samples: NDArray[np.int64], motion: RigPose) -> None:
+    def send_motion(self, view: RigView, samples: NDArray[np.int64], motion: RigMotion) -> None:
         """Send the motion of the rig at the given sample numbers."""
         if not samples.size:
             return

@@ -12,7 +12,7 @@ from nidaqmx.constants import TaskMode
 import analysis
 import daq
 import rig
-from daq.bench_page.operator import LiveBench
+from daq.bench_page.live_bench import LiveBench
 from daq.instrument.connecting import connect_scene
 from daq.server.connection import connect
 from rig.scene.yaml_reader import read_yaml
@@ -42,7 +42,7 @@ def make_scene(kind):
 def bench(request, tmp_path):
     chassis = connect_scene(make_scene(request.param), "manual")
     live_bench = LiveBench(chassis, "", tmp_path / "test.mcap", False)
-    live_bench.operator.settings.kind = request.param
+    live_bench.controller.settings.kind = request.param
     yield live_bench
     with contextlib.suppress(ValueError):
         live_bench.close()
@@ -58,17 +58,17 @@ def pass_time(bench, seconds):
 def set_controls(bench, **settings):
     """Enter settings on the page."""
     for name, value in settings.items():
-        setattr(bench.operator.settings, name, value)
+        setattr(bench.controller.settings, name, value)
 
 
 @pytest.mark.parametrize("bench", ["sweep"], indirect=True)
 def test_recorded_sweep_has_the_resonance(bench):
     set_controls(bench, level=5.0, low=50.0, high=75.0, duration=20.0)
     bench.recordings.enabled = True
-    bench.operator.start()
-    assert bench.operator.running
+    bench.controller.start()
+    assert bench.controller.running
     pass_time(bench, 25.0)
-    assert not bench.operator.running and bench.operator.message == "ready"
+    assert not bench.controller.running and bench.controller.message == "ready"
     live = bench.monitor.frf.curves()
     bench.close()
     (path,) = bench.recordings.paths
@@ -87,15 +87,15 @@ def test_recorded_sweep_has_the_resonance(bench):
 def test_stopped_random_test_leaves_a_readable_recording(bench):
     set_controls(bench, level=5.0, low=20.0, high=200.0, duration=60.0)
     bench.recordings.enabled = True
-    bench.operator.start()
+    bench.controller.start()
     pass_time(bench, 6.0)
     averages = bench.monitor.frf.curves().averages
     pass_time(bench, 6.0)
     assert bench.monitor.frf.curves().averages > averages
-    bench.operator.stop()
+    bench.controller.stop()
     pass_time(bench, 5.0)
-    assert not bench.operator.running
-    assert bench.monitor.output()[0][0] == 0.0
+    assert not bench.controller.running
+    assert bench.monitor.drive_levels()[0][0] == 0.0
     bench.close()
     with daq.open(bench.recordings.paths[0]) as recording:
         recording.check()
@@ -105,22 +105,22 @@ def test_stopped_random_test_leaves_a_readable_recording(bench):
 @pytest.mark.parametrize("bench", ["sine"], indirect=True)
 def test_sine_follows_frequency_and_level(bench):
     set_controls(bench, level=5.0, frequency=40.0)
-    bench.operator.start()
+    bench.controller.start()
     pass_time(bench, 5.0)
-    (peak, frequency), *_ = bench.monitor.output()
+    (peak, frequency), *_ = bench.monitor.drive_levels()
     assert (peak, frequency) == (pytest.approx(5.0, rel=0.01), pytest.approx(40.0, rel=0.01))
     set_controls(bench, frequency=50.0, level=2.0)
-    bench.operator.turn()
+    bench.controller.apply_settings()
     pass_time(bench, 5.0)
-    (peak, frequency), *_ = bench.monitor.output()
+    (peak, frequency), *_ = bench.monitor.drive_levels()
     assert (peak, frequency) == (pytest.approx(2.0, rel=0.01), pytest.approx(50.0, rel=0.01))
 
 
 @pytest.mark.parametrize("bench", ["hammer"], indirect=True)
 def test_only_accepted_hits_are_marked_and_averaged(bench):
-    set_controls(bench, level=100.0, hits=4, duration=2.0)
+    set_controls(bench, level=100.0, hits=4, interval=2.0)
     bench.recordings.enabled = True
-    bench.operator.start()
+    bench.controller.start()
     pass_time(bench, 7.5)
     hits = bench.monitor.detector.hits
     assert [hit.faults for hit in hits] == [[], ["double hit"], []]
@@ -139,8 +139,8 @@ def test_only_accepted_hits_are_marked_and_averaged(bench):
 
 @pytest.mark.parametrize("bench", ["hammer"], indirect=True)
 def test_overloaded_channel_is_indicated(bench):
-    set_controls(bench, level=1000.0, hits=1, duration=2.0)
-    bench.operator.start()
+    set_controls(bench, level=1000.0, hits=1, interval=2.0)
+    bench.controller.start()
     pass_time(bench, 1.0)
     assert bench.monitor.overloads() == [False, False, True]
     pass_time(bench, 3.0)
@@ -153,7 +153,7 @@ def test_each_test_has_its_own_recording(bench):
     set_controls(bench, level=5.0, low=50.0, high=75.0, duration=2.0)
     bench.recordings.enabled = True
     for _ in range(2):
-        bench.operator.start()
+        bench.controller.start()
         pass_time(bench, 5.0)
     bench.close()
     assert [path.name for path in bench.recordings.paths] == ["test.mcap", "test-2.mcap"]
@@ -167,7 +167,7 @@ def test_unusable_recording_folder_is_reported(bench, tmp_path):
     (tmp_path / "file").write_bytes(b"")
     bench.recordings._path = tmp_path / "file" / "test.mcap"
     bench.recordings.enabled = True
-    bench.operator.start()
+    bench.controller.start()
     pass_time(bench, 0.5)
     bench.close()
     assert "cannot make the folder" in bench.recordings.problem
@@ -177,9 +177,9 @@ def test_unusable_recording_folder_is_reported(bench, tmp_path):
 @pytest.mark.parametrize("bench", ["sweep"], indirect=True)
 def test_wrong_settings_are_reported(bench):
     set_controls(bench, low=50.0, high=50.0)
-    bench.operator.start()
-    assert not bench.operator.running
-    assert "equal to from" in bench.operator.message
+    bench.controller.start()
+    assert not bench.controller.running
+    assert "equal to from" in bench.controller.message
 
 
 def test_client_and_page_share_the_output(tmp_path):
@@ -190,9 +190,9 @@ def test_client_and_page_share_the_output(tmp_path):
             live_bench.recordings.enabled = True
             task.control(TaskMode.TASK_RESERVE)
             assert "mine" in live_bench.clients()
-            live_bench.operator.start()
-            assert "mine" in live_bench.operator.message and not live_bench.operator.running
-        live_bench.operator.start()
-        assert live_bench.operator.running
-        assert live_bench.clients() == "no NI client"
+            live_bench.controller.start()
+            assert "mine" in live_bench.controller.message and not live_bench.controller.running
+        live_bench.controller.start()
+        assert live_bench.controller.running
+        assert live_bench.clients() == "no task of an NI client"
         live_bench.close()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rig
-from daq.drawing.rig_view import Extremes, RigPose, RigView, exaggeration
+from daq.drawing.rig_view import Extremes, RigMotion, RigView, exaggeration
 from daq.drawing.stack import DAMPER_HEIGHT, HEADROOM, WALL, WIDTH, cavities
 from rig.scene.scene_files import SCENES
 
@@ -26,7 +26,7 @@ def random_pose(scene, amplitude_m, seed=0, instants=50):
     """Return random displacements and gaps of all parts, up to an amplitude."""
     noise = np.random.default_rng(seed)
     bodies, dampers = scene.structure.bodies, len(scene.dampers)
-    return RigPose(
+    return RigMotion(
         displacement=amplitude_m * noise.uniform(-1, 1, (bodies, instants)),
         tables=amplitude_m * noise.uniform(-1, 1, (len(scene.tables), instants)),
         gap=amplitude_m * noise.uniform(0, 1, (dampers, instants)),
@@ -35,7 +35,7 @@ def random_pose(scene, amplitude_m, seed=0, instants=50):
 
 def draw(scene, motion):
     """Return the view, and for each moving part its heights in m and its scale factors."""
-    view = RigView(scene, Extremes().widened(motion, [shaker.body for _, shaker in scene.tables]), gaps_known=True)
+    view = RigView(scene, Extremes().extended_by(motion, [shaker.body for _, shaker in scene.tables]), gaps_known=True)
     parts = {path: (move[:, 2], scale) for path, move, scale in view.moving_parts(motion)}
     return view, parts
 
@@ -74,18 +74,18 @@ def test_parts_never_pass_through_each_other(amplitude_m):
 def test_damper_at_its_ceiling_touches_it():
     scene = rig.load("fig9")
     clearance = scene.dampers[0].clearance
-    motion = RigPose(np.zeros((3, 2)), np.zeros((1, 2)), np.array([[0.0, clearance]]))
+    motion = RigMotion(np.zeros((3, 2)), np.zeros((1, 2)), np.array([[0.0, clearance]]))
     view, parts = draw(scene, motion)
     floor_gap, ceiling_gap = parts["rig/body_2/damper"][0]
     assert floor_gap == 0.0
-    [cavity] = cavities(scene.dampers, 2, view.magnification)
+    [cavity] = cavities(scene.dampers, 2, view.exaggeration)
     assert cavity.ceiling == pytest.approx(WALL + DAMPER_HEIGHT + ceiling_gap)
 
 
 def test_cavity_with_distant_ceiling_is_open():
     scene = SCENE.replace(dampers=[{"body": 2, "mass": "50 g", "clearance": "1 m"}])
     view, _ = draw(scene, random_pose(scene, 1e-3))
-    [cavity] = cavities(scene.dampers, 2, view.magnification)
+    [cavity] = cavities(scene.dampers, 2, view.exaggeration)
     assert cavity.ceiling is None
 
 
@@ -141,8 +141,8 @@ def test_noise_at_rest_is_not_exaggerated():
 
 
 def test_lost_samples_do_not_count_as_extremes():
-    motion = RigPose(np.array([[1e-3, np.nan], [0.0, np.nan]]), np.array([[np.nan, 0.0]]), None)
-    extremes = Extremes().widened(motion, [1])
+    motion = RigMotion(np.array([[1e-3, np.nan], [0.0, np.nan]]), np.array([[np.nan, 0.0]]), None)
+    extremes = Extremes().extended_by(motion, [1])
     assert extremes.body == extremes.spring == 1e-3
 
 

@@ -90,7 +90,7 @@ def test_largest_level_is_the_limit() -> None:
     )
     assert below.fits
     assert not above.fits
-    assert "input of 0.1 V" in above.summary()
+    assert "input range 0.1 V" in above.summary()
 
 
 def test_overloaded_input_states_true_maximum() -> None:
@@ -160,7 +160,7 @@ def test_smallest_signal_is_that_of_weakest_tone() -> None:
 def test_channel_below_two_counts_is_named() -> None:
     converter = {"rate": 1024, "bits": 8, "range": "10 V"}
     (line,) = daq.foresee(one_body(TONE, channels=accelerometer(), converter=converter)).unread
-    assert line.startswith("a1 reads less than two counts")
+    assert line.startswith("a1: the largest reading is below two counts")
     with_24_bits = daq.foresee(one_body(TONE, channels=accelerometer(), converter=converter | {"bits": 24}))
     assert with_24_bits.unread == ()
 

@@ -310,7 +310,7 @@ def test_progress_warns_of_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_full_disk_is_reported_before_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1 << 19))
-    with pytest.raises(SceneError, match=r"has 0\.5 MB left"):
+    with pytest.raises(SceneError, match=r"0\.5 MB are free"):
         daq.record(hit_scene(), tmp_path / "a.mcap")
     assert not list(tmp_path.iterdir())
 

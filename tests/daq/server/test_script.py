@@ -164,7 +164,7 @@ def test_example_shows_its_result(name, capfd, monkeypatch):
         "finite_read": "5120 samples per channel at 5120 S/s",
         "continuous_read": "5120 samples per channel",
         "impulse_capture": "first sample above 10 N: index 256",
-        "log_to_recording": "table: 2560 samples in m, as read",
+        "log_to_recording": "table: 2560 samples in m, equal to the samples read",
         "live_control": "5.0 s: 0.4942 m/s^2",
     }
     assert expected_line[name] in stdout

@@ -104,10 +104,10 @@ def test_drawn_rig_follows_displacement_channels(recording, saved_replay):
         time, position = saved_replay.series(f"/rig/body_{body}", "translation", width=3)
         np.testing.assert_allclose(time, frames / recording.rate, atol=1e-9)
         height = position[:, 2] - position[:, 2].mean()
-        displacement = recording.read(f"body{body}")[frames] * replay.view.magnification
+        displacement = recording.read(f"body{body}")[frames] * replay.view.exaggeration
         np.testing.assert_allclose(height, displacement - displacement.mean(), atol=1e-6)
     _, gap = saved_replay.series("/rig/body_2/damper", "translation", width=3)
-    true = recording.truth("gap")[0][frames] * replay.view.magnification
+    true = recording.truth("gap")[0][frames] * replay.view.exaggeration
     np.testing.assert_allclose(gap[:, 2], true, atol=1e-6)
 
 
@@ -118,7 +118,7 @@ def test_saved_replay_has_markers_and_description(recording, saved_replay):
     assert times[index] == pytest.approx(mark.first_sample / recording.rate)
     assert f"frequency {FREQUENCY:g} Hz" in texts[index]
     (page,) = saved_replay.static["/about", "text"].to_pylist()[0]
-    factor = Replay(recording).view.magnification
+    factor = Replay(recording).view.exaggeration
     assert f"motion is {factor:g} times as large" in page
     assert "body 1: channel body1" in page
     assert recording.scene.name in page

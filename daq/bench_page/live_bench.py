@@ -1,4 +1,4 @@
-"""The bench behind the page, and its operator: tests that are built from a few settings, run, and marked."""
+"""The bench behind the page: it builds tests from a few settings, runs them, and marks them in the recording."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Kind = Literal["sine", "sweep", "random", "hammer"]
 
 # Minimum number of samples per period of a sine; it limits the frequency.
 _MIN_SAMPLES_PER_PERIOD = 10.0
-# Limits of a block of the live frequency response, s; within them it is a tenth of the test.
+# Limits of the block length of the live frequency response, s. Within these limits, it is a tenth of the test.
 _MIN_BLOCK_S = 1.0
 _MAX_BLOCK_S = 4.0
 # Longest window of a hit, and shortest time between a window and the next hit, s.
@@ -43,19 +43,20 @@ class Settings:
     frequency: float  # of a sine, Hz
     low: float  # limits of a sweep or of random, Hz
     high: float
-    duration: float  # of a sweep or of random; for a hammer test, the time between hits, s
+    duration: float  # of a sweep or of random, s
+    interval: float  # between hits, s
     hits: int  # number of hits
 
 
-class Operator:
+class TestController:
     """Starts and stops tests on the bench of a chassis.
 
     The initial `settings` are those of the scene's test. `kinds` are the tests for which the scene has a shaker or a
-    hammer. `message` is the state of the test, or the reason why it did not start. `no_response` is the reason why
-    there is no live frequency response.
+    hammer. `message` is the state of the test, or the reason why it did not start. `frf_unavailable_reason` is the
+    reason why there is no live frequency response.
     """
 
-    # The chassis lists the clients that keep bench time running by this name.
+    # Name under which the chassis lists this client, which keeps the clock of the bench running.
     name = "daq bench"
 
     def __init__(self, chassis: Chassis, monitor: Monitor, recordings: BenchRecordings) -> None:
@@ -78,11 +79,12 @@ class Operator:
             frequency=float(getattr(test, "frequency", None) or low),
             low=float(min(low, high)),
             high=float(max(low, high)),
-            duration=float(test.interval) if test is not None and test.kind == "impulse" else 60.0,
+            duration=60.0,
+            interval=float(test.interval) if test is not None and test.kind == "impulse" else 0.0,
             hits=int(getattr(test, "repeats", 1)),
         )
         self.message = "ready" if self.kinds else "the scene has neither a shaker nor a hammer"
-        self.no_response = ""
+        self.frf_unavailable_reason = ""
         self._background_test: BackgroundTest | None = None
         self._controls: ToneControls | None = None
         # First sample, stop and marker fields of each hit of the test.
@@ -123,16 +125,16 @@ class Operator:
                     scene, chassis.position, self._on_mark, self._on_progress, self._on_end, excite
                 )
                 if self.running:
-                    self._monitor.watch(frf, detector)
+                    self._monitor.start_estimate(frf, detector)
         except (ShotrigError, ValueError) as error:
             self.message = str(error)
 
     def stop(self) -> None:
-        """End the test at the next window of its drive."""
+        """End the test after the present window of its drive."""
         if self._background_test is not None:
             self._background_test.stop()
 
-    def turn(self) -> None:
+    def apply_settings(self) -> None:
         """Apply the changed frequency and level to a running sine."""
         if self._controls is not None and self.running:
             try:
@@ -151,7 +153,7 @@ class Operator:
                 numbers = tuple(number for number in double_hit.hits if number <= settings.hits)
                 double_hit = double_hit.replace(hits=numbers) if numbers else None
             test = test.replace(
-                peak=settings.level, repeats=int(settings.hits), interval=settings.duration, double_hit=double_hit
+                peak=settings.level, repeats=int(settings.hits), interval=settings.interval, double_hit=double_hit
             )
             return self._scene.replace(test=test), excitation, None
         if settings.kind == "sine":
@@ -164,12 +166,15 @@ class Operator:
         return self._scene.replace(test=test_settings), excitation, None
 
     def _build_estimate(self, scene: Scene, kind: TestKind) -> tuple[LiveFrf | None, HitDetector | None]:
-        """Return the live estimate and the detector of hits; if no channel measures the force, set `no_response`."""
+        """Return the live estimate and the detector of hits; each is None if its channel is missing.
+
+        Without an estimate, `frf_unavailable_reason` is set.
+        """
         settings, monitor, detector = self.settings, self._monitor, None
         band = sorted((settings.low, settings.high))
         block = min(max(settings.duration / 10, _MIN_BLOCK_S), _MAX_BLOCK_S)
         if kind is TestKind.HITS:
-            block = min(settings.duration - _MIN_PAUSE_S, _MAX_HIT_S)
+            block = min(settings.interval - _MIN_PAUSE_S, _MAX_HIT_S)
             band = [0.0, 0.5 * monitor.rate]
             row = next((k for k, info in enumerate(monitor.channels) if info.at == "hammer"), None)
             if row is not None:
@@ -178,9 +183,9 @@ class Operator:
             band = [0.0, monitor.rate / _MIN_SAMPLES_PER_PERIOD]
         try:
             frf = LiveFrf(scene, monitor.channels, monitor.rate, block, (band[0], band[1]))
-            self.no_response = ""
+            self.frf_unavailable_reason = ""
         except SceneError as error:
-            frf, self.no_response = None, str(error)
+            frf, self.frf_unavailable_reason = None, str(error)
         return frf, detector
 
     def _on_mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
@@ -206,7 +211,7 @@ class Operator:
 
     def _on_end(self, reason: str) -> None:
         self._mark_hits()
-        self._monitor.stop_watching()
+        self._monitor.end_estimate()
         self._recordings.end_test()
         self.message = f"test ended: {reason}" if reason else "ready"
 
@@ -227,16 +232,16 @@ class LiveBench:
         self.chassis, self.address = chassis, address
         self.monitor = Monitor(chassis)
         self.recordings = BenchRecordings(chassis, recording, overwrite)
-        self.operator = Operator(chassis, self.monitor, self.recordings)
-        # The recordings come first, because they end a test after the block that they receive.
+        self.controller = TestController(chassis, self.monitor, self.recordings)
+        # The recordings receive each block first, because the block in which a test ends still belongs to its file.
         chassis.listeners += [self.recordings.on_block, self.monitor.on_block]
-        self.operator.switch_on()
+        self.controller.switch_on()
 
     def outputs(self) -> list[str]:
-        """Return a line for each output: its peak in V, and its frequency."""
+        """Return a line for each output: peak in V and frequency."""
         lines = []
         for number, ((peak, frequency), drive_per_volt) in enumerate(
-            zip(self.monitor.output(), self.chassis.terminals.drive_per_volt, strict=False), 1
+            zip(self.monitor.drive_levels(), self.chassis.terminals.drive_per_volt, strict=False), 1
         ):
             tone = f", {frequency:.4g} Hz" if frequency else ""
             lines.append(f"output {number}: {peak / drive_per_volt:.4g} V{tone}")
@@ -250,13 +255,13 @@ class LiveBench:
                 f"{name}: {'running' if task in chassis.inputs or task in chassis.outputs else 'open'} on {task.device}"
                 for name, task in chassis.tasks.items()
             ]
-        return "\n".join(["Tasks of NI clients:", *lines]) if lines else "no NI client"
+        return "\n".join(["Tasks of NI clients:", *lines]) if lines else "no task of an NI client"
 
     def close(self) -> None:
         """Complete the recording, and stop all threads."""
         with self.chassis.changed:
             self.chassis.listeners.remove(self.recordings.on_block)
             self.chassis.listeners.remove(self.monitor.on_block)
-        self.operator.switch_off()
+        self.controller.switch_off()
         self.recordings.close()
         self.monitor.close()

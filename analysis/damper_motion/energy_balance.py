@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import special
 
-from analysis.responses.aliasing import aliased_shares
+from analysis.responses.aliasing import aliased_ratios
 from analysis.responses.measurands import motion_of, reference_of, responses
-from analysis.responses.systematic import ReadingShares, tolerance
+from analysis.responses.systematic import ChannelContributions, tolerance
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
 
@@ -115,12 +115,14 @@ def _bound(
         gain_sensitivity.append(product.real.sum(axis=1))
         phase_sensitivity.append(abs(product).sum(axis=1))
         fundamental_sensitivity.append(2.0 * abs(gradient[:, 0]))
-    parts = [np.sqrt(np.nan_to_num(scatter)) * special.stdtrit(np.maximum(lines.scatter.degrees, 1.0), 0.975)]
+    parts = [
+        np.sqrt(np.nan_to_num(scatter)) * special.stdtrit(np.maximum(lines.scatter.degrees_of_freedom, 1.0), 0.975)
+    ]
     tolerances = np.array([tolerance(rec.channels[name]) for name in lines.channels])
     parts.append(abs(np.array(gain_sensitivity)) @ (tolerances / np.maximum(1.0 - tolerances, 1e-300)))
-    _, aliased = aliased_shares(
+    _, aliased = aliased_ratios(
         rec,
-        ReadingShares(lines.channels, lines.frequency, "displacement", compliance, force_shares, force_shares),
+        ChannelContributions(lines.channels, lines.frequency, "displacement", compliance, force_shares, force_shares),
     )
     for sensitivity, error_ratio in (
         (phase_sensitivity, aliased),

@@ -1,6 +1,6 @@
 """Aliasing: the error of a response by components above half the sample rate, in channels without anti-aliasing filter.
 
-An *image* is a component that the drive has at the sum of a multiple of the sample rate and its own frequency.
+An *image* of the drive is its component at a multiple of the sample rate plus its own frequency.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.responses.systematic import ALIASING, ReadingShares, gain_error_limit, relative_to_reading
+from analysis.responses.systematic import ALIASING, ChannelContributions, gain_error_limit, relative_to_reading
 from rig.arrays import Array, ComplexArray
 from rig.results.response import MOTIONS
 from rig.scene.shaker import ElectrodynamicShaker, TableShaker
@@ -20,55 +20,57 @@ if TYPE_CHECKING:
     from rig import Scene
 
 
-# Multiples of the sample rate whose images are summed.
+# Multiples of the sample rate whose images are summed individually.
 _MULTIPLES = np.array([k for k in range(-8, 9) if k])
-# Largest factor by which all further images increase the sum: exact for images that decrease as 1/k².
+# Factor by which all further images increase the sum; it is exact for images that decrease as 1/k², the slowest
+# decrease.
 _FURTHER_IMAGES = 1.08
-# Smallest ratio of the images of a force in the resulting motion to the motion times (frequency / sample rate)².
+# Smallest aliased component of a reading, relative to the reading times (frequency / sample rate)².
 _MIN_IMAGE_RATIO = 0.1
-# Beginning of the top of the band, relative to the highest frequency.
+# Lowest frequency of the top of the band, relative to the highest frequency.
 _TOP_OF_BAND = 0.8
 
 
-def aliasing_part(rec: Recording, shares: ReadingShares) -> dict[str, Array]:
+def aliasing_limit(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:
     """Compute the largest deviation of a response by aliasing of components above half the sample rate.
 
-    The drive is interpolated linearly between samples. Its images about the multiples of the sample rate are smaller
-    by the square of the frequency ratio. A channel without a decimation filter records them, attenuated by its sensor
-    and amplifier. The acceleration of the table contains the images that the shaker reproduces. The acceleration
-    of a body contains the images that the structure transmits above its modes.
+    The drive is interpolated linearly between samples. Its images are therefore smaller than the drive by the square of
+    the frequency ratio. A channel without a decimation filter records them, attenuated by its sensor and amplifier. The
+    acceleration of the table contains the images that the shaker reproduces. The acceleration of a body contains the
+    images that the structure transmits above its modes.
     """
-    true_ratio, recorded_ratio = aliased_shares(rec, shares)
-    return {ALIASING: gain_error_limit(true_ratio, recorded_ratio, shares)} if recorded_ratio.any() else {}
+    true_ratio, recorded_ratio = aliased_ratios(rec, contributions)
+    return {ALIASING: gain_error_limit(true_ratio, recorded_ratio, contributions)} if recorded_ratio.any() else {}
 
 
-def aliased_shares(rec: Recording, shares: ReadingShares) -> tuple[Array, Array]:
+def aliased_ratios(rec: Recording, contributions: ChannelContributions) -> tuple[Array, Array]:
     """Compute the largest aliased component of each channel, relative to the true and to the recorded amplitude.
 
     Both have the shape (channels, lines). They are zero for recordings of other instruments, because the scene does not
     describe how these instruments generate the drive and filter their inputs.
     """
-    frequency, value, reference = shares.frequency, shares.value, shares.reference
+    frequency, value, reference = contributions.frequency, contributions.value, contributions.reference
     true_ratio, recorded_ratio = np.zeros(reference.shape), np.zeros(reference.shape)
     if rec.source:
         return true_ratio, recorded_ratio
     # Above the modes, the acceleration of a body is at most its acceleration at the top of the band. The driven body is
-    # the exception: its acceleration is force over mass, which is not visible in a band below further modes.
-    acceleration = abs(value) * (2.0 * np.pi * frequency) ** (2 - MOTIONS.index(shares.motion))
+    # an exception if modes lie above the band: its acceleration is then force over mass.
+    acceleration = abs(value) * (2.0 * np.pi * frequency) ** (2 - MOTIONS.index(contributions.motion))
     top_acceleration = np.median(acceleration[frequency >= _TOP_OF_BAND * frequency.max()])
     above_band = np.minimum(top_acceleration / np.maximum(acceleration, 1e-300), 1.0)
-    for row, name in enumerate(shares.names):
+    for row, name in enumerate(contributions.names):
         info = rec.channels[name]
         if info.filter:
             continue
         images = info.rate * _MULTIPLES[:, None] + frequency
         transmission = abs(info.response(images.ravel()).reshape(images.shape) / info.response(frequency))
         if info.quantity in MOTIONS:
-            # For equal acceleration, velocity and displacement decrease with frequency.
+            # Velocity and displacement decrease with frequency, relative to the acceleration.
             transmission *= abs(frequency / images) ** (2 - MOTIONS.index(info.quantity))
         shaker = rec.scene.driven_shaker
         if info.at == "table" and isinstance(shaker, TableShaker | ElectrodynamicShaker):
-            # A channel that is not used for the force measures the driven body itself.
+            # If the channel does not contribute to the force, its contribution is computed from the response of the
+            # driven body: k0 x0 / F = 1 + k0 x1 / F.
             spring_share = np.where(reference[row] == 0.0, 1.0 + shaker.spring * value, reference[row])
             image_ratio = _image_ratio(shaker, frequency, images, spring_share)
             true_ratio[row] = _FURTHER_IMAGES * np.sum(transmission * image_ratio, axis=0)
@@ -77,9 +79,9 @@ def aliased_shares(rec: Recording, shares: ReadingShares) -> tuple[Array, Array]
         recorded_ratio[row] = _FURTHER_IMAGES * np.sum((frequency / images) ** 2 * transmission, axis=0)
         if info.at.startswith("body"):
             body = int(info.at.split()[1])
-            driven = _free_acceleration(rec.scene, body) / np.maximum(acceleration, 1e-300)
-            recorded_ratio[row] *= np.maximum(above_band, driven)
-            # A channel that transmits up to the highest image also records an impact between two samples.
+            driven_ratio = _free_acceleration(rec.scene, body) / np.maximum(acceleration, 1e-300)
+            recorded_ratio[row] *= np.maximum(above_band, driven_ratio)
+            # A channel that transmits even the highest image also records impacts between two samples.
             recorded_ratio[row] += _impact_ratio(rec.scene, body) * transmission.min(axis=0)
         # Lower bound of both contributions.
         recorded_ratio[row] = np.maximum(recorded_ratio[row], _MIN_IMAGE_RATIO * (frequency / info.rate) ** 2)
@@ -96,10 +98,10 @@ def _free_acceleration(scene: Scene, body: int) -> float:
 
 
 def _impact_ratio(scene: Scene, body: int) -> float:
-    """Return the largest share of damper impacts in a body's acceleration: damper mass over the mass that it hits.
+    """Return the largest ratio of a body's acceleration by damper impacts to its total acceleration.
 
-    A damper that follows the body within its clearance receives a force in proportion to its mass; impacts transmit at
-    most this force.
+    It is the damper mass over the mass of the body: a damper that follows the body within its clearance receives a
+    force in proportion to its mass, and impacts transmit at most this force.
     """
     bed_masses = [
         bed_mass
@@ -110,24 +112,24 @@ def _impact_ratio(scene: Scene, body: int) -> float:
 
 
 def _inverse_mass(scene: Scene, body: int) -> float:
-    """Return the acceleration of a body per force on it while all other bodies are at rest, 1/kg."""
+    """Return the acceleration of a body per force on it while no other force acts on any body, 1/kg."""
     return float(structural_model(scene).mobility[body - 1, body - 1])
 
 
 def _image_ratio(
-    shaker: TableShaker | ElectrodynamicShaker, frequency: Array, images: Array, share: ComplexArray
+    shaker: TableShaker | ElectrodynamicShaker, frequency: Array, images: Array, spring_share: ComplexArray
 ) -> Array:
-    """Compute the acceleration of a table by the images of a drive over that by the drive, shape (images, lines).
+    """Compute the ratio of a table's acceleration by images of the drive to that by the drive, shape (images, lines).
 
     A table motion X0 against a force F requires the drive P X0 + Q F. At an image frequency the structure is
     practically at rest, and the full spring force acts on the table. The image is smaller by the square of the
-    frequency ratio; its acceleration per displacement is larger by the same factor. `share`: spring stiffness times
-    X0 / F at each line.
+    frequency ratio; its acceleration per displacement is larger by the same factor. `spring_share`: spring stiffness
+    times X0 / F at each line.
     """
     per_motion, per_force = _required_drive(shaker, frequency)
     image_per_motion, image_per_force = _required_drive(shaker, images)
     with np.errstate(divide="ignore", invalid="ignore"):
-        drive = abs(per_motion) + abs(per_force) * shaker.spring / np.maximum(abs(share), 1e-300)
+        drive = abs(per_motion) + abs(per_force) * shaker.spring / np.maximum(abs(spring_share), 1e-300)
     return np.asarray(drive / abs(image_per_motion + image_per_force * shaker.spring))
 
 

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.responses.aliasing import aliasing_part
+from analysis.responses.aliasing import aliasing_limit
 from analysis.responses.systematic import (
-    ReadingShares,
+    ChannelContributions,
     clock_deviation,
-    clock_part,
-    sensitivity_part,
-    uncertain_reference_part,
+    clock_limit,
+    sensitivity_limit,
+    uncertain_reference_limit,
 )
 from rig.arrays import Array
 from rig.results.uncertainty import RandomErrors, UncertaintyBudget, coverage_factor
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 def assemble_budget(
     rec: Recording,
-    shares: ReadingShares,
+    contributions: ChannelContributions,
     error: Array,
-    degrees: Array,
+    degrees_of_freedom: Array,
     estimator_limits: Mapping[str, Array],
     reference_limits: Sequence[Array] = (),
     errors: RandomErrors | None = None,
@@ -35,17 +35,19 @@ def assemble_budget(
 ) -> UncertaintyBudget:
     """Assemble the uncertainty budget of a response.
 
-    `error`, `degrees`: type A standard uncertainty of either quadrature component, and its degrees of freedom, shape
-    (lines,). `estimator_limits`: limits of error by name, which the estimator adds to those of the instrument.
-    `reference_limits`: largest relative deviations of the reference. A reference that is smaller than recorded
-    increases the uncertainty beyond first-order propagation. `shared`: number of neighboring lines with a common
-    error. `scale`: from `common_scale`.
+    `error`, `degrees_of_freedom`: type A standard uncertainty of either quadrature component, and its degrees of
+    freedom, shape (lines,). `estimator_limits`: limits of error of the estimator, by name; those of the instrument are
+    computed here. `reference_limits`: largest relative deviations of the reference, for the additional error of
+    `uncertain_reference_limit`. `errors`: model of the random errors of several responses. `shared`: number of
+    neighboring lines with a common error. `scale`: from `common_scale`.
     """
-    limits = {**aliasing_part(rec, shares), **estimator_limits}
+    limits = {**aliasing_limit(rec, contributions), **estimator_limits}
     if len(reference_limits):
-        bound = np.sqrt(np.sum(np.square([error * coverage_factor(0.95, degrees), *limits.values()]), axis=0))
-        limits |= uncertain_reference_part(bound, np.sqrt(np.sum(np.square(reference_limits), axis=0)))
-    limits |= sensitivity_part(rec, shares) | clock_part(rec, shares)
+        bound = np.sqrt(
+            np.sum(np.square([error * coverage_factor(0.95, degrees_of_freedom), *limits.values()]), axis=0)
+        )
+        limits |= uncertain_reference_limit(bound, np.sqrt(np.sum(np.square(reference_limits), axis=0)))
+    limits |= sensitivity_limit(rec, contributions) | clock_limit(rec, contributions)
     return UncertaintyBudget.of(
-        error, degrees, limits, errors=errors, shared=shared, clock=clock_deviation(rec), scale=scale
+        error, degrees_of_freedom, limits, errors=errors, shared=shared, clock=clock_deviation(rec), scale=scale
     )

@@ -1,4 +1,4 @@
-"""Segments of a recording in which the selected channels are free of overloads, losses and settling sensors."""
+"""Segments of a recording without *flaws*: overloads, lost samples and settling sensors of the selected channels."""
 
 from __future__ import annotations
 
@@ -16,15 +16,18 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-#: Reason of a flaw while the bias of a sensor has not settled.
+# Reasons of flaws. A sensor is settling until its bias is constant.
+OVERLOADED = "overloaded"
+LOST = "lost"
 SETTLING = "settling"
-# Number of blocks in the second half of the test from which the scatter of means after settling is estimated.
+# Number of blocks in the second half of the test that determine the mean and scatter after settling. A block is a
+# period of the lowest frequency.
 _SETTLED_BLOCKS = 32
-# Smallest number of blocks of a test whose second half is certainly settled.
+# Smallest number of blocks of a test whose second half is assumed to be settled.
 _MIN_BLOCKS = 16
-# Deviation of a block's mean above which the block belongs to a drift, in standard deviations of settled blocks.
+# Largest deviation of a block's mean without drift, in standard deviations of settled blocks.
 _DRIFT_SIGMAS = 5.0
-# Number of successive blocks without such a deviation that end the drift.
+# Number of successive blocks without drift after which a channel is settled.
 _SETTLED_IN_A_ROW = 3
 
 
@@ -35,18 +38,23 @@ class Flaw:
     first: int
     stop: int
     channel: str
-    reason: str  # such as overloaded, lost or settling
+    reason: str  # `OVERLOADED`, `LOST`, `SETTLING` or another predicate of the channel
+
+    @property
+    def description(self) -> str:
+        """Channel and reason, for messages."""
+        return f"{'samples of ' if self.reason == LOST else ''}{self.channel} {self.reason}"
 
 
 def flaws(rec: Recording, channels: Collection[str], first: int, stop: int) -> list[Flaw]:
     """Return overloads and lost samples of the channels between two samples, sorted by their first sample."""
     all_flaws = [
-        Flaw(marker.first_sample, marker.stop, str(marker.fields.get("channel", "")), "overloaded")
+        Flaw(marker.first_sample, marker.stop, str(marker.fields.get("channel", "")), OVERLOADED)
         for marker in rec.overloads
         if marker.fields.get("channel") in channels
     ]
     all_flaws += [
-        Flaw(gap.first_sample, gap.last_sample + 1, next(name for name in gap.channels if name in channels), "lost")
+        Flaw(gap.first_sample, gap.last_sample + 1, next(name for name in gap.channels if name in channels), LOST)
         for gap in rec.gaps
         if set(gap.channels) & set(channels)
     ]
@@ -68,21 +76,21 @@ def clean_segments(all_flaws: list[Flaw], first: int, stop: int) -> list[tuple[i
 
 
 def describe_flaws(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
-    """Describe the flaws and their times: ``a3 overloaded (at 1.2 s, 4.5 s), a1 lost (at 7 s)``."""
+    """Describe the flaws and their times: ``a3 overloaded (at 1.2 s, 4.5 s), samples of a1 lost (at 7 s)``."""
     groups: dict[str, list[str]] = {}
     for flaw in all_flaws:
-        groups.setdefault(f"{flaw.channel} {flaw.reason}", []).append(f"{flaw.first / rec.rate:.4g} s")
+        groups.setdefault(flaw.description, []).append(f"{flaw.first / rec.rate:.4g} s")
     return ", ".join(
-        f"{kind} (at {', '.join(times[:3])}{f' and {len(times) - 3} times more' if len(times) > 3 else ''})"
-        for kind, times in groups.items()
+        f"{description} (at {', '.join(times[:3])}{f' and {len(times) - 3} times more' if len(times) > 3 else ''})"
+        for description, times in groups.items()
     )
 
 
 def remedy(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
-    """Return a remedy for flaws, as a sentence without full stop: another level, range or sensor, or time to settle."""
+    """Return the remedy for flaws, as a sentence without full stop."""
     reasons = {flaw.reason for flaw in all_flaws}
     limits = []
-    for name in dict.fromkeys(flaw.channel for flaw in all_flaws if flaw.reason == "overloaded"):
+    for name in dict.fromkeys(flaw.channel for flaw in all_flaws if flaw.reason == OVERLOADED):
         info = rec.channels[name]
         kind = {"acceleration": ACCELERATION, "force": FORCE}.get(info.quantity)
         for key, text in info.sensor.items():
@@ -92,45 +100,47 @@ def remedy(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
             if kind is None or info.range is None or parse(text, kind) * info.sensitivity < info.range:
                 limits.append(f"{name} up to {text}")
     sensor = f", or use a sensor of a larger range ({', '.join(limits)})" if limits else ""
-    remedies = [] if reasons == {SETTLING} else [f"lower the level, widen the range (converter: range){sensor}"]
-    if SETTLING in reasons:
-        remedies.append("switch the sensors on longer before the test")
-    text = ", and ".join(remedies)
+    remedies = {
+        OVERLOADED: f"lower the level, widen the range (converter: range){sensor}",
+        SETTLING: "switch the sensors on earlier",
+    }
+    text = ", and ".join(remedies[reason] for reason in remedies if reason in reasons)
+    text = text or "check the recording with `daq info`"
     return text[0].upper() + text[1:]
 
 
 def settling_flaws(rec: Recording, names: Sequence[str], first: int, stop: int, lowest: float) -> list[Flaw]:
     """Return a flaw at the beginning of a test for each channel whose bias has not settled there.
 
-    `lowest`: lowest excited frequency, Hz. The motion has a zero mean over its period. A mean that differs from later
-    means is therefore an error of the sensor, which in a reference channel is an apparent force.
+    `lowest`: lowest excited frequency, Hz. Over a period of this frequency, the mean of the motion is zero. A mean that
+    differs from later means is therefore an error of the sensor, and in a force channel an apparent force.
     """
-    size = int(np.ceil(rec.rate / lowest))
-    count = (stop - first) // size
+    block_samples = int(np.ceil(rec.rate / lowest))
+    count = (stop - first) // block_samples
     if count < _MIN_BLOCKS:
         return []
-    blocks = [(first + k * size, first + (k + 1) * size) for k in range(count)]
-    settled = np.unique(np.linspace(count // 2, count - 1, _SETTLED_BLOCKS).astype(int))
-    means = [_means(block) for block in read_slices(rec, names, [blocks[k] for k in settled])]
+    blocks = [(first + k * block_samples, first + (k + 1) * block_samples) for k in range(count)]
+    late_blocks = np.unique(np.linspace(count // 2, count - 1, _SETTLED_BLOCKS).astype(int))
+    means = [_means(block) for block in read_slices(rec, names, [blocks[k] for k in late_blocks])]
     # A channel without any valid sample has no mean; the masked array avoids numpy's warning.
     settled_means = np.ma.masked_invalid(means)
     mean, scatter = settled_means.mean(axis=0).filled(np.nan), settled_means.std(axis=0).filled(np.nan)
-    drift_blocks, blocks_in_a_row = np.zeros(len(names), dtype=int), np.zeros(len(names), dtype=int)
-    settled_channels = np.zeros(len(names), dtype=bool)
+    n_drift_blocks, n_settled_in_a_row = np.zeros(len(names), dtype=int), np.zeros(len(names), dtype=int)
+    is_settled = np.zeros(len(names), dtype=bool)
     for number, block in enumerate(read_slices(rec, names, blocks[: count // 2]), 1):
         is_drifting = abs(_means(block) - mean) > _DRIFT_SIGMAS * scatter
-        drift_blocks = np.where(is_drifting & ~settled_channels, number, drift_blocks)
-        blocks_in_a_row = np.where(is_drifting, 0, blocks_in_a_row + 1)
-        settled_channels |= blocks_in_a_row >= _SETTLED_IN_A_ROW
-        if settled_channels.all():
+        n_drift_blocks = np.where(is_drifting & ~is_settled, number, n_drift_blocks)
+        n_settled_in_a_row = np.where(is_drifting, 0, n_settled_in_a_row + 1)
+        is_settled |= n_settled_in_a_row >= _SETTLED_IN_A_ROW
+        if is_settled.all():
             break
     return [
-        Flaw(first, first + int(end) * size, name, SETTLING)
-        for name, end in zip(names, drift_blocks, strict=True)
-        if end
+        Flaw(first, first + int(n_blocks) * block_samples, name, SETTLING)
+        for name, n_blocks in zip(names, n_drift_blocks, strict=True)
+        if n_blocks
     ]
 
 
 def _means(block: Array) -> Array:
-    """Return the mean of each channel's valid samples, shape (channels,); NaN without any."""
+    """Return the mean of each channel's valid samples, shape (channels,); NaN for a channel without any."""
     return np.array([np.nanmean(row) if np.isfinite(row).any() else np.nan for row in block])

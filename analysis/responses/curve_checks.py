@@ -1,7 +1,8 @@
 """Checks of response curves: direction of power flow at the driving point, and jumps between branches.
 
 A passive structure absorbs power from the driving force, so the real part of the driving-point mobility is positive at
-every frequency; see `daq.importing.driving_power`.
+every frequency; see `daq.importing.driving_power`. A curve jumps where the motion of dampers changes to another
+stable branch.
 """
 
 from __future__ import annotations
@@ -13,20 +14,22 @@ import numpy as np
 from daq.importing.driving_power import returns_energy
 from rig.results.response import Response
 
-# Largest relative uncertainty of points that are evaluated.
+# Largest relative expanded uncertainty of the points at which the power is evaluated.
 _MAX_UNCERTAINTY = 0.3
-# Smallest step of a curve that is a jump, nepers or radians; the following two limits also apply.
+# Smallest jump, as the magnitude of the change of the complex logarithm (nepers, radians). A jump also exceeds the two
+# following limits.
 _MIN_STEP = 0.25
-# Smallest ratio of a jump to the steps on either side.
+# Smallest ratio of a jump to the larger of the steps on either side, both scaled to its frequency spacing.
 _MIN_RATIO_TO_NEIGHBORS = 4.0
-# Smallest jump in standard errors.
+# Smallest jump in standard uncertainties of the step.
 _MIN_SIGMAS = 5.0
 
 
 def reversed_force(curves: Sequence[Response]) -> str:
-    """Return a warning if the force absorbs power from the structure at the driving point; empty otherwise.
+    """Return a warning if the structure seems to supply power at the driving point, which a reversed sign causes.
 
-    `curves`: responses to one force, measured together; only those at the driving point are evaluated.
+    `curves`: responses to one force, measured together; only those at the driving point are evaluated. Without a
+    reversed sign, the warning is empty.
     """
     reversed_curves = [curve for curve in curves if curve.is_driving_point and absorbs_power(curve)]
     if not reversed_curves:
@@ -46,6 +49,7 @@ def absorbs_power(curve: Response) -> bool:
     is_precise = np.nan_to_num(mobility.bound()) < _MAX_UNCERTAINTY * magnitude
     valid = np.isfinite(magnitude) & (magnitude > 0.0) & is_precise
     log_frequency = np.log(mobility.frequency[valid])
+    # Each point represents a range of the logarithmic frequency axis.
     has_several = log_frequency.size > 1 and np.ptp(log_frequency) > 0.0
     width = np.gradient(log_frequency) if has_several else np.ones(log_frequency.size)
     return returns_energy(mobility.value[valid] * width)
@@ -66,10 +70,10 @@ def jumps(frf: Response) -> list[tuple[float, str]]:
     if frf.frequency.size < 4:
         return []
     log_steps = np.log(frf.value[1:] / frf.value[:-1])
-    step, width = abs(log_steps), np.maximum(abs(np.diff(frf.frequency)), 1e-12)
-    # Expected steps over the same width, from the slopes on either side.
-    slope = step / width
-    before, after = np.append(0.0, slope[:-1]) * width, np.append(slope[1:], 0.0) * width
+    step, spacing = abs(log_steps), np.maximum(abs(np.diff(frf.frequency)), 1e-12)
+    # Steps expected over the same spacing, from the slopes on either side.
+    slope = step / spacing
+    before, after = np.append(0.0, slope[:-1]) * spacing, np.append(slope[1:], 0.0) * spacing
     # Without an error bar a step cannot be distinguished from noise.
     relative = np.nan_to_num(frf.error / abs(frf.value), nan=np.inf)
     noise = np.hypot(relative[1:], relative[:-1])

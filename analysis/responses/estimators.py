@@ -18,12 +18,12 @@ from analysis.responses.random_errors import MeanErrors
 from analysis.responses.systematic import (
     LEAKAGE,
     REFERENCE_NOISE,
-    ReadingShares,
+    ChannelContributions,
     common_scale,
-    reference_noise_part,
-    rounding_part,
-    shared_noise_part,
-    zero_times,
+    reference_noise_limit,
+    rounding_limit,
+    shared_noise_limit,
+    zero_safe_product,
 )
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
@@ -64,24 +64,23 @@ class AveragedSpectra:
     frequency: Array  # Hz; shape (n,)
     # mean of Y_i conj(Y_j) as recorded, without correction for the sensors; shape (n, channels, channels)
     cross: ComplexArray
-    n_averages: float  # number of independent blocks; overlapping blocks count as fewer
+    n_averages: float  # equivalent number of independent blocks; overlapping blocks count as fewer
     resolution: float  # bandwidth of the window in Hz; 0 without leakage (bursts that end inside their block)
     label: str = ""  # for legends
     warnings: tuple[str, ...] = ()  # in full sentences
-    # largest relative change of each channel's gain by rounding, as in `rounding_part`; shape (channels, n)
-    gain: Array = field(default_factory=lambda: np.zeros((1, 1)))
-    # local fits to the same test if windows cause leakage; the difference of the two curves is the leakage
+    # largest relative change of each channel's gain by rounding, as in `rounding_limit`; shape (channels, n)
+    rounding_gain_error: Array = field(default_factory=lambda: np.zeros((1, 1)))
+    # local fits to the same test; their difference from the averages is the leakage. None: the averages have no leakage
     leakage_free: SegmentFits | None = None
-
     estimator: str = "H1"  # or ``"H2"``, ``"Hv"``
 
     def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
-        """Estimate a frequency response with coherence; error bars after Bendat and Piersol, eq. 9.90."""
+        """Estimate a frequency response with coherence; random error by Bendat and Piersol, Random Data, eq. 9.90."""
         numerator = motion_of(rec, response, motion)
         response_weights = numerator.row(rec, self.channels, self.frequency)
         denominator = reference_of(rec, reference)
         reference_weights = denominator.row(rec, self.channels, self.frequency)
-        # Square roots of the spectra, so that all powers below are sums of squares.
+        # Factors of the spectral matrices, so that all powers below are sums of squares.
         factor = square_root(self.cross)
         x, f = (np.einsum("in,nir->nr", row, factor) for row in (response_weights, reference_weights))
         sxx, sff = (np.sum(np.square(np.abs(amplitude)), axis=1) for amplitude in (x, f))
@@ -94,32 +93,35 @@ class AveragedSpectra:
         coherence = 1.0 / (1.0 + incoherence)
         # Reading of each channel per unit of the reference.
         readings = np.einsum("nij,jn->in", self.cross, reference_weights.conj()) / sff
-        # Coherence from few blocks is biased towards 1; the scatter has one degree of freedom less than averages.
-        n_degrees = self.n_averages - 1.0
+        # The estimated response uses one average, so that few blocks have too much coherence and too little scatter.
+        n_free_averages = self.n_averages - 1.0
         error = np.full(value.shape, np.nan)
-        if n_degrees > 0.0:
-            error = abs(value) * np.sqrt(incoherence / (2.0 * n_degrees))
+        if n_free_averages > 0.0:
+            error = abs(value) * np.sqrt(incoherence / (2.0 * n_free_averages))
         limits: dict[str, Array] = {}
         if self.leakage_free is not None:
             leakage_free = self.leakage_free.frf(rec, response, reference, motion)
             limits[LEAKAGE] = leakage(self.frequency, value, error, leakage_free)
-        shares = ReadingShares(
+        contributions = ChannelContributions(
             self.channels, self.frequency, motion, value, response_weights * readings, reference_weights * readings
         )
-        difference = response_weights - value * reference_weights
-        noise_bias = reference_noise_part(value, coherence)
+        change_per_reading = response_weights - value * reference_weights
+        noise_bias = reference_noise_limit(value, coherence)
         if len(denominator.channels) > 1:
             noise = self._incoherent_power(denominator.channels)
-            noise_bias = np.maximum(noise_bias, shared_noise_part(noise, difference, reference_weights, sff))
+            noise_bias = np.maximum(noise_bias, shared_noise_limit(noise, change_per_reading, reference_weights, sff))
         limits[REFERENCE_NOISE] = noise_bias
-        limits |= rounding_part(self.gain, shares)
-        # Weights of the incoherent part of the response, relative to the power of the reference (Bendat and Piersol,
+        limits |= rounding_limit(self.rounding_gain_error, contributions)
+        # Weights of the channels in the incoherent part of the response, relative to the reference (Bendat and Piersol,
         # chapter 7).
-        residual_weights = difference.T / np.sqrt(sff * max(n_degrees, 1e-300))[:, None]
-        degrees = np.full(value.shape, max(2.0 * n_degrees, 0.0))
-        reference_limits = [np.sum(zero_times(np.abs(shares.reference), self.gain), axis=0)]
+        residual_weights = change_per_reading.T / np.sqrt(sff * max(n_free_averages, 1e-300))[:, None]
+        degrees_of_freedom = np.full(value.shape, max(2.0 * n_free_averages, 0.0))
+        reference_limits = [
+            np.sum(zero_safe_product(np.abs(contributions.reference), self.rounding_gain_error), axis=0)
+        ]
         budget = assemble_budget(
-            rec, shares, error, degrees, limits, reference_limits, MeanErrors(residual_weights[:, None], self.cross),
+            rec, contributions, error, degrees_of_freedom, limits, reference_limits,
+            MeanErrors(residual_weights[:, None], self.cross),
             scale=common_scale(rec, numerator.channels, denominator.channels),
         )  # fmt: skip
         return Response.curve(
@@ -137,15 +139,15 @@ class AveragedSpectra:
             power = np.sum(np.square(np.abs(other)), axis=1)
             common = np.sum(reading * other.conj(), axis=1) / np.maximum(power, 1e-300)
             noise[row] = np.sum(np.square(np.abs(reading - common[:, None] * other)), axis=1)
-        # With few blocks, the coherent power is too large by chance.
+        # With few blocks, too much power is coherent by chance.
         return np.asarray(noise * self.n_averages / max(self.n_averages - 1.0, 1e-300))
 
 
 def leakage(frequency: Array, value: ComplexArray, error: Array, leakage_free: Response) -> Array:
-    """Estimate the leakage of block averages, shape (lines,), by their difference from a curve without leakage.
+    """Estimate the leakage of block averages by their difference from a curve without leakage, shape (lines,).
 
-    The mean square of the difference over three lines, the bandwidth of a Hann window, contains the random errors of
-    both curves. Their known variances are subtracted.
+    The squared difference is averaged over three lines, the bandwidth of a Hann window. The variances of both curves
+    are subtracted.
     """
     difference = value - np.interp(frequency, leakage_free.frequency, leakage_free.value)
     scatter = leakage_free.uncertainty.scatter
@@ -185,12 +187,12 @@ def independent_blocks(window: Array, step: int, blocks: int) -> float:
 
 
 class BlockSpectra(NamedTuple):
-    """AveragedSpectra over the blocks without flaws."""
+    """Result of `block_spectra`, over the blocks without flaws."""
 
     spectra: AveragedSpectra
     used: int  # number of averaged blocks
-    flaws: Sequence[Flaw]  # flaws of the blocks that were left out
-    end_ratio: float  # largest ratio, in any channel, of the motion at the end of a block to its maximum
+    flaws: Sequence[Flaw]  # flaws between the first and the last block
+    end_ratio: float  # largest ratio, in any channel and block, of the reading in its last 2 % to its maximum
     mean_squares: Array  # mean square of each channel within a block, less its mean; shape (channels,)
 
 

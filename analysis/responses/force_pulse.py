@@ -1,4 +1,7 @@
-"""Force pulse of a hammer hit, without noise before and after it and without the tail due to high-pass filters."""
+"""Force pulse of a hammer hit, without the noise before and after it and without the tail due to high-pass filters.
+
+The high-pass filters of a force channel are the sensor's discharge and the AC coupling of amplifier and converter.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +16,9 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
 
 
-# Time for which the force window is 1 after the last sample of the hit, and duration of its taper.
+# Time for which the force window is 1 after the last sample of the hit, and then the duration of its taper, s.
 TAPER_S = 2e-3
-# Additional time for the ringing of fast poles, in their time constants.
+# Additional time before the taper, for the ringing of the channel's low-pass filters: in time constants of the slowest.
 _RINGING_TIME_CONSTANTS = 7.0
 
 
@@ -24,9 +27,9 @@ def isolate_pulse(info: ChannelInfo, force: Array, first: int, last: int) -> Arr
 
     `first`, `last`: first and last sample of the hit.
 
-    Sensor discharge and AC coupling of amplifier and converter add a long, small tail of opposite sign to a pulse. The
-    tail is part of the signal and may be longer than the recording. The high-pass filters are therefore inverted first,
-    and the window then removes the noise. `high_passes` returns their effect on the spectrum of the result.
+    The high-pass filters add a long, small tail of opposite sign to a pulse, which may be longer than the recording.
+    They are therefore inverted first; a window then removes the noise after the hit. The spectrum of the readings is
+    that of the result times `high_passes`.
     """
     slow_poles, fast_poles = slow_and_fast(info)
     ringing_s = _RINGING_TIME_CONSTANTS / min((abs(pole.real) for pole in fast_poles), default=np.inf)
@@ -36,6 +39,7 @@ def isolate_pulse(info: ChannelInfo, force: Array, first: int, last: int) -> Arr
     pulse = np.zeros(force.size, dtype=complex)
     pulse[first:stop] = force[first:stop]
     for numerator, denominator in (_high_pass(pole, info.rate) for pole in slow_poles):
+        # Numerator and denominator are exchanged to invert the filter.
         pulse[:stop] = scipy.signal.lfilter(denominator, numerator, pulse[:stop])
     pulse[taper_start:stop] *= 0.5 + 0.5 * np.cos(np.pi * np.arange(1, stop - taper_start + 1) / (n_taper + 1))
     # Complex poles occur in conjugate pairs, so the imaginary part is rounding.
@@ -51,7 +55,7 @@ def high_passes(info: ChannelInfo, frequency: Array) -> ComplexArray:
 
 
 def slow_and_fast(info: ChannelInfo) -> tuple[list[complex], list[complex]]:
-    """Return the poles of the high-pass filters, which are the slowest, and all other poles.
+    """Return the poles of the high-pass filters, which are the poles closest to 0 Hz, and all other poles, rad/s.
 
     A channel has as many high-pass filters as zeros at 0 Hz.
     """

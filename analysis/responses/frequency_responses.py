@@ -30,7 +30,7 @@ _KINDS_WITHOUT_ESTIMATOR = (TestKind.NONE, TestKind.FREE)
 
 @dataclass(frozen=True)
 class Blocks:
-    """User options for block averaging; None: the default of the kind of test."""
+    """User options for block averaging; None selects the default of the kind of test."""
 
     estimator: str | None = None  # H1, H2 or Hv
     block: float | None = None  # length of a block, s
@@ -42,7 +42,7 @@ class Blocks:
             raise SceneError(f"unknown estimator {self.estimator!r}: expected {', '.join(ESTIMATORS)}")
 
     def for_kind(self, kind: TestKind) -> Blocks:
-        """Remove the options that have no effect on a kind of test."""
+        """Return the options without those that have no effect on a kind of test."""
         return Blocks(**{name: getattr(self, name) for name in BY_KIND[kind].options})
 
 
@@ -51,16 +51,16 @@ class Request:
     """Requested responses of a recording."""
 
     rec: Recording
-    names: Sequence[str]  # channels of the responses
+    names: Sequence[str]  # response channels
     reference: str  # force or table
     motion: str  # quantity of the responses
     blocks: Blocks
     progress: CountProgress | None
-    channels: Sequence[str]  # of the responses and their reference
+    channels: Sequence[str]  # channels of the responses and of their reference
     measured: Sequence[Marker]  # markers of the measured intervals
 
     def compute(self, sources: Iterable[Source]) -> list[Response]:
-        """Compute the response of each pass (sweep or test), with all outputs."""
+        """Compute the response of each source, with all outputs."""
         computed = []
         for source in sources:
             curves = []
@@ -73,7 +73,7 @@ class Request:
 
 
 class Source(Protocol):
-    """Readings of one pass of a test, from which responses are estimated."""
+    """Spectra or amplitudes of a sweep, or of a test without sweeps, from which responses are estimated."""
 
     def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
         """Estimate one response."""
@@ -83,8 +83,8 @@ class Source(Protocol):
 class Estimator:
     """Estimator of the responses of one kind of test."""
 
-    estimate: Callable[[Request], list[Response]]  # returns the response of each pass for a request
-    method: str  # description of the method
+    estimate: Callable[[Request], list[Response]]  # returns the response of each sweep, or of the test
+    method: str  # description, for messages
     options: frozenset[str] = frozenset()  # fields of `Blocks` that have an effect
 
 
@@ -207,12 +207,14 @@ def frequency_responses(
     names, kind = select_channels(rec, channels), rec.test.kind
     if not names:
         raise RecordingError(f"{rec.path}: no channel measures a body's motion. Add one to the scene's channels.")
-    if not {name for name, value in vars(blocks).items() if value is not None} <= BY_KIND[kind].options:
+    options = BY_KIND[kind].options
+    unused = ", ".join(name for name, value in vars(blocks).items() if value is not None and name not in options)
+    if unused:
         method = rec.test.name if kind in _KINDS_WITHOUT_ESTIMATOR else BY_KIND[kind].method
-        raise SceneError(f"{rec.path}: {method}. Blocks, H1, H2 and Hv are for random tests and hits; leave them out.")
+        raise SceneError(f"{rec.path}: no effect of {unused} ({method}). Leave out {unused}.")
     measured = [marker for marker in rec.markers if marker.kind == "measure"]
     if kind in _MARKED_KINDS and not measured:
-        raise RecordingError(f"{rec.path}: {rec.test.name} ended before a measurement. Record it again.")
+        raise RecordingError(f"{rec.path}: the test ended before its first measurement. Record it again.")
     inputs = driven_forces(rec) if reference == "force" else ()
     if len(inputs) > 1:
         used = [*names, *(point.name for point in inputs)]

@@ -1,4 +1,4 @@
-"""Reading of frequency responses that other programs estimated: Universal Files (58, 58b) and text tables."""
+"""Reading of frequency responses from files of this and other programs: Universal Files (58, 58b) and text tables."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from rig.results.universal_file import DEVIATION_LINE, FRF, GENERAL, RESOLUTION_
 from rig.scene.quantities import FREQUENCY
 
 ENDINGS = (".uff", ".unv", ".csv", ".txt")
-# Heading of a column: name of the response, component, and unit of an angle.
+# Heading of a column: name of the response, component, and unit of the phase.
 _COLUMN_NAME = re.compile(
     r"(.*?)[\s_.:,|-]*\b(real|re|imaginary|imag|im|magnitude|mag|amplitude|amp|abs|phase|arg)"
     r"[\s_.]*(deg|rad|degrees|°)?",
@@ -92,11 +92,11 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
         if reference is not None:
             raise SceneError(f"{file}: a table has no references to choose from. Leave out {reference!r}.")
         try:
-            curves = _long_curves(file, unit)
+            curves = _from_long_table(file, unit)
         except csv.Error as error:
             raise RecordingError(f"{file}: invalid or damaged table: {error}. Export it again.") from None
         return stack(curves or _from_table(file, unit))
-    raise RecordingError(f"{file}: expected a file whose name ends in one of {', '.join(ENDINGS)}")
+    raise RecordingError(f"{file}: unknown file type; expected one of {', '.join(ENDINGS)}")
 
 
 def is_frf_file(path: Path) -> bool:
@@ -110,7 +110,11 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
     frf_sets = [data_set for data_set in sets if int(data_set["func_type"]) == FRF]
     if not frf_sets:
         has_time = any(uff.is_time(data_set) for data_set in sets)
-        remedy = "It contains time responses: convert them with `daq import`." if has_time else "Export one to it."
+        remedy = (
+            "It contains time responses: convert them with `daq import`."
+            if has_time
+            else "Export a frequency response to this file."
+        )
         raise RecordingError(f"{path}: no frequency response (data set 58, function type 4). {remedy}")
     references = list(dict.fromkeys(uff.point(data_set, "ref") for data_set in frf_sets))
     if reference is None and len(references) > 1:
@@ -140,27 +144,27 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
         numerator, denominator = uff.label(data_set, "ordinate"), uff.label(data_set, "orddenom")
         label = f"({numerator})/({denominator})" if numerator and denominator else numerator
         motion, scale = _ratio(f"{path}: {name}", unit or label)
-        points, line = ((uff.point(data_set, "rsp"), uff.point(data_set, "ref")), str(data_set.get("id4") or ""))
+        points, id_line = (uff.point(data_set, "rsp"), uff.point(data_set, "ref")), str(data_set.get("id4") or "")
         stated = deviation.get((points, f"{DEVIATION_LINE} {uff.title(data_set)}"))
         error = None if stated is None else scale * stated
-        resolution = _stated_resolution(line)
+        resolution = _stated_resolution(id_line)
         curve = _curve(path, name, frequency, scale * data, motion, coherence.get(points), error, resolution)
-        # In files written by this program a node is a body.
+        # In files of this program, nodes are bodies.
         places = [f"node {point}" for point in points]
-        if line.startswith(RESOLUTION_LINE):
+        if id_line.startswith(RESOLUTION_LINE):
             places = [f"body {int(data_set[f'{end}_node'])}" for end in ("rsp", "ref")]
         curves.append(curve.placed(*places))
     warning = reversed_force(curves)
     return [curve.warn(warning) for curve in curves] if warning else curves
 
 
-def _stated_resolution(line: str) -> float | None:
-    """Read the leakage bandwidth of each line, Hz, from a file of this program; None for other files.
+def _stated_resolution(id_line: str) -> float | None:
+    """Read the stated resolution (noise bandwidth), Hz, from a file of this program; None for other files.
 
     >>> _stated_resolution("shotrig: resolution 0.5 Hz"), _stated_resolution("NONE")
     (0.5, None)
     """
-    match = re.fullmatch(rf"{RESOLUTION_LINE} (\S+) Hz", line.strip())
+    match = re.fullmatch(rf"{RESOLUTION_LINE} (\S+) Hz", id_line.strip())
     try:
         width = float(match[1]) if match else np.nan
     except ValueError:
@@ -169,7 +173,7 @@ def _stated_resolution(line: str) -> float | None:
 
 
 def _names(sets: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Name responses by the first distinct attribute: titles, positions or numbers."""
+    """Name responses by their titles if these are distinct, else by their positions if distinct, else with numbers."""
     for names in ([uff.title(data_set) for data_set in sets], [uff.point(data_set, "rsp") for data_set in sets]):
         if len(set(names)) == len(names):
             return names
@@ -207,7 +211,7 @@ def _ratio(where: str, unit: str) -> tuple[str, float]:
     raise SceneError(f"{where}: unit {unit!r}; expected motion per force, such as m/N, m/s/N, m/s^2/N or g/N")
 
 
-def _long_curves(path: Path, unit: str | None) -> list[Response]:
+def _from_long_table(path: Path, unit: str | None) -> list[Response]:
     """Read a table of `analysis frf`, with a row for each response and frequency; empty for other tables."""
     with path.open(newline="", encoding="utf-8-sig", errors="replace") as stream:
         reader = csv.DictReader(stream)
@@ -219,27 +223,27 @@ def _long_curves(path: Path, unit: str | None) -> list[Response]:
         imag, deviation = (real.replace("real", name, 1) for name in ("imag", "magnitude_std"))
         rows: dict[str, list[tuple[float, complex, float, float, float]]] = {}
         inputs: dict[str, str] = {}
-        for line in reader:
+        for row in reader:
             try:
-                value = scale * complex(float(line[real]), float(line[imag]))
-                columns = (float(line.get(name) or "nan") for name in (deviation, "coherence", "resolution_Hz"))
+                value = scale * complex(float(row[real]), float(row[imag]))
+                columns = (float(row.get(name) or "nan") for name in (deviation, "coherence", "resolution_Hz"))
                 error, coherence, resolution = columns
-                point = float(line["frequency_Hz"]), value, scale * error, coherence, resolution
+                point = float(row["frequency_Hz"]), value, scale * error, coherence, resolution
             except (TypeError, ValueError):
                 raise RecordingError(f"{path}:{reader.line_num}: a cell is not a number. Correct it.") from None
-            name = f"{line.get('scene') or ''}\0{line['response']}"
+            name = f"{row.get('scene') or ''}\0{row['response']}"
             rows.setdefault(name, []).append(point)
-            inputs[name] = (line.get("reference") or "").removeprefix("force at ")
+            inputs[name] = (row.get("reference") or "").removeprefix("force at ")
     scenes = {name.partition("\0")[0] for name in rows}
     if len(scenes) > 1:
         raise SceneError(
-            f"{path}: curves of several tests ({', '.join(sorted(scenes))[:200]}). Write one file for each."
+            f"{path}: curves of several tests ({', '.join(sorted(scenes))[:200]}). Write a file for each test."
         )
     curves = []
     for name, points in rows.items():
-        lines, values, errors, coherences, widths = (np.array(column) for column in zip(*points, strict=True))
-        stated = float(widths[0]) if 0.0 <= widths[0] < np.inf else None
-        curve = _curve(path, name.partition("\0")[2], lines, values, motion, coherences, errors, stated)
+        frequency, values, errors, coherences, resolutions = (np.array(column) for column in zip(*points, strict=True))
+        stated = float(resolutions[0]) if 0.0 <= resolutions[0] < np.inf else None
+        curve = _curve(path, name.partition("\0")[2], frequency, values, motion, coherences, errors, stated)
         curves.append(curve.placed("", inputs[name] if inputs[name] != "force" else ""))
     return curves
 
@@ -263,7 +267,7 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
     for name, pair in components.items():
         if pair.keys() not in ({"real", "imag"}, {"magnitude", "phase"}):
             raise RecordingError(
-                f"{path}: {name} has {', '.join(pair)}; expected real and imag, or magnitude and phase"
+                f"{path}: {name} has only {', '.join(pair)}; expected real and imag, or magnitude and phase"
             )
         column_unit, first_column = pair["real"] if "real" in pair else pair["magnitude"]
         motion, scale = _ratio(f"{path}: {name}", unit or column_unit)
@@ -286,7 +290,10 @@ def _curve(
     error: Array | None = None,
     resolution: float | None = None,
 ) -> Response:
-    """Build a curve from its valid lines in order of frequency; the displacement at zero frequency is undefined."""
+    """Build a curve from its valid lines in order of frequency; zero frequency is omitted.
+
+    `error`: standard uncertainty; `resolution`: noise bandwidth, Hz.
+    """
     lines = _valid_lines(f"{path}: {name}", frequency, value)
     if resolution is None:
         steps = np.diff(frequency[lines])
@@ -312,7 +319,7 @@ def _curve(
 
 
 def _valid_lines(where: str, frequency: Array, value: NDArray[Any]) -> NDArray[np.intp]:
-    """Select the valid lines in order of frequency; reject magnitudes that no structure can have."""
+    """Return the indices of the valid lines in order of frequency; reject magnitudes that no structure can have."""
     valid = np.flatnonzero((frequency > 0) & np.isfinite(frequency) & np.isfinite(value))
     if not valid.size:
         raise RecordingError(f"{where} has no number at a frequency above 0 Hz. Export the file again.")

@@ -1,4 +1,4 @@
-"""Hammer hits: their times, forces, and the noise and offset of the force channel."""
+"""Hammer hits: their times and forces, the motion before them, and the noise and rounding of the readings."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from analysis.recordings.slices import hits
 from analysis.responses.clean_segments import Flaw
 from analysis.responses.force_pulse import isolate_pulse
 from analysis.responses.local_models.local_rational import ORDER
-from analysis.responses.local_models.local_spectra import SIDE
-from analysis.responses.systematic import counts_of, reproducible_rounding
+from analysis.responses.local_models.local_spectra import FIT_HALF_WIDTH
+from analysis.responses.systematic import quantization_steps, reproducible_rounding
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
 
@@ -25,26 +25,27 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Interval before a hit, s, in which residual motion is detected and the channel's zero is measured.
+# Interval before a hit in which residual motion is detected and the zero of each channel is measured, s.
 PRE_HIT_S = 0.2
-# Largest change of the readings of a rig at rest in this interval, relative to the following response.
+# Largest motion of a rig at rest in this interval, relative to the response to the hit.
 _MAX_REST_RATIO = 2e-3
-# Detection limit of motion, in standard deviations of its estimate from noise.
+# Detection limit of motion, in standard deviations of the estimate by noise.
 _DETECTION_SIGMAS = 4.0
-# Smallest force at the marker of a hit, relative to the largest force until the next hit.
+# Smallest force within the marker of a hit, relative to the largest force until the next hit.
 _MIN_MARKED_RATIO = 0.5
-# Smallest rebound of the hammer, relative to the first force.
+# Smallest force of a rebound of the hammer, relative to the force within the marker.
 _MIN_REBOUND_RATIO = 0.05
-# Smallest rebound in standard deviations of the noise.
+# Smallest force of a rebound, relative to the median change between samples, which measures the noise.
 _REBOUND_SIGMAS = 8.0
 # Power at the end of the usable force spectrum, relative to its maximum (-20 dB).
 _MIN_POWER_RATIO = 1e-2
-# Coarser converters: step size in counts, and mean square of the changes that they cause, relative to that of the
-# original rounding (1/12).
+# Coarser converters, for which the readings are rounded again: their quantization step in counts, and the mean square
+# of the resulting changes, relative to that of the original rounding (1/12).
 _COARSER_CONVERTERS = ((2.0, 6.0), (3.0, 8.0))
-# Smallest signal, in counts, that a coarser converter resolves without dither by noise.
+# Smallest signal that a coarser converter resolves without dither by noise, in counts.
 _MIN_COUNTS = 6.0
-# Largest share of the rounding error that is equal in every hit if noise dithers the signal (half a count of noise).
+# Largest share of the rounding error that is equal in every hit if noise dithers the signal: that of half a count of
+# noise.
 _MAX_REPRODUCIBLE = 0.007
 
 
@@ -54,7 +55,7 @@ class Hits:
 
     channel: str  # the force channel
     arrivals: tuple[tuple[int, int], ...]  # first and last sample of each hit in the force channel
-    unmarked: tuple[Flaw, ...]  # hits whose force is outside their marker
+    unmarked: tuple[Flaw, ...]  # hits whose largest force is outside their marker
     interval: int  # smallest number of samples from a hit to the next hit, or from the last hit to the end
 
     @classmethod
@@ -75,9 +76,10 @@ class Hits:
         interval = int(min(np.diff([*starts, rec.samples])))
         if interval < 0.2 * rec.rate:
             raise RecordingError(
-                f"{rec.path}: {interval / rec.rate:.3g} s between hits is too short. Increase test: interval."
+                f"{rec.path}: a hit is followed by the next hit, or the end, after {interval / rec.rate:.3g} s; "
+                "expected 0.2 s or more. Increase test: interval."
             )
-        unmarked, windows = [], []
+        unmarked, complete_hits = [], []
         for (begin, end), stop in zip(arrivals, [*starts[1:], rec.samples], strict=True):
             force = rec.read(channel, begin, stop)
             noise = np.sqrt(np.nanmedian(np.diff(force) ** 2))
@@ -94,24 +96,24 @@ class Hits:
             min_rebound = max(_MIN_REBOUND_RATIO * marked, _REBOUND_SIGMAS * noise)
             last = int(np.flatnonzero(force > min_rebound)[-1:].sum())
             filter_length = 2 * int(np.ceil(info.filter.get("delay", 0.0))) + 2
-            windows.append((begin, min(max(end, begin + last + filter_length), stop - 1)))
-        arrivals = windows
-        return cls(channel, tuple(arrivals), tuple(unmarked), interval)
+            complete_hits.append((begin, min(max(end, begin + last + filter_length), stop - 1)))
+        return cls(channel, tuple(complete_hits), tuple(unmarked), interval)
 
     def inside(self, start: int, stop: int) -> list[tuple[int, int]]:
         """List the hits that lie completely within a segment."""
         return [(begin, end) for begin, end in self.arrivals if begin >= start and end < stop]
 
     def prior_motion(self, rec: Recording, names: Sequence[str], start: int, stop: int) -> float:
-        """Estimate the largest motion or drift before the first hit of a segment, relative to the response after it.
+        """Estimate the largest motion or drift before the first hit of a segment, relative to the response to the hit.
 
-        The result, over the channels `names`, is infinite if the record before the hit is too short.
+        The result, over the channels `names`, is infinite if the segment begins too shortly before the hit, or if this
+        is not the first hit of the recording.
         """
         begin = self.inside(start, stop)[0][0]
         first = max(start, begin - int(PRE_HIT_S * rec.rate))
         if begin - first < 4 or any(other < begin for other, _ in self.arrivals):
             return np.inf
-        # A short interval shows only a small part of a slow motion.
+        # A shorter interval shows only a part of a slow motion.
         largest, visible_ratio = 0.0, min(1.0, (begin - first) / (PRE_HIT_S * rec.rate))
         for name in names:
             reading = rec.read(name, first, min(begin + self.interval, stop))
@@ -123,19 +125,20 @@ class Hits:
     def at_rest(self, motion: float, start: int, stop: int, samples: int) -> bool:
         """Return whether a segment, zero-padded to `samples`, is treated as the response to its hits alone.
 
-        This is the case if there was hardly any motion before the hits. It is also the case for a hit close to the
-        beginning: the spectra of the earlier motion and of the response then change equally from line to line.
+        This is the case if `motion`, the result of `prior_motion`, is small. It is also the case for a single hit close
+        to the beginning, because a fit cannot separate earlier motion from the response: their spectra are equally
+        smooth.
         """
         if motion < _MAX_REST_RATIO:
             return True
         inside = self.inside(start, stop)
-        return bool(np.isfinite(motion) and len(inside) == 1 and 2 * SIDE * (inside[0][0] - start) < samples)
+        return bool(np.isfinite(motion) and len(inside) == 1 and 2 * FIT_HALF_WIDTH * (inside[0][0] - start) < samples)
 
     def isolate(self, rec: Recording, names: Sequence[str], block: Array, start: int, at_rest: bool) -> Array:
         """Subtract the zero of all channels; restrict the force to the hits and invert its high-pass filters.
 
         `block`: readings of the channels `names` from sample `start` on, shape (channels, samples). If `at_rest`, the
-        result begins shortly before the first hit.
+        result begins `PRE_HIT_S` before the first hit and is faded in.
         """
         inside = self.inside(start, start + block.shape[1])
         pre_hit = slice(max(inside[0][0] - start - int(PRE_HIT_S * rec.rate), 0), max(inside[0][0] - start, 1))
@@ -159,14 +162,15 @@ class Hits:
         return isolated
 
     def force_noise(self, rec: Recording, segments: Sequence[tuple[int, int]], frequency: Array) -> Array:
-        """Compute the relative variance of either quadrature component of the force, due to noise during the hits.
+        """Compute the relative variance of either quadrature component of the force by noise during the hits.
 
-        A hit has this error at all lines, so the scatter between lines does not show it. The shape is (lines,).
+        The error of a hit changes slowly from line to line, so that the scatter between lines does not show it. The
+        result has the shape (lines,).
         """
         power, noise = np.zeros(frequency.size), []
         info = rec.channels[self.channel]
         # Rounding adds 1/12 count² even if it is not visible before the hit.
-        rounding = 0.0 if info.volts_per_count is None else info.unit_per_count**2 / 12.0
+        rounding_gain_error = 0.0 if info.volts_per_count is None else info.unit_per_count**2 / 12.0
         for start, stop in segments:
             for begin, end in self.inside(start, stop):
                 before = rec.read(self.channel, max(start, begin - int(PRE_HIT_S * rec.rate)), begin)
@@ -175,10 +179,10 @@ class Hits:
                 power += abs(phases @ (pulse - before.mean() if before.size else pulse)) ** 2
                 if before.size > 2:
                     # Differences between samples are insensitive to the tail of an earlier hit.
-                    noise.append(pulse.size * max(float(np.mean(np.diff(before) ** 2)) / 2.0, rounding))
+                    noise.append(pulse.size * max(float(np.mean(np.diff(before) ** 2)) / 2.0, rounding_gain_error))
         return 0.5 * float(np.mean(noise)) / np.maximum(power, 1e-300) if noise else np.zeros(frequency.size)
 
-    def rounding(
+    def rounding_gain_error(
         self,
         rec: Recording,
         names: Sequence[str],
@@ -186,29 +190,30 @@ class Hits:
         blocks: Sequence[Array],
         spectra: Sequence[ComplexArray],
         lines: NDArray[np.int64],
-        side: int,
+        half_width: int,
     ) -> Array:
         """Compute the largest relative change of each channel's gain by rounding to counts, shape (channels, lines).
 
-        Equal hits give equal counts, so averaging does not reduce the rounding error, and the error shortly after a hit
-        resembles a response. It is estimated from the change of the readings when they are rounded again, to every
-        second and every third count (coarser converters). Noise of s counts reduces the error by ``exp(-2 pi^2 s^2)``
-        (as in `noise_gain`). The result is infinite for readings of too few counts to be rounded again.
+        Equal hits give equal counts, so averaging does not reduce the rounding error. The error shortly after a hit
+        resembles a response and is not visible in the scatter. It is estimated from the change of the readings when
+        they are rounded again, to every second and every third count (coarser converters). Noise of s counts reduces
+        the error by ``exp(-2 pi^2 s^2)`` (as in `noise_gain_error`). The result is infinite for readings of too few
+        counts to be rounded again.
 
-        `blocks`, `spectra`: readings and their spectra for each of `segments`; `lines`: bins of the result; `side`:
-        bins on either side of a line that a local fit uses.
+        `blocks`, `spectra`: readings and their spectra for each of `segments`; `lines`: bins of the result;
+        `half_width`: bins on either side of a line that a local fit uses.
         """
-        count = counts_of(rec, names)[:, None]
+        count = quantization_steps(rec, names)[:, None]
         step = np.where(count > 0.0, count, 1.0)
         size = 2 * (spectra[0].shape[1] - 1)
-        # Low-order polynomials cannot separate errors within this number of samples after a hit from the response.
-        after_hit = int(size * (ORDER + 1) / side)
+        # The polynomials of a local fit represent errors within this number of samples after a hit like a response.
+        n_after_hit = int(size * (ORDER + 1) / half_width)
         power = np.sum([abs(spectrum) ** 2 for spectrum in spectra], axis=0)
         errors, noise, largest = np.zeros((len(_COARSER_CONVERTERS), *power.shape)), [], np.zeros(count.shape)
         for block, (start, stop) in zip(blocks, segments, strict=True):
             for begin, _ in self.inside(start, stop):
                 first = begin - (stop - block.shape[1])
-                counts = np.rint(block[:, first : first + after_hit] / step)
+                counts = np.rint(block[:, first : first + n_after_hit] / step)
                 largest = np.maximum(largest, abs(counts).max(axis=1, keepdims=True))
                 for error, (coarse_step, ratio) in zip(errors, _COARSER_CONVERTERS, strict=True):
                     change = coarse_step * np.rint(counts / coarse_step) - counts
@@ -217,19 +222,21 @@ class Hits:
                 if before[0].size > 2:
                     noise.append(np.mean(np.diff(before, axis=1) ** 2, axis=1, keepdims=True) / 2.0)
         reproducible = reproducible_rounding(np.mean(noise, axis=0) / step**2 if noise else np.zeros(count.shape))
-        # Average over one tooth spacing of the comb spectrum of several hits and no farther: peaks do not represent
-        # valleys.
-        window = 2 * -(-side // SIDE) + 1
-        mean_power = scipy.ndimage.uniform_filter1d(power, window, axis=1, mode="nearest")
-        errors = scipy.ndimage.uniform_filter1d(errors, side, axis=2, mode="nearest").max(axis=0)
+        # The spectrum of several hits is a comb. The power is averaged over one spacing of its teeth and no farther,
+        # because the power in peaks of the response is not that in its valleys.
+        n_bins = 2 * -(-half_width // FIT_HALF_WIDTH) + 1
+        mean_power = scipy.ndimage.uniform_filter1d(power, n_bins, axis=1, mode="nearest")
+        errors = scipy.ndimage.uniform_filter1d(errors, half_width, axis=2, mode="nearest").max(axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            # The square of a normal error with two components is below three times its mean with 95 % probability.
-            gain = (step * np.sqrt(3.0 * errors / mean_power))[:, lines]
-        gain = np.where((largest < _MIN_COUNTS) & (reproducible > _MAX_REPRODUCIBLE), np.inf, gain)
-        return np.asarray(np.where(count > 0.0, reproducible * np.nan_to_num(gain, nan=np.inf, posinf=np.inf), 0.0))
+            # The squared magnitude of a complex normal error is below three times its mean with a probability of 95 %.
+            gain_error = (step * np.sqrt(3.0 * errors / mean_power))[:, lines]
+        gain_error = np.where((largest < _MIN_COUNTS) & (reproducible > _MAX_REPRODUCIBLE), np.inf, gain_error)
+        return np.asarray(
+            np.where(count > 0.0, reproducible * np.nan_to_num(gain_error, nan=np.inf, posinf=np.inf), 0.0)
+        )
 
     def highest_frequency(self, rec: Recording) -> float:
-        """Compute the highest frequency in Hz that the hits excite."""
+        """Compute the highest frequency that the hits excite, Hz, but at most 40 % of the sample rate."""
         size = fft.next_fast_len(int(0.2 * rec.rate) + 64, real=True)
         power = np.zeros(size // 2 + 1)
         for begin, end in self.arrivals:
@@ -243,7 +250,7 @@ class Hits:
 
 
 def _amplitude(reading: Array) -> float:
-    """Estimate the amplitude of motion or drift in a reading, without noise that differs from sample to sample."""
+    """Estimate the amplitude of motion or drift in a reading; noise is estimated from the changes between samples."""
     noise = 0.5 * np.mean(np.diff(reading) ** 2)
     middle, sigmas = reading.size // 2, _DETECTION_SIGMAS / np.sqrt(reading.size)
     drift = abs(reading[:middle].mean() - reading[middle:].mean()) - 2.0 * sigmas * np.sqrt(noise)

@@ -1,4 +1,4 @@
-"""Impact test: frequency responses from hits with an instrumented hammer, as a whole or block by block."""
+"""Impact test: frequency responses from hits with an instrumented hammer, by local fits or by averages of blocks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy import fft
 from analysis.responses.clean_segments import describe_flaws, remedy
 from analysis.responses.estimators import AveragedSpectra, block_spectra, noise_bandwidth_bins, sampled_window
 from analysis.responses.hits import Hits
-from analysis.responses.local_models.local_spectra import SIDE
+from analysis.responses.local_models.local_spectra import FIT_HALF_WIDTH
 from analysis.responses.segment_fits import SegmentFits, warn_of_dampers
 from rig.errors import RecordingError, SceneError
 
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Length of a block, relative to the pretrigger: the samples of the block before its hit.
+# Length of a block, relative to its pretrigger (its samples before the hit).
 _BLOCK_PER_PRETRIGGER = 50
-# Largest response at the end of a block without leakage, relative to its maximum.
+# Largest response at the end of a block without significant leakage, relative to its maximum.
 _MAX_END_RATIO = 0.02
 
 
 def segment_fits(rec: Recording, channels: Sequence[str]) -> SegmentFits:
     """Return the local fits to all hits; the response to a hit may overlap the next hit."""
     hits = Hits.of(rec)
-    # Lowest frequency that the time between hits resolves.
+    # Lowest frequency that is estimated: four periods between successive hits.
     low = 4.0 * rec.rate / hits.interval
     return SegmentFits(
         tuple(channels), 0, rec.samples, low, hits.highest_frequency(rec), hits.unmarked, hits,
@@ -40,7 +40,7 @@ def segment_fits(rec: Recording, channels: Sequence[str]) -> SegmentFits:
 def averaged_spectra(
     rec: Recording, channels: Sequence[str], block: float | None = None, window: str = "none"
 ) -> AveragedSpectra:
-    """Average the spectra of one block for each hit, as most programs do.
+    """Average the spectra of blocks, one for each hit, as most programs do.
 
     `block`: length of a block in s; if omitted, the shortest time from a hit to the next hit, or to the end.
     """
@@ -81,6 +81,6 @@ def averaged_spectra(
         averaged.spectra,
         resolution=noise_bandwidth_bins(weights) * rec.rate / block_samples if has_leakage else 0.0,
         warnings=tuple(notes),
-        gain=hits.rounding(rec, channels, segments, blocks, spectra, lines, SIDE),
+        rounding_gain_error=hits.rounding_gain_error(rec, channels, segments, blocks, spectra, lines, FIT_HALF_WIDTH),
         leakage_free=segment_fits(rec, channels) if has_leakage else None,
     )

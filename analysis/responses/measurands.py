@@ -1,4 +1,7 @@
-"""Selection of channels, and mechanical quantities computed from them: motion of a point, force on the structure."""
+"""Selection of channels, and mechanical quantities computed from them: motion of a point, force on the structure.
+
+A *response* is the numerator of a frequency response, a *reference* is its denominator.
+"""
 
 from __future__ import annotations
 
@@ -44,12 +47,12 @@ def body_names(rec: Recording) -> tuple[str, ...]:
 
 
 def select_channels(rec: Recording, channels: Sequence[str] | str | None) -> list[str]:
-    """Return the channels selected by name or body; by default all channels that measure a body's motion."""
+    """Return names of channels or bodies as a list; by default all channels that measure a body's motion."""
     if not channels:
         return responses(rec)
     names = [channels] if isinstance(channels, str) else channels
     if not isinstance(names, Iterable) or not all(isinstance(name, str) for name in names):
-        raise SceneError(f"channels: got {channels!r:.60}; expected names, such as {', '.join(rec.channels)}")
+        raise SceneError(f"channels: got {channels!r:.60}; expected a list of names, such as {', '.join(rec.channels)}")
     return list(names)
 
 
@@ -68,11 +71,11 @@ class Measurand:
     """A mechanical quantity as a weighted sum of channels."""
 
     channels: tuple[str, ...]  # channels that are summed
-    weights: tuple[float, ...]  # factor of each channel's true quantity
-    motion: str  # quantity of each channel: displacement, velocity, acceleration or force
+    weights: tuple[float, ...]  # factor of the quantity at each channel
+    motion: str  # this quantity: displacement, velocity, acceleration or force
 
     def row(self, rec: Recording, names: Sequence[str], frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """Compute the weights of the recorded amplitudes of `names`, shape (channels, frequencies).
+        """Compute the weights of the amplitudes of the channels `names` as recorded, shape (channels, frequencies).
 
         The weights contain the inverse response of sensor, amplifier and converter, and the powers of j omega that
         convert between displacement, velocity and acceleration.
@@ -136,7 +139,7 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
         hint = "Drive the structure through a coil spring, shaker: {kind: table, body: 1, spring: 6.6 kN/m}."
         if shaker is not None:
             hint = f"Add {{name: force, at: {rec.scene.at_driven('shaker')}}} to the scene's channels."
-        raise RecordingError(f"{rec.path}: no channel measures the force ({_places(rec)}; no coil spring). {hint}")
+        raise RecordingError(f"{rec.path}: no channel measures the force ({_places(rec)}, no coil spring). {hint}")
     ends = []
     for at in (rec.scene.at_driven("table"), f"body {shaker.body}"):
         info = motion_channel_at(rec, at)
@@ -150,13 +153,13 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
 
 
 def input_location(rec: Recording, reference: str) -> str:
-    """Return the names of the driven bodies of a reference; empty for the table."""
+    """Return the names of the bodies on which the force acts; empty for the reference 'table'."""
     label = rec.scene.structure.label
     return " and ".join(label(number) for number in rec.scene.force_on) if reference == "force" else ""
 
 
 def location_of(rec: Recording, channel: str) -> str:
-    """Return the name of the body on which a channel is mounted."""
+    """Return the name of the body on which a channel is mounted, or its other position."""
     at = rec.channels[channel].at
     return rec.scene.structure.label(int(at.removeprefix("body "))) if at.startswith("body ") else at
 

@@ -1,6 +1,7 @@
 """Multisine with random phases: best linear approximation, with noise and nonlinear distortion separated.
 
-A *realisation* is a measurement of several periods with one set of random phases.
+A *realisation* is a measurement of several periods with one set of random phases. *Distortion* is the difference
+between the response of a nonlinear structure and its best linear approximation.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ from scipy import fft
 
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_segments import describe_flaws, flaws
-from analysis.responses.local_models.local_spectra import SIDE
+from analysis.responses.local_models.local_spectra import FIT_HALF_WIDTH
 from analysis.responses.measurands import motion_channel_at, reference_of
 from analysis.responses.scatter import Scatter
 from analysis.responses.spectral_lines import Lines, residual_transient
-from analysis.responses.systematic import counts_of, in_counts, reproducible_rounding, tone_gain
+from analysis.responses.systematic import power_in_counts, quantization_steps, reproducible_rounding, tone_gain_error
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
 from rig.progress import CountProgress
@@ -43,9 +44,9 @@ LIFTED = (
 )
 # Assumed crest factor of a sum of tones, limited by the sum of their amplitudes.
 _CREST_FACTOR = 4.0
-# Smallest share of distorted lines at which distortion is detected.
+# Smallest share of distorted lines at which a structure counts as nonlinear.
 _MIN_DISTORTED_LINES = 0.2
-# Smallest scatter of realisations at a distorted line, relative to the noise.
+# Smallest scatter of realisations at a distorted line, relative to that by noise.
 _NOISE_RATIO = 3.0
 # Smallest scatter of realisations at a distorted line, relative to the mean.
 _MEAN_RATIO = 2e-3
@@ -58,12 +59,13 @@ def best_linear_approximation(
     reference: str = "force",
     progress: CountProgress | None = None,
 ) -> Lines:
-    """Average over periods, then over realisations (one marker each), each rotated by the phase of its own reference.
+    """Average the amplitudes of each channel over periods, then over realisations.
 
-    `markers`: measured intervals; `names`: channels; `reference`: force or table. Returns the mean of each channel.
+    `markers`: measured interval of each realisation; `names`: channels; `reference`: force or table.
 
-    The scatter between periods is noise. The scatter between realisations also contains nonlinear distortion
-    (R. Pintelon, J. Schoukens, System Identification, 2nd ed., Wiley 2012, section 4.3).
+    Before the second average, each realisation is rotated by the phase of its own reference. The scatter between
+    periods is noise. The scatter between realisations also contains nonlinear distortion (R. Pintelon, J. Schoukens,
+    System Identification, 2nd ed., Wiley 2012, section 4.3).
     """
     all_spectra = [period_spectra(rec, names, marker) for marker in markers]
     if progress is not None:
@@ -75,11 +77,11 @@ def best_linear_approximation(
             f"{rec.path}: no realisation of the multisine has two whole periods. {' '.join(notes)} Record again."
         )
     count, frequency = len(complete), complete[0].frequency
-    row = reference_of(rec, reference).row(rec, names, frequency)
+    reference_weights = reference_of(rec, reference).row(rec, names, frequency)
     means, noises = [], []
     for spectra in complete:
         mean, periods = spectra.spectra.mean(axis=0), len(spectra.spectra)
-        phase_factor = np.sum(row * mean, axis=0).conj()
+        phase_factor = np.sum(reference_weights * mean, axis=0).conj()
         phase_factor /= np.maximum(abs(phase_factor), 1e-300)
         means.append(mean * phase_factor)
         noises.append((spectra.spectra - mean) * phase_factor / np.sqrt(periods * (periods - 1.0)))
@@ -90,36 +92,36 @@ def best_linear_approximation(
         np.full(frequency.size, 2.0 * sum(len(spectra.spectra) - 1 for spectra in complete)),
     )
     unsettled = np.mean([residual_transient(spectra.spectra) for spectra in complete], axis=0)
-    counts = counts_of(rec, names)
+    steps = quantization_steps(rec, names)
     samples_per_period = rec.rate / (frequency[1] - frequency[0]) if frequency.size > 1 else rec.rate / frequency[0]
-    # Rounding to counts resembles noise of 1/12 count², and 95 % of its amplitudes at a line are below
-    # counts / sqrt(samples). With additional noise of s counts, only a part of this error is equal in every period
-    # and therefore absent from the scatter.
+    # Rounding resembles noise of 1/12 count², of which 95 % of the amplitudes at a line are below steps / sqrt(samples)
+    # (95 % quantile of the Rayleigh distribution). The scatter lacks the share of this error that is equal in every
+    # period.
     noise_power = np.mean([spectra.samples.var(axis=0, ddof=1).mean(axis=1) for spectra in complete], axis=0)
-    reproducible = reproducible_rounding(noise_power / np.where(counts > 0.0, counts, 1.0) ** 2)
+    reproducible = reproducible_rounding(noise_power / np.where(steps > 0.0, steps, 1.0) ** 2)
     amplitude: Array = np.abs(mean_spectrum)
-    # Worst case: a resonance reduces the reading to a single tone with the power of all lines.
-    gain = np.minimum(tone_gain(in_counts(rec, names, np.sum(amplitude**2, axis=1) / 2.0)), 0.5)
-    rounding = reproducible[:, None] * (counts[:, None] / np.sqrt(samples_per_period) + gain[:, None] * amplitude)
+    # In the worst case, the reading at a resonance is a single tone with the power of all lines.
+    gain_error = np.minimum(tone_gain_error(power_in_counts(rec, names, np.sum(amplitude**2, axis=1) / 2.0)), 0.5)
+    rounding = reproducible[:, None] * (steps[:, None] / np.sqrt(samples_per_period) + gain_error[:, None] * amplitude)
     noise_only = Lines(
         tuple(names), frequency, mean_spectrum, noise, rec.scene.name, tuple(notes), unsettled,
-        n_neighbors=SIDE, n_rotated=count, resolution=rounding,
+        n_neighbors=FIT_HALF_WIDTH, n_rotated=count, resolution=rounding,
     )  # fmt: skip
     dampers_move = any(damper.moves for damper in rec.scene.dampers)
     if count == 1:
         return replace(noise_only, warnings=(*notes, ONE_REALISATION)) if dampers_move else noise_only
-    rows = (realisation_means - mean_spectrum) / np.sqrt(count * (count - 1.0))
-    realisations = Scatter(rows, np.full(frequency.size, 2.0 * (count - 1.0)))
+    deviations = (realisation_means - mean_spectrum) / np.sqrt(count * (count - 1.0))
+    realisations = Scatter(deviations, np.full(frequency.size, 2.0 * (count - 1.0)))
     with_distortion = replace(noise_only, scatter=realisations, noise=noise)
     if _distorted(with_distortion, noise_only):
         return replace(with_distortion, warnings=(*notes, NONLINEAR))
     if dampers_move:
-        return replace(with_distortion, warnings=(*notes, _undistorted(rec, with_distortion, reference)))
+        return replace(with_distortion, warnings=(*notes, _undistorted_warning(rec, with_distortion, reference)))
     return with_distortion
 
 
-def _undistorted(rec: Recording, averages: Lines, reference: str) -> str:
-    """Return the warning for a test without detected distortion, with the force of a tone that lifts a damper."""
+def _undistorted_warning(rec: Recording, averages: Lines, reference: str) -> str:
+    """Return the warning for a test without detected distortion, with the force of a tone that lifts a damper off."""
     lifting_forces = [(np.inf, np.nan)]
     force: Array = np.zeros(averages.frequency.size)
     if reference == "force":
@@ -130,19 +132,19 @@ def _undistorted(rec: Recording, averages: Lines, reference: str) -> str:
         if info is not None and reference == "force":
             accelerance = np.nan_to_num(abs(averages.frf(rec, info.name, motion="acceleration").value))
             amplitudes = accelerance * force
-            # Largest acceleration: peak value of a sum of tones with random phases.
-            largest = min(_CREST_FACTOR * np.sqrt(np.sum(np.square(amplitudes)) / 2.0), amplitudes.sum())
-            if largest > rec.scene.gravity:
+            # Peak value of a sum of tones with random phases.
+            peak_acceleration = min(_CREST_FACTOR * np.sqrt(np.sum(np.square(amplitudes)) / 2.0), amplitudes.sum())
+            if peak_acceleration > rec.scene.gravity:
                 return LIFTED
-            peak = int(np.argmax(accelerance))
-            lifting_forces.append((rec.scene.gravity / accelerance[peak], averages.frequency[peak]))
+            resonance = int(np.argmax(accelerance))
+            lifting_forces.append((rec.scene.gravity / accelerance[resonance], averages.frequency[resonance]))
     smallest_force, frequency = min(lifting_forces)
-    levels = f"of more than {smallest_force:.2g} N at {frequency:.4g} Hz"
+    tones = f"of more than {smallest_force:.2g} N at {frequency:.4g} Hz"
     if np.isinf(smallest_force):
-        levels = "of a higher level"
+        tones = "of a higher level"
     return (
         "No nonlinear distortion is detected at this level, but dampers can move: steady tones "
-        f"{levels} lift one. Use stepped sine for the response to such tones."
+        f"{tones} lift one. Use stepped sine for the response to such tones."
     )
 
 
@@ -157,7 +159,7 @@ class PeriodSpectra:
 
 
 def period_spectra(rec: Recording, names: Sequence[str], marker: Marker) -> PeriodSpectra:
-    """Transform the periods without overload or lost samples; empty if there are fewer than two."""
+    """Transform the periods without overload or lost samples; the result has no periods if there are fewer than two."""
     number = marker.fields["realisation"]
     size, periods = int(marker.fields["period"]), int(marker.fields["periods"])
     low, high = marker.fields["lines"]
@@ -189,8 +191,8 @@ def period_spectra(rec: Recording, names: Sequence[str], marker: Marker) -> Peri
 def _without_drift(periods: Array, numbers: NDArray[np.int64]) -> Array:
     """Subtract the linear drift of the mean from each period; shape (periods, channels, samples).
 
-    A slowly settling bias changes each line from period to period. Noise may hide these changes although their sum is
-    a significant error of the line. `numbers`: positions of the periods within the realisation.
+    A bias that settles slowly is an error of every line. Noise may hide its changes from period to period.
+    `numbers`: positions of the periods within the realisation.
     """
     drifts = np.gradient(periods.mean(axis=2), numbers, axis=0, edge_order=2 if len(numbers) > 2 else 1)
     return np.asarray(periods - drifts[:, :, None] * np.linspace(-0.5, 0.5, periods.shape[2]))

@@ -1,4 +1,4 @@
-"""Random and burst random tests: local fits to whole segments, or spectra averaged over blocks (Welch)."""
+"""Random and burst random tests: local rational method for whole segments, or spectra averaged over blocks (Welch)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from analysis.responses.clean_segments import describe_flaws, remedy, settling_flaws
 from analysis.responses.estimators import AveragedSpectra, block_spectra, noise_bandwidth_bins, sampled_window
 from analysis.responses.segment_fits import SegmentFits, warn_of_dampers
-from analysis.responses.systematic import in_counts, noise_gain
+from analysis.responses.systematic import noise_gain_error, power_in_counts
 from rig.errors import RecordingError, SceneError
 from rig.progress import CountProgress
 
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from daq.recording.markers import Marker
     from daq.recording.recording import Recording
 
-# Default number of blocks: error bars of about 10 % at a coherence of 0.7, with the finest possible resolution.
+# Default number of blocks: error bars of about 10 % at a coherence of 0.7. The blocks are as long as this number
+# permits.
 DEFAULT_BLOCKS = 30
 # Largest response at the end of a block without leakage into the next burst, relative to its maximum.
 _MAX_END_RATIO = 0.02
@@ -49,10 +50,11 @@ def averaged_spectra(
     progress: CountProgress | None = None,
     window: str | None = None,
 ) -> AveragedSpectra:
-    """Average the spectra of a random test.
+    """Average the spectra of a random test over blocks.
 
     `block`: length of a block in s, for about 30 averages if omitted; `overlap`: as a fraction of the block, 0.5 if
-    omitted; `window`: its name, "hann" if omitted. Bursts are blocks without overlap and window.
+    omitted; `window`: its name, "hann" if omitted. All three are ignored for bursts: each burst is a block without
+    overlap or window.
     """
     overlap, window = 0.5 if overlap is None else overlap, window or "hann"
     if not 0.0 <= overlap < 1.0:
@@ -61,9 +63,9 @@ def averaged_spectra(
         raise SceneError(f"block of {block:g} s: expected a length above 0 s")
     first = marker.first_sample
     stop = rec.samples if marker.last_sample is None else min(rec.samples, marker.stop)
-    burst = marker.fields.get("block")
-    if burst is not None:
-        block_samples, step = int(burst), int(burst)
+    burst_block = marker.fields.get("block")
+    if burst_block is not None:
+        block_samples, step = int(burst_block), int(burst_block)
         weights = np.ones(block_samples)
     else:
         block_s = block if block is not None else (stop - first) / rec.rate / (0.5 * DEFAULT_BLOCKS + 0.5)
@@ -72,6 +74,7 @@ def averaged_spectra(
         weights = sampled_window(window, max(block_samples, 1))
     low, high = float(marker.fields["from"]), float(marker.fields["to"])
     unsettled = settling_flaws(rec, channels, first, stop, low)
+    # Skip whole steps until all channels have settled.
     first += -(-max((flaw.stop - first for flaw in unsettled), default=0) // step) * step
     count = (stop - first - block_samples) // step + 1
     block_s = block_samples / rec.rate
@@ -88,26 +91,26 @@ def averaged_spectra(
         notes.append(f"{count - averaged.used} of {count} blocks left out: {reasons}.")
     if averaged.used < 2:
         raise RecordingError(
-            f"{rec.path}: fewer than two blocks are complete ({reasons}). {remedy(rec, averaged.flaws)}, or choose "
+            f"{rec.path}: fewer than two blocks are usable ({reasons}). {remedy(rec, averaged.flaws)}, or choose "
             "shorter blocks (--block)."
         )
     resolution = noise_bandwidth_bins(weights) * rec.rate / block_samples
-    has_leakage = burst is None or averaged.end_ratio > _MAX_END_RATIO
-    if burst is None:
+    has_leakage = burst_block is None or averaged.end_ratio > _MAX_END_RATIO
+    if burst_block is None:
         notes.append(
-            f"Blocks of {block_s:.3g} s resolve {resolution:.3g} Hz: narrower peaks are widened and too low, "
-            "by the stated leakage. Leave out --block and --estimator for a response without leakage."
+            f"Blocks of {block_s:.3g} s resolve {resolution:.3g} Hz: narrower peaks appear wider and lower, within "
+            "the stated leakage. Leave out --block and --estimator for a response without leakage."
         )
     elif has_leakage:
         notes.append(
             f"{averaged.end_ratio:.0%} of the response to a burst remains when the next begins, so the curve has "
             "leakage. Use longer blocks, a smaller burst share, multisine or stepped sine."
         )
-    gain = noise_gain(in_counts(rec, channels, averaged.mean_squares))
+    rounding_gain_error = noise_gain_error(power_in_counts(rec, channels, averaged.mean_squares))
     return replace(
         averaged.spectra,
         resolution=resolution if has_leakage else 0.0,
         warnings=tuple(notes),
-        gain=np.repeat(gain[:, None], averaged.spectra.frequency.size, axis=1),
+        rounding_gain_error=np.repeat(rounding_gain_error[:, None], averaged.spectra.frequency.size, axis=1),
         leakage_free=segment_fits(rec, marker, channels) if has_leakage else None,
     )

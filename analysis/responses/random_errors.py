@@ -1,10 +1,12 @@
 """Random errors of the responses of one test: their covariance over outputs at each line, and from line to line.
 
 All responses are divided by the same reference, whose noise causes equal relative errors in all of them. Neighboring
-lines of a local fit use the same bins. Both correlations determine the scatter of the parameters of a model fitted to
-many lines. The errors of the readings are propagated to first order [1]_. An *element* is the response of one output to
-one input. A *bin* is a frequency of the discrete Fourier transform; a *line* is a frequency at which the response is
-estimated.
+lines of a local fit use the same bins. Both correlations determine the scatter of the parameters of a model that is
+fitted to many lines. The errors of the readings are propagated to first order [1]_.
+
+An *element* is the response of one output to one input. A *bin* is a frequency of the discrete Fourier transform; a
+*line* is a frequency at which the response is estimated. `shared` is the number of neighboring lines with a common
+error.
 
 References
 ----------
@@ -25,7 +27,7 @@ from numpy.typing import NDArray
 from rig.arrays import Array, ComplexArray
 from rig.results.uncertainty import LineCovariance, Lines, RandomErrors
 
-# Number of widths of a local fit over which the noise level is assumed constant.
+# Frequency range over which the noise level is assumed constant, in widths of a local fit.
 _CONSTANT_NOISE_WIDTHS = 5
 # Number of iterations of the weighted fit that separates the noise of the reference from that of the responses.
 _ITERATIONS = 4
@@ -33,16 +35,17 @@ _ITERATIONS = 4
 _MIN_NOISE_RATIO = 1e-6
 # Value that replaces zero power; its square does not underflow to zero.
 _ZERO_POWER = 1e-40
-# Share of each variance that is uncorrelated between responses, due to errors of second order and covariances of few
-# averages. Tuned on chains with 3 % of noise in the reference: with 0.1 % the scatter was twice the stated uncertainty.
+# Variance that is uncorrelated between responses, relative to the computed variance. It allows for errors of second
+# order and for covariances of few averages. Tuned on spring-mass chains with 3 % of noise in the reference: with 0.001,
+# the scatter was twice the stated uncertainty.
 _UNCORRELATED = 0.05
-# Largest number of elements in memory of the noise around lines.
+# Largest number of array elements of the noise covariances that are in memory at a time.
 _MAX_ELEMENTS = 1 << 22
 
 
 @dataclass(frozen=True)
 class MeanErrors:
-    """Errors of quotients of means, independent from line to line: `weights` times the errors of the channels."""
+    """Errors of ratios of means, independent from line to line: weighted sums of the errors of the channels."""
 
     weights: ComplexArray  # shape (lines, elements, channels)
     means: ComplexArray  # covariance of the channels' means; shape (lines, channels, channels)
@@ -67,7 +70,7 @@ class MeanErrors:
         return replace(self, weights=np.concatenate([self.weights, *(other.weights for other in same)], axis=1))
 
     def covariance(self, error: Array, shared: float) -> LineCovariance:
-        """Compute the covariance over elements; the stated variances include information from neighboring lines."""
+        """Compute the covariance over elements, scaled to the stated variances, which neighboring lines moderate."""
         lines = np.einsum("kai,kij,kcj->kac", self.weights, self.means, self.weights.conj(), optimize=True)
         return LineCovariance(_add_uncorrelated(_scale_to_variances(lines, error)), shared)
 
@@ -94,7 +97,7 @@ class MatrixErrors:
         """Return None, because the correlation with other elements is unknown."""
 
     def covariance(self, error: Array, shared: float) -> LineCovariance:
-        """Compute the covariance over elements, with the stated variances."""
+        """Compute the covariance over elements, scaled to the stated variances."""
         return LineCovariance(_add_uncorrelated(_scale_to_variances(self.lines, error)), shared)
 
 
@@ -102,33 +105,35 @@ class MatrixErrors:
 class LocalErrors:
     """Errors of local fits to spectra: sums over bins, most of which neighboring lines have in common."""
 
-    # influence of the error at each bin of the reading on the response; shape (lines, elements, segments, width)
-    influence: ComplexArray
-    first: NDArray[np.int64]  # first bin of each line's fit; shape (lines,)
+    # change of the response per unit change of the reading at each bin; shape (lines, elements, segments, width)
+    bin_weights: ComplexArray
+    first_bin: NDArray[np.int64]  # first bin of each line's fit; shape (lines,)
     residual: ComplexArray  # residual of the reading; shape (lines, elements, segments, width)
-    curve: ComplexArray  # reading per unit of the reference, as fitted; shape (lines, elements, width)
-    drive: Array  # mean square of the reference over the bins of each fit; shape (lines,)
-    free: float  # residual degrees of freedom of each fit, counted for complex values
-    used: float  # measured part of the samples of the spectra, as in `local_fit`
-    one_reference: bool  # whether the reference is a single channel that is not part of the response
+    fitted_response: ComplexArray  # reading per unit of the reference, as fitted; shape (lines, elements, width)
+    reference_power: Array  # mean square of the reference over the bins of each fit; shape (lines,)
+    complex_degrees_of_freedom: float  # of the residual of each fit, counted as complex values
+    measured_share: float  # measured share of the samples of the spectra, as in `local_fit`
+    has_single_reference: bool  # whether the reference is a single channel that is not part of the response
     # error common to all lines, as a standard deviation of either quadrature; shape (lines, elements)
-    common: ComplexArray
-    shared: float = 1.0  # number of neighboring lines with a common error although their bins are different
+    common_error: ComplexArray
+    shared: float = 1.0  # number of neighboring lines with a common error although they have no bins in common
 
     def at(self, lines: Lines) -> LocalErrors:
         """Select some lines."""
-        names = ("influence", "first", "residual", "curve", "drive", "common")
+        names = ("bin_weights", "first_bin", "residual", "fitted_response", "reference_power", "common_error")
         return replace(self, **{name: getattr(self, name)[lines] for name in names})
 
     def select(self, elements: Sequence[int]) -> LocalErrors:
         """Select some elements."""
-        names = ("influence", "residual", "curve", "common")
+        names = ("bin_weights", "residual", "fitted_response", "common_error")
         return replace(self, **{name: getattr(self, name)[:, elements] for name in names})
 
     def scaled(self, factor: ComplexArray) -> LocalErrors:
         """Multiply by a factor at each line."""
         return replace(
-            self, influence=self.influence * factor[:, None, None, None], common=self.common * factor[:, None]
+            self,
+            bin_weights=self.bin_weights * factor[:, None, None, None],
+            common_error=self.common_error * factor[:, None],
         )
 
     def joined(self, others: Sequence[RandomErrors]) -> LocalErrors | None:
@@ -137,34 +142,36 @@ class LocalErrors:
             errors
             for errors in (self, *others)
             if isinstance(errors, LocalErrors)
-            and np.array_equal(errors.first, self.first)
+            and np.array_equal(errors.first_bin, self.first_bin)
             and errors.residual.shape == self.residual.shape
         ]
         if len(same) <= len(others):
             return None
-        names = ("influence", "residual", "curve", "common")
+        names = ("bin_weights", "residual", "fitted_response", "common_error")
         parts: dict[str, Any] = {
             name: np.concatenate([getattr(errors, name) for errors in same], axis=1) for name in names
         }
-        return replace(self, **parts, one_reference=all(errors.one_reference for errors in same))
+        return replace(self, **parts, has_single_reference=all(errors.has_single_reference for errors in same))
 
     def covariance(self, error: Array, shared: float) -> LocalCovariance:
         """Estimate the covariance over elements and lines, from the residuals around each line."""
-        count, elements = self.common.shape
+        count, elements = self.common_error.shape
         residual = self.residual.reshape(count, elements, -1)
-        # With zero padding, `free` is smaller by `used`: this is the noise of a bin summed over correlated bins.
-        power = residual @ residual.conj().swapaxes(1, 2) / self.free
-        first, width = self.first, self.curve.shape[2]
-        bins = int(first.max()) + width
-        center = first + width // 2
+        # Zero padding correlates neighboring bins and reduces the degrees of freedom in proportion to `measured_share`.
+        # The result is therefore the noise of a bin, summed over the bins that are correlated with it.
+        power = residual @ residual.conj().swapaxes(1, 2) / self.complex_degrees_of_freedom
+        width = self.fitted_response.shape[2]
+        bins, center = int(self.first_bin.max()) + width, self.first_bin + width // 2
         nearest = np.clip(np.searchsorted(0.5 * (center[1:] + center[:-1]), np.arange(bins)), 0, count - 1)
         reference_ratio: Array | None = None
-        if self.one_reference:
-            reference, variances, reference_ratio = _separate_noise(power, self.curve, self.drive, center)
-            reference_ratio = self.used * reference_ratio
-            within = np.clip(np.arange(bins) - first[nearest], 0, width - 1)
-            curve = self.curve[nearest, :, within]
-            noise = reference[nearest, None, None] * curve[:, :, None] * curve[:, None].conj()
+        if self.has_single_reference:
+            reference, variances, reference_ratio = _separate_noise(
+                power, self.fitted_response, self.reference_power, center
+            )
+            reference_ratio = self.measured_share * reference_ratio
+            within = np.clip(np.arange(bins) - self.first_bin[nearest], 0, width - 1)
+            response = self.fitted_response[nearest, :, within]
+            noise = reference[nearest, None, None] * response[:, :, None] * response[:, None].conj()
             index = np.arange(elements)
             noise[:, index, index] += variances[nearest]
         else:
@@ -173,11 +180,11 @@ class LocalErrors:
         step = max(1, _MAX_ELEMENTS // (width * elements**2))
         for begin in range(0, count, step):
             part = slice(begin, begin + step)
-            local_noise, influence = noise[first[part, None] + np.arange(width)], self.influence[part]
-            lines[part] = np.einsum("kasw,kwac,kcsw->kac", influence, local_noise, influence.conj(), optimize=True)
-        lines = lines + 2.0 * self.common[:, :, None] * self.common[:, None].conj()
+            local_noise, bin_weights = noise[self.first_bin[part, None] + np.arange(width)], self.bin_weights[part]
+            lines[part] = np.einsum("kasw,kwac,kcsw->kac", bin_weights, local_noise, bin_weights.conj(), optimize=True)
+        lines = lines + 2.0 * self.common_error[:, :, None] * self.common_error[:, None].conj()
         if reference_ratio is None:
-            # The fit reproduces part of the noise of known power, so the residuals underestimate it.
+            # The fit reproduces part of the noise, so that the residuals may underestimate it.
             stated, variances = 2.0 * error**2, np.einsum("kaa->ka", lines).real
             scale = np.sqrt(
                 np.maximum(1.0, np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0))
@@ -188,13 +195,13 @@ class LocalErrors:
 
 @dataclass(frozen=True)
 class LocalCovariance:
-    """Covariance of the errors of local fits, whose lines share bins."""
+    """Covariance of the errors of local fits, whose lines have bins in common."""
 
     lines: ComplexArray
     shared: float
     errors: LocalErrors
     noise: ComplexArray  # covariance of the readings; shape (bins, elements, elements)
-    # ratio of noise in the reference to its power, shape (lines,); None if it is not estimated
+    # noise power of the reference, relative to its power, shape (lines,); None if it is not estimated
     reference: Array | None
 
     def at(self, lines: Lines) -> LocalCovariance:
@@ -220,19 +227,19 @@ class LocalCovariance:
         from scipy.sparse import csr_array
 
         errors = self.errors
-        bins, width = len(self.noise), errors.influence.shape[3]
+        bins, width = len(self.noise), errors.bin_weights.shape[3]
         total = np.zeros((weights.shape[2],) * 2)
-        columns = (errors.first[:, None] + np.arange(width)).ravel()
+        columns = (errors.first_bin[:, None] + np.arange(width)).ravel()
         ends = np.arange(0, columns.size + 1, width)
-        for segment in range(errors.influence.shape[2]):
+        for segment in range(errors.bin_weights.shape[2]):
             by_element = []
-            for k in range(errors.influence.shape[1]):
-                influence = errors.influence[:, k, segment].ravel()
-                matrix = csr_array((influence, columns, ends), shape=(len(errors.first), bins))
+            for k in range(errors.bin_weights.shape[1]):
+                bin_weights = errors.bin_weights[:, k, segment].ravel()
+                matrix = csr_array((bin_weights, columns, ends), shape=(len(errors.first_bin), bins))
                 by_element.append((matrix.T @ weights[:, k].conj()).T)
             by_bin = np.stack(by_element, axis=2)
             total += np.einsum("pbi,bij,qbj->pq", by_bin, self.noise, by_bin.conj(), optimize=True).real
-        common = np.einsum("kap,ka->p", weights.conj(), errors.common)
+        common = np.einsum("kap,ka->p", weights.conj(), errors.common_error)
         total *= 0.5 * errors.shared
         variances = np.einsum("kaa->ka", self.lines).real * (0.5 * self.shared * _UNCORRELATED / (1.0 + _UNCORRELATED))
         total += np.einsum("kap,ka,kaq->pq", weights.conj(), variances, weights, optimize=True).real
@@ -256,22 +263,23 @@ def _add_uncorrelated(lines: ComplexArray) -> ComplexArray:
 
 
 def _separate_noise(
-    power: ComplexArray, curve: ComplexArray, drive: Array, center: NDArray[np.int64]
+    power: ComplexArray, fitted_response: ComplexArray, reference_power: Array, center: NDArray[np.int64]
 ) -> tuple[Array, Array, Array]:
     """Separate noise of the reference, common to all responses, from noise of each response.
 
-    The cross-powers of the residuals of local fits are the cross-powers of the curves times the noise of the reference,
-    plus the noise of each response. Both are estimated by weighted least squares over the lines around each line.
-    Returns the noise power of the reference, shape (lines,), that of each response, shape (lines, elements), and the
-    ratio of the former to the power of the reference.
+    The cross-powers of the residuals of local fits have two parts: the cross-powers of the fitted responses times the
+    noise power of the reference, and the noise power of each response. Both noise powers are estimated by weighted
+    least squares over the lines around each line. Returns the noise power of the reference, shape (lines,), that of
+    each response, shape (lines, elements), and the former relative to the power of the reference, shape (lines,).
 
-    `power`: cross-powers of the residuals, shape (lines, elements, elements); `curve`, `drive`: as in `LocalErrors`;
-    `center`: bin at the middle of each fit.
+    `power`: cross-powers of the residuals, shape (lines, elements, elements); `fitted_response`, `reference_power`: as
+    in `LocalErrors`; `center`: bin at the middle of each fit.
     """
-    lines, _, width = curve.shape
+    lines, _, width = fitted_response.shape
     bins_per_line = float(np.median(np.diff(center))) if lines > 1 else 1.0
+    # Lines of the local means.
     n_lines = min(1 + 2 * int(np.ceil(_CONSTANT_NOISE_WIDTHS * width / bins_per_line / 2.0)), max(lines, 1))
-    curve_power = curve @ curve.conj().swapaxes(1, 2) / width
+    curve_power = fitted_response @ fitted_response.conj().swapaxes(1, 2) / width
     variances = np.einsum("kaa->ka", power).real
     curve_variances = np.einsum("kaa->ka", curve_power).real
 
@@ -293,6 +301,6 @@ def _separate_noise(
         min_noise = _MIN_NOISE_RATIO * local_mean(variances)
         response_noise = np.maximum((b_response - a_mixed * reference[:, None]) / a_response, min_noise)
         expected = np.maximum(reference[:, None] * curve_variances + response_noise, _ZERO_POWER)
-    drive_power = local_mean(drive)
-    ratio = np.divide(reference, drive_power, out=np.zeros_like(drive), where=drive_power > 0.0)
+    mean_power = local_mean(reference_power)
+    ratio = np.divide(reference, mean_power, out=np.zeros_like(mean_power), where=mean_power > 0.0)
     return np.asarray(reference), np.asarray(response_noise), ratio

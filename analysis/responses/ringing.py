@@ -1,8 +1,9 @@
-"""Error of a stepped-sine response by residual free vibration of the previous step.
+"""Error of a stepped-sine response by *ringing*: residual free vibration of the previous step.
 
-Noise in the windows may hide a transient that decays slowly and is close to the frequency of the tone. The transient
-is therefore predicted from the response. Around each point, a quotient of two polynomials in frequency is fitted to
-the response (Levy 1959); its poles are the poles of the neighboring resonances.
+A *window* is the interval in which the amplitude of a tone is measured. Noise may hide a transient in it that decays
+slowly and is close to the frequency of the tone. The transient is therefore predicted from the response. Around each
+point, a ratio of two polynomials in frequency is fitted to the response (Levy 1959); its poles are those of the
+neighboring resonances.
 """
 
 from __future__ import annotations
@@ -18,25 +19,26 @@ _POINTS_TWO_POLES = 7
 _POINTS_ONE_POLE = 3
 # Smallest residual of a fit with one pole, relative to the response, that requires a second pole.
 _MIN_RESIDUAL_RATIO = 1e-3
-# Largest spacing of points that resolves a pole, relative to the distance to it.
+# Largest spacing of points that resolves a pole, relative to the distance of the point from the pole.
 _MAX_SPACING_RATIO = 1.5
-# Largest distance of a resonance, in half-widths; a farther one beats with the tone, which is visible in the window.
+# Largest frequency offset of a resonance, in its half-power half-widths. The ringing of a farther resonance beats with
+# the tone, which is visible in the window.
 _MAX_HALF_WIDTHS = 4.0
-# Largest change that may be noise, in standard uncertainties.
+# Largest change of a response between points that may be noise, in standard uncertainties.
 _NOISE_SIGMAS = 4.0
-# Largest change that may be rounding, relative to the response.
+# Largest change that may be numerical rounding, relative to the response.
 _ROUNDING_RATIO = 1e-9
-# Duration of the transition to the next tone, relative to the window; the free vibration begins after it.
+# Duration of the transition to the next tone, relative to the window; the ringing begins after it.
 _TRANSITION_RATIO = 0.5
 
 
 def ringing(value: ComplexArray, frequency: Array, wait_s: Array, window_s: Array, error: Array) -> Array:
-    """Compute the largest deviation of each point of a response by residual free vibration of the previous step.
+    """Compute the largest deviation of each point of a response by ringing.
 
-    The initial value of a free vibration at the pole s is the difference c of the pole's contributions to the two
-    steady responses. It shifts the mean over a window of length L (`window_s`) by
-    ``c exp(Re(s) t) |exp(l L) - 1| / |l L|`` after a wait t (`wait_s`), with l = s - i w. The points are in the order
-    of measurement; `error`: standard uncertainty of each. All arrays have the shape (points,).
+    The initial amplitude c of the free vibration at a pole s is the difference of the pole's contributions to the two
+    steady responses. After a wait t (`wait_s`) it shifts the mean over a window of length L (`window_s`) by
+    ``c exp(Re(s) t) |exp(l L) - 1| / |l L|``, with l = s - i w. The points are in the order of measurement; `error`:
+    standard uncertainty of each. All arrays have the shape (points,).
 
     >>> frequency = np.linspace(18.5, 19.5, 25)
     >>> value = 1.0 / (2j * np.pi * frequency - (-1.0 + 2j * np.pi * 19.0))
@@ -46,12 +48,12 @@ def ringing(value: ComplexArray, frequency: Array, wait_s: Array, window_s: Arra
     """
     deviation = np.zeros(frequency.size)
     omega = 2.0 * np.pi * frequency
-    points = _POINTS_TWO_POLES if frequency.size >= _POINTS_TWO_POLES else _POINTS_ONE_POLE
-    if frequency.size < points or not np.diff(omega).all():
+    n_points = _POINTS_TWO_POLES if frequency.size >= _POINTS_TWO_POLES else _POINTS_ONE_POLE
+    if frequency.size < n_points or not np.diff(omega).all():
         return deviation
     for k in range(1, frequency.size):
-        first = min(max(k - points // 2, 0), frequency.size - points)
-        neighborhood = slice(first, first + points)
+        first = min(max(k - n_points // 2, 0), frequency.size - n_points)
+        neighborhood = slice(first, first + n_points)
         if not (np.isfinite(value[neighborhood]).all() and value[neighborhood].any()):
             continue
         noise = _NOISE_SIGMAS * float(np.nan_to_num(error[k]))
@@ -77,6 +79,7 @@ def _local_poles(
 
     The number of poles is the smallest for which the residual does not exceed `max_residual`.
     """
+    # Frequency offset and response, normalized to 1.
     half_range, scale = 0.5 * np.ptp(omega), float(abs(value).max())
     offset, normalized = (omega - center) / half_range, value / scale
     roots, residues = np.zeros((2, 0), dtype=complex)

@@ -1,9 +1,9 @@
 """Scatter of a mean of several channels, as a square-root factor of its covariance.
 
-A variance computed as a quadratic form ``w C w*`` may be negative by rounding if the covariance C has a null space.
-That of two averages of four channels is an example. Computed from the factor, it is a sum of squares. Variances with
-few degrees of freedom may be close to zero by chance. They are moderated by the variances of neighboring lines, as
-empirical Bayes estimates [1]_.
+Computed from the covariance C as ``w C w*``, a variance may be negative by rounding if C is singular, such as that of
+four channels from two averages. Computed from the factor, it is a sum of squares. Variances with few degrees of freedom
+may be close to zero by chance. They are moderated by the variances of neighboring lines, as empirical Bayes estimates
+[1]_.
 
 References
 ----------
@@ -21,7 +21,7 @@ from scipy import special
 
 from rig.arrays import Array, ComplexArray
 
-# Limit of the ratio of two variances, one of which may be zero.
+# Largest ratio of two variances, because one of them may be zero.
 _MAX_RATIO = 1e30
 # Number of iterations within which Newton's method for the inverse of the trigamma function converges from below.
 _ITERATIONS = 20
@@ -34,7 +34,7 @@ class Scatter:
     # factor S: the covariance of channels i and j is the sum over rows of ``S_i conj(S_j)``; complex, shape
     # (rows, channels, lines)
     rows: ComplexArray
-    degrees: Array  # degrees of freedom, two for each complex average beyond the mean; shape (lines,)
+    degrees_of_freedom: Array  # two for each complex average beyond the first; shape (lines,)
 
     def variance(self, weights: ComplexArray) -> Array:
         """Compute the variance of a weighted sum of the channels; weights of shape (channels, lines).
@@ -45,14 +45,14 @@ class Scatter:
         """
         return np.asarray(np.sum(np.square(np.abs(np.einsum("in,rin->rn", weights, self.rows))), axis=0))
 
-    def local_variance(self, weights: ComplexArray, side: int) -> Array:
-        """Average the variances, with the weights of each line, over `side` lines on either side."""
-        last = self.degrees.size - 1
+    def local_variance(self, weights: ComplexArray, half_width: int) -> Array:
+        """Average the variances over `half_width` lines on either side, with the weights of the central line."""
+        last = self.degrees_of_freedom.size - 1
         total = np.zeros(last + 1)
-        for step in range(-side, side + 1):
+        for step in range(-half_width, half_width + 1):
             lines = np.clip(np.arange(last + 1) + step, 0, last)
-            total += Scatter(self.rows[:, :, lines], self.degrees).variance(weights)
-        return total / (2 * side + 1)
+            total += Scatter(self.rows[:, :, lines], self.degrees_of_freedom).variance(weights)
+        return total / (2 * half_width + 1)
 
 
 def stacked(parts: list[ComplexArray]) -> ComplexArray:
@@ -65,8 +65,8 @@ def stacked(parts: list[ComplexArray]) -> ComplexArray:
     return np.stack([np.pad(part, ((0, n_rows - len(part)), (0, 0))) for part in parts], axis=2)
 
 
-def moderate(variance: Array, degrees: Array, expected: Array, side: int) -> tuple[Array, Array]:
-    """Moderate variances by the variances of `side` lines on either side; return them with their degrees of freedom.
+def moderate(variance: Array, degrees_of_freedom: Array, expected: Array, half_width: int) -> tuple[Array, Array]:
+    """Moderate variances by those of `half_width` lines on either side; also return their degrees of freedom.
 
     `expected`: variances up to a common factor, such as local means. The logarithms of ``variance / expected`` scatter
     between lines because of the finite degrees of freedom and because the true ratios differ. The more similar the
@@ -74,27 +74,28 @@ def moderate(variance: Array, degrees: Array, expected: Array, side: int) -> tup
 
     >>> random = np.random.default_rng(1)
     >>> variance = random.chisquare(2.0, 400) / 2.0
-    >>> moderated, degrees = moderate(variance, np.full(400, 2.0), np.ones(400), 12)
-    >>> f"smallest: {variance.min():.3f} and {moderated.min():.2f}, {degrees[0]:.0f} degrees of freedom"
+    >>> moderated, freedom = moderate(variance, np.full(400, 2.0), np.ones(400), 12)
+    >>> f"smallest: {variance.min():.3f} and {moderated.min():.2f}, {freedom[0]:.0f} degrees of freedom"
     'smallest: 0.007 and 0.52, 50 degrees of freedom'
     """
     if variance.size < 2 or not (np.isfinite(variance).all() and np.all(expected > 0.0)):
-        return variance, degrees
-    half_degrees, width = degrees / 2.0, min(2 * side + 1, variance.size)
+        return variance, degrees_of_freedom
+    half_degrees, width = degrees_of_freedom / 2.0, min(2 * half_width + 1, variance.size)
     logarithm = np.log(np.clip(variance / expected, 1.0 / _MAX_RATIO, _MAX_RATIO))
     logarithm += np.log(half_degrees) - special.digamma(half_degrees)
-    local_mean = scipy.ndimage.uniform_filter1d(logarithm, 2 * side + 1, mode="nearest")
+    local_mean = scipy.ndimage.uniform_filter1d(logarithm, 2 * half_width + 1, mode="nearest")
     observed_scatter = float(np.mean(np.square(logarithm - local_mean)) * width / (width - 1.0))
-    # Scatter due to the finite degrees of freedom; the rest is due to differences of the true ratios.
+    # Scatter due to the finite degrees of freedom. The remaining scatter is due to different true ratios.
     chance_scatter = float(np.mean(special.polygamma(1, half_degrees)))
-    max_prior_degrees = (width - 1.0) * degrees
+    max_prior_degrees = (width - 1.0) * degrees_of_freedom
     prior_degrees = (
         max_prior_degrees
         if observed_scatter <= chance_scatter
         else np.minimum(2.0 * _inverse_trigamma(observed_scatter - chance_scatter), max_prior_degrees)
     )
-    moderated = (prior_degrees * expected * np.exp(local_mean) + degrees * variance) / (prior_degrees + degrees)
-    return np.asarray(moderated), np.asarray(prior_degrees + degrees)
+    total_degrees = prior_degrees + degrees_of_freedom
+    moderated = (prior_degrees * expected * np.exp(local_mean) + degrees_of_freedom * variance) / total_degrees
+    return np.asarray(moderated), np.asarray(total_degrees)
 
 
 def _inverse_trigamma(value: float) -> float:

@@ -1,8 +1,9 @@
-"""Frequency responses of tests without tones: local fits to the spectra of complete clean segments.
+"""Frequency responses of tests without steady tones: local fits to the spectra of whole segments.
 
-The local rational method treats random excitation, bursts and hits in the same manner. It uses the measured force, and
-the transients at the beginning and end of a segment are part of the fit. The response need not decay, no window adds
-damping, and double hits are acceptable. A *segment* is a part of the test without samples that are overloaded or lost.
+A *segment* is a part of the test without overloaded or lost samples. The local rational method (see `local_models`)
+treats random excitation, bursts and hits in the same manner: it uses the measured force, and the transients at the
+beginning and end of a segment are part of the fit. The response need not decay, no window adds damping, and double hits
+are acceptable.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from scipy import fft
 from analysis.responses.clean_segments import clean_segments, describe_flaws, flaws, remedy
 from analysis.responses.force_pulse import high_passes
 from analysis.responses.local_models.jitter import jitter_factor
-from analysis.responses.local_models.local_spectra import SIDE, LocalSpectra
+from analysis.responses.local_models.local_spectra import FIT_HALF_WIDTH, LocalSpectra
 from analysis.responses.local_models.low_spectra import low_spectra
 from analysis.responses.measurands import motion_of, reference_of, responses
-from analysis.responses.systematic import in_counts, noise_gain
+from analysis.responses.systematic import noise_gain_error, power_in_counts
 from rig.errors import RecordingError
 from rig.results.response import Response
 
@@ -32,13 +33,15 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Smallest length of a segment, relative to the longest; the transients of shorter segments need too many parameters.
+# Smallest length of a segment, relative to the longest. Shorter segments add more parameters for their transients than
+# information.
 _MIN_LENGTH_RATIO = 0.25
 # Smallest share of a burst in a segment; with less, most of the vibration was excited before the segment.
 _MIN_BURST_RATIO = 0.5
 # Largest number of lines at which a response is estimated.
 _MAX_LINES = 1000
-# Limit of the samples of all channels in segments with hits; with their spectra they use just under a gigabyte.
+# Largest number of samples, summed over all channels, in segments with hits. They and their spectra need just under 1
+# GB.
 _MAX_VALUES = 14_000_000
 #: Name of the systematic error due to motion before a hit.
 MOTION_BEFORE = "motion before the hit"
@@ -48,21 +51,21 @@ _MAX_MOTION_RATIO = 0.01
 
 @dataclass(frozen=True)
 class SegmentFits:
-    """Samples and band of a test that are fitted locally."""
+    """Interval, channels and frequency band of a test that is evaluated by local fits."""
 
-    # a flaw of one of these channels excludes the samples of all, so that the curves have equal lines
+    # a flaw of one of these channels excludes the samples of all, so that all responses have the same lines
     channels: tuple[str, ...]
     first: int  # first sample of the test
     stop: int  # one past its last sample
     low: float  # lower edge of the band in which responses are estimated, Hz
     high: float  # its upper edge, Hz
-    other_flaws: Sequence[Flaw] = ()  # flaws of channels in addition to overloads and losses
-    hits: Hits | None = None  # hits of a hammer, with the noise of the force before and after each hit
+    other_flaws: Sequence[Flaw] = ()  # flaws other than overloads and lost samples
+    hits: Hits | None = None  # hits of a hammer; None for other tests
     # period of bursts and duration of each burst in samples; None for tests without bursts
     bursts: tuple[int, int] | None = None
     label: str = ""  # for legends
     warnings: tuple[str, ...] = ()  # in full sentences
-    # stored spectra by channels, and the motion before the hits of each segment
+    # stored spectra, and motion before the hits of each segment, by channels
     stored: dict[tuple[str, ...], tuple[LocalSpectra, list[float]]] = field(default_factory=dict)
 
     def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
@@ -81,7 +84,10 @@ class SegmentFits:
     def prepare(
         self, rec: Recording, names: tuple[str, ...], references: Sequence[str]
     ) -> tuple[LocalSpectra, list[float], list[tuple[int, int]], list[str]]:
-        """Return spectra, motion before the hits of each segment, the segments, and notes on them."""
+        """Return spectra of the channels `names`, motion before the hits of each segment, the segments, and notes.
+
+        `references`: channels of the reference, without which no response can be estimated.
+        """
         all_flaws = flaws(rec, self.channels, self.first, self.stop)
         all_flaws = sorted([*all_flaws, *self.other_flaws], key=lambda flaw: flaw.first)
         segments, notes = self._sufficient_segments(rec, clean_segments(all_flaws, self.first, self.stop))
@@ -115,50 +121,50 @@ class SegmentFits:
         if self.hits is not None:
             clean = [segment for segment in clean if self.hits.inside(*segment)]
         if self.bursts is not None:
-            # The samples between bursts contain no information, because the force of an undriven spring follows from
-            # the response. A segment that begins late in a burst responds mainly to the force before it.
+            # The samples between bursts contain no information, because the force of an undriven coil spring follows
+            # from the response. A segment that begins late in a burst contains mainly the response to earlier force.
             period, on_samples = self.bursts
             clean = [
                 (start, stop)
                 for start, stop in clean
                 if np.sum((np.arange(start, stop) - self.first) % period < on_samples)
-                > max(4 * SIDE, _MIN_BURST_RATIO * on_samples)
+                > max(4 * FIT_HALF_WIDTH, _MIN_BURST_RATIO * on_samples)
             ]
-        # The frequency range of a fit must be smaller than the band. Segments with hits have at least 0.2 s.
-        min_length_s = 2 * SIDE / (self.high - self.low) if self.hits is None else 0.2
+        # The frequency range of a fit must be smaller than the band. Hits are at least 0.2 s apart.
+        min_length_s = 2 * FIT_HALF_WIDTH / (self.high - self.low) if self.hits is None else 0.2
         longest = max((stop - start for start, stop in clean), default=0)
         selected = [
             (start, stop)
             for start, stop in clean
-            if stop - start >= max(_MIN_LENGTH_RATIO * longest, min_length_s * rec.rate, 4 * SIDE)
+            if stop - start >= max(_MIN_LENGTH_RATIO * longest, min_length_s * rec.rate, 4 * FIT_HALF_WIDTH)
         ]
         if clean and not selected:
-            return [], [f"No segment longer than {longest / rec.rate:.3g} s is clean."]
+            return [], [f"The longest usable segment lasts only {longest / rec.rate:.3g} s."]
         return selected, []
 
     def _limit_memory(self, segments: list[tuple[int, int]], rate: float) -> tuple[list[tuple[int, int]], list[str]]:
-        """Limit hits to the first hits that fit into memory; random tests are read in pieces."""
+        """Select the first hits that fit into memory; random tests are read in pieces."""
         if self.hits is None:
             return segments, []
-        budget, selected = _MAX_VALUES // len(self.channels), []
+        free_samples, selected = _MAX_VALUES // len(self.channels), []
         for segment in segments:
             start, stop = segment
-            if stop - start > budget:
-                start = max(start, self.hits.inside(*segment)[0][0] - budget // 4)
-                begins = [begin for begin, _ in self.hits.inside(start, stop)[1:] if begin - start <= budget]
-                # The response to a single hit is truncated at the memory limit.
-                stop = begins[-1] if begins else min(stop, start + budget)
+            if stop - start > free_samples:
+                start = max(start, self.hits.inside(*segment)[0][0] - free_samples // 4)
+                begins = [begin for begin, _ in self.hits.inside(start, stop)[1:] if begin - start <= free_samples]
+                # The segment ends before a hit, or within the response to its only hit.
+                stop = begins[-1] if begins else min(stop, start + free_samples)
             if not self.hits.inside(start, stop):
                 break
             selected.append((start, stop))
-            budget -= stop - start
+            free_samples -= stop - start
             if selected[-1] != segment:
                 break
         if selected == segments or not selected:
             return segments, []
         used, total = (sum(len(self.hits.inside(*bounds)) for bounds in chosen) for chosen in (selected, segments))
         return selected, [
-            f"Only {used} of {total} hits are used, before {selected[-1][1] / rate:.4g} s, because all of them need "
+            f"Only {used} of {total} hits are used, those before {selected[-1][1] / rate:.4g} s, because all hits need "
             "more than a gigabyte of memory. Record at a lower rate or with a shorter interval between hits."
         ]
 
@@ -166,16 +172,17 @@ class SegmentFits:
         self, rec: Recording, names: Sequence[str], segments: Sequence[tuple[int, int]], prior_motion: Sequence[float]
     ) -> LocalSpectra:
         """Compute the spectra of all segments, with zeros in front of each up to the length of the longest."""
-        # Zeros before each segment separate the residual vibration at its end from the response to its hit.
+        # The transform is periodic: zeros before a segment separate the vibration at its end from the response to its
+        # hit.
         leading_zeros = 0 if self.hits is None else self.hits.interval
         # The length does not depend on motion before the hits, so that all responses have the same lines.
         size = fft.next_fast_len(max(stop - start for start, stop in segments) + leading_zeros, real=True)
         # The spectrum of periodic hits is a comb, without excitation between its teeth.
         lines_per_tooth = 1.0 if self.hits is None else max(1.0, size / leading_zeros)
-        lines, side = self._lines(rec, size), int(np.ceil(SIDE * lines_per_tooth))
-        # Range of bins of the fits.
-        first = max(int(lines[0]) - side, 0)
-        fitted_bins = slice(first, min(max(int(lines[-1]) + side, first + 2 * side), size // 2) + 1)
+        lines, half_width = self._lines(rec, size), int(np.ceil(FIT_HALF_WIDTH * lines_per_tooth))
+        # Bins that the fits use.
+        first = max(int(lines[0]) - half_width, 0)
+        fitted_bins = slice(first, min(max(int(lines[-1]) + half_width, first + 2 * half_width), size // 2) + 1)
         bins = np.arange(fitted_bins.stop)
         lengths = [stop - start for start, stop in segments]
         # Whether each segment is the response to its hits alone, without motion before them.
@@ -185,7 +192,9 @@ class SegmentFits:
             pairs = [low_spectra(rec, names, *bounds, size, fitted_bins.stop) for bounds in segments]
             samples = [spectra for spectra, _ in pairs]
             power = np.average([square for _, square in pairs], axis=0, weights=lengths)
-            gain = np.repeat(noise_gain(in_counts(rec, names, power))[:, None], lines.size, axis=1)
+            rounding_gain_error = np.repeat(
+                noise_gain_error(power_in_counts(rec, names, power))[:, None], lines.size, axis=1
+            )
         else:
             at_rest = [
                 self.hits.at_rest(motion, *bounds, size) for bounds, motion in zip(segments, prior_motion, strict=True)
@@ -203,23 +212,25 @@ class SegmentFits:
             for spectra in samples:
                 spectra[names.index(self.hits.channel)] *= high_pass
             inside = [hit for bounds in segments for hit in self.hits.inside(*bounds)]
-            jitter = jitter_factor(rec, names, inside, size, side)
-            gain = self.hits.rounding(rec, names, segments, blocks, samples, lines, side)
+            jitter = jitter_factor(rec, names, inside, size, half_width)
+            rounding_gain_error = self.hits.rounding_gain_error(
+                rec, names, segments, blocks, samples, lines, half_width
+            )
         begins = np.exp(np.outer((size - np.array(lengths)) / size, -2j * np.pi * bins))
-        ends = np.where(np.array(at_rest)[:, None], 0.0, begins)
+        end_phases = np.where(np.array(at_rest)[:, None], 0.0, begins)
         frequency = bins * (rec.rate / size)
-        # The displacement at zero frequency is undefined; this line is not used.
+        # The displacement at zero frequency is undefined; no line is there.
         frequency[0] = frequency[1]
         return LocalSpectra(
             tuple(names),
             np.stack(samples)[:, :, fitted_bins],
-            ends[:, fitted_bins],
+            end_phases[:, fitted_bins],
             frequency[fitted_bins],
             lines - first,
-            side,
+            half_width,
             sum(lengths) / (size * len(lengths)),
-            gain,
-            np.zeros(gain.shape),
+            rounding_gain_error,
+            np.zeros(rounding_gain_error.shape),
             jitter,
         )
 
@@ -236,20 +247,20 @@ class SegmentFits:
 
 
 def _with_motion_before(frf: Response, prior_motion: Sequence[float]) -> Response:
-    """Add the effect of motion before the hits to a curve's uncertainty, and warn if it is large."""
+    """Add the error by motion before the hits to a response's uncertainty, and warn if it is large."""
     largest = max((ratio for ratio in prior_motion if np.isfinite(ratio)), default=None)
     if largest is None:
         return frf
     warning = (
-        f"{frf.response}: motion or drift of {largest:.1%} of the response before a hit, which affects the curve. Hit "
+        f"{frf.response}: motion or drift before a hit, of {largest:.1%} of the response, affects the curve. Hit "
         "the structure at rest, start recording earlier, or record several hits in a row."
     )
-    # The spectrum of a free decay decreases with the distance from its resonance in proportion to the response to the
-    # hit. Every line is therefore treated as a resonance with the magnitude and width of the curve at this line.
+    # The spectrum of a free decay has the shape of a resonance of the response. Every line is therefore treated as a
+    # resonance with the magnitude of the response at this line; its skirts decrease with the distance from it.
     to_acceleration = (2.0 * np.pi * frf.frequency) ** {"displacement": 2, "velocity": 1, "acceleration": 0}[frf.motion]
-    decay_with_distance = 1.0 / (np.pi * (np.abs(np.arange(1 - frf.value.size, frf.value.size)) + 1.0))
+    skirt = 1.0 / (np.pi * (np.abs(np.arange(1 - frf.value.size, frf.value.size)) + 1.0))
     accelerance = abs(frf.value) * to_acceleration
-    error = largest * scipy.signal.fftconvolve(decay_with_distance, accelerance, mode="valid") / to_acceleration
+    error = largest * scipy.signal.fftconvolve(skirt, accelerance, mode="valid") / to_acceleration
     with_error = frf.with_limits({MOTION_BEFORE: error})
     return with_error.warn(warning) if largest > _MAX_MOTION_RATIO else with_error
 

@@ -2,8 +2,8 @@
 
 Random tests are evaluated by the local rational method, with one numerator for each input and a common denominator.
 Block averages are the alternative: H1 [1]_, and Hv (total least squares, each channel scaled to unit power) [2]_. A
-multisine test consists of one experiment with orthogonal phases for each shaker, so that the matrix of inputs can be
-inverted at each line [3]_.
+multisine test consists of as many experiments as shakers, with mutually orthogonal phases, so that the matrix of inputs
+can be inverted at each line [3]_.
 
 References
 ----------
@@ -26,7 +26,7 @@ from analysis.responses import random
 from analysis.responses.budget import assemble_budget
 from analysis.responses.estimators import AveragedSpectra, leakage
 from analysis.responses.local_models.local_rational import local_fit
-from analysis.responses.local_models.local_spectra import SIDE
+from analysis.responses.local_models.local_spectra import FIT_HALF_WIDTH
 from analysis.responses.measurands import Measurand, location_of, motion_of
 from analysis.responses.multisine import period_spectra
 from analysis.responses.random_errors import MatrixErrors
@@ -38,9 +38,9 @@ from analysis.responses.systematic import (
     REFERENCE_NOISE,
     RESOLUTION,
     UNSETTLED,
-    ReadingShares,
+    ChannelContributions,
     common_scale,
-    rounding_part,
+    rounding_limit,
 )
 from daq.recording.recorded_test import TestKind
 from rig.arrays import Array, ComplexArray
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 # Largest condition number of the matrix of input spectra, scaled to unit power, at which the inputs can be separated.
 MAX_CONDITION_NUMBER = 1e3
-# Smallest mean-square force, relative to that of the largest, at which a shaker counts as driven.
+# Smallest mean-square force of a driven shaker, relative to the largest mean-square force.
 _MIN_FORCE_POWER_RATIO = 1e-4
 # Smallest share of the lines at which reciprocal responses agree within their uncertainties.
 _MIN_RECIPROCAL_LINES = 0.8
@@ -67,7 +67,7 @@ COHERENT_INPUTS = (
 
 
 def driven_forces(rec: Recording) -> tuple[Point, ...]:
-    """Return the force channels of the shakers that were driven simultaneously; fewer than two: a single input."""
+    """Return the force channels of the shakers that were driven simultaneously; with fewer than two, use one input."""
     marker = next((marker for marker in rec.markers if "shakers" in marker.fields and marker.kind == "measure"), None)
     if marker is None:
         return ()
@@ -101,9 +101,9 @@ def response_matrix(
     """Estimate the response of some channels to several forces.
 
     `names`: channels; `inputs`: forces, as from `driven_forces`; `motion`: displacement, velocity or acceleration;
-    `estimator`: H1 or Hv; `block`: length of a block, s; `overlap`: of successive blocks, as a ratio to their length;
-    `window`: name of their window. Any of the last four selects block averaging of a random test, by default with H1;
-    without them, the local rational method is used.
+    `estimator`: H1 or Hv; `block`: length of a block, s; `overlap`: overlap of successive blocks, as a fraction of
+    their length; `window`: name of their window. Any of these four selects block averaging of a random test, by default
+    with H1. Without them, the local rational method is used.
     """
     markers = [marker for marker in rec.markers if marker.kind == "measure"]
     if rec.test.kind is TestKind.MULTISINE:
@@ -132,8 +132,10 @@ class SpectralMatrix:
 
     def _spectra_blocks(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Return the spectra xx, xf and ff of outputs x (motions) and inputs f (forces)."""
-        o = len(self.outputs)
-        return self.spectral_matrix[:, :o, :o], self.spectral_matrix[:, :o, o:], self.spectral_matrix[:, o:, o:]
+        n_outputs, matrix = len(self.outputs), self.spectral_matrix
+        return (
+            matrix[:, :n_outputs, :n_outputs], matrix[:, :n_outputs, n_outputs:], matrix[:, n_outputs:, n_outputs:]
+        )  # fmt: skip
 
     def condition(self) -> Array:
         """Compute the condition number of the input spectra at unit power, shape (n,); 1 for uncorrelated inputs."""
@@ -170,7 +172,7 @@ class SpectralMatrix:
             coherence[:, :, k] = abs(cross) ** 2 / np.maximum(output * force[:, None], 1e-300)
         return np.clip(coherence, 0.0, 1.0)
 
-    def value(self, estimator: str) -> ComplexArray:
+    def frf(self, estimator: str) -> ComplexArray:
         """Estimate the response by H1 or Hv, shape (n, outputs, inputs); NaN where the inputs are coherent."""
         if estimator not in ("H1", "Hv"):
             raise SceneError(f"unknown estimator {estimator!r} for several inputs: expected H1 or Hv")
@@ -178,9 +180,9 @@ class SpectralMatrix:
         h1 = np.asarray(xf @ self._inverse_inputs())
         if estimator == "H1":
             return h1
-        o, hv = len(self.outputs), np.empty_like(h1)
-        for a in range(o):
-            rows = [a, *range(o, o + len(self.inputs))]
+        n_outputs, hv = len(self.outputs), np.empty_like(h1)
+        for a in range(n_outputs):
+            rows = [a, *range(n_outputs, n_outputs + len(self.inputs))]
             unit, scale = _unit_power(self.spectral_matrix[:, rows][:, :, rows])
             # The eigenvector of the smallest eigenvalue is the linear combination of output and inputs that contains
             # only noise. Its coefficients determine the response.
@@ -190,14 +192,16 @@ class SpectralMatrix:
 
     def response(self, rec: Recording, estimator: str = "H1") -> Response:
         """Return the response with its budget; error covariance after Bendat and Piersol, section 7.3."""
-        value = self.value(estimator)
+        value = self.frf(estimator)
         n_degrees = max(self.spectra.n_averages - len(self.inputs), 1e-300)
         inverse, residual = self._inverse_inputs(), self.residual()
-        n, o, i = value.shape
-        covariance = np.einsum("nab,nlk->nakbl", residual, inverse).reshape(n, o * i, o * i) / n_degrees
-        variance = np.maximum(np.einsum("npp->np", covariance).real, 0.0).reshape(n, o, i)
+        n_lines, n_outputs, n_inputs = value.shape
+        n_elements = n_outputs * n_inputs
+        covariance = np.einsum("nab,nlk->nakbl", residual, inverse).reshape(n_lines, n_elements, n_elements)
+        covariance = covariance / n_degrees
+        variance = np.maximum(np.einsum("npp->np", covariance).real, 0.0).reshape(value.shape)
         residual_power = np.einsum("naa->na", residual).real[:, :, None]
-        # Upper limit of the noise power of each force.
+        # Upper limit of the noise power of each force: its power that is not coherent with an output.
         force_noise = np.minimum(
             np.min(residual_power / np.maximum(abs(value) ** 2, 1e-300), axis=1),
             np.einsum("nkk->nk", self._spectra_blocks()[2]).real,
@@ -209,9 +213,9 @@ class SpectralMatrix:
             for k, force in enumerate(self.inputs):
                 leakage_free = self.leakage_free[output.name, force.name]
                 leakages[:, a, k] = leakage(self.frequency, value[:, a, k], error[:, a, k], leakage_free)
-        points, degrees = (self.outputs, self.inputs), np.full(value.shape, 2.0 * n_degrees)
+        points, degrees_of_freedom = (self.outputs, self.inputs), np.full(value.shape, 2.0 * n_degrees)
         limits = {REFERENCE_NOISE: bias, LEAKAGE: leakages}
-        budget = _matrix_budget(rec, self.frequency, value, points, error, degrees, limits, covariance)
+        budget = _matrix_budget(rec, self.frequency, value, points, error, degrees_of_freedom, limits, covariance)
         response = Response(
             self.frequency, value, *points, budget, self.multiple_coherence(),
             label=self.spectra.label, resolution=self.spectra.resolution, warnings=self.spectra.warnings,
@@ -264,32 +268,34 @@ def _outputs(rec: Recording, names: Sequence[str], motion: str) -> tuple[Point, 
 
 def _matrix_budget(
     rec: Recording, frequency: Array, value: ComplexArray, points: tuple[Sequence[Point], Sequence[Point]],
-    error: Array, degrees: Array, limits: dict[str, Array], covariance: ComplexArray, shared: float = 1.0,
+    error: Array, degrees_of_freedom: Array, limits: dict[str, Array], covariance: ComplexArray, shared: float = 1.0,
 ) -> UncertaintyBudget:  # fmt: skip
     """Assemble the budget of each matrix element from the gains of its output and input channels.
 
-    `points`: outputs and inputs; `error`, `degrees` and `limits` as in `assemble_budget`, of the shape of `value`;
-    `covariance`: of the random errors of the elements at each line, shape (n, elements, elements).
+    `points`: outputs and inputs; `error`, `degrees_of_freedom` and `limits` as in `assemble_budget`, of the shape of
+    `value`; `covariance`: of the random errors of the elements at each line, shape (n, elements, elements).
     """
     budgets = []
     for a, output in enumerate(points[0]):
         for k, force in enumerate(points[1]):
-            shares = _element_shares(output.name, force.name, frequency, output.quantity, value[:, a, k])
+            contributions = _element_contributions(output.name, force.name, frequency, output.quantity, value[:, a, k])
             element_limits = {name: limit[:, a, k] for name, limit in limits.items()}
             budgets.append(
                 assemble_budget(
-                    rec, shares, error[:, a, k], degrees[:, a, k], element_limits, shared=shared,
+                    rec, contributions, error[:, a, k], degrees_of_freedom[:, a, k], element_limits, shared=shared,
                     scale=common_scale(rec, [output.name], [force.name]),
                 )
             )  # fmt: skip
     return replace(stack_budgets(budgets, value.shape), errors=MatrixErrors(covariance))
 
 
-def _element_shares(output: str, force: str, frequency: Array, motion: str, value: ComplexArray) -> ReadingShares:
-    """Return the contributions of the two channels to an element of the matrix."""
+def _element_contributions(
+    output: str, force: str, frequency: Array, motion: str, value: ComplexArray
+) -> ChannelContributions:
+    """Return the contributions of the output and input channels to an element of the matrix."""
     zero = np.zeros(frequency.size, dtype=complex)
-    shares = np.stack([value, zero]), np.stack([zero, zero + 1.0])
-    return ReadingShares([output, force], frequency, motion, value, *shares)
+    contributions = np.stack([value, zero]), np.stack([zero, zero + 1.0])
+    return ChannelContributions([output, force], frequency, motion, value, *contributions)
 
 
 def _from_local_fits(
@@ -303,43 +309,47 @@ def _from_local_fits(
     forces = np.stack([spectra.spectrum(rec, Measurand((point.name,), (1.0,), "force")) for point in inputs])
     shape = frequency.size, len(names), len(inputs)
     value = np.empty(shape, dtype=complex)
-    error, degrees, model_error, rounding = (np.empty(shape) for _ in range(4))
+    error, degrees_of_freedom, model_error, rounding = (np.empty(shape) for _ in range(4))
     coherence, noise = np.empty(shape[:2]), np.empty(shape[:2])
-    side = min(spectra.side, (spectra.frequency.size - 1) // 2)
-    residuals, influences = [], []
+    half_width = min(spectra.half_width, (spectra.frequency.size - 1) // 2)
+    residuals, all_bin_weights = [], []
     for a, name in enumerate(names):
         reading_to_motion = motion_of(rec, name, motion).row(rec, [name], frequency)[0]
         channel_to_motion = reading_to_motion * rec.channels[name].response(frequency)
         reading = spectra.reading(rec, name)
         for k in range(len(inputs)):
             others = np.delete(forces, k, axis=0)
-            fit = local_fit(reading, forces[k], spectra.ends, spectra.lines, side, spectra.used, others)
+            fit = local_fit(
+                reading, forces[k], spectra.end_phases, spectra.lines, half_width, spectra.measured_share, others
+            )
             value[:, a, k] = fit.value * channel_to_motion
             error[:, a, k] = np.sqrt(fit.variance) * abs(channel_to_motion)
             model_error[:, a, k] = fit.model_error * abs(channel_to_motion)
-            degrees[:, a, k] = fit.degrees
+            degrees_of_freedom[:, a, k] = fit.degrees_of_freedom
             rows = [spectra.channels.index(channel) for channel in (name, inputs[k].name)]
-            shares = _element_shares(name, inputs[k].name, frequency, motion, value[:, a, k])
-            rounding[:, a, k] = rounding_part(spectra.gain[rows], shares).get(RESOLUTION, 0.0)
-            influences.append(fit.influence.reshape(frequency.size, -1) * channel_to_motion[:, None])
+            contributions = _element_contributions(name, inputs[k].name, frequency, motion, value[:, a, k])
+            rounding[:, a, k] = rounding_limit(spectra.rounding_gain_error[rows], contributions).get(RESOLUTION, 0.0)
+            all_bin_weights.append(fit.bin_weights.reshape(frequency.size, -1) * channel_to_motion[:, None])
         residuals.append(fit.residual.reshape(frequency.size, -1))
-        noise[:, a] = fit.noise * abs(reading_to_motion) ** 2
-        local_power = spectra.power(reading.spectra, spectra.side)
-        coherence[:, a] = np.clip(1.0 - fit.noise / np.maximum(local_power, 1e-300), 0.0, 1.0)
+        noise[:, a] = fit.noise_power * abs(reading_to_motion) ** 2
+        local_power = spectra.power(reading.spectra, spectra.half_width)
+        coherence[:, a] = np.clip(1.0 - fit.noise_power / np.maximum(local_power, 1e-300), 0.0, 1.0)
     # Upper limit of the noise power of each force: its power that is not coherent with an output.
-    force_power = np.stack([spectra.power(force, spectra.side) for force in forces], axis=1)
+    force_power = np.stack([spectra.power(force, spectra.half_width) for force in forces], axis=1)
     noise_limit = np.minimum(np.min(noise[:, :, None] / np.maximum(abs(value) ** 2, 1e-300), axis=1), force_power)
     bias = abs(value) * (noise_limit / np.maximum(force_power, 1e-300))[:, None]
-    # Covariance of the residuals of the outputs, propagated through the fits to the elements at each line.
-    residual, influence = np.stack(residuals, axis=1), np.stack(influences, axis=1)
-    complex_degrees = np.maximum(degrees[:, 0, 0] / 2.0, 0.5)
+    # Covariance of the elements at each line: covariance of the residuals of the outputs, propagated through the fits.
+    residual, bin_weights = np.stack(residuals, axis=1), np.stack(all_bin_weights, axis=1)
+    complex_degrees = np.maximum(degrees_of_freedom[:, 0, 0] / 2.0, 0.5)
     cross = np.einsum("naw,nbw->nab", residual, residual.conj()) / complex_degrees[:, None, None]
     elements = np.repeat(np.arange(len(names)), len(inputs))
-    propagation = np.einsum("npw,nqw->npq", influence, influence.conj())
+    propagation = np.einsum("npw,nqw->npq", bin_weights, bin_weights.conj())
     covariance = np.asarray(propagation * cross[:, elements][:, :, elements])
     points = _outputs(rec, names, motion), tuple(inputs)
     limits = {MODEL: model_error, REFERENCE_NOISE: bias, RESOLUTION: rounding}
-    budget = _matrix_budget(rec, frequency, value, points, error, degrees, limits, covariance, spectra.shared)
+    budget = _matrix_budget(
+        rec, frequency, value, points, error, degrees_of_freedom, limits, covariance, spectra.shared
+    )
     warnings = (*fits.warnings, *notes)
     return _add_warnings(
         Response(frequency, value, *points, budget, coherence, label=rec.scene.name, warnings=warnings)
@@ -357,13 +367,17 @@ def _from_experiments(
     notes, values, noises, unsettled, coherences = [], [], [], [], []
     for number, group in groups.items():
         if len(group) < len(inputs):
-            notes.append(f"Realisation {number} left out: {len(group)} of {len(inputs)} experiments.")
+            notes.append(
+                f"Realisation {number} left out: only {len(group)} of its {len(inputs)} experiments were recorded."
+            )
             continue
         experiments = [period_spectra(rec, channels, marker) for marker in group]
         if any(len(experiment.spectra) < 2 for experiment in experiments):
             notes += [note for experiment in experiments for note in experiment.notes]
             continue
-        frequency, n_periods = experiments[0].frequency, len(experiments[0].spectra)
+        frequency = experiments[0].frequency
+        # Of a single realisation; several scatter more than by noise.
+        noise_degrees = 2.0 * sum(len(experiment.spectra) - 1 for experiment in experiments)
         rows = _rows(rec, channels, frequency, names, inputs, motion)
         means = np.stack([experiment.spectra.mean(axis=0) for experiment in experiments], axis=2)
         amplitudes = np.einsum("acn,cne->nae", rows, means)
@@ -389,7 +403,7 @@ def _from_experiments(
             # Covariance of the matrix elements by noise of this experiment.
             contribution = np.einsum("nab,nk,nl->nakbl", cross, inverse[:, e], inverse[:, e].conj())
             noise += contribution.reshape(noise.shape)
-            # Limit of the error of each element by the residual transient of this experiment.
+            # Largest error of each element by the residual transient of this experiment.
             residual_change = np.einsum("nac,cn->na", abs(residual_weights), residual_transient(experiment.spectra))
             transient += residual_change[:, :, None] * abs(inverse[:, e])[:, None]
         values.append(value)
@@ -403,25 +417,24 @@ def _from_experiments(
     count = len(values)
     value = np.mean(values, axis=0)
     covariance = np.sum(noises, axis=0) / count**2
-    noise_degrees = 2.0 * count * len(inputs) * (n_periods - 1)
-    error, degrees = np.empty(value.shape), np.empty(value.shape)
-    scatter = np.sum(np.square(np.abs(np.stack(values) - value)), axis=0) / max(count * (count - 1), 1)
+    error, degrees_of_freedom = np.empty(value.shape), np.empty(value.shape)
+    variance_of_mean = np.sum(np.square(np.abs(np.stack(values) - value)), axis=0) / max(count * (count - 1), 1)
     for a in range(value.shape[1]):
         for k in range(value.shape[2]):
             element = a * len(inputs) + k
             noise_variance = covariance[:, element, element].real
-            expected = scipy.ndimage.uniform_filter1d(noise_variance, 2 * SIDE + 1, mode="nearest")
+            expected = scipy.ndimage.uniform_filter1d(noise_variance, 2 * FIT_HALF_WIDTH + 1, mode="nearest")
             variance, line_degrees = (
-                (scatter[:, a, k], 2.0 * (count - 1.0)) if count > 1 else (noise_variance, noise_degrees)
+                (variance_of_mean[:, a, k], 2.0 * (count - 1.0)) if count > 1 else (noise_variance, noise_degrees)
             )
             # Shrink the variances toward those of neighboring lines.
-            moderated, degrees[:, a, k] = moderate(
-                variance, np.full(variance.size, line_degrees), np.maximum(expected, 1e-300), SIDE
+            moderated, degrees_of_freedom[:, a, k] = moderate(
+                variance, np.full(variance.size, line_degrees), np.maximum(expected, 1e-300), FIT_HALF_WIDTH
             )
             error[:, a, k] = np.sqrt(moderated / 2.0)
     points = _outputs(rec, names, motion), tuple(inputs)
     limits = {UNSETTLED: np.mean(unsettled, axis=0)}
-    budget = _matrix_budget(rec, frequency, value, points, error, degrees, limits, covariance)
+    budget = _matrix_budget(rec, frequency, value, points, error, degrees_of_freedom, limits, covariance)
     coherence = np.mean(coherences, axis=0)
     return _add_warnings(
         Response(frequency, value, *points, budget, coherence, label=rec.scene.name, warnings=tuple(notes))

@@ -1,6 +1,7 @@
-"""Averages of a periodic test: the mean of every channel at every line, with its uncertainty.
+"""Averages of a periodic test: the mean amplitude of every channel at every line, with its uncertainty.
 
-A *line* is a frequency of the excitation. The *scatter* of the *parts* of a measurement determines the uncertainty.
+A *line* is a frequency of the excitation. The measurement of a line consists of *parts*, such as the periods of a
+multisine. The *scatter* of their amplitudes determines the uncertainty of the mean.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from analysis.responses.measurands import motion_of, reference_of, reject_zero_r
 from analysis.responses.random_errors import MeanErrors
 from analysis.responses.ringing import ringing
 from analysis.responses.scatter import Scatter, moderate
-from analysis.responses.systematic import RESOLUTION, UNSETTLED, ReadingShares, common_scale
+from analysis.responses.systematic import RESOLUTION, UNSETTLED, ChannelContributions, common_scale
 from rig.arrays import Array, ComplexArray
 from rig.results.response import Response
 from rig.results.uncertainty import coverage_factor
@@ -27,21 +28,21 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Number of lines with an assumed common decay of transients.
+# Number of neighboring lines at which transients are assumed to decay equally.
 _COMMON_DECAY_LINES = 5
 # Assumed decay factor of a transient from part to part if only two parts are available, which do not determine it.
 _ASSUMED_DECAY = 0.5
-# Largest decay factor: slower decays cannot be distinguished from a steady amplitude.
+# Largest decay factor from part to part. Slower decay cannot be distinguished from a steady amplitude.
 _MAX_DECAY = 0.99
-# Confidence with which a reference must exceed noise.
+# Confidence level of the largest noise in a reference.
 _REFERENCE_CONFIDENCE = 0.999
-# Smallest number of lines whose differences determine the noise.
+# Smallest number of lines whose differences determine the noise of the parts.
 _MIN_LINES = 8
-# Width of the median filter of this noise, lines.
+# Width of the median filter of this noise, in lines.
 _MEDIAN_LINES = 31
-# Number of parts to which many parts are averaged to determine the decay of a transient.
+# Number of averages of successive parts from which the decay of a transient is estimated if there are many parts.
 _AVERAGED_PARTS = 4
-# Safety factor, because the residual transients are known to within 5 %.
+# Factor of the residual transients, because their estimates have an error of up to 5 %.
 _TRANSIENT_FACTOR = 1.05
 
 
@@ -54,7 +55,7 @@ class Lines:
     # amplitude as recorded, without correction for the sensors; complex, shape (channels, n)
     mean: ComplexArray
     scatter: Scatter  # random deviation of the mean
-    label: str = ""  # setting, for legends
+    label: str = ""  # for legends
     warnings: tuple[str, ...] = field(default=())  # in full sentences
     # largest error of each mean by residual transients; shape (channels, n)
     residual_transient: Array | None = None
@@ -62,19 +63,19 @@ class Lines:
     unsteady: NDArray[np.bool_] | None = None
     # frequencies of discarded measurements, Hz
     left_out: Array = field(default_factory=lambda: np.empty(0))
-    # number of lines on either side with similar noise, for lines with too few averages of their own
+    # number of lines on either side whose noise moderates that of each line, for lines with few averages
     n_neighbors: int = 0
     noise: Scatter | None = None  # contribution of noise alone to `scatter`; None: all of it
-    # number of parts of the mean that were rotated by the phase of their own reference, which aligns its noise too
+    # number of averaged measurements, each rotated by the phase of its own reference, which also aligns its noise
     n_rotated: int = 1
     # largest error of each mean by rounding to counts; shape (channels, n)
     resolution: Array | None = None
-    # of successive tones: wait before each window, and length of the window, s; each of shape (n,)
+    # for successive tones: wait before each window, and length of the window, s; shape (n,)
     wait: Array | None = None
     duration: Array | None = None
 
     def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
-        """Divide the mean response by the mean reference; their covariance propagates to first order."""
+        """Divide the mean of the response by that of the reference; propagate their covariance to first order."""
         names: Sequence[str] = self.channels
         numerator = motion_of(rec, response, motion)
         response_weights = numerator.row(rec, names, self.frequency)
@@ -86,10 +87,10 @@ class Lines:
         # d(x/f) = (dx - value df) / f, and both are sums over the same channels.
         weights = (response_weights - value * reference_weights) / f
         noise = self.scatter if self.noise is None else self.noise
-        variance, degrees = self.scatter.variance(weights), self.scatter.degrees
+        variance, degrees_of_freedom = self.scatter.variance(weights), self.scatter.degrees_of_freedom
         if self.n_neighbors:
             expected = noise.local_variance(weights, self.n_neighbors)
-            variance, degrees = moderate(variance, degrees, expected, self.n_neighbors)
+            variance, degrees_of_freedom = moderate(variance, degrees_of_freedom, expected, self.n_neighbors)
         error = np.sqrt(variance / 2.0)
         limits: dict[str, Array] = {}
         reference_limits = [self._reference_noise(reference_weights, noise) / abs(f)]
@@ -103,16 +104,16 @@ class Lines:
             free_vibration = ringing(value, self.frequency, self.wait, self.duration, error)
             limits[UNSETTLED] = np.maximum(limits.get(UNSETTLED, 0.0), free_vibration)
         with np.errstate(invalid="ignore", divide="ignore"):
-            averages = 1.0 + self.scatter.degrees / 2.0
+            averages = 1.0 + self.scatter.degrees_of_freedom / 2.0
             coherence = 1.0 / (1.0 + averages * variance / abs(value) ** 2)
         means = np.einsum("rin,rjn->nij", self.scatter.rows, self.scatter.rows.conj())
-        shares = ReadingShares(
+        contributions = ChannelContributions(
             names, self.frequency, motion, value, response_weights * self.mean / f, reference_weights * self.mean / f
         )
         amplitude = None if self.unsteady is None else abs(f)
         budget = assemble_budget(
-            rec, shares, error, degrees, limits, reference_limits, MeanErrors(weights.T[:, None], means),
-            scale=common_scale(rec, numerator.channels, denominator.channels),
+            rec, contributions, error, degrees_of_freedom, limits, reference_limits,
+            MeanErrors(weights.T[:, None], means), scale=common_scale(rec, numerator.channels, denominator.channels),
         )  # fmt: skip
         return Response.curve(
             self.frequency, value, numerator.channels[0], reference=reference, motion=motion, uncertainty=budget,
@@ -123,25 +124,28 @@ class Lines:
     def _reference_noise(self, reference_weights: ComplexArray, noise: Scatter) -> Array:
         """Compute the largest amplitude of noise in the reference at each line; shape (n,).
 
-        Noise exceeds this limit at one line in a thousand, so that lines without excitation are discarded. Realisations
-        that were rotated by the phase of their own reference scatter only in its amplitude. The periods of each
-        realisation scatter by the whole noise.
+        It excludes lines without excitation, because noise exceeds it only at one line in a thousand. `noise` is the
+        scatter of the periods: realisations that were rotated by the phase of their own reference scatter only in its
+        amplitude.
         """
         variance = np.nan_to_num(noise.local_variance(reference_weights, self.n_neighbors))
-        degrees = noise.degrees * (2 * self.n_neighbors + 1)
-        return np.asarray(np.sqrt(self.n_rotated * variance / 2.0) * coverage_factor(_REFERENCE_CONFIDENCE, degrees))
+        degrees_of_freedom = noise.degrees_of_freedom * (2 * self.n_neighbors + 1)
+        return np.asarray(
+            np.sqrt(self.n_rotated * variance / 2.0) * coverage_factor(_REFERENCE_CONFIDENCE, degrees_of_freedom)
+        )
 
 
-def _noise(changes: ComplexArray) -> Array:
-    """Estimate the noise power in the changes between parts, from differences between lines; transients are smooth.
+def _noise_of_changes(changes: ComplexArray) -> Array:
+    """Estimate the noise power in the changes between parts, summed over the changes; shape (channels, lines).
 
-    `changes` has the shape (changes, channels, lines). The result has the shape (channels, lines) and is the sum over
-    the changes. The median over lines excludes transients of single modes.
+    `changes`, shape (changes, channels, lines). Noise differs from line to line, while transients are smooth. The
+    median over lines excludes transients of single modes.
     """
     count, _, lines = changes.shape
     if lines < _MIN_LINES:
         return np.zeros(changes.shape[1:])
-    # Second differences of noise have six times its power. The median of a gamma distribution is below its mean.
+    # Second differences of noise have six times its power. The last factor is the ratio of the median of a gamma
+    # distribution to its mean.
     power = np.sum(abs(np.diff(changes, 2, axis=2)) ** 2, axis=0) / 6.0 / (1.0 - 1.0 / (3.0 * count))
     level = scipy.ndimage.median_filter(power, (1, min(_MEDIAN_LINES, lines - 2)), mode="nearest")
     return np.pad(level, ((0, 0), (1, 1)), mode="edge")
@@ -149,18 +153,18 @@ def _noise(changes: ComplexArray) -> Array:
 
 def _sum_of_neighbors(values: NDArray[Any]) -> NDArray[Any]:
     """Sum values, shape (rows, lines), over `_COMMON_DECAY_LINES` lines around each line."""
-    side = _COMMON_DECAY_LINES // 2
-    padded = np.pad(values, ((0, 0), (side, side)))
+    half_width = _COMMON_DECAY_LINES // 2
+    padded = np.pad(values, ((0, 0), (half_width, half_width)))
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, _COMMON_DECAY_LINES, axis=1).sum(axis=-1))
 
 
 def residual_transient(successive: ComplexArray) -> Array:
     """Estimate the largest error of the mean of successive parts by a decaying transient, shape (channels, lines).
 
-    Between successive parts, shape (parts, channels, lines), a transient is multiplied by a constant complex factor r.
-    With the initial value c it shifts the mean of P parts by ``c (1 - r^P) / (P (1 - r))``. The change from part k to
-    the next is ``c r^k (r - 1)``, from which r and c are estimated. Many parts are first averaged to a few, because
-    noise would otherwise hide r.
+    `successive`: amplitudes of successive parts, shape (parts, channels, lines). From part to part, a transient is
+    multiplied by a constant complex factor r. With the initial value c it shifts the mean of P parts by ``c (1 - r^P) /
+    (P (1 - r))``. The change from part k to the next is ``c r^k (r - 1)``, from which r and c are estimated. Many parts
+    are first averaged to a few, because noise would otherwise hide r.
 
     >>> amplitudes = 1.0 + 0.1 * 0.8 ** np.arange(5.0)[:, None, None] + 0j
     >>> float(round(residual_transient(amplitudes)[0, 0] / (abs(amplitudes.mean()) - 1.0), 6))
@@ -177,6 +181,6 @@ def residual_transient(successive: ComplexArray) -> Array:
         factor = product / np.maximum(power, 1e-300)
         factor *= np.minimum(1.0, _MAX_DECAY / np.maximum(abs(factor), 1e-300))
     decay_power = np.sum([abs(factor) ** (2 * k) for k in range(count - 1)], axis=0)
-    power = np.maximum(np.sum(abs(changes) ** 2, axis=0) - _noise(changes), 0.0)
+    power = np.maximum(np.sum(abs(changes) ** 2, axis=0) - _noise_of_changes(changes), 0.0)
     initial = np.sqrt(power / decay_power) / abs(1.0 - factor)
     return np.asarray(initial * abs(1.0 - factor**count) / (count * abs(1.0 - factor)))

@@ -1,8 +1,8 @@
-"""Stepped sine and constant tones: lock-in detection over every window marked as measured.
+"""Stepped sine and constant tones: lock-in detection of the tone in every measured window.
 
-A tone, its harmonics, offset and slope are fitted by least squares over whole periods of a *window*. A window is split
-into *parts*, whose scatter determines the uncertainty. A *sweep* is a pass through the frequencies at one *level*
-(nominal amplitude of the force or drive) in one *direction*, up or down.
+A *window* is a measured interval of a tone. The tone, its harmonics, offset and slope are fitted to it by least
+squares. It is split into *parts* of whole periods, whose scatter determines the uncertainty. A *sweep* is a pass
+through the frequencies at one *level* (nominal amplitude of the force or drive) in one *direction*, up or down.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from analysis.recordings.slices import read_slices
 from analysis.responses.clean_segments import describe_flaws, flaws
 from analysis.responses.scatter import Scatter, stacked
 from analysis.responses.spectral_lines import Lines, residual_transient
-from analysis.responses.systematic import counts_of, reproducible_rounding
+from analysis.responses.systematic import quantization_steps, reproducible_rounding
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
 from rig.progress import CountProgress
@@ -30,7 +30,7 @@ from rig.results import format_frequencies, format_number
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-# Largest number of harmonics that are fitted with the tone.
+# Largest number of fitted harmonics, including the tone.
 HARMONICS = 10
 # Largest number of parts of a window, whose scatter determines the uncertainty of its mean.
 PARTS = 20
@@ -38,7 +38,7 @@ PARTS = 20
 _UNDETECTED_TRANSIENT = 0.05
 # Reason for the omission of a window.
 _TOO_SHORT = "shorter than a period"
-# Samples per matrix product; they and the rows of the tones fit into the cache of a core.
+# Samples per matrix product; they and the terms of the fit fit into the cache of a core.
 _SAMPLES_PER_PRODUCT = 2048
 
 
@@ -50,13 +50,12 @@ class ToneFit:
     # x(t) = offset + slope t + sum_k Re(amplitude[:, k-1] e^{i k w t}), t counted from the window's first
     # sample; complex, shape (channels, harmonics)
     amplitude: ComplexArray
-    # fundamental of each part of the window; the scatter of the parts determines the error of `amplitude`;
-    # complex, shape (parts, channels)
+    # amplitude of the tone in each part of the window; complex, shape (parts, channels)
     parts: ComplexArray
     residual: Array  # root mean square of the residual; shape (channels,)
 
     def scatter(self) -> ComplexArray:
-        """Compute the square-root factor of the fundamentals' covariance from the parts, shape (parts, channels)."""
+        """Compute the square-root factor of the covariance of the tone's amplitudes, shape (parts, channels)."""
         count = len(self.parts)
         if count < 2:
             return np.full(self.parts.shape, np.nan, dtype=complex)
@@ -69,7 +68,7 @@ class _Part:
 
     first: int  # first sample
     length: int  # samples
-    projection: Array  # products of the fitted terms with the samples, shape (terms, channels)
+    projection: Array  # scalar products of the fitted terms with the samples, shape (terms, channels)
     coefficients: Array  # coefficients of the fit to this part, shape (terms, channels)
     residual: Array  # its sum of squares, shape (channels,)
     ends: Array  # first and last sample, shape (2, channels)
@@ -79,8 +78,9 @@ class LockIn:
     """Lock-in detection of a tone and its harmonics, with samples added part by part.
 
     All parts have a common fit; the deviation of each part from it determines the scatter. The normal equations of
-    each part are stored, but not its samples. `frequency`: of the tone, Hz; `rate`: samples per second; `harmonics`:
-    largest number of harmonics including the tone.
+    each part are stored, but not its samples. The *terms* of the fit are a constant, a slope, and cosine and negative
+    sine of each harmonic. `frequency`: of the tone, Hz; `rate`: sample rate, Hz; `harmonics`: largest number of
+    harmonics, including the tone.
 
     >>> t = np.arange(4000) / 5120.0
     >>> lockin = LockIn(10.0, 5120.0, harmonics=3)
@@ -112,11 +112,11 @@ class LockIn:
         """Add the next part of the window, shape (channels, samples); parts are contiguous."""
         length = samples.shape[1]
         projection = np.zeros((2 * self.harmonics + 2, len(samples)))
-        for start, rotation, basis in self._sub_windows(length):
+        for start, rotation, basis in self._pieces(length):
             projection += rotation @ (basis @ samples[:, start : start + basis.shape[1]].T)
         coefficients: Array = np.asarray(np.linalg.solve(self._gram(length)[0], projection), dtype=float)
         squares = np.zeros(len(samples))
-        for start, rotation, basis in self._sub_windows(length):
+        for start, rotation, basis in self._pieces(length):
             residual = samples[:, start : start + basis.shape[1]] - (coefficients.T @ rotation) @ basis
             squares += np.einsum("ij,ij->i", residual, residual)
         self._parts.append(_Part(self._samples, length, projection, coefficients, squares, samples[:, [0, -1]].T))
@@ -133,14 +133,14 @@ class LockIn:
         normal_matrix = (window_to_part.mT @ grams @ window_to_part).sum(axis=0)
         solution = linalg.solve(normal_matrix, (window_to_part.mT @ projections).sum(axis=0), assume_a="pos")
         amplitude = (solution[2::2] + 1j * solution[3::2]).T
-        # Coefficients of the common fit, for each part.
+        # Coefficients of the common fit in terms of each part.
         common = window_to_part @ solution
-        # Offset and slope of a single part are nearly collinear with its tone, which would increase the scatter.
-        # Only the residual of the common fit is therefore fitted, by the tones of the part alone.
+        # Offset and slope of a single part are nearly collinear with its tone, which would increase the scatter. Only
+        # the harmonics of each part are therefore fitted, to the residual of the common fit.
         residual = (projections - grams @ common)[:, 2:]
-        samples, shares = self._edges(firsts, lengths, common)
-        residual -= self._tones(samples[:-1] - firsts)[:, :, None] * shares[:-1, None]
-        residual += self._tones(samples[1:] - firsts)[:, :, None] * shares[1:, None]
+        samples, moved = self._edges(firsts, lengths, common)
+        residual -= self._tones(samples[:-1] - firsts)[:, :, None] * moved[:-1, None]
+        residual += self._tones(samples[1:] - firsts)[:, :, None] * moved[1:, None]
         local = np.linalg.solve(grams[:, 2:, 2:], residual)
         rotation = np.exp(-2j * np.pi * np.fmod(self.frequency * firsts / self.rate, 1.0))
         parts = amplitude[:, 0] + (local[:, 0] + 1j * local[:, 1]) * rotation[:, None]
@@ -150,45 +150,45 @@ class LockIn:
         return ToneFit(self.frequency, amplitude, parts, np.sqrt(squares / max(self._samples - n_terms, 1)))
 
     def _edges(self, firsts: NDArray[np.int64], lengths: NDArray[np.int64], fits: Array) -> tuple[Array, Array]:
-        """Return the sample at each edge of the parts, and the share of its residual that the part lacks.
+        """Return the sample at each edge of the parts, and the residual to be moved there from one part to the next.
 
-        The shapes are (parts + 1,) and (parts + 1, channels); `fits`: coefficients of the common fit for each part. The
-        edges of parts are rounded to samples, but those of whole periods lie between two samples. Without this share,
-        each part would contain another fraction of the harmonics that are not fitted.
+        The edges of whole periods lie between two samples, but those of parts are rounded to samples. Without this
+        correction, each part would contain another fraction of the harmonics that are not fitted. `fits`: coefficients
+        of the common fit for each part. The results have the shapes (parts + 1,) and (parts + 1, channels).
         """
         edges = np.append(firsts, self._samples)
         period = self.rate / self.frequency
-        missing = np.round(edges / period) * period - edges
-        # The sample after the edge, in the next part, or the one before it.
-        after = (missing > 0.0) & (np.arange(edges.size) < firsts.size)
+        missing_samples = np.round(edges / period) * period - edges
+        # Whether the sample after the edge, in the next part, is used instead of the sample before it.
+        after = (missing_samples > 0.0) & (np.arange(edges.size) < firsts.size)
         rows = np.arange(edges.size) - ~after
         samples = np.where(after, 0, lengths[rows] - 1)
         ends = np.stack([part.ends for part in self._parts])[rows, np.where(after, 0, 1)]
         terms = np.column_stack([np.ones(edges.size), np.where(after, -1.0, 1.0), self._tones(samples)])
         residual = ends - (terms[:, None] @ fits[rows])[:, 0]
-        is_rounded = (np.abs(missing) > 0.0) & (np.abs(missing) <= 0.5)
-        return firsts[rows] + samples, np.where(is_rounded[:, None], missing[:, None] * residual, 0.0)
+        is_rounded = (np.abs(missing_samples) > 0.0) & (np.abs(missing_samples) <= 0.5)
+        return firsts[rows] + samples, np.where(is_rounded[:, None], missing_samples[:, None] * residual, 0.0)
 
     def _tones(self, samples: NDArray[np.int64]) -> Array:
-        """Return the rows cos k, -sin k of the tones at samples, shape (samples, 2 harmonics)."""
+        """Return the terms (cosine, negative sine) of the harmonics at samples, shape (samples, 2 harmonics)."""
         cycles = np.arange(1, self.harmonics + 1) * self.frequency * samples[:, None] / self.rate
         angle = 2 * np.pi * np.fmod(cycles, 1.0)
         return np.stack([np.cos(angle), -np.sin(angle)], axis=2).reshape(samples.size, -1)
 
     def _gram(self, length: int) -> tuple[Array, Array]:
-        """Return the Gram matrix of a part's rows 1, slope, cos k, -sin k, and its Cholesky factor; both are stored."""
+        """Return the Gram matrix of the terms of a part of some samples, and its Cholesky factor; both are stored."""
         if length not in self._grams:
             gram = np.asarray(
-                sum(rotation @ basis @ basis.T @ rotation.T for _, rotation, basis in self._sub_windows(length))
+                sum(rotation @ basis @ basis.T @ rotation.T for _, rotation, basis in self._pieces(length))
             )
             self._grams[length] = gram, np.linalg.cholesky(gram)
         return self._grams[length]
 
-    def _sub_windows(self, length: int) -> Iterator[tuple[int, Array, Array]]:
-        """Yield the first sample of each piece of a part, the matrix from its rows to those of the part, and its rows.
+    def _pieces(self, length: int) -> Iterator[tuple[int, Array, Array]]:
+        """Yield the first sample of each piece of a part, the matrix from its terms to those of the part, its terms.
 
-        A piece has at most `_SAMPLES_PER_PRODUCT` samples. The rows of all pieces are equal except for the slope and a
-        rotation of each tone. The rows of a single piece are therefore sufficient for a part of any length.
+        A piece has at most `_SAMPLES_PER_PRODUCT` samples. The terms of all pieces are equal except for the slope and a
+        rotation of each harmonic. The terms of a single piece are therefore sufficient for a part of any length.
         """
         starts = np.arange(0, length, _SAMPLES_PER_PRODUCT)
         if length not in self._rotations:
@@ -210,21 +210,21 @@ class LockIn:
             yield start, rotation, self._basis[piece_length]
 
     def _rotate(self, matrices: Array, firsts: NDArray[np.int64]) -> None:
-        """Set the rotation blocks of the tones, from their rows at the first sample to those at other samples."""
+        """Set the rotations of the harmonics, from their terms at the first sample to those at the samples `firsts`."""
         tones, row = self._tones(firsts), 2 * np.arange(1, self.harmonics + 1)
         cos, minus_sin = tones[:, ::2], tones[:, 1::2]
         matrices[:, row, row], matrices[:, row, row + 1] = cos, -minus_sin
         matrices[:, row + 1, row], matrices[:, row + 1, row + 1] = minus_sin, cos
 
     def _window_to_part(self, firsts: NDArray[np.int64], lengths: NDArray[np.int64]) -> Array:
-        """Return matrices from the coefficients of the whole window to those of parts from the samples `firsts` on."""
+        """Return the matrices from the coefficients of the whole window to those of parts that begin at `firsts`."""
         matrices = np.zeros((firsts.size, 2 * self.harmonics + 2, 2 * self.harmonics + 2))
         # The slope of the window begins at 0 and increases by 1 per sample; that of a part ranges from -1 to 1.
         matrices[:, 0, 0] = 1.0
         matrices[:, 0, 1] = (firsts + (lengths - 1) / 2) / self._samples
         matrices[:, 1, 1] = (lengths - 1) / 2 / self._samples
         self._rotate(matrices, firsts)
-        # Coefficients rotate in the opposite direction to their rows.
+        # Coefficients rotate in the opposite direction to their terms.
         matrices[:, 2:, 2:] = matrices[:, 2:, 2:].mT.copy()
         return matrices
 
@@ -250,12 +250,12 @@ def parts_of_whole_periods(
     return list(pairwise(edges))
 
 
-# Level, N, and direction of a sweep; it identifies the sweep.
+# Level (N, or the unit of the drive) and direction of a sweep, which identify it.
 _SweepKey = tuple[float, str]
 
 
 class _Point(NamedTuple):
-    """Measurement of a window."""
+    """Measurement in a window."""
 
     tone: ToneFit
     window: tuple[int, int]  # first sample, and one past the last
@@ -281,12 +281,12 @@ class Sweep:
     windows: NDArray[np.int64]  # first and one-past-last sample of each window; int, shape (n, 2)
 
 
-# Sweeps of the open recordings by their channels: responses and damper motion are computed from the same sweeps.
+# Computed sweeps of the open recordings, by channels; responses and damper motion use the same sweeps.
 _sweeps_of: WeakKeyDictionary[Recording, dict[tuple[str, ...], list[Sweep]]] = WeakKeyDictionary()
 
 
 def sweeps(rec: Recording, channels: Sequence[str] | None = None, progress: CountProgress | None = None) -> list[Sweep]:
-    """Return the sweeps of a recording, grouped by level and direction; computed once while it is open."""
+    """Return the sweeps of a recording; they are computed once while it is open."""
     names = tuple(rec.channels if channels is None else channels)
     computed = _sweeps_of.setdefault(rec, {})
     if names not in computed:
@@ -295,7 +295,7 @@ def sweeps(rec: Recording, channels: Sequence[str] | None = None, progress: Coun
 
 
 def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProgress | None) -> list[Sweep]:
-    """Apply lock-in detection to every window marked ``measure``."""
+    """Apply lock-in detection to every window marked ``measure``, and group the windows by level and direction."""
     markers = sorted(
         (m for m in rec.markers if m.kind == "measure" and "frequency" in m.fields), key=lambda m: m.first_sample
     )
@@ -318,7 +318,7 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
         if (stop - first) * frequency < 0.99 * rec.rate:
             omissions.setdefault(key, []).append(_Omission(frequency, _TOO_SHORT, _TOO_SHORT))
         elif window_flaws:
-            reason = ", ".join(dict.fromkeys(f"{flaw.channel} {flaw.reason}" for flaw in window_flaws))
+            reason = ", ".join(dict.fromkeys(flaw.description for flaw in window_flaws))
             omissions.setdefault(key, []).append(_Omission(frequency, reason, describe_flaws(rec, window_flaws)))
         else:
             shortest = min(end - begin for begin, end in group)
@@ -337,39 +337,47 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
         reasons = [omission.reason for sweep_omissions in omissions.values() for omission in sweep_omissions]
         raise RecordingError(f"{rec.path}: {_reason_without_result(rec, reasons)}")
     several = len(points.keys() | omissions.keys()) > 1
-    notes = {key: _notes(key, points.get(key, []), omissions.get(key, []), several) for key in {**points, **omissions}}
+    names_of_sweeps = {key: _sweep_name(rec, key) if several else "" for key in {**points, **omissions}}
+    notes = {key: _notes(name, points.get(key, []), omissions.get(key, [])) for key, name in names_of_sweeps.items()}
     # A sweep without any point is not returned; the first sweep reports its notes.
     notes[next(iter(points))] += [note for key in notes if key not in points for note in notes[key]]
     return [
-        _sweep(rec, key, sweep_points, notes[key], omissions.get(key, []), several, tuple(names))
+        _sweep(rec, key, names_of_sweeps[key], sweep_points, notes[key], omissions.get(key, []), names)
         for key, sweep_points in points.items()
     ]
 
 
-def _notes(key: _SweepKey, points: list[_Point], omissions: list[_Omission], several: bool) -> list[str]:
-    """Describe the discarded frequencies of a sweep, with reasons, and those without steady-state motion.
+def _sweep_name(rec: Recording, key: _SweepKey) -> str:
+    """Describe level and direction of a sweep; a level of the drive is stated without its unit (V, m or N)."""
+    level, direction = format_number(key[0]), key[1]
+    has_drive_level = getattr(rec.scene.test, "drive", None) is not None
+    return f"level {level} {direction}" if has_drive_level else f"{level} N {direction}"
 
-    `several`: whether the recording has several sweeps, so that the notes state the sweep.
-    """
-    sweep_name = f"{format_number(key[0])} N {key[1]}: " if several else ""
+
+def _notes(sweep_name: str, points: list[_Point], omissions: list[_Omission]) -> list[str]:
+    """Describe the discarded frequencies of a sweep, with reasons, and those without steady-state motion."""
+    prefix = f"{sweep_name}: " if sweep_name else ""
     notes = []
     for reason in dict.fromkeys(omission.reason for omission in omissions):
         group = [omission for omission in omissions if omission.reason == reason]
         low, high = (limit(omission.frequency for omission in group) for limit in (min, max))
+        cause = "their windows are shorter than a period" if reason == _TOO_SHORT else f"{reason} in their windows"
         if len(group) == 1:
-            notes.append(f"{sweep_name}{low:.4g} Hz left out: {group[0].details} in its window.")
+            details = (
+                "its window is shorter than a period" if reason == _TOO_SHORT else f"{group[0].details} in its window"
+            )
+            notes.append(f"{prefix}{low:.4g} Hz left out: {details}.")
         elif low == high:
-            notes.append(f"{sweep_name}{low:.4g} Hz left out {len(group)} times: {reason} in their windows.")
+            notes.append(f"{prefix}{low:.4g} Hz left out {len(group)} times: {cause}.")
         else:
-            frequencies = f"{len(group)} frequencies from {low:.4g} to {high:.4g} Hz"
-            notes.append(f"{sweep_name}{frequencies} left out: {reason} in their windows.")
+            notes.append(f"{prefix}{len(group)} frequencies from {low:.4g} to {high:.4g} Hz left out: {cause}.")
     if not points:
-        notes.append(f"{sweep_name}no frequency of this sweep is usable.")
+        notes.append(f"{prefix}no frequency of this sweep is usable.")
     unsteady = [not point.steady for point in points]
     if any(unsteady):
         frequencies = format_frequencies([point.tone.frequency for point in points], unsteady)
         notes.append(
-            f"{sweep_name}No steady state at {frequencies}: these points are marked. The motion is irregular or needs "
+            f"{prefix}No steady state at {frequencies}: these points are marked. The motion is irregular or needs "
             "a longer test.settle."
         )
     return notes
@@ -389,11 +397,11 @@ def _reason_without_result(rec: Recording, reasons: list[str]) -> str:
     if _TOO_SHORT in reasons:
         return "every measured window is shorter than a period of its tone. Measure longer (test: measure: periods)."
     if reasons:
-        return "every measured window has lost samples. Record again, or repair the file with `daq recover`."
+        return "every measured window lacks samples. Record again, or repair the file with `daq recover`."
     if rec.source:
         return (
-            f"no step was detected in these {duration} when they were imported: no tone lasts for ten periods. Import "
-            "it with the kind of its test (test: kind: swept_sine, random)."
+            f"no step was detected in the {duration} that were imported: no tone lasts for ten periods. Import "
+            "the file again with the kind of its test (test: kind: swept_sine, random)."
         )
     return (
         f"no steady state was measured in these {duration}: no window is marked 'measure'. Let the test run to its "
@@ -404,29 +412,29 @@ def _reason_without_result(rec: Recording, reasons: list[str]) -> str:
 def _sweep(
     rec: Recording,
     key: _SweepKey,
+    sweep_name: str,
     points: list[_Point],
     notes: list[str],
     omissions: list[_Omission],
-    several: bool,
-    names: tuple[str, ...],
+    channels: tuple[str, ...],
 ) -> Sweep:
     """Combine the windows of one level and direction to a sweep."""
     level, direction = key
     tones = tuple(point.tone for point in points)
     windows = np.array([point.window for point in points])
-    # With moving dampers, `Lines` cannot predict the decay of a transient from the steady responses.
+    # With moving dampers, the decay of a transient cannot be predicted from the steady responses.
     is_linear = not any(damper.moves for damper in rec.scene.dampers)
     settle = getattr(rec.scene.test, "settle", None)
     undetected = 0.0 if is_linear or settle is None else _UNDETECTED_TRANSIENT * settle.tolerance
     wait = (windows[:, 0] - np.concatenate([[0], windows[:-1, 1]])) / rec.rate
     lines = Lines(
-        channels=names,
+        channels=channels,
         frequency=np.array([tone.frequency for tone in tones]),
         mean=np.stack([tone.amplitude[:, 0] for tone in tones], axis=1),
         scatter=Scatter(
             stacked([tone.scatter() for tone in tones]), np.array([2.0 * (len(tone.parts) - 1.0) for tone in tones])
         ),
-        label=f"{rec.scene.name}{f', {format_number(level)} N {direction}' if several else ''}",
+        label=f"{rec.scene.name}{f', {sweep_name}' if sweep_name else ''}",
         warnings=tuple(notes),
         residual_transient=np.stack(
             [
@@ -435,7 +443,7 @@ def _sweep(
             ],
             axis=1,
         ),
-        resolution=np.stack([_resolution(rec, names, tone) for tone in tones], axis=1),
+        resolution=np.stack([_resolution(rec, channels, tone) for tone in tones], axis=1),
         unsteady=np.array([not point.steady for point in points]),
         left_out=np.array([omission.frequency for omission in omissions]),
         wait=wait if is_linear else None,
@@ -445,17 +453,17 @@ def _sweep(
 
 
 def _resolution(rec: Recording, names: Sequence[str], tone: ToneFit) -> Array:
-    """Compute the largest error of each amplitude of a tone by rounding to counts, shape (channels,).
+    """Compute the largest error of the amplitude of a tone by rounding to counts, shape (channels,).
 
     A tone below half a count is not recorded. The error of a larger tone, with an amplitude of a counts, is at most
     ``2 / pi^2 / sqrt(a)``: the first term of the quantizer's series in Bessel functions (B. Widrow, I. Kollár,
     Quantization Noise, Cambridge University Press 2008, sections 4 and 16). Noise reduces it.
     """
-    count = counts_of(rec, names)
-    step = np.where(count > 0.0, count, 1.0)
+    steps = quantization_steps(rec, names)
+    step = np.where(steps > 0.0, steps, 1.0)
     amplitude_counts = np.maximum(abs(tone.amplitude[:, 0]) / step, 1e-300)
     first_term = np.minimum(2.0 / np.pi**2 / np.sqrt(amplitude_counts), 0.5) * reproducible_rounding(
         (tone.residual / step) ** 2
     )
-    # Factor 2: bound of all terms of the series.
-    return np.asarray(count * np.minimum(2.0 * first_term, 0.5))
+    # Twice the first term is an upper bound of the sum of all terms.
+    return np.asarray(steps * np.minimum(2.0 * first_term, 0.5))

@@ -1,7 +1,7 @@
 """Swept sine: frequency responses by the local rational method.
 
-For each frequency, the method is applied to the *segment* of the sweep whose frequencies are near it. A *line* is a
-frequency of the discrete Fourier transform of the segment.
+For each frequency of the result, the method is applied to the *segment* of the sweep whose frequencies are near it. A
+*bin* is a frequency of the discrete Fourier transform of the segment.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_segments import describe_flaws, flaws, remedy
 from analysis.responses.local_models.local_rational import ORDER
-from analysis.responses.local_models.local_spectra import SIDE, LocalSpectra
+from analysis.responses.local_models.local_spectra import FIT_HALF_WIDTH, LocalSpectra
 from analysis.responses.measurands import motion_of, reference_of
 from analysis.responses.random_errors import LocalErrors
 from analysis.responses.segment_fits import warn_of_dampers
-from analysis.responses.systematic import UNSETTLED, in_counts, reproducible_rounding, tolerance, tone_gain
+from analysis.responses.systematic import UNSETTLED, power_in_counts, reproducible_rounding, tolerance, tone_gain_error
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
 from rig.progress import CountProgress
@@ -34,21 +34,21 @@ if TYPE_CHECKING:
 
 # Smallest ratio of the last to the first frequency of a segment. It excludes the harmonics of a nonlinear structure.
 _MIN_FREQUENCY_RATIO = 1.35
-# Factor by which the ratio is increased until enough lines of the segment are excited on either side.
+# Factor by which this ratio is increased until enough bins of the segment are excited on either side of its frequency.
 _RATIO_INCREASE = 1.1
 # Number of frequencies at which the response is estimated.
 _POINTS = 400
-# Lines of a spectrum per fitted value: lines of a fit over its number of parameters.
-_LINES_PER_VALUE = (2 * SIDE + 1) / (3 * ORDER + 2)
-# Largest acceleration of a body, in g, at which its dampers certainly stay on their floors; they lift at 1 g.
+# Bins of a spectrum per fitted value: bins of a fit over its number of parameters.
+_BINS_PER_VALUE = (2 * FIT_HALF_WIDTH + 1) / (3 * ORDER + 2)
+# Largest acceleration of a body at which its dampers are assumed to stay on their floors, g. They lift off at 1 g.
 _MAX_FLOOR_ACCELERATION = 0.7
-# Largest relative error by the sweep rate with dampers in flight.
+# Largest relative error by the sweep rate at which a sweep is slow enough for dampers in flight.
 _MAX_LAG_RATIO = 0.3
-# Largest share of lines at which the sweep is too fast without a warning.
+# Largest share of frequencies at which a sweep may be too fast without a warning.
 _MAX_FAST_LINES = 0.05
-# Factor by which the warning recommends to lengthen the sweep.
+# Factor by which a warning recommends to lengthen the sweep.
 _RECOMMENDED_SLOWDOWN = 10
-# Smallest number of periods over which the amplitude of readings in counts is evaluated.
+# Smallest number of periods over which the amplitude of a reading is evaluated.
 _MIN_PERIODS = 3.0
 
 
@@ -57,12 +57,12 @@ class SweptTone:
     """Spectra of a sweep: for each frequency, those of the segment whose frequencies are near it."""
 
     spectra: LocalSpectra
-    speed: Array  # sweep rate at each frequency, Hz/s; shape (lines,)
+    sweep_rate: Array  # sweep rate at each frequency, Hz/s; shape (lines,)
     label: str
     warnings: tuple[str, ...]
     # frequencies at which all dampers stay on their floors, so that the structure is linear; shape (lines,)
     on_floor: NDArray[np.bool_]
-    shared: float = 1.0  # number of neighboring frequencies that use the same lines of their spectra
+    shared: float = 1.0  # number of neighboring frequencies with a common error
 
     def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
         """Estimate the frequency response with coherence, random and systematic errors."""
@@ -71,16 +71,16 @@ class SweptTone:
         budget = frf.uncertainty
         assert isinstance(budget.errors, LocalErrors)
         # Segments of neighboring frequencies overlap in time although their bins are counted as independent.
-        errors = replace(budget.errors, one_reference=False, shared=self.shared)
+        errors = replace(budget.errors, has_single_reference=False, shared=self.shared)
         frf = replace(frf, uncertainty=replace(budget, shared=self.shared, errors=errors))
         if not warn_of_dampers(rec):
             return frf
         lag = np.where(self.on_floor, 0.0, self._lag(frf))
         frf = frf.with_limits({UNSETTLED: lag})
-        fast = lag / abs(frf.value) > _MAX_LAG_RATIO
-        if not np.sum(fast) > _MAX_FAST_LINES * np.sum(lag > 0.0):
+        too_fast = lag / abs(frf.value) > _MAX_LAG_RATIO
+        if not np.sum(too_fast) > _MAX_FAST_LINES * np.sum(lag > 0.0):
             return frf
-        band = frf.frequency[np.flatnonzero(fast)[[0, -1]]]
+        band = frf.frequency[np.flatnonzero(too_fast)[[0, -1]]]
         return frf.warn(
             f"Between {band[0]:.4g} and {band[1]:.4g} Hz this sweep is too fast to reach steady state with dampers in "
             f"flight, so the curve is a transient response there. Sweep {_RECOMMENDED_SLOWDOWN} times slower, or use "
@@ -88,7 +88,7 @@ class SweptTone:
         )
 
     def _lag(self, frf: Response) -> Array:
-        """Estimate the error of a nonlinear response by the finite sweep rate.
+        """Estimate the error of a nonlinear response by the sweep rate.
 
         The response to a sweep differs from the steady-state response by half the sweep rate (in rad/s²) times the
         curvature of the response (J. R. Carson, T. C. Fry, Variable frequency electric circuit theory, Bell System
@@ -98,7 +98,7 @@ class SweptTone:
         if frf.frequency.size < 3:
             return np.full(frf.frequency.size, np.inf)
         slope = np.gradient(frf.value, frf.frequency)
-        return np.asarray(self.speed / (4.0 * np.pi) * abs(np.gradient(slope, frf.frequency)), dtype=float)
+        return np.asarray(self.sweep_rate / (4.0 * np.pi) * abs(np.gradient(slope, frf.frequency)), dtype=float)
 
 
 def sweep_spectra(
@@ -117,7 +117,7 @@ def sweep_spectra(
     bounds = [_segment(marker, f, rec.rate, first, stop) for f in frequency]
     all_flaws = flaws(rec, names, first, stop)
     is_clean = [
-        not any(flaw.first < end and flaw.stop > begin for flaw in all_flaws) and end - begin > 4 * SIDE
+        not any(flaw.first < end and flaw.stop > begin for flaw in all_flaws) and end - begin > 4 * FIT_HALF_WIDTH
         for begin, end in bounds
     ]
     notes = []
@@ -131,9 +131,9 @@ def sweep_spectra(
     if marker.fields.get("settled") is False:
         notes.append("The sweep began before steady state at its first frequency. Increase test: settle.")
     order = sorted(np.flatnonzero(is_clean), key=lambda index: bounds[index])
-    neighbors = np.arange(-SIDE, SIDE + 1)
-    samples = np.empty((_POINTS, len(names), neighbors.size), dtype=complex)
-    line_frequency = np.empty((_POINTS, neighbors.size))
+    bin_offsets = np.arange(-FIT_HALF_WIDTH, FIT_HALF_WIDTH + 1)
+    samples = np.empty((_POINTS, len(names), bin_offsets.size), dtype=complex)
+    bin_frequency = np.empty((_POINTS, bin_offsets.size))
     variances = np.empty((len(names), _POINTS))
     direction = 1 if marker.fields["to"] > marker.fields["from"] else -1
     noise_levels = []
@@ -142,55 +142,61 @@ def sweep_spectra(
         if progress is not None:
             progress(n_completed, len(order))
         segment_samples = block.shape[1]
-        line = max(int(frequency[index] * segment_samples / rec.rate), SIDE + 1)
-        # This shift moves the frequency exactly onto a line.
-        shift = frequency[index] * segment_samples / rec.rate - line
-        # The noise is estimated beyond the range and leakage of the tone.
-        half_range = max((_MIN_FREQUENCY_RATIO**0.5 - 1.0) * line, SIDE)
-        quiet_line = line + direction * (int(_RATIO_INCREASE * half_range) + 2 * SIDE)
-        has_noise = SIDE < quiet_line < segment_samples // 2 - SIDE
-        quiet_lines = (
-            np.arange(quiet_line - SIDE - 1, quiet_line + SIDE + 2) if has_noise else np.zeros(0, dtype=np.int64)
+        center = max(int(frequency[index] * segment_samples / rec.rate), FIT_HALF_WIDTH + 1)
+        # This shift of the spectrum moves the frequency exactly onto a bin.
+        shift = frequency[index] * segment_samples / rec.rate - center
+        # The noise is estimated from bins beyond the frequencies and the leakage of the tone.
+        half_range = max((_MIN_FREQUENCY_RATIO**0.5 - 1.0) * center, FIT_HALF_WIDTH)
+        noise_bin = center + direction * (int(_RATIO_INCREASE * half_range) + 2 * FIT_HALF_WIDTH)
+        has_noise = FIT_HALF_WIDTH < noise_bin < segment_samples // 2 - FIT_HALF_WIDTH
+        noise_bins = (
+            np.arange(noise_bin - FIT_HALF_WIDTH - 1, noise_bin + FIT_HALF_WIDTH + 2)
+            if has_noise
+            else np.zeros(0, dtype=np.int64)
         )
-        lines = np.concatenate([line + neighbors, quiet_lines])
-        spectrum = spectrum_at_lines(block - block.mean(axis=1, keepdims=True), lines, shift)
-        samples[index] = spectrum[:, : neighbors.size]
-        line_frequency[index] = frequency[index] + neighbors * rec.rate / segment_samples
-        begin, width = bounds[index][0], SIDE * rec.rate / segment_samples
-        # A logarithmic sweep has only positive frequencies.
+        bins = np.concatenate([center + bin_offsets, noise_bins])
+        spectrum = spectrum_at_bins(block - block.mean(axis=1, keepdims=True), bins, shift)
+        samples[index] = spectrum[:, : bin_offsets.size]
+        bin_frequency[index] = frequency[index] + bin_offsets * rec.rate / segment_samples
+        begin, width = bounds[index][0], FIT_HALF_WIDTH * rec.rate / segment_samples
+        # The passage of a logarithmic sweep is defined only for positive frequencies.
         edges = [max(frequency[index] + offset, 1e-6 * frequency[index]) for offset in (-width, width)]
-        # Samples at which the sweep passes the lines of the fit.
+        # Samples at which the sweep passes the first and the last bin of the fit.
         passage = [first + _sample_at(marker, edge, rec.rate) - begin for edge in edges]
         variances[:, index] = _samples_between(block, passage, rec.rate / frequency[index]).var(axis=1)
         if has_noise:
-            noise = _noise(spectrum[:, neighbors.size :]) / segment_samples
-            quiet_frequency = line_frequency[index, SIDE] + (quiet_line - line) * rec.rate / segment_samples
-            noise_levels.append((quiet_frequency, *noise))
+            noise = _noise(spectrum[:, bin_offsets.size :]) / segment_samples
+            noise_bin_frequency = (
+                bin_frequency[index, FIT_HALF_WIDTH] + (noise_bin - center) * rec.rate / segment_samples
+            )
+            noise_levels.append((noise_bin_frequency, *noise))
     clean_points, lengths = np.array(sorted(order)), np.array([end - begin for begin, end in bounds])
     noise = _interpolate_noise(noise_levels, frequency[clean_points], len(names))
-    # The smallest noise over all frequencies determines the randomization of the rounding error.
-    counts = in_counts(rec, names, noise.min(axis=1))
-    gain = reproducible_rounding(counts)[:, None] * tone_gain(in_counts(rec, names, variances[:, clean_points]))
+    # Noise reduces the reproducible rounding error; its smallest value over all frequencies is used.
+    noise_counts = power_in_counts(rec, names, noise.min(axis=1))
+    rounding_gain_error = reproducible_rounding(noise_counts)[:, None] * tone_gain_error(
+        power_in_counts(rec, names, variances[:, clean_points])
+    )
     spectra = LocalSpectra(
         names,
         np.moveaxis(samples[clean_points], 0, 1).reshape(1, len(names), -1),
-        np.ones((1, clean_points.size * neighbors.size), dtype=complex),
-        line_frequency[clean_points].ravel(),
-        np.arange(clean_points.size) * neighbors.size + SIDE,
-        SIDE,
+        np.ones((1, clean_points.size * bin_offsets.size), dtype=complex),
+        bin_frequency[clean_points].ravel(),
+        np.arange(clean_points.size) * bin_offsets.size + FIT_HALF_WIDTH,
+        FIT_HALF_WIDTH,
         1.0,
-        gain,
+        rounding_gain_error,
         noise * lengths[clean_points],
         np.zeros((len(names), len(names))),
     )
-    speed = abs(np.gradient(frequency, [_sample_at(marker, f, rec.rate) / rec.rate for f in frequency]))
-    shared = max(float(np.median(_LINES_PER_VALUE * rec.rate / lengths / np.gradient(frequency))), 1.0)
+    sweep_rate = abs(np.gradient(frequency, [_sample_at(marker, f, rec.rate) / rec.rate for f in frequency]))
+    shared = max(float(np.median(_BINS_PER_VALUE * rec.rate / lengths / np.gradient(frequency))), 1.0)
     on_floor = _dampers_on_floor(rec, names, frequency[clean_points], variances[:, clean_points])
-    return SweptTone(spectra, speed[clean_points], rec.scene.name, tuple(notes), on_floor, shared)
+    return SweptTone(spectra, sweep_rate[clean_points], rec.scene.name, tuple(notes), on_floor, shared)
 
 
 def _dampers_on_floor(rec: Recording, names: Sequence[str], frequency: Array, variances: Array) -> NDArray[np.bool_]:
-    """Return whether no damper lifts at each frequency, from the variances of the channels on their bodies."""
+    """Return whether all dampers stay on their floors at each frequency, from the variances of the motion channels."""
     on_floor = np.ones(frequency.size, dtype=bool)
     infos = [rec.channels[name] for name in names]
     for damper in rec.scene.dampers:
@@ -212,21 +218,21 @@ def _segment(marker: Marker, frequency: float, rate: float, first: int, stop: in
         edges = frequency / ratio**0.5, frequency * ratio**0.5
         ends = sorted(first + _sample_at(marker, edge, rate) for edge in edges)
         begin, end = max(first, int(ends[0])), min(stop, int(ends[1]))
-        excited_lines = (ratio**0.5 - 1.0) * frequency * (end - begin) / rate
-        if excited_lines >= SIDE or (begin == first and end == stop):
+        excited_bins = (ratio**0.5 - 1.0) * frequency * (end - begin) / rate
+        if excited_bins >= FIT_HALF_WIDTH or (begin == first and end == stop):
             return begin, end
         ratio *= _RATIO_INCREASE
 
 
-def spectrum_at_lines(block: Array, lines: NDArray[np.int64], shift: float) -> ComplexArray:
-    """Compute a few lines of the frequency-shifted spectrum of a long segment.
+def spectrum_at_bins(block: Array, bins: NDArray[np.int64], shift: float) -> ComplexArray:
+    """Compute a few bins of the spectrum of a long segment after a frequency shift.
 
     The segment is folded into rows and multiplied by a small matrix of phase factors, much faster than a complete
-    transform. `block` has the shape (channels, samples). `shift`: frequency shift above each line, in lines.
+    transform. `block` has the shape (channels, samples). `shift`: frequency above each bin, in bins.
 
     >>> block = np.random.default_rng(1).standard_normal((1, 1000))
     >>> shifted = np.fft.fft(block * np.exp(-2j * np.pi * 0.3 / 1000 * np.arange(1000)))
-    >>> np.allclose(spectrum_at_lines(block, np.array([3, 80]), 0.3), shifted[:, [3, 80]], rtol=1e-12)
+    >>> np.allclose(spectrum_at_bins(block, np.array([3, 80]), 0.3), shifted[:, [3, 80]], rtol=1e-12)
     True
     """
     size = block.shape[1]
@@ -235,7 +241,7 @@ def spectrum_at_lines(block: Array, lines: NDArray[np.int64], shift: float) -> C
 
     def phase_factors(samples: NDArray[np.int64]) -> ComplexArray:
         # With integer arithmetic the phases of late samples are as exact as those of early samples.
-        return np.exp(-2j * np.pi * (np.outer(lines, samples) % size + shift * samples) / size)
+        return np.exp(-2j * np.pi * (np.outer(bins, samples) % size + shift * samples) / size)
 
     by_row, by_column = phase_factors(columns * np.arange(rows)), phase_factors(np.arange(columns))
     factors = np.concatenate([by_row.real, by_row.imag])
@@ -248,7 +254,7 @@ def spectrum_at_lines(block: Array, lines: NDArray[np.int64], shift: float) -> C
 
 
 def _noise(spectra: ComplexArray) -> Array:
-    """Estimate the noise power of each channel from lines without excitation or leakage, shape (channels,)."""
+    """Estimate the noise power of each channel from bins without excitation or leakage, shape (channels,)."""
     windowed = 0.5 * spectra[:, 1:-1] - 0.25 * (spectra[:, :-2] + spectra[:, 2:])
     # A Hann window reduces the power to 3/8. The median of the power is ln 2 times its mean and excludes hum.
     return np.asarray(np.median(abs(windowed) ** 2, axis=1) / (0.375 * np.log(2.0)))
@@ -259,12 +265,12 @@ def _interpolate_noise(levels: Sequence[tuple[float, ...]], frequency: Array, ch
     if not levels:
         return np.zeros((channels, frequency.size))
     noise_frequency, *power = np.array(sorted(levels)).T
-    smooth = [scipy.ndimage.uniform_filter1d(row, 2 * SIDE + 1, mode="nearest") for row in power]
+    smooth = [scipy.ndimage.uniform_filter1d(row, 2 * FIT_HALF_WIDTH + 1, mode="nearest") for row in power]
     return np.array([np.interp(frequency, noise_frequency, row) for row in smooth])
 
 
 def _samples_between(block: Array, ends: Sequence[float], period: float) -> Array:
-    """Return the samples between two positions of a segment, or a few periods about their middle if longer.
+    """Return the samples between two positions of a segment, but at least `_MIN_PERIODS` around their middle.
 
     The readings may be far larger in other parts of the segment.
     """

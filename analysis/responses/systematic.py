@@ -1,7 +1,7 @@
 """Systematic errors of a response, which averaging does not reduce.
 
-Each *part* is the limit of one error, like a tolerance in a data sheet, and has a name for display. The functions that
-end in `_part` return it in the unit of the response, shape (lines,), as a dictionary with its name.
+Each error has a name for display and a *limit*, its largest magnitude, like a tolerance in a data sheet. The functions
+that end in `_limit` return it in the unit of the response, shape (lines,), alone or in a dictionary with its name.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
 
 
-# Names of the parts.
+# Names of the errors.
 REFERENCE_NOISE = "noise in the reference"
 LEAKAGE = "leakage"
 UNSETTLED = "not yet steady"
@@ -31,35 +31,35 @@ RESOLUTION = "converter's resolution"
 MODEL = "local model"
 REFERENCE = "uncertain reference"
 JITTER = "jitter of the sampling instants"
-#: Parts whose sign and size differ from line to line.
+#: Errors whose sign and size differ from line to line.
 ROUGH = (UNSETTLED, RESOLUTION, MODEL, REFERENCE, JITTER)
 # Assumed ratio of transverse to axial motion, if the data sheet states only a transverse sensitivity.
 _LATERAL_RATIO = 0.1
 # Smallest number of lines that determine the slope of a curve.
 _MIN_SLOPE_LINES = 3
-# Slope that is assumed for fewer lines, as a multiple of value / frequency. It is sufficient for peaks with a
-# half-width of at least a twentieth of their frequency.
+# Slope that is assumed for fewer lines, as a multiple of value / frequency. Broad peaks, with a half-power bandwidth of
+# at least a tenth of their frequency, are not steeper.
 _ASSUMED_SLOPE_RATIO = 10.0
 # Largest slope of a peak between lines, relative to the slope of its chords.
 _MAX_CHORD_RATIO = 10.0
-# Power of a quarter of a count, in counts²: rounding may hide a smaller signal.
+# Mean square of a signal of a quarter of a count, in counts²; rounding may hide a smaller signal.
 _MIN_POWER_COUNTS = 1.0 / 16.0
 
 
 @dataclass(frozen=True)
-class ReadingShares:
+class ChannelContributions:
     """Contributions of the channels to a response and to its reference."""
 
-    names: Sequence[str]  # channels, in the order of the rows
+    names: Sequence[str]  # channels, in the order of the rows of the two following arrays
     frequency: Array  # Hz, shape (lines,)
     motion: str  # quantity of the response
-    value: ComplexArray  # response, the sum of its shares; shape (lines,)
+    value: ComplexArray  # response, the sum of its contributions; shape (lines,)
     response: ComplexArray  # contribution of each channel to the response, shape (channels, lines)
     reference: ComplexArray  # contribution of each channel to the reference, with the sum 1; shape (channels, lines)
 
     @property
-    def difference(self) -> ComplexArray:
-        """Return the change of the response per relative change of each channel, shape (channels, lines)."""
+    def change_per_gain(self) -> ComplexArray:
+        """Return the change of the response per relative change of each channel's gain, shape (channels, lines)."""
         return self.response - self.value * self.reference
 
 
@@ -85,10 +85,10 @@ def tolerance(info: ChannelInfo) -> float:
     return setting("sensitivity_tolerance", RATIO) + thermal + transverse
 
 
-def sensitivity_part(rec: Recording, shares: ReadingShares) -> dict[str, Array]:
+def sensitivity_limit(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:
     """Compute the largest deviation of a response by the tolerances of its channels; empty without tolerances."""
-    gain = np.array([[tolerance(rec.channels[name])] for name in shares.names])
-    return {SENSITIVITY: gain_error_limit(gain, relative_to_reading(gain), shares)} if gain.any() else {}
+    gain = np.array([[tolerance(rec.channels[name])] for name in contributions.names])
+    return {SENSITIVITY: gain_error_limit(gain, relative_to_reading(gain), contributions)} if gain.any() else {}
 
 
 def common_scale(rec: Recording, outputs: Sequence[str], references: Sequence[str]) -> float:
@@ -100,7 +100,7 @@ def common_scale(rec: Recording, outputs: Sequence[str], references: Sequence[st
 def relative_to_reading(deviation: Array) -> Array:
     """Convert largest deviations relative to true values into deviations relative to readings; infinite from 1 on.
 
-    For a reading that is too small, the deviation relative to the reading exceeds the deviation relative to the true
+    If the reading is too small, the deviation relative to the reading exceeds the deviation relative to the true
     value.
 
     >>> relative_to_reading(np.array([0.2, 0.5, 1.0, 1e20])).tolist()
@@ -109,40 +109,41 @@ def relative_to_reading(deviation: Array) -> Array:
     return np.divide(deviation, 1.0 - deviation, out=np.full(deviation.shape, np.inf), where=deviation < 1.0)
 
 
-def gain_error_limit(gain: Array, gain_reading: Array, shares: ReadingShares) -> Array:
-    """Compute the largest error of a quotient of readings, each of which is 1 + e times its true value, shape (lines,).
+def gain_error_limit(true_ratio: Array, recorded_ratio: Array, contributions: ChannelContributions) -> Array:
+    """Compute the largest error of a response if the reading of each channel is 1 + e times its true value.
 
-    With the contributions u and l of the channels to numerator and denominator, the quotient has the error
-    ``sum (u - l sum(u)) e/(1+e)`` over ``sum l/(1+e)``. A first limit follows directly. Others follow if both sums are
-    divided by the gain of any single channel, which reduces the error to e for a channel that is the entire
-    denominator. All limits are valid; the smallest is returned. `gain` and `gain_reading` are upper limits of
-    ``abs(e)`` and ``abs(e / (1 + e))``, shape (channels, lines) or (channels, 1). The result is infinite if the true
-    denominator may be zero.
+    The response is the ratio of two sums over the channels, with the contributions u to the numerator and l to the
+    denominator. Its error is ``sum (u - l sum(u)) e/(1+e)`` over ``sum l/(1+e)``. A first limit follows directly.
+    Further limits follow if both sums are first divided by the factor 1 + e of any single channel; they are smaller
+    for a channel that is the entire denominator. All limits are valid; the smallest is returned. `true_ratio` and
+    `recorded_ratio` are upper limits of ``abs(e)`` and ``abs(e / (1 + e))``, shape (channels, lines) or (channels, 1).
+    The result is infinite if the true denominator may be zero.
     """
-    in_quotient: Array = np.asarray(abs(shares.difference), dtype=float)
-    in_reference: Array = np.asarray(abs(shares.reference), dtype=float)
-    # Numerator and relative uncertainty of the denominator of each limit.
-    quotients = [[np.sum(zero_times(share, gain_reading), axis=0) for share in (in_quotient, in_reference)]]
+    in_response: Array = np.asarray(abs(contributions.change_per_gain), dtype=float)
+    in_reference: Array = np.asarray(abs(contributions.reference), dtype=float)
+    # Error of the numerator and relative error of the denominator, for each limit.
+    errors = [[np.sum(zero_safe_product(size, recorded_ratio), axis=0) for size in (in_response, in_reference)]]
     with np.errstate(divide="ignore", invalid="ignore"):
-        for row, channel_gain in enumerate(gain):
-            others = np.arange(len(gain)) != row
-            other_error = gain_reading[others] * (1.0 + channel_gain)
-            difference = (channel_gain + gain[others]) * (1.0 + gain_reading[others])
-            deviation = in_quotient[row] * channel_gain + np.sum(zero_times(in_quotient[others], other_error), axis=0)
-            quotients.append([deviation, np.sum(zero_times(in_reference[others], difference), axis=0)])
+        for row, channel_error in enumerate(true_ratio):
+            others = np.arange(len(true_ratio)) != row
+            other_error = recorded_ratio[others] * (1.0 + channel_error)
+            difference = (channel_error + true_ratio[others]) * (1.0 + recorded_ratio[others])
+            numerator_error = in_response[row] * channel_error
+            numerator_error = numerator_error + np.sum(zero_safe_product(in_response[others], other_error), axis=0)
+            errors.append([numerator_error, np.sum(zero_safe_product(in_reference[others], difference), axis=0)])
         limits = [
-            np.where(uncertainty < 1.0, deviation / np.maximum(1.0 - uncertainty, 1e-300), np.inf)
-            for deviation, uncertainty in quotients
+            np.where(denominator_error < 1.0, numerator_error / np.maximum(1.0 - denominator_error, 1e-300), np.inf)
+            for numerator_error, denominator_error in errors
         ]
     return np.asarray(np.nanmin(limits, axis=0))
 
 
-def zero_times(share: Array, factor: Array) -> Array:
-    """Multiply, with zero times infinity defined as zero."""
-    return np.asarray(np.where(share > 0.0, share * factor, 0.0))
+def zero_safe_product(size: Array, factor: Array) -> Array:
+    """Multiply, with zero times infinity defined as zero; `size`: 0 or more."""
+    return np.asarray(np.where(size > 0.0, size * factor, 0.0))
 
 
-def reference_noise_part(value: ComplexArray, coherence: Array) -> Array:
+def reference_noise_limit(value: ComplexArray, coherence: Array) -> Array:
     """Compute the largest bias of H1 towards zero, if all incoherent power is noise in the reference.
 
     The true value is between H1 and H2 = H1 / coherence (Bendat and Piersol, section 6.1.4).
@@ -150,45 +151,46 @@ def reference_noise_part(value: ComplexArray, coherence: Array) -> Array:
     return np.asarray(abs(value) * (1.0 / np.maximum(coherence, 1e-6) - 1.0))
 
 
-def shared_noise_part(
-    noise: Array, difference: ComplexArray, reference_weights: ComplexArray, reference_power: Array
+def shared_noise_limit(
+    noise: Array, change_per_reading: ComplexArray, reference_weights: ComplexArray, reference_power: Array
 ) -> Array:
     """Compute the largest error of H1 by noise of channels in the reference that may also be in the response.
 
     Noise of power N in a channel with the weights u in the response and l in the reference adds ``u l* N`` to their
     cross-spectrum and ``|l|^2 N`` to the reference's power: H1 has the error ``(u - H1 l) l* N`` over the noise-free
     part of that power. The coherence does not show this error, because noise common to both resembles a response.
-    `difference`: ``u - H1 l``; `reference_weights`: l, both of shape (channels, lines).
+    `noise`: N; `change_per_reading`: ``u - H1 l``; `reference_weights`: l; all of shape (channels, lines).
     """
     noise_free = reference_power - np.sum(abs(reference_weights) ** 2 * noise, axis=0)
-    bias = np.sum(abs(difference * reference_weights) * noise, axis=0)
+    bias = np.sum(abs(change_per_reading * reference_weights) * noise, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.where(noise_free > 0.0, bias / noise_free, np.inf))
 
 
-def uncertain_reference_part(bound: Array, deviation: Array) -> dict[str, Array]:
-    """Compute the additional error of a quotient whose denominator may be smaller than its reading.
+def uncertain_reference_limit(bound: Array, deviation: Array) -> dict[str, Array]:
+    """Compute the additional error of a response whose reference may be smaller than its reading.
 
     With errors dx of a response x = H f and df of its reference, x / f has the error ``(dx - H df) / (f - df)``: the
-    first-order error over ``1 - df / f``. `deviation` is the largest ``df / f``; from 1 on the error is unbounded.
+    first-order error over ``1 - df / f``. `bound`: first-order error; `deviation`: largest ``df / f``. From 1 on the
+    error is unbounded.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         excess = np.sqrt(1.0 / np.maximum(1.0 - deviation, 0.0) ** 2 - 1.0)
         return {REFERENCE: np.where(deviation < 1.0, np.where(excess > 0.0, bound * excess, 0.0), np.inf)}
 
 
-def rounding_part(gain: Array, shares: ReadingShares) -> dict[str, Array]:
+def rounding_limit(gain: Array, contributions: ChannelContributions) -> dict[str, Array]:
     """Compute the largest deviation of a response by rounding, for readings of a few counts.
 
-    `gain`, shape (channels, lines): largest relative change of each channel's gain by rounding, from `noise_gain` or
-    `tone_gain`.
+    `gain`, shape (channels, lines): largest relative change of each channel's gain by rounding, from
+    `noise_gain_error` or `tone_gain_error`.
     """
     if not gain.any():
         return {}
-    return {RESOLUTION: np.sum(gain * np.maximum(abs(shares.difference), 1e-300), axis=0)}
+    return {RESOLUTION: np.sum(gain * np.maximum(abs(contributions.change_per_gain), 1e-300), axis=0)}
 
 
-def noise_gain(power: Array) -> Array:
+def noise_gain_error(power: Array) -> Array:
     """Compute the largest relative change of the gain by rounding to counts, for a noise signal of a power in counts².
 
     The rounding error is random noise except for a part proportional to the signal, at most ``2 exp(-2 pi^2 s^2)`` for
@@ -199,8 +201,8 @@ def noise_gain(power: Array) -> Array:
     return np.asarray(np.where(power > _MIN_POWER_COUNTS, 2.0 * np.exp(-2.0 * np.pi**2 * power), np.inf))
 
 
-def tone_gain(power: Array) -> Array:
-    """Compute the largest relative change of the gain by rounding to counts, for a tone; see `noise_gain`.
+def tone_gain_error(power: Array) -> Array:
+    """Compute the largest relative change of the gain by rounding to counts, for a tone; see `noise_gain_error`.
 
     For a tone of a counts, the first term of the quantizer's series in Bessel functions is ``2 / pi^2 / a^(3/2)``;
     the sum of all terms is at most twice that. A tone below half a count is not recorded.
@@ -211,46 +213,46 @@ def tone_gain(power: Array) -> Array:
 
 
 def reproducible_rounding(power: Array) -> Array:
-    """Compute the ratio of a tone's rounding error that is equal in every period, with noise of a power in counts².
+    """Compute the share of a tone's rounding error that is equal in every period, with noise of a power in counts².
 
     Noise of s counts reduces the first term of the quantizer's series by ``exp(-2 pi^2 s^2)``, and all others more
-    (Widrow and Kollár, as in `noise_gain`). `power` includes the rounding error, 1/12.
+    (Widrow and Kollár, as in `noise_gain_error`). `power` includes the rounding error, 1/12.
     """
     return np.asarray(np.exp(-2.0 * np.pi**2 * np.maximum(power - 1.0 / 12.0, 0.0)))
 
 
-def in_counts(rec: Recording, names: Sequence[str], squares: Array) -> Array:
-    """Convert mean squares of readings, shape (channels, ...), to counts²; infinite for channels without counts."""
-    counts = counts_of(rec, names).reshape(-1, *[1] * (squares.ndim - 1))
+def power_in_counts(rec: Recording, names: Sequence[str], squares: Array) -> Array:
+    """Convert mean squares of readings, shape (channels, ...), to counts²; infinite for analog channels."""
+    steps = quantization_steps(rec, names).reshape(-1, *[1] * (squares.ndim - 1))
     with np.errstate(divide="ignore"):
-        return np.asarray(np.where(counts > 0.0, squares / np.where(counts > 0.0, counts, 1.0) ** 2, np.inf))
+        return np.asarray(np.where(steps > 0.0, squares / np.where(steps > 0.0, steps, 1.0) ** 2, np.inf))
 
 
-def counts_of(rec: Recording, names: Sequence[str]) -> Array:
-    """Return the size of a count of each channel in its unit; 0 for channels without counts."""
+def quantization_steps(rec: Recording, names: Sequence[str]) -> Array:
+    """Return the size of a count of each channel in its unit; 0 for analog channels."""
     infos = [rec.channels[name] for name in names]
     return np.array([0.0 if info.volts_per_count is None else info.unit_per_count for info in infos])
 
 
-def clock_part(rec: Recording, shares: ReadingShares) -> dict[str, Array]:
+def clock_limit(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:
     """Compute the largest deviation of a response by the error of the sample clock.
 
-    The frequency error acts through the slope of the curve, and through the powers of frequency that convert an
-    acceleration to a displacement.
+    A wrong frequency has two effects: the curve is shifted, and the powers of frequency that convert an acceleration to
+    a displacement are wrong.
     """
     deviation = clock_deviation(rec)
     if not deviation:
         return {}
-    frequency, value = shares.frequency, shares.value
+    frequency, value = contributions.frequency, contributions.value
     order = np.argsort(frequency, kind="stable")
     by_slope = np.empty(frequency.size)
     by_slope[order] = _change_by_shift(frequency[order], value[order], deviation * frequency[order])
     if frequency.size < _MIN_SLOPE_LINES:
         by_slope = np.maximum(by_slope, deviation * _ASSUMED_SLOPE_RATIO * abs(value))
-    measured = [rec.channels[name].quantity for name in shares.names]
+    measured = [rec.channels[name].quantity for name in contributions.names]
     powers = np.array([[MOTIONS.index(name) if name in MOTIONS else 0.0] for name in measured])
-    by_conversion = np.sum((powers - MOTIONS.index(shares.motion)) * shares.response, axis=0)
-    by_conversion = by_conversion - value * np.sum(powers * shares.reference, axis=0)
+    by_conversion = np.sum((powers - MOTIONS.index(contributions.motion)) * contributions.response, axis=0)
+    by_conversion = by_conversion - value * np.sum(powers * contributions.reference, axis=0)
     return {CLOCK: by_slope + deviation * abs(by_conversion)}
 
 
@@ -260,11 +262,11 @@ def clock_deviation(rec: Recording) -> float:
 
 
 def _change_by_shift(frequency: Array, value: ComplexArray, shift: Array) -> Array:
-    """Compute the change of a curve over rising frequencies by frequency errors of either sign.
+    """Compute the largest change of a curve if its frequencies, in rising order, are shifted by up to `shift`, Hz.
 
-    Between sparse lines a peak is steeper than its chords. A pole and a constant, ``a / (f - p) + b``, are therefore
-    fitted to each line and its neighbors. The slope of this function is the product of the two adjacent chords over
-    the chord across.
+    A *chord* is the slope between two lines. Between sparse lines a peak is steeper than its chords. A pole and a
+    constant, ``a / (f - p) + b``, are therefore fitted to each line and its two neighbors. The slope of this function
+    at the line is the product of the chords to both neighbors over the chord between the neighbors.
     """
     spacing = np.diff(frequency)
     chords = np.divide(np.diff(value), spacing, out=np.zeros(spacing.size, dtype=complex), where=spacing > 0.0)

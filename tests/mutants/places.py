@@ -87,14 +87,16 @@ EQUIVALENT = {
         "the choice of poles is free: the density deviates by at most 0.17 % with either"
     ),
     "head = self._read(begin, CHUNK_HEAD.size * 12)": "bytes after the name and the size are not used",
-    "counts = counts_of(rec, names).reshape(~1, *[1] * (squares.ndim - 1))": (
+    "steps = quantization_steps(rec, names).reshape(~1, *[1] * (squares.ndim - 1))": (
         "numpy computes the size that is negative"
     ),
     "equations = orthogonal.reshape(lines, - 2, unknowns + 1)": "numpy computes the size that is negative",
-    "n_lines = max(1, side // max(1, int(np.median(np.diff(lines)))) if lines.size != 1 else 1)": (
+    "n_lines = max(1, half_width // max(1, int(np.median(np.diff(lines)))) if lines.size != 1 else 1)": (
         "every fit has lines"
     ),
-    "step = max( 2, _MAX_ELEMENTS // ((2 * side + 1) * unknowns))": "the number of lines per batch changes no fit",
+    "step = max( 2, _MAX_ELEMENTS // ((2 * half_width + 1) * unknowns))": (
+        "the number of lines per batch changes no fit"
+    ),
     "while place != self.size:": "no record ends beyond the file",
     "if len(content) < CHUNK_HEAD.size + 7:": "content that is one byte too short fails the next condition",
     "if name_length > 15 or len(content) < begin + 8:": "no compression has a name of 16 letters",

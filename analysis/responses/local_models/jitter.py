@@ -16,45 +16,48 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Coverage factor, which a normal error exceeds with a probability below 5 %, one with two components below 2 %.
+# Coverage factor. A normal error exceeds it with a probability below 5 %, a complex normal error with one below 2 %.
 _COVERAGE = 2.0
-# Order of a polynomial with the curvature of the fitted quotient: the sum of the orders of its two polynomials.
+# Order of a polynomial that is as flexible as the fitted ratio of two polynomials: the sum of their orders.
 _FIT_ORDER = 2 * ORDER
 
 
-def jitter_factor(rec: Recording, names: Sequence[str], hits: Sequence[tuple[int, int]], size: int, side: int) -> Array:
-    """Factorize the covariance of jitter errors that resemble a response to a hit; shape (rows, channels).
+def jitter_factor(
+    rec: Recording, names: Sequence[str], hits: Sequence[tuple[int, int]], size: int, half_width: int
+) -> Array:
+    """Compute the square-root factor of the covariance of jitter errors that resemble a response to a hit.
 
     A sample with a delay t has an error of t times the slope of its signal. Slopes are steepest during a hit and
     shortly after it. The errors of these samples are as smooth over the lines as the response, so that the scatter does
-    not show them. Each sample is weighted by its effect on a local fit to `side` lines on either side. All channels
-    have the same delay. `hits`: first and last sample of each hit; `size`: samples of the Fourier transform.
+    not show them. Each sample is weighted by its effect on a local fit to `half_width` bins on either side. All
+    channels have the same delay. `hits`: first and last sample of each hit; `size`: samples of the Fourier transform.
+    The result has the shape (rows, channels).
     """
-    deviation = (rec.scene.converter.jitter or 0.0) * rec.rate
+    deviation_samples = (rec.scene.converter.jitter or 0.0) * rec.rate
     factor = np.zeros((0, len(names)))
-    if not deviation:
+    if not deviation_samples:
         return factor
-    # Weights of a polynomial fit to neighboring lines, from the hit to their first zero.
-    n_samples = size * (_FIT_ORDER + 1) // (2 * side + 1)
-    weights = scipy.signal.savgol_coeffs(2 * side + 1, _FIT_ORDER)
-    cosines = np.cos(2.0 * np.pi / size * np.arange(n_samples)[:, None] * np.arange(-side, side + 1))
+    # Samples from the hit to the first zero of their weights in a polynomial fit to neighboring bins.
+    n_samples = size * (_FIT_ORDER + 1) // (2 * half_width + 1)
+    weights = scipy.signal.savgol_coeffs(2 * half_width + 1, _FIT_ORDER)
+    cosines = np.cos(2.0 * np.pi / size * np.arange(n_samples)[:, None] * np.arange(-half_width, half_width + 1))
     sample_weights = cosines @ weights
     for begin, _ in hits:
         readings = np.stack([rec.read(name, max(begin - 1, 0), begin + n_samples) for name in names])
         slopes = np.diff(readings, axis=1)
-        slopes *= deviation * sample_weights[: slopes.shape[1]]
+        slopes *= deviation_samples * sample_weights[: slopes.shape[1]]
         rows = np.concatenate([factor, slopes.T / np.sqrt(len(hits))])
         factor = np.asarray(np.linalg.qr(rows, mode="r"))
     return factor
 
 
-def jitter_part(factor: Array, weights: ComplexArray, power: Array) -> dict[str, Array]:
+def jitter_limit(factor: Array, weights: ComplexArray, power: Array) -> dict[str, Array]:
     """Compute the largest deviation of a response by jitter during and shortly after the hits.
 
-    `weights`, shape (channels, lines): change of the response per unit of each reading and of the reference. `power`:
-    power of the reference, summed over all hits.
+    `weights`, shape (channels, lines): change of the response per unit change of each reading, for a reference of 1.
+    `power`: power of the reference, summed over all hits.
 
-    >>> part = jitter_part(np.array([[2.0, 1.0]]), np.array([[1.0], [-2.0]]) + 0j, np.ones(1))
+    >>> part = jitter_limit(np.array([[2.0, 1.0]]), np.array([[1.0], [-2.0]]) + 0j, np.ones(1))
     >>> {name: size.tolist() for name, size in part.items()}  # equal relative errors
     {'jitter of the sampling instants': [0.0]}
     """

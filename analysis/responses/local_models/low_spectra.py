@@ -1,4 +1,4 @@
-"""Spectra of a long segment at its lowest frequencies, because a test usually excites only a small part of the band.
+"""Spectra of a long segment at its lowest frequencies, because most tests excite only a small part of the band.
 
 Higher frequencies are removed by a low-pass filter before decimation, and the spectrum is divided by the filter's
 response (Crochiere and Rabiner, Multirate Digital Signal Processing, 1983, chapter 2). Memory hardly depends on the
@@ -21,23 +21,23 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Largest ratio of the highest bin to the decimated sample rate.
+# Largest frequency of the result, relative to the decimated sample rate.
 _MAX_FREQUENCY_RATIO = 0.15
 # Length of the low-pass filter in samples of the decimated rate.
 _FILTER_LENGTH = 24
-# Parameter of its Kaiser window, which attenuates aliasing in these bins by 240 dB.
+# Parameter of its Kaiser window, which attenuates aliasing in the result by 240 dB.
 _KAISER_BETA = 25.5
-# Largest number of multiplications of a matrix product that BLAS computes in a single thread, without synchronization.
+# Largest number of multiplications of a matrix product that BLAS computes in a single thread, without overhead.
 _MAX_MULTIPLICATIONS = 1 << 18
 
 
 def low_spectra(
     rec: Recording, names: Sequence[str], start: int, stop: int, size: int, bins: int
 ) -> tuple[ComplexArray, Array]:
-    """Compute spectra and mean square of a clean segment, less its mean and zero-padded at the beginning to `size`.
+    """Compute spectra and mean squares of a segment without flaws, after subtraction of the mean of each channel.
 
-    The spectra equal the first bins of `numpy.fft.rfft`, shape (channels, bins); the mean squares have the shape
-    (channels,).
+    The spectra, shape (channels, bins), equal the first bins of `numpy.fft.rfft` of the segment with zeros in front, up
+    to `size` samples. The mean squares have the shape (channels,).
     """
     max_step = max(1, int(_MAX_FREQUENCY_RATIO * size / bins))
     step = max(divisor for divisor in range(1, max_step + 1) if size % divisor == 0)
@@ -48,11 +48,13 @@ def low_spectra(
     )
     filters = taps.reshape(-1, step).T
     n_rows = max(1, _MAX_MULTIPLICATIONS // filters.size)
-    # The filter extends beyond both ends of the segment; the transform is periodic.
+    # The filter extends beyond the ends of the segment; its output there is added at the other end, because the
+    # transform is periodic.
     overlap, padding, piece_samples = filters.shape[1], size - (stop - start), max(1, PIECE_SAMPLES // step) * step
     filtered = np.zeros((len(names), overlap + size // step))
     total, squares = np.zeros((2, len(names)))
-    # Squares are computed relative to the first sample, because a large offset would hide the variation by rounding.
+    # Squares are computed relative to the first sample, because rounding errors of a large offset would hide the
+    # variation.
     offset = np.array([rec.read(name, start, start + 1)[0] for name in names])
     for first in range(padding // step * step, size, piece_samples):
         block = np.zeros((len(names), min(piece_samples, size - first)))

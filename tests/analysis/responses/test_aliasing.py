@@ -14,41 +14,48 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.responses.aliasing import _free_acceleration, _impact_ratio, aliasing_part
-from analysis.responses.systematic import ALIASING, ReadingShares
+from analysis.responses.aliasing import _free_acceleration, _impact_ratio, aliasing_limit
+from analysis.responses.systematic import ALIASING, ChannelContributions
 from daq.signal_chain.channel import ChannelInfo
 from rig.results.response import MOTIONS
 
-RATE, SAMPLES = 5120.0, 512  # Hz; samples of a period of the drive
-FINE = 64  # Points of the fine grid in a sample interval.
-CYCLES = np.array([4, 32, 128, 200])
+RATE = 5120.0  # Hz
+SAMPLES = 512  # Samples of a period of the drive.
+POINTS_PER_SAMPLE = 64  # Points of the fine grid in a sample interval.
+CYCLES = np.array([4, 32, 128, 200])  # Cycles of the tones in a period of the drive.
 FREQUENCY = CYCLES * RATE / SAMPLES
 FILTER = {"rate": RATE, "delay": 38.0, "cutoff": 0.5, "beta": 11.0}
+# Smallest assumed images, relative to the reading.
+MIN_IMAGES = 0.1 * (FREQUENCY / RATE) ** 2
 SCENE = "{structure: {masses: [2 kg], springs: [4 kN/m]}, shaker: {kind: force, body: 1}}"
 
 
 def image_ratio(info, cycles):
     """Return the sum of a channel's readings of the images of a tone, relative to its reading of the tone."""
     samples = np.exp(2j * np.pi * cycles * np.arange(SAMPLES + 1) / SAMPLES)
-    fraction = np.arange(FINE) / FINE
+    fraction = np.arange(POINTS_PER_SAMPLE) / POINTS_PER_SAMPLE
     drive = np.fft.fft((samples[:-1, None] * (1 - fraction) + samples[1:, None] * fraction).ravel())
-    reading = abs(drive * info.response(np.fft.fftfreq(drive.size, 1 / (RATE * FINE))))
-    tone_and_images = reading.reshape(FINE, SAMPLES)[:, cycles]
+    reading = abs(drive * info.response(np.fft.fftfreq(drive.size, 1 / (RATE * POINTS_PER_SAMPLE))))
+    tone_and_images = reading.reshape(POINTS_PER_SAMPLE, SAMPLES)[:, cycles]
     return tone_and_images[1:].sum() / tone_and_images[0]
 
 
 def aliasing_limits(info, value, motion="acceleration", scene=SCENE, reference_share=0.0):
-    """Return the aliasing of a channel in the response or in the reference; the other channel has no images."""
+    """Return the limits of error by images in channel `info`; the other channel is filtered.
+
+    `reference_share`: 0 if `info` is the response, 1 if it is the reference.
+    """
     other = ChannelInfo("b", "body 1", "acceleration", 1.0, RATE, filter=FILTER)
     rec = SimpleNamespace(source="", channels={info.name: info, "b": other}, scene=rig.loads(scene, where="a test"))
-    share = np.array([[1.0 - reference_share], [reference_share]]) * np.ones(value.size)
-    shares = ReadingShares([info.name, "b"], FREQUENCY, motion, value, value * share, share[::-1])
-    return aliasing_part(rec, shares)
+    in_response = np.array([[1.0 - reference_share], [reference_share]]) * np.ones(value.size)
+    in_reference = in_response[::-1]
+    contributions = ChannelContributions([info.name, "b"], FREQUENCY, motion, value, value * in_response, in_reference)
+    return aliasing_limit(rec, contributions)
 
 
-def relative_to_reading(share):
-    """Return the error relative to the reading, if images reduce the reading by a share of the true value."""
-    return share / (1.0 - share)
+def relative_to_reading(ratio):
+    """Return the error relative to the reading, if images reduce the reading by a ratio of the true value."""
+    return ratio / (1.0 - ratio)
 
 
 def channel(at="body 1", quantity="acceleration", **chain):
@@ -61,18 +68,16 @@ def test_images_of_flat_acceleration_are_bounded():
     for info in (channel(), low_pass, channel(average=True)):
         expected = np.array([image_ratio(info, cycles) for cycles in CYCLES]) * abs(value)
         [bound] = aliasing_limits(info, value).values()
-        minimum = 0.1 * (FREQUENCY / RATE) ** 2 * abs(value)
         assert (bound >= expected).all()
-        assert (bound <= np.maximum(1.25 * expected, minimum)).all()
+        assert (bound <= np.maximum(1.25 * expected, MIN_IMAGES * abs(value))).all()
 
 
-def test_suppressed_images_have_lower_bound():
+def test_limit_of_suppressed_images_is_not_zero():
     # The images of a force still move the body that it drives.
     low_pass = channel(poles=(-2 * np.pi * 1.0,) * 4, gain=(2 * np.pi * 1.0) ** 4)
     value = np.full(4, 0.5 + 0.2j)
     [bound] = aliasing_limits(low_pass, value).values()
-    minimum = 0.1 * (FREQUENCY / RATE) ** 2 * abs(value)
-    np.testing.assert_allclose(bound[:2], minimum[:2], rtol=1e-12)
+    np.testing.assert_allclose(bound[:2], (MIN_IMAGES * abs(value))[:2], rtol=1e-12)
 
 
 def test_decimation_filter_has_no_images():
@@ -80,7 +85,8 @@ def test_decimation_filter_has_no_images():
     assert aliasing_limits(filtered, np.ones(4, dtype=complex)) == {}
 
 
-def test_images_of_falling_acceleration_are_smaller():
+def test_images_are_those_of_acceleration_above_band():
+    # The acceleration at the upper end of the band is 1; a larger acceleration below it has relatively smaller images.
     peak = np.array([1.0, 1.0, 4.0, 1.0], dtype=complex)
     for motion, order in (("acceleration", 2), ("velocity", 1), ("displacement", 0)):
         value = peak / FREQUENCY ** (2 - order)
@@ -98,7 +104,8 @@ def test_steadily_falling_acceleration_uses_band_edge():
 
 def test_modes_above_band_increase_driven_acceleration():
     value = np.full(4, 0.005 + 0.002j)
-    expected = np.array([image_ratio(channel(), cycles) for cycles in CYCLES]) / 2.0
+    mass = 2.0  # kg, of the driven body in SCENE
+    expected = np.array([image_ratio(channel(), cycles) for cycles in CYCLES]) / mass
     for motion in MOTIONS:
         # The same acceleration, integrated to velocity or displacement.
         conversion = (2.0 * np.pi * FREQUENCY) ** (2 - MOTIONS.index(motion))
@@ -115,21 +122,22 @@ def test_table_drive_images_are_bounded(reference_share):
     for column, (frequency, cycles) in enumerate(zip(FREQUENCY, CYCLES, strict=True)):
         # After two differentiations an image is as large as the tone; only the second-order servo attenuates it.
         servo = SimpleNamespace(response=lambda f: -((2 * np.pi * f) ** 2) / (1.0 + 1j * f / 700.0) ** 2)
-        share = image_ratio(servo, cycles)
-        # The relative deficit of a response exceeds its excess; the reference is in the denominator.
-        expected = (share if reference_share else relative_to_reading(share)) * abs(value[column])
+        ratio = image_ratio(servo, cycles)
+        # A reading that is too small has the larger relative error, unless it is that of the reference (denominator).
+        expected = (ratio if reference_share else relative_to_reading(ratio)) * abs(value[column])
         assert expected <= bound[column] <= 1.25 * expected, frequency
 
 
 def coil_drive(frequency, mode, force):
-    """Compute the drive of a moving coil for a motion of 1 m against a force, from its equations of motion."""
-    mass, damping, stiffness, resistance, inductance, factor = 0.3, 60.0, 9e3, 3.0, 4e-3, 12.0
+    """Compute the drive of a moving coil for a motion of 1 m against a force in N, from its equations of motion."""
+    mass, damping, stiffness = 0.3, 60.0, 9e3  # kg, N s/m, N/m
+    resistance, inductance, force_factor = 3.0, 4e-3, 12.0  # ohm, H, N/A
     s = 2j * np.pi * frequency
     # Unknowns: current and drive. Equations: of the armature, then of the coil or its current source.
     motion = mass * s**2 + damping * s + stiffness + force
     source = [resistance + s * inductance, -1.0] if mode == "voltage" else [1.0, -1.0]
-    induced = -factor * s if mode == "voltage" else 0.0
-    return np.linalg.solve(np.array([[factor, 0.0], source]), np.array([motion, induced]))[1]
+    induced = -force_factor * s if mode == "voltage" else 0.0
+    return np.linalg.solve(np.array([[force_factor, 0.0], source]), np.array([motion, induced]))[1]
 
 
 # At an image, the force of the stiff spring is comparable to that of the armature mass.
@@ -138,8 +146,8 @@ def coil_drive(frequency, mode, force):
 def test_coil_drive_images_are_bounded(mode, spring):
     armature = "mass: 0.3 kg, damping: 60 N s/m, stiffness: 9 kN/m"
     coil = "resistance: 3 ohm, inductance: 4 mH, force_factor: 12 N/A"
-    parts = f"armature: {{{armature}}}, coil: {{{coil}}}, amplifier: {{mode: {mode}}}"
-    scene = SCENE.replace("kind: force", f"kind: electrodynamic, spring: {spring} N/m, {parts}")
+    settings = f"armature: {{{armature}}}, coil: {{{coil}}}, amplifier: {{mode: {mode}}}"
+    scene = SCENE.replace("kind: force", f"kind: electrodynamic, spring: {spring} N/m, {settings}")
     value = np.full(4, 0.5 + 0.2j)
     [bound] = aliasing_limits(channel("table"), value, scene=scene, reference_share=1.0).values()
 
@@ -181,11 +189,11 @@ def test_only_instantaneous_impacts_increase_images():
 def test_imported_recordings_have_no_images():
     info = channel()
     scene = rig.loads(SCENE, where="a test")
-    value, share = np.ones(4, dtype=complex), np.ones((1, 4), dtype=complex)
-    for source, parts in (("other.uff", {}), ("", {ALIASING})):
+    value, in_response = np.ones(4, dtype=complex), np.ones((1, 4), dtype=complex)
+    for source, errors in (("other.uff", set()), ("", {ALIASING})):
         rec = SimpleNamespace(source=source, channels={"a": info}, scene=scene)
-        shares = ReadingShares(["a"], FREQUENCY, "acceleration", value, share, 0.0 * share)
-        assert set(aliasing_part(rec, shares)) == set(parts)
+        contributions = ChannelContributions(["a"], FREQUENCY, "acceleration", value, in_response, 0.0 * in_response)
+        assert set(aliasing_limit(rec, contributions)) == errors
 
 
 IMPACTS = """
@@ -198,7 +206,7 @@ converter: {rate: 1024 Hz, sampling: point}
 """
 
 
-def test_impacts_between_points_are_bounded(tmp_path):
+def test_error_by_impacts_between_samples_is_bounded(tmp_path):
     scene = rig.loads(IMPACTS, where="a test")
     exact = rig.orbit_response(scene, [14.0, 21.0]).compliance[0]
     for sampling, expected_limit in (("point", 0.09), ("average", 0.002)):

@@ -59,13 +59,16 @@ def test_clean_segments_exclude_overloads_and_gaps(rec, used_channels, first, le
 def test_flaws_are_listed_by_kind():
     rec = SimpleNamespace(rate=10.0)
     listed_flaws = [Flaw(10 * k, 10 * k + 1, "a1", "overloaded") for k in range(3)] + [Flaw(70, 75, "a2", "lost")]
-    assert describe_flaws(rec, listed_flaws) == "a1 overloaded (at 0 s, 1 s, 2 s), a2 lost (at 7 s)"
+    assert describe_flaws(rec, listed_flaws) == "a1 overloaded (at 0 s, 1 s, 2 s), samples of a2 lost (at 7 s)"
     listed_flaws += [Flaw(80, 81, "a1", "overloaded"), Flaw(91, 92, "a1", "overloaded")]
-    assert describe_flaws(rec, listed_flaws) == "a1 overloaded (at 0 s, 1 s, 2 s and 2 times more), a2 lost (at 7 s)"
+    assert (
+        describe_flaws(rec, listed_flaws)
+        == "a1 overloaded (at 0 s, 1 s, 2 s and 2 times more), samples of a2 lost (at 7 s)"
+    )
 
 
 @pytest.mark.parametrize(
-    ("sensitivity", "volts", "limit", "limit_is_named"),
+    ("sensitivity", "volts", "limit", "is_reached_first"),
     [
         # 5 V at 0.1 V per m/s² are 50 m/s²: a limit of the sensor of 49 is reached first, a limit of 51 is not.
         (0.1, 5.0, "49 m/s^2", True),
@@ -73,10 +76,11 @@ def test_flaws_are_listed_by_kind():
         (0.1, None, "51 m/s^2", True),
     ],
 )
-def test_remedy_names_the_first_limit(sensitivity, volts, limit, limit_is_named):
+def test_remedy_names_the_limit_that_is_reached_first(sensitivity, volts, limit, is_reached_first):
     info = ChannelInfo(
         "a1", "body 1", "acceleration", sensitivity, 1e3, range=volts, sensor={"accelerometer.saturation": limit}
     )
     rec = SimpleNamespace(channels={"a1": info})
-    assert (limit in remedy(rec, [Flaw(3, 5, "a1", "overloaded")])) == limit_is_named
-    assert limit not in remedy(rec, [Flaw(3, 5, "a1", "lost")])
+    assert (limit in remedy(rec, [Flaw(3, 5, "a1", "overloaded")])) == is_reached_first
+    lost_samples = Flaw(3, 5, "a1", "lost")
+    assert remedy(rec, [lost_samples]) == "Check the recording with `daq info`"

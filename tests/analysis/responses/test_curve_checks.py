@@ -11,19 +11,19 @@ from analysis.responses.curve_checks import reversed_force
 from rig.results.response import Response
 
 MASS, STIFFNESS = np.diag([4.2, 1.1]), np.array([[1.8e6, -0.9e6], [-0.9e6, 0.9e6]])
-LINES = np.arange(20.0, 300.0, 0.5)  # Hz
+FREQUENCY = np.arange(20.0, 300.0, 0.5)  # Hz
 
 
 def measured(response: int = 1, *, grounded: bool = True, noise: float = 1e-3) -> Response:
-    """Return the receptance of a bracket with modes at 64 and 166 Hz to a force on body 1, with relative noise."""
+    """Return the receptance of two bodies, with modes at 64 and 166 Hz, to a force on body 1; `noise` is relative."""
     stiffness = STIFFNESS if grounded else STIFFNESS - np.diag([0.9e6, 0.0])
     value = np.array(
-        [np.linalg.inv(stiffness * (1 + 0.016j) - (2 * np.pi * f) ** 2 * MASS)[response - 1, 0] for f in LINES]
+        [np.linalg.inv(stiffness * (1 + 0.016j) - (2 * np.pi * f) ** 2 * MASS)[response - 1, 0] for f in FREQUENCY]
     )
     random, error = np.random.default_rng(response), noise * abs(value)
-    value += error * (random.standard_normal(LINES.size) + 1j * random.standard_normal(LINES.size))
+    value += error * (random.standard_normal(FREQUENCY.size) + 1j * random.standard_normal(FREQUENCY.size))
     return Response.curve(
-        LINES, value, f"body{response}", error=error, degrees=np.full(LINES.size, 38.0),
+        FREQUENCY, value, f"body{response}", error=error, degrees=np.full(FREQUENCY.size, 38.0),
         output_at=f"body {response}", input_at="body 1",
     )  # fmt: skip
 
@@ -41,7 +41,7 @@ def test_reversed_force_is_reported_once(motion: str, grounded: bool) -> None:
 def test_delay_and_noise_do_not_reverse_force(delay_s: float, noise: float) -> None:
     for grounded in (True, False):
         curve = measured(1, grounded=grounded, noise=noise)
-        delayed = replace(curve, value=curve.value * np.exp(-2j * np.pi * LINES * delay_s))
+        delayed = replace(curve, value=curve.value * np.exp(-2j * np.pi * FREQUENCY * delay_s))
         assert not reversed_force([delayed])
 
 

@@ -14,7 +14,7 @@ from rig.system.structural_model import receptance
 POLE = -0.9 + 2j * np.pi * 19.0  # 1/s, of a mode at 19 Hz.
 
 
-def test_residual_transients_stay_within_bound() -> None:
+def test_residual_transients_stay_within_limit() -> None:
     frequency = np.linspace(18.55, 19.45, 25)
     omega, wait_s, window_s = 2 * np.pi * frequency, 7.0, 1.1
     steady = 1.0 / (1j * omega - POLE)
@@ -47,7 +47,7 @@ def test_transients_of_close_resonances_are_limited() -> None:
     assert (limit >= 0.9 * abs(transient))[significant].all()
 
 
-def test_distant_points_have_no_transient() -> None:
+def test_points_far_from_resonances_have_no_transient() -> None:
     sparse = np.array([10.0, 15.0, 19.0, 24.0, 30.0])
     assert not ringing(1.0 / (2j * np.pi * sparse - POLE), sparse, np.ones(5), np.ones(5), np.zeros(5)).any()
     dense = np.linspace(18.5, 19.5, 25)
@@ -74,5 +74,6 @@ def test_uncertainty_contains_residual_transients_in_noise(seed: int, tmp_path) 
     with daq.open(tmp_path / "a.mcap") as recording:
         frf = analysis.frfs(recording)["a"]
     normalized = abs(frf.value - receptance(scene, frf.frequency)[1]) / frf.bound()
+    # 95 % intervals of 25 points.
     assert (normalized > 1.0).sum() <= 3
     assert normalized.max() < 1.5

@@ -1,4 +1,4 @@
-"""Variances of estimates from a few averages: positive, shared between lines, and not affected by rounding."""
+"""Variances of estimates from few averages: not negative, moderated by neighboring lines, not affected by rounding."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from analysis.responses.estimators import AveragedSpectra, square_root
-from analysis.responses.local_models.jitter import jitter_part
+from analysis.responses.local_models.jitter import jitter_limit
 from analysis.responses.scatter import Scatter, moderate
 from analysis.responses.stepped_sine import LockIn, parts_of_whole_periods
 from daq.recording.recording import Recording
@@ -20,7 +20,7 @@ def complex_noise(seed, *shape):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_variance_in_a_null_space_is_not_negative(seed):
+def test_variance_of_weights_without_scatter_is_zero(seed):
     rows = complex_noise(seed, 2, 4, 50) * np.array([1.0, 1e3, 1e-3, 1e6])[:, None]
     # Weights orthogonal to both rows.
     weights = np.stack([np.linalg.svd(rows[:, :, n])[2][-1].conj() for n in range(50)], axis=1)
@@ -39,6 +39,7 @@ def test_moderated_uncertainties_contain_95_percent(degrees):
 
     variance, moderated_degrees = moderate(single_variance, np.full(lines, float(degrees)), np.full(lines, 3.0), 12)
 
+    # The squared magnitude over the variance has an F distribution.
     normalized = abs(error) / np.sqrt(variance * stats.f.ppf(0.95, 2.0, moderated_degrees))
     assert 0.94 < np.mean(normalized <= 1.0) < 0.96
     assert normalized.max() < 3.0
@@ -93,7 +94,7 @@ def test_large_offset_does_not_change_residual():
     assert lock_in.tone().residual[0] == pytest.approx(1e-4, rel=0.05)
 
 
-def test_harmonics_change_no_part_of_a_window():
+def test_harmonics_change_all_parts_of_a_window_equally():
     frequency, rate = 12.804, 5120.0
     parts = parts_of_whole_periods(0, 8000, frequency, rate)
     cycles = frequency / rate * np.arange(parts[-1][1])
@@ -108,11 +109,11 @@ def test_harmonics_change_no_part_of_a_window():
     assert np.ptp(np.angle(fundamentals)) < 5e-5
 
 
-def test_variance_of_canceled_jitter_is_not_negative():
+def test_limit_of_canceled_jitter_is_not_negative():
     factor = np.random.default_rng(6).standard_normal((2, 3))
     orthogonal = np.cross(factor[0], factor[1])[:, None].repeat(5, axis=1) + 0j
 
-    (part,) = jitter_part(factor, orthogonal, np.ones(5)).values()
+    (limit,) = jitter_limit(factor, orthogonal, np.ones(5)).values()
 
-    assert (part >= 0.0).all()
-    assert part.max() < 1e-12
+    assert (limit >= 0.0).all()
+    assert limit.max() < 1e-12

@@ -13,7 +13,8 @@ import rig
 from analysis.responses.clean_segments import settling_flaws
 from rig.system.structural_model import receptance
 
-RATE, DURATION = 200.0, 60.0  # Hz, s
+RATE = 200.0  # Hz
+DURATION = 60.0  # s
 LOWEST_FREQUENCY = 5.0  # Hz, of the test.
 
 
@@ -30,7 +31,7 @@ def recording(bias, time_constant, seed=1):
 @pytest.mark.parametrize(("bias", "time_constant"), [(10.0, 0.5), (300.0, 2.0), (1e5, 1.0)])
 def test_samples_with_decaying_bias_are_excluded(bias, time_constant):
     [flaw] = settling_flaws(recording(bias, time_constant), ["a"], 0, int(DURATION * RATE), LOWEST_FREQUENCY)
-    # The noise of a mean of 40 samples, a period of the lowest frequency, is 0.16.
+    # The noise of a mean of 40 samples, a period of the lowest frequency, is 0.16; a drift exceeds five times that.
     residual_bias = bias * np.exp(-flaw.stop / RATE / time_constant)
     assert flaw.first == 0 and 0.1 < residual_bias < 1.2
 
@@ -47,7 +48,7 @@ def test_lost_samples_have_no_decaying_bias():
 
 
 @pytest.mark.parametrize("options", [{}, {"estimator": "H1", "block": 1.0}])
-def test_truth_is_within_uncertainty_below_noise(options, tmp_path):
+def test_uncertainty_contains_response_below_sensor_noise(options, tmp_path):
     # The motion by the drive of 1 µm is smaller than the noise of the sensors.
     scene = rig.loads(
         """
@@ -65,7 +66,7 @@ def test_truth_is_within_uncertainty_below_noise(options, tmp_path):
     with daq.open(path) as rec:
         [[frf]] = analysis.frequency_responses(rec, **options)
     error = abs(frf.value - receptance(scene, frf.frequency)[0])
-    # Noise common to response and reference resembles a response of about -1 / (stiffness of the spring).
+    # Noise of the body's sensor is also in the reference (the spring force) and resembles a response of -1 / (6 kN/m).
     assert np.median(error) > 0.3 * np.median(abs(receptance(scene, frf.frequency)[0]))
     assert np.mean(error <= frf.bound()) > 0.9
 

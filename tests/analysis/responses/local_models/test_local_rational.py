@@ -10,7 +10,10 @@ from analysis.responses.local_models.local_rational import Reading, local_fit
 from analysis.responses.random_errors import LocalErrors
 
 BINS = 400
-OFFSET = np.arange(BINS) - 200.0  # Distance of each bin from the middle.
+MIDDLE = 200
+OFFSET = np.arange(BINS) - MIDDLE  # Distance of each bin from the middle.
+HALF_WIDTH = 12  # Bins on either side of a line that a fit uses.
+AT_REST = np.zeros((6, BINS))  # End phases of segments without transients of earlier motion.
 
 
 def gaussian(random, *shape):
@@ -18,8 +21,13 @@ def gaussian(random, *shape):
     return (random.standard_normal(shape) + 1j * random.standard_normal(shape)) / np.sqrt(2.0)
 
 
+def ideal_reading(spectra):
+    """Return the reading of a channel with the response 1."""
+    return Reading(spectra, np.ones(spectra.shape[1]), np.zeros((0, spectra.shape[1])))
+
+
 def resonance(width):
-    """Return a quotient of a linear and a quadratic polynomial, with a peak of 1 in the middle."""
+    """Return a ratio of a linear and a quadratic polynomial, with a peak of 1 in the middle."""
     return (1.0 + 2e-3 * OFFSET) * width**2 / ((OFFSET - 0.5j * width) ** 2 - width**2) / (-0.8)
 
 
@@ -29,21 +37,21 @@ def transient(random, segments, width):
     return gaussian(random, segments, 3) @ powers / ((OFFSET - 0.5j * width) ** 2 - width**2) * width**2
 
 
-@pytest.mark.parametrize("ends", ["at rest", "joined", "separate"])
-def test_rational_response_is_exact(ends):
+@pytest.mark.parametrize("transients", ["at rest", "joined", "separate"])
+def test_rational_response_is_exact(transients):
     random = np.random.default_rng(7)
     force, width = gaussian(random, 3, BINS), 20.0
     response = 1.0 / (1.0 + 0.02j * (OFFSET + 230.0))
-    start_phase = {
+    end_phases = {
         "at rest": np.zeros((3, BINS), dtype=complex),
         "joined": np.ones((3, BINS), dtype=complex),
         "separate": np.exp(-2j * np.pi * np.arange(BINS) * np.array([0.37, 0.21, 0.45])[:, None]),
-    }[ends]
+    }[transients]
     spectra = response * force * resonance(width) + transient(random, 3, width)
-    if ends == "separate":
-        spectra = spectra + start_phase * transient(random, 3, width)
+    if transients == "separate":
+        spectra = spectra + end_phases * transient(random, 3, width)
     lines = np.array([0, 3, 150, 199, 205, 390, 399])
-    fit = local_fit(Reading(spectra, response, np.zeros((0, BINS))), force, start_phase, lines, 12)
+    fit = local_fit(Reading(spectra, response, np.zeros((0, BINS))), force, end_phases, lines, HALF_WIDTH)
     np.testing.assert_allclose(fit.value, resonance(width)[lines], rtol=1e-7)
     assert (np.sqrt(fit.variance) < 1e-7 * abs(fit.value)).all()
     assert (fit.model_error < 1e-6 * abs(fit.value)).all()
@@ -55,117 +63,121 @@ def test_slow_transient_is_separated_from_response():
     force, slow_transient = gaussian(random, 2, BINS), 1.0 / (1j * np.arange(BINS) + 0.4)
     spectra = 2.0 * force + 50.0 * gaussian(random, 2, 1) * slow_transient
     lines = np.arange(1, 40)
-    zero_phase = np.zeros((2, BINS))
-    fit = local_fit(Reading(spectra, np.ones(BINS), slow_transient[None]), force, zero_phase, lines, 12)
+    fit = local_fit(Reading(spectra, np.ones(BINS), slow_transient[None]), force, AT_REST[:2], lines, HALF_WIDTH)
     np.testing.assert_allclose(fit.value, 2.0, rtol=1e-7)
 
 
-@pytest.mark.parametrize(("side", "noise"), [(6, 0.3), (15, 0.3), (15, 3.0)])
-def test_scatter_by_noise_equals_stated_variance(side, noise):
+@pytest.mark.parametrize(("half_width", "noise"), [(6, 0.3), (15, 0.3), (15, 3.0)])
+def test_scatter_by_noise_equals_stated_variance(half_width, noise):
     random = np.random.default_rng(9)
-    segments, ratios, coherences, degrees = 3, [], [], []
-    lines = np.arange(30, 370, 2 * side + 1)
+    segments, ratios, coherences, all_degrees = 3, [], [], []
+    lines = np.arange(30, 370, 2 * half_width + 1)
     for _ in range(40):
         force = gaussian(random, segments, BINS)
         spectra = 2.0 * force + noise * gaussian(random, segments, BINS)
-        reading = Reading(spectra, np.ones(BINS), np.zeros((0, BINS)))
-        fit = local_fit(reading, force, np.zeros((segments, BINS)), lines, side)
+        reading = ideal_reading(spectra)
+        fit = local_fit(reading, force, AT_REST[:segments], lines, half_width)
         ratios.append(abs(fit.value - 2.0) ** 2 / (2.0 * fit.variance))
         coherences.append(fit.coherence)
-        degrees.append(fit.degrees)
-    # The mean of 1 / (chi^2 / degrees) is degrees / (degrees - 2).
-    degrees_of_freedom = np.median(degrees)
+        all_degrees.append(fit.degrees_of_freedom)
+    # The mean of 1 / (chi^2 / n) is n / (n - 2) for n degrees of freedom.
+    degrees_of_freedom = np.median(all_degrees)
     assert np.mean(ratios) == pytest.approx(degrees_of_freedom / (degrees_of_freedom - 2.0), rel=0.15)
     # Two for each equation, minus the unknowns: three for the response and for each transient (no denominator).
-    assert degrees_of_freedom == 2 * (segments * (2 * side + 1) - 3 - 3 * segments)
+    assert degrees_of_freedom == 2 * (segments * (2 * half_width + 1) - 3 - 3 * segments)
     assert np.mean(coherences) == pytest.approx(4.0 / (4.0 + noise**2), abs=0.01)
 
 
 def test_effect_of_reference_noise_at_narrow_peak():
     random = np.random.default_rng(14)
-    noise, middle, squares = 0.02, np.array([200]), []
+    noise, middle, squares = 0.02, np.array([MIDDLE]), []
     for _ in range(60):
         force = gaussian(random, 1, BINS)
-        reading = Reading(resonance(1.5) * force, np.ones(BINS), np.zeros((0, BINS)))
+        reading = ideal_reading(resonance(1.5) * force)
         noisy_reference = force + noise * gaussian(random, 1, BINS)
-        fit = local_fit(reading, noisy_reference, np.zeros((1, BINS)), middle, 12)
-        squares.append([abs(fit.value[0] - 1.0) ** 2 / 2.0, fit.variance[0], noise**2 * fit.noise_gain[0]])
+        fit = local_fit(reading, noisy_reference, AT_REST[:1], middle, HALF_WIDTH)
+        squares.append(
+            [abs(fit.value[0] - 1.0) ** 2 / 2.0, fit.variance[0], noise**2 * fit.variance_per_reference_noise[0]]
+        )
     error, residual, predicted = np.median(squares, axis=0)
-    # The median of half the squared error is ln 2 times its mean. The poles fit the noise, which reduces the residual.
+    # The median of the squared error of a complex value is ln 2 times its mean.
     assert predicted * np.log(2.0) == pytest.approx(error, rel=0.5)
+    # The poles are fitted to the noise, so that the residual hardly shows it.
     assert residual < 0.5 * predicted
 
 
 def test_effect_of_reference_noise_in_flat_response():
     random = np.random.default_rng(15)
     noise, lines, ratios = 0.03, np.arange(30, 370, 25), []
-    zero_phase = np.zeros((3, BINS))
     for _ in range(40):
         force = gaussian(random, 3, BINS)
-        reading = Reading(2.0 * force, np.ones(BINS), np.zeros((0, BINS)))
-        fit = local_fit(reading, force + noise * gaussian(random, 3, BINS), zero_phase, lines, 12)
-        ratios.append(abs(fit.value - 2.0) ** 2 / 2.0 / (noise**2 * fit.noise_gain))
+        reading = ideal_reading(2.0 * force)
+        fit = local_fit(reading, force + noise * gaussian(random, 3, BINS), AT_REST[:3], lines, HALF_WIDTH)
+        ratios.append(abs(fit.value - 2.0) ** 2 / 2.0 / (noise**2 * fit.variance_per_reference_noise))
     assert np.mean(ratios) == pytest.approx(1.0, rel=0.15)
 
 
 def test_error_in_end_bin_affects_only_nearby_fits():
     random = np.random.default_rng(17)
-    force, zero_phase, lines = gaussian(random, 2, BINS), np.zeros((2, BINS)), np.array([3, 200, BINS - 4])
-    for bin_, affected in ((0, [True, False, False]), (BINS - 1, [False, False, True])):
+    force, lines = gaussian(random, 2, BINS), np.array([3, 200, BINS - 4])
+    for bin_, affected_lines in ((0, [True, False, False]), (BINS - 1, [False, False, True])):
         spectra = 2.0 * force
         spectra[:, bin_] += 1.0
-        fit = local_fit(Reading(spectra, np.ones(BINS), np.zeros((0, BINS))), force, zero_phase, lines, 12)
-        assert (abs(fit.value - 2.0) > 1e-6).tolist() == affected
+        fit = local_fit(ideal_reading(spectra), force, AT_REST[:2], lines, HALF_WIDTH)
+        assert (abs(fit.value - 2.0) > 1e-6).tolist() == affected_lines
 
 
 def test_results_are_proportional_to_units():
     random = np.random.default_rng(16)
-    force, zero_phase, lines = gaussian(random, 2, BINS), np.zeros((2, BINS)), np.arange(100, 300, 20)
+    force, lines = gaussian(random, 2, BINS), np.arange(100, 300, 20)
     spectra = force * resonance(30.0) + 0.01 * gaussian(random, 2, BINS)
 
     def fit(response_unit, force_unit):
-        reading = Reading(response_unit * spectra, np.ones(BINS), np.zeros((0, BINS)))
-        return local_fit(reading, force_unit * force, zero_phase, lines, 12)
+        reading = ideal_reading(response_unit * spectra)
+        return local_fit(reading, force_unit * force, AT_REST[:2], lines, HALF_WIDTH)
 
     base, scaled = fit(1.0, 1.0), fit(3.0, 50.0)
     np.testing.assert_allclose(scaled.value, base.value * 3.0 / 50.0, rtol=1e-6)
     np.testing.assert_allclose(scaled.model_error, base.model_error * 3.0 / 50.0, rtol=1e-5)
     np.testing.assert_allclose(scaled.variance, base.variance * (3.0 / 50.0) ** 2, rtol=1e-6)
-    np.testing.assert_allclose(scaled.noise_gain, base.noise_gain * (3.0 / 50.0**2) ** 2, rtol=1e-6)
-    for name in ("coherence", "degrees", "independent"):
+    np.testing.assert_allclose(
+        scaled.variance_per_reference_noise, base.variance_per_reference_noise * (3.0 / 50.0**2) ** 2, rtol=1e-6
+    )
+    for name in ("coherence", "degrees_of_freedom", "independent_share"):
         np.testing.assert_allclose(getattr(scaled, name), getattr(base, name), rtol=1e-6)
 
 
 def test_zero_padding_increases_the_variance():
     random = np.random.default_rng(10)
     force = gaussian(random, 3, BINS)
-    reading = Reading(force + 0.1 * gaussian(random, 3, BINS), np.ones(BINS), np.zeros((0, BINS)))
+    reading = ideal_reading(force + 0.1 * gaussian(random, 3, BINS))
     lines = np.arange(50, 350, 7)
-    zero_phase = np.zeros((3, BINS))
-    without_padding, half_padding = (local_fit(reading, force, zero_phase, lines, 12, used) for used in (1.0, 0.5))
-    comparable = without_padding.degrees - half_padding.degrees == 75
+    without_padding, half_padding = (
+        local_fit(reading, force, AT_REST[:3], lines, HALF_WIDTH, measured_share) for measured_share in (1.0, 0.5)
+    )
+    # If both fits have the same order, half of the equations (two for each bin of three segments) are lost.
+    comparable = without_padding.degrees_of_freedom - half_padding.degrees_of_freedom == 3 * (2 * HALF_WIDTH + 1)
     assert comparable.mean() > 0.8
     np.testing.assert_array_equal(without_padding.value[comparable], half_padding.value[comparable])
-    ratio = without_padding.degrees[comparable] / half_padding.degrees[comparable]
+    ratio = without_padding.degrees_of_freedom[comparable] / half_padding.degrees_of_freedom[comparable]
     np.testing.assert_allclose(half_padding.variance[comparable] / without_padding.variance[comparable], ratio)
 
 
-@pytest.mark.parametrize("used", [1.0, 0.5])
-def test_covariance_of_padded_segments_equals_scatter(used):
-    random, size, lines, side = np.random.default_rng(11), 4096, np.arange(200, 1000, 10), int(12 / used)
-    samples = int(used * size)
-    begin = np.exp(-2j * np.pi * np.arange(size // 2 + 1) * (1.0 - used))[None]
+@pytest.mark.parametrize("measured_share", [1.0, 0.5])
+def test_covariance_of_padded_segments_equals_scatter(measured_share):
+    random, size, lines = np.random.default_rng(11), 4096, np.arange(200, 1000, 10)
+    half_width = int(HALF_WIDTH / measured_share)
+    samples = int(measured_share * size)
+    end_phases = np.exp(-2j * np.pi * np.arange(size // 2 + 1) * (1.0 - measured_share))[None]
     means, variances = [], []
     for _ in range(40):
         force = random.standard_normal(samples)
         noisy = force + 0.1 * random.standard_normal(samples)
         spectra = np.fft.rfft(np.pad([force, noisy], ((0, 0), (size - samples, 0))))[:, None]
-        fit = local_fit(
-            Reading(spectra[1], np.ones(begin.size), np.zeros((0, begin.size))), spectra[0], begin, lines, side, used
-        )
+        fit = local_fit(ideal_reading(spectra[1]), spectra[0], end_phases, lines, half_width, measured_share)
         errors = LocalErrors(
-            fit.influence[:, None], fit.first, fit.residual[:, None], fit.curve, np.ones(lines.size),
-            float(fit.degrees[0]) / 2.0, used, False, np.zeros((lines.size, 1)),
+            fit.bin_weights[:, None], fit.first_bin, fit.residual[:, None], fit.fitted_response, np.ones(lines.size),
+            float(fit.degrees_of_freedom[0]) / 2.0, measured_share, False, np.zeros((lines.size, 1)),
         )  # fmt: skip
         covariance = errors.covariance(np.sqrt(fit.variance)[:, None], 1.0)
         variances.append(covariance.of_sums(np.full((lines.size, 1, 1), 1.0 / lines.size + 0j))[0, 0])
@@ -174,14 +186,14 @@ def test_covariance_of_padded_segments_equals_scatter(used):
     assert 0.5 < np.mean(variances) / scatter < 1.9
 
 
-def test_model_error_of_sharp_curve_is_stated():
+def test_model_error_of_three_near_peaks_is_estimated():
     random = np.random.default_rng(11)
     # A denominator of second order cannot represent three peaks in one fit.
     truth = sum(5.0 / (1j * (OFFSET - peak) + 1.0) for peak in (-6.0, 0.0, 6.0))
     force = gaussian(random, 6, BINS)
-    reading = Reading(truth * force, np.ones(BINS), np.zeros((0, BINS)))
+    reading = ideal_reading(truth * force)
     lines = np.arange(20, 380)
-    fit = local_fit(reading, force, np.zeros((6, BINS)), lines, 12)
+    fit = local_fit(reading, force, AT_REST, lines, HALF_WIDTH)
     error = abs(fit.value - truth[lines])
     peaks, far_from_peaks = abs(OFFSET[lines]) < 8, abs(OFFSET[lines]) > 60
     scale = np.sqrt(np.mean(error[peaks] ** 2))
@@ -192,32 +204,34 @@ def test_model_error_of_sharp_curve_is_stated():
 def test_batch_size_does_not_change_fit(monkeypatch):
     random = np.random.default_rng(12)
     force = gaussian(random, 2, BINS)
-    reading = Reading(force * resonance(30.0) + 0.01 * gaussian(random, 2, BINS), np.ones(BINS), np.zeros((0, BINS)))
+    reading = ideal_reading(force * resonance(30.0) + 0.01 * gaussian(random, 2, BINS))
     lines = np.arange(5, 395, 9)
-    single_batch = local_fit(reading, force, np.zeros((2, BINS)), lines, 10)
+    single_batch = local_fit(reading, force, AT_REST[:2], lines, 10)
     monkeypatch.setattr(local_rational, "_MAX_ELEMENTS", 3000)
-    small_batches = local_fit(reading, force, np.zeros((2, BINS)), lines, 10)
+    small_batches = local_fit(reading, force, AT_REST[:2], lines, 10)
     np.testing.assert_allclose(small_batches.value, single_batch.value, rtol=1e-9)
     np.testing.assert_allclose(small_batches.model_error, single_batch.model_error, rtol=1e-6)
 
 
 def test_lines_without_excitation_have_no_value():
     random = np.random.default_rng(13)
-    reading = Reading(gaussian(random, 2, BINS), np.ones(BINS), np.zeros((0, BINS)))
-    fit = local_fit(reading, np.zeros((2, BINS), dtype=complex), np.zeros((2, BINS)), np.array([50, 60]), 8)
+    reading = ideal_reading(gaussian(random, 2, BINS))
+    fit = local_fit(reading, np.zeros((2, BINS), dtype=complex), AT_REST[:2], np.array([50, 60]), 8)
     assert np.isnan(fit.value).all()
 
 
 def test_smooth_reference_resembles_a_transient():
     random = np.random.default_rng(21)
-    smooth, ends = 1.0 + 2e-3 * np.arange(BINS)[None] ** 1.5, np.ones((1, BINS))
+    smooth, lines = 1.0 + 2e-3 * np.arange(BINS)[None] ** 1.5, np.arange(100, 300, 10)
+    one_transient = np.ones((1, BINS))
     for noise in (1e-3, 1e-1):
         noisy_reference = smooth * (1.0 + 0j) + noise * smooth * gaussian(random, 1, BINS)
-        reading = Reading(2.0 * smooth * (1.0 + 0j), np.ones(BINS), np.zeros((0, BINS)))
-        fit = local_fit(reading, noisy_reference, ends, np.arange(100, 300, 10), 12)
-        assert np.median(fit.independent) < 2.0 * noise**2
+        reading = ideal_reading(2.0 * smooth * (1.0 + 0j))
+        fit = local_fit(reading, noisy_reference, one_transient, lines, HALF_WIDTH)
+        assert np.median(fit.independent_share) < 2.0 * noise**2
         # If only noise distinguishes the reference from a smooth curve, the estimate tends to zero.
         assert np.median(abs(fit.value)) < 0.2
     noise_reference = gaussian(random, 1, BINS)
-    reading = Reading(2.0 * noise_reference, np.ones(BINS), np.zeros((0, BINS)))
-    assert np.median(local_fit(reading, noise_reference, ends, np.arange(100, 300, 10), 12).independent) > 0.5
+    reading = ideal_reading(2.0 * noise_reference)
+    fit = local_fit(reading, noise_reference, one_transient, lines, HALF_WIDTH)
+    assert np.median(fit.independent_share) > 0.5

@@ -14,7 +14,7 @@ from analysis.responses.local_models.low_spectra import low_spectra
 
 
 def recording_of(samples: NDArray[np.float64]) -> Any:
-    """Return a recording of channels a and b."""
+    """Return a substitute for a recording of channels a and b."""
     return SimpleNamespace(read=lambda name, start, stop: samples["ab".index(name), start:stop])
 
 

@@ -75,7 +75,7 @@ def test_only_driven_shaker_supplies_energy(tmp_path):
 
 def test_sensor_tolerances_bound_energy_balance(tmp_path, monkeypatch):
     # Aliasing of point samples is another error, which is excluded here.
-    monkeypatch.setattr(energy_balance, "aliased_shares", lambda *_: (0.0, 0.0))
+    monkeypatch.setattr(energy_balance, "aliased_ratios", lambda *_: (0.0, 0.0))
     infos = synthetic.channels(sensor={"accelerometer.sensitivity_tolerance": "1 %"})
     path = synthetic.stepped_sine(tmp_path / "a.mcap", [12.0, 13.04, 20.0, 34.8, 49.7], infos=infos)
     with daq.open(path) as rec:
